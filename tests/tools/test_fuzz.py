@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.sdo.server import SdoServer
-from tools.fuzz import body, inputs
+from tools.fuzz import body, frames, inputs
 from tools.fuzz.body import Play
 from tools.fuzz.inputs import NODE_ID, SERVER, Reader, Step
-from tools.fuzz.watch import Broken, SdoWatcher
+from tools.fuzz.loop import Find
+from tools.fuzz.watch import Broken, SdoWatcher, demand
 
 CORPUS = [
     line.split(maxsplit=1)
@@ -38,6 +39,23 @@ def test_kept_inputs_mean_what_they_did() -> None:
     """Who changes one of these tables makes other inputs of the kept ones, and looks at them again."""
     tables = (inputs.KINDS, inputs.INDICES, inputs.VALUES, inputs.PAUSES_S)
     assert [len(table) for table in tables] == [28, 57, 40, 11]
+
+
+def test_frames_without_tracing() -> None:
+    """They are counted, and what breaks a rule is found once."""
+    count = frames.campaign(frames.kept_frames(), 3000, seed=1)
+    assert 3000 <= count.frames < 20_000
+    assert not count.finds
+    assert frames.campaign(frames.kept_frames(), 3000, seed=1).inputs == count.inputs
+
+
+def test_frames_that_break_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Play, "check_alive", lambda run: demand(run.received < 1000, "broken"))
+    found: list[Find] = []
+    count = frames.campaign(frames.kept_frames(), 5000, 1, found.append)
+    assert [find.place for find in found] == list(count.finds) != []
+    with pytest.raises(Broken, match="broken"):
+        body.play(found[0].data)
 
 
 @settings(max_examples=200, deadline=None)

@@ -99,10 +99,14 @@ class Play:
         self.device = device
         self.dictionary = device.dictionary
         self.now = 0.0
+        self.received = 0
+        """Frames so far."""
         self._first, self._second = SdoWatcher(), SdoWatcher()
         self._client = Follower()
         places = (*TPDOS, EMERGENCY, SYNC, *SECOND_CHANNEL)
         self._cob_ids = [self.dictionary.find(*place) or _ABSENT for place in places]
+        self._known: list[int] = []  # what the services below were made of
+        self._may = Services.of(UNCONFIGURED, *[cob.NOT_VALID] * len(places))
 
     @property
     def state(self) -> NmtState:
@@ -125,12 +129,14 @@ class Play:
 
     def receive(self, frame: Frame) -> list[Frame]:
         """A frame from the bus."""
-        state, may = self.state, self._services()
+        node = self.device.node
+        state, may = node.state, self._services()
         if state in COMMUNICATING and not frame.rtr:
-            if frame.can_id == 0x600 + self.node_id:
+            if frame.can_id == 0x600 + node.node_id:
                 self._first.request(frame.data)
             if may.second is not None and frame.can_id == may.second[0]:
                 self._second.request(frame.data)
+        self.received += 1
         sent = self.device.receive(frame, self.now)
         self._check_sent(sent, state, may)
         return sent
@@ -169,8 +175,10 @@ class Play:
 
     def _addressed(self, frame: Frame) -> Frame:
         """What an input sends to NODE_ID goes to the node-ID that the device has by now."""
-        if frame.can_id == SERVER and self._is_configured:
-            return frame._replace(can_id=0x600 + self.node_id)
+        if frame.can_id == SERVER:
+            node_id = self.node_id
+            changed = node_id not in (NODE_ID, UNCONFIGURED)
+            return frame._replace(can_id=0x600 + node_id) if changed else frame
         if frame.can_id == 0x000 and frame.data[1:] == bytes([NODE_ID]):
             return frame._replace(data=bytes([frame.data[0], self.node_id]))
         return frame
@@ -183,7 +191,10 @@ class Play:
         return frame.can_id == ERROR_CONTROL + self.node_id and frame.data == b"\x00"
 
     def _services(self) -> Services:
-        return Services.of(self.device.node.node_id, *[entry.value for entry in self._cob_ids])
+        values = [self.device.node.node_id, *[entry.value for entry in self._cob_ids]]
+        if values != self._known:
+            self._known, self._may = values, Services.of(*values)
+        return self._may
 
     def _check_sent(self, sent: list[Frame], before: NmtState, may_before: Services) -> None:
         after, may_after = self.state, self._services()
@@ -250,8 +261,8 @@ class Play:
         demand(answers == [b"\x43\x00\x10\x00"], f"1000h is answered by {answers}")
 
 
-def play(data: bytes) -> None:
-    """One input, from power-on to the last check. Raises when something is wrong."""
+def play(data: bytes) -> int:
+    """One input, from power-on to the last check: how many frames came. Raises when something is wrong."""
     reader = Reader(data)
     choice = reader.byte()
     store = MemoryStore() if choice & SAVING else None
@@ -265,13 +276,15 @@ def play(data: bytes) -> None:
     run.check_values()
     run.check_alive()
     if store is None:
-        return
+        return run.received
+    received = run.received
     if choice & DAMAGED:
         damage(store, data)
     run = Play(make(choice, store))
     run.start()
     run.check_values()
     run.check_alive()
+    return received + run.received
 
 
 def damage(store: MemoryStore, data: bytes) -> None:

@@ -30,8 +30,11 @@ def fuzz(arguments: list[str]) -> None:
     with atheris.instrument_imports(include=["canfb"], exclude=[*names("signal"), *names("calibration")]):
         from tools.fuzz import body
 
+    def one(data: bytes) -> None:
+        body.play(data)
+
     options = [f"-rss_limit_mb={MEGABYTES}", "-max_len=400", "-timeout=20"]
-    atheris.Setup([sys.argv[0], *options, *arguments], body.play)
+    atheris.Setup([sys.argv[0], *options, *arguments], one)
     atheris.Fuzz()
 
 

@@ -91,7 +91,8 @@ def _frames(path: Path, data: bytes) -> None:
     body.play(data)
 
 
-def _corpus_of_frames() -> list[bytes]:
+def kept_frames() -> list[bytes]:
+    """The inputs of the frames that are kept in the repository."""
     lines = CORPUS_OF_FRAMES.read_text(encoding="ascii").splitlines()
     return [bytes.fromhex(line.split()[0]) for line in lines if line and not line.startswith("#")]
 
@@ -337,7 +338,7 @@ def _is_ours(error: BaseException) -> bool:
 TARGETS = {
     target.name: target
     for target in (
-        Target("frames", _corpus_of_frames, _frames, (), longest=FRAMES_LONGEST),
+        Target("frames", kept_frames, _frames, (), longest=FRAMES_LONGEST),
         Target("eds", seeds.eds, _eds, suffix=".eds"),
         Target("dcf", seeds.dcf, _dcf, (ValueError,), ".dcf"),
         Target("concise", seeds.concise, _concise, (ValueError,)),

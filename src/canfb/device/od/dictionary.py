@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -241,6 +242,7 @@ class Dictionary:
         }
         described = _guess_objects(self._entries) if objects is None else objects
         self._objects = {info.index: info for info in described}
+        self._indices = sorted(self._objects)
         self.dummies = frozenset(dummies)
 
     @classmethod
@@ -295,6 +297,11 @@ class Dictionary:
     def objects(self) -> Iterator[ObjectInfo]:
         """What each index holds, ascending."""
         return iter(self._objects.values())
+
+    def indices(self, area: range) -> Sequence[int]:
+        """The indices of the objects within ``area``, ascending."""
+        first, end = (bisect_left(self._indices, index) for index in (area.start, area.stop))
+        return self._indices[first:end]
 
     def change_node_id(self, old: int, new: int) -> None:
         """Make the defaults that have the node-ID in them, and the values that are such defaults, new."""

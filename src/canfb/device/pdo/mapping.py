@@ -85,9 +85,8 @@ PDO_NUMBERS = range(1, 513)
 
 def numbers(dictionary: Dictionary, direction: Direction) -> list[int]:
     """Numbers of the PDOs that the dictionary has, from 1."""
-    before = COMMUNICATION[direction] - 1
-    found = (described.index - before for described in dictionary.objects())
-    return [number for number in found if number in PDO_NUMBERS]
+    first = COMMUNICATION[direction]
+    return [index - first + 1 for index in dictionary.indices(range(first, first + len(PDO_NUMBERS)))]
 
 
 def rpdo_with(dictionary: Dictionary, objects: Iterable[tuple[int, int]]) -> int | None:
