@@ -125,7 +125,10 @@ class BusModel:
         self._route()
 
     def _node(self, node_id: int) -> NodeModel:
-        return self._nodes.setdefault(node_id, NodeModel(node_id))
+        node = self._nodes.get(node_id)
+        if node is None:
+            node = self._nodes[node_id] = NodeModel(node_id)
+        return node
 
     def _route(self) -> None:
         """Which frames are understood, by the layouts of the modules."""

@@ -115,8 +115,9 @@ class EmbeddedBus:
     def _hand_out(self, frame: Frame, sender: Device | None) -> None:
         self.frames += 1
         self.bits += frame_bits(len(frame.data))
+        now = self.now
         for tap in self.taps:
-            tap(frame, self.now)
+            tap(frame, now)
         for participant in self._participants:
-            if participant is not sender:
-                self._put(participant, participant.receive(frame, self.now))
+            if participant is not sender and (answers := participant.receive(frame, now)):
+                self._put(participant, answers)
