@@ -101,6 +101,28 @@ def test_late_positions_give_the_speed_of_their_own_intervals() -> None:
     assert not one.take(position, syncs=0), "one more than there were SYNCs"
 
 
+def test_positions_that_come_together_leave_the_last_one() -> None:
+    """At rest the first of them may be that of any of the SYNCs; those that follow are newer all the same."""
+    one = Input()
+    for raw in (100, 101, 100):
+        one.take(raw)
+    one.take(101, syncs=3)
+    for raw in (99, 102):
+        one.take(raw, syncs=0)
+        assert one.feedback.position == raw
+    assert abs(one.feedback.speed) < 0.1
+    assert one.take(102 + 20_480)
+    assert one.feedback.speed == pytest.approx(1.0), "of one interval, from the last one on"
+
+
+def test_one_more_that_the_machine_cannot_reach_is_not_used() -> None:
+    one = Input()
+    one.take(0)
+    one.take(1000)
+    assert not one.take(1000 + 2_048_001, syncs=0)
+    assert (one.wrong, one.feedback.position) == (Wrong(0), 1000)
+
+
 @given(st.lists(st.floats(-2e-4, 2e-4), min_size=3, max_size=30))
 def test_the_speed_is_that_of_true_time_however_the_syncs_jitter(jitter: list[float]) -> None:
     one, last = Input(), 0.0

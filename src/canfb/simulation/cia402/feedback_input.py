@@ -123,8 +123,6 @@ class FeedbackInput:
 
     def _step(self, raw: int, full: int, largest_speed: float, interval_s: float, supervised: bool) -> bool:
         known = self._last is not None
-        if known and self._open == 0:
-            return False  # one more than there were SYNCs
         if self._last is None:
             self.position = raw - full if raw >= (full + 1) // 2 else raw
             step = 0
@@ -132,6 +130,13 @@ class FeedbackInput:
             step = (raw - self._last + full // 2) % full - full // 2
         bound = self._bound(largest_speed, interval_s) * max(1, self._open)
         too_far = known and bound > 0 and abs(step) > bound
+        if (
+            known and self._open == 0
+        ):  # one more than there were SYNCs, or the one before was taken for a later
+            if not too_far:
+                self.position += step
+                self._last = raw
+            return False
         if too_far and supervised:
             self._set(Wrong.STEP)
             self._last = None  # from here on, when it is believed again
