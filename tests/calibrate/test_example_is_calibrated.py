@@ -13,7 +13,7 @@ from canfb.cli.calibrate import over_bus
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
-from canfb.cli.simulate_options import chosen
+from canfb.cli.simulate import chosen
 from canfb.configuration import parse_config
 from canfb.errors import CalibrationError
 from canfb.interface.encoder_interface import EncoderInterface

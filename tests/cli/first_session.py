@@ -9,7 +9,7 @@ from typing import Any
 from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
-from canfb.cli.simulate_options import chosen
+from canfb.cli.simulate import chosen
 from canfb.configuration import Config, parse_config
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule

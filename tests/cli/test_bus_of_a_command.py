@@ -8,8 +8,8 @@ from pathlib import Path
 import can
 import pytest
 
-from canfb.cli.bus_help import BUS_HELP
 from canfb.cli.main import main
+from canfb.cli.options import BUS_HELP
 
 PAGE = (Path(__file__).parents[2] / "docs" / "wiring.md").read_text(encoding="utf-8")
 CHANNEL = "canfb-bus-of"

@@ -10,7 +10,7 @@ from pathlib import Path
 import can
 import pytest
 
-from canfb.cli import monitor_output
+from canfb.cli import monitor as monitor_file
 from canfb.cli.main import main
 from canfb.monitoring.watching import Watching
 from monitored_network import MonitoredNetwork
@@ -145,4 +145,4 @@ def test_the_configuration_names_modules_and_their_interfaces(
 
 
 def test_rates() -> None:
-    assert (monitor_output.RATE_HZ, monitor_output.LINES_RATE_HZ) == (5.0, 1.0)
+    assert (monitor_file.RATE_HZ, monitor_file.LINES_RATE_HZ) == (5.0, 1.0)

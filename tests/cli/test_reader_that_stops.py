@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from canfb.cli.log_printing import printed_as_json, printed_log, printed_without_waiting
+from canfb.cli.printing import printed_as_json, printed_log, printed_without_waiting
 
 LIMIT_S = 60.0
 CONFIG = """\

@@ -15,8 +15,8 @@ import canopen
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.cli.log_printing import printed_log
 from canfb.cli.main import main
+from canfb.cli.printing import printed_log
 from canfb.eds_files import eds_path
 from canfb.hosting.hosting import make_module
 from canfb.hosting.state_files import StateDirError

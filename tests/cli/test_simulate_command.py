@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from canfb.cli.main import build_parser, main
-from canfb.cli.simulate_options import chosen
+from canfb.cli.simulate import chosen
 from canfb.configuration import load_config
 from canfb.signal.sample import Sample
 from canfb.simulation.set_up import source_of

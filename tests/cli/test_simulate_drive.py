@@ -14,7 +14,7 @@ from canfb.bus.python_can_bus import PythonCanBus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser, main
-from canfb.cli.simulate_options import chosen
+from canfb.cli.simulate import chosen
 from canfb.configuration import Config, parse_config
 from canfb.device.device_protocol import Device
 from canfb.errors import ConfigError

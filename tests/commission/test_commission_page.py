@@ -11,8 +11,7 @@ from test_commission_on_a_bus import SHORT, bench_of
 
 from canfb import objects as od
 from canfb.calibrate.artefacts import prepare
-from canfb.cli.commission import over_bus
-from canfb.cli.commission_options import configuration_of, wishes_of
+from canfb.cli.commission import configuration_of, over_bus, wishes_of
 from canfb.cli.main import build_parser, main
 from canfb.cli.progress import Progress
 from canfb.device.storage.storage import MemoryStore

@@ -81,7 +81,7 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
         def __exit__(self, *_: object) -> None:
             pass
 
-    monkeypatch.setattr("canfb.cli.bus_command.BusMaster", Opened)
+    monkeypatch.setattr("canfb.cli.nmt_command.BusMaster", Opened)
     words = ["bus", "scan", "-i", "virtual", "-c", "scan-x", "--seconds", "0.3"]
     assert main(words) == 0
     assert [line[:9] for line in capsys.readouterr().out.splitlines()] == [" 16 (10h)", " 32 (20h)"]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from canfb.cli.parser import build_parser
+from canfb.cli.commands import build_parser
 from canfb.configuration import ANY_NODES, parse_config
 from tools.site.nav import pages_of
 

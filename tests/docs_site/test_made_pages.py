@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import canfb
-from canfb.cli.parser import build_parser
+from canfb.cli.commands import build_parser
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.registry import source_kinds
 from tools.site.api_page import as_rst, escaped

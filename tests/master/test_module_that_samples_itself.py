@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from test_calibrate_on_a_bus import calibrate, position_errors
 
-from canfb.cli.calibrate_options import choices_of
-from canfb.cli.configured_nodes import nodes_of
+from canfb.cli.calibrate import choices_of
 from canfb.cli.main import build_parser
+from canfb.cli.node_options import nodes_of
 from canfb.configuration import parse_config
 from canfb.master.access import CommissioningError
 from canfb.module.feedback_module import FeedbackModule

@@ -10,8 +10,7 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser, main
-from canfb.cli.simulate_options import chosen
-from canfb.cli.simulate_record import check_record, write_record
+from canfb.cli.simulate import check_record, chosen, write_record
 from canfb.configuration import parse_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.interface.encoder_interface import EncoderInterface

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.cli.log_printing import printed_log
+from canfb.cli.printing import printed_log
 from canfb.configuration import parse_config
 from canfb.errors import CanfbError
 from canfb.hosting.hosting import make_module, open_source

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from canfb.cli.commands import WRONG_USE
 from canfb.cli.main import FAILED
-from canfb.cli.parser import WRONG_USE
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "tools" / "systemd"

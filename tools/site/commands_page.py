@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 
+from canfb.cli.commands import build_parser
 from canfb.cli.examples import examples_of
-from canfb.cli.parser import build_parser
 from tools.site.markdown import plain, table
 
 INTRODUCTION = """# Commands

@@ -1,1 +1,1 @@
-"""The commands, one file each."""
+"""The commands: options, a call, output. The commands of one task are in one file."""

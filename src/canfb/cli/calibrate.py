@@ -4,18 +4,34 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
 from canfb.calibrate.artefacts import prepare
 from canfb.calibrate.calibration_run import CalibrationRun
-from canfb.calibrate.choices import CalibrateOptions
+from canfb.calibrate.choices import (
+    LEAST_SAMPLES,
+    MODULE,
+    PDO,
+    RECORDING,
+    CalibrateOptions,
+    refuse_combinations,
+)
+from canfb.calibrate.measurement import MOTION, ZERO_CROSSINGS
 from canfb.calibrate.speed_run import SpeedRun
-from canfb.cli.calibrate_options import add_options, choices_of
-from canfb.cli.configured_nodes import nodes_of
-from canfb.cli.node_options import say_result, sync_master
-from canfb.cli.options import Commands, add_command, bus_options
-from canfb.cli.printing import report
-from canfb.cli.progress import Progress
+from canfb.cli.node_options import nodes_of, say_result, sync_master
+from canfb.cli.options import (
+    BUS_WORDS,
+    Commands,
+    add_bus_options,
+    add_command,
+    bus_options,
+    refuse_idle,
+    whole_number,
+)
+from canfb.cli.progress import Progress, shown_progress
 from canfb.configuration import Config, load_config
 from canfb.errors import CalibrationError
 from canfb.master.access import Master
@@ -25,23 +41,22 @@ from canfb.rows import Result
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(
-        commands,
-        "calibrate",
-        "measure the encoder, build its correction table, activate it and save it",
-        calibrate,
-    )
-    add_options(parser)
+    summary = "measure the encoder, build its correction table, activate it and save it"
+    parser = add_command(commands, "calibrate", summary, calibrate)
+    _add_nodes_and_results(parser)
+    _add_measurement(parser)
+    _add_speeds(parser)
+    _add_file(parser)
+    add_bus_options(parser)
 
 
 def calibrate(options: argparse.Namespace) -> int:
     """Do all of it; 0 when the table is active, or when ``--dry-run`` or ``--check`` is done."""
     choices = choices_of(options)
     config = load_config(options.config) if options.config else Config()
-    progress = Progress(quiet=options.json)
     if choices.out:
         prepare(choices.out)
-    try:
+    with shown_progress(quiet=options.json, interrupted="the module is unchanged") as progress:
         if choices.samples:
             run = _run(choices, options, progress, date_and_time())
             return _say(run.from_file(choices.samples), options, progress)
@@ -50,21 +65,10 @@ def calibrate(options: argparse.Namespace) -> int:
         guard = Guard()
         with sync_master(words, choices.sync, choices.answer_within, guard) as master:
             return over_bus(master, options, config, progress, guard, date_and_time())
-    except KeyboardInterrupt:
-        progress.clear()
-        report("interrupted; the module is unchanged")
-        raise
-    finally:
-        progress.clear()
 
 
 def over_bus(
-    master: Master,
-    options: argparse.Namespace,
-    config: Config,
-    progress: Progress,
-    guard: Guard,
-    date: str,
+    master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
 ) -> int:
     """The command on an open bus; the exit code. ``date`` is ISO 8601, the time of day behind a space."""
     choices = choices_of(options)
@@ -87,3 +91,132 @@ def _run(
 def _say(result: Result, options: argparse.Namespace, progress: Progress) -> int:
     progress.clear()
     return say_result(options, result)
+
+
+def _add_nodes_and_results(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "config",
+        metavar="CONFIG.yaml",
+        nargs="?",
+        help="take the bus and the node-IDs of the first module from this file",
+    )
+    parser.add_argument("--module", type=whole_number, metavar="ID", help="node-ID of the module (32)")
+    parser.add_argument(
+        "--encoder-interface",
+        type=whole_number,
+        metavar="ID",
+        help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
+    )
+    parser.add_argument("--dry-run", action="store_true", help="measure only, write nothing to the module")
+    parser.add_argument(
+        "--check", action="store_true", help="only measure how far the encoder has drifted from its table"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for table, samples and report")
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--no-save", action="store_true", help="do not save (1010h): lost at a restart")
+
+
+def _add_measurement(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("measurement")
+    group.add_argument(
+        "--method",
+        choices=(MOTION, ZERO_CROSSINGS),
+        default=MOTION,
+        help="motion (default): any speed, one sample per SYNC; zero-crossings: slow, many samples per cycle",
+    )
+    group.add_argument(
+        "--source",
+        choices=(PDO, RECORDING, MODULE),
+        help="pdo: the ADC PDO on the bus (default); recording: object 2050h (default of zero-crossings); "
+        "module: the module calibrates itself (2030h)",
+    )
+    group.add_argument(
+        "--recorder",
+        choices=("interface", "module"),
+        default="interface",
+        help="node whose object 2050h records (default: interface)",
+    )
+    group.add_argument(
+        "--seconds",
+        type=float,
+        metavar="S",
+        help="duration of the measurement (20; 4 for a recording, 10 for a speed)",
+    )
+    group.add_argument(
+        "--least-samples",
+        type=int,
+        default=LEAST_SAMPLES,
+        metavar="N",
+        help=f"minimum number of samples; measure up to six times longer to reach it ({LEAST_SAMPLES})",
+    )
+    group.add_argument(
+        "--verify", type=float, metavar="S", help="duration of the verification (4; 1 for a recording)"
+    )
+    group.add_argument(
+        "--conditioning",
+        choices=("fit", "none"),
+        default="fit",
+        help="fit offset, gain and phase error of the tracks first (default), or correct all by the table",
+    )
+    group.add_argument("--entries", type=int, default=1024, metavar="N", help="length of the table (1024)")
+    group.add_argument("--adc-bits", type=int, metavar="N", help="bits of the converter (from 2001:02)")
+    group.add_argument("--rate", type=float, metavar="HZ", help="samples per second, if not known otherwise")
+    group.add_argument("--sync", type=float, metavar="HZ", help="produce the SYNC, on a bus without one")
+    group.add_argument("--encoder", default="", metavar="NAME", help="name or serial number of the encoder")
+    group.add_argument("--answer-within", type=float, default=1.0, metavar="S", help="SDO time-out (1)")
+
+
+def choices_of(options: argparse.Namespace) -> CalibrateOptions:
+    """The options, checked. ConfigError for those that cannot be, alone or together."""
+    names = [field.name for field in fields(CalibrateOptions) if hasattr(options, field.name)]
+    choices = CalibrateOptions(**{name: getattr(options, name) for name in names})
+    refuse_combinations(choices, partial(refuse_idle, options), (*BUS_WORDS, "bus_kwargs"))
+    choices.refuse_impossible()
+    return choices
+
+
+def _add_speeds(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("several speeds (the analog path)")
+    group.add_argument(
+        "--speeds",
+        metavar="RPM,RPM,...",
+        help="measure at each of these speeds, in any order, as soon as the machine turns steadily at it; "
+        'with --samples DIR: the speeds of its files in their order, or "recorded"',
+    )
+    group.add_argument(
+        "--delay",
+        metavar="estimate|S",
+        help="write the delay of the analog path (2002:07): as estimated, or so many seconds (as it is)",
+    )
+    group.add_argument(
+        "--wait",
+        type=float,
+        default=120.0,
+        metavar="S",
+        help="how long to wait for the machine to turn at the next speed (120)",
+    )
+
+
+def _add_file(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("samples of a file (no bus is used)")
+    group.add_argument(
+        "--samples",
+        type=Path,
+        metavar="FILE",
+        help="NPZ file, or CSV with a header line; with --speeds a folder of them",
+    )
+    group.add_argument(
+        "--columns", default="sine,cosine", metavar="SINE,COSINE", help="names or numbers of the two columns"
+    )
+    group.add_argument(
+        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="ADC reading of a zero signal"
+    )
+    group.add_argument(
+        "--time-column", metavar="NAME", help="column of times in seconds; gaps become missed samples"
+    )
+    group.add_argument(
+        "--table", type=Path, metavar="FILE", help="the active table, YAML or bytes of 2020:01"
+    )
+    group.add_argument(
+        "--cycles-per-revolution", type=int, metavar="N", help="also give errors as angles of the shaft"
+    )

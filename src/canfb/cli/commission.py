@@ -3,48 +3,48 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
 from canfb.calibrate.artefacts import prepare
-from canfb.cli.commission_options import add_options, configuration_of, nodes_of_choices, wishes_of
-from canfb.cli.node_options import say_result, sync_master
-from canfb.cli.options import Commands, add_command, bus_options
-from canfb.cli.printing import report
-from canfb.cli.progress import Progress
-from canfb.commission.commission_run import CommissionRun
-from canfb.configuration import Config
+from canfb.calibrate.choices import CalibrateOptions
+from canfb.cli.node_options import nodes_of, say_result, sync_master
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    bus_options,
+    node_number,
+    refuse_idle,
+    whole_number,
+)
+from canfb.cli.progress import Progress, shown_progress
+from canfb.commission.commission_run import CommissionOptions, CommissionRun
+from canfb.configuration import Config, load_config
+from canfb.errors import ConfigError
 from canfb.master.access import Master
 from canfb.master.all_or_nothing import Guard
 
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(
-        commands,
-        "commission",
-        "propose the limits of the supervision from the machine's own motion, and set them",
-        commission,
-    )
-    add_options(parser)
+    summary = "propose the limits of the supervision from the machine's own motion, and set them"
+    _add_options(add_command(commands, "commission", summary, commission))
 
 
 def commission(options: argparse.Namespace) -> int:
     """Listen, propose, and with ``--write`` set; 0 when that is done."""
     wishes, config = wishes_of(options), configuration_of(options)
-    progress, guard = Progress(quiet=options.json), Guard()
     if wishes.out:
         prepare(wishes.out)
     nodes_of_choices(options, config)  # says what cannot be before there is a bus
     words = bus_options(options, config.bus)
-    try:
-        with sync_master(words, options.sync, options.answer_within, guard) as master:
-            return over_bus(master, options, config, progress, guard, date_and_time())
-    except KeyboardInterrupt:
-        progress.clear()
-        report("interrupted; the limits of the module are as they were")
-        raise
-    finally:
-        progress.clear()
+    guard, as_before = Guard(), "the limits of the module are as they were"
+    with (
+        shown_progress(quiet=options.json, interrupted=as_before) as progress,
+        sync_master(words, options.sync, options.answer_within, guard) as master,
+    ):
+        return over_bus(master, options, config, progress, guard, date_and_time())
 
 
 def over_bus(
@@ -55,3 +55,106 @@ def over_bus(
     result = run.over_bus(master, *nodes_of_choices(options, config), guard)
     progress.clear()
     return say_result(options, result)
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add(
+        "what",
+        metavar="NODE|CONFIG.yaml",
+        nargs="?",
+        help="node-ID of the module such as 0x20, or a configuration with the bus and the node-IDs",
+    )
+    add("--config", metavar="CONFIG.yaml", help="takes the bus and the node-IDs from this configuration")
+    add("--module", type=whole_number, metavar="ID", help="node-ID of the module (32)")
+    add(
+        "--encoder-interface",
+        type=whole_number,
+        metavar="ID",
+        help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
+    )
+    add("--write", action="store_true", help="write the limits; undone if the module then flags samples")
+    add("--save", action="store_true", help="with --write: save them (1010h)")
+    add("--seconds", type=float, default=60.0, metavar="S", help="how long to listen to the machine (60)")
+    add("--margin", type=float, default=2.0, metavar="X", help="factor beyond what is seen (2)")
+    add(
+        "--acceleration",
+        type=float,
+        default=0.0,
+        metavar="RAD_S2",
+        help="an acceleration that the machine can do and may not show now, as an emergency stop",
+    )
+    add(
+        "--watch",
+        type=float,
+        default=10.0,
+        dest="watch_s",
+        metavar="S",
+        help="with --write: how long to watch the machine with the new limits (10)",
+    )
+    add(
+        "--source",
+        choices=("pdo", "recording"),
+        default="pdo",
+        help="pdo: the ADC PDO on the bus (default); recording: object 2050h of the module",
+    )
+    add("--out", type=Path, metavar="DIR", help="folder for report and samples")
+    add("--json", action="store_true", help="print the figures as JSON")
+    add("--sync", type=float, metavar="HZ", help="produce the SYNC, on a bus without one")
+    add("--answer-within", type=float, default=1.0, metavar="S", help="SDO time-out (1)")
+    add_bus_options(parser)
+
+
+def configuration_of(options: argparse.Namespace) -> Config:
+    """The configuration that was named, or an empty one; the node that was named is ``options.module``.
+
+    ConfigError where what is named is neither, or is named twice.
+    """
+    what, path = options.what, options.config
+    if what is not None:
+        try:
+            node = node_number(what)
+        except argparse.ArgumentTypeError:
+            if not Path(what).is_file():
+                raise ConfigError(f"{what}: neither a node-ID (1 to 127) nor a file") from None
+            if path is not None:
+                raise ConfigError(f"--config {path}: {what} is a configuration already") from None
+            path = what
+        else:
+            if options.module not in (None, node):
+                raise ConfigError(f"--module {options.module}: the node is {node} already")
+            options.module = node
+    return load_config(path) if path else Config()
+
+
+def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
+    """Node-IDs of module and interface, None if the module says it. ConfigError for impossible ones."""
+    choices = CalibrateOptions(
+        module=options.module,
+        encoder_interface=options.encoder_interface,
+        sync=options.sync,
+        answer_within=options.answer_within,
+    )
+    choices.refuse_impossible()
+    return choices.nodes(nodes_of(config))
+
+
+def wishes_of(options: argparse.Namespace) -> CommissionOptions:
+    """What is asked for, checked. ConfigError for options that cannot be, alone or together."""
+    if not options.write:
+        refuse_idle(options, ["save"], "only with --write, without which nothing is written")
+    if options.source == "recording" and options.encoder_interface is not None:
+        raise ConfigError("--encoder-interface: not with --source recording, which is that of the module")
+    wishes = CommissionOptions(
+        seconds=options.seconds,
+        margin=options.margin,
+        acceleration=options.acceleration,
+        recording=options.source == "recording",
+        write=options.write,
+        save=options.save,
+        watch_s=options.watch_s,
+        out=options.out,
+        line=getattr(options, "line", ""),
+    )
+    wishes.refuse_impossible()
+    return wishes

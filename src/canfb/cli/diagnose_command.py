@@ -1,4 +1,7 @@
-"""``canfb diagnose``: one file for whoever is to help."""
+"""``canfb why NODE`` and ``canfb diagnose``: why a position is not valid; one file for whoever is to help.
+
+Both read and listen only: nothing on the bus changes.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +11,35 @@ from typing import Any
 
 from canfb.bus.clocks import local_time
 from canfb.cli import node_options
-from canfb.cli.options import Commands, add_bus_options, add_command, bus_options
-from canfb.cli.watch_options import positive
-from canfb.cli.yaml_argument import node_or_yaml, take_yaml
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    bus_options,
+    node_or_yaml,
+    positive,
+    take_yaml,
+)
 from canfb.configuration import ANY_NODES, Config, load_config
+from canfb.diagnosis.lost import read_lost_position
 from canfb.diagnosis.nodes_on_bus import FrameCounts, node_facts, scan
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import CanfbError
 from canfb.hosting import self_diagnosis as facts
+from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
 
 LISTEN_S = 2.0
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
+    """Add the commands."""
+    parser = add_command(
+        commands, "why", "why the position of a module is not valid, and what brings it back", why
+    )
+    node_options.add_node(parser)
+    node_options.add_access_options(parser)
+
     parser = add_command(
         commands,
         "diagnose",
@@ -82,9 +99,7 @@ def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> 
             found = scan(master, options.seconds)
             parts["bus"]["found"] = [one.figures() for one in found]
             chosen = [one.node_id for one in found]
-        parts["nodes"] = []
-        for node_id in chosen:
-            parts["nodes"].append(node_facts(master, node_id, known))
+        parts["nodes"] = [node_facts(master, node_id, known) for node_id in chosen]
 
 
 def _configured(config: Config) -> list[int]:
@@ -104,3 +119,10 @@ def _say(path: Path, parts: dict[str, Any]) -> None:
         error = f"; {node['error']}" if "error" in node else ""
         print(f"{name}: {len(node.get('objects', {}))} objects{error}")
     print(f"written  {path}")
+
+
+def why(options: argparse.Namespace) -> int:
+    """Read what the module keeps of its last loss, and say what to do."""
+    with node_options.master_of(options) as master:
+        found = read_lost_position(NodeAccess(master, options.node, "module"))
+    return node_options.say_result(options, found.result())

@@ -11,10 +11,17 @@ from typing import Any
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, refuse_idle
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    bus_options,
+    node_or_yaml,
+    positive,
+    refuse_idle,
+    take_yaml,
+)
 from canfb.cli.printing import say
-from canfb.cli.watch_options import positive
-from canfb.cli.yaml_argument import node_or_yaml, take_yaml
 from canfb.configuration import Config, load_config
 from canfb.diagnosis.frame_words import FrameWords, read_by_sdo
 from canfb.eds_files import eds_path

@@ -17,9 +17,8 @@ import sys
 import traceback
 from collections.abc import Sequence
 
-from canfb.cli.commands import named_command
-from canfb.cli.log_printing import printed_log
-from canfb.cli.parser import WRONG_USE, build_parser
+from canfb.cli.commands import WRONG_USE, build_parser, named_command
+from canfb.cli.printing import printed_log
 from canfb.errors import CanfbError, ConfigError
 
 FAILED = 1

@@ -1,22 +1,37 @@
-"""``canfb monitor [NODE...]``: feedback modules live in the terminal, from a bus or from a log."""
+"""``canfb monitor [NODE...]``: feedback modules live, from a bus or a log, as a page, lines or JSON."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
+import json
+import sys
+from collections.abc import Callable, Iterator
 
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.monitor_output import output
-from canfb.cli.options import Commands, add_bus_options, add_command, bus_options, refuse_idle
-from canfb.cli.watch_options import add_machine_unit, add_watched, bit_rate_of, positive
-from canfb.cli.yaml_argument import take_yaml
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    bus_options,
+    positive,
+    refuse_idle,
+    take_yaml,
+)
+from canfb.cli.printing import say
+from canfb.cli.watch_options import add_machine_unit, add_watched, bit_rate_of
 from canfb.configuration import Config, load_config
-from canfb.errors import ConfigError
+from canfb.errors import CanfbError, ConfigError
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.known_modules import assumed_layout, known_layouts
+from canfb.monitoring.lines import plain_lines
 from canfb.monitoring.sdo_reading import SdoReading
+from canfb.monitoring.snapshot import BusSnapshot
 from canfb.monitoring.watching import Watching
 
-FASTEST_HZ = 50.0
+FASTEST_HZ, RATE_HZ, LINES_RATE_HZ = 50.0, 5.0, 1.0
+Show = Callable[[BusSnapshot], None]
 
 
 def register(commands: Commands) -> None:
@@ -57,3 +72,48 @@ def monitor(options: argparse.Namespace) -> int:
             else:
                 watching.bus(words, options.seconds)
     return 0
+
+
+@contextlib.contextmanager
+def output(options: argparse.Namespace, title: str) -> Iterator[tuple[Show, float]]:
+    """The function that shows a snapshot, and the usual rate for it, updates per second."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # µ on a terminal that has none
+    if options.json:
+        yield lambda snapshot: say(json.dumps(snapshot.to_json(), ensure_ascii=False)), RATE_HZ
+    elif options.plain or not sys.stdout.isatty():
+        yield lambda snapshot: _say_lines(snapshot, options), LINES_RATE_HZ
+    else:
+        with _page(options, title) as show:
+            yield show, RATE_HZ
+
+
+def _say_lines(snapshot: BusSnapshot, options: argparse.Namespace) -> None:
+    for line in plain_lines(snapshot, options.per_revolution):
+        say(line)
+
+
+@contextlib.contextmanager
+def _page(options: argparse.Namespace, title: str) -> Iterator[Show]:
+    try:
+        from rich.console import Console
+        from rich.live import Live
+
+        from canfb.monitoring.panels import Page
+    except ImportError:
+        raise CanfbError(
+            "the live page needs rich: pip install 'canfb[monitor]'; or use --plain or --json"
+        ) from None
+    console = Console()
+    plain = not console.encoding.lower().startswith("utf")
+    last: BusSnapshot | None = None
+    with Live(console=console, screen=True, auto_refresh=False, vertical_overflow="crop") as live:
+
+        def show(snapshot: BusSnapshot) -> None:
+            nonlocal last
+            last = snapshot
+            live.update(Page(snapshot, options.per_revolution, title, plain=plain), refresh=True)
+
+        yield show
+    if last is not None:  # the page has gone with its screen
+        _say_lines(last, options)

@@ -1,4 +1,4 @@
-"""Options of the commands that speak to one node over the bus."""
+"""Options of the commands that speak to nodes over the bus, and the master for them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from typing import Any
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import add_bus_options, bus_options, node_number
+from canfb.cli.options import add_bus_options, chosen_bus, node_number, yaml_file
 from canfb.cli.printing import report
-from canfb.cli.yaml_argument import yaml_file
-from canfb.configuration import ANY_NODES, load_config
+from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.master.access import Master
 from canfb.master.all_or_nothing import Guard
@@ -26,16 +25,17 @@ def add_node(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("node", metavar="NODE", type=node_number, help="node-ID such as 32 or 0x20")
 
 
-def add_access_options(parser: argparse.ArgumentParser) -> None:
-    """The bus, the time for an answer, and ``--json``."""
+def add_access_options(parser: argparse.ArgumentParser, *, answers: bool = True) -> None:
+    """The bus and ``--json``, and the time for an answer unless ``answers`` is False."""
     parser.add_argument("--json", action="store_true", help="the result, for programs")
     parser.add_argument("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
     parser.add_argument(
         "configuration", metavar="CONFIG.yaml", nargs="?", type=yaml_file, help="the same, without --config"
     )
-    parser.add_argument(
-        "--answer-within", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)"
-    )
+    if answers:
+        parser.add_argument(
+            "--answer-within", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)"
+        )
     add_bus_options(parser)
 
 
@@ -44,10 +44,7 @@ def master_of(options: argparse.Namespace) -> Iterator[Master]:
     """A master on the bus of the options. ConfigError for wrong ones, BusError for a bus that fails."""
     if not 0.01 <= options.answer_within <= 60.0:
         raise ConfigError(f"--answer-within {options.answer_within:g}: must be 0.01 to 60")
-    chosen = options.config or options.configuration
-    configured = load_config(chosen, ANY_NODES).bus if chosen else {}
-    words = bus_options(options, configured)
-    with BusMaster(open_bus(words), options.answer_within) as master:
+    with BusMaster(open_bus(chosen_bus(options)), options.answer_within) as master:
         yield master
 
 
@@ -79,3 +76,9 @@ def say_result(options: argparse.Namespace, result: Result) -> int:
     """On standard output, for programs or for people; exit code 0."""
     print(json.dumps(result.figures, indent=2) if options.json else "\n".join(result.lines))
     return 0
+
+
+def nodes_of(config: Config) -> list[tuple[int, int | None]]:
+    """Module and encoder interface of each, None for a module that samples itself."""
+    modules = config.modules
+    return [(one.node_id, None if one.source is not None else one.encoder_interface) for one in modules]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from canfb.cli.bus_help import shorten_bus_help
 from canfb.cli.examples import examples_of
 from canfb.errors import ConfigError
 
@@ -15,6 +15,18 @@ if TYPE_CHECKING:
     from canfb.module.module_config import ModuleConfig
 
 Commands = Any  # argparse's sub-parser action has no public name
+BUS_WORDS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
+BUS_METAVARS = {"interface": "NAME", "bitrate": "BIT/S", "data_bitrate": "BIT/S", "channel": "CHANNEL"}
+BUS_HELP = {
+    "channel": "its channel: can0, vcan0, PCAN_USBBUS1; default: CAN_CHANNEL or can.conf",
+    "interface": "of python-can: socketcan, pcan, kvaser, udp_multicast; default: CAN_INTERFACE or can.conf",
+    "bitrate": "bit rate; default: CAN_BITRATE or can.conf. SocketCAN has its own, set by ip link",
+    "fd": "open the interface for CAN FD (CANopen frames are classic ones)",
+    "data_bitrate": "bit rate of the data phase of CAN FD",
+    "timing": "bit timing, such as f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1",
+    "bus_kwargs": "further keys of the interface, such as serial=1234",
+}
+"""In place of the texts of python-can, which take half a page."""
 
 
 def add_command(
@@ -37,7 +49,10 @@ def add_bus_options(parser: argparse.ArgumentParser) -> None:
     import can.cli  # here: a command without a bus does not wait for python-can
 
     can.cli.add_bus_arguments(parser)
-    shorten_bus_help(parser)
+    for action in parser._actions:
+        if action.dest in BUS_HELP and action.help is not argparse.SUPPRESS:
+            action.help = BUS_HELP[action.dest]
+            action.metavar = BUS_METAVARS.get(action.dest, action.metavar)
 
 
 def whole_number(text: str) -> int:
@@ -57,6 +72,17 @@ def node_number(text: str) -> int:
     if not 1 <= node <= 127:
         raise argparse.ArgumentTypeError(f"{text!r} is not a node-ID (1 to 127, or 0x01 to 0x7F)")
     return node
+
+
+def positive(text: str) -> float:
+    """A number above 0: a type for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return value
 
 
 def chosen_module(options: argparse.Namespace, config: Config) -> ModuleConfig:
@@ -89,9 +115,6 @@ def refuse_idle(options: argparse.Namespace, names: Iterable[str], why: str) -> 
         raise ConfigError(f"{option}: {why}")
 
 
-BUS_WORDS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
-
-
 def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict[str, Any]:
     """python-can's words: the configuration's, replaced by those of the command line.
 
@@ -108,8 +131,68 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
     return merged
 
 
+def chosen_bus(options: argparse.Namespace) -> dict[str, Any]:
+    """:func:`bus_options` with the configuration of ``--config`` or CONFIG.yaml, if there is one."""
+    from canfb.configuration import ANY_NODES, load_config
+
+    chosen = options.config or getattr(options, "configuration", None)
+    return bus_options(options, load_config(chosen, ANY_NODES).bus if chosen else {})
+
+
 def add_ready_file(parser: argparse.ArgumentParser) -> None:
     """``--ready-file``, for :class:`canfb.hosting.readiness.Readiness`."""
     parser.add_argument(
         "--ready-file", metavar="PATH", help="a file that exists while the program is on the bus"
     )
+
+
+def is_yaml(text: str) -> bool:
+    """It is named like a configuration."""
+    return text.endswith((".yaml", ".yml"))
+
+
+def yaml_file(text: str) -> str:
+    """A configuration, CONFIG.yaml: a type for argparse."""
+    if not is_yaml(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no CONFIG.yaml; a name of several words needs quotes")
+    return text
+
+
+def node_or_yaml(text: str) -> int | str:
+    """A node-ID, or a configuration; :func:`take_yaml` tells them apart. A type for argparse."""
+    return text if is_yaml(text) else node_number(text)
+
+
+def take_yaml(options: argparse.Namespace) -> None:
+    """Move a configuration among ``options.nodes`` to ``options.config``. ConfigError for several."""
+    files = [one for one in options.nodes if isinstance(one, str)]
+    if len(files) + (options.config is not None) > 1:
+        raise ConfigError(f"{files[-1]}: there is another configuration already; one is taken")
+    options.nodes = [one for one in options.nodes if not isinstance(one, str)]
+    options.config = files[0] if files else options.config
+
+
+def add_jitter(parser: argparse.ArgumentParser) -> None:
+    """``--jitter``, of commands that produce the SYNC: uneven on purpose (docs/time.md)."""
+    parser.add_argument(
+        "--jitter",
+        type=float,
+        metavar="PART",
+        help="have the SYNC jitter on purpose, uniformly within +- this part of its period, 0 to 0.45",
+    )
+
+
+def jittered(config: Config, options: argparse.Namespace) -> Config:
+    """With a SYNC at ``--rate`` that jitters so. ConfigError for a bad one, or without a rate."""
+    from canfb.simulation.sync_timing import LARGEST_PART  # here: most commands simulate nothing
+
+    part = options.jitter
+    if part is None:
+        return config
+    if options.rate is None:
+        refuse_idle(options, ("jitter",), "only with --rate: the SYNC is that of the bus")
+    if not 0.0 <= part <= LARGEST_PART:
+        raise ConfigError(f"--jitter {part:g}: must be 0 to {LARGEST_PART:g}, as part of the period")
+    jitter_us = part / options.rate * 1e6
+    simulation = replace(config.simulation, sync_jitter_us=jitter_us, sync_jitter_rms_us=0.0)
+    return replace(config, simulation=simulation)

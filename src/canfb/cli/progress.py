@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TextIO
 
 from canfb.bus.clocks import now_s
+from canfb.cli.printing import report
 
 WIDTH = 30
 CLEAR = "\r\x1b[K"
@@ -14,6 +16,21 @@ SOONEST_S = 2.0
 """A rest is estimated from what has taken at least so long."""
 LINE_EVERY_S = 5.0
 """Without a terminal a step that takes longer says so often how far it is."""
+
+
+@contextlib.contextmanager
+def shown_progress(*, quiet: bool, interrupted: str = "") -> Iterator[Progress]:
+    """Progress, taken away at the end; a line says what became of the work if it is interrupted."""
+    progress = Progress(quiet)
+    try:
+        yield progress
+    except KeyboardInterrupt:
+        progress.clear()
+        if interrupted:
+            report(f"interrupted; {interrupted}")
+        raise
+    finally:
+        progress.clear()
 
 
 class Progress:

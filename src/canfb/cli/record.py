@@ -9,9 +9,8 @@ from pathlib import Path
 
 from canfb.bus.opening import describe, open_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import Commands, add_bus_options, add_command, add_ready_file, bus_options
+from canfb.cli.options import Commands, add_bus_options, add_command, add_ready_file, chosen_bus
 from canfb.cli.printing import say
-from canfb.configuration import ANY_NODES, load_config
 from canfb.hosting.readiness import Readiness
 from canfb.logs.bus_log import BusLog
 
@@ -60,8 +59,7 @@ def _size(text: str) -> int:
 
 def record(options: argparse.Namespace) -> int:
     """Record until Ctrl-C, SIGTERM, SIGHUP or --seconds."""
-    configured = load_config(options.config, ANY_NODES).bus if options.config else {}
-    words = bus_options(options, configured)
+    words = chosen_bus(options)
     bus_log = BusLog(options.file, options.max_size, options.force)
     with (
         Readiness(options.ready_file) as readiness,

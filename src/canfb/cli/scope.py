@@ -14,10 +14,10 @@ from canfb.cli.options import (
     add_ready_file,
     bus_options,
     refuse_idle,
+    take_yaml,
 )
 from canfb.cli.printing import announce_page
 from canfb.cli.watch_options import add_machine_unit, add_watched
-from canfb.cli.yaml_argument import take_yaml
 from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness

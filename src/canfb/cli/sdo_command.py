@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 
 from canfb.cli import node_options
-from canfb.cli.options import Commands, add_command
-from canfb.cli.yaml_argument import is_yaml
+from canfb.cli.options import Commands, add_command, is_yaml
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import ConfigError
 from canfb.marked_yaml import read_bytes

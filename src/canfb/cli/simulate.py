@@ -3,28 +3,46 @@
 from __future__ import annotations
 
 import argparse
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
 
 from canfb.bus.opening import check_device_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.log_printing import printed_without_waiting
-from canfb.cli.options import Commands, add_command, bus_options
-from canfb.cli.printing import say
-from canfb.cli.simulate_options import add_options, chosen
-from canfb.cli.simulate_record import check_record, write_record
-from canfb.configuration import load_config
+from canfb.calibrate.choices import check_mid_scale, two_columns
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    add_jitter,
+    add_ready_file,
+    bus_options,
+    chosen_module,
+    jittered,
+    refuse_idle,
+    whole_number,
+)
+from canfb.cli.printing import printed_without_waiting, say
+from canfb.configuration import Config, load_config
+from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
-from canfb.hosting.simulating import Simulating
+from canfb.hosting.simulating import Simulating, fed_module
+from canfb.master.samples import TrackSamples, write_csv, write_npz
+from canfb.simulation.fed_module import FedModule
+from canfb.simulation.sample_recorder import SampleRecorder
+from canfb.simulation.scenario import PACES, SimulationConfig
+from canfb.simulation.set_up import Play
+from canfb.sources.recording_source import RecordingLayout
+
+TIMES = ("time_column", "gap", "gap_samples")
+WRITERS = {".csv": write_csv, ".npz": write_npz}
 
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(
-        commands,
-        "simulate",
-        "simulate the encoder interface, with a motion, a recording or a drive, on a bus",
-        simulate,
-    )
-    add_options(parser)
+    summary = "simulate the encoder interface, with a motion, a recording or a drive, on a bus"
+    _add_options(add_command(commands, "simulate", summary, simulate))
 
 
 def simulate(options: argparse.Namespace) -> int:
@@ -54,3 +72,122 @@ def simulate(options: argparse.Namespace) -> int:
     if network.axis is not None:
         say(network.axis.summary())
     return 0
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("config", metavar="CONFIG.yaml")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
+    )
+    add_jitter(parser)
+    parser.add_argument(
+        "--pace",
+        choices=PACES,
+        help="the machine turns in real time (time), or by one interval per SYNC, however late (sync)",
+    )
+    parser.add_argument(
+        "--module",
+        type=whole_number,
+        metavar="ID",
+        help="node-ID of the module to serve (the first)",
+    )
+    parser.add_argument("--rpm", type=float, help="speed after the ramp, instead of the configuration's")
+    parser.add_argument("--autostart", action="store_true", help="enter OPERATIONAL without a master")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after this machine time")
+    parser.add_argument(
+        "--record",
+        metavar="FILE",
+        help="write the samples to a CSV or NPZ file, to play them back (--samples) or to calibrate",
+    )
+    add_ready_file(parser)
+    play = parser.add_argument_group("playing a recording")
+    play.add_argument(
+        "--samples",
+        metavar="FILE",
+        help="CSV file with a header line, one row for each SYNC, or an NPZ file of canfb",
+    )
+    play.add_argument(
+        "--columns",
+        default="sine,cosine",
+        metavar="SINE,COSINE",
+        help="names or numbers (from 0) of the two columns",
+    )
+    play.add_argument(
+        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="ADC reading of a zero signal"
+    )
+    play.add_argument(
+        "--time-column", metavar="NAME", help="column of times in seconds; gaps in it become lost samples"
+    )
+    play.add_argument("--gap", type=float, default=0.1, metavar="S", help="a longer time step is a gap (0.1)")
+    play.add_argument(
+        "--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"
+    )
+    add_bus_options(parser)
+
+
+def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfig, FedModule, Play]:
+    """What is simulated: the configuration, with what the options change. ConfigError for bad ones."""
+    module = chosen_module(options, config)
+    if options.samples is None:
+        refuse_idle(options, ("columns", "mid_scale", *TIMES), "only with --samples, which it describes")
+    else:
+        refuse_idle(options, ("rpm",), "not with --samples: a recording has its own motion")
+    if options.rate is not None and not 0.1 <= options.rate <= 100_000:
+        raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
+    if options.seconds is not None and not 0.0 < options.seconds <= 1e6:
+        raise ConfigError(f"--seconds {options.seconds:g}: must be more than 0, at most 1e6")
+    simulation = jittered(config, options).simulation
+    for option in ("samples", "rpm") if simulation.drive is not None else ():
+        if getattr(options, option) is not None:
+            raise ConfigError(
+                f"--{option}: the drive of the configuration moves the encoder; omit one of the two"
+            )
+    if options.rpm is not None:
+        try:
+            simulation = replace(simulation, motion=replace(simulation.motion, rpm=options.rpm))
+        except ValueError as error:
+            raise ConfigError(f"--rpm {options.rpm:g}: {error}") from None
+    play = Play(
+        rate_hz=options.rate,
+        autostart=options.autostart,
+        recorded=options.record is not None or options.seconds is not None,
+        file=options.samples,
+        layout=_layout(options),
+    )
+    return replace(simulation, pace=options.pace or simulation.pace), fed_module(module), play
+
+
+def _layout(options: argparse.Namespace) -> RecordingLayout:
+    columns = two_columns(options.columns)
+    check_mid_scale(options.mid_scale)
+    if not 0.0 < options.gap < math.inf:
+        raise ConfigError(f"--gap {options.gap:g}: must be more than 0 seconds")
+    if options.gap_samples < 1:
+        raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
+    if options.time_column is None:
+        refuse_idle(options, TIMES, "only with --time-column, which contains the gaps")
+    return RecordingLayout(columns, options.mid_scale, options.time_column, options.gap, options.gap_samples)
+
+
+def check_record(name: str) -> Path:
+    """The file of ``--record``. ConfigError where it cannot be, before anything is recorded."""
+    path = Path(name)
+    if path.suffix not in WRITERS:
+        raise ConfigError(f"--record {name}: the name must end with {' or '.join(WRITERS)}")
+    if not path.parent.is_dir():
+        raise ConfigError(f"--record {name}: there is no folder {path.parent}")
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise ConfigError(f"--record {name}: cannot be written")
+    return path
+
+
+def write_record(path: Path, recorder: SampleRecorder, rate_hz: float) -> None:
+    """Write what was recorded, at ``rate_hz`` samples per second. CanfbError if the file fails."""
+    samples = TrackSamples.of(*recorder.tracks(), rate_hz, "canfb simulate --record")
+    try:
+        WRITERS[path.suffix](path, samples)
+    except OSError as error:
+        raise CanfbError(f"--record {path}: {error.strerror or error}") from error

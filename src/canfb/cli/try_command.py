@@ -12,11 +12,9 @@ from typing import Any
 
 from canfb.bus.opening import describe, group_port
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.jitter_option import add_jitter, jittered
-from canfb.cli.log_printing import printed_as_json
-from canfb.cli.options import Commands, add_command, add_ready_file
-from canfb.cli.parser import build_parser
-from canfb.cli.printing import announce_page, say
+from canfb.cli.commands import build_parser
+from canfb.cli.options import Commands, add_command, add_jitter, add_ready_file, jittered
+from canfb.cli.printing import announce_page, printed_as_json, say
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
 from canfb.hosting.event_log import EventLog, summary_of

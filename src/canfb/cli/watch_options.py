@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from canfb.cli.yaml_argument import node_or_yaml
+from canfb.cli.options import node_or_yaml, positive
 from canfb.monitoring.units import MachineUnits
 
 
 def add_watched(parser: argparse.ArgumentParser) -> None:
-    """Nodes, a configuration, or a log."""
+    """Nodes, a configuration, or a log, and its speed."""
     parser.add_argument(
         "nodes",
         metavar="NODE",
@@ -37,17 +37,6 @@ def bit_rate_of(words: Mapping[str, Any]) -> int | None:
     """The bit rate among python-can's words, bit/s; None without one."""
     bit_rate = words.get("bitrate")
     return bit_rate if isinstance(bit_rate, int) and bit_rate > 0 else None
-
-
-def positive(text: str) -> float:
-    """A number above 0: a type for argparse."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
-    return value
 
 
 def units(text: str) -> MachineUnits:

@@ -96,11 +96,6 @@ def set_up(
     return SimulatedNetwork(interface, devices, axis, demand, recorder, rate_hz)
 
 
-def with_jitter(simulation: SimulationConfig, part: float, rate_hz: float) -> SimulationConfig:
-    """A SYNC at this rate that jitters uniformly within +- this part of its period, 0..0.45."""
-    return replace(simulation, sync_jitter_us=part / rate_hz * 1e6, sync_jitter_rms_us=0.0)
-
-
 def sync_rate(simulation: SimulationConfig, rate_hz: float | None) -> float:
     """The nominal rate of the SYNC, Hz: that which is produced, else that of the configuration."""
     return float(rate_hz or 1e6 / simulation.sync_period_us)
