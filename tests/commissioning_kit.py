@@ -18,11 +18,9 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.encoder import Encoder, Harmonic, ShaftEncoder
 from canfb.simulation.motion import Motion, Ripple
-from canfb.simulation.shaft_encoder import ShaftEncoder
-from canfb.simulation.sync_producer import SyncProducer
-from canfb.simulation.sync_timing import REGULAR, SyncTiming
+from canfb.simulation.sync_producer import REGULAR, SyncProducer, SyncTiming
 from canfb.sources.motion_source import MotionSource
 from tools.soak import embedded_master
 
@@ -69,7 +67,7 @@ class EmbeddedMaster(embedded_master.EmbeddedMaster):
         super().__init__(bus, ANSWER_S)
         self.sent: list[Frame] = []
         self.on_wait: Callable[[float], None] = lambda now: None
-        bus.taps.append(self._note)
+        bus.observers.append(self._note)
 
     def _note(self, frame: Frame, now: float) -> None:
         if 0x600 < frame.can_id < 0x680 or frame.can_id in (0x000, 0x080):

@@ -15,10 +15,9 @@ from canfb.monitoring.known_modules import assumed_layout, known_layouts
 from canfb.monitoring.snapshot import ModuleSnapshot
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import demo_encoder
+from canfb.simulation.encoder import ShaftEncoder, demo_encoder
 from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.sources.motion_source import MotionSource
 
@@ -71,7 +70,7 @@ class MonitoredNetwork:
             only_known=only_known,
         )
         self.frames: list[tuple[Frame, float]] = []
-        self.bus.taps.append(self._hear)
+        self.bus.observers.append(self._hear)
         devices: list[Device] = [*self.modules, self.interface]
         for device in devices:
             self.bus.attach(device)

@@ -25,7 +25,7 @@ from canfb.marked_yaml import line_of as yaml_line
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig, SecondPositionConfig
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.simulation.cia402.drive_config import DriveConfig
+from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 from canfb.sources.registry import source_kinds
 from canfb.sources.source_config import SourceConfig

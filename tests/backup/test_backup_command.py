@@ -382,7 +382,7 @@ def test_every_sdo_frame_has_eight_bytes(canfb: Commands, file: Path) -> None:
     """And the writes come in an order that a module in Pre-operational takes: nothing is refused."""
     bench = module()
     aborts: list[bytes] = []
-    bench.bus.taps.append(
+    bench.bus.observers.append(
         lambda frame, now: (
             aborts.append(frame.data) if frame.can_id == ANSWER and frame.data[0] == 0x80 else None
         )

@@ -17,9 +17,8 @@ from canfb.device.device_protocol import Device
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion
-from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.sources.motion_source import MotionSource
 from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401

@@ -135,11 +135,11 @@ class GuideNetwork:
 
     def _send(self, can_id: str, data: str) -> str:
         heard: list[str] = []
-        self.bus.taps.append(
+        self.bus.observers.append(
             lambda frame, now: heard.append(f"{frame.can_id:03X}#{frame.data.hex().upper()}")
         )
         remote = data == "R"
         self.bus.send(Frame(int(can_id, 16), b"" if remote else bytes.fromhex(data), remote))
         self.wait(1.0)
-        self.bus.taps.pop()
+        self.bus.observers.pop()
         return "\n".join(heard)

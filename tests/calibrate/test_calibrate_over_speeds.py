@@ -31,8 +31,7 @@ from canfb.master.session import read_corners
 from canfb.master.supervision_limits import SupervisionLimits
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.harmonics import NO_LOW_PASS, Corners
-from canfb.simulation.analog_path import AnalogPath
-from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from commissioning_kit import CYCLES, MODULE_ID, Bench
 from folding import each

@@ -20,8 +20,7 @@ from canfb.master.active_table import put_in_force, read_active, read_conditioni
 from canfb.master.samples import TrackSamples
 from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.simulation.analog_path import AnalogPath
-from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from canfb.tables.table_file import as_yaml, read_table_file
 from commissioning_kit import MODULE_ID, Bench, recorded

@@ -13,9 +13,8 @@ from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.configuration import Config
 from canfb.master.all_or_nothing import Guard
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, Ramp
-from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.sources.motion_source import MotionSource
 from commissioning_kit import CYCLES, RATE_HZ, Bench, random_encoder
 

@@ -23,8 +23,7 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.harmonics import Corners
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
-from canfb.simulation.analog_path import AnalogPath
-from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from folding import each
 
 SAMPLES = 1600

@@ -43,7 +43,7 @@ class Session:
         self.bus = EmbeddedBus()
         for device in (self.module, self.interface, SyncProducer(1.0 / self.rate_hz)):
             self.bus.attach(device)
-        self.bus.taps.append(self._note)
+        self.bus.observers.append(self._note)
 
     def _note(self, frame: Frame, now: float) -> None:
         if frame.can_id == POSITION:

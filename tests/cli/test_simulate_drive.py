@@ -21,9 +21,9 @@ from canfb.errors import ConfigError
 from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
-from canfb.simulation.cia402.drive_config import DriveConfig
+from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.cia402.state_machine import State
-from canfb.simulation.simulated_axis import SimulatedAxis, simulated_axis
+from canfb.simulation.set_up import SimulatedAxis, simulated_axis
 
 MODULES = "modules: [{node_id: 0x20, encoder_interface: 0x10}]\n"
 

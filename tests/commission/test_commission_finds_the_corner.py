@@ -14,8 +14,7 @@ from canfb.master.active_table import put_in_force
 from canfb.master.session import read_corners
 from canfb.master.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits, write_limits
 from canfb.signal.harmonics import Corners
-from canfb.simulation.analog_path import IDEAL_PATH, AnalogPath
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import IDEAL_PATH, AnalogPath, Encoder
 from commissioning_kit import Bench
 from folding import each
 from machine_kit import correction_of, duty

@@ -21,7 +21,7 @@ from canfb.demo.story import Story
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.simulation.encoder import Encoder
-from canfb.simulation.s_curve import SCurve
+from canfb.simulation.motion import SCurve
 from folding import each
 from servo_kit import IDEAL_TABLE, s_curve
 

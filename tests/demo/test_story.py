@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from canfb.cia301.frame import Frame
+from canfb.cia301.frame import Frame, frame_bits
 from canfb.demo import story as story_module
 from canfb.demo.account import account
 from canfb.demo.account import figures as figures_of
@@ -33,7 +33,6 @@ from canfb.demo.story import (
 from canfb.objects import StatusBit
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.speed_set import MOST_WAITING
-from canfb.simulation.embedded_bus import frame_bits
 from canfb.simulation.encoder import Encoder, Harmonic, demo_encoder
 
 WORSE = Encoder(
@@ -184,7 +183,7 @@ def test_the_load_of_the_bus_is_that_of_its_frames(case: Told) -> None:
 def test_time_is_that_of_a_real_bus() -> None:
     """The SYNC is late by its producer, by the frame on the wire; the samples are taken when it is heard."""
     network, heard = DemoNetwork(seed=4), list[float]()
-    network.bus.taps.append(lambda frame, now: heard.append(now) if frame.can_id == 0x80 else None)
+    network.bus.observers.append(lambda frame, now: heard.append(now) if frame.can_id == 0x80 else None)
     for node in (network.master, network.interface_master):
         node.nmt.state = "OPERATIONAL"
     network.drive.start_sync(network.bus.now)

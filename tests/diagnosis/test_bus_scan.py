@@ -20,7 +20,7 @@ def scanned(bench: Bench, seconds: float = 0.3) -> dict[int, FoundNode]:
 
 def frames(bench: Bench) -> list[Frame]:
     heard: list[Frame] = []
-    bench.bus.taps.append(lambda frame, now: heard.append(frame))
+    bench.bus.observers.append(lambda frame, now: heard.append(frame))
     return heard
 
 

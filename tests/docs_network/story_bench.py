@@ -16,10 +16,9 @@ from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
-from canfb.simulation.background_traffic import BackgroundTraffic
-from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.simulated_axis import simulated_axis
-from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
+from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus
+from canfb.simulation.set_up import simulated_axis
+from canfb.simulation.sync_producer import REGULAR, SyncDeviation, SyncTiming
 
 BIT_RATE = 1_000_000
 SYNC_TIMING = SyncTiming(sync_jitter_us=100.0, sync_drift_ppm=-50.0)

@@ -19,8 +19,8 @@ from story_bench import FOLDER, DriveNetwork
 import master
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.simulation import background_traffic
-from canfb.simulation.cia402.drive_errors import DriveError
+from canfb.simulation import embedded_bus
+from canfb.simulation.cia402.drive import DriveError
 from canfb.simulation.cia402.state_machine import State
 
 TEXT = (FOLDER / "network.yaml").read_text(encoding="utf-8")
@@ -108,12 +108,12 @@ def test_a_second_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None
 def test_check_writes_nothing_and_moves_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     network = DriveNetwork()
     sent: list[Frame] = []
-    network.bus.taps.append(lambda frame, now: sent.append(frame))
+    network.bus.observers.append(lambda frame, now: sent.append(frame))
     network.run("--check")
     requests = [frame for frame in sent if 0x600 < frame.can_id < 0x680]
     assert len(requests) > 30
     assert all(frame.data[0] & 0xE0 == 0x40 for frame in requests)  # uploads
-    own = [frame for frame in sent if frame.can_id != background_traffic.CAN_ID]
+    own = [frame for frame in sent if frame.can_id != embedded_bus.CAN_ID]
     assert {frame.can_id & 0x780 for frame in own} == {0x580, 0x600}
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from canfb import max_acceleration
-from canfb.simulation.wire import frame_bits
+from canfb.cia301.frame import frame_bits
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -14,8 +14,7 @@ from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import ServoDrive
-from canfb.simulation.cia402.motor import Motor, MotorConfig
-from canfb.simulation.cia402.plant import Plant
+from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
 from tools.eds.model import Eds, read
 
 MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion
-from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import SourceEnded
 

@@ -17,9 +17,8 @@ from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
@@ -157,7 +156,7 @@ def test_what_is_played_from_a_file_cannot_be_sampled_faster() -> None:
 def test_fast_samples_and_those_of_the_syncs_are_of_one_motion() -> None:
     bench = Bench(turning(60.0))
     heard: list[bytes] = []
-    bench.bus.taps.append(lambda frame, now: heard.append(frame.data) if frame.can_id == 0x190 else None)
+    bench.bus.observers.append(lambda frame, now: heard.append(frame.data) if frame.can_id == 0x190 else None)
     bench.bus.attach(SyncProducer(1e-3))
     bench.remote.nmt.state = "OPERATIONAL"
     bench.bus.run_until(0.0105)

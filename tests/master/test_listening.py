@@ -230,7 +230,7 @@ def test_with_a_cob_id_of_nobody_a_silent_interface_is_believed() -> None:
 
 def test_frames_of_others_change_nothing() -> None:
     bench = Bench(encoder=random_encoder(4))
-    bench.bus.taps.append(
+    bench.bus.observers.append(
         lambda frame, now: bench.bus.send(Frame(0x191, pdo(1, 2))) if frame.can_id == 0x190 else None
     )
     assert listen(bench.master, LAYOUT, 0.3).missed == 0

@@ -18,7 +18,7 @@ ERROR_CONTROL = 0x700 + MODULE_ID
 
 def heard(bench: Bench) -> list[Frame]:
     frames: list[Frame] = []
-    bench.bus.taps.append(lambda frame, now: frames.append(frame))
+    bench.bus.observers.append(lambda frame, now: frames.append(frame))
     return frames
 
 

@@ -50,7 +50,7 @@ def test_a_lost_position_comes_back_at_standstill(canfb: Commands) -> None:
 def test_a_machine_that_turns_is_refused_whether_it_is_lost_or_not(canfb: Commands, rpm: float) -> None:
     bench = running(Motion((), (), rpm))
     boots = []
-    bench.bus.taps.append(lambda frame, now: boots.append(frame) if frame.can_id == 0x720 else None)
+    bench.bus.observers.append(lambda frame, now: boots.append(frame) if frame.can_id == 0x720 else None)
     for _ in range(2):
         _, err = canfb(bench, "reset", NODE, code=1)
         assert "the machine moves" in err

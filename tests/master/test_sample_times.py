@@ -19,7 +19,7 @@ from canfb.master.all_or_nothing import Guard
 from canfb.master.listening import PdoRecorder, listen
 from canfb.master.samples import TrackSamples, read_npz, write_npz
 from canfb.master.session import agreed_layout
-from canfb.simulation.sync_timing import SyncTiming
+from canfb.simulation.sync_producer import SyncTiming
 from canfb.view.pdo_map import PdoLayout
 from commissioning_kit import Bench, random_encoder
 

@@ -12,7 +12,7 @@ from test_example_is_calibrated import calibrated
 from canfb.cli.config_file import EXAMPLE
 from canfb.master.listening import listen
 from canfb.master.session import agreed_layout
-from canfb.simulation.sync_timing import SyncTiming
+from canfb.simulation.sync_producer import SyncTiming
 from canfb.view.pdo_map import PdoLayout
 from commissioning_kit import CYCLES, RATE_HZ, Bench
 from folding import each

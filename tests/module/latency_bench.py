@@ -53,7 +53,7 @@ class Timeline:
         self.sent: list[Sent] = []
         self.begin_s = self.bench.bus.now
         self.period_s = 1e-3
-        self.bench.bus.taps.append(self._hear)
+        self.bench.bus.observers.append(self._hear)
         sdo = self.bench.sdo
         sdo[0x6000].raw, sdo[0x6001].raw, sdo[0x6002].raw = 4, UNITS_PER_CYCLE, RANGE
         sdo[0x1006].raw = round(self.period_s * 1e6)

@@ -30,7 +30,7 @@ class Bench:
         self.remote = canopen.RemoteNode(32, str(eds_path("canfb-module")))
         self.network.add_node(self.remote)
         self.sdo = self.remote.sdo
-        self.bus.taps.append(lambda frame, now: self.heard.append(frame))
+        self.bus.observers.append(lambda frame, now: self.heard.append(frame))
         self.bus.attach(self.module)
         self.interval_s = 1e-3
 

@@ -18,9 +18,8 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.signal.speed_set import START_SAMPLES
 from canfb.signal.supervision import COASTING, MISSED, VALID
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, Ramp
-from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.sources.motion_source import MotionSource, MotionSourceConfig
 from canfb.sources.protocol import SourceEnded, SourceError
 

@@ -35,7 +35,7 @@ class Bus:
         self.lss = self.network.lss
         self.lss.RESPONSE_TIMEOUT = 0
         self.heard: list[int] = []
-        self.bus.taps.append(lambda frame, now: self.heard.append(frame.can_id))
+        self.bus.observers.append(lambda frame, now: self.heard.append(frame.can_id))
 
     def module(self, node_id: int, serial_number: int, store: MemoryStore | None = None) -> FeedbackModule:
         config = ModuleConfig(node_id=node_id, serial_number=serial_number)

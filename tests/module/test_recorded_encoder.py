@@ -64,7 +64,9 @@ def play(rows: int) -> list[list[tuple[int, int]]]:
     bus = EmbeddedBus()
     played: list[list[tuple[int, int]]] = [[]]
     positions: list[Frame] = []
-    bus.taps.append(lambda frame, now: positions.append(frame) if frame.can_id == 0x180 + NODE_ID else None)
+    bus.observers.append(
+        lambda frame, now: positions.append(frame) if frame.can_id == 0x180 + NODE_ID else None
+    )
     module = ModuleConfig(
         node_id=NODE_ID, encoder_interface=INTERFACE_ID, adc_bits=14, conditioning=CONDITIONING
     )

@@ -41,7 +41,7 @@ class Machine:
         network.add_node(self.master)
         self.sdo = self.master.sdo
         self.heard: list[Frame] = []
-        self.bus.taps.append(lambda frame, now: self.heard.append(frame))
+        self.bus.observers.append(lambda frame, now: self.heard.append(frame))
         self.bus.attach(self.module)
 
     def save(self, subindex: int = 1) -> None:

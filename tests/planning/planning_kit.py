@@ -151,7 +151,7 @@ def play(
             outcome.errors_cycles.append(found.cycles + found.phase - truth)
             outcome.residuals.append(found.residual)
 
-    bus.taps.append(listen)
+    bus.observers.append(listen)
     due = [0.05 + k / rate_hz for k in range(int(seconds * rate_hz))]
     frames = [(at + off_s(k), Frame(SYNC, b"")) for k, at in enumerate(due)]
     frames += [(at + later, frame) for k, at in enumerate(due) for later, frame in between(k)]

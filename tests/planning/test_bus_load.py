@@ -22,7 +22,7 @@ from canfb.planning.traffic import (
     node_messages,
     sync_message,
 )
-from canfb.simulation.wire import LONGEST_FRAME_BITS
+from canfb.simulation.sync_producer import LONGEST_FRAME_BITS
 
 NODE = 0x20
 STUFF_BITS_SHORT = 6  # so far below the bound is the longest frame that a search finds

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from canfb.report.lissajous import SHADES, SHOWN_SAMPLES, lissajous
+from canfb.report.pictures import SHADES, SHOWN_SAMPLES, lissajous
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.phase import FloatArray
 

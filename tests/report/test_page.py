@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 
-from canfb.report import style
-from canfb.report.page import beside, figure, gallery, page, table
+from canfb.report.page import DRAWING, PAGE, beside, figure, gallery, page, table
 from canfb.rows import Row
 from html_page import Page
 
@@ -37,6 +36,6 @@ def test_it_stands_alone() -> None:
 
 def test_every_colour_is_there_in_light_dark_and_print() -> None:
     defined = [set(re.findall(r"--([a-z]+):", block)) for block in re.findall(r":root \{([^}]*)\}", whole())]
-    used = set(re.findall(r"var\(--([a-z]+)\)", style.DRAWING + style.PAGE))
+    used = set(re.findall(r"var\(--([a-z]+)\)", DRAWING + PAGE))
     assert len(defined) == 3
     assert all(one == used for one in defined)

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from canfb.report.picture_file import HEADING, ROW, svg_file
+from canfb.report.page import HEADING, ROW, svg_file
 from canfb.report.plot import Plot
 
 SVG = "{http://www.w3.org/2000/svg}"

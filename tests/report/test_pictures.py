@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canfb.report import pictures
-from canfb.report.lissajous import lissajous
+from canfb.report.pictures import lissajous
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.supervision import SampleLimits
 from canfb.simulation.encoder import Encoder

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.report.plot import Plot
-from canfb.report.scale import Scale
+from canfb.report.plot import Plot, Scale
 
 
 @given(st.floats(-100, 100), st.floats(1e-3, 1e6))

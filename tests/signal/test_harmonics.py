@@ -9,8 +9,7 @@ from canfb.calibration.path_correction import with_track_harmonics
 from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
 from canfb.signal.front_end import FrontEnd
 from canfb.signal.harmonics import NO_LOW_PASS, PLACES, SPEEDS, Corners, corrected, harmonic_rows
-from canfb.simulation.analog_path import AnalogPath
-from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from folding import each
 
 X = np.arange(1024) / 1024

@@ -7,10 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from canfb.simulation.analog_path import AnalogPath
-from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, ShaftEncoder
 from canfb.simulation.motion import Motion
-from canfb.simulation.shaft_encoder import ShaftEncoder
 
 HERTZ = 125e3
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration
-from canfb.simulation.cia402.motor import MotorConfig
+from canfb.simulation.cia402.plant import MotorConfig
 from canfb.simulation.demand import of_drive, of_motion, of_recording
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.scenario import MotionConfig

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
-from canfb.simulation.sync_drive import POSITION_PDO, Drive
+from canfb.simulation.sync_producer import POSITION_PDO, Drive
 
 COB_ID = 0x1A0
 

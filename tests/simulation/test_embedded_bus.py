@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.cia301.frame import Frame
-from canfb.simulation.embedded_bus import EmbeddedBus, frame_bits
+from canfb.cia301.frame import Frame, frame_bits
+from canfb.simulation.embedded_bus import EmbeddedBus
 
 
 class Station:
@@ -75,7 +75,7 @@ def test_answers_come_after_what_was_already_sent() -> None:
     bus.attach(
         Station("b", journal, answer=lambda frame: [Frame(0x200, b"")] if frame.can_id == 0x101 else [])
     )
-    bus.taps.append(lambda frame, now: order.append(frame.can_id))
+    bus.observers.append(lambda frame, now: order.append(frame.can_id))
     bus.send(Frame(0x100, b""))
     assert order == [0x100, 0x101, 0x102, 0x200]
     assert [can_id for _, name, can_id in journal if name == "a"][-2:] == [0x100, 0x200]
@@ -116,7 +116,7 @@ def test_a_deadline_at_the_end_is_met_and_one_after_it_is_not() -> None:
 def test_frames_bits_and_taps_count_every_frame_once() -> None:
     bus = EmbeddedBus()
     heard: list[tuple[Frame, float]] = []
-    bus.taps.append(lambda frame, now: heard.append((frame, now)))
+    bus.observers.append(lambda frame, now: heard.append((frame, now)))
     for name in "abc":
         bus.attach(Station(name, [], first_id=0x700))
     frames = [Frame(0x181, bytes(n)) for n in range(9)]
@@ -225,7 +225,7 @@ def test_what_a_participant_wants_computed_is_computed_after_the_frames_of_this_
     bus, heard = EmbeddedBus(), list[int]()
     computer = Computer()
     bus.attach(computer)
-    bus.taps.append(lambda frame, now: heard.append(frame.can_id))
+    bus.observers.append(lambda frame, now: heard.append(frame.can_id))
     bus.send(Frame(0x100, b""))
     assert heard == [0x100, 0x200, 0x101]
     bus.computes = False

@@ -15,12 +15,9 @@ from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_instants import TRUE_TIME, SampleClock
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, Ramp
-from canfb.simulation.set_up import sync_rate
-from canfb.simulation.shaft_encoder import ShaftEncoder
-from canfb.simulation.simulated_axis import simulated_axis
-from canfb.simulation.slow_motion import SlowMotion
+from canfb.simulation.set_up import SlowMotion, simulated_axis, sync_rate
 from canfb.sources.motion_source import MotionSource
 
 NODE, TPDO1 = 16, 0x190
@@ -38,7 +35,7 @@ def slow(interval_s: float = 1e-3) -> tuple[EmbeddedBus, EncoderInterface, SlowM
     hearing = SlowMotion(interface.dictionary, interval_s)
     interface.time_base = hearing
     bus, sent = EmbeddedBus(), []
-    bus.taps.append(lambda frame, now: sent.append(frame) if frame.can_id == TPDO1 else None)
+    bus.observers.append(lambda frame, now: sent.append(frame) if frame.can_id == TPDO1 else None)
     bus.attach(hearing)
     bus.attach(interface)
     return bus, interface, hearing, sent

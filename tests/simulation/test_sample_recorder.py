@@ -16,8 +16,7 @@ from canfb.errors import CanfbError, ConfigError
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.sample_recorder import SampleRecorder
-from canfb.simulation.set_up import source_of
+from canfb.simulation.set_up import SampleRecorder, source_of
 from canfb.sources.protocol import SourceEnded
 
 SYNC, START = Frame(0x080, b""), Frame(0x000, b"\x01\x00")

@@ -6,8 +6,7 @@ import pytest
 
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
-from canfb.simulation.sync_producer import SyncProducer
-from canfb.simulation.sync_rate import AGAIN_S, SyncRateWatch
+from canfb.simulation.sync_producer import AGAIN_S, SyncProducer, SyncRateWatch
 
 SYNC = Frame(cob.SYNC, b"")
 

@@ -9,9 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.simulation.sync_drive import Drive
-from canfb.simulation.sync_producer import SyncProducer
-from canfb.simulation.sync_timing import SyncDeviation, SyncTiming
+from canfb.simulation.sync_producer import Drive, SyncDeviation, SyncProducer, SyncTiming
 
 PERIOD_S = 1e-3
 COUNT = 4000

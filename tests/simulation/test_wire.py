@@ -8,11 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.cia301.frame import Frame
-from canfb.simulation.background_traffic import BackgroundTraffic
-from canfb.simulation.embedded_bus import EmbeddedBus, frame_bits
-from canfb.simulation.sync_producer import SyncProducer
-from canfb.simulation.wire import LONGEST_FRAME_BITS, Wire
+from canfb.cia301.frame import Frame, frame_bits
+from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus, Wire
+from canfb.simulation.sync_producer import LONGEST_FRAME_BITS, SyncProducer
 
 BIT_S = 1e-6
 SYNC_BITS = frame_bits(0) - 3  # its end: the interframe space comes behind
@@ -71,7 +69,7 @@ def test_frames_of_one_can_id_keep_their_order_and_own_ones_are_not_heard() -> N
     for participant in (sender, listener):
         bus.attach(participant)
     bus.attach(Sender(*((0.0, Frame(0x100, bytes([n]))) for n in range(5))))
-    bus.taps.append(lambda frame, now: seen.append(frame.data))
+    bus.observers.append(lambda frame, now: seen.append(frame.data))
     bus.run_until(0.5)
     assert seen == [bytes([n]) for n in range(5)]
     assert len(sender.heard) == len(listener.heard) == 5
@@ -94,7 +92,7 @@ def test_a_frame_from_outside_and_its_answer_are_over_at_the_return() -> None:
             return [Frame(0x581, bytes(8))] if frame.can_id == 0x601 else []
 
     bus, heard = EmbeddedBus(1_000_000), list[int]()
-    bus.taps.append(lambda frame, now: heard.append(frame.can_id))
+    bus.observers.append(lambda frame, now: heard.append(frame.can_id))
     bus.attach(Answering())
     bus.send(Frame(0x601, bytes(8)))
     assert heard == [0x601, 0x581]

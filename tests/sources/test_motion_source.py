@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.signal.sample import Sample
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.sources.motion_source import MotionSource
 
 MOTION = Motion((Ramp(0.1, 0.0), Ramp(1.0, -700.0), Ramp(2.0, 900.0)), (Ripple(20.0, 3.0),))

@@ -27,8 +27,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.correction import Correction
 from canfb.signal.harmonics import Corners
 from canfb.signal.sample import Sample
-from canfb.simulation.analog_path import IDEAL_PATH, AnalogPath
-from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.encoder import IDEAL_PATH, AnalogPath, Encoder, Harmonic
 from tools.site.markdown import table
 
 N = 2500

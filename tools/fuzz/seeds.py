@@ -35,10 +35,9 @@ from canfb.sdo.object_description import ObjectDescriptions
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import demo_encoder
+from canfb.simulation.encoder import ShaftEncoder, demo_encoder
 from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.shaft_encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.sources.motion_source import MotionSource
 from canfb.tables.table_file import as_yaml
@@ -232,7 +231,7 @@ def _traffic() -> tuple[list[tuple[float, Frame]], BusSnapshot]:
         model.receive(frame, now)
 
     bus = EmbeddedBus(1_000_000)
-    bus.taps.append(hear)
+    bus.observers.append(hear)
     shaft = ShaftEncoder(demo_encoder(), 2500, 1, 0.0)
     bus.attach(FeedbackModule(config))
     source = MotionSource(shaft, Motion((Ramp(0.02, 0.0), Ramp(0.5, 60.0)), ()), PERIOD_S)

@@ -12,7 +12,7 @@ from canfb.configuration import Config, RealtimeConfig
 from canfb.interface.interface_config import InterfaceConfig
 from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.simulation.cia402.drive_config import DriveConfig
+from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 from canfb.sources.registry import source_kinds
 from tools.site.markdown import plain, table

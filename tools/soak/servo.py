@@ -11,8 +11,7 @@ from canfb.errors import CanfbError
 from canfb.master.access import NodeAccess
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
-from canfb.simulation.cia402.motor import Motor, MotorConfig
-from canfb.simulation.cia402.plant import Plant, PlantSource
+from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant, PlantSource
 from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.encoder import Encoder
 from canfb.sources.protocol import SourceError
@@ -82,7 +81,7 @@ class ServoWorld(World):
         self._is_turning = False
         self._published = 0
         super().__init__(setup, seed, ServoMachine(self.plant), first=[self.plant], last=[self.drive])
-        self.bus.taps.append(self._hear_position)
+        self.bus.observers.append(self._hear_position)
         self._drive_access = NodeAccess(self.master, DRIVE, "drive")
         self.configure_drive()
 

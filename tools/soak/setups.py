@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from canfb.simulation.sync_timing import REGULAR, SyncTiming
+from canfb.simulation.sync_producer import REGULAR, SyncTiming
 from tools.soak.machine import MAX_ACCELERATION_CYCLES_S2, MAX_JERK_CYCLES_S3
 
 CYCLES = 2500

@@ -159,7 +159,7 @@ class World:
         self.module.on_feedback = self._judge
         self.module.on_frame = self._arrives
         self.interface.on_sample = self._leaves
-        bus.taps.append(self._hear)
+        bus.observers.append(self._hear)
         self.producer = SyncProducer(INTERVAL_S, setup.timing, seed)
         for device in (*first, self.cable, self.interface, *last, self.other, self.producer):
             bus.attach(device)

@@ -14,8 +14,8 @@ from canfb.errors import CalibrationError
 from canfb.master.provenance import Provenance, origins
 from canfb.master.samples import TrackSamples
 from canfb.report import pictures
-from canfb.report.lissajous import is_dense, lissajous
 from canfb.report.page import beside, figure, gallery, page, table
+from canfb.report.pictures import is_dense, lissajous
 from canfb.rows import Row
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits

@@ -184,7 +184,7 @@ def add_jitter(parser: argparse.ArgumentParser) -> None:
 
 def jittered(config: Config, options: argparse.Namespace) -> Config:
     """With a SYNC at ``--rate`` that jitters so. ConfigError for a bad one, or without a rate."""
-    from canfb.simulation.sync_timing import LARGEST_PART  # here: most commands simulate nothing
+    from canfb.simulation.sync_producer import LARGEST_PART  # here: most commands simulate nothing
 
     part = options.jitter
     if part is None:

@@ -29,10 +29,8 @@ from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
 from canfb.hosting.simulating import Simulating, fed_module
 from canfb.master.samples import TrackSamples, write_csv, write_npz
-from canfb.simulation.fed_module import FedModule
-from canfb.simulation.sample_recorder import SampleRecorder
 from canfb.simulation.scenario import PACES, SimulationConfig
-from canfb.simulation.set_up import Play
+from canfb.simulation.set_up import FedModule, Play, SampleRecorder
 from canfb.sources.recording_source import RecordingLayout
 
 TIMES = ("time_column", "gap", "gap_samples")

@@ -21,9 +21,9 @@ from canfb.commission.commission_summary import (
 from canfb.commission.machine_figures import smooth_acceleration
 from canfb.master.all_or_nothing import write_whole
 from canfb.master.provenance import origins
-from canfb.report import limit_pictures
-from canfb.report.lissajous import lissajous
+from canfb.report import pictures
 from canfb.report.page import figure, gallery, page, table
+from canfb.report.pictures import lissajous
 
 FOOTER = (
     "Made by canfb commission. L is the residual limit in force, a the largest acceleration, j the largest "
@@ -73,17 +73,17 @@ def _pictures(done: Commissioned) -> list[str]:
         (
             "Residual",
             "of each sample, eq. 12, with the residual limit in force",
-            limit_pictures.residual_histogram(machine.motion.residual, old, new),
+            pictures.residual_histogram(machine.motion.residual, old, new),
         ),
         (
             "Amplitude over the phase",
             "lowest, mean and highest of the samples in each 1/64 cycle, with its limits",
-            limit_pictures.amplitude_over_phase(machine.tracks.over_phase, low, high),
+            pictures.amplitude_over_phase(machine.tracks.over_phase, low, high),
         ),
         (
             "Acceleration over time",
             "averaged as far as the noise demands, with the limit 2010:02",
-            limit_pictures.acceleration_over_time(
+            pictures.acceleration_over_time(
                 to_rad * smooth_acceleration(machine.motion.bend, noise), interval_s, to_rad * largest
             ),
         ),

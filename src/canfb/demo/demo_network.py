@@ -19,13 +19,10 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
-from canfb.simulation.background_traffic import BackgroundTraffic
-from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder, demo_encoder
+from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus
+from canfb.simulation.encoder import Encoder, ShaftEncoder, demo_encoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.simulation.shaft_encoder import ShaftEncoder
-from canfb.simulation.sync_drive import Drive
-from canfb.simulation.sync_timing import SyncTiming
+from canfb.simulation.sync_producer import Drive, SyncTiming
 from canfb.sources.motion_source import MotionSource
 
 SYNC_PERIOD_S = 1e-3
@@ -110,7 +107,7 @@ class DemoNetwork:
         self.encoder, self.seed = encoder or demo_encoder(), seed
         self.bus = EmbeddedBus(BIT_RATE)
         self.adc = AdcLog()
-        self.bus.taps.append(self.adc.hear)
+        self.bus.observers.append(self.adc.hear)
         self.canopen = EmbeddedNetwork(self.bus)
         self.source = FaultySource(
             MotionSource(

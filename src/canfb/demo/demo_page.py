@@ -9,8 +9,7 @@ from canfb.demo.demo_network import DemoNetwork
 from canfb.demo.demo_pictures import error_after, error_before, residual, servo, tracks
 from canfb.demo.story import Story, peak, rms
 from canfb.errors import CanfbError
-from canfb.report.page import beside, figure, gallery, page, table
-from canfb.report.picture_file import svg_file
+from canfb.report.page import beside, figure, gallery, page, svg_file, table
 from canfb.report.plot import Plot
 from canfb.rows import Row
 

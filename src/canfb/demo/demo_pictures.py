@@ -7,9 +7,8 @@ import numpy as np
 from canfb.demo.demo_network import DemoNetwork
 from canfb.demo.servo_act import ServoRun
 from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, Story
-from canfb.report.lissajous import SHOWN_SAMPLES, circle, cloud, square_plot
-from canfb.report.plot import Plot
-from canfb.report.scale import nice_limit
+from canfb.report.pictures import SHOWN_SAMPLES, circle, cloud, square_plot
+from canfb.report.plot import Plot, nice_limit
 from canfb.signal.phase import FloatArray
 from canfb.signal.tracker import RESIDUAL_LIMIT
 

@@ -15,7 +15,7 @@ class EmbeddedNetwork(canopen.Network):
         super().__init__()
         self._embedded = bus
         self._own: list[tuple[int, bytes, bool]] = []  # sent, and not yet heard
-        bus.taps.append(self._hear)
+        bus.observers.append(self._hear)
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Put a frame on the embedded bus."""

@@ -25,9 +25,8 @@ from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.phase import FloatArray
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.s_curve import SCurve
-from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
+from canfb.simulation.motion import SCurve
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.sources.motion_source import MotionSource
 

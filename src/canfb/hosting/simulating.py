@@ -14,9 +14,8 @@ from canfb.device.device_protocol import Device
 from canfb.hosting.serving import OnBus
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults
-from canfb.simulation.fed_module import FedModule
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.set_up import Play, SimulatedNetwork, set_up
+from canfb.simulation.set_up import FedModule, Play, SimulatedNetwork, set_up
 
 log = logging.getLogger(__name__)
 

@@ -116,7 +116,7 @@ class NetworkOnBus:
             simulated = set_up(self.config.simulation, fed_module(module), play, lambda text: None)
             if self._events is not None:
                 self._events.watch(self.module, self.module.events)
-            self._network.taps.append(self._send)
+            self._network.observers.append(self._send)
             for device in (*simulated.devices, self.module):
                 self._network.attach(device)
             for frame in self._first:

@@ -19,9 +19,8 @@ from canfb.replay.summary_of_replay import (
     other_facts,
     verdict,
 )
-from canfb.report.lissajous import lissajous
-from canfb.report.over_time import Curve, over_time
 from canfb.report.page import beside, figure, gallery, page, table
+from canfb.report.pictures import Curve, lissajous, over_time
 from canfb.rows import Row
 
 FOOTER = "Made by canfb replay, with the module of this version. Margin: what is left of a limit."

@@ -34,12 +34,11 @@ from canfb.planning.traffic import (
 from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.signal.third_order import check_order
 from canfb.signal.tracker import check_residual_limit
-from canfb.simulation.cia402.drive_config import DriveConfig
+from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.demand import MotionDemand, of_motion
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.set_up import sync_rate
-from canfb.simulation.simulated_axis import profile_demand
-from canfb.simulation.sync_timing import CUT_OFF
+from canfb.simulation.set_up import profile_demand, sync_rate
+from canfb.simulation.sync_producer import CUT_OFF
 
 ROUNDED_AMPLITUDE = 0.75  # of full scale, as the simulated encoder has it
 

@@ -14,7 +14,7 @@ from canfb.cia301.frame import frame_bits
 from canfb.device.od.dcf import Place
 from canfb.device.pdo.mapping import EVENT_DRIVEN, SYNCHRONOUS
 from canfb.module.cia406.alarms import SHORTEST_S
-from canfb.simulation.wire import LONGEST_FRAME_BITS
+from canfb.simulation.sync_producer import LONGEST_FRAME_BITS
 from canfb.view.pdo_map import Pdo, valid_pdos
 
 Values = Mapping[Place, Any]

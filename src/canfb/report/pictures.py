@@ -1,15 +1,19 @@
-"""The pictures of a report: what a drive engineer looks at to trust a table, or not to."""
+"""The pictures of a report: what a drive engineer looks at to trust a table and limits, or not to."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.calibration.figures import BINS, root_mean
-from canfb.report.plot import Plot
-from canfb.report.scale import nice_limit
+from canfb.report.plot import Plot, Scale, nice_limit, size_around
+from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, wrap
+from canfb.signal.supervision import SampleLimits
 
 HIGHEST_ORDER = 20
 PERCENT = 100.0
@@ -154,11 +158,11 @@ def table_curve(table: CorrectionTable, before: CorrectionTable | None) -> str:
 
 
 def _amplitudes(curve: FloatArray) -> FloatArray:
-    seen = np.isfinite(curve)
-    if not seen.any():
+    known = np.isfinite(curve)
+    if not known.any():
         return np.zeros(BINS // 2 + 1)
     place = np.arange(BINS)
-    filled = np.interp(place, place[seen], curve[seen], period=BINS)
+    filled = np.interp(place, place[known], curve[known], period=BINS)
     # A mean over a bin flattens the higher ones a little: undone.
     spectrum = np.abs(np.fft.rfft(filled)) / BINS * 2.0
     return np.asarray(spectrum / np.sinc(np.arange(len(spectrum)) / BINS), np.float64)
@@ -167,3 +171,199 @@ def _amplitudes(curve: FloatArray) -> FloatArray:
 def _gauss(values: FloatArray, sigma: float) -> FloatArray:
     width = max(sigma, 1e-12)
     return np.asarray(np.exp(-0.5 * (values / width) ** 2) / (width * np.sqrt(2.0 * np.pi)), np.float64)
+
+
+SHOWN_SAMPLES = 4000
+DENSITY_CELLS = (300, 150, 60)  # to the side of the picture; the first that makes no more dots than that
+SHADES, FAINTEST = 5, 0.3
+SIDE = 394.0  # of the square within the axes: a circle is drawn as one
+
+
+def lissajous(
+    sine: FloatArray, cosine: FloatArray, conditioning: Conditioning, limits: SampleLimits | None
+) -> str:
+    """Raw and conditioned samples, the circles of the amplitude limits, the ends of the converter.
+
+    ``sine`` and ``cosine`` in ADC counts, shape (n,), NaN for a missed sample. Each sample is a dot; more
+    than 4000 are shown by their density, so that none is left out.
+    """
+    known = np.isfinite(sine)
+    sine, cosine = sine[known], cosine[known]
+    s, c = conditioning.apply(sine, cosine)
+    extent = [nice_limit(values) for values in (sine, cosine, s, c)]
+    if limits is not None:
+        extent += [1.02 * limits.full_scale_counts]
+    plot = square_plot(
+        "Lissajous figure: sine over cosine, raw and conditioned, with the limits of the amplitude",
+        max(extent),
+    )
+    if limits is not None:
+        box(plot, float(limits.full_scale_counts))
+        circle(plot, limits.amplitude_low_counts, "limit dashed", "amplitude limits")
+        circle(plot, limits.amplitude_high_counts, "limit dashed", None)
+    if not conditioning.is_identity:
+        cloud(plot, cosine, sine, "before", "raw")
+    name = "raw" if conditioning.is_identity else "conditioned"
+    cloud(plot, np.asarray(c), np.asarray(s), "after", name)
+    return plot.svg()
+
+
+def is_dense(sine: FloatArray) -> bool:
+    """Whether :func:`lissajous` shows the density of these samples in place of each one."""
+    return int(np.isfinite(sine).sum()) > SHOWN_SAMPLES
+
+
+def square_plot(title: str, most_counts: float) -> Plot:
+    """Axes for both tracks, -``most_counts``..``most_counts``, with the same scale on both."""
+    extent = (-most_counts, most_counts)
+    names = "cosine, ADC counts", "sine, ADC counts"
+    return Plot(title, extent, extent, names, size_around(SIDE, SIDE))
+
+
+def cloud(plot: Plot, x: FloatArray, y: FloatArray, style: str, name: str) -> None:
+    """Each sample as a dot, or, of many, one for each small cell that has samples: darker for more."""
+    if len(x) <= SHOWN_SAMPLES:
+        plot.dots(x, y, style, name)
+        return
+    for cells in DENSITY_CELLS:
+        place = _cell(x, plot.x, cells) * cells + _cell(y, plot.y, cells)
+        _, place, count = np.unique(place, return_inverse=True, return_counts=True)
+        if len(count) <= SHOWN_SAMPLES:
+            break
+    x, y = np.bincount(place, x) / count, np.bincount(place, y) / count
+    level = np.ceil(SHADES * np.log1p(count) / np.log1p(count.max()))
+    for shade in range(1, SHADES + 1):
+        chosen = level == shade
+        opacity = FAINTEST + (1.0 - FAINTEST) * shade / SHADES
+        plot.dots(x[chosen], y[chosen], style, name if shade == SHADES else None, opacity)
+
+
+def circle(plot: Plot, radius: float, style: str, name: str | None) -> None:
+    """A circle about the origin, ``radius`` in counts."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 361)
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    outside = np.maximum(np.abs(x), np.abs(y)) > plot.x.high
+    plot.line(x, np.where(outside, np.nan, y), style, name)
+
+
+def box(plot: Plot, half: float) -> None:
+    """The ends of the converter, ``half`` in counts."""
+    plot.line(
+        np.array([-half, half, half, -half, -half]),
+        np.array([-half, -half, half, half, -half]),
+        "limit",
+        "ends of the converter",
+    )
+
+
+def _cell(values: FloatArray, scale: Scale, cells: int) -> npt.NDArray[np.int64]:
+    """Number of the cell along one axis, 0..cells - 1."""
+    part = (values - scale.low) / (scale.high - scale.low)
+    return np.clip((part * cells).astype(np.int64), 0, cells - 1)
+
+
+RESIDUAL_BINS = 150
+MOST_POINTS = 600  # of a curve over time: each is the lowest and the highest value of a stretch
+
+
+def residual_histogram(residual: FloatArray, before: float, new: float) -> str:
+    """Size of the residuals, cycles, NaN where there is none, with the limit before and the new one."""
+    sizes = np.abs(residual[np.isfinite(residual)])
+    most = 1.08 * max(before, new, float(sizes.max(initial=0.0)))
+    count, edges = np.histogram(sizes, RESIDUAL_BINS, (0.0, most))
+    top = 10.0 ** np.ceil(np.log10(max(float(count.max()), 10.0)))
+    plot = Plot(
+        "Histogram of the residual of single samples, with the limits",
+        (0.0, most),
+        (0.5, float(top)),
+        ("residual, cycles", "samples"),
+        log_y=True,
+    )
+    width = float(edges[1] - edges[0])
+    middle = np.asarray((edges[:-1] + edges[1:]) / 2.0, np.float64)
+    plot.bars(middle, np.where(count, count, np.nan), 0.92 * width, "after", "samples")
+    ends = np.array([0.5, float(top)])
+    plot.line(np.array([before, before]), ends, "before dashed", "residual limit before")
+    plot.line(np.array([new, new]), ends, "limit dashed", "residual limit proposed")
+    return plot.svg()
+
+
+def amplitude_over_phase(over_phase: FloatArray, low: float, high: float) -> str:
+    """Lowest, mean and highest amplitude in each 1/64 cycle, counts, shape (3, 64), with its limits."""
+    place = (np.arange(BINS) + 0.5) / BINS
+    known = over_phase[np.isfinite(over_phase)]
+    top = 1.08 * max(high, float(known.max(initial=0.0)))
+    bottom = 0.92 * min(low, float(known.min(initial=low)))
+    plot = Plot(
+        "Amplitude over the phase, with its limits",
+        (0.0, 1.0),
+        (bottom, top),
+        ("phase, cycles", "amplitude, counts"),
+    )
+    lowest, mean, highest = over_phase
+    plot.line(place, lowest, "after thin", "lowest and highest")
+    plot.line(place, highest, "after thin")
+    plot.line(place, mean, "after", "mean")
+    plot.level(low, "limit dashed", "amplitude limits proposed")
+    plot.level(high, "limit dashed")
+    return plot.svg()
+
+
+def acceleration_over_time(acceleration: FloatArray, interval_s: float, largest: float) -> str:
+    """Acceleration at each sample, rad/s², NaN where not known, with the limit; 0: there is none."""
+    time, low, high = _stretches(acceleration, interval_s)
+    most = nice_limit(np.concatenate([low, high]), 1.1 * largest)
+    plot = Plot(
+        "Acceleration over time, with its limit",
+        (0.0, max(len(acceleration) * interval_s, interval_s)),
+        (-most, most),
+        ("time, s", "acceleration, rad/s²"),
+    )
+    xs = np.repeat(time, 2)
+    plot.line(xs, np.column_stack([low, high]).reshape(-1), "after thin", "machine")
+    if largest:
+        plot.level(largest, "limit dashed", "largest acceleration proposed")
+        plot.level(-largest, "limit dashed")
+    return plot.svg()
+
+
+def _stretches(values: FloatArray, interval_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Time of each stretch, and its lowest and highest value; NaN where it has none."""
+    parts = np.array_split(values, min(MOST_POINTS, max(1, len(values))))
+    known = [part[np.isfinite(part)] for part in parts]
+    low = np.array([part.min() if len(part) else np.nan for part in known])
+    high = np.array([part.max() if len(part) else np.nan for part in known])
+    time = (np.arange(len(parts)) + 0.5) * len(values) / len(parts) * interval_s
+    return np.asarray(time, np.float64), low, high
+
+
+FULL = 1.06
+
+
+class Curve(NamedTuple):
+    """Values at the times, NaN where there is none; the CSS class, and the words of the legend."""
+
+    values: FloatArray
+    style: str
+    name: str | None
+
+
+def over_time(
+    title: str, label: str, time_s: FloatArray, curves: Sequence[Curve], least: float | None = None
+) -> str:
+    """An SVG of ``curves`` over ``time_s`` (seconds), ``label`` at its axis, from ``least`` on if given."""
+    values = np.concatenate([curve.values for curve in curves])
+    values = values[np.isfinite(values)]
+    low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
+    room = (FULL - 1.0) * (high - low) or abs(high) or 1.0
+    low = low - room if least is None else least
+    last = float(time_s[-1]) if len(time_s) else 1.0
+    plot = Plot(
+        title, (0.0, last or 1.0), (low, high + room), ("time from the beginning of the log, s", label)
+    )
+    for curve in curves:
+        if len(time_s) == 1:
+            plot.dots(time_s, curve.values, curve.style, curve.name)
+        else:
+            plot.line(time_s, curve.values, curve.style, curve.name)
+    return plot.svg()

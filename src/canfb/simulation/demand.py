@@ -15,7 +15,7 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration, max_jerk
 from canfb.signal.phase import FloatArray, phase_in_cycle
 from canfb.signal.third_order import THIRD
-from canfb.simulation.cia402.motor import MotorConfig
+from canfb.simulation.cia402.plant import MotorConfig
 from canfb.simulation.scenario import MotionConfig
 
 HALF_CYCLE = 0.5  # at the start the count takes the shortest step

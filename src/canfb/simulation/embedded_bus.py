@@ -1,16 +1,90 @@
-"""A CAN bus inside the process, in simulated time: deterministic, without threads or sockets."""
+"""A CAN bus inside the process, in simulated time: deterministic, without threads or sockets.
+
+Without a bit rate a frame reaches all at once. With one, the wire carries one frame at a time: of those that
+wait the lowest CAN-ID is next (arbitration), a frame of n bits takes n / bit rate and is not interrupted, and
+it is received at its end. So a SYNC waits for the frame on the wire, and a full bus delays high CAN-IDs.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from heapq import heappop, heappush
+from typing import Any
 
+import numpy as np
+
+from canfb.checks import number_in
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.device.core import NEVER
 from canfb.device.device_protocol import Computing, Device
-from canfb.simulation.wire import Wire
+from canfb.simulation.sync_producer import SilentDevice
 
-__all__ = ["EmbeddedBus", "frame_bits"]
+CAN_ID = 0x6E0  # of background traffic: of no node and of no service of CiA 301
+MEAN_BITS = sum(frame_bits(size) for size in range(9)) / 9
+HIGHEST_LOAD = 0.95
+INTERFRAME_BITS = 3  # the bus is silent for this long after the end of a frame
+
+
+@dataclass(order=True)
+class Waiting:
+    """A frame that waits: the lowest CAN-ID first, then the oldest."""
+
+    can_id: int
+    number: int
+    frame: Frame = field(compare=False)
+    sender: Any = field(compare=False)
+
+
+class Wire:
+    """A bus of ``bit_rate`` bit/s: one frame at a time, and who waits for it is chosen by CAN-ID.
+
+    A frame is never interrupted: also the SYNC waits for the end of the one on the wire. All frames have
+    the most stuff bits that there can be; a remote frame has no data on the wire.
+    """
+
+    def __init__(self, bit_rate: int) -> None:
+        if not 10_000 <= bit_rate <= 1_000_000:
+            raise ValueError(f"bit_rate must be 10000..1000000 bit/s, not {bit_rate!r}")
+        self.bit_rate = bit_rate
+        self._waiting: list[Waiting] = []
+        self._numbers = 0
+        self._sending: Waiting | None = None
+        self._end_s = 0.0  # of the frame on the wire
+        self._free_s = 0.0  # when the next one may begin
+
+    @property
+    def idle(self) -> bool:
+        """Nothing is on the wire, and nothing waits."""
+        return self._sending is None and not self._waiting
+
+    @property
+    def next_s(self) -> float:
+        """Time of the next event, a frame that begins or ends; NEVER: none."""
+        if self._sending is not None:
+            return self._end_s
+        return self._free_s if self._waiting else NEVER
+
+    def put(self, frame: Frame, sender: Any) -> None:
+        """Queue a frame."""
+        self._numbers += 1
+        heappush(self._waiting, Waiting(frame.can_id, self._numbers, frame, sender))
+
+    def advance(self, now: float) -> tuple[Frame, Any] | None:
+        """Do what happens at ``now``: the frame that has ended, with its time stamp, and its sender."""
+        ended = None
+        if self._sending is not None and now >= self._end_s:
+            ended = self._sending.frame._replace(timestamp=self._end_s), self._sending.sender
+            self._sending = None
+        elif self._sending is None and self._waiting and now >= self._free_s:
+            self._sending = heappop(self._waiting)
+            frame = self._sending.frame
+            bits = frame_bits(0 if frame.rtr else len(frame.data))
+            self._end_s = now + (bits - INTERFRAME_BITS) / self.bit_rate
+            self._free_s = now + bits / self.bit_rate
+        return ended
+
 
 LONGEST_WAIT_S = 1.0
 
@@ -19,12 +93,12 @@ class EmbeddedBus:
     """Delivers every frame to all other participants, in the order of sending.
 
     Without a ``bit_rate`` at once. With one (10000..1000000 bit/s) a frame takes its time on the wire, and
-    waits for the one before it: see :class:`canfb.simulation.wire.Wire`. It is received at its end, which
+    waits for the one before it: see :class:`Wire`. It is received at its end, which
     is its time stamp, too.
 
     ``now`` is the simulated time in seconds; ``bits`` and ``frames`` count what went over the bus, for its
-    load. ``taps`` are called with every frame and its time. What a participant wants computed is computed
-    at once: no simulated time passes, unless ``computes`` is False.
+    load. ``observers`` are called with every frame and its time. What a participant has to compute is done at
+    once: no simulated time passes, unless ``computes`` is False.
     """
 
     def __init__(self, bit_rate: int | None = None) -> None:
@@ -32,7 +106,7 @@ class EmbeddedBus:
         self.bits = 0
         self.frames = 0
         self.computes = True
-        self.taps: list[Callable[[Frame, float], None]] = []
+        self.observers: list[Callable[[Frame, float], None]] = []
         self._participants: list[Device] = []
         self._computing: list[tuple[Device, Computing]] = []
         self._queue: deque[tuple[Device | None, Frame]] = deque()
@@ -51,7 +125,7 @@ class EmbeddedBus:
         """Send a frame from outside; everything it causes happens before the return.
 
         Without a bit rate all of it is at this instant. With one, time passes until the bus is idle, at
-        most 1 s; from within a participant or a tap the frame is put behind those that wait.
+        most 1 s; from within a participant or a observer the frame is put behind those that wait.
         """
         self._put(None, [frame])
         self._deliver()
@@ -116,8 +190,44 @@ class EmbeddedBus:
         self.frames += 1
         self.bits += frame_bits(len(frame.data))
         now = self.now
-        for tap in self.taps:
-            tap(frame, now)
+        for observer in self.observers:
+            observer(frame, now)
         for participant in self._participants:
             if participant is not sender and (answers := participant.receive(frame, now)):
                 self._put(participant, answers)
+
+
+class BackgroundTraffic(SilentDevice):
+    """Sends frames of 0 to 8 bytes at random times; sans-I/O.
+
+    load      part of the time for which they keep a bus of ``bit_rate`` bit/s busy, 0..0.95
+    seed      the same one gives the same frames again
+
+    ValueError for another load.
+    """
+
+    def __init__(self, load: float, bit_rate: int, seed: int = 1) -> None:
+        number_in("load", load, 0.0, HIGHEST_LOAD)
+        self._rng = np.random.default_rng((seed, CAN_ID))
+        self._mean_gap_s = MEAN_BITS / bit_rate / load if load else None
+        self._next_s: float | None = None
+
+    def start(self, now: float) -> list[Frame]:
+        """Power-on: the first frame comes after a random time."""
+        self._plan(now)
+        return []
+
+    def deadline(self) -> float | None:
+        """The time of the next frame."""
+        return self._next_s
+
+    def tick(self, now: float) -> list[Frame]:
+        """A frame when it is due."""
+        if self._next_s is None or now < self._next_s:
+            return []
+        self._plan(self._next_s)
+        return [Frame(CAN_ID, self._rng.bytes(int(self._rng.integers(9))))]
+
+    def _plan(self, after_s: float) -> None:
+        if self._mean_gap_s is not None:
+            self._next_s = after_s + float(self._rng.exponential(self._mean_gap_s))

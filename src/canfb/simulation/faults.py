@@ -348,7 +348,7 @@ class RepeatedSamples:
 class LateSamples:
     """Every sample comes ``intervals`` later than it was taken; the receiver does not know it.
 
-    At the beginning the last good sample is seen again, at the end ``intervals`` are left out.
+    At the beginning the last good sample is repeated, at the end ``intervals`` are left out.
     ValueError for ``intervals`` below 1.
     """
 

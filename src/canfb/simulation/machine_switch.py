@@ -40,7 +40,7 @@ class StoppableMotion:
 
     @property
     def running(self) -> bool:
-        """It runs, or was told to."""
+        """It runs, or is to run."""
         return not self._changes or self._changes[-1].end_rate > 0.0
 
     def run(self, running: bool, time_s: float) -> None:
@@ -78,7 +78,7 @@ class StoppableMotion:
 
 
 class MachineSwitch:
-    """Object 2060h of the interface: 1 lets its machine run, 0 stops it. It reads as what it was told.
+    """Object 2060h of the interface: 1 lets its machine run, 0 stops it. It reads as what was written.
 
     A source whose machine cannot be stopped here (a recording, a drive) refuses it: 08000022h.
     """

@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 
 from canfb.checks import integer_in, number_in
 from canfb.interface.sample_instants import LARGEST_DRIFT_PPM, SampleClock
-from canfb.simulation.analog_path import AnalogPath
-from canfb.simulation.cia402.drive_config import DriveConfig
-from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.cia402.plant import DriveConfig
+from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, ShaftEncoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.simulation.shaft_encoder import ShaftEncoder
-from canfb.simulation.sync_timing import SyncTiming
+from canfb.simulation.sync_producer import SyncTiming
 from canfb.sources.motion_source import MotionSource
 
 PACES = ("time", "sync")

@@ -1,25 +1,220 @@
-"""What ``canfb simulate`` puts on a bus: the encoder interface, and what moves the encoder."""
+"""What ``canfb simulate`` puts on a bus: the encoder interface, and what moves the encoder.
+
+The devices take each frame in the order of the list: the machine first, as it must have moved when the
+interface samples at the same SYNC, then the interface, then what records its samples. A drive moves the
+machine by the position of the module that the interface feeds: the control loop is closed over the bus.
+"""
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
+from canfb import objects as od
+from canfb.checks import number_in
+from canfb.cia301 import cob
+from canfb.cia301.frame import Frame
 from canfb.device.device_protocol import Device
+from canfb.device.lss import UNCONFIGURED
+from canfb.device.od.dictionary import Dictionary
+from canfb.errors import ConfigError
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.simulation.demand import MotionDemand, of_motion, of_recording
-from canfb.simulation.fed_module import FedModule
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.phase import FloatArray
+from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
+from canfb.simulation.cia402.plant import Coupling, Motor, MotorConfig, Plant, PlantSource
+from canfb.simulation.demand import MotionDemand, of_drive, of_motion, of_recording
+from canfb.simulation.encoder import ShaftEncoder
 from canfb.simulation.machine_switch import MachineSwitch, StoppableMotion
-from canfb.simulation.sample_recorder import SampleRecorder
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.shaft_encoder import ShaftEncoder
-from canfb.simulation.simulated_axis import SimulatedAxis, simulated_axis
-from canfb.simulation.slow_motion import SlowMotion
-from canfb.simulation.sync_producer import SyncProducer
-from canfb.simulation.sync_rate import IN_SLOW_MOTION, IN_TRUE_TIME, SyncRateWatch
+from canfb.simulation.sync_producer import (
+    IN_SLOW_MOTION,
+    IN_TRUE_TIME,
+    SilentDevice,
+    SyncProducer,
+    SyncRateWatch,
+)
 from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
 from canfb.sources.recording_source import ArraySource, RecordingLayout, RecordingSource, open_recording
+
+PROFILE_VELOCITY, INCREMENTS = (0x6081, 0), (0x608F, 1)  # increments per second, per revolution
+
+MISSED = -32768  # in both tracks, as in 2050:03
+
+SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 1e-6, 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FedModule:
+    """A module and its encoder interface.
+
+    chain                       its encoder, converter and residual limit
+    node_id                     1..127; 255: none yet
+    encoder_interface           node-ID of the interface that is simulated
+    times                       the ADC PDO carries the sample time
+    samples_per_sync            1..4 pairs of sine and cosine for each SYNC
+    autostart                   operational without a master
+    increments_per_revolution   scale of its position (6001h)
+    total_range                 where its position wraps (6002h)
+    """
+
+    chain: ChainConfig
+    node_id: int
+    encoder_interface: int
+    times: bool
+    samples_per_sync: int
+    autostart: bool
+    increments_per_revolution: int
+    total_range: int
+
+    @property
+    def has_node_id(self) -> bool:
+        """No LSS master has to give it one."""
+        return self.node_id != UNCONFIGURED
+
+
+@dataclass(frozen=True)
+class SimulatedAxis:
+    """A drive with its motor, and the encoder on the shaft; ``module_id`` is the module it listens to."""
+
+    plant: Plant
+    source: PlantSource
+    drive: ServoDrive
+    module_id: int
+    demand: MotionDemand | None = None
+    """What it asks of the module, None without a known SYNC rate."""
+
+    def describe(self) -> str:
+        """One line on the drive."""
+        node, module = self.drive.node.node_id, self.module_id
+        return f"drive: node {node} ({node:02X}h), position from node {module} ({module:02X}h)"
+
+    def summary(self) -> str:
+        """One line at the end."""
+        state = self.drive.state.name.replace("_", " ").capitalize()
+        error = f", error {self.drive.error:04X}h" if self.drive.error else ""
+        return f"drive: {state}{error}; the shaft is at {self.plant.motor.revolutions:.3f} revolutions"
+
+
+def simulated_axis(
+    simulation: SimulationConfig,
+    module: FedModule,
+    *,
+    autostart: bool = False,
+    rate_hz: float | None = None,
+) -> SimulatedAxis | None:
+    """The drive of the configuration, None without one. ConfigError if it cannot be."""
+    settings = simulation.drive
+    if settings is None:
+        return None
+    if not module.has_node_id:
+        raise ConfigError("drive: the module whose position the drive uses has no node_id (255)")
+    plant = Plant(Motor(settings, settings.start_revolutions))
+    chain = module.chain
+    encoder = simulation.encoder.encoder(chain.adc_bits)
+    source = PlantSource(
+        encoder,
+        plant,
+        chain.cycles_per_revolution,
+        simulation.seed,
+        simulation.aperture_jitter_s,
+        Coupling(settings.slip_revolutions, settings.slip_at_s),
+    )
+    link = FeedbackModuleLink(
+        node_id=module.node_id,
+        increments_per_revolution=module.increments_per_revolution,
+        total_range=module.total_range,
+        synchronous=settings.synchronous_feedback,
+    )
+    drive = ServoDrive(
+        settings.node_id, plant, link, autostart=autostart, motor_increments=settings.motor_increments
+    )
+    demand = None
+    if rate_hz is not None:
+        per_sync = module.samples_per_sync
+        demand = profile_demand(settings, drive.dictionary, chain, rate_hz * per_sync)
+        demand = replace(demand, per_sync=per_sync)
+    return SimulatedAxis(plant, source, drive, module.node_id, demand)
+
+
+def profile_demand(
+    motor: MotorConfig, dictionary: Dictionary, chain: ChainConfig, rate_hz: float
+) -> MotionDemand:
+    """What a drive with this dictionary asks of the module: its profile velocity, and all its torque."""
+    speed = dictionary.entry(*PROFILE_VELOCITY).value / dictionary.entry(*INCREMENTS).value
+    return of_drive(motor, chain, rate_hz, speed)
+
+
+class SampleRecorder(SilentDevice):
+    """Keeps the sample of each SYNC, from the first sample on; sans-I/O, and it sends nothing.
+
+    It must get the SYNC after the ``interface``: attach it behind. Four bytes for each SYNC.
+    """
+
+    def __init__(self, interface: EncoderInterface) -> None:
+        self._interface = interface
+        self._counts = array("h")
+        self._samples = 0
+        self._channels = [
+            interface.dictionary.entry(*track) for track in (od.INTERFACE_SINE, od.INTERFACE_COSINE)
+        ]
+
+    def __len__(self) -> int:
+        """Intervals, those without a sample as well."""
+        return len(self._counts) // 2
+
+    def tracks(self) -> tuple[FloatArray, FloatArray]:
+        """Sine and cosine in ADC counts, NaN where a SYNC had no sample."""
+        pairs = np.array(self._counts, np.float64).reshape(-1, 2)
+        pairs[(pairs == MISSED).all(axis=1)] = np.nan
+        return pairs[:, 0].copy(), pairs[:, 1].copy()
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take what the interface has sampled at this SYNC."""
+        if frame.can_id == cob.SYNC and not frame.rtr:
+            if self._interface.samples > self._samples:
+                self._samples = self._interface.samples
+                self._counts.extend(int(channel.value) for channel in self._channels)
+            elif self._samples and not self._interface.ended:
+                self._counts.extend((MISSED, MISSED))
+        return []
+
+
+class SlowMotion(SilentDevice):
+    """The machine goes on by one nominal interval with each SYNC, however late it is, and stands between.
+
+    The samples are equidistant in the time of the machine. Attach it to the bus before the nodes whose
+    ``time_base`` (:mod:`canfb.interface.sample_instants`) it is; it sends nothing.
+
+    ``dictionary`` is that of the node that samples: its 1005h says which frame is the SYNC, its 1006h how
+    long the interval is. ``interval_s``, 1e-6 to 10 s, counts while 1006h is 0; ValueError for another.
+    """
+
+    def __init__(self, dictionary: Dictionary, interval_s: float) -> None:
+        number_in("interval_s", interval_s, SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S)
+        self._interval_s = interval_s
+        self._cob_id = dictionary.entry(*od.SYNC_COB_ID)
+        self._period = dictionary.entry(*od.CYCLE_PERIOD)
+        self.time_s = 0.0
+        """The time of the machine."""
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """A SYNC: the machine goes on."""
+        if frame.can_id == self._cob_id.value & cob.CAN_ID and not frame.rtr:
+            self.time_s += self._period.value * 1e-6 or self._interval_s
+        return []
+
+    def received_at(self, frame: Frame, now: float) -> float:
+        """The time of the last SYNC."""
+        return self.time_s
+
+    def at(self, now: float) -> float:
+        """The time of the last SYNC."""
+        return self.time_s
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,15 +1,107 @@
-"""A SYNC producer for a bus that has none."""
+"""Producers of the SYNC, with drift and jitter: for a bus that has none, or a drive; and a watch on its rate.
+
+A SYNC goes out at its nominal time n T, T = ``period_s`` / (1 + drift), plus a deviation: the jitter of the
+producer, and the rest of the frame that is on the wire, which no CAN-ID interrupts. A deviation is at most
+0.45 of the period, so that SYNCs keep their order, and it does not add up from one SYNC to the next.
+"""
 
 from __future__ import annotations
 
 import math
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
+import numpy as np
+
+from canfb.checks import integer_in, number_in
 from canfb.cia301 import cob
-from canfb.cia301.frame import Frame
-from canfb.simulation.sync_timing import REGULAR, SyncDeviation, SyncTiming
+from canfb.cia301.frame import Frame, frame_bits
+
+LONGEST_FRAME_BITS = frame_bits(8)
+CUT_OFF = 4.0  # standard deviations
+LARGEST_PART = 0.45  # of the period: SYNCs keep their order
 
 
-class SyncProducer:
+@dataclass(frozen=True, kw_only=True)
+class SyncTiming:
+    """How far the SYNCs of a producer are from equidistant. Every field has a default: not at all.
+
+    sync_jitter_us      of the producer, uniform within +-, 0..1e6 us
+    sync_jitter_rms_us  of the producer, normal, cut off at 4 times that, 0..1e6 us; both add up
+    sync_drift_ppm      how much faster than true time its clock runs, -10000..10000 ppm
+    bus_load            part of the time at which the bus is busy with other frames, 0..1: the SYNC waits
+                        for the end of the one on the wire, up to 135 bit times
+    bus_bit_rate        bit/s of that bus, 10000..1000000
+
+    ValueError for anything else.
+    """
+
+    sync_jitter_us: float = 0.0
+    sync_jitter_rms_us: float = 0.0
+    sync_drift_ppm: float = 0.0
+    bus_load: float = 0.0
+    bus_bit_rate: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        number_in("sync_jitter_us", self.sync_jitter_us, 0.0, 1e6)
+        number_in("sync_jitter_rms_us", self.sync_jitter_rms_us, 0.0, 1e6)
+        number_in("sync_drift_ppm", self.sync_drift_ppm, -10_000.0, 10_000.0)
+        number_in("bus_load", self.bus_load, 0.0, 1.0)
+        integer_in("bus_bit_rate", self.bus_bit_rate, 10_000, 1_000_000)
+
+
+REGULAR = SyncTiming()
+
+
+class SyncDeviation:
+    """Draws how far a SYNC is from its nominal time; the same ``seed`` gives the same SYNCs again.
+
+    No SYNC is further off than 0.45 ``period_s``, so that they keep their order.
+    """
+
+    def __init__(self, timing: SyncTiming, period_s: float, seed: int = 1) -> None:
+        self._timing = timing
+        self._rng = np.random.default_rng((seed, 0x80))
+        self._largest_s = LARGEST_PART * period_s
+        self.period_s = period_s / (1.0 + timing.sync_drift_ppm * 1e-6)
+        """The period in true time, seconds."""
+        self._none = timing.sync_jitter_us == timing.sync_jitter_rms_us == timing.bus_load == 0.0
+
+    def next_s(self) -> float:
+        """Seconds by which the next SYNC goes out late (or, negative, early)."""
+        if self._none:
+            return 0.0
+        timing, rng = self._timing, self._rng
+        off_us = timing.sync_jitter_us * float(rng.uniform(-1.0, 1.0))
+        off_us += timing.sync_jitter_rms_us * max(-CUT_OFF, min(CUT_OFF, float(rng.normal())))
+        blocked = float(rng.uniform()) < timing.bus_load
+        bits = LONGEST_FRAME_BITS * float(rng.uniform())
+        off_s = off_us * 1e-6 + (bits / timing.bus_bit_rate if blocked else 0.0)
+        return max(-self._largest_s, min(self._largest_s, off_s))
+
+
+class SilentDevice:
+    """A device that sends nothing and waits for no time; a subclass overrides what it does beyond that."""
+
+    def start(self, now: float) -> list[Frame]:
+        """Power-on at ``now``, seconds."""
+        return []
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """A frame of another device."""
+        return []
+
+    def tick(self, now: float) -> list[Frame]:
+        """Do what is due."""
+        return []
+
+    def deadline(self) -> float | None:
+        """When :meth:`tick` is due; None: never."""
+        return None
+
+
+class SyncProducer(SilentDevice):
     """Sends a SYNC each ``period_s`` seconds from power-on; sans-I/O.
 
     ``timing`` makes them drift and jitter about these times. When the caller comes late, the SYNCs that are
@@ -30,10 +122,6 @@ class SyncProducer:
         self._plan(now + self._deviation.period_s, now)
         return []
 
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Nothing on the bus concerns it."""
-        return []
-
     def deadline(self) -> float | None:
         """The time of the next SYNC."""
         return self._next_s
@@ -52,3 +140,136 @@ class SyncProducer:
             nominal_s = now + self._deviation.period_s  # the sum may round down to now
         self._nominal_s = nominal_s
         self._next_s = max(now, nominal_s + self._deviation.next_s())
+
+
+POSITION_PDO = struct.Struct("<IHH")  # 6004h, 2011:01 status word, 2011:02 residual
+
+
+@dataclass
+class Consumed:
+    """What came in the position PDOs, one entry each; positions are unwrapped measuring units."""
+
+    sync_number: list[int] = field(default_factory=list)
+    position_units: list[int] = field(default_factory=list)
+    status: list[int] = field(default_factory=list)
+    residual_cycles: list[float] = field(default_factory=list)
+
+
+class Drive(SilentDevice):
+    """SYNC producer and position consumer, sans-I/O.
+
+    ``position_cob_id`` is the module's TPDO1; positions wrap at ``total_range`` measuring
+    units and are unwrapped here: the drive moves less than half of that between two PDOs. ``timing`` makes
+    the SYNC drift and jitter about its period.
+    """
+
+    def __init__(
+        self,
+        sync_period_s: float,
+        position_cob_id: int,
+        total_range: int,
+        timing: SyncTiming = REGULAR,
+        seed: int = 1,
+    ) -> None:
+        self.sync_period_s = sync_period_s
+        self._deviation = SyncDeviation(timing, sync_period_s, seed)
+        self.total_range = total_range
+        self.syncs = 0
+        self.consumed = Consumed()
+        self._position_cob_id = position_cob_id
+        self._start_s = 0.0
+        self._next_s: float | None = None
+        self._last_units: int | None = None
+
+    def start_sync(self, now: float) -> None:
+        """Produce the SYNC from ``now`` (seconds) on."""
+        self._start_s = self._next_s = now
+        self.syncs = 0
+
+    def deadline(self) -> float | None:
+        """The time of the next SYNC."""
+        return self._next_s
+
+    def tick(self, now: float) -> list[Frame]:
+        """The SYNC, when it is due."""
+        if self._next_s is None or now < self._next_s:
+            return []
+        self.syncs += 1
+        nominal_s = self._start_s + self.syncs * self._deviation.period_s
+        self._next_s = max(now, nominal_s + self._deviation.next_s())
+        return [Frame(cob.SYNC, b"")]
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Take the position PDO; every other frame is none of its business."""
+        if frame.can_id == self._position_cob_id and len(frame.data) == POSITION_PDO.size:
+            position, status, residual = POSITION_PDO.unpack(frame.data)
+            consumed = self.consumed
+            consumed.sync_number.append(self.syncs)
+            consumed.position_units.append(self._unwrap(position))
+            consumed.status.append(status)
+            consumed.residual_cycles.append(residual / 65536)
+        return []
+
+    def _unwrap(self, position: int) -> int:
+        last = self._last_units
+        if last is None:
+            self._last_units = position
+        else:
+            half = self.total_range // 2
+            self._last_units = last + (position - last + half) % self.total_range - half
+        return self._last_units
+
+
+WINDOW_S, WINDOW_SYNCS = 2.0, 100  # over which the rate is taken, whichever is longer
+TOLERANCE = 0.02
+AGAIN_S = 60.0
+IN_TRUE_TIME = "; set a lower --rate, or --pace sync"
+IN_SLOW_MOTION = ", and the machine turns slower in proportion"
+
+
+class SyncRateWatch(SilentDevice):
+    """Receives the SYNC, and calls ``report`` with one line if its rate is not ``asked_hz``; sans-I/O.
+
+    ``advice`` is what it says of a computer that does not keep up.
+
+    It says so after the first window with a rate that is off by more than 2 %, and then once a minute
+    at most. ValueError unless the rate is positive.
+    """
+
+    def __init__(self, asked_hz: float, report: Callable[[str], None], advice: str = IN_TRUE_TIME) -> None:
+        if not asked_hz > 0.0:
+            raise ValueError(f"asked_hz must be positive, not {asked_hz!r}")
+        self.held_hz: float | None = None
+        """Of the last window; None before its end."""
+        self._asked_hz = asked_hz
+        self._report = report
+        self._advice = advice
+        self._window_s = max(WINDOW_S, WINDOW_SYNCS / asked_hz)
+        self._began_s: float | None = None
+        self._syncs = 0
+        self._said_s: float | None = None
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        """Count the SYNC at ``now`` (seconds)."""
+        if frame.can_id != cob.SYNC or frame.rtr:
+            return []
+        if self._began_s is None:
+            self._began_s = now
+            return []
+        self._syncs += 1
+        passed = now - self._began_s
+        if passed >= self._window_s:
+            self.held_hz = self._syncs / passed
+            self._judge(self.held_hz, now)
+            self._began_s, self._syncs = now, 0
+        return []
+
+    def _judge(self, held_hz: float, now: float) -> None:
+        if abs(held_hz / self._asked_hz - 1.0) <= TOLERANCE:
+            return
+        if self._said_s is None or now - self._said_s >= AGAIN_S:
+            self._said_s = now
+            self._report(
+                f"SYNC: {held_hz:.4g} Hz reached, {self._asked_hz:g} Hz requested: "
+                f"this computer does not keep up{self._advice}"
+            )

@@ -20,7 +20,7 @@ RevolutionsAt = Callable[[float], float]
 
 
 class Shaft(Protocol):
-    """An encoder on a shaft, see :class:`canfb.simulation.shaft_encoder.ShaftEncoder`."""
+    """An encoder on a shaft, see :class:`canfb.simulation.encoder.ShaftEncoder`."""
 
     @property
     def position_cycles(self) -> float:

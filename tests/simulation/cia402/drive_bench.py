@@ -20,12 +20,11 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
-from canfb.simulation.cia402.motor import Motor, MotorConfig
-from canfb.simulation.cia402.plant import Plant, PlantSource
+from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant, PlantSource
 from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
-from canfb.simulation.sync_timing import SyncDeviation, SyncTiming
+from canfb.simulation.sync_producer import SyncDeviation, SyncTiming
 
 DRIVE_ID, MODULE_ID, INTERFACE_ID = 0x30, 0x20, 0x10
 UNITS = 1 << 20
@@ -70,7 +69,7 @@ class DriveBench:
         self.bus = EmbeddedBus()
         self.network = EmbeddedNetwork(self.bus)
         self.heard: list[Frame] = []
-        self.bus.taps.append(lambda frame, now: self.heard.append(frame))
+        self.bus.observers.append(lambda frame, now: self.heard.append(frame))
         self.motor = Motor(MotorConfig(**motor), start_revolutions)
         self.plant = Plant(self.motor)
         encoder = Encoder(noise_lsb=noise_lsb)

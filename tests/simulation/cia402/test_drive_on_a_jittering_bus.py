@@ -7,7 +7,7 @@ import pytest
 from drive_bench import UNITS, DriveBench
 
 from canfb.simulation.cia402.state_machine import State
-from canfb.simulation.sync_timing import SyncTiming
+from canfb.simulation.sync_producer import SyncTiming
 
 CYCLES = 2500
 AMPLITUDE = 0.5  # revolutions, at 1 Hz

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
-from canfb.simulation.cia402.motor import Motor, MotorConfig
-from canfb.simulation.cia402.plant import Plant
+from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State
 
 INCREMENTS = 20_480_000

@@ -4,10 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canfb.simulation.cia402.axis import Lasting, SetPoints, nearest, saturated, wrapped
 from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, approach, chosen_gains
-from canfb.simulation.cia402.scaling import nearest, saturated, wrapped
-from canfb.simulation.cia402.set_points import SetPoints
-from canfb.simulation.cia402.windows import Lasting
 
 NEW, AT_ONCE, RELATIVE = 0x1F, 0x3F, 0x5F
 GAINS = Gains(50.0, 0.2, 0.04, 1.0, 1.0, 1e-3)

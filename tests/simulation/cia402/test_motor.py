@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.simulation.cia402.motor import Motor, MotorConfig
+from canfb.simulation.cia402.plant import Motor, MotorConfig
 
 FREE = {"coulomb_friction_nm": 0.0, "viscous_friction_nm_s": 0.0, "torque_time_constant_s": 0.0}
 

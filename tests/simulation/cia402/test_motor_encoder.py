@@ -9,11 +9,16 @@ import struct
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.simulation.cia402.coupling import SLIP_S, Coupling
 from canfb.simulation.cia402.drive import ServoDrive
-from canfb.simulation.cia402.drive_config import DriveConfig
-from canfb.simulation.cia402.motor import Motor, MotorConfig
-from canfb.simulation.cia402.plant import Plant, PlantSource
+from canfb.simulation.cia402.plant import (
+    SLIP_S,
+    Coupling,
+    DriveConfig,
+    Motor,
+    MotorConfig,
+    Plant,
+    PlantSource,
+)
 from canfb.simulation.encoder import Encoder
 from folding import each
 

@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
-from canfb.simulation.cia402.drive_interval import SyncInterval
-from canfb.simulation.cia402.motor import Motor, MotorConfig
-from canfb.simulation.cia402.plant import Plant, PlantSource
+from canfb.simulation.cia402.feedback_input import SyncInterval
+from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant, PlantSource
 from canfb.simulation.encoder import Encoder
 
 SYNC = Frame(0x80, b"")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canfb.simulation.cia402.trajectory import Interpolation, Trajectory
+from canfb.simulation.cia402.loop import Interpolation, Trajectory
 
 T = 1e-3
 

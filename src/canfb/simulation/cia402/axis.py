@@ -1,4 +1,4 @@
-"""The motion of the drive: position demand of the mode of operation, position loop, and their objects."""
+"""The motion of the drive: units, set-points, position demand of the mode of operation, and their objects."""
 
 from __future__ import annotations
 
@@ -8,12 +8,8 @@ from collections.abc import Callable
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.simulation.cia402.feedback_input import FeedbackInput
-from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, chosen_gains
-from canfb.simulation.cia402.scaling import Scaling, nearest, saturated, wrapped
-from canfb.simulation.cia402.set_points import SetPoints
+from canfb.simulation.cia402.loop import Demand, Gains, Interpolation, PositionLoop, Trajectory, chosen_gains
 from canfb.simulation.cia402.state_machine import Control, Status
-from canfb.simulation.cia402.trajectory import Interpolation, Trajectory
-from canfb.simulation.cia402.windows import Lasting
 
 NO_MODE, PROFILE_POSITION, CYCLIC_SYNCHRONOUS_POSITION = 0, 1, 8
 OFF = 0xFFFFFFFF
@@ -90,7 +86,7 @@ class Axis:
         self._too_far.reset()
         self._at_target.reset()
         self._demand = Demand(self._trajectory.position / self.scaling.units)
-        self._wanted_rad_s = 0.0  # speed of the demand as it comes, before it is limited
+        self._demanded_rad_s = 0.0  # speed of the demand as it comes, before it is limited
         self._limited = False
 
     def ramp_down(self, deceleration: Entry, *, from_actual: bool = False) -> None:
@@ -235,8 +231,8 @@ class Axis:
         A target that jumps, or that misses a SYNC and comes twice with the next, is not a motion.
         """
         limit = self.scaling.largest_torque_nm / (self._gains[4].value * KG_M2_PER_G_CM2)
-        acceleration = (speed_rad_s - self._wanted_rad_s) / period_s
-        self._wanted_rad_s = speed_rad_s
+        acceleration = (speed_rad_s - self._demanded_rad_s) / period_s
+        self._demanded_rad_s = speed_rad_s
         change = speed_rad_s - self._demand.speed_rad_s
         if abs(change) > limit * period_s:
             change = math.copysign(limit * period_s, change)
@@ -286,3 +282,136 @@ class Axis:
 def _check_gain(value: float) -> None:
     if not 0.0 <= value <= 1e9:
         raise SdoAbort(AbortCode.INVALID_VALUE)
+
+
+class SetPoints:
+    """The active target and one that waits for it to be reached.
+
+    A rising edge of bit 4 brings a new set-point: at once with bit 5, or when none is active, else it
+    waits. It is acknowledged (statusword bit 12) when it is taken, until bit 4 is 0 again and there is
+    room for another.
+    """
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """No set-point."""
+        self.active: float | None = None
+        self._waiting: float | None = None
+        self._requested = False
+        self.acknowledged = False
+
+    def control(self, controlword: int, value: float, from_position: float) -> bool:
+        """Take the ``controlword`` with target ``value`` (units); True if the active target has changed.
+
+        Bit 6: the value is relative to the last target, or to ``from_position`` where there is none.
+        """
+        requested = bool(controlword & Control.NEW_SET_POINT)
+        rising, self._requested = requested and not self._requested, requested
+        changed = False
+        if rising and not self.acknowledged:
+            changed = self._take(controlword, value, from_position)
+        elif not requested:
+            self.acknowledged = self._waiting is not None
+        return changed
+
+    def reached(self) -> bool:
+        """The active target is reached; True if another one follows."""
+        self.active, self._waiting = self._waiting, None
+        if not self._requested:
+            self.acknowledged = False
+        return self.active is not None
+
+    def _take(self, controlword: int, value: float, from_position: float) -> bool:
+        last = self._waiting if self._waiting is not None else self.active
+        base = from_position if last is None else last
+        target = base + value if controlword & Control.RELATIVE else value
+        self.acknowledged = True
+        if controlword & Control.CHANGE_IMMEDIATELY or self.active is None:
+            self.active, self._waiting = target, None
+            return True
+        self._waiting = target
+        return False
+
+
+class Lasting:
+    """True once something has been so for a time."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+
+    def reset(self) -> None:
+        """It is not so."""
+        self._since = None
+
+    def update(self, is_so: bool, duration_s: float, now: float) -> bool:
+        """Whether it has been so for ``duration_s`` at ``now``, both in seconds."""
+        if not is_so:
+            self._since = None
+            return False
+        if self._since is None:
+            self._since = now
+        # Sums of times round: a whole number of periods must count as such.
+        return now - self._since >= duration_s - 1e-9
+
+
+_HALF, _FULL = 1 << 31, 1 << 32
+
+
+def wrapped(value: int) -> int:
+    """The INTEGER32 that a count of any size shows as: it wraps."""
+    return (value + _HALF) % _FULL - _HALF
+
+
+def saturated(value: float, bits: int) -> int:
+    """The nearest signed integer of this many bits; 0 for NaN."""
+    if math.isnan(value):
+        return 0
+    highest = (1 << (bits - 1)) - 1
+    return round(max(-highest - 1, min(highest, value)))
+
+
+def nearest(target: int, reference: float) -> int:
+    """The position, of those that show as the INTEGER32 ``target``, that is next to ``reference``."""
+    place = round(reference)
+    return place + wrapped(target - place)
+
+
+class Scaling:
+    """Reads the objects that say what a unit is."""
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        entry = dictionary.entry
+        self._increments, self._turns = entry(0x608F, 1), entry(0x608F, 2)
+        self._speed, self._torque, self._rated = entry(0x6080), entry(0x6072), entry(0x6076)
+        self._time, self._exponent = entry(0x60C2, 1), entry(0x60C2, 2)
+
+    @property
+    def units(self) -> float:
+        """Units of position in a revolution, 608Fh."""
+        return float(max(1, self._increments.value) / max(1, self._turns.value))
+
+    @property
+    def largest_speed(self) -> float:
+        """6080h, revolutions per second."""
+        return float(self._speed.value / 60.0)
+
+    @property
+    def rated_nm(self) -> float:
+        """6076h, Nm."""
+        return float(max(1, self._rated.value) / 1000.0)
+
+    @property
+    def largest_torque_nm(self) -> float:
+        """6072h, Nm."""
+        return float(self._torque.value / 1000.0 * self.rated_nm)
+
+    def per_mille(self, torque_nm: float) -> int:
+        """A torque in 1/1000 of the rated one."""
+        return saturated(1000.0 * torque_nm / self.rated_nm, 16)
+
+    @property
+    def interpolation_s(self) -> float:
+        """60C2h, seconds; 0.0 for each SYNC."""
+        return float(self._time.value * 10.0**self._exponent.value)

@@ -1,9 +1,13 @@
-"""A servo drive of CiA 402 on the bus: the state machine, the faults, and the node that carries them."""
+"""A servo drive of CiA 402 on the bus: defaults, state machine, faults, and the node that carries them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
 
+from canfb import objects as od
+from canfb.checks import integer_in
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
@@ -16,16 +20,10 @@ from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.interface.sample_instants import TRUE_TIME, TimeBase
-from canfb.simulation.cia402.axis import Axis
-from canfb.simulation.cia402.drive_errors import DriveError
-from canfb.simulation.cia402.drive_interval import SyncInterval
-from canfb.simulation.cia402.feedback_input import FeedbackInput, Wrong
-from canfb.simulation.cia402.link import FeedbackModuleLink, apply_defaults
-from canfb.simulation.cia402.plant import Plant
-from canfb.simulation.cia402.scaling import saturated
+from canfb.simulation.cia402.axis import Axis, saturated
+from canfb.simulation.cia402.feedback_input import FeedbackInput, SyncInterval, Wrong
+from canfb.simulation.cia402.plant import MotorConfig, Plant
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State, StateMachine, Status
-
-__all__ = ["FeedbackModuleLink", "ServoDrive"]
 
 EDS = "drive"
 POSITION = (0x60E4, 1)
@@ -381,3 +379,62 @@ class ServoDrive(Application):
 def _check_quick_stop_option(value: int) -> None:
     if value not in QUICK_STOP_OPTIONS:
         raise SdoAbort(AbortCode.INVALID_VALUE)
+
+
+class DriveError(IntEnum):
+    """Why there is a fault."""
+
+    NONE = 0x0000
+    INCREMENTAL_SENSOR = 0x7305  # the feedback says that it is not valid, or is missing
+    POSITION_SENSOR = 0x7320  # a position that cannot be
+    COMMUNICATION = 0x8100  # NMT has taken the drive out of Operational
+    HEARTBEAT = 0x8130
+    FOLLOWING_ERROR = 0x8611
+    SYNC_CONTROLLER = 0x8700  # no SYNC
+
+
+U32 = 0xFFFFFFFF
+G_CM2_PER_KG_M2 = 1e7
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeedbackModuleLink:
+    """The feedback module that a drive listens to: its ``node_id``, 1..127, and its scale.
+
+    increments_per_revolution   6501h of the module, with scaling on 6001h
+    total_range                 where its position wraps: 6501h times 6502h, with scaling on 6002h; 0 is 2^32
+    synchronous                 take the position at the next SYNC (RPDO type 1) instead of at once (255)
+    """
+
+    node_id: int
+    increments_per_revolution: int = 20_480_000
+    total_range: int = 4_280_320_000
+    synchronous: bool = False
+
+    def __post_init__(self) -> None:
+        integer_in("node_id", self.node_id, 1, 127)
+        integer_in("increments_per_revolution", self.increments_per_revolution, 1, U32)
+        integer_in("total_range", self.total_range, 0, U32)
+
+
+def apply_defaults(
+    dictionary: Dictionary, motor: MotorConfig, link: FeedbackModuleLink | None, serial_number: int
+) -> None:
+    """Replace defaults and values of the dictionary: a reset comes back to these."""
+    defaults = {
+        od.IDENTITY_SERIAL_NUMBER: serial_number,
+        (0x6076, 0): max(1, min(U32, round(motor.rated_torque_nm * 1000))),
+        (0x2100, 5): max(1, min(U32, round(motor.inertia_kg_m2 * G_CM2_PER_KG_M2))),
+    }
+    if link is not None:
+        defaults |= {
+            (0x1403, 1): cob.TPDO1 + link.node_id,
+            (0x1403, 2): 1 if link.synchronous else 255,
+            (0x2110, 5): link.total_range,
+            (0x2110, 7): cob.EMERGENCY + link.node_id,
+            (0x60E6, 1): link.increments_per_revolution,
+        }
+    for (index, subindex), value in defaults.items():
+        entry = dictionary.entry(index, subindex)
+        entry.default = entry.value = value
+        entry.follows_node_id = False

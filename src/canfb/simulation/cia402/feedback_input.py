@@ -1,4 +1,4 @@
-"""The position from the feedback module, as the drive sees it: supervised, unwrapped, differentiated."""
+"""The position from the feedback module, as the drive receives it: supervised, unwrapped, differentiated."""
 
 from __future__ import annotations
 
@@ -79,11 +79,11 @@ class FeedbackInput:
         """The last status word of the feedback."""
         return int(self._status.value)
 
-    def sync(self, heard_s: float) -> None:
-        """A SYNC, received at ``heard_s``: the position of the one before should have come."""
+    def sync(self, received_s: float) -> None:
+        """A SYNC, received at ``received_s``: the position of the one before should have come."""
         self._since_pdo += 1
         self._open += 1
-        self._syncs.append(heard_s)
+        self._syncs.append(received_s)
         if len(self._syncs) > MOST_OPEN:
             del self._syncs[1]
         if self._since_pdo > 1:
@@ -154,7 +154,7 @@ class FeedbackInput:
         """Speed from a step in revolutions, over the true time between the two SYNCs.
 
         Where more SYNCs are open, positions are late, or were lost on the bus: the number of intervals is
-        the one that changes the speed least. Two SYNCs that were heard at one time, or whose time is not
+        the one that changes the speed least. Two SYNCs that were received at one time, or whose time is not
         known, are ``interval_s`` apart.
         """
         begin = self._syncs[0]
@@ -186,3 +186,37 @@ class FeedbackInput:
 
     def _publish(self) -> None:
         self._wrong_entry.value = int(self.wrong)
+
+
+SMOOTHING = 1.0 / 32.0
+SAME_RATE = 1.5  # a time longer or shorter by more than this factor is an exception, or a new rate
+EXCEPTIONS = 8  # this many in a row are a new rate
+
+
+class SyncInterval:
+    """The mean time between two SYNCs, ``seconds``: 0.0 before the second one.
+
+    Pauses, and SYNCs that are received late, are left out. ``last_s`` is when the last one was received.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self.last_s: float | None = None
+        self._exceptions: list[float] = []
+
+    def event(self, now: float) -> None:
+        """A SYNC at ``now``, seconds."""
+        last, self.last_s = self.last_s, now
+        if last is None or now <= last:
+            return
+        interval = now - last
+        if self.seconds == 0.0:
+            self.seconds = interval
+        elif self.seconds / SAME_RATE < interval < SAME_RATE * self.seconds:
+            self.seconds += (interval - self.seconds) * SMOOTHING
+            self._exceptions.clear()
+        else:
+            self._exceptions.append(interval)
+            if len(self._exceptions) == EXCEPTIONS:
+                self.seconds = sum(self._exceptions) / EXCEPTIONS
+                self._exceptions.clear()

@@ -1,24 +1,246 @@
-"""The plant of the simulated drive: a motor that turns in true time, and the encoder on its shaft."""
+"""The plant of the simulated drive: a motor with its shaft, a coupling, and the encoder behind it.
+
+J dw/dt = M - M_load - b w - M_friction sign(w), and the torque follows its command with a time constant:
+dM/dt = (M_command - M) / tau. Within a step of 0.1 ms at most torques are constant and the motion is exact; a
+step ends where the shaft comes to rest, since friction then holds it.
+"""
 
 from __future__ import annotations
 
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from canfb.checks import flag, integer_in, number_in
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.interface.sample_instants import TRUE_TIME, TimeBase
 from canfb.signal.sample import Sample
-from canfb.simulation.cia402.coupling import Coupling
-from canfb.simulation.cia402.motor import Motor
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.shaft_encoder import ShaftEncoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
+from canfb.simulation.sync_producer import SilentDevice
+
+LONGEST_STEP_S = 1e-4
+LONG_S = 0.1
+REMEMBERED_STEPS = 256  # where an encoder may still look back to
+SETTLED = 50.0  # time constants after which the torque is its command, to the last digit
 
 
-class Plant:
+@dataclass(frozen=True, kw_only=True)
+class MotorConfig:
+    """What turns. The encoder sits on the shaft of the motor; there is no gear.
+
+    inertia_kg_m2            moment of inertia of motor and load, 1e-9..1e6
+    viscous_friction_nm_s    friction torque for each rad/s, 0..1e6 Nm s/rad
+    coulomb_friction_nm      friction torque at any speed, and what holds at standstill, 0..1e6 Nm
+    rated_torque_nm          1000 per mille of 6072h and 6077h (6076h), 0.001..1e6 Nm
+    torque_time_constant_s   of the current loop: the torque follows its command so fast, 0..1 s
+    load_torque_nm           what pulls at the shaft from ``load_at_s`` on, -1e6..1e6 Nm, positive
+                             against positive motion
+    load_at_s                time of the machine, 0..1e9 s
+    brake_torque_nm          of the holding brake, closed without power, 0..1e6 Nm; 0 = none, it coasts
+    """
+
+    inertia_kg_m2: float = 1e-3
+    viscous_friction_nm_s: float = 1e-4
+    coulomb_friction_nm: float = 0.01
+    rated_torque_nm: float = 0.5
+    torque_time_constant_s: float = 0.0005
+    load_torque_nm: float = 0.0
+    load_at_s: float = 0.0
+    brake_torque_nm: float = 0.0
+
+    def __post_init__(self) -> None:
+        number_in("inertia_kg_m2", self.inertia_kg_m2, 1e-9, 1e6)
+        number_in("viscous_friction_nm_s", self.viscous_friction_nm_s, 0.0, 1e6)
+        number_in("coulomb_friction_nm", self.coulomb_friction_nm, 0.0, 1e6)
+        number_in("rated_torque_nm", self.rated_torque_nm, 0.001, 1e6)
+        number_in("torque_time_constant_s", self.torque_time_constant_s, 0.0, 1.0)
+        number_in("load_torque_nm", self.load_torque_nm, -1e6, 1e6)
+        number_in("load_at_s", self.load_at_s, 0.0, 1e9)
+        number_in("brake_torque_nm", self.brake_torque_nm, 0.0, 1e6)
+
+
+class Motor:
+    """The motion of the shaft, integrated in steps of 0.1 ms at most.
+
+    Within a step the torques are constant and the motion is exact: an exponential with viscous friction,
+    standstill where friction holds the shaft. ``time_s`` is the time of the machine; ``revolutions``,
+    ``speed_rad_s`` and ``torque_nm`` are those of the shaft at that time.
+    """
+
+    def __init__(self, config: MotorConfig, revolutions: float = 0.0) -> None:
+        self.config = config
+        self.time_s = 0.0
+        self.revolutions = revolutions
+        self.speed_rad_s = 0.0
+        self.torque_nm = 0.0
+        self.command_nm = 0.0
+        self.braked = True
+        self._steps: deque[tuple[float, float, float]] = deque(maxlen=REMEMBERED_STEPS)
+
+    @property
+    def load_nm(self) -> float:
+        """What pulls at the shaft now."""
+        return self.config.load_torque_nm if self.time_s >= self.config.load_at_s else 0.0
+
+    def revolutions_before(self, seconds: float) -> float:
+        """Position this many seconds ago, or, negative, ahead: then at the present speed, for a short time.
+
+        Between the steps of the motion a cubic that has their positions and speeds; before the remembered
+        ones, which are the last tenths of milliseconds, at the speed of the oldest.
+        """
+        instant_s, after = self.time_s - seconds, (self.time_s, self.revolutions, self.speed_rad_s)
+        if seconds > 0.0:
+            for before in reversed(self._steps):
+                if before[0] <= instant_s:
+                    return _cubic(before, after, instant_s)
+                after = before
+        at_s, revolutions, speed_rad_s = after
+        return revolutions - speed_rad_s * (at_s - instant_s) / (2.0 * math.pi)
+
+    def run(self, duration_s: float) -> None:
+        """Let this many seconds pass, 0 or more; ValueError for a time that goes back."""
+        if not 0.0 <= duration_s < math.inf:
+            raise ValueError(f"duration_s must be 0 or more seconds, not {duration_s!r}")
+        if duration_s == 0.0:
+            return
+        left_s = duration_s - max(LONG_S, SETTLED * self.config.torque_time_constant_s)
+        if left_s > 0.0 and not self.time_s < self.config.load_at_s < self.time_s + duration_s:
+            # A long pause: once the torque has settled nothing changes, and one step is as exact as many.
+            self.run(duration_s - left_s)
+            self._step(left_s)
+            return
+        steps = math.ceil(duration_s / LONGEST_STEP_S * (1.0 - 1e-9))
+        step_s, end_s = duration_s / steps, self.time_s + duration_s
+        for _ in range(steps):
+            self._step(step_s)
+        self.time_s = end_s
+
+    def _step(self, step_s: float) -> None:
+        self._steps.append((self.time_s, self.revolutions, self.speed_rad_s))
+        lag = self.config.torque_time_constant_s
+        change = self.command_nm - self.torque_nm
+        # The mean over the step drives the shaft: the torque itself may settle much faster than a step.
+        kept = math.exp(-step_s / lag) if lag > 0.0 else 0.0
+        mean = self.command_nm - change * (lag / step_s * (1.0 - kept) if lag > 0.0 else 0.0)
+        self.torque_nm = self.command_nm - change * kept
+        self._move(mean - self.load_nm, step_s)
+        self.time_s += step_s
+
+    def _move(self, torque_nm: float, step_s: float) -> None:
+        """The shaft under this torque, until it stands still or the step is over."""
+        friction = self.config.coulomb_friction_nm + (self.config.brake_torque_nm if self.braked else 0.0)
+        if self.speed_rad_s == 0.0:
+            if abs(torque_nm) <= friction:
+                return
+            self._accelerate(torque_nm - math.copysign(friction, torque_nm), step_s)
+            return
+        net = torque_nm - math.copysign(friction, self.speed_rad_s)
+        stop_s = self._time_to_stop(net)
+        if stop_s >= step_s:
+            self._accelerate(net, step_s)
+            return
+        self._accelerate(net, stop_s)
+        self.speed_rad_s = 0.0
+        self._move(torque_nm, step_s - stop_s)
+
+    def _time_to_stop(self, net_nm: float) -> float:
+        """When the speed is 0 under this torque, in seconds; infinite if it never is."""
+        speed, viscous, inertia = (
+            self.speed_rad_s,
+            self.config.viscous_friction_nm_s,
+            self.config.inertia_kg_m2,
+        )
+        if net_nm * speed >= 0.0:
+            return math.inf
+        if viscous == 0.0:
+            return -speed * inertia / net_nm
+        return inertia / viscous * math.log1p(-speed * viscous / net_nm)
+
+    def _accelerate(self, net_nm: float, time_s: float) -> None:
+        """J dw/dt = net - b w, solved; the angle is its integral."""
+        viscous, inertia, speed = (
+            self.config.viscous_friction_nm_s,
+            self.config.inertia_kg_m2,
+            self.speed_rad_s,
+        )
+        if viscous * time_s < 1e-6 * inertia:  # the exponential would lose digits that this line has
+            self.speed_rad_s = speed + (net_nm - viscous * speed) / inertia * time_s
+            angle = (speed + self.speed_rad_s) / 2.0 * time_s
+        else:
+            decay = -math.expm1(-viscous / inertia * time_s)
+            self.speed_rad_s = speed + (net_nm / viscous - speed) * decay
+            angle = (net_nm * time_s - inertia * (self.speed_rad_s - speed)) / viscous
+        self.revolutions += angle / (2.0 * math.pi)
+
+
+def _cubic(before: tuple[float, float, float], after: tuple[float, float, float], at_s: float) -> float:
+    """Revolutions between two instants (time s, revolutions, rad/s), by Hermite's cubic."""
+    (from_s, start, start_rad_s), (to_s, end, end_rad_s) = before, after
+    step_s = to_s - from_s
+    if step_s <= 0.0:
+        return end
+    part = (at_s - from_s) / step_s
+    rest = 1.0 - part
+    blend = part * part * (3.0 - 2.0 * part)
+    bent = part * rest * (rest * start_rad_s - part * end_rad_s) * step_s / (2.0 * math.pi)
+    return start + (end - start) * blend + bent
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveConfig(MotorConfig):
+    """A drive on the shaft of the encoder, and its motor.
+
+    node_id                of the drive, 1..127
+    start_revolutions      where the shaft stands at the start, -1e6..1e6 revolutions
+    motor_increments       of an encoder on the motor in a revolution, 0..4294967295: 6063h is then its
+                           position at the SYNC; 0: there is none, and 6063h is that of the feedback
+    slip_revolutions       by which the coupling between motor and encoder slips, -1000..1000 revolutions, in
+                           half a second; 0: it holds
+    slip_at_s              when it begins to, time of the machine, 0..1e9 s
+    synchronous_feedback   true: the torque follows at the next SYNC (RPDO4 of type 1); false: at once (255)
+    """
+
+    node_id: int = 0x30
+    start_revolutions: float = 0.0
+    motor_increments: int = 0
+    slip_revolutions: float = 0.0
+    slip_at_s: float = 0.0
+    synchronous_feedback: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        integer_in("node_id", self.node_id, 1, 127)
+        number_in("start_revolutions", self.start_revolutions, -1e6, 1e6)
+        integer_in("motor_increments", self.motor_increments, 0, 0xFFFFFFFF)
+        number_in("slip_revolutions", self.slip_revolutions, -1000.0, 1000.0)
+        number_in("slip_at_s", self.slip_at_s, 0.0, 1e9)
+        flag("synchronous_feedback", self.synchronous_feedback)
+
+
+SLIP_S = 0.5  # it begins and ends gently, so that the tracks of the encoder show nothing of it
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """From ``at_s`` of the time of the machine on the encoder falls behind by ``revolutions``, in 0.5 s."""
+
+    revolutions: float = 0.0
+    at_s: float = 0.0
+
+    def slipped(self, time_s: float) -> float:
+        """How far it has slipped by this time of the machine, revolutions."""
+        part = min(1.0, max(0.0, (time_s - self.at_s) / SLIP_S))
+        return self.revolutions * (1.0 - math.cos(math.pi * part)) / 2.0
+
+
+class Plant(SilentDevice):
     """A motor that turns in true time, from the first SYNC on, also while no SYNC comes.
 
     ``time_base`` (a :class:`canfb.interface.sample_instants.TimeBase`) need not be true time: all times
     of the plant are of that.
 
-    It sends nothing, but must hear the SYNC before those who sample or drive it: attach it first.
+    It sends nothing, but must get the SYNC before those who sample or drive it: attach it first.
     ``syncs`` counts them.
     """
 
@@ -28,12 +250,8 @@ class Plant:
         self.time_base: TimeBase = TRUE_TIME
         self._now_s: float | None = None  # time up to which the motor has turned
 
-    def start(self, now: float) -> list[Frame]:
-        """Power-on at ``now``: there is nothing to send."""
-        return []
-
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Go on to the time at which a SYNC was heard; with the first one the machine begins."""
+        """Go on to the time at which a SYNC was received; with the first one the machine begins."""
         if frame.can_id == cob.SYNC and not frame.rtr:
             received_s = self.time_base.received_at(frame, now)
             if self._now_s is None:
@@ -41,14 +259,6 @@ class Plant:
             self.go_on_to(received_s)
             self.syncs += 1
         return []
-
-    def tick(self, now: float) -> list[Frame]:
-        """Nothing is ever due."""
-        return []
-
-    def deadline(self) -> float | None:
-        """No time is waited for."""
-        return None
 
     def drive(self, torque_nm: float, powered: bool, now: float) -> None:
         """From ``now`` on the motor is driven with this torque; without power the brake is closed."""
