@@ -12,12 +12,14 @@ from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.hosting.trying import private_bus
 from canfb.objects import StatusBit
+from judged_session import SessionJudge
 from tools.faults.stalls import Judge, Run, TrueMotion, holds, measured, parse, row, runs_of
 
 TRUTH = TrueMotion(parse_config(EXAMPLE))
 PERIOD_TICKS = 100_000  # at 100 Hz
 FIRST_TICKS = 2**32 - 5_000_000  # the clock of the interface begins anywhere, and wraps
 VALID = StatusBit.VALID
+LAGS_S = {0x190: 0.0, 0x1A0: 0.001}
 
 
 def played(
@@ -126,3 +128,27 @@ def test_a_row_has_the_figures() -> None:
     assert row(Run(100.0, 0, "both", 4, 1.0), judge) == (
         "| 100 | none | 4 | 0 | 100 of 100 | 0 | kept | 0.00 | 10 | yes |"
     )
+
+
+@pytest.mark.parametrize(
+    ("gaps", "held"),
+    [
+        ({}, True),
+        ({0x190: [(3.0, 0.015)], 0x1A0: [(3.001, 0.015)]}, True),
+        ({0x190: [(3.0, 0.04)], 0x1A0: [(3.001, 0.04)]}, True),
+        ({0x190: [(3.0, 0.04), (5.0, 0.04)]}, True),
+        ({0x190: [(3.0, 0.04), (4.0, 0.04)]}, False),
+        ({0x190: [(3.0, 0.04)], 0x1A0: [(4.0, 0.04)]}, False),
+        ({0x190: [(3.0, 0.06)]}, False),
+        ({0x1A0: [(3.0, 0.06)]}, False),
+    ],
+)
+def test_a_machine_holds_if_its_stalls_are_short_and_far_apart(
+    gaps: dict[int, list[tuple[float, float]]], held: bool
+) -> None:
+    judge = SessionJudge(TRUTH)
+    frames = [(number * 0.01 + lag_s, can_id) for number in range(800) for can_id, lag_s in LAGS_S.items()]
+    for at_s, can_id in frames:
+        if not any(began_s < at_s < began_s + gap_s for began_s, gap_s in gaps.get(can_id, ())):
+            judge.take(can_id, b"", at_s)
+    assert judge.machine_held == held
