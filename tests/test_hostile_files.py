@@ -17,11 +17,10 @@ from canfb.configuration import changed_module, parse_config
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError, ConfigError
-from canfb.logs import candump_log
+from canfb.logs import log_reader
 from canfb.logs.folder_replay import work_of
 from canfb.logs.log_reader import BusLogFile
-from canfb.logs.log_replay import ReplayOptions
-from canfb.logs.log_rows import COLUMNS, job_of
+from canfb.logs.log_replay import COLUMNS, ReplayOptions, job_of
 from canfb.master.samples import read_npz, read_speed
 from canfb.module.module_config import ModuleConfig
 from canfb.sdo.object_description import ObjectDescriptions
@@ -150,11 +149,11 @@ def test_a_blf_object_without_a_length(tmp_path: Path) -> None:
 
 
 def test_a_line_of_a_log_that_does_not_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(candump_log, "BLOCK_BYTES", 1000)
+    monkeypatch.setattr(log_reader, "BLOCK_BYTES", 1000)
     path = tmp_path / "a.log.gz"
     path.write_bytes(gzip.compress(b"(1.0) can0 080#\n" + bytes(100_000) + b"\n(2.0) can0 081#\n"))
     with gzip.open(path) as file:
-        assert max(map(len, candump_log._blocks(file))) <= 2002  # type: ignore[arg-type]
+        assert max(map(len, log_reader._blocks(file))) <= 2002  # type: ignore[arg-type]
     log = BusLogFile(path)
     assert [frame.can_id for frame in log] == [0x80, 0x81]
     assert log.counters.damaged_lines == 51

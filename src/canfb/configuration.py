@@ -27,8 +27,7 @@ from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
-from canfb.sources.registry import source_kinds
-from canfb.sources.source_config import SourceConfig
+from canfb.sources.protocol import SourceConfig, source_kinds
 
 MODULES, INTERFACES = ("modules",), ("interfaces",)
 ANY_NODES = MODULES + INTERFACES

@@ -14,7 +14,7 @@ import pytest
 import canfb
 from canfb.cli.commands import build_parser
 from canfb.sources.motion_source import MotionSourceConfig
-from canfb.sources.registry import source_kinds
+from canfb.sources.protocol import source_kinds
 from tools.site.api_page import as_rst, escaped
 from tools.site.commands_page import commands_of
 from tools.site.keys_page import SECTIONS, Key, keys_of

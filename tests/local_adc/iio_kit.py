@@ -13,7 +13,7 @@ from canfb.hosting.captured_source import REOPEN_S, CapturedSource
 from canfb.signal.sample import Sample
 from canfb.simulation.scenario import SimulationConfig
 from canfb.sources.iio_source import IioSourceConfig
-from canfb.sources.surroundings import Surroundings
+from canfb.sources.protocol import Surroundings
 
 LIMIT_S = 20.0  # for what takes milliseconds
 

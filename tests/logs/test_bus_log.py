@@ -14,7 +14,7 @@ from canfb.cli.main import main
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
 from canfb.logs.bus_log import BusLog
-from canfb.logs.log_files import is_log, readable, writable
+from canfb.logs.log_reader import is_log, readable, writable
 from fake_bus import FakeBus, FakeClock, message
 
 EPOCH_S = 1_700_000_000.0

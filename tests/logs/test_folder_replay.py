@@ -13,11 +13,9 @@ import pytest
 
 from canfb.cli.main import main
 from canfb.errors import CanfbError, ConfigError
-from canfb.logs.folder_replay import InThisProcess, do_work, work_of
-from canfb.logs.log_replay import ReplayOptions
-from canfb.logs.log_rows import COLUMNS, LogJob, Row
-from canfb.logs.on_dask import DaskPool
-from canfb.logs.parquet import read_rows
+from canfb.logs.folder_replay import DaskPool, InThisProcess, do_work, work_of
+from canfb.logs.log_replay import COLUMNS, LogJob, ReplayOptions, Row
+from canfb.logs.published_files import read_rows
 from replay_kit import Planned, adc, config, live, session, write_log
 
 pytest.importorskip("pyarrow")

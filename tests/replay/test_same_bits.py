@@ -15,8 +15,7 @@ from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.logs.log_replay import ReplayOptions, replay_log
 from canfb.objects import StatusBit
-from canfb.replay.module_replay import ModuleReplay
-from canfb.replay.start_rule import Begin
+from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
 from replay_kit import (

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from canfb.errors import BusError
-from canfb.sources.iio_device import ChannelScaling
-from canfb.sources.iio_source import IioCapture, IioSourceConfig
+from canfb.sources.iio_source import ChannelScaling, IioCapture, IioSourceConfig
 
 CONFIG = IioSourceConfig(device="ads7950")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.sources.iio_source import IioSourceConfig
-from canfb.sources.registry import source_kinds
+from canfb.sources.protocol import source_kinds
 
 PAGE = (Path(__file__).parents[2] / "docs" / "local-adc.md").read_text(encoding="utf-8")
 CONFIGURATIONS = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)

@@ -17,7 +17,7 @@ from canfb.errors import ConfigError
 from canfb.hosting.hosting import open_source
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import VALID
-from canfb.sources.registry import source_kinds
+from canfb.sources.protocol import source_kinds
 
 FILE = """
 import math
@@ -28,8 +28,8 @@ from canfb.checks import flag, number
 from canfb.errors import ConfigError
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import Source, SourceEnded
-from canfb.sources.source_config import SourceConfig
-from canfb.sources.surroundings import Surroundings
+from canfb.sources.protocol import SourceConfig
+from canfb.sources.protocol import Surroundings
 
 
 @dataclass(frozen=True, kw_only=True)

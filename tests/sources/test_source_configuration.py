@@ -13,8 +13,8 @@ from canfb.configuration import parse_config
 from canfb.errors import ConfigError
 from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.motion_source import MotionSourceConfig
+from canfb.sources.protocol import SourceConfig
 from canfb.sources.recording_source import RecordingSourceConfig
-from canfb.sources.source_config import SourceConfig
 
 
 def source_of(text: str, module: str = "") -> SourceConfig | None:

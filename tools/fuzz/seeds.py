@@ -24,7 +24,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.hosting.state_files import StateFiles
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.logs.log_rows import COLUMNS
+from canfb.logs.log_replay import COLUMNS
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

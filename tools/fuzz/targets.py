@@ -32,8 +32,7 @@ from canfb.errors import CanfbError
 from canfb.hosting.hosting import saved_configuration
 from canfb.hosting.state_files import StateFiles
 from canfb.logs.folder_replay import InThisProcess, do_work, work_of
-from canfb.logs.log_replay import ReplayOptions, replay_log
-from canfb.logs.log_rows import job_of
+from canfb.logs.log_replay import ReplayOptions, job_of, replay_log
 from canfb.master.samples import read_npz, read_speed
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -14,7 +14,7 @@ from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
-from canfb.sources.registry import source_kinds
+from canfb.sources.protocol import source_kinds
 from tools.site.markdown import plain, table
 
 SECTIONS: tuple[tuple[str, type, str], ...] = (

@@ -13,16 +13,14 @@ from canfb.cli.progress import Progress, shown_progress
 from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
 from canfb.logs.bus_log import SentLog
-from canfb.logs.folder_replay import InThisProcess, Pool, check_table, do_work, work_of
+from canfb.logs.folder_replay import LOCAL, DaskPool, InThisProcess, Pool, check_table, do_work, work_of
 from canfb.logs.log_replay import LogReplayed, ReplayOptions, replay_log
-from canfb.logs.on_dask import LOCAL, DaskPool
 from canfb.logs.published_files import PublishedFile, check_place
 from canfb.logs.replay_page import write_page
 from canfb.module.module_config import ModuleConfig
 from canfb.replay import summary_of_replay as summary
-from canfb.replay.fault_list import KINDS
-from canfb.replay.overview import Overview
-from canfb.replay.start_rule import Begin
+from canfb.replay.findings import KINDS, Overview
+from canfb.replay.module_replay import Begin
 from canfb.replay.summary_of_replay import log_facts
 from canfb.rows import Result, as_figures, as_lines
 from canfb.tables.table_file import read_table

@@ -10,8 +10,7 @@ from canfb.hosting.closing import Closing
 from canfb.hosting.realtime import RealtimeThread
 from canfb.signal.sample import Sample
 from canfb.sources.even_scans import NewestScan
-from canfb.sources.protocol import SourceError
-from canfb.sources.surroundings import Capture, Picked
+from canfb.sources.protocol import Capture, Picked, SourceError
 
 REOPEN_S = 1.0
 CLOSE_S = 5.0
@@ -20,7 +19,7 @@ CLOSE_S = 5.0
 class CapturedSource(Closing):
     """Gives the scans of a converter that ``picked`` chooses for a SYNC; without it the newest.
 
-    ``opened`` opens it (:class:`canfb.sources.surroundings.Capture`), at once: what it raises goes through.
+    ``opened`` opens it (:class:`canfb.sources.protocol.Capture`), at once: what it raises goes through.
     One that fails later is opened again every ``reopen_s``, by the thread called ``name``. With a capture
     that is fired, :meth:`next` fires it and waits for the scan, at most ``wait_s``; otherwise it never waits.
     """

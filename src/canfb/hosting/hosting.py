@@ -40,9 +40,7 @@ from canfb.module.events import NodeEvents
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.simulation.scenario import SimulationConfig
-from canfb.sources.protocol import Converter, Source
-from canfb.sources.source_config import SourceConfig
-from canfb.sources.surroundings import Capture, Picked, Surroundings
+from canfb.sources.protocol import Capture, Converter, Picked, Source, SourceConfig, Surroundings
 
 
 def check_machine(path: Path, config: Config) -> None:

@@ -21,8 +21,7 @@ from canfb.eds_files import eds_path
 from canfb.interface.fast_recording import FastRecorder
 from canfb.interface.sample_instants import TRUE_TIME, SampleClock, SeveralSamples, TimeBase
 from canfb.signal.sample import Sample
-from canfb.sources.protocol import Grouped, Machine, Source
-from canfb.sources.source_watch import SourceWatch
+from canfb.sources.protocol import Grouped, Machine, Source, SourceWatch
 
 EDS = "encoder-interface"
 PLACES = 65536  # 2000:03 counts the sample interval in 1/65536

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from canfb.checks import flag, integer_in, text
 from canfb.device.lss import UNCONFIGURED
 from canfb.signal.subsamples import MOST_PER_SYNC
-from canfb.sources.source_config import SourceConfig
+from canfb.sources.protocol import SourceConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from canfb.bus.python_can_bus import brings_own_frames_back
 from canfb.bus.reception import Reception
 from canfb.cia301.frame import Frame
 from canfb.errors import CanfbError, ConfigError, reason
-from canfb.logs.log_files import NEEDS_PACKAGE, check_writable
+from canfb.logs.log_reader import NEEDS_PACKAGE, check_writable
 
 log = logging.getLogger(__name__)
 
@@ -136,33 +136,21 @@ class BusLog:
             self.counters.error_frames += 1
 
 
-CHANNEL = 0
-
-
-class SentLog:
-    """A context manager: give it frames with stamps by :meth:`take`. Errors as those of BusLog."""
+class SentLog(BusLog):
+    """The log of a replay: give it frames with stamps by :meth:`take`."""
 
     def __init__(self, path: Path) -> None:
-        self._log = BusLog(path, overwrite=True)
-
-    def __enter__(self) -> Self:
-        self._log.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._log.__exit__(kind, error, trace)
+        super().__init__(path, overwrite=True)
 
     def take(self, frame: Frame) -> None:
         """One more frame."""
-        self._log.write(
+        self.write(
             can.Message(
                 timestamp=frame.timestamp or 0.0,
                 arbitration_id=frame.can_id,
                 data=frame.data,
                 is_remote_frame=frame.rtr,
                 is_extended_id=False,
-                channel=CHANNEL,
+                channel=0,
             )
         )

@@ -1,18 +1,24 @@
-"""All logs of a folder: one table, which a second run completes."""
+"""All logs of a folder: one table, which a second run completes; in this process, or on Dask.
+
+Each log is noted beside the table as soon as it is done, with a fingerprint of the file, the settings and the
+version: a run that was interrupted goes on where it was, and a log that has changed is done again.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from types import TracebackType
+from typing import Any, Protocol, Self
 
 from canfb.errors import CanfbError, ConfigError, reason
-from canfb.logs.log_files import is_log
-from canfb.logs.log_replay import ReplayOptions
-from canfb.logs.log_rows import COLUMNS, LogJob, Row, job_of, rows_of
-from canfb.logs.parquet import read_rows, write_rows
+from canfb.logs.log_reader import is_log
+from canfb.logs.log_replay import COLUMNS, LogJob, ReplayOptions, Row, failed_rows, job_of, rows_of
+from canfb.logs.published_files import read_rows, write_rows
 
 PARQUET = ".parquet"
 
@@ -77,12 +83,12 @@ def do_work(
     settings: ReplayOptions,
     out: Path | None,
     pool: Pool,
-    heard: Callable[[float], None] = lambda part: None,
+    progress: Callable[[float], None] = lambda part: None,
 ) -> list[Row]:
     """Do the logs, write the table, and give all its rows, by log and module; None: no table is written.
 
     Each log is noted beside the table as soon as it is done: a run that is interrupted loses only those
-    that were in work. ``heard`` gets the part that is done, by bytes. CanfbError if a file fails.
+    that were in work. ``progress`` gets the part that is done, by bytes. CanfbError if a file fails.
     """
     rows = list(work.done)
     if out is None:
@@ -96,7 +102,7 @@ def do_work(
                 notes.writelines(f"{json.dumps(row)}\n" for row in found)
                 notes.flush()
                 ready += job.size
-                heard(ready / total)
+                progress(ready / total)
         rows.sort(key=lambda row: (row["log"], row["module"]))
         part = out.with_name(f"{out.name}.part")
         write_rows(part, rows, COLUMNS)
@@ -109,10 +115,6 @@ def do_work(
 
 def _unfinished(out: Path) -> Path:
     return out.with_name(f"{out.name}.unfinished")
-
-
-def _is_job(log: object, module: object) -> bool:
-    return isinstance(log, str) and isinstance(module, int)
 
 
 def _table_rows(out: Path) -> list[Row]:
@@ -141,6 +143,87 @@ def _unfinished_rows(out: Path) -> list[Row]:
             row = json.loads(line)
         except (ValueError, RecursionError):
             continue
-        if isinstance(row, dict) and set(COLUMNS) <= set(row) and _is_job(row["log"], row["module"]):
+        whole = isinstance(row, dict) and set(COLUMNS) <= set(row)
+        if whole and isinstance(row["log"], str) and isinstance(row["module"], int):
             rows.append(row)
     return rows
+
+
+HINT = "Dask is not there: pip install 'canfb[fleet]'; or --scheduler none, in this process alone"
+LOCAL = "local"
+CONNECT_S = 10
+RETRIES = 3  # of a log whose process was killed
+
+
+class DaskPool:
+    """A context manager around :meth:`run`.
+
+    ``scheduler`` is "local", for ``workers`` processes of this machine (None: one per CPU), each started
+    again if it is killed, or the address of a scheduler, whose workers must see the logs under the same
+    names. CanfbError without Dask, and for a scheduler that does not answer.
+    """
+
+    def __init__(self, scheduler: str = LOCAL, workers: int | None = None) -> None:
+        if scheduler != LOCAL and workers is not None:
+            raise ConfigError("--workers: a cluster has its own")
+        if workers is not None and workers < 1:
+            raise ConfigError(f"--workers {workers}: must be 1 at least")
+        self._scheduler, self._workers = scheduler, workers
+        self._opened = contextlib.ExitStack()
+        self.client: Any = None
+        self.cluster: Any = None
+
+    def __enter__(self) -> Self:
+        try:
+            import distributed as installed
+        except ImportError as error:
+            raise CanfbError(HINT) from error
+        distributed: Any = installed
+        self._distributed: Any = distributed
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a log that fails has its row
+        with contextlib.ExitStack() as opened:
+            if self._scheduler == LOCAL:
+                self.cluster = opened.enter_context(
+                    distributed.LocalCluster(
+                        n_workers=self._workers,
+                        threads_per_worker=1,
+                        processes=True,
+                        scheduler_kwargs={"dashboard": False},
+                        silence_logs=logging.CRITICAL,
+                    )
+                )
+            try:
+                client = distributed.Client(self.cluster or self._scheduler, timeout=CONNECT_S)
+            except (OSError, ValueError, TimeoutError) as error:
+                raise CanfbError(
+                    f"--scheduler {self._scheduler}: does not answer: {reason(error)}"
+                ) from error
+            self.client = opened.enter_context(client)
+            self._opened = opened.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._opened.close()
+
+    def run(self, jobs: Iterable[LogJob], settings: ReplayOptions) -> Iterator[tuple[LogJob, list[Row]]]:
+        """Each log with its rows, as they are done.
+
+        A log whose process is killed is done again, a few times. The largest come first: the end is not
+        spent waiting for one of them.
+        """
+        ordered = sorted(jobs, key=lambda job: -job.size)
+        shared = self.client.scatter(settings, broadcast=True)
+        futures = {
+            self.client.submit(rows_of, job, shared, pure=False, retries=RETRIES): job for job in ordered
+        }
+        for future in self._distributed.as_completed(list(futures)):
+            job = futures.pop(future)
+            error = future.exception()
+            if error is None:
+                yield job, future.result()
+            else:
+                why = f"{type(error).__name__}: its process was ended again and again"
+                yield job, failed_rows(job, settings, why)
+            future.release()

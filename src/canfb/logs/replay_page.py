@@ -8,8 +8,8 @@ import numpy as np
 
 from canfb.errors import CanfbError, reason
 from canfb.logs.log_replay import LogReplayed
+from canfb.replay.findings import Overview
 from canfb.replay.module_replay import ModuleReplay
-from canfb.replay.overview import Overview
 from canfb.replay.summary_of_replay import (
     RPM,
     comparison_facts,

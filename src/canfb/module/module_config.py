@@ -11,7 +11,7 @@ from canfb.objects import WriteLockMode
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.subsamples import MOST_PER_SYNC
-from canfb.sources.source_config import SourceConfig
+from canfb.sources.protocol import SourceConfig
 
 LOWEST_COB_ID, HIGHEST_COB_ID = 0x181, 0x57F
 MOST_GAP_BYTES = 4  # of a PDO with an INTEGER32

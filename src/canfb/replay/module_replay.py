@@ -1,28 +1,120 @@
-"""A module on the frames of a log, in the time of the log."""
+"""A module on the frames of a log, in the time of the log.
+
+The module is the one that ``canfb run`` serves, and it lives as in the runner: it gets each frame at the time
+of its stamp, deadlines that are due before it come first, and jobs are done between frames. Only the clock is
+another: the stamps. They are made to seconds since the first frame that never go back; a clock that was set,
+or a pause of more than a minute, changes the offset between the two and is counted (:class:`LogTime`).
+
+What the recorded module had sent is in the log, too. It does not come back to the module, which would take it
+for another node with its node-ID; it is compared with what is sent now. The NMT state at the beginning of the
+log is taken from the first frame that shows it (:func:`found_in`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
+from enum import Enum
 from itertools import chain, islice
 
 from canfb import objects as od
 from canfb.cia301 import cob
+from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtCommand
+from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.storage.storage import Store
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import Outcome
-from canfb.replay.fault_list import FaultList
-from canfb.replay.log_time import LONGEST_GAP_S, LogTime
-from canfb.replay.margins import Margins
-from canfb.replay.own_frames import Compared, OwnFrames
-from canfb.replay.pdo_fields import PdoFields
+from canfb.replay.findings import FaultList, Margins
+from canfb.replay.own_frames import Compared, OwnFrames, PdoFields
 from canfb.replay.sample_columns import Block, SampleColumns
-from canfb.replay.start_rule import BOOT_UP, HEAD_FRAMES, Begin, found_in
 from canfb.signal.correction import Correction
+
+LONGEST_GAP_S = 60.0
+"""A longer silence is cut to this: the module has lost everything by then that it can lose."""
+REORDERED_S = 1e-3
+"""A frame so much earlier than the one before was written down late; more is a clock that was set."""
+
+
+class LogTime:
+    """Turns stamps of a log (seconds, of any clock) into the seconds of ``now``.
+
+    ``origin_s`` is what has to be added to ``now`` to give the stamp. ``steps_back`` counts how often the
+    clock of the log was set back, ``gaps`` the silences of more than a minute, ``bad`` the frames whose
+    stamp was not a number.
+    """
+
+    __slots__ = ("bad", "begun", "gaps", "origin_s", "steps_back")
+
+    def __init__(self) -> None:
+        self.origin_s = 0.0
+        self.begun = False
+        self.steps_back = self.gaps = self.bad = 0
+
+    def judged(self, stamp_s: float, now: float) -> float:
+        """When a frame came of which ``now <= stamp_s - origin_s <= now + LONGEST_GAP_S`` does not hold.
+
+        Seconds of ``now``; up to a millisecond before it for a frame that was written down late.
+        """
+        if not math.isfinite(stamp_s):
+            self.bad += 1
+            return now
+        if not self.begun:
+            self.begun = True
+            self.origin_s = stamp_s
+            return now
+        received = stamp_s - self.origin_s
+        if now - REORDERED_S <= received < now:
+            return received
+        if received < now:
+            self.steps_back += 1
+        else:
+            self.gaps += 1
+            now += LONGEST_GAP_S
+        self.origin_s = stamp_s - now
+        return now
+
+
+HEAD_FRAMES = 20_000
+"""So many frames from the beginning of a log are asked."""
+BOOT_UP = b"\0"
+
+
+class Begin(Enum):
+    """How a replay begins."""
+
+    AUTO = "auto"
+    BOOT_UP = "boot-up"
+    PRE_OPERATIONAL = "pre-operational"
+    OPERATIONAL = "operational"
+
+
+def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) -> Begin:
+    """NMT state by the first frame that shows it.
+
+    A boot-up of the module: it is powered on there. A PDO of its own, or a heartbeat with 05h: it was
+    OPERATIONAL. Another heartbeat, or an NMT start: it was not. A log without any of these has no master:
+    OPERATIONAL, or the replay would show nothing.
+    """
+    error_control = ERROR_CONTROL + node_id
+    pdos = {can_id for can_id in own_can_ids if 0x180 < can_id < 0x580}
+    for can_id, data, rtr, _ in head:
+        if rtr:
+            continue
+        if can_id == error_control and len(data) == 1:
+            if data == BOOT_UP:
+                return Begin.BOOT_UP
+            running = data[0] & 0x7F == NmtState.OPERATIONAL
+            return Begin.OPERATIONAL if running else Begin.PRE_OPERATIONAL
+        if can_id in pdos:
+            return Begin.OPERATIONAL
+        if can_id == 0 and data[:1] == bytes([NmtCommand.START]) and data[1:2] in (b"\0", bytes([node_id])):
+            return Begin.PRE_OPERATIONAL
+    return Begin.OPERATIONAL
+
 
 POLL_S = 0.01  # from one look at the computations to the next, as the runner has it
 BATCH_FRAMES = 4096
@@ -86,9 +178,9 @@ class ModuleReplay:
         self._now = 0.0
         self._poll_s = 0.0
         self._boot_up_s = -RESET_ANSWER_S
-        self._routes_seen = -1
+        self._routes_known = -1
         self._own: frozenset[int] = frozenset()
-        self._heard: frozenset[int] = frozenset()
+        self._received_ids: frozenset[int] = frozenset()
         self._emergency_id: int | None = None
 
     @property
@@ -172,11 +264,11 @@ class ModuleReplay:
         self._give_out(self.module.receive(frame, now), now, pair)
 
     def _take(self, batch: list[Frame]) -> None:
-        """The hot path: a frame that the module does not hear costs next to nothing."""
+        """The hot path: a frame that the module does not receive costs next to nothing."""
         times, module = self.times, self.module
         receive, deadline = module.receive, module.deadline
         now, origin = self._now, times.origin_s
-        heard, own, poll_s, node = self._heard, self._own, self._poll_s, module.node
+        received_ids, own, poll_s, node = self._received_ids, self._own, self._poll_s, module.node
         for can_id, data, rtr, stamp in batch:
             received = (origin if stamp is None else stamp) - origin
             if now <= received <= now + LONGEST_GAP_S:
@@ -188,7 +280,7 @@ class ModuleReplay:
                 if origin != times.origin_s:
                     origin = times.origin_s
                     self._follow_origin()
-            if can_id in heard and not rtr:
+            if can_id in received_ids and not rtr:
                 due = deadline()
                 if due is not None and due < now:
                     self._tick(now)
@@ -205,9 +297,9 @@ class ModuleReplay:
             if now >= poll_s:
                 poll_s = self._poll_s = now + POLL_S
                 self._compute(now)
-            if node.route_changes != self._routes_seen:
+            if node.route_changes != self._routes_known:
                 self._look_round()
-                heard, own = self._heard, self._own
+                received_ids, own = self._received_ids, self._own
         self._now = now
         self.counters.frames += len(batch)
         self.counters.last_s = now + origin
@@ -221,7 +313,7 @@ class ModuleReplay:
             self._give_out(self.module.tick(due), due)
 
     def _compute(self, now: float) -> None:
-        """What the module wants computed is there at once; as the runner has it, not with each frame."""
+        """What the module has to compute is there at once; as the runner has it, not with each frame."""
         job = self.module.pending_job() if self._on else None
         if job is None:
             return
@@ -232,18 +324,18 @@ class ModuleReplay:
         self._give_out(self.module.finish_job(job, result, now), now)
 
     def _look_round(self) -> None:
-        """Who is heard now, and what is the module's own."""
+        """Which CAN-IDs it receives now, and which are its own."""
         if not self._on:
             return
         module = self.module
         node = module.node
         self._emergency_id = module.dictionary.entry(*od.EMCY_COB_ID).value & cob.CAN_ID
-        self._routes_seen = node.route_changes
-        self._own, self._heard = node.own_can_ids, node.received_can_ids
+        self._routes_known = node.route_changes
+        self._own, self._received_ids = node.own_can_ids, node.received_can_ids
         sync = module.dictionary.entry(*od.SYNC_COB_ID).value
         if sync & cob.GENERATE:
             self._own |= {sync & cob.CAN_ID}
-            self._heard -= self._own
+            self._received_ids -= self._own
 
     def _recorded(self, can_id: int, data: bytes, now: float) -> None:
         """A frame that the module itself had sent."""

@@ -6,9 +6,7 @@ import math
 from collections.abc import Collection
 from typing import Any
 
-from canfb.replay.drift_of_log import LogDrift
-from canfb.replay.fault_list import KINDS
-from canfb.replay.margins import Extreme
+from canfb.replay.findings import KINDS, Extreme, LogDrift
 from canfb.replay.module_replay import ModuleReplay
 from canfb.rows import Row, as_figures, as_lines
 

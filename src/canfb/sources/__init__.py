@@ -1,8 +1,6 @@
 """Where samples come from when not from the bus; a new kind is one file.
 
-protocol        what a module asks for its samples
-surroundings    what a source may ask of the program around it
-source_config   ``source:`` of a module, the base of all kinds
-source_watch    asks a source at each SYNC, whatever it does
-registry        finds the kinds: every ``*_source.py`` of this folder
+protocol        what a source is, its configuration, and the kinds: every ``*_source.py`` of this folder
+even_scans      the samples of a SYNC from the scans of a faster converter
+tracks_file     both tracks out of an NPZ file
 """

@@ -2,10 +2,10 @@
 
 A module that gets several samples for each SYNC takes them for equidistant: pair j was taken j/m of an
 interval before the newest. So they are chosen by counting scans, and not by the instant at which a SYNC was
-heard: with n scans in an interval the newest sample is the n-th scan after that of the SYNC before, and the
-others are n/m scans apart. The jitter of SYNC, and a program that is late, change nothing. Only the drift of
-the clock against SYNC moves this grid, by one scan, every some thousand SYNCs; the time of the newest scan
-says so.
+received: with n scans in an interval the newest sample is the n-th scan after that of the SYNC before, and
+the others are n/m scans apart. The jitter of SYNC, and a program that is late, change nothing. Only the
+drift of the clock against SYNC moves this grid, by one scan, every some thousand SYNCs; the time of the
+newest scan says so.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class EvenScans:
         interval, latest = self._interval, self._count - 1
         newest = last + interval
         lag = latest - newest
-        if lag >= interval:  # SYNCs that were not heard
+        if lag >= interval:  # SYNCs that were missed
             newest += lag // interval * interval
             lag %= interval
         if 2 * lag < -interval:

@@ -1,26 +1,186 @@
-"""A local ADC through Linux IIO as a source: its keys, and an open device that captures scan after scan.
+"""A local ADC through Linux IIO as a source: its keys, what the converter has, and capturing scan after scan.
 
 Nothing here has a thread or a clock; :class:`canfb.hosting.captured_source.CapturedSource` waits for the
 scans. One sample for each SYNC is the newest scan; ``scans_per_sync`` makes it one of an even grid, and
-several of them (:mod:`canfb.sources.even_scans`).
+several of them (:mod:`canfb.sources.even_scans`). libiio finds device, channels, formats, trigger, rate and
+clock; what the device does not have is a ConfigError that names the key.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from canfb.checks import flag, integer_in, number, text
-from canfb.errors import BusError, ConfigError
+from canfb.errors import BusError, CanfbError, ConfigError, reason
 from canfb.signal.sample import Sample
 from canfb.signal.subsamples import MOST_PER_SYNC
-from canfb.sources import iio_device
 from canfb.sources.even_scans import LEAST_SCANS_PER_SYNC, MOST_SCANS_PER_SYNC, EvenScans
-from canfb.sources.protocol import Source
-from canfb.sources.source_config import SourceConfig
-from canfb.sources.surroundings import Surroundings
+from canfb.sources.protocol import Source, SourceConfig, Surroundings
+
+TIMESTAMP = "timestamp"
+FIRE = "trigger_now"  # attribute of a sysfs trigger
+SAMPLING_FREQUENCY = "sampling_frequency"
+TIMESTAMP_CLOCK = "current_timestamp_clock"
+MOST_BITS = 16  # of object 2000h
+TIMEOUT_MS = 2000
+
+
+class ChannelScaling:
+    """From the readings of a channel to ADC counts of ``adc_bits``, 4..16.
+
+    A converter of more than 16 bits loses the last ones. A reading at either end of its range is a
+    count at the end of the range, wherever mid-scale is: it counts as clipped.
+    """
+
+    def __init__(self, bits: int, signed: bool, mid_scale: float | None) -> None:
+        self.adc_bits = min(bits, MOST_BITS)
+        self._lowest = -(1 << bits - 1) if signed else 0
+        self._highest = self._lowest + (1 << bits) - 1
+        self._mid_scale = float(0 if signed else 1 << bits - 1) if mid_scale is None else mid_scale
+        self._divisor = 1 << bits - self.adc_bits
+        self._full_scale = 1 << self.adc_bits - 1
+
+    def counts(self, reading: int) -> int:
+        """Counts of a reading, -2**(adc_bits - 1) to 2**(adc_bits - 1) - 1."""
+        full_scale = self._full_scale
+        if reading <= self._lowest:
+            return -full_scale
+        if reading >= self._highest:
+            return full_scale - 1
+        counts = round((reading - self._mid_scale) / self._divisor)
+        return max(-full_scale, min(counts, full_scale - 1))
+
+
+class ChannelValues:
+    """Reads a channel out of a buffer; libiio makes numbers of its byte order, bits and sign."""
+
+    def __init__(self, channel: Any) -> None:
+        channel.enabled = True
+        self._channel = channel
+        self._bytes = channel.data_format.length // 8
+        self._signed = bool(channel.data_format.is_signed)
+
+    def last(self, buffer: Any) -> int:
+        """The reading of the last scan."""
+        data = self._channel.read(buffer)
+        if len(data) < self._bytes:
+            raise OSError(errno.EIO, "the buffer is empty")
+        return int.from_bytes(data[-self._bytes :], sys.byteorder, signed=self._signed)
+
+
+def binding() -> Any:
+    """libiio's Python binding. BusError where it is missing, or too new."""
+    try:
+        import iio
+    except ImportError:
+        raise BusError("source kind iio needs libiio's Python binding: pip install 'canfb[iio]'") from None
+    except (AttributeError, OSError):  # how the binding fails without its library
+        raise BusError("source kind iio needs the library libiio: apt-get install libiio0") from None
+    if iio.version[0] != 0:
+        raise BusError(f"source kind iio needs libiio 0.x and pylibiio below 1, not {iio.version[2]}")
+    return iio
+
+
+def open_context(iio: Any, uri: str) -> Any:
+    """The context, which waits two seconds at most. BusError."""
+    try:
+        context = iio.Context(uri)
+        context.set_timeout(TIMEOUT_MS)
+    except OSError as error:
+        raise BusError(f"IIO context {uri!r}: {hint(error)}") from error
+    return context
+
+
+def find_device(iio: Any, context: Any, name: str, uri: str) -> Any:
+    """The device with this name, id or label."""
+    device = context.find_device(name) if name.isascii() else None
+    if device is None or isinstance(device, iio.Trigger):
+        names = [_name(one) for one in context.devices if not isinstance(one, iio.Trigger)]
+        raise _missing("device", name, f"in {uri}", names)
+    return device
+
+
+def find_channel(device: Any, key: str, name: str) -> Any:
+    """The channel with this name or id, which is that of ``key``; it has a place in the buffer."""
+    channel = device.find_channel(name) if name.isascii() else None
+    if channel is None or not channel.scan_element:
+        names = [one.id for one in device.channels if one.scan_element and not one.output]
+        found = "of a buffer " if channel is not None else ""
+        raise _missing(key, name, f"as a channel {found}in {_name(device)}", names)
+    return channel
+
+
+def find_timestamp(device: Any) -> Any:
+    """The channel with the kernel's time of a scan."""
+    channel = device.find_channel(TIMESTAMP)
+    if channel is None or not channel.scan_element:
+        raise ConfigError(f"source: time_stamps: {_name(device)} has no time stamps; set time_stamps: false")
+    return channel
+
+
+def common_scaling(tracks: Mapping[str, Any], mid_scale: float | None) -> ChannelScaling:
+    """Of both channels, by their keys; they must have one format."""
+    formats = {key: (channel.id, channel.data_format) for key, channel in tracks.items()}
+    for key, (name, one) in formats.items():
+        if one.repeat > 1:
+            raise ConfigError(f"source: {key}: {name!r} has {one.repeat} values in a scan")
+        if not 4 <= one.bits <= 64:
+            raise ConfigError(f"source: {key}: {name!r} has {one.bits} bits, not 4 to 64")
+    (first, sine), (second, cosine) = formats.values()
+    if (sine.bits, bool(sine.is_signed)) != (cosine.bits, bool(cosine.is_signed)):
+        raise ConfigError(f"source: cosine: the format of {second!r} differs from that of {first!r}")
+    return ChannelScaling(sine.bits, bool(sine.is_signed), mid_scale)
+
+
+def give_trigger(iio: Any, context: Any, device: Any, name: str, uri: str) -> Any:
+    """The trigger with this name or id; the device has it from now on."""
+    trigger = context.find_device(name) if name.isascii() else None
+    if not isinstance(trigger, iio.Trigger):
+        names = [_name(one) for one in context.devices if isinstance(one, iio.Trigger)]
+        raise _missing("trigger", name, f"in {uri}", names)
+    device.trigger = trigger
+    return trigger
+
+
+def set_rate(trigger: Any, device: Any, rate_hz: int) -> None:
+    """The sampling frequency, of the trigger (None: there is none) if it has one, else of the device."""
+    for one in (trigger, device):
+        if one is not None and SAMPLING_FREQUENCY in one.attrs:
+            one.attrs[SAMPLING_FREQUENCY].value = str(rate_hz)
+            return
+    raise ConfigError(f"source: rate_hz: neither trigger nor {_name(device)} has a {SAMPLING_FREQUENCY}")
+
+
+def choose_clock(device: Any) -> None:
+    """A clock that is never set, where there is the choice; the default is the calendar's."""
+    if TIMESTAMP_CLOCK in device.attrs:
+        with contextlib.suppress(OSError):
+            device.attrs[TIMESTAMP_CLOCK].value = "monotonic"
+
+
+def hint(error: OSError) -> str:
+    """The reason, and what to look at."""
+    hints = {
+        errno.ENOENT: "; is the driver of a converter loaded?",
+        errno.EINVAL: "; is a trigger missing?",
+        errno.EBUSY: "; another program captures it",
+        errno.EACCES: "; see the permissions of /dev/iio:device*",
+    }
+    return f"{reason(error)}{hints.get(error.errno or 0, '')}"
+
+
+def _name(device: Any) -> str:
+    return f"{device.id} ({device.name})" if device.name else str(device.id)
+
+
+def _missing(key: str, name: str, where: str, there: list[str]) -> CanfbError:
+    return ConfigError(f"source: {key}: no {name!r} {where}; there is {', '.join(there) or 'nothing'}")
+
 
 US = 1e-6
 NS_PER_100NS = 100
@@ -114,31 +274,31 @@ class IioSourceConfig(SourceConfig):
 
 
 class IioCapture:
-    """A :class:`canfb.sources.surroundings.Capture`: an open device, whose kernel buffers both channels.
+    """A :class:`canfb.sources.protocol.Capture`: an open device, whose kernel buffers both channels.
 
     ConfigError, which names the key, for what the device does not have; BusError for what does not
     work. :meth:`refill` may be called in another thread than :meth:`fire` and :meth:`cancel`.
     """
 
     def __init__(self, config: IioSourceConfig) -> None:
-        iio = iio_device.binding()
-        self._context = iio_device.open_context(iio, config.uri)
+        iio = binding()
+        self._context = open_context(iio, config.uri)
         try:
             self._open(iio, config)
         except OSError as error:
             where = f"IIO device {config.device!r} of {config.uri}"
-            raise BusError(f"{where}: {iio_device.hint(error)}") from error
+            raise BusError(f"{where}: {hint(error)}") from error
 
     def _open(self, iio: Any, config: IioSourceConfig) -> None:
-        device = self._device = iio_device.find_device(iio, self._context, config.device, config.uri)
+        device = self._device = find_device(iio, self._context, config.device, config.uri)
         tracks = {
-            key: iio_device.find_channel(device, key, wanted)
-            for key, wanted in (("sine", config.sine), ("cosine", config.cosine))
+            key: find_channel(device, key, name)
+            for key, name in (("sine", config.sine), ("cosine", config.cosine))
         }
         channels = list(tracks.values())
         if config.time_stamps:
-            channels.append(iio_device.find_timestamp(device))
-        self._scaling = iio_device.common_scaling(tracks, config.mid_scale)
+            channels.append(find_timestamp(device))
+        self._scaling = common_scaling(tracks, config.mid_scale)
         if config.adc_bits not in (None, self.adc_bits):
             bits = tracks["sine"].data_format.bits
             raise ConfigError(
@@ -146,18 +306,18 @@ class IioCapture:
             )
         self._trigger = None
         if config.trigger is not None:
-            self._trigger = iio_device.give_trigger(iio, self._context, device, config.trigger, config.uri)
+            self._trigger = give_trigger(iio, self._context, device, config.trigger, config.uri)
         if config.scans_per_sync is not None and self.is_fired:
             raise ConfigError(
                 f"source: trigger: {config.trigger!r} gives one scan for each SYNC; scans_per_sync needs one "
                 "that has a clock"
             )
         if config.rate_hz is not None:
-            iio_device.set_rate(self._trigger, device, config.rate_hz)
-        iio_device.choose_clock(device)
+            set_rate(self._trigger, device, config.rate_hz)
+        choose_clock(device)
         for channel in device.channels:
             channel.enabled = False
-        self._channels = [iio_device.ChannelValues(channel) for channel in channels]
+        self._channels = [ChannelValues(channel) for channel in channels]
         device.set_kernel_buffers_count(config.buffer_scans)
         self._buffer = iio.Buffer(device, 1)
         self._taken_ns: int | None = None  # time of the last scan
@@ -170,12 +330,12 @@ class IioCapture:
     @property
     def is_fired(self) -> bool:
         """The trigger waits for :meth:`fire`."""
-        return self._trigger is not None and iio_device.FIRE in self._trigger.attrs
+        return self._trigger is not None and FIRE in self._trigger.attrs
 
     def fire(self) -> None:
         """Have one scan taken. OSError if that fails."""
         assert self._trigger is not None
-        self._trigger.attrs[iio_device.FIRE].value = "1"
+        self._trigger.attrs[FIRE].value = "1"
 
     def refill(self) -> Sample | None:
         """Wait for the next scan; None if there was none for two seconds. OSError when capturing ends.

@@ -11,9 +11,7 @@ import numpy.typing as npt
 
 from canfb.checks import number
 from canfb.signal.sample import Sample
-from canfb.sources.protocol import Source
-from canfb.sources.source_config import SourceConfig
-from canfb.sources.surroundings import Surroundings
+from canfb.sources.protocol import Source, SourceConfig, Surroundings
 
 RevolutionsAt = Callable[[float], float]
 """Position of the shaft in revolutions as a function of its time in seconds."""

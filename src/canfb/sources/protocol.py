@@ -1,11 +1,25 @@
-"""Where samples come from: one small interface for a local ADC, a recording and a simulated machine."""
+"""Where samples come from: one small interface for a local ADC, a recording and a simulated machine.
+
+A :class:`Source` is passive: it is asked for one sample at each SYNC, and never waits. What it needs of the
+program around it, threads for a converter above all, comes to it as :class:`Surroundings` when it is opened.
+So a kind of source is one file, ``*_source.py`` of this folder, with a subclass of :class:`SourceConfig`, and
+nothing else knows of it: :func:`source_kinds` finds them. Whatever a source does, its node stays on the bus
+(:class:`SourceWatch`).
+"""
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+import contextlib
+import importlib
+import math
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
 
+import canfb.sources
 from canfb.errors import CanfbError
-from canfb.signal.sample import Sample
+from canfb.signal.sample import TICKS, Sample
 
 
 class Source(Protocol):
@@ -51,3 +65,215 @@ class SourceEnded(Exception):
 
 class SourceError(CanfbError):
     """A source that cannot give its sample; the text says what and where."""
+
+
+class Capture(Protocol):
+    """An open converter that captures scans. It may block: only a thread of ``bus/`` waits for it.
+
+    :meth:`refill` may be called in another thread than :meth:`fire` and :meth:`cancel`.
+    """
+
+    @property
+    def adc_bits(self) -> int:
+        """Bits of a count, 4..16."""
+
+    @property
+    def is_fired(self) -> bool:
+        """Each scan waits for :meth:`fire`."""
+
+    def fire(self) -> None:
+        """Have one scan taken. OSError if that fails."""
+
+    def refill(self) -> Sample | None:
+        """Wait for the next scan, some seconds at most; None if there was none. OSError when it ends."""
+
+    def cancel(self) -> None:
+        """Let :meth:`refill` end with an OSError, now and ever after."""
+
+
+class Picked(Protocol):
+    """Which scans are the sample of a SYNC: :mod:`canfb.sources.even_scans`."""
+
+    @property
+    def per_sync(self) -> int:
+        """Pairs of sine and cosine in a sample, 1..4."""
+
+    def came(self, scan: Sample) -> None:
+        """A scan, in the order in which they are taken."""
+
+    def forget(self) -> None:
+        """What has come is of no use any more."""
+
+    def take(self) -> Sample | None:
+        """The sample of this SYNC; None where there is none. SourceError."""
+
+
+class Captured(Protocol):
+    """Runs a capture in a thread, and gives a sample of its scans for each SYNC."""
+
+    def __call__(
+        self, opened: Callable[[], Capture], name: str, wait_s: float, picked: Picked | None
+    ) -> Source:
+        """The source. What ``opened`` raises now goes through; later it is tried again every second.
+
+        ``name`` is that of the thread. A SYNC waits ``wait_s`` for a scan that it has fired. ``picked``
+        chooses the scans; None: the newest is the sample.
+        """
+
+
+class SimulatedMachine(Protocol):
+    """The machine of the ``simulation:`` section."""
+
+    def source(self, adc_bits: int, cycles_per_revolution: int, interval_s: float) -> Source:
+        """Its encoder, sampled once every ``interval_s`` seconds."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What there is for a source that is opened.
+
+    adc_bits, cycles_per_revolution   of the module
+    simulation                        the simulated machine
+    captured                          threads for converters
+    resources                         what is entered there is closed when the program ends
+    """
+
+    adc_bits: int
+    cycles_per_revolution: int
+    simulation: SimulatedMachine
+    captured: Captured
+    resources: contextlib.ExitStack
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceConfig:
+    """One source, as the configuration has it; each kind is a class of its own, in a file of its own.
+
+    Its fields are the keys of the YAML, but those with ``metadata={"key": False}``; one that holds a list
+    has ``metadata={"list": True}``. ValueError for a wrong value, with the name of the key before all.
+
+    kind   the word after ``kind:``: which source it is
+    """
+
+    kind: str = ""
+
+    def __post_init__(self) -> None:
+        own_kind = type(self).kind
+        if self.kind != own_kind:
+            raise ValueError(f"kind must be {own_kind} here, not {self.kind!r}")
+
+    @property
+    def title(self) -> str:
+        """What it is, for messages."""
+        return f"source {self.kind!r}"
+
+    def of_module(self, keys: Mapping[str, Any]) -> SourceConfig:
+        """The same, for a module with these keys in its configuration: those alone that are there."""
+        return self
+
+    def check_machine(self) -> None:
+        """ConfigError, which names the key, for what cannot be on this machine. Nothing is opened."""
+
+    def open(self, surroundings: Surroundings) -> Source:
+        """The source. CanfbError, in one line, for one that cannot be used."""
+        raise NotImplementedError
+
+
+def column(name: str, value: object) -> None:
+    """ValueError unless ``value`` is the name or the number of a column."""
+    if isinstance(value, bool) or not isinstance(value, (str, int)) or value == "":
+        raise ValueError(f"{name} must be a name or a number from 0, not {value!r}")
+
+
+ENDING = "_source"
+
+
+def source_kinds() -> dict[str, type[SourceConfig]]:
+    """The class for each word after ``kind:``, in alphabetical order."""
+    names = (name for _, name, _ in pkgutil.iter_modules(canfb.sources.__path__) if name.endswith(ENDING))
+    found = (_kind_of(name) for name in names)
+    return {kind.kind: kind for kind in sorted(found, key=lambda kind: kind.kind)}
+
+
+def _kind_of(name: str) -> type[SourceConfig]:
+    """The one subclass of SourceConfig that the file defines."""
+    module = importlib.import_module(f"{canfb.sources.__name__}.{name}")
+    (kind,) = (
+        thing
+        for thing in vars(module).values()
+        if isinstance(thing, type) and issubclass(thing, SourceConfig) and thing.__module__ == module.__name__
+    )
+    return kind
+
+
+SETTLED_S = 1.0  # without a failure, before a source is said to work again
+LEAST, MOST = -32768, 32767  # INTEGER16
+
+
+class SourceWatch:
+    """Calls ``ask`` for one sample at each SYNC; nothing that it raises goes through.
+
+    ``tell`` gets one line when the source fails, when it works again, and when it has ended.
+    """
+
+    def __init__(self, ask: Callable[[], Sample | None], tell: Callable[[str], None]) -> None:
+        self._ask = ask
+        self._tell = tell
+        self._failed_s: float | None = None
+        self.ended = False
+        """The source has no sample left."""
+
+    @property
+    def failing(self) -> bool:
+        """It has failed, and has not worked for a second since."""
+        return self._failed_s is not None
+
+    def sample(self, now: float) -> Sample | None:
+        """The sample of the SYNC at ``now`` (seconds), in whole counts; None for a missed one."""
+        if self.ended:
+            return None
+        try:
+            sample = self._ask()
+            if sample is not None:
+                sample = _checked(sample)
+        except SourceEnded:
+            self.ended = True
+            self._tell("the source has ended: no more samples")
+            return None
+        except Exception as error:  # a node on a bus outlives its converter, whatever the driver raises
+            first, self._failed_s = self._failed_s is None, now
+            if first:
+                self._tell(f"the source fails: {_one_line(error)}")
+            return None
+        if sample is not None and self._failed_s is not None and now - self._failed_s >= SETTLED_S:
+            self._failed_s = None
+            self._tell("the source works again")
+        return sample
+
+
+def _checked(sample: Sample) -> Sample:
+    """The sample in whole counts; half a coarse track is none. ValueError for what no object can hold."""
+    sine, cosine = _counts("sine", sample.sine), _counts("cosine", sample.cosine)
+    if not 0.0 < sample.elapsed <= TICKS:
+        raise ValueError(f"elapsed {sample.elapsed} is not a number of intervals")
+    if sample.zero_pulse is not None and not 0.0 <= sample.zero_pulse <= 1.0:
+        raise ValueError(f"zero_pulse {sample.zero_pulse} is not a fraction of the interval")
+    coarse_sine = coarse_cosine = None
+    if sample.coarse_sine is not None and sample.coarse_cosine is not None:
+        coarse_sine = _counts("coarse_sine", sample.coarse_sine)
+        coarse_cosine = _counts("coarse_cosine", sample.coarse_cosine)
+    earlier = tuple((_counts("sine", one), _counts("cosine", other)) for one, other in sample.earlier)
+    return sample._replace(
+        sine=sine, cosine=cosine, coarse_sine=coarse_sine, coarse_cosine=coarse_cosine, earlier=earlier
+    )
+
+
+def _counts(name: str, value: float) -> int:
+    if not math.isfinite(value) or not LEAST <= (counts := round(value)) <= MOST:
+        raise ValueError(f"{name} {value} does not fit INTEGER16")
+    return counts
+
+
+def _one_line(error: Exception) -> str:
+    text = str(error).strip().splitlines()
+    return text[0] if text else type(error).__name__

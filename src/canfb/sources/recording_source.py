@@ -17,9 +17,7 @@ from canfb.checks import flag, integer_in, number, text
 from canfb.errors import CanfbError, ConfigError
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import TICK_S, Sample
-from canfb.sources.protocol import Source, SourceEnded
-from canfb.sources.source_config import SourceConfig, column
-from canfb.sources.surroundings import Surroundings
+from canfb.sources.protocol import Source, SourceConfig, SourceEnded, Surroundings, column
 from canfb.sources.tracks_file import read_tracks
 
 LARGEST_TIME_S = 1e12

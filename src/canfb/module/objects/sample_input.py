@@ -15,8 +15,7 @@ from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.rpdo import Rpdo
 from canfb.signal.sample import TICK_S, TICKS, Sample
-from canfb.sources.protocol import Grouped, Source
-from canfb.sources.source_watch import SourceWatch
+from canfb.sources.protocol import Grouped, Source, SourceWatch
 
 PARTS = (
     od.SAMPLE_SINE,
