@@ -11,8 +11,7 @@ from typing import Any
 import can
 import pytest
 
-from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE, FrameBus, Received
-from canfb.bus.python_can_bus import PythonCanBus
+from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE, FrameBus, PythonCanBus, Received
 from canfb.bus.raw_can_bus import RawCanBus
 from canfb.cia301.frame import Frame
 
@@ -142,8 +141,8 @@ class WiredBus:
         self._fake.send(unpacked(self._far.recv(CAN_FRAME.size)))
         return True
 
-    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
-        self._raw.hear(can_ids, remote_can_ids)
+    def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+        self._raw.accept(can_ids, remote_can_ids)
 
     def __enter__(self) -> WiredBus:
         return self

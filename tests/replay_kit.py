@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 
-from canfb.bus.python_can_bus import PythonCanBus
+from canfb.bus.frame_bus import PythonCanBus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore

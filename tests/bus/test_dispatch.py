@@ -189,7 +189,7 @@ class Bus:
         self.sent.append((round(self.clock.now, 9), can_id, data, remote))
         return True
 
-    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+    def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
         self.heard = (
             None if can_ids is None else frozenset([*can_ids, *(one | REMOTE for one in remote_can_ids)])
         )

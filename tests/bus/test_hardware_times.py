@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.bus.receive_times import LONGEST_LATENCY_S, WINDOW_S, HardwareTimes
+from canfb.bus.clocks import LONGEST_LATENCY_S, WINDOW_S, HardwareTimes
 
 WALL_S, HARDWARE_S = 1.8e9, 77.0
 LEAST_DELAY_S = 20e-6

@@ -13,6 +13,7 @@ import can
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
+from canfb.bus.frame_bus import PythonCanBus, brings_own_frames_back, marks_own_frames
 from canfb.bus.opening import (
     check_device_bus,
     describe,
@@ -21,7 +22,6 @@ from canfb.bus.opening import (
     open_device_bus,
     reason,
 )
-from canfb.bus.python_can_bus import PythonCanBus, brings_own_frames_back, marks_own_frames
 from canfb.bus.raw_can_bus import RawCanBus
 from canfb.errors import BusError, CanfbError, ConfigError
 

@@ -272,17 +272,17 @@ def test_filters_are_exact_and_set_when_they_change(wire: Wire) -> None:
     kernel = Filters()
     wire.bus._is_can = True
     keeps, wire.bus._socket = wire.bus._socket, kernel  # type: ignore[assignment]
-    wire.bus.hear({0x080, 0x190}, {0x1A0})
-    wire.bus.hear({0x190, 0x080}, {0x1A0})
+    wire.bus.accept({0x080, 0x190}, {0x1A0})
+    wire.bus.accept({0x190, 0x080}, {0x1A0})
     mask = 0xC000_07FF
     assert kernel.set == [struct.pack("=6I", 0x080, mask, 0x190, mask, 0x1A0 | REMOTE, mask)]
-    wire.bus.hear(None, ())
+    wire.bus.accept(None, ())
     assert kernel.set[1:] == [struct.pack("=II", 0, EXTENDED)], "all but 29-bit identifiers"
-    wire.bus.hear(range(MOST_FILTERS), {0x1A0})
+    wire.bus.accept(range(MOST_FILTERS), {0x1A0})
     assert len(kernel.set) == 2, "more than the kernel takes: all again"
     kernel.gone = True
-    wire.bus.hear({0x080}, ())
+    wire.bus.accept({0x080}, ())
     kernel.gone = False
-    wire.bus.hear({0x080}, ())
+    wire.bus.accept({0x080}, ())
     assert kernel.set[2:] == [struct.pack("=2I", 0x080, mask)], "an interface that is gone is told by reading"
     wire.bus._socket = keeps

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.bus.receive_times import LARGEST_STEP_S, LEARNED_FRAMES, LONGEST_DELAY_S, ReceiveTimes
+from canfb.bus.clocks import LARGEST_STEP_S, LEARNED_FRAMES, LONGEST_DELAY_S, ReceiveTimes
 
 RESOLUTION_S = 1e-6  # of a float that holds a time of day
 STEPS = [-3600.0, -1.0, -0.01, -0.001, 0.001, 0.01, 1.0, 3600.0]

@@ -11,8 +11,7 @@ import can
 import pytest
 from can.interfaces.socketcan import SocketcanBus
 
-from canfb.bus.python_can_bus import PythonCanBus
-from canfb.bus.reception import NamedInterface, Reception, enlarge_queue_of
+from canfb.bus.frame_bus import NamedInterface, PythonCanBus, Reception, enlarge_queue_of
 from canfb.bus.shared_bus import SharedBus
 from canfb.errors import BusError
 from canfb.monitoring.dumping import Dumping

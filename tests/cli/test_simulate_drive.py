@@ -10,7 +10,7 @@ from pathlib import Path
 import can
 import pytest
 
-from canfb.bus.python_can_bus import PythonCanBus
+from canfb.bus.frame_bus import PythonCanBus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser, main
@@ -18,7 +18,7 @@ from canfb.cli.simulate import chosen
 from canfb.configuration import Config, parse_config
 from canfb.device.device_protocol import Device
 from canfb.errors import ConfigError
-from canfb.hosting.simulating import fed_module
+from canfb.hosting.serving import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.plant import DriveConfig

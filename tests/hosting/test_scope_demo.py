@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from canfb.bus.bus_master import BusMaster
+from canfb.bus.frame_bus import PythonCanBus
 from canfb.bus.opening import open_bus
-from canfb.bus.python_can_bus import PythonCanBus
 from canfb.cia301 import cob
 from canfb.hosting.trying import NODE, ScopeDemo
 

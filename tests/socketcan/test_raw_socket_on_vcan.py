@@ -15,9 +15,8 @@ from network import frame, frames
 from pace import Pace
 
 from canfb.bus.bus_state import ERROR_RESTARTED
-from canfb.bus.frame_bus import ERROR, REMOTE, Received
+from canfb.bus.frame_bus import ERROR, REMOTE, PythonCanBus, Received
 from canfb.bus.opening import open_device_bus
-from canfb.bus.python_can_bus import PythonCanBus
 from canfb.bus.raw_can_bus import RawCanBus
 from canfb.bus.runner import Runner
 from canfb.cia301.nmt import NmtState
@@ -65,14 +64,14 @@ def test_it_hears_others_and_not_itself(raw: RawCanBus, can_bus: can.BusABC, pac
 
 
 def test_the_kernel_leaves_out_what_nobody_needs(raw: RawCanBus, can_bus: can.BusABC, pace: Pace) -> None:
-    raw.hear({0x080, 0x190}, {0x720})
+    raw.accept({0x080, 0x190}, {0x720})
     for can_id in (0x081, 0x080, 0x191, 0x190, 0x720):
         can_bus.send(frame(can_id))
     can_bus.send(can.Message(arbitration_id=0x080, is_extended_id=True))
     can_bus.send(can.Message(arbitration_id=0x190, is_extended_id=False, is_remote_frame=True))
     can_bus.send(can.Message(arbitration_id=0x720, is_extended_id=False, is_remote_frame=True))
     assert [one for one, _, _ in heard(raw, pace, 0x720 | REMOTE)] == [0x080, 0x190, 0x720 | REMOTE]
-    raw.hear(None, ())
+    raw.accept(None, ())
     can_bus.send(frame(0x333))
     assert [one for one, _, _ in heard(raw, pace, 0x333)] == [0x333]
 
@@ -90,7 +89,7 @@ def test_no_frame_is_lost_while_filters_change(
             time.sleep(0)
         sender.send(frame(0x7F1))
 
-    raw.hear({0x080, 0x7F1}, ())
+    raw.accept({0x080, 0x7F1}, ())
     thread = threading.Thread(target=send)
     thread.start()
     numbers: list[int] = []
@@ -98,7 +97,7 @@ def test_no_frame_is_lost_while_filters_change(
     end = time.monotonic() + pace.patience_s
     while not last and time.monotonic() < end:
         changes += 1
-        raw.hear({0x080, 0x7F1, *range(0x100, 0x100 + changes % 300)}, {0x720 + changes % 2})
+        raw.accept({0x080, 0x7F1, *range(0x100, 0x100 + changes % 300)}, {0x720 + changes % 2})
         for can_id, data, _ in raw.receive(0.001) or []:
             last |= can_id == 0x7F1
             numbers += [int.from_bytes(data, "little")] * (can_id == 0x080)

@@ -26,8 +26,7 @@ import can
 import canopen
 from can.interfaces.socketcan import SocketcanBus, socketcan
 
-from canfb.bus.frame_bus import FrameBus
-from canfb.bus.python_can_bus import PythonCanBus
+from canfb.bus.frame_bus import FrameBus, PythonCanBus
 from canfb.bus.raw_can_bus import RawCanBus
 from canfb.bus.runner import LONGEST_WAIT_S, outside_collections
 from canfb.cli.main import main as canfb

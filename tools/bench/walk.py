@@ -134,7 +134,7 @@ class WalkedBus:
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
         return True
 
-    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+    def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
         pass
 
 

@@ -219,7 +219,7 @@ class _Socket:
             self._sent.append(Frame(can_id, data, remote))
         return not self.full
 
-    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+    def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
         """See :class:`canfb.bus.frame_bus.FrameBus`."""
         self._heard = None if can_ids is None else frozenset((*can_ids, *remote_can_ids))
 

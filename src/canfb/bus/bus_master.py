@@ -15,7 +15,7 @@ from canopen.sdo.client import SdoClient
 from canfb.cia301 import cob
 from canfb.errors import BusError, reason
 
-Hear = Callable[[int, bytes, float], None]
+OnFrame = Callable[[int, bytes, float], None]
 Client = Any  # canopen.sdo.SdoClient, which has no types
 LOOK_S = 0.05  # how late a bus that has failed may be noticed
 STOP_S = 1.0  # for the receiving thread to end
@@ -60,13 +60,13 @@ class BusMaster:
             self._clients[node_id] = client
         return self._clients[node_id]
 
-    def subscribe(self, can_id: int, hear: Hear) -> None:
-        """Call ``hear`` with CAN-ID, data and time stamp of each data frame; in the receiving thread."""
-        self._network.subscribe(can_id, hear)
+    def subscribe(self, can_id: int, on_frame: OnFrame) -> None:
+        """Call ``on_frame`` with CAN-ID, data and time stamp of each data frame; in the receiving thread."""
+        self._network.subscribe(can_id, on_frame)
 
-    def unsubscribe(self, can_id: int, hear: Hear) -> None:
+    def unsubscribe(self, can_id: int, on_frame: OnFrame) -> None:
         """No more of it."""
-        self._network.unsubscribe(can_id, hear)
+        self._network.unsubscribe(can_id, on_frame)
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a data frame."""
@@ -83,7 +83,7 @@ class BusMaster:
             raise BusError(f"a frame could not be sent: {reason(error)}") from error
 
     def produce_sync(self, rate_hz: float) -> None:
-        """Send the SYNC at this rate until the end; the bus must have been opened to hear its own frames."""
+        """Send the SYNC at this rate until the end; the bus must receive its own frames."""
         message = can.Message(arbitration_id=cob.SYNC, is_extended_id=False)
         try:
             self._syncs.append(self._bus.send_periodic(message, 1.0 / rate_hz))

@@ -50,7 +50,7 @@ class FailureWatch:
 
 
 class BusState:
-    """Gone or there. The runner notes what it sees; `lost` and `returned` say, once each, what that means.
+    """Gone or there. The runner notes what happens; `lost` and `returned` say, once each, what that means.
 
     Gone: an error frame of SocketCAN says bus-off, a failure says that the interface is down, or
     reading fails for LASTING_S. A full queue and a single bad datagram are neither. There again:
@@ -65,7 +65,7 @@ class BusState:
         self.gone = False
         self.troubled = False
         """Whether `reading_worked` and `sending_worked` must be called."""
-        self._told = True
+        self._notified = True
         self._bus_off = False
         self._recovered = ""  # what is to be reported at the end of what was reported
         self._alive_s: float | None = None
@@ -110,9 +110,9 @@ class BusState:
 
     def lost(self) -> bool:
         """True once for each failure of the bus, also one before its return was reported."""
-        if self._told:
+        if self._notified:
             return False
-        self._told = True
+        self._notified = True
         return True
 
     def returned(self, now: float) -> bool:
@@ -138,7 +138,7 @@ class BusState:
 
     def _lose(self) -> None:
         if not self.gone or self._alive_s is not None:
-            self._told = False
+            self._notified = False
         self.gone = self.troubled = True
         self._alive_s = None
 

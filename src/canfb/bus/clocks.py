@@ -1,16 +1,27 @@
-"""The clock of durations, and the date and the time of day, for files and lines of a log."""
+"""Clocks: of durations, of the time of day, of CAN controllers; and receive times on that of durations.
+
+A module compares receive times with ``now``, which is monotonic. The stamp of a frame is of another clock:
+the time of day where the kernel stamps, the controller's own, or that of a USB adapter. A frame that was
+received at t and taken at t + d, d >= 0, shows the difference of two clocks as offset + d. So the least of
+many differences is the offset with the least delay, which is the same for all frames and does not matter. All
+estimates here are such a least difference; as clocks drift, it may rise: in windows (:class:`HardwareTimes`),
+or by DRIFT (:class:`OtherClock`). For the time of day nothing is estimated, as that clock can be read beside
+the other one.
+"""
 
 from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
+from math import inf, isfinite, nan
 
 from canfb.errors import ConfigError
 
 
 def now_s() -> float:
-    """Seconds since some moment; no setting of the time of day moves it."""
+    """Seconds since an arbitrary instant; no setting of the time of day moves it."""
     return time.monotonic()
 
 
@@ -42,3 +53,143 @@ def file_date_and_time() -> tuple[str, str]:
 def local_time() -> datetime:
     """Now, with the offset of the local time to UTC."""
     return datetime.now().astimezone()
+
+
+WINDOW_S = 0.1  # in which the shortest delay is looked for: 100 ppm are 10 µs then
+LONGEST_LATENCY_S = 0.01  # from the controller to the kernel; more: its clock was set
+
+
+class HardwareTimes:
+    """The clock of a controller counts from an arbitrary instant, and drifts against that of the computer.
+
+    The kernel sees each frame a little later than the controller: by interrupt, USB and scheduling. The least
+    difference of the two stamps within the last one to two windows is that of the clocks, with the
+    least delay, which is the same for all frames and stays in.
+    """
+
+    def __init__(self) -> None:
+        self._ends_s = -inf  # of the window, by the clock of the controller
+        self._least_s = self._before_s = inf
+
+    def received(self, hardware_s: float, kernel_s: float) -> float:
+        """When a frame with these two stamps was received, by the time of day; never after ``kernel_s``."""
+        difference_s = kernel_s - hardware_s
+        if hardware_s >= self._ends_s or hardware_s < self._ends_s - 2 * WINDOW_S:
+            self._before_s, self._least_s = self._least_s, difference_s
+            self._ends_s = hardware_s + WINDOW_S
+        elif difference_s < self._least_s:
+            self._least_s = difference_s
+        offset_s = min(self._least_s, self._before_s)
+        if difference_s - offset_s > LONGEST_LATENCY_S:  # one of the clocks was set
+            self._before_s = self._least_s = offset_s = difference_s
+        return hardware_s + offset_s
+
+
+LARGEST_STEP_S = 0.0005  # between two looks at both clocks; more is a step of the wall clock
+CLOSE_S = 1e-5  # so much later than the look before: the processor may have been away between the clocks
+LOOKS = 3
+LONGEST_DELAY_S = 60.0  # a time further back is not of the wall clock
+DRIFT = 2e-4  # two crystals of 100 ppm each
+# A host that is late all the time shows nothing of another clock: of so many frames one is taken at once.
+LEARNED_FRAMES = 64
+
+
+class OtherClock:
+    """A clock that counts from an arbitrary instant, as a USB adapter does, against that of the runner.
+
+    A frame is taken after it came: late by any time, but never early. So the least difference of the two
+    is that of the clocks, with the least delay, which is the same for all frames and stays in. It may rise
+    by DRIFT, and falls with the frame that was taken sooner. It is known once LEARNED_FRAMES have come
+    that do not contradict it: where one is earlier than it allows by LARGEST_STEP_S, or all of so many are
+    later, a clock was set, or the host has been late until now. Then it is learned again.
+    """
+
+    def __init__(self) -> None:
+        self._stamp_s = self._taken_s = -inf  # of the last frame
+        self._offset_s = self._least_s = inf
+        self._left = LEARNED_FRAMES  # until it is looked at how late all of them were
+        self._known = False
+
+    def received(self, stamp_s: float, now: float) -> float | None:
+        """When a frame with this stamp was received, never after ``now``; None: that is not known."""
+        last, self._stamp_s = self._stamp_s, stamp_s
+        passed_s, self._taken_s = now - self._taken_s, now
+        difference_s = now - stamp_s
+        self._offset_s += DRIFT * passed_s
+        late_s = difference_s - self._offset_s
+        if not (isfinite(difference_s) and stamp_s >= last and -LARGEST_STEP_S <= late_s <= LONGEST_DELAY_S):
+            self._learn(difference_s)
+            return None
+        self._offset_s = min(self._offset_s, difference_s)
+        self._least_s = min(self._least_s, difference_s)
+        self._left -= 1
+        if not self._left:
+            if self._least_s - self._offset_s > LARGEST_STEP_S:
+                self._learn(self._least_s)
+                return None
+            self._least_s, self._left, self._known = inf, LEARNED_FRAMES, True
+        return min(now, stamp_s + self._offset_s) if self._known and stamp_s > last else None
+
+    def _learn(self, offset_s: float) -> None:
+        self._offset_s = offset_s if isfinite(offset_s) else inf
+        self._least_s, self._left, self._known = inf, LEARNED_FRAMES, False
+
+
+class ReceiveTimes:
+    """What python-can stamps is the time of day, as the kernel has it; a runner counts monotonic seconds.
+
+    ``clock`` and ``wall`` are the two clocks. A stamp says how long ago a frame came, by the wall clock:
+    that is taken off ``now``. When the wall clock is set, the frames that wait may have stamps of before
+    or after: they have none until the queue was empty once. Stamps that are not of the wall clock are
+    those of an :class:`OtherClock`, or not used.
+    """
+
+    def __init__(self, clock: Callable[[], float], wall: Callable[[], float]) -> None:
+        self._clock = clock
+        self._wall = wall
+        self._stepped = False
+        self._other = OtherClock()
+        self._difference_s = self._look()
+
+    def emptied(self) -> None:
+        """No frame waits: what comes now has stamps of the wall clock as it is."""
+        if self._stepped:
+            self._stepped = False
+            self._difference_s = self._look()
+
+    def received(self, stamp_s: float, now: float) -> float | None:
+        """When a frame with this stamp came, seconds on the clock of ``now``; None if that is not known."""
+        self.compare(now)
+        return self.of(stamp_s, now)
+
+    def compare(self, now: float) -> float:
+        """Look at the wall clock at ``now``, for :meth:`of` several frames.
+
+        What it is ahead of the other one, seconds; not a number where stamps are not to be used.
+        """
+        difference = self._wall() - now
+        if not -LARGEST_STEP_S <= difference - self._difference_s <= CLOSE_S:
+            difference = self._look()  # else the frames would seem to have come earlier than they did
+            if abs(difference - self._difference_s) > LARGEST_STEP_S:
+                self._stepped = True
+        self._difference_s = difference
+        return nan if self._stepped else difference
+
+    def of(self, stamp_s: float, now: float) -> float | None:
+        """:meth:`received`, where :meth:`compare` was called with this ``now``, or an earlier one."""
+        if self._stepped:
+            return None
+        delay = self._difference_s + now - stamp_s
+        if not -LARGEST_STEP_S <= delay <= LONGEST_DELAY_S:
+            return self._other.received(stamp_s, now)
+        return min(now, now - delay)
+
+    def _look(self) -> float:
+        """The wall clock minus the other, read as close together as a few attempts bring it."""
+        looks = []
+        for _ in range(LOOKS):
+            before = self._clock()
+            wall = self._wall()
+            after = self._clock()
+            looks.append((after - before, wall - (before + after) / 2.0))
+        return min(looks)[1]

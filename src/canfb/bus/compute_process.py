@@ -51,15 +51,15 @@ NICENESS = 10  # frames come first
 def compute(source: BinaryIO, answers: BinaryIO) -> None:
     """Do the job that ``source`` holds; what happens goes to ``answers``."""
 
-    def tell(message: object) -> None:
+    def report(message: object) -> None:
         answers.write(pack(message))
         answers.flush()
 
     try:
-        result = pickle.load(source)(tell)
-    except Exception as error:  # whatever it is, the module must hear of it
+        result = pickle.load(source)(report)
+    except Exception as error:  # whatever it is, the module must be notified
         result = RuntimeError(f"{type(error).__name__}: {error}")
-    tell(result)
+    report(result)
 
 
 def main() -> None:

@@ -45,7 +45,7 @@ class Computation:
         self._cpus = os.sched_getaffinity(0) if sys.platform == "linux" else set()
 
     def poll(self, now: float) -> list[Frame]:
-        """Start, feed, hear or end what there is, without waiting; the frames of the device."""
+        """Start, feed, read or end what there is, without waiting; the frames of the device."""
         if self._killed:
             self._killed = [process for process in self._killed if process.poll() is None]
         job = self._device.pending_job()
@@ -100,7 +100,7 @@ class Computation:
     def _exchange(self, process: subprocess.Popen[bytes], now: float) -> list[Frame]:
         self._feed(process)
         try:
-            ended = self._hear(process)
+            ended = self._read(process)
             for message in self._inbox.messages():
                 if not isinstance(message, float):
                     return self._finish(message, now)
@@ -127,7 +127,7 @@ class Computation:
             self._unsent = self._unsent[:0]
         pipe.close()
 
-    def _hear(self, process: subprocess.Popen[bytes]) -> bool:
+    def _read(self, process: subprocess.Popen[bytes]) -> bool:
         """Read what there is; True if no more will come."""
         while True:
             try:

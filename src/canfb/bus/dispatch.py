@@ -1,4 +1,15 @@
-"""Which device gets which frame, and which is due first."""
+"""Which device gets which frame, and which is due first.
+
+With n modules in a process a frame must not cost n calls. A device that is :class:`.Selective` says which
+CAN-IDs it listens to, so a frame is one look-up in ``data`` or ``remote``. The bus gets the union of all as
+acceptance filter, of any NMT state: a master that starts a node need not wait before it sends PDOs. What
+passes no filter does not wake the process. CAN-IDs move with NMT state, node-ID and written COB-IDs; then the
+tables follow before anything is sent, as an answer may be what the master waits for to use the new ones.
+
+Deadlines are kept likewise: a device is asked for its own after each call of it, not before each wait. The
+earliest of all is one number; it is looked for again only if the device that had it has moved it to later
+(``_stale``).
+"""
 
 from __future__ import annotations
 
@@ -53,14 +64,14 @@ class Dispatch:
 
     A device that is not :class:`.Selective` gets every frame, and is asked for its deadline each time; so is
     one that is alone. A device that listens to other CAN-IDs is ``moved`` until :meth:`follow`, which
-    tells the bus as well.
+    sets the filters of the bus as well.
     """
 
     def __init__(self, devices: list[Device], bus: FrameBus) -> None:
         self.ports = tuple(Port(number, device) for number, device in enumerate(devices))
         self.moved = True
         """Whether :meth:`follow` is to be called, before anything is sent or received."""
-        self.hears_all = False
+        self.accepts_all = False
         """Whether the bus is asked for all frames."""
         self.data: dict[int, Ports] = {}
         """Who gets a data frame; ``everyone`` gets those of other CAN-IDs."""
@@ -68,10 +79,10 @@ class Dispatch:
         self.everyone = tuple(port for port in self.ports if not port.is_selective)
         self._bus = bus
         self._asked = self.ports if len(self.ports) == 1 else self.everyone
-        self._told = tuple(port for port in self.ports if port not in self._asked)
+        self._reporting = tuple(port for port in self.ports if port not in self._asked)
         self._earliest_s = NEVER
         self._stale = True
-        for port in self._told:
+        for port in self._reporting:
             port.keeps_deadline = True
         for port in self.ports:
             if isinstance(port.device, Selective):
@@ -81,7 +92,7 @@ class Dispatch:
         """The earliest deadline of all devices, NEVER for none."""
         if self._stale:
             self._stale = False
-            self._earliest_s = min([port.due_s for port in self._told], default=NEVER)
+            self._earliest_s = min([port.due_s for port in self._reporting], default=NEVER)
         due_s = self._earliest_s
         for port in self._asked:
             deadline_s = port.device_deadline()
@@ -106,7 +117,7 @@ class Dispatch:
 
     def ask_all(self) -> None:
         """The program may have called devices by itself."""
-        for port in self._told:
+        for port in self._reporting:
             self.called(port)
 
     def listeners(self, frame: Frame) -> Ports:
@@ -114,7 +125,7 @@ class Dispatch:
         return (self.remote if frame.rtr else self.data).get(frame.can_id, self.everyone)
 
     def follow(self) -> None:
-        """Take over the CAN-IDs of the devices that have moved, and tell the bus."""
+        """Take over the CAN-IDs of the devices that have moved, and set the filters of the bus."""
         self.moved = False
         for port in self.ports:
             if port.moved and isinstance(port.device, Selective):
@@ -122,21 +133,21 @@ class Dispatch:
                 old, port.can_ids = port.can_ids, port.device.can_ids()
                 self._change(self.data, port, old.data, port.can_ids.data)
                 self._change(self.remote, port, old.remote, port.can_ids.remote)
-        self._tell_bus()
+        self._set_filters()
 
-    def hear_all(self, enabled: bool) -> None:
+    def accept_all(self, enabled: bool) -> None:
         """Ask the bus for all frames, or for those that are listened to."""
-        if enabled is not self.hears_all:
-            self.hears_all = enabled
-            self._tell_bus()
+        if enabled is not self.accepts_all:
+            self.accepts_all = enabled
+            self._set_filters()
 
-    def _tell_bus(self) -> None:
-        if self.everyone or self.hears_all:
-            self._bus.hear(None, ())
+    def _set_filters(self) -> None:
+        if self.everyone or self.accepts_all:
+            self._bus.accept(None, ())
             return
         data = frozenset[int]().union(*(port.can_ids.any_state for port in self.ports))
         remote = frozenset[int]().union(*(port.can_ids.any_state_remote for port in self.ports))
-        self._bus.hear(data, remote)
+        self._bus.accept(data, remote)
 
     def _change(self, table: dict[int, Ports], port: Port, old: frozenset[int], new: frozenset[int]) -> None:
         for can_id in old - new:

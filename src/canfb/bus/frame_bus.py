@@ -1,10 +1,33 @@
-"""What the runner asks of a bus; there are two: python-can's, and a SocketCAN of our own."""
+"""What the runner asks of a bus, any bus of python-can as that, and reception that outlasts its failures.
+
+A frame is a tuple of CAN-ID, data and receive time, as there are thousands each second. There are two buses:
+:class:`.RawCanBus` for SocketCAN on Linux, :class:`PythonCanBus` for all else (canfb.bus.opening decides).
+
+A device must not get its own frames back: it would take them for a second node with its node-ID. A CAN
+controller does not receive what it sends, and SocketCAN does not hand it to the socket that sent it. Other
+interfaces do: some mark such messages (``is_rx`` is false), and udp_multicast carries a channel name that is
+made unique here.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+import errno
+import os
+import socket
+import time
+from collections.abc import Callable, Iterable
 from types import TracebackType
 from typing import Protocol, Self
+from uuid import uuid4
+
+import can
+from can.interfaces.socketcan import SocketcanBus
+from can.interfaces.udp_multicast import UdpMulticastBus
+
+from canfb.bus.bus_state import BUS_FAILS, BUS_WORKS, RETRY_S, FailureWatch, code_of, is_down
+from canfb.bus.shared_bus import SharedBus
+from canfb.errors import BusError, reason
 
 # Flags in the CAN-ID of a struct can_frame (linux/can.h).
 EXTENDED = 0x8000_0000
@@ -26,7 +49,7 @@ class FrameBus(Protocol):
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
         """Send a data or a remote frame; False if the bus takes none now: try again after :meth:`receive`."""
 
-    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+    def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
         """The CAN-IDs of the frames that are needed, None for all; others may be left out from now on."""
 
     def __enter__(self) -> Self:
@@ -36,3 +59,171 @@ class FrameBus(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close it."""
+
+
+AF_CAN = getattr(socket, "AF_CAN", None)  # on Linux only
+
+# Of frames that wait, as the kernel counts them: 768 for each, and twice what is asked for. By default a
+# socket holds 277 frames, 30 ms of a full bus at 1 Mbit/s; these are 2700. Without CAP_NET_ADMIN the kernel
+# grants at most net.core.rmem_max, by default 554.
+QUEUE_BYTES = 1 << 20
+_SO_RCVBUFFORCE = 33  # asm-generic/socket.h
+
+
+def enlarge_queue(one: socket.socket) -> None:
+    """For the frames that wait while this process is busy or does not run; the kernel drops the others."""
+    for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):
+        with contextlib.suppress(OSError):
+            one.setsockopt(socket.SOL_SOCKET, option, QUEUE_BYTES)
+            return
+
+
+def enlarge_queue_of(bus: can.BusABC) -> None:
+    """That of a bus of python-can, if it is a socket."""
+    with (
+        contextlib.suppress(OSError, NotImplementedError, ValueError),
+        socket.socket(fileno=os.dup(bus.fileno())) as one,
+    ):
+        enlarge_queue(one)
+
+
+class NamedInterface:
+    """The SocketCAN interface of a bus of python-can, by its name; of any other bus nothing is asked.
+
+    One that was removed and made again, as by an adapter that was unplugged, has another index: the kernel
+    has unbound the socket, which says so once and is silent from then on.
+    """
+
+    def __init__(self, bus: can.BusABC) -> None:
+        under = bus.under if isinstance(bus, SharedBus) else bus
+        self._bus = None
+        if isinstance(under, SocketcanBus) and under.channel and under.socket.family == AF_CAN:
+            self._bus = under
+
+    def comes_back(self, error: Exception) -> bool:
+        """Whether it may work again after this failure: it is down, or removed and :meth:`bind` finds it."""
+        return code_of(error) == errno.ENETDOWN or (self._bus is not None and is_down(error))
+
+    def bind(self) -> None:
+        """Bind the socket again if the kernel has unbound it. OSError while there is no such interface."""
+        bus = self._bus
+        if bus is not None and bus.socket.getsockname()[0] != bus.channel:
+            bus.socket.bind((bus.channel,))
+            bus.set_filters(bus.filters)  # the kernel has dropped them
+
+
+class Reception:
+    """Receives from ``bus`` for as long as it takes.
+
+    An interface that is down, and one that is gone and can be opened by its name, is waited for: ``report``
+    gets a line when it goes, and one when frames come again. BusError for any other failure, unless it
+    ``lasts``: then each is waited for.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        report: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+        *,
+        lasts: bool = False,
+    ) -> None:
+        self._bus, self._clock, self._sleep, self._lasts = bus, clock, sleep, lasts
+        self._interface = NamedInterface(bus)
+        self._watch = FailureWatch(report, BUS_FAILS, BUS_WORKS)
+        self.failures = 0
+        """How often it failed until now."""
+
+    def receive(self, wait_s: float) -> can.Message | None:
+        """The next frame; None if there was none for so long, or the bus fails."""
+        try:
+            message = self._bus.recv(wait_s)
+            if message is None:
+                self._interface.bind()
+        except (can.CanError, OSError) as error:
+            self.failed(error)
+            return None
+        if message is not None and self._watch.failed_s is not None:
+            self._watch.worked(self._clock())
+        return message
+
+    def failed(self, error: Exception) -> None:
+        """Outlast a failure, of sending too; BusError for one that nothing ends."""
+        self.failures += 1
+        if not self._lasts and not self._interface.comes_back(error):
+            raise BusError(f"{BUS_FAILS}: {reason(error)}") from error
+        if self._watch.failed(error, self._clock()):
+            self._sleep(RETRY_S)
+
+
+# Buses of python-can that hand out what was sent through them, and say so (`is_rx` is false). SocketCAN and
+# Kvaser say it of frames of other processes on the same computer, which are to be received.
+_ECHOING = frozenset({"GsUsbBus", "CantactBus", "VirtualBus"})
+
+
+class PythonCanBus:
+    """A :class:`.FrameBus` on python-can. It leaves out CAN FD, and its own frames if they come back."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
+        self._interface = NamedInterface(bus)
+        # Such a bus carries the channel of a message along: it shows which frames are ours.
+        self._mark = uuid4().hex if brings_own_frames_back(bus) else None
+        self._echoes = marks_own_frames(bus)
+
+    def receive(self, wait_s: float) -> list[Received] | None:
+        """One frame, or none of CANopen's; see :class:`.FrameBus`.
+
+        A SocketCAN interface that was removed and made again is opened again.
+        """
+        message = self._bus.recv(wait_s)
+        if message is None:
+            self._interface.bind()
+            return None
+        if message.is_fd or (self._echoes and not message.is_rx):
+            return []
+        if self._mark is not None and message.channel == self._mark:
+            return []
+        can_id = message.arbitration_id
+        if message.is_error_frame:
+            can_id |= ERROR
+        elif message.is_extended_id:
+            can_id |= EXTENDED
+        elif message.is_remote_frame:
+            can_id |= REMOTE
+        return [(can_id, bytes(message.data), message.timestamp)]
+
+    def send(self, can_id: int, data: bytes, remote: bool) -> bool:
+        """See :class:`.FrameBus`; a bus that takes none raises."""
+        self._bus.send(
+            can.Message(
+                arbitration_id=can_id,
+                data=data,
+                is_remote_frame=remote,
+                is_extended_id=False,
+                channel=self._mark,
+            )
+        )
+        return True
+
+    def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+        """All frames are received: a filter is another thing on each interface."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bus.shutdown()
+
+
+def marks_own_frames(bus: can.BusABC) -> bool:
+    """True where a message with ``is_rx`` false was sent through this very bus: gs_usb and the like."""
+    return type(bus).__name__ in _ECHOING
+
+
+def brings_own_frames_back(bus: can.BusABC) -> bool:
+    """True for udp_multicast, whose sender receives its own frames; a CAN controller does not."""
+    return isinstance(bus, UdpMulticastBus)

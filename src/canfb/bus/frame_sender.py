@@ -23,7 +23,7 @@ LONGEST_DELAY_S = 0.1  # a position that is older helps nobody
 
 
 class FrameSender:
-    """Sends the frames of devices, and tells those with inhibit times when their frames have left.
+    """Sends the frames of devices, and notifies those with inhibit times when their frames have left.
 
     A bus that takes no frame now keeps it and those that follow in a queue. A frame that has waited for
     LONGEST_DELAY_S, or finds LONGEST_QUEUE others, is a failure like one that the bus refuses:

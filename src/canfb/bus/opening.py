@@ -23,9 +23,7 @@ import can
 from can.interfaces import BACKENDS
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from canfb.bus.frame_bus import FrameBus
-from canfb.bus.python_can_bus import PythonCanBus
-from canfb.bus.reception import enlarge_queue_of
+from canfb.bus.frame_bus import FrameBus, PythonCanBus, enlarge_queue_of
 from canfb.errors import BusError, ConfigError, reason
 
 FORCE_PYTHON_CAN = "python_can"
@@ -56,7 +54,7 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
     such bus.
     """
     words = {key: value for key, value in options.items() if key != FORCE_PYTHON_CAN}
-    with _told(options):
+    with _failing_in_one_line(options):
         bus = can.Bus(**(words | _port_of(words)))
     enlarge_queue_of(bus)
     return bus
@@ -104,7 +102,7 @@ def open_device_bus(options: dict[str, Any]) -> FrameBus:
         return PythonCanBus(open_bus(options))
     from canfb.bus.raw_can_bus import RawCanBus  # here: it is for Linux
 
-    with _told({"interface": "socketcan", **options}):
+    with _failing_in_one_line({"interface": "socketcan", **options}):
         return RawCanBus.open(channel)
 
 
@@ -129,7 +127,7 @@ def _raw_channel(options: dict[str, Any]) -> str | None:
 
 
 @contextlib.contextmanager
-def _told(options: dict[str, Any]) -> Iterator[None]:
+def _failing_in_one_line(options: dict[str, Any]) -> Iterator[None]:
     """BusError, in one line, for whatever a driver raises."""
     try:
         yield
@@ -137,19 +135,19 @@ def _told(options: dict[str, Any]) -> Iterator[None]:
         raise BusError(f"cannot open the bus {describe(options)}: {_advice(options, error)}") from error
 
 
-def open_sync_bus(options: dict[str, Any], *, hears_itself: bool) -> can.BusABC:
+def open_sync_bus(options: dict[str, Any], *, receives_own: bool) -> can.BusABC:
     """:func:`open_bus`, for a program that counts by the SYNC.
 
-    ``hears_itself``: for a program that produces the SYNC, the bus receives its own frames, if it can.
+    ``receives_own``: for a program that produces the SYNC, the bus receives its own frames, if it can.
     """
-    if hears_itself:
+    if receives_own:
         with contextlib.suppress(BusError):  # udp_multicast always does, and has no such option
             return open_bus(options | {"receive_own_messages": True})
     return open_bus(options)
 
 
 def check_device_bus(options: dict[str, Any]) -> None:
-    """Refuse a bus on which a device would hear itself, and take that for a second node.
+    """Refuse a bus on which a device would receive its own frames, and take them for a second node.
 
     ConfigError for ``receive_own_messages``, and for a ``python_can`` that is neither true nor false.
     """

@@ -18,9 +18,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from canfb.bus.bus_state import ERROR_RESTARTED, INTERFACE_DOWN
-from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE, Received
-from canfb.bus.receive_times import HardwareTimes
-from canfb.bus.reception import enlarge_queue
+from canfb.bus.clocks import HardwareTimes
+from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE, Received, enlarge_queue
 
 MOST_FRAMES = 32  # of one call
 
@@ -212,7 +211,7 @@ class RawCanBus:
             self._full = []
         return True
 
-    def hear(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
+    def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
         """Filters in the kernel. It adds new ones before it removes old ones: no frame is lost."""
         if not self._is_can:
             return

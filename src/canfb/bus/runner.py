@@ -1,4 +1,28 @@
-"""Devices on a bus: frames in, frames out, deadlines kept, a clean end on a signal."""
+"""Devices on a bus: frames in, frames out, deadlines kept, a clean end on a signal.
+
+A device takes frames and times, and gives frames and its next deadline; this is the one loop that waits for
+it:
+
+    keep the deadlines that are due (tick)
+    wait for frames, until the next deadline, and 0.1 s at most: a signal sets a flag that is looked at here
+    give each frame to the devices that listen to it (dispatch), send what they answer (frame_sender)
+
+What a module judges is time: a SYNC that is late, a sample that did not come. A process that did not run for
+a while finds deadlines in the past, and frames that came before them still in the queue. If it kept the
+deadlines first, each such pause would be a missed sample. Hence two rules. A frame has the time at which the
+bus received it (clocks), not the time at which it is read. And a deadline D is kept only if no frame received
+before D can wait: the last frame that was read was received at R >= D, or the queue was empty at D or later.
+So that a flood cannot stop heartbeats, frames put a deadline off by 1 s at most; by 0.1 s on a bus without
+receive times, where any frame may have come after D.
+
+A bus that fails is not an end either. It is read again until it works; what is lost on the way is a gap in
+the frames, which devices judge by their times. Boot-ups that could not leave are sent first when it is back,
+since a master waits for them; other frames grow old and are given up.
+
+A device that raises ends the run for all devices: its state is unknown, and a drive must not get a position
+from it. Long computations are done by another process (computing): the loop looks for their results now and
+then.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +41,11 @@ import can
 
 from canfb.bus.bus_state import BUS_FAILS, BUS_WORKS, BusState, FailureWatch, is_down
 from canfb.bus.bus_state import RETRY_S as BUS_RETRY_S
+from canfb.bus.clocks import LONGEST_DELAY_S, ReceiveTimes
 from canfb.bus.computing import Computation
 from canfb.bus.dispatch import Dispatch, Port
 from canfb.bus.frame_bus import ERROR, EXTENDED, FrameBus, Received
 from canfb.bus.frame_sender import RETRY_S, FrameSender
-from canfb.bus.receive_times import LONGEST_DELAY_S, ReceiveTimes
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.device.core import NEVER
 from canfb.device.device_protocol import BusWatching, Computing, Device, Ending
@@ -32,7 +56,7 @@ log = logging.getLogger(__name__)
 POLL_S = 0.01  # from one look at the computations to the next
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 BUS_RESOLUTION_S = 0.001  # so much earlier a bus may end a wait that is longer
-CLOSE_S = 1e-6  # what a moment may lack by rounding
+CLOSE_S = 1e-6  # what an instant may lack by rounding
 LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
 LONGEST_DRAIN_S = 1.0  # how long frames that wait may put off a deadline
 LONGEST_BLIND_DRAIN_S = 0.1  # where they have no receive times, and may have come after it
@@ -62,14 +86,10 @@ class BusCounters:
 class Runner:
     """Runs devices on one bus in the calling thread until :meth:`stop`.
 
-    A frame goes to the devices that listen to it; those of one process hear each other as well. A bus that
-    fails is tried again; what happened is counted and reported to ``report``, one line each time it changes,
-    and devices that watch the bus are notified when it fails and is back. A device that raises ends
-    :meth:`run` for all, with DeviceFailure: its state is unknown.
-
-    Frames get the time at which the bus received them (:class:`ReceiveTimes`). A runner that comes
-    round late takes all frames that wait before it looks at a deadline: SYNC and samples may be among
-    them, and nothing was late then but the runner.
+    A frame goes to the devices that listen to it, those of this process included. A bus that fails is tried
+    again; what happened is counted and reported to ``report``, one line each time it changes, and devices
+    that watch the bus are notified when it fails and is back. Where a device raises, :meth:`run` raises
+    DeviceFailure.
 
     ``meanwhile`` is called now and then with the time, some hundred times a second at most.
     ``busy_poll``: the bus is read again and again, without a wait. Nothing is to be woken up then, and what a
@@ -148,7 +168,7 @@ class Runner:
                     else:
                         self._take_overdue(frames)
                 if self._bus_state.gone:
-                    self._tell_bus_state()
+                    self._notify_bus_state()
                 if self._sender.owed and self._now >= self._owed_s:
                     self._owed_s = self._now + BUS_RETRY_S
                     self._sender.retry_owed()
@@ -301,7 +321,7 @@ class Runner:
             if deadline is not None and deadline <= now:
                 self._spread(port, self._asked(port, port.device.tick, now))
 
-    def _tell_bus_state(self) -> None:
+    def _notify_bus_state(self) -> None:
         """Notify the devices when the bus has gone, and when it is back.
 
         A device whose boot-up has not left yet was not on the bus, and starts as usual when it is there.
@@ -318,10 +338,10 @@ class Runner:
                 if returned and port in self._off:
                     self._off.remove(port)
                     self._spread(port, self._asked(port, device.bus_back, now))
-        self._dispatch.hear_all(self._bus_state.gone)  # any frame is a sign of life
+        self._dispatch.accept_all(self._bus_state.gone)  # any frame is a sign of life
 
     def _compute(self) -> None:
-        """Give what a device wants computed to another process, without waiting for it.
+        """Give what a device has to compute to another process, without waiting for it.
 
         Few frames start or end a computation that takes seconds: it is looked for at this rate only.
         """
@@ -347,7 +367,7 @@ class Runner:
         """Send frames, and give them to the other devices of this process that listen to them."""
         dispatch, send = self._dispatch, self._sender.send
         if dispatch.moved:
-            dispatch.follow()  # before the master hears that it may send what is new
+            dispatch.follow()  # before the master learns that it may send what is new
         if self._alone:
             for frame in frames:
                 send(sender, frame)

@@ -11,11 +11,11 @@ import can
 
 Refusal = Callable[[can.Message], str]
 """Why a frame must not be sent; empty: it may."""
-Heard = can.Message | Exception
+Item = can.Message | Exception
 
 
 class SharedBus(can.BusABC):
-    """``bus``, of which one thread receives; each :meth:`branch` gets what is heard from then on, too.
+    """``bus``, of which one thread receives; each :meth:`branch` gets what is received from then on, too.
 
     So a USB adapter, which only one program can open, serves a monitor and a task beside it. Frames for which
     ``refusal`` has a reason are not sent: can.CanOperationError, which has it.
@@ -54,9 +54,9 @@ class SharedBus(can.BusABC):
             self._hand_on(message)
         return message, False
 
-    def _hand_on(self, heard: Heard) -> None:
+    def _hand_on(self, item: Item) -> None:
         for branch in self._branches:
-            branch.take(heard)
+            branch.take(item)
 
     def shutdown(self) -> None:
         """The bus itself is shut down, too."""
@@ -67,13 +67,13 @@ class SharedBus(can.BusABC):
 class _Branch(can.BusABC):
     def __init__(self, shared: SharedBus, refusal: Refusal) -> None:
         self._shared, self._refusal = shared, refusal
-        self._heard: queue.SimpleQueue[Heard] = queue.SimpleQueue()
+        self._items: queue.SimpleQueue[Item] = queue.SimpleQueue()
         super().__init__(channel="")
         self.channel_info = shared.channel_info
 
-    def take(self, heard: Heard) -> None:
-        if isinstance(heard, Exception) or self._matches_filters(heard):
-            self._heard.put(heard)
+    def take(self, item: Item) -> None:
+        if isinstance(item, Exception) or self._matches_filters(item):
+            self._items.put(item)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         _check(self._refusal, msg)
@@ -81,12 +81,12 @@ class _Branch(can.BusABC):
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         try:
-            heard = self._heard.get(timeout=timeout)
+            item = self._items.get(timeout=timeout)
         except queue.Empty:
             return None, False
-        if isinstance(heard, Exception):
-            raise heard
-        return heard, False
+        if isinstance(item, Exception):
+            raise item
+        return item, False
 
     def _apply_filters(self, filters: Any) -> None:
         """In `take`."""

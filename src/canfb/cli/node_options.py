@@ -52,8 +52,8 @@ def master_of(options: argparse.Namespace) -> Iterator[Master]:
 def sync_master(
     words: dict[str, Any], sync_hz: float | None, answer_within_s: float, guard: Guard
 ) -> Iterator[BusMaster]:
-    """A master that hears the SYNCs of the bus, or produces them at ``sync_hz``; signals go to ``guard``."""
-    bus = open_sync_bus(words, hears_itself=sync_hz is not None)
+    """A master that gets the SYNCs of the bus, or produces them at ``sync_hz``; signals go to ``guard``."""
+    bus = open_sync_bus(words, receives_own=sync_hz is not None)
     with BusMaster(bus, answer_within_s) as master, ending_on_signals(guard.interrupt):
         if sync_hz is not None:
             master.produce_sync(sync_hz)

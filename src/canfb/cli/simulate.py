@@ -27,7 +27,7 @@ from canfb.cli.printing import printed_without_waiting, say
 from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
-from canfb.hosting.simulating import Simulating, fed_module
+from canfb.hosting.serving import Simulating, fed_module
 from canfb.master.samples import TrackSamples, write_csv, write_npz
 from canfb.simulation.scenario import PACES, SimulationConfig
 from canfb.simulation.set_up import FedModule, Play, SampleRecorder

@@ -6,8 +6,8 @@ import threading
 from collections.abc import Callable
 
 from canfb.errors import reason
-from canfb.hosting.closing import Closing
 from canfb.hosting.realtime import RealtimeThread
+from canfb.hosting.state_files import Closing
 from canfb.signal.sample import Sample
 from canfb.sources.even_scans import NewestScan
 from canfb.sources.protocol import Capture, Picked, SourceError

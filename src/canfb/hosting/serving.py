@@ -1,12 +1,22 @@
-"""Nodes of a configuration on a bus: from the opening of the bus to its end.
+"""Nodes on a bus: several modules or interfaces in one process, or a simulation.
 
-And what they say at the start, while they run, and at the end.
+The nodes of a process share one bus, one loop (canfb.bus.runner) and one log. Each has its own dictionary,
+state, state folder and source, and none knows of the others: they exchange frames as on the wire. A frame
+that one of them sends is given to the others by the loop, as a CAN controller does not receive what it sends.
+
+Nothing that lasts is done in the loop. Saving is done by a thread (state_files), a reference measurement by a
+process (canfb.bus.computing), a converter is read by a thread (captured_source). Events are noted when they
+happen and written between frames (event_log); so a slow terminal delays no position.
+
+A program error in one node ends all of them: what it may have changed is unknown, and a service manager
+starts the process again, with the saved parameters of each.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -14,7 +24,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from canfb.bus.opening import check_device_bus, open_device_bus
+from canfb.bus.opening import check_device_bus, describe, open_device_bus
 from canfb.bus.runner import BusCounters, DeviceFailure, Runner, outside_collections
 from canfb.configuration import Config, RealtimeConfig
 from canfb.device.device_protocol import Device
@@ -23,6 +33,12 @@ from canfb.hosting.event_log import EventLog, Served, title_of
 from canfb.hosting.realtime import apply_realtime
 from canfb.hosting.self_diagnosis import SelfDiagnosis
 from canfb.module.events import NodeEvents
+from canfb.module.module_config import ModuleConfig
+from canfb.module.parameters import configured_defaults
+from canfb.simulation.scenario import SimulationConfig
+from canfb.simulation.set_up import FedModule, Play, SimulatedNetwork, set_up
+
+log = logging.getLogger(__name__)
 
 
 class OnBus(ABC):
@@ -68,9 +84,6 @@ class OnBus(ABC):
         """End the run; may be called from a signal handler or another thread."""
         if self._runner is not None:
             self._runner.stop()
-
-
-log = logging.getLogger(__name__)
 
 
 class ServedDevice(Served, Device, Protocol):
@@ -167,3 +180,70 @@ class Serving(OnBus):
             self._events.close(max(self._looked_s, *(device.node.now for device in self._nodes)))
             for line in self._at_end():
                 log.info(line)
+
+
+def fed_module(config: ModuleConfig) -> FedModule:
+    """The module of the configuration, as the simulation has to know it."""
+    scale = configured_defaults(config)
+    return FedModule(
+        chain=config,
+        node_id=config.node_id,
+        encoder_interface=config.encoder_interface,
+        times=config.times,
+        samples_per_sync=config.samples_per_sync,
+        autostart=config.autostart,
+        increments_per_revolution=scale[0x6001, 0],
+        total_range=scale[0x6002, 0],  # without scaling, too
+    )
+
+
+class Simulating(OnBus):
+    """A simulation on a bus. Use it as a context manager around :meth:`run`.
+
+    ``words`` are python-can's own for the bus. What there is to say goes to the loggers ``canfb.*``.
+    ``seconds`` ends it after this machine time; else the end of a recording does, or
+    :meth:`stop`. ConfigError for a bus on which the interface would hear itself, and for a simulation that
+    cannot be; CanfbError, on entering, for a bus that cannot be opened.
+    """
+
+    def __init__(
+        self,
+        simulation: SimulationConfig,
+        module: FedModule,
+        play: Play,
+        words: Mapping[str, Any],
+        realtime: RealtimeConfig,
+        seconds: float | None = None,
+    ) -> None:
+        super().__init__(words, realtime)
+        self.network: SimulatedNetwork = set_up(simulation, module, play, log.warning)
+        self._intervals = math.inf if seconds is None else seconds * self.network.rate_hz
+        node = module.encoder_interface
+        self._node = f"{node} ({node:02X}h)"
+        self.network.interface.on_duplicate = lambda can_id, now: log.warning(
+            f"encoder interface {self._node}: another node on the bus uses this node-ID ({can_id:03X}h)"
+        )
+
+    def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
+        return list(self.network.devices)
+
+    def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Serve the interface until the end. ``ready`` is called when it is on the bus."""
+        if self._runner is None:
+            raise RuntimeError("use Simulating as a context manager: with Simulating(...) as simulating")
+        network = self.network
+
+        def on_the_bus() -> None:
+            log.info(f"encoder interface: node {self._node} on {describe(self.words)}; end with Ctrl-C")
+            if network.axis is not None:
+                log.info(network.axis.describe())
+            if network.demand is not None:
+                log.info(network.demand.describe())
+                warning = network.demand.warning()
+                if warning is not None:
+                    log.warning(warning)
+            ready()
+
+        self._runner.run(
+            lambda: network.interface.ended or len(network.recorder) >= self._intervals, on_the_bus
+        )

@@ -1,9 +1,9 @@
 """Stored parameters as files: one for each group in a folder, whole after a crash at any instant.
 
-A group alone is written beside its file and renamed over it. A change of several groups is first
-written as one file, ``pending.bin``, whose rename makes it valid, and then copied to the files of
-the groups; what a crash has left of it to do is done by the next save, and until then read from
-there. A file called ``….new`` was never finished and is not looked at.
+A group alone is written beside its file and renamed over it. A change of several groups is first written as
+one file, ``pending.bin``, whose rename makes it valid, and then copied to the files of the groups; what a
+crash has left of it to do is done by the next save, and until then read from there. A file called ``….new``
+was never finished and is not looked at.
 
 A running module writes in a thread of its own: no SYNC waits for the disk. Who only reads takes no lock.
 """
@@ -17,15 +17,34 @@ import struct
 import sys
 import threading
 import zlib
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import PARAMETERS, Changes, Store
 from canfb.errors import CanfbError
-from canfb.hosting.closing import Closing
+
+
+class Closing(ABC):
+    """A context manager that ends with :meth:`close`."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give back what it holds."""
+
 
 LARGEST_FILE = 1 << 20  # bytes; stored parameters are some ten thousand
 PENDING = "pending.bin"

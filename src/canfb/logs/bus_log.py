@@ -14,8 +14,7 @@ from typing import Any, Self
 import can
 from can.io.generic import MessageWriter
 
-from canfb.bus.python_can_bus import brings_own_frames_back
-from canfb.bus.reception import Reception
+from canfb.bus.frame_bus import Reception, brings_own_frames_back
 from canfb.cia301.frame import Frame
 from canfb.errors import CanfbError, ConfigError, reason
 from canfb.logs.log_reader import NEEDS_PACKAGE, check_writable

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import can
 
-from canfb.bus.reception import Reception
+from canfb.bus.frame_bus import Reception
 from canfb.cia301.frame import Frame
 from canfb.monitoring.watching import messages_of
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import can
 
+from canfb.bus.clocks import ReceiveTimes
+from canfb.bus.frame_bus import Reception
 from canfb.bus.opening import open_bus
-from canfb.bus.receive_times import ReceiveTimes
-from canfb.bus.reception import Reception
 from canfb.cia301.frame import Frame
 from canfb.errors import CanfbError, reason
 from canfb.monitoring.bus_model import BusModel
