@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 
 import pytest
 from hypothesis import example, given
@@ -252,3 +253,28 @@ def test_a_time_off_the_grid_needs_a_sync_that_was_as_late() -> None:
         synced_s = 2e-3 + syncs_late_s
         elapsed = times.elapsed(2 * PERIOD_TICKS + 2000, 1.0, synced_s, synced_s, 125.0)
         assert elapsed == (pytest.approx(1.2) if syncs_late_s else SUSPECT)
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_extra_syncs_do_not_change_the_pace(stamped: bool) -> None:
+    """Samples that answer SYNCs of a second producer, between the others, are none of their line."""
+    generator = random.Random(11)
+    for extra in (8, 20, 30, 60):
+        times, at = SampleTimes(), 0
+        for number in range(60 + 2 * extra + 60):
+            between = 60 <= number < 60 + 2 * extra and not number % 2
+            grid = at - at % PERIOD_TICKS
+            at = grid + (round(PERIOD_TICKS * generator.uniform(0.25, 0.45)) if between else PERIOD_TICKS)
+            synced_s = None if between else at * 1e-7  # which SYNC it answers is open
+            times.elapsed(at, 1.0, at * 1e-7 if stamped else None, synced_s, 0.0, between)
+            assert number < 2 or times.unit_s == pytest.approx(1e-3), extra
+
+
+@pytest.mark.parametrize("wrong", [0.5, 2.0, 0.7])
+def test_a_wrong_pace_comes_back(wrong: float) -> None:
+    """Each interval is as long as both clocks say, and none of them as long as the line has it."""
+    times, at = SampleTimes(), 0
+    for number in range(120):
+        at += PERIOD_TICKS if number > 60 else round(wrong * PERIOD_TICKS)
+        times.elapsed(at, 1.0, at * 1e-7, at * 1e-7)
+    assert times.unit_s == pytest.approx(1e-3)

@@ -35,9 +35,10 @@ class Findings(NamedTuple):
     take_usual_timed(received_s, synced_s, now)
                                   two counts and their time have come, no more, in answer to the last SYNC;
                                   False if that is left to take_timed
-    take_timed(sample, received_s, synced_s, now)
+    take_timed(sample, received_s, synced_s, extra, now)
                                   a sample with its time, and when it and its SYNC were received, seconds,
-                                  None if that is not known; False if it was an earlier one again
+                                  None if that is not known; extra: it may answer an extra SYNC; False if it
+                                  was an earlier one again
     miss(samples, now)            this many samples are missing
     confirm(elapsed)              the one of the last set of intervals that was true
     lose_count(intervals, now)    this many intervals may or may not have passed
@@ -50,7 +51,7 @@ class Findings(NamedTuple):
     take_usual: Callable[[float], None]
     take: Callable[[Sample, Passed, float], bool]
     take_usual_timed: Callable[[float | None, float | None, float], bool]
-    take_timed: Callable[[Sample, float | None, float | None, float], bool]
+    take_timed: Callable[[Sample, float | None, float | None, bool, float], bool]
     miss: Callable[[int, float], None]
     confirm: Callable[[float], None]
     lose_count: Callable[[float, float], None]
@@ -311,7 +312,7 @@ class Pairing(ProcessData):
         received_s, synced_s = self._receptions()
         if not self._synced and self._source is None:
             judge.sync(moment.received, moment.proved, None)  # each sample is its own
-        came = self._findings.take_timed(sample, received_s, synced_s, now)
+        came = self._findings.take_timed(sample, received_s, synced_s, judge.extra_came, now)
         if came:
             judge.taken()
         return came

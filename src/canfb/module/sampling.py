@@ -78,6 +78,7 @@ class Sampling:
         self._timed: SampleInstant | None = None  # of the last valid sample with a time
         self._doubted: SampleInstant | None = None  # of the present one, if it is not valid
         publishing.events.unconfirmed = self._why_unconfirmed
+        chain.on_unit = self._unit_changed
         self._waited = 0.0  # intervals since the last sample that were reported as missed
         self._set_waited, self._set_back = 0.0, 0  # those before the last set of intervals; samples since
         self._judge = judge
@@ -172,7 +173,7 @@ class Sampling:
         return True
 
     def _take_timed(
-        self, sample: Sample, received_s: float | None, synced_s: float | None, now: float
+        self, sample: Sample, received_s: float | None, synced_s: float | None, extra: bool, now: float
     ) -> bool:
         """A sample with its time; False if it is an earlier one again, and nothing happened.
 
@@ -180,21 +181,25 @@ class Sampling:
         """
         time_100ns = sample.time_100ns
         assert time_100ns is not None
-        if self._limits.narrowed:
-            self._limits.follow()
+        self._unit_changed()
         if self._interval.samples_per_sync > 1:
             self._follow_grid()
         last = self._publishing.last
-        feedback = self._chain.step(sample, received_s, synced_s)
+        feedback = self._chain.step(sample, received_s, synced_s, extra)
         if last is not None and feedback.samples == last.samples:
             return self._chain.crowded
         self._waited = 0.0
-        self._interval.timed_s = self._chain.unit_s
         self._remember(feedback, (time_100ns, received_s, synced_s))
         if feedback.status & VALID and self._unconfirmed:
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
         return True
+
+    def _unit_changed(self) -> None:
+        """The limits are those of the interval in which the sample is counted, also of the first one."""
+        self._interval.timed_s = self._chain.unit_s
+        if self._limits.narrowed:
+            self._limits.follow()
 
     def _remember(self, feedback: Feedback, instant: SampleInstant) -> None:
         """When the sample was taken: a later one that is in doubt is compared with it in words."""

@@ -86,33 +86,6 @@ class SignalChain(Pauses):
         return self._reference
 
     @property
-    def interval_s(self) -> float:
-        """Nominal interval of SYNC, seconds, used to check sample times. 0.0: not known."""
-        return self._times.interval_s
-
-    @interval_s.setter
-    def interval_s(self, interval_s: float) -> None:
-        """Positions and speeds stay as they are; intervals in progress are counted in the new unit."""
-        old, self._times.interval_s = self._times.unit_s, interval_s
-        if old > 0.0 and interval_s > 0.0:
-            self._rescale(old / interval_s)
-        self._follow_unit()
-
-    def _rescale(self, factor: float) -> None:
-        self._waited *= factor
-        self._estimator.rescale(factor)
-
-    @property
-    def unit_s(self) -> float:
-        """The interval in which speeds of timed samples are given, seconds; 0.0 before it is known."""
-        return self._times.unit_s / self._per_sync
-
-    def forget_times(self) -> None:
-        """Another interface may send the sample times from now on, by another clock and at another rate."""
-        self._times.reset()
-        self.interval_s = 0.0
-
-    @property
     def loss_cause(self) -> LossCause:
         """Why the position was lost the last time."""
         return self._estimator.loss_cause
@@ -214,15 +187,19 @@ class SignalChain(Pauses):
         self._was_valid = 0
 
     def step(
-        self, sample: Sample, received_s: float | None = None, synced_s: float | None = None
+        self,
+        sample: Sample,
+        received_s: float | None = None,
+        synced_s: float | None = None,
+        extra: bool = False,
     ) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises.
 
         A sample with the time of the one before, or of an earlier one, comes too late: the same
         Feedback, the same object, is returned, and nothing changes. Times must agree
         with the receptions, of this sample at ``received_s`` and of the SYNC that it answers at
-        ``synced_s``, seconds, None where that is not known. One whose time fits nothing is a
-        bad sample; see :class:`canfb.signal.sample_times.SampleTimes`.
+        ``synced_s``, seconds, None where that is not known; ``extra``: it may answer a SYNC too many.
+        One whose time fits nothing is a bad sample; see :class:`canfb.signal.sample_times.SampleTimes`.
 
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
         taken, in their order; the result is that of the newest, :attr:`between` has the others.
@@ -231,9 +208,10 @@ class SignalChain(Pauses):
         if time_100ns is None:
             return self.after(sample, elapsed, sample.options)
         speed, unit_s = self._tracker.step_cycles * self._per_sync, self._times.unit_s
-        passed = self._times.elapsed(time_100ns, elapsed + self._waited, received_s, synced_s, speed)
-        if self._times.unit_s != unit_s > 0.0:
-            self._rescale(unit_s / self._times.unit_s)
+        counted = elapsed + self._waited
+        passed = self._times.elapsed(time_100ns, counted, received_s, synced_s, speed, extra)
+        if self._times.unit_s != unit_s:
+            self._unit_changed(unit_s)
         if self._front is not None and self._front.unit_s != self.unit_s:
             self._follow_unit()
         self.crowded = passed == CROWDED
@@ -266,7 +244,7 @@ class SignalChain(Pauses):
         """
         sine, cosine, _, invalid, coarse, _, pulse, _, _, _ = sample
         bad = invalid or not placed
-        timed = sample.time_100ns is not None
+        self._estimator.timed = timed = sample.time_100ns is not None
         if not (bad or options) and coarse is pulse is None and (elapsed == 1.0 or timed):
             feedback = self.usual(sine, cosine, elapsed)
             if feedback is not None:
@@ -462,8 +440,7 @@ class SignalChain(Pauses):
 
     def miss(self) -> Feedback:
         """One interval of SYNC without a sample: the position coasts, flagged."""
-        if not self._estimator.lost:  # then its length does not matter
-            self._waited += 1.0
+        self._waited += 1.0
         intervals = float(self._per_sync)
         track, bits = self._estimator.bad(intervals, missed=True)
         self._clock += intervals

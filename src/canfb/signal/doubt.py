@@ -245,6 +245,11 @@ class Doubt:
         self._rows = 0  # contradictions
         self._followed = 0.0  # intervals with samples
 
+    @property
+    def is_without_samples(self) -> bool:
+        """None was good since it began."""
+        return not self._followed
+
     def skip(self, options: tuple[float, ...], flagged: bool) -> None:
         """No sample, or one that failed its checks (``flagged``), after one of these elapsed times."""
         self._only_missing &= not flagged

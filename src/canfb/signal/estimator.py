@@ -64,6 +64,7 @@ class Estimator:
         "on_speed",
         "phases_keep",
         "places",
+        "timed",
         "tracker",
     )
 
@@ -75,6 +76,8 @@ class Estimator:
         """Called when the speed of a lost position is known."""
         self.phases_keep = True
         """A phase is the same at any speed. Else uneven times say nothing: each speed has other phases."""
+        self.timed = False
+        """Samples bring their time, and the next interval may be uneven."""
         self.loss_cause = LossCause.NONE
         """Of the last loss."""
         self.places: deque[Place] = deque(maxlen=REMEMBERED_SAMPLES)
@@ -100,8 +103,6 @@ class Estimator:
             tracker.acceleration_limit = declared.largest_second_difference
         if self._doubt is not None:
             self._doubt.declare(declared.in_doubt, declared.bad_samples)
-
-    # Starts, and what is known from outside.
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
         """Start with this cycle count and speed; the position is not lost any more.
@@ -197,6 +198,7 @@ class Estimator:
         """Sampling intervals are counted in another unit: all of them are this many times longer."""
         self.tracker.rescale(factor)
         self._speeds.rescale(factor)
+        self._coasted *= factor
         self._change_places(lambda place: (place[0], place[1], place[2] * factor))
         for doubt in (self._doubt, self._past):
             if doubt is not None:
@@ -209,7 +211,10 @@ class Estimator:
         self.places.clear()
         self.places.extend(place for place in places if place is not None)
 
-    # One sample.
+    @property
+    def stands_still(self) -> bool:
+        """While lost: the machine stood before, or its phases have for long enough."""
+        return self._still.samples >= STILL_SAMPLES
 
     @property
     def searches(self) -> bool:
@@ -226,13 +231,14 @@ class Estimator:
 
         ``elapsed`` intervals after the one before; several if it is not known which of them.
         """
-        if elapsed == 1.0 and not (self._doubt or self.lost or self._speeds.active):
+        second = self.timed and len(self.places) == 1
+        if elapsed == 1.0 and not (second or self._doubt or self.lost or self._speeds.active):
             followed = self.tracker.follow(phase)
             if followed is not None:
                 self.places.append((followed[0], phase, 1.0))
                 return followed, VALID
         options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
-        if self.phases_keep and self._speeds.begin(self.declared, options, self.lost, self._start_places()):
+        if self._follows_speeds(options):
             return self._by_speed(phase, options)
         return self._taken(phase, options)
 
@@ -266,8 +272,7 @@ class Estimator:
             track = tracker.look(phase)
             tracker.accept(track)
             self._begin_places()
-            if self.phases_keep:  # the next interval may be even by chance
-                self._speeds.begin(self.declared, (1.0,), False, self._start_places())
+            self._follows_speeds((1.0,))  # the next interval may be even by chance
             return track, VALID
         if self._coasted + max(0, round(options[0]) - 1) > self.declared.coast_samples + 0.5:
             self.lose(LossCause.COASTED)
@@ -286,10 +291,18 @@ class Estimator:
                 return self._count_on(phase, options[0], LOST | bits)
         return self._decide(phase, options, bits)
 
+    def _follows_speeds(self, options: tuple[float, ...]) -> bool:
+        """The next sample is held against every speed that the machine can have."""
+        begin, places = self._speeds.begin, self._start_places()
+        return self.phases_keep and begin(
+            self.declared, self.timed, options, self.lost, places, self._coasted
+        )
+
     def _start_places(self) -> list[Place]:
-        """The samples since a start, while its speed is assumed; none later."""
-        places = self.places
-        if self._virtual is None or self._known or self._doubt or len(places) > START_SAMPLES or not places:
+        """The samples since a start, while its speed is assumed; none later, or while others are in doubt."""
+        places, doubt = self.places, self._doubt
+        in_doubt = doubt is not None and not doubt.is_without_samples
+        if self._virtual is None or self._known or in_doubt or not 0 < len(places) <= START_SAMPLES:
             return []
         return list(places)[places[0] is self._virtual :]
 
@@ -312,18 +325,11 @@ class Estimator:
         tracker = self.tracker
         if len(self.places) <= START_SAMPLES and self._start_places():
             return NOT_USUAL
-        radius = self._usual_radius(elapsed)
-        if radius < HALF_CYCLE:
-            counted = tracker.look(phase, elapsed)
-            if not counted.residual < radius:
-                return NOT_USUAL
-            tracker.accept(counted, elapsed)
-            return counted.residual
-        other = self._counted(phase, (elapsed,))
-        if other is None:
+        counted = self._in_window(phase, elapsed) if elapsed < LONG_INTERVAL else None
+        if counted is None:
             return NOT_USUAL
-        tracker.accept(other, elapsed)
-        return other.residual
+        tracker.accept(counted, elapsed)
+        return counted.residual
 
     def _usual_radius(self, elapsed: float) -> float:
         """Half the window of a sample in turn, cycles, in closed form; 1 where others narrow it.
@@ -347,15 +353,18 @@ class Estimator:
                 return None  # the prediction has refused it already
             track = self.tracker.look(phase)
             return track._replace(ok=True) if track.residual < self.declared.first_limit else None
+        counted = self._in_window(phase, elapsed)
+        return None if counted is None else counted._replace(ok=True)
+
+    def _in_window(self, phase: float, elapsed: float) -> Track | None:
+        """The position of a sample in turn, if it is the only one in the window of the last ones."""
+        track = self.tracker.look(phase, elapsed)
         radius = self._usual_radius(elapsed)
         if radius < HALF_CYCLE:
-            track = self.tracker.look(phase, elapsed)
-            return track._replace(ok=True) if track.residual < radius else None
+            return track if track.residual < radius else None
         spots = self._spots()
         counts = self.declared.usual.window(spots, spots[-1].time + elapsed).counts(phase)
-        if len(counts) != 1:
-            return None
-        return self.tracker.look(phase, elapsed)._replace(cycles=counts[0], ok=True)
+        return track._replace(cycles=counts[0]) if len(counts) == 1 else None
 
     def bad(self, elapsed: float | tuple[float, ...], missed: bool = False) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""
@@ -434,8 +443,6 @@ class Estimator:
         else:
             self.tracker.set_places(before, last, elapsed[-1])
 
-    # The way back.
-
     def _spots(self) -> tuple[Spot, ...]:
         """The last samples that were counted, the newest at time 0; two at least."""
         time = 0.0
@@ -491,10 +498,3 @@ class Estimator:
         if len(places) == REMEMBERED_SAMPLES:
             past = []
         return [*past, *entries][-needed:]
-
-    # Speeds.
-
-    @property
-    def stands_still(self) -> bool:
-        """While lost: the machine stood before, or its phases have for long enough."""
-        return self._still.samples >= STILL_SAMPLES

@@ -37,6 +37,7 @@ class NominalSync:
         "_first",
         "_last",
         "_phase",
+        "_skipped",
         "_slope",
         "first_off_ticks",
         "lead_ticks",
@@ -64,6 +65,7 @@ class NominalSync:
         self._last: int | None = None
         self._before = [self.period_ticks] * BEFORE if self.period_ticks else []
         self._first: list[tuple[float, float]] = []  # the first distances, ticks, and SYNCs in them
+        self._skipped = 0.0  # ticks to a sample that is none of the line, while there is no line
         self._phase = self._slope = 0.0  # gains
         self.lead_ticks = 0.0
         self.first_off_ticks: list[float] = []
@@ -88,7 +90,8 @@ class NominalSync:
         if self.seen:
             self.follow(self.off_ticks(ticks, syncs), syncs)
         else:
-            self._begin(ticks, syncs)
+            self._begin(ticks + self._skipped, syncs)
+            self._skipped = 0.0
 
     def follow(self, off_ticks: float, syncs: float = 1.0) -> None:
         """:meth:`take` where there is a line, of a sample that was off it by so much."""
@@ -102,7 +105,9 @@ class NominalSync:
     def skip(self, ticks: float) -> None:
         """A sample was taken so long after the last one, at no SYNC of the line, which goes on as it was."""
         period = self.period_ticks
-        if self.seen and period:
+        if not self.seen:
+            self._skipped += ticks
+        elif period:
             self.lead_ticks += round((ticks - self.lead_ticks) / period) * period - ticks
 
     def _begin(self, ticks: float, syncs: float) -> None:

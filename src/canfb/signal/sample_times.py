@@ -31,7 +31,7 @@ SLIP_CYCLES = 0.15
 LINE_PART, HEARD_PART = 0.5, 0.75
 SAME_PACE = 0.002  # of the interval: a limit of acceleration counts with its square
 DRIFT = 2e-4  # of two clocks, 100 ppm each
-RELOCK = 6  # times in a row that are off the line, and right: SYNC has another rate, or another phase
+RELOCK = 6  # times that are off the line, and right: SYNC has another rate, or another phase
 REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 
 
@@ -83,7 +83,7 @@ class SampleTimes:
     def forget(self) -> None:
         """The next time is the first one."""
         self.nominal_sync.restart()
-        self._off_line = 0  # times in a row
+        self._off_line = 0  # times, since one showed that the line is right
         self._last: int | None = None
         self._received_s: float | None = None  # when that was received
         self._synced_s: float | None = None  # when its SYNC was
@@ -151,6 +151,7 @@ class SampleTimes:
         received_s: float | None = None,
         synced_s: float | None = None,
         speed_cycles: float = 0.0,
+        extra: bool = False,
     ) -> float:
         """Intervals since the last sample that was taken, above 0; or what is wrong with this time.
 
@@ -158,11 +159,13 @@ class SampleTimes:
         ``received_s`` and the SYNC that it answers at ``synced_s``, seconds, None if that is not known.
         ``synced_s`` alone is when SYNC was taken, by a host that may have been late.
         ``speed_cycles`` is that of the machine, cycles per interval: a time that is off by more than
-        usual is a bad one only where this would cost the cycle count. REPEATED: it is that of the last
-        sample or of one before. SUSPECT: it fits nothing, the next time must show whether it or the
-        clock is wrong; the sample is not to be used. CROWDED: a new sample, so near to the last one that it
-        would give a poor speed. RESTARTED: the clock was, and how long the
-        interval was cannot be known.
+        usual is a bad one only where this would cost the cycle count. ``extra``: a SYNC too many came since
+        the last one, and the sample may answer it: off the line its time says nothing of the line.
+
+        REPEATED: it is that of the last sample or of one before. SUSPECT: it fits nothing, the next time must
+        show whether it or the clock is wrong; the sample is not to be used. CROWDED: a new sample, so near to
+        the last one that it would give a poor speed. RESTARTED: the clock was, and how long the interval was
+        cannot be known.
         """
         last = self._last
         if last is None:
@@ -191,7 +194,10 @@ class SampleTimes:
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
         if intervals >= CLOSEST and self._is_witnessed(ticks, counted, synced_s):
             self.passed = intervals
-            self.nominal_sync.skip(ticks)
+            if self._leaves_line(True, ticks, counted) or not self.nominal_sync.seen:
+                self.nominal_sync.take(ticks, counted)
+            else:
+                self.nominal_sync.skip(ticks)
             self._accept(time_100ns, received_s, synced_s, late_s)
             return intervals
         if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
@@ -199,13 +205,17 @@ class SampleTimes:
             if agrees and intervals > counted + 0.5:
                 whole = max(counted, round(self._heard_apart_s(received_s, synced_s) / unit))
             self.passed = intervals
-            odd = self._judge(ticks, whole, synced_s, received_s is not None, abs(speed_cycles))
+            skips = extra and self._is_off(ticks, whole)
+            odd = self._judge(ticks, whole, synced_s, received_s is not None, abs(speed_cycles), not skips)
             if odd == RESTARTED:
                 moved = self._is_explained(error_s, SLIP_CYCLES * unit, abs(speed_cycles))
                 self._restart(time_100ns, received_s, synced_s)
                 return intervals if moved else RESTARTED
             if not odd:
-                self._follow(ticks, whole if self.nominal_sync.seen else counted)
+                if skips:
+                    self.nominal_sync.skip(ticks)
+                else:
+                    self._follow(ticks, whole if self.nominal_sync.seen else counted)
                 self._accept(time_100ns, received_s, synced_s, late_s)
             return odd or intervals
         if agrees and 0.0 < intervals < CLOSEST:
@@ -218,14 +228,27 @@ class SampleTimes:
     def _follow(self, ticks: int, whole: float) -> None:
         """The line goes on through a time that is right, or begins again where none lies on it any more."""
         line = self.nominal_sync
-        self._off_line = self._off_line + 1 if self._is_off(ticks, whole) else 0
-        if self._off_line >= RELOCK:
-            self._off_line = 0
-            line.restart()
+        self._leaves_line(self._is_off(ticks, whole), ticks, whole)
         line.take(ticks, whole)
         if not self._on_line:
             self._on_line = line.seen > 0
             self._jitter.begin([abs(off) * TICK_S for off in line.first_off_ticks])
+
+    def _leaves_line(self, is_off: bool, ticks: int, whole: float) -> bool:
+        """Is a time that is right off the line? True if one after the other is: the line begins again here.
+
+        Only a time on the line and ``whole`` intervals after the last one shows that the line is right:
+        where the pace is twice or half that of the line, every second time lies on it.
+        """
+        if is_off:
+            self._off_line += 1
+        elif abs(ticks * TICK_S / self.unit_s - whole) <= NOMINAL:
+            self._off_line = 0
+        leaves = self._off_line >= RELOCK
+        if leaves:
+            self._off_line = 0
+            self.nominal_sync.restart()
+        return leaves
 
     def _is_off(self, ticks: int, whole: float) -> bool:
         return abs(self._off_s(ticks, whole)) > self._jitter.limit_of(self.unit_s, LINE_PART)
@@ -298,7 +321,13 @@ class SampleTimes:
         return None if received_s is None or self._received_s is None else received_s - self._received_s
 
     def _judge(
-        self, ticks: int, whole: float, synced_s: float | None, proved: bool, speed_cycles: float
+        self,
+        ticks: int,
+        whole: float,
+        synced_s: float | None,
+        proved: bool,
+        speed_cycles: float,
+        learns: bool,
     ) -> float:
         """Is a time off by more than usual, and would that cost the count? 0.0: no; SUSPECT or RESTARTED.
 
@@ -321,7 +350,8 @@ class SampleTimes:
                 off_s, limit_s, witness = error_s, heard_s, heard
             elif not heard.see(error_s, heard_s) and not proved:
                 limit_s = max(limit_s, jitter.limit_s) * DOUBTED / BEYOND
-        if witness.see(off_s, limit_s) or abs(off_s) * speed_cycles <= SLIP_CYCLES * unit:
+        usual = witness.see(off_s, limit_s) if learns else abs(off_s) <= limit_s
+        if usual or abs(off_s) * speed_cycles <= SLIP_CYCLES * unit:
             return 0.0
         self._odd_s = off_s
         return RESTARTED if before is not None and abs(off_s - before) <= limit_s else SUSPECT

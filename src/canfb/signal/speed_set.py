@@ -2,9 +2,10 @@
 
 Phases one interval apart cannot show whole cycles per interval: the truth is y + c + s t with y as it is
 counted and whole numbers c and s. At uneven instants s t is no whole number any more, and the second
-difference of a wrong s is off by s times that of the instants. So each s is followed by itself, one cycle
-count for each sample, the nearest to eq. 9, and goes where it leaves a window of the declared motion
-(:mod:`canfb.signal.bounded_motion`). From two earlier samples, f apart, to one that is e after the later,
+difference of a wrong s is off by s times that of the instants. So each s is followed by itself, with the
+cycle count of each sample nearest to eq. 9 (after a gap with each that is possible), and goes where it leaves
+a window of the declared motion (:mod:`canfb.signal.bounded_motion`). From two earlier samples, f apart, to
+one that is e after the later,
 
     B e (e + f) / 2 + (eps + tau |v|) (2 + 2 e / f).
 
@@ -44,7 +45,9 @@ START_SAMPLES = 8  # at q >= 1 uneven times contradict a wrong speed at a start 
 KNOWN_SAMPLES = 32  # from then on their rms is known; before, the largest difference stands for it
 LEAST_SAMPLES = 5  # of uneven times, before these count as even after all
 EVEN = 2e-4  # of the interval: drift of two crystals
-HALF_CYCLE = 0.5
+# Speeds, with the counts each may have had after a gap: to bound time and memory. Windows of 3 cycles for
+# the fastest, or of half a cycle more at each sample, are beyond it, and then nothing is decided.
+MOST_MOTIONS = 1 << 16
 BASELINES = ((1, 2), (1, 3), (2, 3), (2, 4))  # samples back; the first one counts the cycles
 SAMPLES_BEFORE = 3  # the newest: as far as these reach back
 # q: below the first nothing is told within MOST_WAITING samples; first samples below the second show that it
@@ -110,16 +113,17 @@ class SpeedSet:
         if self.samples == 1:
             counts = np.zeros(1, np.int64)
         elif self.samples == 2:
-            self._counts = [self._counts[0].repeat(2 * self._most + 1)]
-            counts = np.arange(-self._most, self._most + 1)
+            most = min(math.ceil(self._most * max(1.0, elapsed)), MOST_MOTIONS // 2)
+            self._counts = [self._counts[0].repeat(2 * most + 1)]
+            counts = np.arange(-most, most + 1)
         else:
             off, radius = self._window(1, 2, phase)
-            if radius.max() >= HALF_CYCLE:
+            lowest = np.ceil(off - radius)
+            possible = np.maximum(np.floor(off + radius) - lowest + 1.0, 0.0)
+            if not possible.sum() <= MOST_MOTIONS:
                 return False
-            ahead = np.rint(off)
-            kept = np.abs(off - ahead) <= radius
-            self._chance *= 2.0 * float(radius[kept].max(initial=0.0))
-            counts = self._keep(kept, self._counts[0] + ahead.astype(np.int64))
+            self._chance *= 2.0 * float(radius[possible > 0.0].max(initial=0.0))
+            counts = self._branch(lowest.astype(np.int64), possible.astype(np.int64))
             for first, second in BASELINES[1:]:
                 if second <= len(self._counts):
                     off, radius = self._window(first, second, phase)
@@ -130,6 +134,14 @@ class SpeedSet:
         self._since = [0.0, *self._since[:SAMPLES_BEFORE]]
         self._alone = self._alone + 1 if self.left == 1 else 0
         return bool(self.left) and self.samples <= MOST_SAMPLES
+
+    def _branch(
+        self, lowest: npt.NDArray[np.int64], possible: npt.NDArray[np.int64]
+    ) -> npt.NDArray[np.int64]:
+        """Each goes on with so many counts, from ``lowest`` ahead of its last on; usually one, or none."""
+        self._counts = [one.repeat(possible) for one in self._counts]
+        number = np.arange(len(self._counts[0])) - (np.cumsum(possible) - possible).repeat(possible)
+        return np.asarray(self._counts[0] + lowest.repeat(possible) + number)
 
     def _keep(self, kept: npt.NDArray[np.bool_], counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
         """These speeds stay; their counts of the sample that is looked at."""
@@ -193,8 +205,7 @@ class Starts:
         self.active: SpeedSet | None = None
         self.last_two: Found = NOTHING_FOUND
         self._tried = False
-        self._is_declared = False
-        self._least = 0  # samples that show whether the times are even
+        self._is_declared = self._may_be_uneven = False
         self._unit = 1.0  # that of the speeds, in intervals as they are counted now
 
     def rescale(self, factor: float) -> None:
@@ -211,29 +222,39 @@ class Starts:
             self.active.skip(options[0] / self._unit)
 
     def begin(
-        self, declared: Declared, options: tuple[float, ...], lost: bool, places: Sequence[Place]
-    ) -> SpeedSet | None:
-        """Those to hold the next sample against; ``places`` are the samples of a start that is assumed."""
+        self,
+        declared: Declared,
+        timed: bool,
+        options: tuple[float, ...],
+        lost: bool,
+        places: Sequence[Place],
+        missed: float,
+    ) -> bool:
+        """Is the next sample to be held against them? ``places`` are the samples of a start that is assumed.
+
+        Since the last of them ``missed`` intervals have passed. Where samples are ``timed`` the first one
+        may be the unit of all others, and even by definition: it shows nothing then.
+        """
         if self.active is not None or self._tried:
-            return self.active
-        known = declared.acceleration is not None and declared.instant_error > 0.0
+            return self.active is not None
+        self._is_declared = declared.acceleration is not None
+        self._may_be_uneven = timed and self._is_declared
         even = abs(options[0] - 1.0) <= EVEN + 4.0 * declared.instant_error
-        if self.origin is None and even and (lost or not known):  # else the next times may be uneven
-            return None
+        if self.origin is None and even and (lost or not self._may_be_uneven):
+            return False
         bound = declared.second_order
         if bound is None or len(options) > 1 or not (lost or places):
-            return None
+            return False
         self.active = speeds = SpeedSet(
             bound.largest, declared.phase_error, declared.instant_error, declared.bad_samples + bound.order
         )
         self._unit = 1.0
-        self._is_declared = declared.acceleration is not None
-        self._least = LEAST_SAMPLES if known else 0
         if places:
             self.origin = places[0][0]
         for _, phase, elapsed in places:
             speeds.feed(phase, elapsed)
-        return speeds
+        speeds.skip(missed)
+        return True
 
     def take(self, phase: float, elapsed: float, lost: bool, count: int | None) -> SpeedVerdict:
         """A sample; ``count`` is that of the speed assumed, None where it is in doubt."""
@@ -254,7 +275,8 @@ class Starts:
             self.stop()
             return SpeedVerdict.UNKNOWN
         # Without a declared acceleration q is small, and a healthy start would wait for nothing.
-        waits = self._is_declared and not (speeds.silent and speeds.samples >= self._least)
+        known = speeds.silent and (speeds.samples >= LEAST_SAMPLES or not self._may_be_uneven)
+        waits = self._is_declared and not known
         return SpeedVerdict.OPEN if waits else SpeedVerdict.UNKNOWN
 
     def _of_lost(self, speeds: SpeedSet) -> SpeedVerdict:

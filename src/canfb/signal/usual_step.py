@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from math import sqrt
 
 from canfb.signal.adaptation import NEVER, Adaptation, AdaptConfig, FollowedDrift
@@ -48,6 +49,8 @@ class UsualStep(SecondListener):
     measures_intervals: bool
 
     def __init__(self) -> None:
+        self.on_unit: Callable[[], None] = lambda: None
+        """Called when :attr:`unit_s` has changed, before a sample is held against limits of the old one."""
         self._nothing_in_doubt = False
         self._status = VALID  # of a usual sample
         self._stands = False  # the counts repeat, and the machine stands still
@@ -89,9 +92,36 @@ class UsualStep(SecondListener):
         self._entries, self._lines = (0, ()) if table is None else (len(table), table.lines())
 
     @property
+    def interval_s(self) -> float:
+        """Nominal interval of SYNC, seconds, used to check sample times. 0.0: not known."""
+        return self._times.interval_s
+
+    @interval_s.setter
+    def interval_s(self, interval_s: float) -> None:
+        """Positions and speeds stay as they are; intervals in progress are counted in the new unit."""
+        old, self._times.interval_s = self._times.unit_s, interval_s
+        if self._times.unit_s != old:
+            self._unit_changed(old)
+        self._follow_unit()
+
+    def _unit_changed(self, old_s: float) -> None:
+        """Intervals are counted in another unit, or for the first time in one that is known."""
+        unit_s = self._times.unit_s
+        if old_s > 0.0 and unit_s > 0.0:
+            factor = old_s / unit_s
+            self._waited *= factor
+            self._estimator.rescale(factor)
+        self.on_unit()
+
+    @property
     def unit_s(self) -> float:
         """The interval in which speeds of timed samples are given, seconds; 0.0 before it is known."""
-        raise NotImplementedError
+        return self._times.unit_s / self._per_sync
+
+    def forget_times(self) -> None:
+        """Another interface may send the sample times from now on, by another clock and at another rate."""
+        self._times.reset()
+        self.interval_s = 0.0
 
     @property
     def conditions_by_past(self) -> bool:

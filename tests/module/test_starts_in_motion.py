@@ -1,0 +1,129 @@
+"""A machine that turns already when its module starts, and sample times at a SYNC that jitters."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from canfb import FeedbackModule, Frame, ModuleConfig, Sample, SignalChain
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.supervision import VALID
+
+N, PERIOD_S, JITTER_S, STARTS = 2500, 1e-3, 80e-6, 12
+RAD_S2 = 2.0 * math.pi / N / PERIOD_S**2  # of one cycle per period^2
+
+
+@dataclass
+class Start:
+    """What is known at a start, and what does not come of it: numbers of samples."""
+
+    nominal: bool = False
+    stamps: bool = False
+    counter: bool = False
+    heard_before: int = 0
+    lost: tuple[int, ...] = ()
+    flagged: tuple[int, ...] = ()
+
+
+def wrong_and_right(
+    start: Start, acceleration: float, seed: int, samples: int = 40
+) -> tuple[list[int], bool]:
+    """Samples whose position is valid and wrong, counted from 1, and whether it is right at the end."""
+    rng = np.random.default_rng(seed)
+    config = ModuleConfig(
+        node_id=32, encoder_interface=16, times=True, max_acceleration_rad_s2=acceleration * RAD_S2
+    )
+    module = FeedbackModule(config)
+    module.start(0.0)
+    if start.nominal:  # 1006h by SDO
+        module.receive(Frame(0x620, struct.pack("<BHBI", 0x23, 0x1006, 0, round(PERIOD_S * 1e6))), 0.5)
+    speed = float(rng.uniform(2.0, 125.0)) * float(rng.choice((-1.0, 1.0)))
+    bend = 0.5 * acceleration * float(rng.uniform(-1.0, 1.0))
+    ticks_before = int(rng.integers(1 << 32))
+    first, wrong, right = None, [], False
+    for number in range(-start.heard_before, samples):
+        at_s = 1.0 + number * PERIOD_S + float(rng.uniform(-JITTER_S, JITTER_S))
+        if number == 0:
+            module.receive(Frame(0x000, bytes([1, 32])), 1.0 - 0.5 * PERIOD_S)
+        sampled_s = at_s + 20e-6
+        time = (sampled_s - 1.0) / PERIOD_S
+        position = 0.3 + speed * time + 0.5 * bend * time * time
+        host_s = rng.uniform(10e-6, 80e-6, 2)
+        while (due := module.deadline()) is not None and due < at_s + host_s[0]:
+            module.tick(due)
+        counter = bytes([number % 240 + 1]) if start.counter else b""
+        module.receive(Frame(0x080, counter, timestamp=at_s if start.stamps else None), at_s + host_s[0])
+        if number in start.lost or number < 0:
+            continue
+        size = 0.0 if number in start.flagged else 1500.0
+        tracks = [size * turn(2.0 * math.pi * position) for turn in (math.sin, math.cos)]
+        noisy = [round(one + rng.normal(0.0, 0.5)) for one in tracks]
+        data = struct.pack("<hhI", *noisy, (int(sampled_s * 1e7) + ticks_before) % 2**32)
+        came_s = sampled_s + 200e-6
+        pdo = Frame(0x190, data, timestamp=came_s if start.stamps else None)
+        for frame in module.receive(pdo, came_s + host_s[1]):
+            if frame.can_id != 0x1A0 or not struct.unpack_from("<H", frame.data, 4)[0] & VALID:
+                continue
+            feedback = module.feedback
+            assert feedback is not None
+            off = round(feedback.cycles + feedback.phase - position)
+            first = off if first is None else first
+            right = off == first
+            if not right:
+                wrong.append(number + 1)
+    return wrong, right
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        Start(),
+        Start(stamps=True),
+        Start(nominal=True),
+        Start(counter=True, lost=(1,)),
+        Start(heard_before=3),
+        Start(heard_before=20),
+        Start(lost=(1,)),
+        Start(lost=(2, 3)),
+        Start(nominal=True, lost=(2, 3)),
+        Start(nominal=True, lost=(6,)),
+        Start(flagged=(0,)),
+        Start(flagged=(1,)),
+    ],
+    ids=str,
+)
+def test_no_start_in_motion_is_valid_before_its_speed_is_known(start: Start) -> None:
+    """The first interval is even where it is the unit of all others: it proves nothing."""
+    for seed in range(STARTS):
+        wrong, _ = wrong_and_right(start, (0.01, 0.05, 0.1)[seed % 3], seed)
+        assert not wrong, f"start {seed}: wrong at sample {wrong[0]}"
+
+
+def test_a_start_in_motion_is_right_soon_also_where_no_period_was_known() -> None:
+    assert all(wrong_and_right(Start(), 0.01, seed, 80)[1] for seed in range(STARTS))
+
+
+def test_a_lost_position_keeps_its_count_over_missed_samples() -> None:
+    """The speed is found while it is lost, and the count from the first sample on with it."""
+    right = [wrong_and_right(Start(nominal=True, lost=(6,)), 0.05, seed, 80)[1] for seed in range(STARTS)]
+    assert sum(right) >= STARTS - 1
+
+
+def test_a_chain_alone_does_the_same_without_an_interval() -> None:
+    rng = np.random.default_rng(9)
+    for _ in range(STARTS):
+        chain = SignalChain(ChainConfig(max_acceleration_cycles=0.01))
+        speed, first = float(rng.uniform(2.0, 125.0)), None
+        for number in range(60):
+            time = number + float(rng.uniform(-0.08, 0.08))
+            angle = 2.0 * math.pi * speed * time
+            sine, cosine = round(1500 * math.sin(angle)), round(1500 * math.cos(angle))
+            feedback = chain.step(Sample(sine, cosine, time_100ns=round((time + 1.0) * 1e4)))
+            if feedback.status & VALID:
+                off = round(feedback.cycles + feedback.phase - speed * time)
+                first = off if first is None else first
+                assert off == first
