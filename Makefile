@@ -30,10 +30,10 @@ help: ## Show the targets
 demo: $(INSTALLED) ## Run the whole story on an in-process bus; pictures in build/demo/report.html
 	$(VENV)/bin/canfb demo --out $(DEMO_OUT)
 
-# For use while writing: what needs no long run. Fewer examples of each property than `make test` takes.
-check: lint $(INSTALLED_TEST) ## Check style and types, and run the tests of the mathematics, in about a minute
+# For use while writing: all rooms, without what takes long (tests/long_tests.txt), five examples of a property.
+check: lint $(INSTALLED_TEST) ## Check style and types, and run what takes less than 0.05 s, in a minute
 	$(PY) -m mypy
-	CI=true $(PYTEST) -q -n $(WORKERS) tests/signal tests/test_layering.py tests/test_exports.py
+	$(PYTEST) -q -n $(WORKERS) --dist worksteal -m "not long and not socketcan" --hypothesis-profile check
 
 # Each part has its own verdict, whatever becomes of the others; make fails if one of them does. The tests on
 # a real SocketCAN wait more than they compute, so the others run beside them.

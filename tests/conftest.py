@@ -8,6 +8,7 @@ import os
 import pickle
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import can
@@ -23,6 +24,7 @@ from canfb.errors import BusError
 # repeated, and a quarter of them, to be through in a quarter of an hour; elsewhere they are random.
 settings.register_profile("default", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, max_examples=25)
+settings.register_profile("check", deadline=None, derandomize=True, max_examples=5)  # make check
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
@@ -53,6 +55,15 @@ _frozen = _Frozen()
 
 def pytest_runtest_setup() -> None:
     _frozen.freeze()
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m "not long"` chooses
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what `make check` leaves out: one name of a test a line, whatever its parameters and its file."""
+    long = set(Path(__file__).with_name("long_tests.txt").read_text(encoding="ascii").splitlines())
+    for item in items:
+        if item.nodeid.partition("::")[2].partition("[")[0] in long:
+            item.add_marker("long")
 
 
 def _import_od_once() -> None:
