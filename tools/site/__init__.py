@@ -1,1 +1,1 @@
-"""The documentation site: pages, their order, what is made of the code, and the check of the result."""
+"""The documentation site: pages, their order, and what is made of the code."""

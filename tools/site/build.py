@@ -1,11 +1,11 @@
-"""Build the documentation site, strictly and offline.
+"""Build the documentation site, strictly.
 
     python -m tools.site.build [--to build/site]
 
 The pages in docs/ in the order of docs/nav.yaml, and those that are made of the EDS files, the configuration
 classes, the command line and the docstrings (tools/site/made.py). Exit status 1, with a line for each fault,
-for a page that is not in the order, a link or an anchor that leads nowhere, anything that Sphinx warns of, or
-a file that the site would load from another address. Open build/site/html/index.html; it needs no server.
+for a page that is not in the order, a link or an anchor that leads nowhere, or anything that Sphinx warns of.
+Open build/site/html/index.html; it needs no server.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tools.site.built import faults_in
 from tools.site.made import MADE
 from tools.site.nav import SiteError
 from tools.site.pages import write_source
@@ -35,8 +34,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         write_source(ROOT, {page: make() for page, make in MADE.items()}, to / "source")
         run_sphinx(to / "source", to / "html")
-        if faults := list(faults_in(to / "html")):
-            raise SiteError("\n".join(faults))
     except SiteError as error:
         print(error, file=sys.stderr)
         return 1
