@@ -30,7 +30,7 @@ SYSTEM_PATH = "/usr/local/sbin:/usr/sbin:/sbin"
 
 PACKAGES = {
     "linux.uml": "user-mode-linux",
-    "insmod": "kmod",
+    "modprobe": "kmod",
     "ip": "iproute2",
     "mount": "mount",
     "setpriv": "util-linux",
@@ -62,40 +62,7 @@ class Machine:
 
     kernel: str
     release: str
-    modules: tuple[Path, ...]
     preload: bool  # the processor has more registers than this kernel can handle: fpregs.c
-
-
-def module_order(dependencies: str, wanted: Sequence[str], optional: Sequence[str] = ()) -> list[str]:
-    """Modules in the order to load them, from the text of a modules.dep file.
-
-    Each comes after those that it needs, and once. A missing wanted module is a VcanError.
-    """
-    needs: dict[str, list[str]] = {}
-    for line in dependencies.splitlines():
-        path, _, others = line.partition(":")
-        needs[path.strip()] = others.split()
-    paths = {_module_name(path): path for path in needs}
-    order: list[str] = []
-
-    def add(path: str) -> None:
-        if path in order:
-            return
-        for other in reversed(needs.get(path, [])):  # modules.dep names the nearest first
-            add(other)
-        order.append(path)
-
-    for name in (*wanted, *optional):
-        found = paths.get(name.replace("-", "_"))
-        if found is not None:
-            add(found)
-        elif name in wanted:
-            raise VcanError(f"the user-mode Linux has no module {name}")
-    return order
-
-
-def _module_name(path: str) -> str:
-    return Path(path).name.partition(".")[0].replace("-", "_")
 
 
 def needs_preload(cpuinfo: str, release: str) -> bool:
@@ -120,13 +87,9 @@ def find_machine() -> Machine:
     preload = needs_preload(Path("/proc/cpuinfo").read_text(), release)
     if preload and which("cc") is None:
         raise VcanError("apt-get install gcc libc6-dev (this processor has AMX; see tools/vcan/fpregs.c)")
-    folder = MODULE_ROOT / release
-    try:
-        dependencies = (folder / "modules.dep").read_text()
-    except OSError as error:
-        raise VcanError(f"the user-mode Linux has no modules: {error}") from error
-    order = module_order(dependencies, MODULES, OPTIONAL_MODULES)
-    return Machine(kernel, release, tuple(folder / path for path in order), preload)
+    if not (MODULE_ROOT / release).is_dir():
+        raise VcanError(f"the user-mode Linux has no modules: there is no {MODULE_ROOT / release}")
+    return Machine(kernel, release, preload)
 
 
 # --- the text that boots it
@@ -180,7 +143,7 @@ class Place:
         return shlex.join(["env", "-i", f"--chdir={self.folder}", *pairs, *command])
 
 
-def init_script(modules: Sequence[Path], folder: Path, channel: str, run: str) -> str:
+def init_script(folder: Path, channel: str, run: str) -> str:
     """Text of the first process: makes the machine ready and runs the command.
 
     `run` is lines of shell. When their files are written, folder/status holds their exit status; it holds
@@ -188,7 +151,7 @@ def init_script(modules: Sequence[Path], folder: Path, channel: str, run: str) -
     """
     started = shlex.quote(str(folder / "started"))
     status = shlex.quote(str(folder / "status"))
-    loads = "".join(f"    insmod {shlex.quote(str(path))}\n" for path in modules)
+    load = f"modprobe -d {shlex.quote(str(folder))} -a"
     return f"""\
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 finish() {{
@@ -208,7 +171,8 @@ set_up() {{
     ln -s /proc/self/fd/0 /dev/stdin
     ln -s /proc/self/fd/1 /dev/stdout
     ln -s /proc/self/fd/2 /dev/stderr
-{loads}\
+    {load} {" ".join(MODULES)}
+    {load} {" ".join(OPTIONAL_MODULES)} || :
     {NETWORK}
     ip link add dev {channel} type vcan
     ip link set {channel} up
@@ -299,12 +263,13 @@ def _host_environment(machine: Machine, folder: Path) -> dict[str, str]:
     return environment
 
 
-def _write_init(machine: Machine, folder: Path, channel: str, run: str) -> Path:
+def _write_init(folder: Path, channel: str, run: str) -> Path:
+    for modules in ("lib/modules", "usr/lib/modules"):  # below -d, by the version of modprobe
+        (folder / modules).parent.mkdir(parents=True)
+        (folder / modules).symlink_to(MODULE_ROOT)
     init = folder / "init"
     # Arguments and environment may hold bytes that are no UTF-8: keep them as they are.
-    init.write_text(
-        init_script(machine.modules, folder, channel, run), encoding="utf-8", errors="surrogateescape"
-    )
+    init.write_text(init_script(folder, channel, run), encoding="utf-8", errors="surrogateescape")
     return init
 
 
@@ -343,7 +308,7 @@ def run(machine: Machine, command: Sequence[str], channel: str, timeout_s: float
         # One file for both where both go to the same place: their order is kept.
         errors = output if os.path.sameopenfile(1, 2) else folder / "errors"
         line = run_line(command, Place.here(), output, errors)
-        init = _write_init(machine, folder, channel, line)
+        init = _write_init(folder, channel, line)
         tails = [Tail(output, sys.stdout.buffer)]
         if errors != output:
             tails.append(Tail(errors, sys.stderr.buffer))
@@ -396,7 +361,7 @@ def shell(machine: Machine, command: Sequence[str], channel: str) -> int:
     settings = termios.tcgetattr(0)
     with run_folder() as folder:
         line = shell_line(command, Place.here(), os.get_terminal_size(0))
-        init = _write_init(machine, folder, channel, line)
+        init = _write_init(folder, channel, line)
         arguments = kernel_arguments(machine.kernel, init, "fd:0,fd:1", quiet=True)
         process = subprocess.Popen(arguments, env=_host_environment(machine, folder), process_group=0)
         try:
