@@ -13,25 +13,19 @@ from __future__ import annotations
 
 import argparse
 import math
-import statistics
 import struct
 import sys
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+from collections.abc import Iterable
 from pathlib import Path
 from types import FrameType
-from typing import TypeVar, cast
-
-import canopen
+from typing import cast
 
 # Names, not `canfb.FeedbackModule`: what is imported belongs to no walk.
-import canfb.device.od.eds
+import canfb
 from canfb import CorrectionTable, FeedbackModule, ModuleConfig, StatusBit
 from canfb.bus.frame_bus import FrameBus, Received
 from canfb.bus.runner import Runner
-from canfb.eds_files import eds_path
-from tools.bench.cycle import ADC_PDO, ENCODER_INTERFACE, INTERVAL_S, NODE_ID, SYNC, seconds
+from tools.bench.cycle import ADC_PDO, ENCODER_INTERFACE, INTERVAL_S, NODE_ID, SYNC
 from tools.site.markdown import table
 
 PACKAGE = Path(canfb.__file__).parent
@@ -40,8 +34,6 @@ SETTLING = 2000  # SYNCs until nothing of the start is left
 WALKED = 200
 TABLE_STAGED = 0x2020, 1
 TABLE_ENTRIES = 256
-REPEAT = 5  # processes, each with a first construction
-T = TypeVar("T")
 
 
 class Walk:
@@ -173,49 +165,6 @@ def frames() -> dict[str, Walk]:
     return {name: usual(walks) for name, walks in bus.walks.items()}
 
 
-def construction() -> FeedbackModule:
-    return FeedbackModule(ModuleConfig(node_id=NODE_ID))
-
-
-def start_up() -> Walk:
-    """Construction and power-on."""
-    walk = Walk()
-    walk.begin()
-    construction().start(0.0)
-    walk.end()
-    return walk
-
-
-def start_ups() -> dict[str, Walk]:
-    return {"start-up, the first": start_up(), "start-up, the second": start_up()}
-
-
-def ratios() -> tuple[float, float]:
-    """The first and the second construction in this process, each over one `canopen.import_od`."""
-
-    def parse() -> object:
-        return canopen.import_od(str(eds_path("canfb-module")), NODE_ID)
-
-    parse()  # warm up
-    before, first, second, after = map(seconds, (parse, construction, construction, parse))
-    parsed = (before + after) / 2.0
-    return first / parsed, second / parsed
-
-
-def in_new_process(function: Callable[[], T]) -> T:
-    """What is first in a process must have one."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(function).result()
-
-
-def as_text(walks: dict[str, Walk], first: float, second: float) -> str:
-    """As in docs/architecture.md."""
-    rows = [(name, walk.calls, walk.files, walk.changes) for name, walk in walks.items()]
-    lines = table(("walk", "calls", "files", "changes of file"), rows)
-    ratios = f"first {first:.2f}, second {second:.2f} (medians of {REPEAT} processes)"
-    return "\n".join([*lines, "", f"FeedbackModule() over canopen.import_od: {ratios}"])
-
-
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m tools.bench.walk", description=(__doc__ or "").splitlines()[0]
@@ -224,10 +173,10 @@ def main(arguments: list[str] | None = None) -> int:
         "--route", metavar="NAME", help="print every call of the walks with this in their name"
     )
     options = parser.parse_args(arguments)
-    walks = {**frames(), **in_new_process(start_ups)}
+    walks = frames()
     if options.route is None:
-        first, second = zip(*(in_new_process(ratios) for _ in range(REPEAT)), strict=True)
-        print(as_text(walks, statistics.median(first), statistics.median(second)))
+        rows = [(name, walk.calls, walk.files, walk.changes) for name, walk in walks.items()]
+        print("\n".join(table(("walk", "calls", "files", "changes of file"), rows)))
         return 0
     chosen = [walk for name, walk in walks.items() if options.route in name]
     if not chosen:
