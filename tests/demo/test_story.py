@@ -32,7 +32,7 @@ from canfb.demo.story import (
 )
 from canfb.objects import StatusBit
 from canfb.signal.phase import phase_in_cycle
-from canfb.signal.speed_set import MOST_WAITING
+from canfb.signal.starts import MOST_WAITING
 from canfb.simulation.encoder import Encoder, Harmonic, demo_encoder
 
 WORSE = Encoder(

@@ -16,7 +16,7 @@ from canfb.cia301.nmt import NmtState
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
-from canfb.signal.speed_set import START_SAMPLES
+from canfb.signal.starts import START_SAMPLES
 from canfb.signal.supervision import COASTING, MISSED, VALID
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, Ramp

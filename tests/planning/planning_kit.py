@@ -23,7 +23,7 @@ from canfb.planning.plan_input import PlanOptions, modules_alike, plan_input_of
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.sample import Sample
-from canfb.signal.speed_set import MOST_WAITING
+from canfb.signal.starts import MOST_WAITING
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
 

@@ -12,7 +12,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.speed_set import START_SAMPLES
+from canfb.signal.starts import START_SAMPLES
 
 N = 2500
 AMPLITUDE = 1500.0

@@ -99,7 +99,7 @@ def test_one_speed_is_left_after_a_few_uneven_samples(acceleration: float, media
     for _ in range(100):
         speed = float(generator.uniform(-125.0, 125.0))
         elapsed, shown = motion(machine, speed, 0.1, 60, generator)
-        speeds = SpeedSet(acceleration, machine.phase_error, TAU, 4)
+        speeds = SpeedSet(acceleration, machine.phase_error, TAU)
         for one, position in zip(elapsed, shown, strict=True):
             assert speeds.feed(position % 1.0, one)
             assert speeds.has(int(np.floor(position)) - int(np.floor(shown[0])))
@@ -120,16 +120,17 @@ def test_a_start_at_standstill_waits_until_the_times_have_told(jitter: float) ->
         assert set(bits[100:]) == {VALID}
         assert {one for one in off if one is not None} == {started_at(shown)}
         if not jitter:
-            assert bits[1:4] == [COASTING] * 3, "the next time may be uneven"
-            assert set(bits[4:]) == {VALID}, "the times tell nothing"
+            assert bits[1:7] == [COASTING] * 6, "the next time may be uneven"
+            assert set(bits[7:]) == {VALID}, "the times tell nothing"
         elif abs(elapsed[1] - 1.0) > 1e-3:
             assert bits[1] == COASTING
 
 
 def test_a_bad_sample_in_a_start_in_motion_makes_no_wrong_position_valid() -> None:
-    """The count from the first sample on is not known then; the speed is."""
+    """It is left out: the motions that are left have the count, or the speed alone."""
     machine = declared(0.01)
     generator = np.random.default_rng(5)
+    found = 0
     for _ in range(80):
         speed = float(generator.uniform(-125.0, 125.0))
         elapsed, shown = motion(machine, speed, 0.1, 60, generator)
@@ -140,8 +141,9 @@ def test_a_bad_sample_in_a_start_in_motion_makes_no_wrong_position_valid() -> No
         _, off = offsets(estimator, elapsed, given)
         off[bad] = None  # in that sample itself the phase is what it is
         assert {one for one in off[2:] if one is not None} <= {started_at(shown)}
-        assert estimator.lost
         assert abs(estimator.tracker.step_cycles - speed) < 0.7
+        found += not estimator.lost
+    assert found > 60
 
 
 def test_a_lost_position_gets_its_speed_and_no_count() -> None:
@@ -161,10 +163,10 @@ def test_a_lost_position_gets_its_speed_and_no_count() -> None:
         assert abs(estimator.tracker.step_cycles - speed) < 0.5
 
 
-def test_times_that_are_even_are_followed_for_five_samples() -> None:
+def test_times_that_are_even_are_followed_for_eight_samples() -> None:
     estimator = follower(declared(0.01))
     bits = [estimator.good(0.3, 1.0)[1] for _ in range(20)]
-    assert bits == [VALID] + [COASTING] * 3 + [VALID] * 16
+    assert bits == [VALID] + [COASTING] * 6 + [VALID] * 13
     assert not estimator.searches
 
 
@@ -215,7 +217,7 @@ def test_missed_samples_in_a_start_in_motion_make_no_wrong_position_valid(
 
 
 def test_where_too_many_motions_are_possible_nothing_is_decided() -> None:
-    speeds = SpeedSet(0.4, 0.05, 0.0, 3)
+    speeds = SpeedSet(0.4, 0.05, 0.0)
     assert speeds.feed(0.1, 1.0)
     assert speeds.feed(0.2, 1.1)
     assert speeds.feed(0.4, 0.9), "two counts for some of them"

@@ -26,8 +26,8 @@ from canfb.signal import speeds
 from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL, SHORT_INTERVAL, Spot
 from canfb.signal.declared import Declared
 from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
-from canfb.signal.speed_set import START_SAMPLES, SpeedVerdict, Starts
 from canfb.signal.speeds import Place
+from canfb.signal.starts import START_SAMPLES, SpeedVerdict, Starts
 from canfb.signal.still_phase import STILL_SAMPLES, StillPhase
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of

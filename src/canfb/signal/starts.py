@@ -1,0 +1,126 @@
+"""When the speeds of a machine are followed, and what they say of a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+
+from canfb.signal.declared import Declared
+from canfb.signal.speed_hypotheses import SpeedHypotheses, told_apart
+from canfb.signal.speed_set import Found
+from canfb.signal.speeds import Place
+
+# At q = 0.7 a second difference is below TELLING with a probability of 0.43, below SILENT with 0.11. So times
+# that tell pass for others in one of 10^5 starts, the second differences of as many samples taken together.
+LEAST_SAMPLES = 8  # before they count as even: 0.11^6
+UNTOLD_SAMPLES = 16  # before they count as telling nothing: 0.43^14
+EVEN = 2e-4  # of the interval: drift of two crystals
+START_SAMPLES = 8  # at q >= 1 uneven times contradict a wrong speed at a start by sample 5 in 95 %
+MOST_WAITING = 64  # samples after a start: at q = 0.4 a wrong speed has gone after 12 to 40
+NOTHING_FOUND = Found((0, 0.0), (0, 0.0), 1.0)
+
+
+class SpeedVerdict(Enum):
+    """What the speeds that are left say of a sample."""
+
+    UNKNOWN = "nothing: the times are even, or all has been said"
+    OPEN = "the times are about to tell the speed"
+    FALSE_START = "the machine did not start at the speed that was assumed"
+    FOUND = "the speed of a position that was lost"
+
+
+class Starts:
+    """When the speeds are followed: from a start on whose times are uneven, and while the position is lost.
+
+    ``origin`` is the cycle count of the first sample, None where the count is not known.
+    """
+
+    def __init__(self, origin: int | None = None) -> None:
+        self.origin = origin
+        self.active: SpeedHypotheses | None = None
+        self.last_two: Found = NOTHING_FOUND
+        self._tried = False
+        self._is_declared = self._may_be_uneven = False
+        self._unit = 1.0  # that of the speeds, in intervals as they are counted now
+
+    def rescale(self, factor: float) -> None:
+        """Intervals are counted in another unit from here on: all are this many times longer."""
+        self._unit *= factor
+
+    def stop(self) -> None:
+        """Whatever comes, these speeds are not followed any more."""
+        self.active, self._tried = None, True
+
+    def skip(self, options: tuple[float, ...]) -> None:
+        """No usable phase after so many intervals."""
+        if self.active is not None:
+            self.active.skip(options[0] / self._unit)
+
+    def begin(
+        self,
+        declared: Declared,
+        timed: bool,
+        options: tuple[float, ...],
+        lost: bool,
+        places: Sequence[Place],
+        missed: float,
+    ) -> bool:
+        """Is the next sample to be held against them? ``places`` are the samples of a start that is assumed.
+
+        Since the last of them ``missed`` intervals have passed. Where samples are ``timed`` the first one
+        may be the unit of all others, and even by definition: it shows nothing then.
+        """
+        if self.active is not None or self._tried:
+            return self.active is not None
+        self._is_declared = declared.acceleration is not None
+        self._may_be_uneven = timed and self._is_declared
+        even = abs(options[0] - 1.0) <= EVEN + 4.0 * declared.instant_error
+        if self.origin is None and even and (lost or not self._may_be_uneven):
+            return False
+        bound = declared.second_order
+        if bound is None or len(options) > 1 or not (lost or places):
+            return False
+        bad = declared.bad or min(declared.bad_samples, told_apart(bound.largest, declared.phase_error))
+        self.active = speeds = SpeedHypotheses(
+            bound.largest, declared.phase_error, declared.instant_error, bad
+        )
+        self._unit = 1.0
+        if places:
+            self.origin = places[0][0]
+        for _, phase, elapsed in places:
+            speeds.feed(phase, elapsed)
+        speeds.skip(missed)
+        return True
+
+    def take(self, phase: float, elapsed: float, lost: bool, count: int | None) -> SpeedVerdict:
+        """A sample; ``count`` is that of the speed assumed, None where it is in doubt."""
+        speeds = self.active
+        if speeds is None or not speeds.feed(phase, elapsed / self._unit):
+            self.active = self.origin = None  # what is counted from here on lacks the way up to here
+            self._tried |= speeds is None or bool(speeds.left)
+            return SpeedVerdict.UNKNOWN
+        if lost:
+            return self._of_lost(speeds)
+        if count is None:
+            return SpeedVerdict.OPEN
+        if self.origin is not None and not (holds := speeds.holds(count - self.origin)):
+            return SpeedVerdict.OPEN if holds is None else SpeedVerdict.FALSE_START
+        even = speeds.samples >= LEAST_SAMPLES and speeds.silent
+        most = MOST_WAITING if speeds.telling else UNTOLD_SAMPLES
+        if speeds.is_decided or even or speeds.samples > most:
+            self.stop()
+            return SpeedVerdict.UNKNOWN
+        # Without a declared acceleration q is small, and a healthy start would wait for nothing.
+        known = speeds.silent and (speeds.samples >= LEAST_SAMPLES or not self._may_be_uneven)
+        waits = self._is_declared and not known
+        return SpeedVerdict.OPEN if waits else SpeedVerdict.UNKNOWN
+
+    def _of_lost(self, speeds: SpeedHypotheses) -> SpeedVerdict:
+        found = speeds.found
+        if found is not None:
+            self.last_two = found._replace(elapsed=found.elapsed * self._unit)
+            self.stop()
+            return SpeedVerdict.FOUND
+        if speeds.samples > UNTOLD_SAMPLES and not speeds.telling:
+            self.active, self.origin = None, None
+        return SpeedVerdict.UNKNOWN

@@ -1,0 +1,102 @@
+"""A row of bad samples in a start with uneven sample times, or while the position is lost: no wrong speed."""
+
+from __future__ import annotations
+
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+from test_speed_set import TAU, declared, follower, motion, offsets, started_at
+
+from canfb.objects import LossCause
+from canfb.signal.declared import Declared
+from canfb.signal.speed_hypotheses import SpeedHypotheses
+from canfb.signal.supervision import LOST
+
+
+def jitter_at(q: float, machine: Declared) -> float:
+    """Half the width of uniform instants, intervals: q = sqrt(6) sigma / (B + 4 eps)."""
+    assert machine.acceleration is not None
+    return q * (machine.acceleration + 4.0 * machine.phase_error) * np.sqrt(3.0 / 6.0)
+
+
+def with_bad_row(
+    shown: np.ndarray, machine: Declared, generator: np.random.Generator, first: int
+) -> tuple[np.ndarray, slice]:
+    """A row of as many bad samples as are declared or fewer, each off by whatever."""
+    begin = int(generator.integers(first, 16))
+    row = slice(begin, begin + int(generator.integers(1, machine.bad_samples + 1)))
+    given = shown.copy()
+    width = generator.choice([0.1, 0.3, 0.9])  # small ones are hard to see
+    given[row] += generator.uniform(-0.5, 0.5, row.stop - row.start) * width
+    return given, row
+
+
+@pytest.mark.parametrize("q", [0.7, 1.0, 2.0])
+@pytest.mark.parametrize("acceleration", [0.01, 0.05, 0.1])
+def test_a_row_of_bad_samples_in_a_start_leaves_no_wrong_position(acceleration: float, q: float) -> None:
+    """Also of a machine that turns by a few cycles per interval, whose neighbours are hard to tell apart."""
+    machine = declared(acceleration)
+    generator = np.random.default_rng(21)
+    resolved = 0
+    for _ in range(60):
+        speed = float(generator.choice([0.0, 1.0, -2.0, 3.0, generator.uniform(-125.0, 125.0)]))
+        elapsed, shown = motion(machine, speed, jitter_at(q, machine), 80, generator)
+        given, row = with_bad_row(shown, machine, generator, first=1)
+        _, off = offsets(follower(machine), elapsed, given)
+        off[row] = [None] * (row.stop - row.start)
+        assert {one for one in off[2:] if one is not None} <= {started_at(shown)}, (speed, row)
+        resolved += off[-1] is not None
+    assert resolved > 30
+
+
+@pytest.mark.parametrize("acceleration", [0.01, 0.1])
+def test_a_row_of_bad_samples_while_lost_leaves_no_wrong_speed(acceleration: float) -> None:
+    machine = declared(acceleration)
+    generator = np.random.default_rng(22)
+    found = 0
+    for _ in range(60):
+        speed = float(generator.choice([1.0, -2.0, generator.uniform(-125.0, 125.0)]))
+        elapsed, shown = motion(machine, speed, jitter_at(1.0, machine), 80, generator)
+        given, _ = with_bad_row(shown, machine, generator, first=0)
+        estimator = follower(machine)
+        estimator.good(0.3, 1.0)
+        estimator.lose(LossCause.COASTED)
+        known = Mock()
+        estimator.on_speed = known
+        for n, (one, position) in enumerate(zip(elapsed, given, strict=True)):
+            assert estimator.good(position % 1.0, one)[1] & LOST
+            if known.called:
+                true_speed = (shown[n] - shown[n - 1]) / one
+                assert abs(estimator.tracker.step_cycles - true_speed) < 0.2, "not by whole cycles"
+                found += 1
+                break
+    assert found > 40
+
+
+def test_sets_behind_their_row_are_one() -> None:
+    machine = declared(0.05)
+    elapsed, shown = motion(machine, 41.3, 0.03, 60, np.random.default_rng(23))
+    search = SpeedHypotheses(0.05, machine.phase_error, TAU, 3)
+    for one, position in zip(elapsed, shown, strict=True):
+        assert search.feed(position % 1.0, one)
+        assert len(search._rows) <= 3 + 5
+
+
+def test_a_second_row_leaves_nothing() -> None:
+    machine = declared(0.01)
+    elapsed, shown = motion(machine, 41.3, 0.1, 60, np.random.default_rng(24))
+    shown[12] += 0.4
+    shown[30] += 0.4
+    search = SpeedHypotheses(0.01, machine.phase_error, TAU, machine.bad_samples)
+    decidable = [search.feed(position % 1.0, one) for one, position in zip(elapsed, shown, strict=True)]
+    assert all(decidable[:30])
+    assert not all(decidable[30:36])
+    assert search.left == 0
+
+
+def test_too_many_motions_in_one_set_end_the_search() -> None:
+    search = SpeedHypotheses(0.4, 0.05, 0.0, 8)
+    fed = [search.feed(0.4, 1.0 + 0.1 * (n % 2)) for n in range(40)]
+    assert not all(fed)
+    assert search.left, "that is no contradiction"
