@@ -11,7 +11,7 @@ from canfb.configuration import Config
 from canfb.device.device_protocol import Device
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.known_modules import assumed_layout, known_layouts
+from canfb.monitoring.layout import assumed_layout, known_layouts
 from canfb.monitoring.snapshot import ModuleSnapshot
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus

@@ -116,7 +116,7 @@ FOREIGN: dict[str, set[str]] = {
     "cli": {"can", "argcomplete", "rich"},
 }
 # Clocks, threads and sockets have two places, and the files beyond them that wait for a bus or a browser.
-WITH_A_CLOCK = {"logs/bus_log.py", "monitoring/dumping.py", "monitoring/watching.py",
+WITH_A_CLOCK = {"logs/bus_log.py", "monitoring/watching.py",
                 "scope/scope_server.py", "scope/scoping.py"}  # fmt: skip
 OUTSIDE_WORLD = {"time", "threading", "socket", "select", "selectors", "asyncio", "datetime", "signal",
                  "multiprocessing", "concurrent", "sched", "queue", "subprocess"}  # fmt: skip

@@ -14,7 +14,7 @@ from can.interfaces.socketcan import SocketcanBus
 from canfb.bus.frame_bus import NamedInterface, PythonCanBus, Reception, enlarge_queue_of
 from canfb.bus.shared_bus import SharedBus
 from canfb.errors import BusError
-from canfb.monitoring.dumping import Dumping
+from canfb.monitoring.watching import Dumping
 from fake_bus import FakeBus, FakeClock, message
 
 CHANNEL = "can7"

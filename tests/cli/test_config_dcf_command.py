@@ -12,7 +12,7 @@ import pytest
 
 from canfb.cli.main import main
 from canfb.configuration import load_config
-from canfb.demo.embedded_network import EmbeddedNetwork
+from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.device.od.writes import decode_concise
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path

@@ -14,7 +14,7 @@ from canfb.cia301.frame import Frame
 from canfb.cli import config_file
 from canfb.cli.main import main
 from canfb.configuration import load_config
-from canfb.demo.embedded_network import EmbeddedNetwork
+from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.device.storage.storage import MemoryStore
 from canfb.hosting.hosting import saved_configuration
 from canfb.module.device_configuration import configuration_of

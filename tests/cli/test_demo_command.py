@@ -135,7 +135,7 @@ def test_a_story_that_does_not_hold_is_exit_code_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     story = Story(checks={"it flies": False, "it floats": True})
-    monkeypatch.setattr(demo, "tell", lambda network: story)
+    monkeypatch.setattr(demo, "run_story", lambda network: story)
     monkeypatch.setattr(demo, "figures", lambda told: {"held": told.held, "checks": told.checks})
     assert main(["demo", "--json"]) == 1
     said = json.loads(capsys.readouterr().out)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from canfb.demo import demo_page
-from canfb.demo.demo_pictures import error_after, error_before, fault_samples, residual, servo, tracks
+from canfb.demo.demo_page import error_after, error_before, fault_samples, residual, servo, tracks
 from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, Story
 from canfb.report.plot import Plot
 from canfb.rows import Row

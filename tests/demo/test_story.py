@@ -28,7 +28,7 @@ from canfb.demo.story import (
     REFERENCE_HZ,
     RUN_UP_SAMPLES,
     Story,
-    tell,
+    run_story,
 )
 from canfb.objects import StatusBit
 from canfb.signal.phase import phase_in_cycle
@@ -62,7 +62,7 @@ def told(encoder: Encoder, seed: int, track_samples: int, reference_samples: int
         patch.setattr(story_module, "TRACK_SAMPLES", track_samples)
         patch.setattr(story_module, "REFERENCE_SAMPLES", reference_samples)
         network = DemoNetwork(encoder, seed)
-        return Told(network, tell(network), track_samples, reference_samples)
+        return Told(network, run_story(network), track_samples, reference_samples)
 
 
 # The demo as it is; the others are shorter, for the time it takes.
@@ -246,7 +246,7 @@ def test_with_a_module_that_calls_everything_valid_the_story_does_not_hold(
         return answer
 
     monkeypatch.setattr(network.drive, "receive", gullible)
-    story = tell(network)
+    story = run_story(network)
     assert not story.held
     assert story.faults.flagged_at_once == story.faults.flagged_samples == 0
     assert not story.checks["every fault flagged in the same sample"]

@@ -13,7 +13,7 @@ from canfb.cia301.frame import Frame
 from canfb.configuration import Config
 from canfb.diagnosis.frame_words import FrameWords, read_by_sdo
 from canfb.eds_files import eds_path
-from canfb.monitoring.known_modules import known_objects
+from canfb.monitoring.layout import known_objects
 from canfb.objects import LossCause
 from canfb.sdo.object_description import ObjectDescriptions
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench

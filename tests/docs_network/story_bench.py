@@ -12,7 +12,7 @@ import network_file
 import master
 from canfb.cia301.frame import Frame
 from canfb.configuration import load_config
-from canfb.demo.embedded_network import EmbeddedNetwork
+from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.hosting.serving import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule

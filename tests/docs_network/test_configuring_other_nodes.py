@@ -11,7 +11,7 @@ import pytest
 from network_bench import EDS_FOLDER, TEXT, write
 from story_bench import StoryNetwork
 
-from canfb.demo.embedded_network import EmbeddedNetwork
+from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.simulation.embedded_bus import EmbeddedBus
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import canfb
-from canfb.demo.embedded_network import EmbeddedNetwork
+from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample

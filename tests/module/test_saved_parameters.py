@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from module_bench import SYNC
 
 from canfb.cia301.frame import Frame
-from canfb.demo.embedded_network import EmbeddedNetwork
+from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.device.storage.image import Identity, ParameterGroup, Record, decode_image, encode_image
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path

@@ -16,8 +16,7 @@ from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.known_modules import assumed_layout, known_layouts
-from canfb.monitoring.layout import NEEDED, SETTINGS, Origin, layout_of
+from canfb.monitoring.layout import NEEDED, SETTINGS, Origin, assumed_layout, known_layouts, layout_of
 from canfb.monitoring.snapshot import NodeSnapshot
 from monitored_network import INTERFACE, NODE, RPM, MonitoredNetwork
 

@@ -16,7 +16,7 @@ from canfb.configuration import Config
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.known_modules import known_layouts
+from canfb.monitoring.layout import known_layouts
 from canfb.monitoring.lines import residual_words
 from canfb.monitoring.snapshot import ModuleSnapshot
 from folding import each

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.meters import LoadMeter, PeakHistory, SyncMeter
+from canfb.monitoring.module_model import LoadMeter, PeakHistory, SyncMeter
 from monitored_network import BIT_RATE, MonitoredNetwork
 
 

@@ -13,13 +13,10 @@ from rich.console import Console
 
 from canfb.cia301.frame import Frame
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.drawing import bar, dots, history
-from canfb.monitoring.known_modules import assumed_layout
-from canfb.monitoring.layout import NEEDED
-from canfb.monitoring.lines import plain_lines
-from canfb.monitoring.panels import Page
+from canfb.monitoring.layout import NEEDED, assumed_layout
+from canfb.monitoring.lines import MachineUnits, plain_lines
+from canfb.monitoring.panels import Page, bar, dots, history
 from canfb.monitoring.snapshot import BusSnapshot
-from canfb.monitoring.units import MachineUnits
 from monitored_network import MonitoredNetwork
 
 SIZES = [(80, 24), (120, 40), (50, 24), (200, 60)]

@@ -14,7 +14,7 @@ from canfb.cia301.frame import Frame
 from canfb.configuration import Config
 from canfb.errors import BusError, CanfbError
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.known_modules import known_layouts
+from canfb.monitoring.layout import known_layouts
 from canfb.monitoring.sdo_reading import SdoReading
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.monitoring.watching import Watching

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from canfb.scope.scope_tasks import ModuleTasks
+from canfb.scope.desk import ModuleTasks
 from canfb.scope.scoping import READING
 from canfb.signal.correction import CorrectionTable
 from chromium import Chromium
@@ -197,12 +197,12 @@ def test_without_write_there_is_nothing_to_press_that_writes(
         if options:
             browser.wait_for(lambda: "Read table, module 32 (20h): done" in browser.texts(".state"), "table")
             assert browser.buttons() == ["Read table", "Measure only"]
-            heard = running.networks[0]._heard
+            heard = running.networks[0]._received
             assert heard is not None
             assert heard.data[0] >> 5 in READING
         else:
             assert browser.buttons() == []
             browser.wait_for(lambda: "(--sdo)" in browser.text(), "deviation")
-            assert running.networks[0]._heard is None  # nothing was sent
+            assert running.networks[0]._received is None  # nothing was sent
         assert browser.complaints() == []
         browser.go("about:blank")  # before the server goes, of which the page would complain

@@ -16,12 +16,12 @@ from bokeh.document import Document
 from test_scope_strangers import Intruder, Session, done
 from tornado.websocket import WebSocketClientConnection, WebSocketClosedError
 
-from canfb.monitoring.units import MachineUnits
+from canfb.monitoring.lines import MachineUnits
 from canfb.scope.desk import Desk, allowed_tasks
 from canfb.scope.gate import SESSION
 from canfb.scope.scope_page import LARGEST_MESSAGE, ScopePage
 from canfb.scope.scope_server import LONGEST_LINE, NOISY, _OneCollection
-from canfb.scope.traces import MOMENTS, BusTraces
+from canfb.scope.traces import MOST_POINTS, BusTraces
 from monitored_network import NODE, MonitoredNetwork
 from scope_running import LINES_S, Running
 
@@ -199,11 +199,11 @@ def test_a_day_on_one_page_leaves_nothing_behind() -> None:
     network.run(0.5)
     snapshot, sizes = network.model.snapshot(network.bus.now), []
     for turn in range(3):
-        for step in range(MOMENTS):
-            traces.take(replace(snapshot, time_s=(turn * MOMENTS + step) * 0.2))
+        for step in range(MOST_POINTS):
+            traces.take(replace(snapshot, time_s=(turn * MOST_POINTS + step) * 0.2))
             if step % 40 == 0:
                 shown.update()
-        sizes.append((len(list(document.models)), len(traces.modules[NODE].moments)))
+        sizes.append((len(list(document.models)), len(traces.modules[NODE].points)))
     assert sizes[0] == sizes[1] == sizes[2]
 
 

@@ -12,7 +12,7 @@ from bokeh.document import Document
 from bokeh.events import ButtonClick
 from bokeh.models import Button, Div
 
-from canfb.monitoring.units import MachineUnits
+from canfb.monitoring.lines import MachineUnits
 from canfb.scope import desk as tasks
 from canfb.scope.desk import Desk, MeasuredCurves, Stage, TaskResult, allowed_tasks
 from canfb.scope.scope_page import LARGEST_FILE, LARGEST_MESSAGE, ScopePage, page_html, root_names

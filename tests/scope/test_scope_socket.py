@@ -16,7 +16,7 @@ from test_scope_load import attacked, page
 from test_scope_strangers import Session
 from tornado.websocket import WebSocketClosedError
 
-from canfb.scope.scope_socket import MOST_EVENTS, refusal
+from canfb.scope.scope_server import MOST_EVENTS, refusal
 from scope_running import LINES_S
 
 CHANGED = {"kind": "ModelChanged"}
@@ -41,7 +41,7 @@ def test_a_page_changes_values_and_presses_buttons(kind: str, content: Any, take
 
 
 def test_buffers_without_end_end_their_connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("canfb.scope.scope_socket.MOST_RECEIVED", 100_000)
+    monkeypatch.setattr("canfb.scope.scope_server.MOST_RECEIVED", 100_000)
 
     async def attack(where: SplitResult) -> None:
         connection = await page(where)

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from canfb.cia301.frame import Frame
-from canfb.scope.desk import TaskResult
-from canfb.scope.scope_tasks import ModuleTasks, result_of
+from canfb.scope.desk import ModuleTasks, TaskResult, result_of
 from canfb.signal.correction import CorrectionTable
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
 

@@ -31,7 +31,7 @@ def watched(seconds: float, network: MonitoredNetwork | None = None) -> tuple[Mo
 
 def test_position_and_velocity_are_followed() -> None:
     network, traces = watched(3.0)
-    moments = np.array(traces.of(NODE).moments)
+    moments = np.array(traces.of(NODE).points)
     assert len(moments) == 15
     assert np.isfinite(moments[-5:]).all()
     turning = moments[-5:, 2]

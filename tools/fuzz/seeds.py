@@ -29,7 +29,7 @@ from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.known_modules import assumed_layout, known_layouts
+from canfb.monitoring.layout import assumed_layout, known_layouts
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.signal.conditioning import Conditioning

@@ -36,7 +36,7 @@ from canfb.logs.log_replay import ReplayOptions, job_of, replay_log
 from canfb.master.samples import read_npz, read_speed
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.monitoring.units import MachineUnits
+from canfb.monitoring.lines import MachineUnits
 from canfb.planning.plan import Plan
 from canfb.planning.plan_changes import changes_of
 from canfb.planning.plan_input import PlanOptions, numbered, plan_input_of

@@ -10,7 +10,7 @@ from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoCommunicationError
 
 from canfb.cia301.frame import Frame
-from canfb.demo.embedded_network import EmbeddedNetwork
+from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.simulation.embedded_bus import EmbeddedBus
 
 STEP_S = 0.001

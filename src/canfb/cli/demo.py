@@ -13,7 +13,7 @@ from canfb.cli.options import Commands, add_command
 from canfb.demo.account import account, figures
 from canfb.demo.demo_network import DemoNetwork
 from canfb.demo.demo_page import prepare, write_files
-from canfb.demo.story import tell
+from canfb.demo.story import run_story
 
 
 def register(commands: Commands) -> None:
@@ -35,7 +35,7 @@ def demo(options: argparse.Namespace) -> int:
     date = page_date() if options.out else ""
     network = DemoNetwork()
     show = None if options.json or not sys.stderr.isatty() else _progress
-    story = tell(network, show) if show else tell(network)
+    story = run_story(network, show) if show else run_story(network)
     pictures: list[Path] = []
     page: Path | None = None
     if options.out:

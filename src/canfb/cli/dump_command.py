@@ -26,8 +26,8 @@ from canfb.configuration import Config, load_config
 from canfb.diagnosis.frame_words import FrameWords, read_by_sdo
 from canfb.eds_files import eds_path
 from canfb.master.access import NodeAccess
-from canfb.monitoring.dumping import Dumping, TimedFrame
-from canfb.monitoring.known_modules import known_objects
+from canfb.monitoring.layout import known_objects
+from canfb.monitoring.watching import Dumping, TimedFrame
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.view.pdo_map import Read
 

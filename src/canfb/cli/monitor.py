@@ -24,7 +24,7 @@ from canfb.cli.watch_options import add_machine_unit, add_watched, bit_rate_of
 from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.known_modules import assumed_layout, known_layouts
+from canfb.monitoring.layout import assumed_layout, known_layouts
 from canfb.monitoring.lines import plain_lines
 from canfb.monitoring.sdo_reading import SdoReading
 from canfb.monitoring.snapshot import BusSnapshot

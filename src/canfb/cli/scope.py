@@ -21,7 +21,7 @@ from canfb.cli.watch_options import add_machine_unit, add_watched
 from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
-from canfb.monitoring.known_modules import known_layouts
+from canfb.monitoring.layout import known_layouts
 from canfb.scope.scoping import send_rule
 
 ANY_PORT = 0

@@ -13,15 +13,13 @@ from canfb.bus.shared_bus import ListeningThread, SharedBus
 from canfb.cli.watch_options import bit_rate_of
 from canfb.configuration import Config
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.known_modules import assumed_layout
-from canfb.monitoring.layout import NodeLayout
+from canfb.monitoring.layout import NodeLayout, assumed_layout
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.monitoring.watching import Watching
 from canfb.scope import desk as tasks
-from canfb.scope.desk import Desk, ScopeTask, TaskResult, Upload, allowed_tasks
+from canfb.scope.desk import Desk, ModuleTasks, ScopeTask, TaskResult, Upload, allowed_tasks, result_of
 from canfb.scope.scope_page import ScopePage, page_html
 from canfb.scope.scope_server import ScopeServer
-from canfb.scope.scope_tasks import ModuleTasks, result_of
 from canfb.scope.scoping import PausedReading, TaskSteps, TaskThread
 from canfb.scope.traces import BusTraces
 

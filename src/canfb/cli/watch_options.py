@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from canfb.cli.options import node_or_yaml, positive
-from canfb.monitoring.units import MachineUnits
+from canfb.monitoring.lines import MachineUnits
 
 
 def add_watched(parser: argparse.ArgumentParser) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.cia301.frame import Frame
-from canfb.demo.embedded_network import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_instants import SampleClock
@@ -24,6 +23,29 @@ from canfb.simulation.encoder import Encoder, ShaftEncoder, demo_encoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from canfb.simulation.sync_producer import Drive, SyncTiming
 from canfb.sources.motion_source import MotionSource
+
+
+class EmbeddedNetwork(canopen.Network):
+    """python canopen's master on an embedded bus: no thread, no waiting, the answer is there at once."""
+
+    def __init__(self, bus: EmbeddedBus) -> None:
+        super().__init__()
+        self._embedded = bus
+        self._own: list[tuple[int, bytes, bool]] = []  # sent, and not yet delivered
+        bus.observers.append(self._take)
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Put a frame on the embedded bus."""
+        frame = Frame(can_id, bytes(data), remote)
+        self._own.append(frame[:3])
+        self._embedded.send(frame)
+
+    def _take(self, frame: Frame, now: float) -> None:
+        if self._own and frame[:3] in self._own:  # a controller does not receive what it sends
+            self._own.remove(frame[:3])
+        elif not frame.rtr:
+            self.notify(frame.can_id, bytearray(frame.data), now)
+
 
 SYNC_PERIOD_S = 1e-3
 BIT_RATE = 1_000_000
@@ -83,12 +105,12 @@ def demo_motion() -> Motion:
 
 @dataclass
 class AdcLog:
-    """What the master hears of the encoder interface: the counts of every ADC PDO."""
+    """What the master receives of the encoder interface: the counts of every ADC PDO."""
 
     sine: list[int] = field(default_factory=list)
     cosine: list[int] = field(default_factory=list)
 
-    def hear(self, frame: Frame, now: float) -> None:
+    def take(self, frame: Frame, now: float) -> None:
         """Keep the counts of an ADC PDO."""
         if frame.can_id == ADC_COB_ID and len(frame.data) == ADC_PDO.size:
             sine, cosine, _ = ADC_PDO.unpack(frame.data)
@@ -100,14 +122,14 @@ class DemoNetwork:
     """The network, powered on but not yet started.
 
     Its time is that of a real bus: frames take time and wait for each other and for those of other nodes,
-    the SYNC jitters, no two clocks agree, and the encoder is sampled when the interface hears the SYNC.
+    the SYNC jitters, no two clocks agree, and the encoder is sampled when the interface receives the SYNC.
     """
 
     def __init__(self, encoder: Encoder | None = None, seed: int = 1) -> None:
         self.encoder, self.seed = encoder or demo_encoder(), seed
         self.bus = EmbeddedBus(BIT_RATE)
         self.adc = AdcLog()
-        self.bus.observers.append(self.adc.hear)
+        self.bus.observers.append(self.adc.take)
         self.canopen = EmbeddedNetwork(self.bus)
         self.source = FaultySource(
             MotionSource(

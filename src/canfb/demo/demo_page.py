@@ -1,17 +1,128 @@
-"""The demo's page, and its files in a folder."""
+"""The demo's pictures and page, and its files in a folder."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from canfb.demo.account import TITLE, fault_facts, run_facts, servo_facts, verdict
 from canfb.demo.demo_network import DemoNetwork
-from canfb.demo.demo_pictures import error_after, error_before, residual, servo, tracks
-from canfb.demo.story import Story, peak, rms
+from canfb.demo.servo_act import ServoRun
+from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, Story, peak, rms
 from canfb.errors import CanfbError
 from canfb.report.page import beside, figure, gallery, page, svg_file, table
-from canfb.report.plot import Plot
+from canfb.report.pictures import SHOWN_SAMPLES, circle, cloud, square_plot
+from canfb.report.plot import Plot, nice_limit
 from canfb.rows import Row
+from canfb.signal.phase import FloatArray
+from canfb.signal.tracker import RESIDUAL_LIMIT
+
+PERCENT = 100.0
+MOVE_SHOWN_MS = -10.0, 75.0
+FIRST_NAME, NAMES_APART = 0.75, 0.06  # heights of the names of the faults, above all residuals
+
+
+def tracks(network: DemoNetwork, story: Story) -> Plot:
+    """The last samples, and what the provoked faults made of theirs."""
+    sine, cosine = (
+        np.array(one[-SHOWN_SAMPLES:], np.float64) for one in (network.adc.sine, network.adc.cosine)
+    )
+    plot = square_plot(
+        "Lissajous figure: sine over cosine, with the provoked faults",
+        1.1 * (1 << network.encoder.adc_bits - 1),
+    )
+    circle(plot, network.encoder.amplitude_counts, "limit", "ideal tracks")
+    cloud(plot, cosine, sine, "after", "ADC samples")
+    found = fault_samples(network, story)
+    at = np.array([(cosine, sine) for _, sine, cosine in found], np.float64).reshape(-1, 2)
+    plot.dots(at[:, 0], at[:, 1], "after large")
+    plot.rings(at[:, 0], at[:, 1], "before", "provoked faults")
+    for number, (name, sine_counts, cosine_counts) in enumerate(found):
+        # Towards the middle, above and below in turn.
+        left, down = cosine_counts > 0, 20.0 if number % 2 else -9.0
+        style = "before end" if left else "before"
+        plot.note(cosine_counts, sine_counts, name, style, (-9.0 if left else 9.0, down))
+    return plot
+
+
+def fault_samples(network: DemoNetwork, story: Story) -> list[tuple[str, int, int]]:
+    """What each provoked fault made of its sample: name, sine and cosine, counts. A lost one is not there."""
+    first, found, lost = story.fault_window[0], [], 0
+    for place, (name, _) in sorted(FAULTS.items()):
+        if place == LOST_SAMPLE:
+            lost += 1
+        else:
+            number = first + place - lost
+            found.append((name, network.adc.sine[number], network.adc.cosine[number]))
+    return found
+
+
+def error_before(story: Story) -> Plot:
+    """Position error of each sample over the phase, without a table."""
+    return _error(story.phase_before, story.error_before, "before", "without a table")
+
+
+def error_after(story: Story) -> Plot:
+    """Position error of each sample over the phase, with the table, on a scale of its own."""
+    return _error(story.phase_after, story.error_after, "after", "with the table")
+
+
+def _error(phase: FloatArray, error: FloatArray, style: str, which: str) -> Plot:
+    most = PERCENT * nice_limit(error)
+    plot = Plot(
+        f"Position error over the phase, {which}",
+        (0.0, 1.0),
+        (-most, most),
+        ("phase, cycles", "error, % of a cycle"),
+    )
+    plot.dots(phase, PERCENT * error, style)
+    return plot
+
+
+def residual(story: Story) -> Plot:
+    """The residual of each position PDO while faults are provoked, and the limit."""
+    plot = Plot(
+        "Residual while faults are provoked at 2000 rpm",
+        (0.0, float(FAULT_SAMPLES)),
+        (0.0, FIRST_NAME + NAMES_APART),
+        ("sample", "residual, cycles"),
+    )
+    for row, (place, (name, _)) in enumerate(sorted(FAULTS.items())):
+        # Each name is below the one before it: no line crosses a name.
+        height = FIRST_NAME - NAMES_APART * row
+        plot.line(np.array([place, place], np.float64), np.array([0.0, height]), "before thin")
+        plot.note(place, height, name, "before", (5.0, 6.0))
+    number = story.residual_number.astype(np.float64)
+    plot.line(number, story.residual, "after thin", "residual (eq. 12)")
+    plot.dots(number, story.residual, "after large")
+    plot.level(RESIDUAL_LIMIT, "limit dashed", "limit 1/3")
+    return plot
+
+
+def servo(story: Story) -> Plot:
+    """The residuals of the servo's move: two samples for each SYNC, and what eq. 9 makes of it."""
+    plot = Plot(
+        "Residual of each sample in a move of a servo from 0 to 3000 rpm in 50 ms",
+        MOVE_SHOWN_MS,
+        (0.0, 0.55),
+        ("time, ms", "residual, cycles"),
+    )
+    if not story.servo:
+        return plot
+    ours, eq_9 = story.servo[0], story.servo[-1]
+    plot.line(*_shown(eq_9), "before thin", eq_9.name)
+    plot.line(*_shown(ours), "after thin", ours.name)
+    plot.dots(*_shown(ours), "after")
+    plot.level(ours.limit_cycles, "limit dashed", f"limit {ours.limit_cycles:.2f}")
+    return plot
+
+
+def _shown(run: ServoRun) -> tuple[FloatArray, FloatArray]:
+    time_ms = 1e3 * run.time_s
+    inside = (time_ms >= MOVE_SHOWN_MS[0]) & (time_ms <= MOVE_SHOWN_MS[1])
+    return time_ms[inside], run.residual[inside]
+
 
 REPORT = "report.html"
 FOOTER = "Made by canfb demo: a simulation with fixed seeds; its figures are the same each time."
@@ -37,7 +148,7 @@ def write_files(
     ``version`` of canfb and ``date`` are for the page: the same arguments give the same bytes.
     """
     prepare(folder)
-    seen, before, after, faults = (
+    shown, before, after, faults = (
         tracks(network, story),
         error_before(story),
         error_after(story),
@@ -45,11 +156,11 @@ def write_files(
     )
     moved = servo(story)
     files = {
-        "tracks.svg": svg_file([(TRACKS, seen)]),
+        "tracks.svg": svg_file([(TRACKS, shown)]),
         "error-over-phase.svg": svg_file([(BEFORE, before), (AFTER, after)]),
         "residual-over-time.svg": svg_file([(RESIDUAL, faults)]),
         "servo-move.svg": svg_file([(SERVO, moved)]),
-        REPORT: demo_page(story, f"canfb {version}, {date}", (seen, before, after, faults, moved)),
+        REPORT: demo_page(story, f"canfb {version}, {date}", (shown, before, after, faults, moved)),
     }
     try:
         for name, text in files.items():
@@ -66,7 +177,7 @@ def demo_page(story: Story, made: str, pictures: tuple[Plot, Plot, Plot, Plot, P
     made        by which version, and when
     pictures    tracks, error before and after the table, residual, the move of the servo
     """
-    seen, before, after, faults, moved = pictures
+    shown, before, after, faults, moved = pictures
     sizes = story.error_before, story.error_after
     rows = [
         Row(name, *(f"{100 * size(error):.4f}" for error in sizes))
@@ -81,7 +192,7 @@ def demo_page(story: Story, made: str, pictures: tuple[Plot, Plot, Plot, Plot, P
         "canfb demo",
         f"{TITLE.partition(': ')[2]}; {made}",
         _said(story),
-        beside(tables, figure(TRACKS, "the last samples; ideal tracks are a circle", seen.svg()))
+        beside(tables, figure(TRACKS, "the last samples; ideal tracks are a circle", shown.svg()))
         + gallery(
             "Error over the phase",
             [

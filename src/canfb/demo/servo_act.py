@@ -127,7 +127,7 @@ def _run(encoder: Encoder, correction: Correction, seed: int, run: ServoRun) -> 
     for participant in (interface, module, SyncProducer(SYNC_PERIOD_S, TIMING, seed)):
         bus.attach(participant)
     module.use_correction(correction)
-    heard: list[tuple[float, Feedback]] = []
+    feedbacks: list[tuple[float, Feedback]] = []
     away: list[float] = []
 
     def listen(feedback: Feedback, now: float) -> None:
@@ -135,22 +135,22 @@ def _run(encoder: Encoder, correction: Correction, seed: int, run: ServoRun) -> 
         all_of_it = (*module.chain.between, feedback)
         apart_s = SYNC_PERIOD_S / run.samples_per_sync
         begin = source.machine_time(now) - AT_REST_S - SYNC_PERIOD_S
-        heard.extend((begin + (k + 1) * apart_s, one) for k, one in enumerate(all_of_it))
+        feedbacks.extend((begin + (k + 1) * apart_s, one) for k, one in enumerate(all_of_it))
         away.append(feedback.cycles + feedback.phase - source.position_cycles)
 
     module.on_feedback = listen
     bus.run_until(SYNC_PERIOD_S * 2 + move.end_s + AT_SPEED_S)
     run.limit_cycles = module.limits.residual_limit
-    return _judged(run, heard, away)
+    return _judged(run, feedbacks, away)
 
 
-def _judged(run: ServoRun, heard: list[tuple[float, Feedback]], away: list[float]) -> ServoRun:
+def _judged(run: ServoRun, feedbacks: list[tuple[float, Feedback]], away: list[float]) -> ServoRun:
     """The zero of the count is where the module started: in the cycle in which it stood."""
     error = np.array(away) - away[0]
-    newest = [one for _, one in heard][run.samples_per_sync - 1 :: run.samples_per_sync]
-    run.time_s = np.array([time for time, _ in heard])
-    run.residual = np.array([one.residual for _, one in heard])
-    run.valid = all(one.valid for _, one in heard)
+    newest = [one for _, one in feedbacks][run.samples_per_sync - 1 :: run.samples_per_sync]
+    run.time_s = np.array([time for time, _ in feedbacks])
+    run.residual = np.array([one.residual for _, one in feedbacks])
+    run.valid = all(one.valid for _, one in feedbacks)
     wrong = np.abs(error) > WRONG_CYCLES
     run.wrong_and_valid = int(np.count_nonzero(wrong & [one.valid for one in newest]))
     run.cycles_off = round(float(error[-1]))

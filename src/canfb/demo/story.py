@@ -79,7 +79,7 @@ class Story:
         return bool(self.checks) and all(self.checks.values())
 
 
-def tell(network: DemoNetwork, progress: Callable[[str], None] = lambda text: None) -> Story:
+def run_story(network: DemoNetwork, progress: Callable[[str], None] = lambda text: None) -> Story:
     """Run all chapters on ``network``; ``progress`` gets a line at the start of each."""
     story = Story()
     progress("starting the network")

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -46,25 +46,17 @@ class FoundNode:
 
     node_id: int
     state: str | None
+    name: str | None = None
     device_type: int | None = None
     vendor_id: int | None = None
     product_code: int | None = None
     revision: int | None = None
     serial_number: int | None = None
-    name: str | None = None
 
     def figures(self) -> dict[str, Any]:
         """For programs."""
-        return {
-            "node": self.node_id,
-            "state": self.state,
-            "name": self.name,
-            "device_type": self.device_type,
-            "vendor_id": self.vendor_id,
-            "product_code": self.product_code,
-            "revision": self.revision,
-            "serial_number": self.serial_number,
-        }
+        figures = asdict(self)
+        return {"node": figures.pop("node_id"), **figures}
 
     def line(self) -> str:
         """For people."""
@@ -135,7 +127,7 @@ def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
     except CommissioningError:
         name = ""
     words = name if name.isprintable() and name else None
-    return FoundNode(node.node_id, _state(state), device_type, vendor, product, revision, serial, words)
+    return FoundNode(node.node_id, _state(state), words, device_type, vendor, product, revision, serial)
 
 
 def _state(state: NmtState | None) -> str | None:

@@ -186,7 +186,7 @@ def summary_of(module: FeedbackModule) -> str:
 
 log = logging.getLogger(__name__)
 
-Told = tuple[Served, Event]
+Occurrence = tuple[Served, Event]
 
 
 class _Noted(NamedTuple):
@@ -210,7 +210,7 @@ class EventLog:
     def __init__(self, verbose: bool = False, wall: Callable[[], datetime] = local_time) -> None:
         self._verbose = verbose
         self._wall = wall
-        self._throttle: Throttle[Told] = Throttle()
+        self._throttle: Throttle[Occurrence] = Throttle()
         self._noted: deque[_Noted] = deque()
         self._begun = False
 
@@ -242,14 +242,14 @@ class EventLog:
         if self._throttle.admits((id(device), event.kind), (device, event), event.time_s):
             self._note((device, event), event.text, {})
 
-    def _note_held(self, ended: list[Held[Told]]) -> None:
+    def _note_held(self, ended: list[Held[Occurrence]]) -> None:
         for held in ended:
             text = f"{held.count} more in the last {held.seconds:.3g} s; the last: {held.last[1].text}"
             more = {"more": held.count, "seconds": round(held.seconds, 3)}
             self._note(held.last, text, more)
 
-    def _note(self, told: Told, text: str, more: Mapping[str, Any]) -> None:
-        device, event = told  # whose node-ID may be another one soon
+    def _note(self, occurrence: Occurrence, text: str, more: Mapping[str, Any]) -> None:
+        device, event = occurrence  # whose node-ID may be another one soon
         noted = _Noted(self._wall(), device.node.node_id, title_of(device), event, text, more)
         self._noted.append(noted)
 

@@ -150,7 +150,7 @@ class _Warning(Served, Protocol):
 def warn_about(device: _Warning, state_dir: str | None) -> None:
     """Log stored parameters that were refused, another node with its node-ID, and a source that fails."""
 
-    def tell(faults: Mapping[ParameterGroup, str]) -> None:
+    def report_faults(faults: Mapping[ParameterGroup, str]) -> None:
         for group, why in faults.items():
             name = group.name.lower()
             log.warning(
@@ -158,11 +158,11 @@ def warn_about(device: _Warning, state_dir: str | None) -> None:
                 "the defaults are used"
             )
 
-    def tell_duplicate(can_id: int, now: float) -> None:
+    def report_duplicate(can_id: int, now: float) -> None:
         log.warning(f"{title_of(device)}: another node on the bus uses this node-ID ({can_id:03X}h)")
 
-    device.on_parameter_faults = tell
-    device.on_duplicate = tell_duplicate
+    device.on_parameter_faults = report_faults
+    device.on_duplicate = report_duplicate
     device.on_source = lambda text: log.warning(f"node {device.node.node_id}: {text}")
 
 

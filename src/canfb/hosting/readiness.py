@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 
 OURS = re.compile(rb"[0-9]{1,10}\n")
 READY, STOPPING, WATCHDOG = b"READY=1", b"STOPPING=1", b"WATCHDOG=1"
-WATCHDOG_PART = 0.25  # of the time that systemd waits: so often it hears that the program goes on
+WATCHDOG_PART = 0.25  # of the time that systemd waits: so often it is notified that the program goes on
 
 
 class Readiness:
@@ -60,7 +60,7 @@ class Readiness:
             unfinished = self._path.with_name(f"{self._path.name}.{os.getpid()}")
             try:
                 unfinished.write_text(f"{os.getpid()}\n")
-                unfinished.replace(self._path)  # whole as soon as it is seen
+                unfinished.replace(self._path)  # whole as soon as it is found
             except OSError as error:
                 unfinished.unlink(missing_ok=True)
                 raise CanfbError(f"--ready-file {self._path}: {error.strerror}") from error

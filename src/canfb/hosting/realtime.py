@@ -45,10 +45,10 @@ def _try(name: str, report: Callable[[str], None], action: Callable[[], None]) -
         action()
     except (OSError, AttributeError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        report(f"realtime: {name} could not be set: {reason}{_remedy(name, error)}")
+        report(f"realtime: {name} could not be set: {reason}{_suggestion(name, error)}")
 
 
-def _remedy(name: str, error: Exception) -> str:
+def _suggestion(name: str, error: Exception) -> str:
     """What grants the right that is missing."""
     if name not in _RIGHTS or not isinstance(error, OSError) or error.errno not in _REFUSALS:
         return ""

@@ -44,8 +44,8 @@ log = logging.getLogger(__name__)
 class OnBus(ABC):
     """A context manager that holds the bus, the runner, and what the devices need, while it is entered.
 
-    ``words`` are python-can's own for the bus. ConfigError for a bus on which a device would hear itself;
-    CanfbError, on entering, for one that cannot be opened.
+    ``words`` are python-can's own for the bus. ConfigError for a bus on which a device would receive its own
+    frames; CanfbError, on entering, for one that cannot be opened.
     """
 
     def __init__(self, words: Mapping[str, Any], realtime: RealtimeConfig) -> None:
@@ -96,8 +96,8 @@ class Serving(OnBus):
     ``words`` are python-can's own for the bus (interface, channel, ...), those of ``config`` if not given.
     What there is to say goes to the loggers ``canfb.*``: information on what runs and what happens
     (:class:`.EventLog`, which ``verbose`` makes say more), warnings on what fails and on what works again.
-    ConfigError for a bus on which a device would hear itself; CanfbError, on entering, for a bus, a state_dir
-    or a source that cannot be used.
+    ConfigError for a bus on which a device would receive its own frames; CanfbError, on entering, for a bus,
+    a state_dir or a source that cannot be used.
     """
 
     def __init__(self, config: Config, words: Mapping[str, Any] | None, *, verbose: bool) -> None:
@@ -202,8 +202,7 @@ class Simulating(OnBus):
 
     ``words`` are python-can's own for the bus. What there is to say goes to the loggers ``canfb.*``.
     ``seconds`` ends it after this machine time; else the end of a recording does, or
-    :meth:`stop`. ConfigError for a bus on which the interface would hear itself, and for a simulation that
-    cannot be; CanfbError, on entering, for a bus that cannot be opened.
+    :meth:`stop`. ConfigError for a simulation that cannot be; errors of the bus as those of :class:`OnBus`.
     """
 
     def __init__(

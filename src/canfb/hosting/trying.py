@@ -99,7 +99,7 @@ class NetworkOnBus:
         self._first, self._events = first, events
         self._rate_hz = rate_hz
         self._network = EmbeddedBus()
-        self._heard: Frame | None = None
+        self._received: Frame | None = None
         self._stopped = threading.Event()
         self._thread = ListeningThread(self._run, self.stop)
 
@@ -174,12 +174,12 @@ class NetworkOnBus:
             raise BusError(f"the bus fails: {reason(error)}") from error
         for can_id, data, _ in frames or ():
             if not can_id & (ERROR | EXTENDED):
-                self._heard = Frame(can_id & HIGHEST_ID, data, bool(can_id & REMOTE))
-                self._network.send(self._heard)
+                self._received = Frame(can_id & HIGHEST_ID, data, bool(can_id & REMOTE))
+                self._network.send(self._received)
 
     def _send(self, frame: Frame, now: float) -> None:
-        """What the network sends; not what it has heard."""
-        if frame is self._heard:
+        """What the network sends; not what it has received."""
+        if frame is self._received:
             return
         try:
             self._bus.send(frame.can_id, bytes(frame.data), frame.rtr)
@@ -201,7 +201,7 @@ ENCODER = EncoderScenario(
 SIMULATION = SimulationConfig(encoder=ENCODER, motion=MotionConfig(rpm=60.0, ripple_rpm=3.0, ripple_hz=0.15))
 
 
-# TPDO3 carries the velocity at each sample: seen from outside it would have the jitter of this computer.
+# TPDO3 carries the velocity at each sample: measured from outside it would have the jitter of this computer.
 TPDO3, MAPPING = od.TPDO + 2, od.TPDO_MAPPING + 2
 BYTE, LONG = 0x2F, 0x23  # expedited downloads (CiA 301, 7.2.4.3.3)
 MAPPED = (

@@ -1,29 +1,147 @@
-"""A feedback module as its PDOs show it."""
+"""A feedback module as its PDOs show it, and meters of a bus: SYNC, load, peaks. Times are seconds."""
 
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 from canfb import objects as od
 from canfb.monitoring.layout import COUNTERS, NodeLayout, PdoMap
-from canfb.monitoring.meters import PeakHistory
-from canfb.monitoring.snapshot import ModuleSnapshot
+from canfb.monitoring.snapshot import LoadSnapshot, ModuleSnapshot, SyncSnapshot
 from canfb.objects import Multiplexer, PositionState, StatusBit
 from canfb.view.limits_in_force import LIMIT_UNITS
 from canfb.view.pdo_map import Number
+
+SYNCS = 512  # that are looked at
+LEAST_SYNCS = 4
+OLDEST_S = 2.0
+MISSING_PERIODS = 8.0  # without a SYNC: there is none
+LEAST_SILENCE_S = 0.1
+SHORTEST_S = 1e-6  # a SYNC takes longer on any bus
+SAME = 0.1  # of a period: a doubled SYNC
+SLOT_S = 0.1
+SLOTS = 10
+
+
+class SyncMeter:
+    """Rate and jitter by the straight line through the times of the last SYNCs, gaps left out."""
+
+    def __init__(self) -> None:
+        self._times: deque[float] = deque(maxlen=SYNCS)
+        self._count = 0
+
+    def sync(self, time_s: float) -> None:
+        """A SYNC came."""
+        self._times.append(time_s)
+        self._count += 1
+
+    def snapshot(self, now: float) -> SyncSnapshot:
+        """Rate and jitter by ``now``."""
+        if not self._times:
+            return SyncSnapshot()
+        silent_s = max(0.0, now - self._times[-1])
+        times = [time for time in self._times if now - time <= OLDEST_S] or [*self._times][-LEAST_SYNCS:]
+        line = _line(times)
+        if line is None or silent_s > max(LEAST_SILENCE_S, MISSING_PERIODS * line[0]):
+            return SyncSnapshot(silent_s=silent_s, count=self._count)
+        period_s, errors = line
+        rms = math.sqrt(sum(error * error for error in errors) / len(errors))
+        return SyncSnapshot(1.0 / period_s, rms, max(map(abs, errors)), silent_s, self._count)
+
+
+def _line(times: Sequence[float]) -> tuple[float, list[float]] | None:
+    """The period, and the deviation of each time from the regular grid (least squares); None for too few."""
+    steps = [after - before for before, after in pairwise(times)]
+    if len(times) < LEAST_SYNCS or (middle := statistics.median(steps)) < SHORTEST_S:
+        return None
+    places, kept = [0], [times[0]]
+    for step, time in zip(steps, times[1:], strict=True):
+        if step > SAME * middle:
+            places.append(places[-1] + max(1, round((time - kept[-1]) / middle)))
+            kept.append(time)
+    if len(kept) < LEAST_SYNCS:
+        return None
+    mean_place, mean_time = statistics.fmean(places), statistics.fmean(kept)
+    spread = sum((place - mean_place) ** 2 for place in places)
+    period = sum((p - mean_place) * (t - mean_time) for p, t in zip(places, kept, strict=True)) / spread
+    if not SHORTEST_S <= period < math.inf:
+        return None
+    return period, [t - mean_time - period * (p - mean_place) for p, t in zip(places, kept, strict=True)]
+
+
+class LoadMeter:
+    """Bits and frames of the last second, in slots of a tenth."""
+
+    def __init__(self, bit_rate: int | None = None) -> None:
+        self.bit_rate = bit_rate
+        self._slots: deque[list[int]] = deque(maxlen=SLOTS + 1)  # number, bits, frames
+        self._first: int | None = None
+
+    def frame(self, bits: int, now: float) -> None:
+        """A frame with so many bits on the wire."""
+        slot = math.floor(now / SLOT_S)
+        if self._first is None:
+            self._first = slot
+        if not self._slots or self._slots[-1][0] < slot:
+            self._slots.append([slot, 0, 0])
+        self._slots[-1][1] += bits
+        self._slots[-1][2] += 1
+
+    def snapshot(self, now: float) -> LoadSnapshot:
+        """Of the slots that are over by ``now``."""
+        present = math.floor(now / SLOT_S)
+        passed = 0 if self._first is None else min(SLOTS, present - self._first)
+        if passed <= 0:
+            return LoadSnapshot(bit_rate=self.bit_rate, load=0.0 if self.bit_rate else None)
+        over = [slot for slot in self._slots if present - passed <= slot[0] < present]
+        bits, frames = (sum(slot[n] for slot in over) / (passed * SLOT_S) for n in (1, 2))
+        return LoadSnapshot(frames, bits, self.bit_rate, bits / self.bit_rate if self.bit_rate else None)
+
+
+class PeakHistory:
+    """The peak of each interval of ``bin_s`` seconds, of the last ``bins`` intervals."""
+
+    def __init__(self, bin_s: float, bins: int) -> None:
+        self.bin_s = bin_s
+        self._bins = bins
+        self._peaks: deque[tuple[int, float]] = deque(maxlen=bins)
+
+    def add(self, value: float, now: float) -> None:
+        """A value at this time."""
+        number = math.floor(now / self.bin_s)
+        if self._peaks and self._peaks[-1][0] >= number:
+            last, peak = self._peaks[-1]
+            self._peaks[-1] = last, max(peak, value)
+        else:
+            self._peaks.append((number, value))
+
+    def values(self, now: float) -> list[float | None]:
+        """From the first interval that is remembered to that of ``now``; None where there was no value."""
+        if not self._peaks:
+            return []
+        last = math.floor(now / self.bin_s)
+        known = dict(self._peaks)
+        first = max(self._peaks[0][0], last - self._bins + 1)
+        return [known.get(number) for number in range(first, last + 1)]
+
+    def peak(self, now: float, seconds: float) -> float | None:
+        """The largest of the last ``seconds``, as far as intervals allow."""
+        oldest = math.floor((now - seconds) / self.bin_s)
+        return max((peak for number, peak in self._peaks if number >= oldest), default=None)
+
 
 HISTORY_BIN_S, HISTORY_BINS = 0.5, 120  # a minute
 PEAK_S = 1.0
 TRACKS = 400  # pairs of counts that are remembered
 SPEED_S = 0.25  # over which the velocity is measured
 STEP_S = 0.01  # between two positions that are remembered for it
-FRESH_S = 2.0  # a velocity that is older was of another moment
+FRESH_S = 2.0  # a velocity that is older is out of date
 WORDS = 1 << 32
 LOST = COUNTERS[od.COUNTER_LOST]
-SEEN = {
+COUNTED = {
     StatusBit.MISSED: COUNTERS[od.COUNTER_MISSED],
     StatusBit.RESIDUAL: COUNTERS[od.COUNTER_RESIDUAL],
     StatusBit.AMPLITUDE: COUNTERS[od.COUNTER_AMPLITUDE],
@@ -48,9 +166,9 @@ class ModuleModel:
         self._times: dict[Multiplexer, float] = {}
         self._history = PeakHistory(HISTORY_BIN_S, HISTORY_BINS)
         self._tracks: deque[tuple[int, int]] = deque(maxlen=TRACKS)
-        self._tracks_heard = 0
+        self._tracks_received = 0
         self._positions: deque[tuple[float, int]] = deque(maxlen=round(SPEED_S / STEP_S) + 1)
-        self._seen = dict.fromkeys((*SEEN.values(), LOST), 0)
+        self._counted = dict.fromkeys((*COUNTED.values(), LOST), 0)
         self._state: PositionState | None = None
         self._came_s: float | None = None
         self._fault_s: float | None = None
@@ -74,7 +192,7 @@ class ModuleModel:
         values = pdo.decode(data)
         if od.SAMPLE_SINE in values and od.SAMPLE_COSINE in values:
             self._tracks.append((int(values[od.SAMPLE_SINE]), int(values[od.SAMPLE_COSINE])))
-            self._tracks_heard += 1
+            self._tracks_received += 1
 
     def put(self, place: Multiplexer, value: Number, now: float) -> None:
         """A value of :data:`.VALUES`, by PDO or SDO."""
@@ -83,9 +201,9 @@ class ModuleModel:
     def _count(self, status: int, now: float) -> None:
         self._came_s = now
         before, self._state = self._state, od.position_state(status)
-        for bit, name in SEEN.items():
-            self._seen[name] += bool(status & bit)
-        self._seen[LOST] += self._state is PositionState.LOST and before is not PositionState.LOST
+        for bit, name in COUNTED.items():
+            self._counted[name] += bool(status & bit)
+        self._counted[LOST] += self._state is PositionState.LOST and before is not PositionState.LOST
         if self._state is not PositionState.VALID:
             self._fault_s = now
             self._positions.clear()
@@ -137,8 +255,8 @@ class ModuleModel:
             amplitude_limits_counts=(layout.amplitude_low_counts, layout.amplitude_high_counts),
             full_scale_counts=layout.full_scale_counts,
             tracks_counts=list(self._tracks),
-            tracks_heard=self._tracks_heard,
-            seen=dict(self._seen),
+            tracks_heard=self._tracks_received,
+            seen=dict(self._counted),
             lost_by=self._lost_by(),
             since_fault_s=_since(self._fault_s, now),
             counters=_counters(values),

@@ -1,8 +1,9 @@
-"""A snapshot as a page of a terminal: rich renderables that fit into its width and height."""
+"""A snapshot as a page of a terminal: renderables of rich that fit into its width and height."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 
 from rich import box
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
@@ -11,9 +12,49 @@ from rich.table import Table
 from rich.text import Text
 
 from canfb.monitoring import lines
-from canfb.monitoring.drawing import bar, dots, history
+from canfb.monitoring.lines import MachineUnits
 from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
-from canfb.monitoring.units import MachineUnits
+
+HEIGHTS, PLAIN_HEIGHTS = "▁▂▃▄▅▆▇█", "_.-:=+*#"
+NO_VALUE = " "
+BRAILLE = 0x2800
+DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # of a character, by row and column
+
+
+def bar(part: float, width: int, *, plain: bool = False) -> str:
+    """``width`` characters, the part 0..1 of them full; at least one for more than nothing."""
+    part = min(max(part, 0.0), 1.0) if math.isfinite(part) else 1.0
+    full = min(width, math.ceil(part * width - 1e-9))
+    return ("#" if plain else "█") * full + ("." if plain else "░") * (width - full)
+
+
+def history(values: Sequence[float | None], top: float, width: int, *, plain: bool = False) -> str:
+    """The last ``width`` values as heights up to ``top``; a blank where there is none."""
+    heights = PLAIN_HEIGHTS if plain else HEIGHTS
+    shown = []
+    for value in values[-width:]:
+        part = 0.0 if value is None or top <= 0.0 else min(max(value / top, 0.0), 1.0)
+        shown.append(NO_VALUE if value is None else heights[min(int(part * len(heights)), len(heights) - 1)])
+    return "".join(shown).rjust(width)
+
+
+def dots(
+    points: Iterable[tuple[float, float]], limit: float, width: int, height: int, *, plain: bool = False
+) -> list[str]:
+    """``height`` lines of ``width`` characters with a dot at each point (x, y), -limit..limit both.
+
+    Of braille patterns, two dots wide and four high; ``plain``: an asterisk for each character.
+    """
+    cells = [[0] * width for _ in range(height)]
+    for x, y in points:
+        column = int((x / limit + 1.0) / 2.0 * width * 2) if limit > 0.0 else width
+        row = int((1.0 - y / limit) / 2.0 * height * 4) if limit > 0.0 else height * 2
+        column, row = min(max(column, 0), width * 2 - 1), min(max(row, 0), height * 4 - 1)
+        cells[row // 4][column // 2] |= DOTS[row % 4][column % 2]
+    if plain:
+        return ["".join("*" if cell else " " for cell in line) for line in cells]
+    return ["".join(chr(BRAILLE + cell) for cell in line) for line in cells]
+
 
 PANEL_LINES, HIGHEST_PANEL = 11, 18  # of a module, with its frame
 LEAST_FIGURES, LEAST_TRACKS = 56, 12  # characters
@@ -89,8 +130,10 @@ class Page:
         return [self._cut(one, width) for one in (title, sync, load)]
 
     def _nothing(self) -> Text:
-        heard = self._snapshot.load.frames_per_s > 0.0
-        text = "frames come, but none of a module: name it (canfb monitor NODE)" if heard else "no frame"
+        frames_come = self._snapshot.load.frames_per_s > 0.0
+        text = (
+            "frames come, but none of a module: name it (canfb monitor NODE)" if frames_come else "no frame"
+        )
         return Text(f"\n{text}", DOUBTFUL)
 
     def _panel(self, node: NodeSnapshot, module: ModuleSnapshot, width: int, rows: int) -> Panel:
@@ -129,7 +172,7 @@ class Page:
         marks = ["referenced"] * module.referenced + ["table active"] * module.table_active
         near, since = _near(module, module.residual_cycles), module.since_fault_s
         lost = lines.lost_words(node, module)
-        seen = {name: count for name, count in module.seen.items() if count}
+        counted = {name: count for name, count in module.seen.items() if count}
         return [
             Text.assemble(_label("status"), (words, state), (f"  {' '.join(marks)}" if marks else "", FAINT)),
             Text.assemble(
@@ -153,8 +196,8 @@ class Page:
             Text.assemble(
                 _label("2012h" if module.counters else "faults"),
                 ("" if since is None else f"{lines.age(since)} ago: ", FAINT),
-                lines.counter_words(module.counters or seen),
-                ("" if module.counters or seen else " seen", FAINT),
+                lines.counter_words(module.counters or counted),
+                ("" if module.counters or counted else " seen", FAINT),
             ),
             self._emergency(node),
         ]

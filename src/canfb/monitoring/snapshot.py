@@ -10,7 +10,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class SyncSnapshot:
-    """The SYNC of the last moments.
+    """The SYNC of the last seconds.
 
     rate_hz         None while there is none, or too few to say
     jitter_rms_s    rms deviation of the SYNCs from the best regular grid, seconds; None as above
@@ -53,7 +53,7 @@ class EmergencySnapshot:
 
 @dataclass(frozen=True)
 class ModuleSnapshot:
-    """The feedback of a module. None stands for what was not heard.
+    """The feedback of a module. None stands for what was not received.
 
     layout                 how its PDOs are known: EDS, configuration, module, assumed
     age_s                  since its last PDO with a position or a status
@@ -112,7 +112,7 @@ class NodeSnapshot:
 
     state           NMT state; None while it is not known
     state_source    what says so: heartbeat, boot-up, PDO, command
-    heard_s         since its last frame; None for one that was never heard
+    heard_s         since its last frame; None for one that never sent any
     boot_ups        counted here
     emergencies     the last ones, newest first; `emergency_count` of them in all
     module          None for a node that is no feedback module, or not known as one

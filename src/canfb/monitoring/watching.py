@@ -1,10 +1,10 @@
-"""Feeding the model of a monitor: from a bus as it goes on, or from a log in its own time."""
+"""Frames of a bus as it goes on, or of a log: for the model of a monitor, or one by one (``canfb dump``)."""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import can
@@ -145,3 +145,54 @@ def messages_of(path: Path) -> Iterable[can.Message]:
         raise CanfbError(f"{path}: {error.strerror or error}") from error
     except Exception as error:
         raise CanfbError(f"{path}: cannot be read as a bus log: {reason(error)}") from error
+
+
+TimedFrame = tuple[float, Frame]
+"""A frame, and seconds since the first one."""
+
+
+class Dumping:
+    """Gives frames until :meth:`stop`, for ``seconds``; None: without end. CanfbError for what fails."""
+
+    def __init__(
+        self,
+        seconds: float | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._seconds, self._clock, self._sleep = seconds, clock, sleep
+        self._stopped = False
+
+    def stop(self) -> None:
+        """End it; may be called from a signal handler."""
+        self._stopped = True
+
+    def bus(self, bus: can.BusABC) -> Iterator[TimedFrame]:
+        """The frames of an open bus as they come; see :class:`.Reception` for one that fails."""
+        reception = Reception(bus, log.warning, self._clock, self._sleep)
+        began, first_s = self._clock(), None
+        while not self._stopped and (self._seconds is None or self._clock() - began < self._seconds):
+            message = reception.receive(LONGEST_WAIT_S)
+            if message is None or not _is_classic(message):
+                continue
+            first_s = message.timestamp if first_s is None else first_s
+            yield message.timestamp - first_s, _frame(message)
+
+    def log(self, path: Path) -> Iterator[TimedFrame]:
+        """The frames of a log that python-can reads, as fast as it can be read."""
+        first_s = None
+        for message in messages_of(path):
+            first_s = message.timestamp if first_s is None else first_s
+            passed_s = message.timestamp - first_s
+            if self._stopped or (self._seconds is not None and passed_s > self._seconds):
+                return
+            if _is_classic(message):
+                yield passed_s, _frame(message)
+
+
+def _is_classic(message: can.Message) -> bool:
+    return not (message.is_error_frame or message.is_extended_id or message.is_fd)
+
+
+def _frame(message: can.Message) -> Frame:
+    return Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame)

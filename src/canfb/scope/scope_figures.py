@@ -9,14 +9,14 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 from bokeh.plotting import figure
 
+from canfb.monitoring.lines import RPM, MachineUnits
 from canfb.monitoring.module_model import HISTORY_BINS
 from canfb.monitoring.snapshot import ModuleSnapshot
-from canfb.monitoring.units import RPM, MachineUnits
 from canfb.scope.desk import MeasuredCurves
 from canfb.scope.traces import LONGEST_S, PERCENT, DeviationCurve, ModuleTraces
 from canfb.signal.phase import FloatArray
 
-BLUE, ORANGE, RED, GREY = "#3b82f6", "#d97706", "#e5484d", "#8b949e"  # seen on light and on dark
+BLUE, ORANGE, RED, GREY = "#3b82f6", "#d97706", "#e5484d", "#8b949e"  # visible on light and on dark
 INK, FAINT, GRID = ("#1d2b33", "#e6edf3"), ("#5c6b74", "#9aa7b1"), ("#e3e8eb", "#30363d")  # light, dark
 SQUARE, MARGINS, HEIGHT = 240, (90, 55), 230
 HEADROOM = 1.15
@@ -57,7 +57,7 @@ class ScopeFigures:
         self._means = _source("phase", "before", "after")
         self._peaks = _source("time", "peak")
         self._limit = _source("time", "limit")
-        self._moments = _source("time", "position", "velocity")
+        self._points = _source("time", "position", "velocity")
         self._curve: DeviationCurve | None = None
         self._draw()
 
@@ -73,8 +73,8 @@ class ScopeFigures:
         self._dashes = self.residual.line(
             "time", "limit", source=self._limit, color=RED, line_width=2, line_dash=READ, name="limit"
         )
-        self.position.line("time", "position", source=self._moments, color=BLUE, line_width=2)
-        self.velocity.line("time", "velocity", source=self._moments, color=BLUE, line_width=2)
+        self.position.line("time", "position", source=self._points, color=BLUE, line_width=2)
+        self.velocity.line("time", "velocity", source=self._points, color=BLUE, line_width=2)
 
     @property
     def roots(self) -> dict[str, Any]:
@@ -102,9 +102,9 @@ class ScopeFigures:
             return
         self._show_tracks(module)
         self._show_residual(module)
-        times, positions, velocities = np.array(traces.moments, np.float64).reshape(-1, 3).T
+        times, positions, velocities = np.array(traces.points, np.float64).reshape(-1, 3).T
         positions, velocities = positions * self._per_revolution, velocities * self._per_rad_s
-        self._moments.data = {"time": times - now, "position": positions, "velocity": velocities}
+        self._points.data = {"time": times - now, "position": positions, "velocity": velocities}
         _fit(self.position.y_range, positions)
         _fit(self.velocity.y_range, velocities)
         curve = traces.deviation(now)

@@ -12,7 +12,7 @@ from bokeh.models import Button, Column, Div, FileInput, InlineStyleSheet, Row, 
 from jinja2 import Environment
 
 from canfb.errors import CanfbError
-from canfb.monitoring.units import MachineUnits
+from canfb.monitoring.lines import MachineUnits
 from canfb.scope import scope_texts as texts
 from canfb.scope.desk import CALIBRATE, MEASURE, READ, Desk, DeskState, ScopeTask, Stage, Upload
 from canfb.scope.gate import OPEN_ADDRESS
@@ -68,7 +68,7 @@ class _Asked(NamedTuple):
 class ScopePage:
     """Fills ``document`` from the traces of the bus; :meth:`update` brings it up to date.
 
-    ``node`` is the module that is shown first, None for the first that is heard.
+    ``node`` is the module that is shown first, None for the first that sends.
     """
 
     def __init__(

@@ -1,7 +1,19 @@
 """The web server of ``canfb scope``: Bokeh's, behind a gate that sees every request first.
 
 Bokeh's own page would carry the token of a session to whoever gets the page; so it is not served. The page is
-the same for everybody, and its script asks for a ticket (scope/gate.py), with which Bokeh makes the session.
+the same for everybody, and its script asks for a ticket (gate), with which Bokeh makes the session.
+
+Any program of this computer can connect to a port on loopback, so all that it can use up has a limit:
+connections, the head of a request, pages that are open or being opened, the time until a websocket is open,
+and pings that are not answered. On a websocket Bokeh applies whatever comes to its document: a page could add
+models without end, or announce buffers that it sends for ever. The page of the scope changes values and
+presses buttons; another kind of message, too many bytes or too many models end the connection
+(:class:`PageSocket`).
+
+Pages, their updates and all of Bokeh run in the one thread of :meth:`ScopeServer.run`. Frames are received by
+a thread of their own and a task is done by another; what they find is brought here by :class:`.ScopeLoop`.
+Threads do not run in a garbage collection, the receiving one included: what exists at the start is left out
+of it, and pages that are closed together are collected once.
 """
 
 from __future__ import annotations
@@ -20,6 +32,7 @@ from typing import Any
 from bokeh.application import Application
 from bokeh.application.handlers.function import FunctionHandler
 from bokeh.document import Document, document
+from bokeh.protocol.message import Message
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from bokeh.server.views.ws import WSHandler
@@ -34,10 +47,75 @@ from canfb.bus.runner import outside_collections
 from canfb.errors import CanfbError
 from canfb.scope.gate import LOOPBACK, SOCKET, Gate, GateVerdict, Request, headers_of
 from canfb.scope.scope_page import BOKEH_SCRIPTS, LARGEST_MESSAGE, SCRIPT, STYLE, page_file
-from canfb.scope.scope_socket import PageSocket
 from canfb.scope.scoping import ScopeLoop
 
 log = logging.getLogger(__name__)
+
+MOST_RECEIVED = 40 * LARGEST_MESSAGE  # bytes, of a page while it is open: some tens of table files
+OVERHEAD = 16  # bytes, of each message and ping: empty ones count, too
+MOST_EVENTS = 100  # in one message: a page that is made larger changes the size of each picture
+MOST_MODELS = 2000  # of a document: the page has some hundred
+PATCH = "PATCH-DOC"
+TAKEN = frozenset({"PULL-DOC-REQ", "SERVER-INFO-REQ", PATCH})
+EVENTS = frozenset({"ModelChanged", "MessageSent"})
+TOO_BIG = 1009  # close code of RFC 6455, 7.4.1
+
+
+class PageSocket(WSHandler):
+    """Closes itself when the browser sends what the page never sends."""
+
+    _received = 0
+    _refused = False
+
+    async def on_message(self, fragment: str | bytes) -> None:
+        """A part of a message."""
+        if self._takes(len(fragment)):
+            await super().on_message(fragment)
+
+    def on_ping(self, data: bytes) -> None:
+        """It is answered: the answers wait in memory where nobody reads them."""
+        self._takes(len(data))
+
+    async def _handle(self, message: Message[Any]) -> Any | None:
+        if why := refusal(message):
+            self._refuse(why)
+            return None
+        work = await super()._handle(message)
+        connection = self.connection
+        if connection is not None and len(connection.session.document.models) > MOST_MODELS:
+            self._refuse(f"more than {MOST_MODELS} models")
+        return work
+
+    async def _schedule(self, work: Any) -> None:
+        if work is not None:  # else it was refused
+            await super()._schedule(work)
+
+    def _takes(self, count: int) -> bool:
+        self._received += count + OVERHEAD
+        if self._received > MOST_RECEIVED:
+            self._refuse(f"more than {MOST_RECEIVED} bytes")
+        return not self._refused
+
+    def _refuse(self, why: str) -> None:
+        if not self._refused:
+            self._refused = True
+            log.debug("a page is closed: %s", why)
+            self.close(TOO_BIG, why)
+
+
+def refusal(message: Message[Any]) -> str:
+    """Why a message of the browser is not taken; empty: it is."""
+    if message.msgtype not in TAKEN:
+        return f"{message.msgtype} of a page"[:100]
+    if message.msgtype != PATCH:
+        return ""
+    content = message.content
+    events = content.get("events") if isinstance(content, dict) else None
+    if not isinstance(events, list) or len(events) > MOST_EVENTS:
+        return "no list of events, or too long"
+    kinds = {one.get("kind") if isinstance(one, dict) else None for one in events}
+    return "" if kinds <= EVENTS else "events that a page does not send"
+
 
 FILES = {SCRIPT: "text/javascript", STYLE: "text/css"}
 LARGEST_HEAD = 1 << 14  # bytes, of a request
@@ -196,7 +274,7 @@ class _BoundedHttp(HTTPServer):
 
 
 class _GatedTornado(BokehTornado):
-    """Bokeh's application, which only sees what the gate lets through."""
+    """Bokeh's application, which only gets what the gate lets through."""
 
     def __init__(self, gate: Gate, applications: Any, **options: Any) -> None:
         super().__init__(applications, **options)
@@ -219,8 +297,8 @@ class _GatedTornado(BokehTornado):
 
     def find_handler(self, request: HTTPServerRequest, **kwargs: Any) -> Any:
         """Of each request, that of a websocket too."""
-        seen = {name.lower(): value for name, value in request.headers.get_all()}
-        verdict, why = self._gate.judge(Request(request.method or "", request.path, seen))
+        headers = {name.lower(): value for name, value in request.headers.get_all()}
+        verdict, why = self._gate.judge(Request(request.method or "", request.path, headers))
         if verdict in (GateVerdict.TICKET, GateVerdict.CONNECTED) and self._pages >= MOST_PAGES:
             verdict, why = GateVerdict.REFUSED, f"{MOST_PAGES} pages are open: close one, and reload this one"
         if verdict is GateVerdict.CONNECTED:

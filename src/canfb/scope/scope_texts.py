@@ -6,8 +6,8 @@ from html import escape
 from itertools import groupby
 
 from canfb.monitoring import lines
+from canfb.monitoring.lines import MachineUnits
 from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
-from canfb.monitoring.units import MachineUnits
 from canfb.scope.desk import DeskState, Stage
 from canfb.scope.traces import DeviationCurve
 
@@ -37,7 +37,7 @@ def state_line(node: NodeSnapshot, module: ModuleSnapshot) -> str:
 
 
 def figures_table(module: ModuleSnapshot, units: MachineUnits) -> str:
-    """The values of the moment."""
+    """The present values."""
     position = units.position(module.position_revolutions) + lines.scale_note(module, "position_revolutions")
     velocity = units.velocity(module.velocity_rad_s) + lines.scale_note(module, "velocity_rad_s")
     return _table(

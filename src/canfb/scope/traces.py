@@ -17,7 +17,7 @@ from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.phase import FloatArray
 
 LONGEST_S = 120.0  # of position and velocity
-MOMENTS = 1200
+MOST_POINTS = 1200
 SAMPLES = 4096  # of which the deviation is computed
 LEAST_SAMPLES = 512
 BLOCK_SAMPLES = 32
@@ -56,14 +56,14 @@ class ModuleTraces:
     """One module: its last minutes."""
 
     def __init__(self) -> None:
-        self.moments: deque[tuple[float, float, float]] = deque(maxlen=MOMENTS)
+        self.points: deque[tuple[float, float, float]] = deque(maxlen=MOST_POINTS)
         """Time (s), position (revolutions), velocity (rad/s); NaN where it is not known."""
         self.node: NodeSnapshot | None = None
         self.module: ModuleSnapshot | None = None
         self.correction: Correction | None = None
         """The active one; None while it was not read."""
         self._samples: deque[tuple[int, int, int]] = deque(maxlen=SAMPLES)
-        self._heard = self._place = 0
+        self._received = self._place = 0
         self._table_crc32: int | None = None
         self._curve: DeviationCurve | None = None
         self._curve_s = -math.inf
@@ -71,14 +71,14 @@ class ModuleTraces:
     def take(self, now: float, node: NodeSnapshot, module: ModuleSnapshot) -> None:
         """What is known ``now``, seconds."""
         self.node, self.module = node, module
-        if self.moments and now < self.moments[-1][0]:
-            self.moments.clear()
+        if self.points and now < self.points[-1][0]:
+            self.points.clear()
         valid = not is_stale(module) and module.position_state in ("valid", None)
         position = module.position_revolutions if valid else None
         velocity = module.velocity_rad_s if valid else None
-        self.moments.append((now, _number(position), _number(velocity)))
-        while self.moments[-1][0] - self.moments[0][0] > LONGEST_S:
-            self.moments.popleft()
+        self.points.append((now, _number(position), _number(velocity)))
+        while self.points[-1][0] - self.points[0][0] > LONGEST_S:
+            self.points.popleft()
         if module.table_crc32 != self._table_crc32:
             self._table_crc32 = module.table_crc32
             if self.correction is not None and self.correction.crc32 != module.table_crc32:
@@ -86,9 +86,9 @@ class ModuleTraces:
         self._follow(module)
 
     def _follow(self, module: ModuleSnapshot) -> None:
-        """The samples that have come since; over those that were not seen there is a gap."""
-        new = module.tracks_heard - self._heard
-        self._heard = module.tracks_heard
+        """The samples that have come since; over those that were missed there is a gap."""
+        new = module.tracks_heard - self._received
+        self._received = module.tracks_heard
         if new < 0:
             self._samples.clear()
             new = len(module.tracks_counts)

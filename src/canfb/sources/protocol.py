@@ -213,12 +213,12 @@ LEAST, MOST = -32768, 32767  # INTEGER16
 class SourceWatch:
     """Calls ``ask`` for one sample at each SYNC; nothing that it raises goes through.
 
-    ``tell`` gets one line when the source fails, when it works again, and when it has ended.
+    ``report`` gets one line when the source fails, when it works again, and when it has ended.
     """
 
-    def __init__(self, ask: Callable[[], Sample | None], tell: Callable[[str], None]) -> None:
+    def __init__(self, ask: Callable[[], Sample | None], report: Callable[[str], None]) -> None:
         self._ask = ask
-        self._tell = tell
+        self._report = report
         self._failed_s: float | None = None
         self.ended = False
         """The source has no sample left."""
@@ -238,16 +238,16 @@ class SourceWatch:
                 sample = _checked(sample)
         except SourceEnded:
             self.ended = True
-            self._tell("the source has ended: no more samples")
+            self._report("the source has ended: no more samples")
             return None
         except Exception as error:  # a node on a bus outlives its converter, whatever the driver raises
             first, self._failed_s = self._failed_s is None, now
             if first:
-                self._tell(f"the source fails: {_one_line(error)}")
+                self._report(f"the source fails: {_one_line(error)}")
             return None
         if sample is not None and self._failed_s is not None and now - self._failed_s >= SETTLED_S:
             self._failed_s = None
-            self._tell("the source works again")
+            self._report("the source works again")
         return sample
 
 
