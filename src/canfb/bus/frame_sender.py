@@ -56,7 +56,10 @@ class FrameSender:
             self._failed(port, frame, error)
             return
         if not gone:
-            self._put_off(port, frame, self._clock())
+            if len(self.waiting) < LONGEST_QUEUE:
+                self.waiting.append((port, frame, self._clock()))
+            else:
+                self._failed(port, frame, _no_room())
         elif self._watch.failed_s is None and not self._bus_state.troubled and can_id not in port.inhibited:
             self.sent += 1
         else:
@@ -92,12 +95,6 @@ class FrameSender:
                 return
             del self.owed[can_id]
             self._left(port, frame)
-
-    def _put_off(self, port: Port, frame: Frame, now: float) -> None:
-        if len(self.waiting) < LONGEST_QUEUE:
-            self.waiting.append((port, frame, now))
-        else:
-            self._failed(port, frame, _no_room())
 
     def _left(self, port: Port, frame: Frame) -> None:
         self.sent += 1

@@ -217,7 +217,11 @@ class InterfaceHosting(Serving):
         return [f"encoder interface: node {nodes} on {describe(self.words)}; end with Ctrl-C"]
 
     def _at_end(self) -> list[str]:
-        return [summary_of_interface(one) for one in self.interfaces]
+        return [
+            f"{short_title_of(one)}: {one.samples} samples sent"
+            f"{f'; {one.missed} SYNCs without one' if one.missed else ''}{duplicates_of(one)}"
+            for one in self.interfaces
+        ]
 
 
 def make_interface(
@@ -245,12 +249,6 @@ def make_interface(
     )
     warn_about(interface, config.state_dir)
     return interface
-
-
-def summary_of_interface(interface: EncoderInterface) -> str:
-    """What it has sampled, at the end."""
-    missed = f"; {interface.missed} SYNCs without one" if interface.missed else ""
-    return f"{short_title_of(interface)}: {interface.samples} samples sent{missed}{duplicates_of(interface)}"
 
 
 def saved_configuration(config: ModuleConfig) -> DeviceConfiguration:

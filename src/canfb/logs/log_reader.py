@@ -117,7 +117,7 @@ def candump_frames(path: Path, channel: str | None, counters: LogCounters) -> It
     """
     selected = None if channel is None else channel.encode()
     lines = 0
-    with path.open("rb") as raw, _unzipped(path, raw) as file:
+    with path.open("rb") as raw, gzip.open(raw, "rb") if log_suffix(path)[1] else raw as file:
         for block in _blocks(file):
             usual = USUAL.findall(block)
             count = block.count(b"\n")
@@ -154,11 +154,7 @@ def _text(name: bytes) -> str:
     return name.decode("utf-8", "replace")
 
 
-def _unzipped(path: Path, raw: IO[bytes]) -> IO[bytes]:
-    return gzip.open(raw, "rb") if log_suffix(path)[1] else raw  # type: ignore[return-value]
-
-
-def _blocks(file: IO[bytes]) -> Iterator[bytes]:
+def _blocks(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
     """Whole lines, each with its end; one that is longer than a block is divided."""
     rest = b""
     while more := file.read(BLOCK_BYTES):

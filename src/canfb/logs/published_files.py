@@ -104,13 +104,6 @@ class _Npz:
 WRITERS: dict[str, Callable[[Path], _Writer]] = {".csv": _Csv, ".npz": _Npz, ".parquet": ParquetBlocks}
 
 
-def check_out(path: Path) -> None:
-    """ConfigError for a file that :class:`PublishedFile` could not write."""
-    if path.suffix.lower() not in WRITERS:
-        raise ConfigError(f"--out {path}: the name must end with {', '.join(WRITERS)}")
-    check_place("--out", path)
-
-
 def check_place(option: str, path: Path) -> None:
     """ConfigError for a place where no file can be written."""
     if not path.parent.is_dir():
@@ -122,11 +115,14 @@ def check_place(option: str, path: Path) -> None:
 class PublishedFile:
     """A context manager: give it blocks by :meth:`take`. The file is there when it is whole.
 
-    CanfbError when it cannot be written, or for Parquet without pyarrow.
+    ConfigError for a name or a place that cannot be; CanfbError when it cannot be written, or for Parquet
+    without pyarrow.
     """
 
     def __init__(self, path: Path) -> None:
-        check_out(path)
+        if path.suffix.lower() not in WRITERS:
+            raise ConfigError(f"--out {path}: the name must end with {', '.join(WRITERS)}")
+        check_place("--out", path)
         self._path = path
         self._part = path.with_name(f"{path.name}.part")
         self._writer: _Writer | None = None

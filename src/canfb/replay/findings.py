@@ -135,27 +135,24 @@ class Extreme:
     time_s: float = math.nan
     margin: float = math.nan
 
-    def look(self, block: Block, value: npt.NDArray[np.float64], limit: npt.NDArray[np.float64]) -> None:
-        """At more values with their limits; NaN is none."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            self._take(block["time_s"], value, limit, 1.0 - value / limit)
-
-    def look_above(
-        self, block: Block, value: npt.NDArray[np.float64], limit: npt.NDArray[np.float64]
+    def look(
+        self,
+        block: Block,
+        value: npt.NDArray[np.float64],
+        limit: npt.NDArray[np.float64],
+        *,
+        lower: bool = False,
     ) -> None:
-        """The same for a lower limit."""
+        """At more values with their limits, which are ``lower`` ones or not; NaN is none."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            self._take(block["time_s"], value, limit, 1.0 - limit / value)
-
-    def _take(self, times: npt.NDArray[np.float64], value: object, limit: object, margin: object) -> None:
-        values, limits = np.asarray(value, np.float64), np.asarray(limit, np.float64)
-        margins = np.where(np.isfinite(values) & np.isfinite(limits), np.asarray(margin, np.float64), np.nan)
+            margins = 1.0 - (limit / value if lower else value / limit)
+        margins = np.where(np.isfinite(value) & np.isfinite(limit), margins, np.nan)
         if np.isnan(margins).all():
             return
         place = int(np.nanargmin(margins))
         if not self.margin <= margins[place]:
-            self.value, self.limit = float(values[place]), float(limits[place])
-            self.time_s, self.margin = float(times[place]), float(margins[place])
+            self.value, self.limit = float(value[place]), float(limit[place])
+            self.time_s, self.margin = float(block["time_s"][place]), float(margins[place])
 
 
 @dataclass
@@ -193,7 +190,8 @@ class Margins:
         residual = _where(compared & (block["samples"] > 2), block["residual"])
         self.residual.look(block, residual, limit)
         amplitude = _where(came, block["amplitude_counts"])
-        self.amplitude_low.look_above(block, amplitude, block["amplitude_low_counts"].astype(np.float64))
+        low = block["amplitude_low_counts"].astype(np.float64)
+        self.amplitude_low.look(block, amplitude, low, lower=True)
         self.amplitude_high.look(block, amplitude, block["amplitude_high_counts"].astype(np.float64))
         self._take_motion(block, followed & (status & StatusBit.VALID != 0))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from functools import partial
+from html import escape
 from importlib.resources import files
 from typing import Any, NamedTuple
 
@@ -195,7 +196,7 @@ class ScopePage:
 
     def _ask(self, asked: _Asked | None, question: str) -> None:
         self._asked = asked
-        self._say("question", texts.question_text(question))
+        self._say("question", f"<p>{escape(question)}</p>" if question else "")
         self._yes.visible = self._no.visible = asked is not None
         self._field.visible = asked is not None and asked.task.writes and not self._code
 

@@ -117,11 +117,6 @@ def outcome_text(state: DeskState) -> str:
     return "".join(parts)
 
 
-def question_text(text: str) -> str:
-    """What is asked before a task, or why it cannot begin."""
-    return f"<p>{escape(text)}</p>" if text else ""
-
-
 def _table(rows: list[tuple[str, str]]) -> str:
     body = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
     return f"<table>{body}</table>"
