@@ -29,16 +29,12 @@ from canfb.sdo.object_description import ObjectDescriptions
 
 def register(commands: Commands) -> None:
     """Add both commands."""
-    parser = add_command(
-        commands, "backup", "write table and all parameters of a module to a file (YAML)", backup
-    )
+    parser = add_command(commands, "backup", backup)
     node_options.add_node(parser)
     parser.add_argument("file", metavar="FILE", type=Path, help="replaced")
     node_options.add_access_options(parser)
 
-    parser = add_command(
-        commands, "restore", "write a backup to a module, prove it, or put back what was before", restore
-    )
+    parser = add_command(commands, "restore", restore)
     parser.add_argument("file", metavar="FILE", type=Path, help="what canfb backup wrote")
     parser.add_argument(
         "--node", type=node_number, metavar="ID", help="the module (default: the node-ID in the file)"

@@ -41,8 +41,7 @@ from canfb.rows import Result
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    summary = "measure the encoder, build its correction table, activate it and save it"
-    parser = add_command(commands, "calibrate", summary, calibrate)
+    parser = add_command(commands, "calibrate", calibrate)
     _add_nodes_and_results(parser)
     _add_measurement(parser)
     _add_speeds(parser)

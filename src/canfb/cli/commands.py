@@ -1,7 +1,7 @@
 """The parser of the command line, and the file of each command, which is imported when the command is used.
 
 So ``canfb --help`` imports none of them, and a command imports what it uses itself. To add a command:
-write its file with ``register()``, and its line here; a test compares the summaries.
+write its file with ``register()``, and its line here.
 """
 
 from __future__ import annotations
@@ -75,6 +75,7 @@ COMMANDS = tuple(
         ("config", "config_file", "check a configuration, print an example, write a DCF"),
     )
 )
+SUMMARIES = {entry.name: entry.summary for entry in COMMANDS}
 
 
 def named_command(words: Sequence[str]) -> str:

@@ -28,8 +28,7 @@ from canfb.master.all_or_nothing import Guard
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    summary = "propose the limits of the supervision from the machine's own motion, and set them"
-    _add_options(add_command(commands, "commission", summary, commission))
+    _add_options(add_command(commands, "commission", commission))
 
 
 def commission(options: argparse.Namespace) -> int:

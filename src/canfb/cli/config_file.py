@@ -84,10 +84,10 @@ def register(commands: Commands) -> None:
     )
     parser.epilog = examples_of(parser.prog)
     parts = parser.add_subparsers(dest="part", required=True, metavar="check|example|dcf")
-    add_command(parts, "check", "check a configuration", check).add_argument("config", metavar="CONFIG.yaml")
-    add_command(parts, "example", "print an example", example)
+    add_command(parts, "check", check, "check a configuration").add_argument("config", metavar="CONFIG.yaml")
+    add_command(parts, "example", example, "print an example")
     summary = "write a device configuration file (CiA 306) for a CANopen master"
-    _add_dcf_options(add_command(parts, "dcf", summary, write_dcf))
+    _add_dcf_options(add_command(parts, "dcf", write_dcf, summary))
 
 
 def check(options: argparse.Namespace) -> int:

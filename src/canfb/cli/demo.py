@@ -18,12 +18,7 @@ from canfb.demo.story import run_story
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(
-        commands,
-        "demo",
-        "start, track, calibrate, upload, verify and survive faults on an in-process bus",
-        demo,
-    )
+    parser = add_command(commands, "demo", demo)
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures (SVG) and report.html")
 

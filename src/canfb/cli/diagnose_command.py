@@ -25,7 +25,6 @@ from canfb.diagnosis.lost import read_lost_position
 from canfb.diagnosis.nodes_on_bus import FrameCounts, node_facts, scan
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import CanfbError
-from canfb.hosting import self_diagnosis as facts
 from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
 
@@ -34,18 +33,11 @@ LISTEN_S = 2.0
 
 def register(commands: Commands) -> None:
     """Add the commands."""
-    parser = add_command(
-        commands, "why", "why the position of a module is not valid, and what brings it back", why
-    )
+    parser = add_command(commands, "why", why)
     node_options.add_node(parser)
     node_options.add_access_options(parser)
 
-    parser = add_command(
-        commands,
-        "diagnose",
-        "write one file for whoever is to help: versions, settings, objects, log",
-        diagnose,
-    )
+    parser = add_command(commands, "diagnose", diagnose)
     parser.add_argument(
         "nodes",
         metavar="NODE",
@@ -64,6 +56,10 @@ def register(commands: Commands) -> None:
 
 def diagnose(options: argparse.Namespace) -> int:
     """Write what can be found out; what cannot is in the file with its reason. Nothing on the bus changes."""
+    from canfb.hosting import (
+        self_diagnosis as facts,
+    )  # here: `why` needs nothing of a process that serves nodes
+
     take_yaml(options)
     path = options.out or Path(f"canfb-diagnose-{local_time():%Y%m%d-%H%M%S}.json")
     check_writable(path)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from canfb.bus.bus_master import BusMaster
@@ -16,12 +15,12 @@ from canfb.cli.options import (
     add_bus_options,
     add_command,
     bus_options,
-    node_or_yaml,
     positive,
     refuse_idle,
     take_yaml,
 )
 from canfb.cli.printing import say
+from canfb.cli.watch_options import add_watched
 from canfb.configuration import Config, load_config
 from canfb.diagnosis.frame_words import FrameWords, read_by_sdo
 from canfb.eds_files import eds_path
@@ -36,17 +35,8 @@ ANSWER_S = 0.2
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "dump", "show frames, PDOs of modules and interfaces decoded", dump)
-    parser.add_argument(
-        "nodes",
-        metavar="NODE",
-        nargs="*",
-        default=[],
-        type=node_or_yaml,
-        help="modules, such as 32 or 0x20; or CONFIG.yaml, as with --config",
-    )
-    parser.add_argument("--config", metavar="CONFIG.yaml", help="takes modules and bus from it")
-    parser.add_argument("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus")
+    parser = add_command(commands, "dump", dump)
+    add_watched(parser, "modules,", speed=False)
     parser.add_argument("--pdo", action="store_true", help="the PDOs of these modules alone")
     parser.add_argument(
         "--listen", action="store_true", help="send nothing: mapping by configuration and EDS, not by SDO"

@@ -36,7 +36,7 @@ Show = Callable[[BusSnapshot], None]
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "monitor", "watch modules live, on a bus or in a log", monitor)
+    parser = add_command(commands, "monitor", monitor)
     add_watched(parser)
     parser.add_argument("--rate", metavar="HZ", type=positive, help="updates per second (5; 1 for lines)")
     parser.add_argument("--seconds", metavar="S", type=positive, help="end after so long")

@@ -53,7 +53,7 @@ def _node(text: str) -> int | str:
 
 def register(commands: Commands) -> None:
     """Add the commands."""
-    parser = add_command(commands, "reset", "reset and start a module, at standstill only", reset)
+    parser = add_command(commands, "reset", reset)
     node_options.add_node(parser)
     parser.add_argument("--force", action="store_true", help="do not look whether the machine moves")
     node_options.add_access_options(parser)
@@ -62,7 +62,7 @@ def register(commands: Commands) -> None:
         "bus", help="who is on a bus", description="What is on a bus, whatever nodes it has."
     )
     parts = parser.add_subparsers(dest="part", required=True, metavar="scan")
-    part = add_command(parts, "scan", "list the nodes with NMT state and identity (1018h)", bus_scan)
+    part = add_command(parts, "scan", bus_scan, "list the nodes with NMT state and identity (1018h)")
     part.add_argument("--seconds", metavar="S", type=positive, default=SCAN_S, help="to listen (1.2)")
     node_options.add_access_options(part, answers=False)
 
@@ -74,7 +74,7 @@ def register(commands: Commands) -> None:
     )
     parts = parser.add_subparsers(dest="part", required=True, metavar="|".join(WORDS))
     for word, (command, summary) in WORDS.items():
-        part = add_command(parts, word, summary, nmt)
+        part = add_command(parts, word, nmt, summary)
         part.set_defaults(command_specifier=command)
         part.add_argument(
             "nodes",

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from canfb.cli.commands import SUMMARIES
 from canfb.cli.examples import examples_of
 from canfb.errors import ConfigError
 
@@ -30,9 +31,10 @@ BUS_HELP = {
 
 
 def add_command(
-    commands: Commands, name: str, summary: str, action: Callable[[argparse.Namespace], int]
+    commands: Commands, name: str, action: Callable[[argparse.Namespace], int], summary: str = ""
 ) -> argparse.ArgumentParser:
-    """Add a command that calls ``action``; its parser, for its own options."""
+    """Add a command that calls ``action``, or a part of one with a ``summary``; its parser, for options."""
+    summary = summary or SUMMARIES[name]
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -38,12 +38,7 @@ NUMBERS = (
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(
-        commands,
-        "plan",
-        "what bit rate, SYNC rate, speed and acceleration allow, before there is a machine",
-        plan,
-    )
+    parser = add_command(commands, "plan", plan)
     parser.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="without it: options alone")
     parser.add_argument(
         "-b", "--bitrate", dest="bit_rate", type=whole_number, metavar="BIT/S", help="(that of bus, 1000000)"

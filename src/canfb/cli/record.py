@@ -19,7 +19,7 @@ UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "record", "write a log of the bus", record)
+    parser = add_command(commands, "record", record)
     parser.add_argument(
         "file",
         metavar="FILE",

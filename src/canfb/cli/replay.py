@@ -33,7 +33,7 @@ NONE = "none"
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    _add_options(add_command(commands, "replay", "put a recorded bus log through the same module", replay))
+    _add_options(add_command(commands, "replay", replay))
 
 
 def replay(options: argparse.Namespace) -> int:

@@ -21,10 +21,8 @@ from canfb.hosting.serving import Serving
 
 def register(commands: Commands) -> None:
     """Add both commands."""
-    summary = "run the feedback modules of a configuration on a bus"
-    modules = add_command(commands, "run", summary, run)
-    summary = "run the encoder interface of a configuration, with an ADC, on a bus"
-    interfaces = add_command(commands, "interface", summary, interface)
+    modules = add_command(commands, "run", run)
+    interfaces = add_command(commands, "interface", interface)
     for parser, verbose in (
         (modules, "log single faults and each EMCY as well"),
         (interfaces, "log each EMCY as well"),

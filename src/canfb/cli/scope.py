@@ -30,7 +30,7 @@ LIBRARIES = ("bokeh", "tornado", "jinja2")
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "scope", "watch and commission modules on a local web page", scope)
+    parser = add_command(commands, "scope", scope)
     add_watched(parser)
     parser.add_argument("--demo", action="store_true", help="a simulated module, without a bus")
     parser.add_argument(

@@ -45,7 +45,7 @@ def register(commands: Commands) -> None:
 
 
 def _add(parts: Commands, name: str, summary: str, action: object) -> argparse.ArgumentParser:
-    part = add_command(parts, name, summary, action)  # type: ignore[arg-type]
+    part = add_command(parts, name, action, summary)  # type: ignore[arg-type]
     node_options.add_node(part)
     part.add_argument("object", metavar="OBJECT", help=OBJECT)
     return part

@@ -39,8 +39,7 @@ WRITERS = {".csv": write_csv, ".npz": write_npz}
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    summary = "simulate the encoder interface, with a motion, a recording or a drive, on a bus"
-    _add_options(add_command(commands, "simulate", summary, simulate))
+    _add_options(add_command(commands, "simulate", simulate))
 
 
 def simulate(options: argparse.Namespace) -> int:

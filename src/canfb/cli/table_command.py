@@ -30,7 +30,7 @@ def register(commands: Commands) -> None:
         "way round.",
     )
     parts = parser.add_subparsers(dest="part", required=True, metavar="show|upload|download|activate|clear")
-    part = add_command(parts, "show", "show the table of a module or of a file", show)
+    part = add_command(parts, "show", show, "show the table of a module or of a file")
     part.add_argument("what", metavar="NODE|FILE", help="node-ID such as 32 or 0x20, or a table file")
     node_options.add_access_options(part)
 
@@ -52,7 +52,7 @@ def register(commands: Commands) -> None:
 
 
 def _add(parts: Commands, name: str, summary: str, action: object) -> argparse.ArgumentParser:
-    part = add_command(parts, name, summary, action)  # type: ignore[arg-type]
+    part = add_command(parts, name, action, summary)  # type: ignore[arg-type]
     node_options.add_node(part)
     return part
 

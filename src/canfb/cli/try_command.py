@@ -29,9 +29,7 @@ NO_PAGE = "no page: it needs Bokeh, pip install 'canfb[scope]'"
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(
-        commands, "try", "a module, its encoder and its page on a private bus, in one command", try_it
-    )
+    parser = add_command(commands, "try", try_it)
     parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of SYNC, 50 to 1000 (100)")
     add_jitter(parser)
     parser.add_argument("--no-scope", action="store_true", help="without the page")

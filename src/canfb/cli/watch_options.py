@@ -11,19 +11,20 @@ from canfb.cli.options import node_or_yaml, positive
 from canfb.monitoring.lines import MachineUnits
 
 
-def add_watched(parser: argparse.ArgumentParser) -> None:
-    """Nodes, a configuration, or a log, and its speed."""
+def add_watched(parser: argparse.ArgumentParser, nodes: str = "node-IDs", *, speed: bool = True) -> None:
+    """Nodes, called ``nodes`` in the help, a configuration, or a log, and its speed."""
     parser.add_argument(
         "nodes",
         metavar="NODE",
         nargs="*",
         default=[],
         type=node_or_yaml,
-        help="node-IDs such as 32 or 0x20; or CONFIG.yaml, as with --config",
+        help=f"{nodes} such as 32 or 0x20; or CONFIG.yaml, as with --config",
     )
     parser.add_argument("--config", metavar="CONFIG.yaml", help="takes modules and bus from it")
     parser.add_argument("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus")
-    parser.add_argument("--speed", metavar="X", type=positive, help="of the log: 1 in its own time")
+    if speed:
+        parser.add_argument("--speed", metavar="X", type=positive, help="of the log: 1 in its own time")
 
 
 def add_machine_unit(parser: argparse.ArgumentParser) -> None:
