@@ -153,7 +153,7 @@ def test_a_line_of_a_log_that_does_not_end(tmp_path: Path, monkeypatch: pytest.M
     path = tmp_path / "a.log.gz"
     path.write_bytes(gzip.compress(b"(1.0) can0 080#\n" + bytes(100_000) + b"\n(2.0) can0 081#\n"))
     with gzip.open(path) as file:
-        assert max(map(len, log_reader._blocks(file))) <= 2002  # type: ignore[arg-type]
+        assert max(map(len, log_reader._blocks(file))) <= 2002
     log = BusLogFile(path)
     assert [frame.can_id for frame in log] == [0x80, 0x81]
     assert log.counters.damaged_lines == 51

@@ -86,13 +86,9 @@ log = logging.getLogger(__name__)
 
 
 class Hosting(Serving):
-    """The modules of a configuration on a bus; ``words`` are those of the configuration if not given."""
+    """The modules of a configuration on a bus."""
 
-    def __init__(
-        self, config: Config, words: Mapping[str, Any] | None = None, *, verbose: bool = False
-    ) -> None:
-        super().__init__(config, words, verbose=verbose)
-        self.modules: list[FeedbackModule] = []
+    modules: list[FeedbackModule]
 
     def _make_nodes(self, resources: contextlib.ExitStack) -> list[tuple[ServedDevice, NodeEvents]]:
         config = self.config
@@ -191,16 +187,9 @@ def open_source(
 
 
 class InterfaceHosting(Serving):
-    """The encoder interfaces of a configuration on a bus; ``words`` are its own if not given.
+    """The encoder interfaces of a configuration on a bus. ``verbose``: each EMCY is logged, too."""
 
-    ``verbose``: each EMCY is logged, too.
-    """
-
-    def __init__(
-        self, config: Config, words: Mapping[str, Any] | None = None, *, verbose: bool = False
-    ) -> None:
-        super().__init__(config, words, verbose=verbose)
-        self.interfaces: list[EncoderInterface] = []
+    interfaces: list[EncoderInterface]
 
     def _make_nodes(self, resources: contextlib.ExitStack) -> list[tuple[ServedDevice, NodeEvents]]:
         config = self.config

@@ -100,7 +100,9 @@ class Serving(OnBus):
     a state_dir or a source that cannot be used.
     """
 
-    def __init__(self, config: Config, words: Mapping[str, Any] | None, *, verbose: bool) -> None:
+    def __init__(
+        self, config: Config, words: Mapping[str, Any] | None = None, *, verbose: bool = False
+    ) -> None:
         super().__init__(config.bus if words is None else words, config.realtime)
         self.config = config
         self._nodes: list[ServedDevice] = []

@@ -101,7 +101,25 @@ class SilentDevice:
         return None
 
 
-class SyncProducer(SilentDevice):
+class PacedDevice(SilentDevice):
+    """A device that sends at ``_next_s``; None: not at all."""
+
+    _next_s: float | None = None
+
+    def deadline(self) -> float | None:
+        """The time of the next frame."""
+        return self._next_s
+
+    def tick(self, now: float) -> list[Frame]:
+        """The frame when it is due."""
+        return [] if self._next_s is None or now < self._next_s else [self._due(self._next_s, now)]
+
+    def _due(self, due_s: float, now: float) -> Frame:
+        """The frame of ``due_s``; sets the time of the next one."""
+        raise NotImplementedError
+
+
+class SyncProducer(PacedDevice):
     """Sends a SYNC each ``period_s`` seconds from power-on; sans-I/O.
 
     ``timing`` makes them drift and jitter about these times. When the caller comes late, the SYNCs that are
@@ -115,25 +133,17 @@ class SyncProducer(SilentDevice):
         self.period_s = period_s
         self._deviation = SyncDeviation(timing, period_s, seed)
         self._nominal_s = 0.0
-        self._next_s: float | None = None
 
     def start(self, now: float) -> list[Frame]:
         """Power-on: the first SYNC comes one period later."""
         self._plan(now + self._deviation.period_s, now)
         return []
 
-    def deadline(self) -> float | None:
-        """The time of the next SYNC."""
-        return self._next_s
-
-    def tick(self, now: float) -> list[Frame]:
-        """The SYNC when it is due."""
-        if self._next_s is None or now < self._next_s:
-            return []
+    def _due(self, due_s: float, now: float) -> Frame:
         period_s = self._deviation.period_s
         late = max(0, int((now - self._nominal_s) / period_s))
         self._plan(self._nominal_s + (late + 1) * period_s, now)
-        return [Frame(cob.SYNC, b"")]
+        return Frame(cob.SYNC, b"")
 
     def _plan(self, nominal_s: float, now: float) -> None:
         if nominal_s <= now:
@@ -155,7 +165,7 @@ class Consumed:
     residual_cycles: list[float] = field(default_factory=list)
 
 
-class Drive(SilentDevice):
+class Drive(PacedDevice):
     """SYNC producer and position consumer, sans-I/O.
 
     ``position_cob_id`` is the module's TPDO1; positions wrap at ``total_range`` measuring
@@ -178,7 +188,6 @@ class Drive(SilentDevice):
         self.consumed = Consumed()
         self._position_cob_id = position_cob_id
         self._start_s = 0.0
-        self._next_s: float | None = None
         self._last_units: int | None = None
 
     def start_sync(self, now: float) -> None:
@@ -186,18 +195,11 @@ class Drive(SilentDevice):
         self._start_s = self._next_s = now
         self.syncs = 0
 
-    def deadline(self) -> float | None:
-        """The time of the next SYNC."""
-        return self._next_s
-
-    def tick(self, now: float) -> list[Frame]:
-        """The SYNC, when it is due."""
-        if self._next_s is None or now < self._next_s:
-            return []
+    def _due(self, due_s: float, now: float) -> Frame:
         self.syncs += 1
         nominal_s = self._start_s + self.syncs * self._deviation.period_s
         self._next_s = max(now, nominal_s + self._deviation.next_s())
-        return [Frame(cob.SYNC, b"")]
+        return Frame(cob.SYNC, b"")
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take the position PDO; every other frame is none of its business."""
