@@ -68,19 +68,16 @@ class BusMaster:
         """No more of it."""
         self._network.unsubscribe(can_id, on_frame)
 
-    def send(self, can_id: int, data: bytes) -> None:
-        """Send a data frame."""
+    def send(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send a data frame, or a ``remote`` one."""
         try:
-            self._network.send_message(can_id, data)
+            self._network.send_message(can_id, data, remote)
         except (can.CanError, OSError) as error:
             raise BusError(f"a frame could not be sent: {reason(error)}") from error
 
     def request(self, can_id: int) -> None:
         """Send a remote frame."""
-        try:
-            self._network.send_message(can_id, b"", remote=True)
-        except (can.CanError, OSError) as error:
-            raise BusError(f"a frame could not be sent: {reason(error)}") from error
+        self.send(can_id, b"", remote=True)
 
     def produce_sync(self, rate_hz: float) -> None:
         """Send the SYNC at this rate until the end; the bus must receive its own frames."""

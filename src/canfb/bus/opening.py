@@ -197,38 +197,12 @@ def _advice(options: dict[str, Any], error: Exception) -> str:
 
 
 # Read by python-can itself, whatever the interface.
-_GENERAL = frozenset(
-    {
-        "interface",
-        "channel",
-        "bitrate",
-        FORCE_PYTHON_CAN,
-        "fd",
-        "data_bitrate",
-        "timing",
-        "receive_own_messages",
-        "can_filters",
-        "ignore_config",
-        "config_context",
-        "state",
-        "port",
-        "f_clock",
-        "f_clock_mhz",
-        "brp",
-        "tseg1",
-        "tseg2",
-        "sjw",
-        "nof_samples",
-        "nom_brp",
-        "nom_tseg1",
-        "nom_tseg2",
-        "nom_sjw",
-        "data_brp",
-        "data_tseg1",
-        "data_tseg2",
-        "data_sjw",
-    }
-)
+_GENERAL = frozenset({
+    FORCE_PYTHON_CAN, "interface", "channel", "bitrate", "fd", "data_bitrate", "timing",
+    "receive_own_messages", "can_filters", "ignore_config", "config_context", "state", "port", "f_clock",
+    "f_clock_mhz", "brp", "tseg1", "tseg2", "sjw", "nof_samples", "nom_brp", "nom_tseg1", "nom_tseg2",
+    "nom_sjw", "data_brp", "data_tseg1", "data_tseg2", "data_sjw",
+})  # fmt: skip
 
 
 def check_interface(words: Mapping[str, Any]) -> None:

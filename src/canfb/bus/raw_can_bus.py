@@ -1,6 +1,16 @@
 """SocketCAN without python-can: a raw socket, filters of the kernel.
 
-Several frames are read with one system call, each with its receive time: recvmmsg(2) of Linux.
+All frames that wait are read with one system call, each with its receive time: recvmmsg(2) of Linux into one
+buffer. A process that did not run for a while has caught up after a few calls; one frame a call would cost a
+call and several objects each, at the very time when the next SYNC is near.
+
+The receive time is the kernel's, by the time of day, or the controller's where its driver has one: both come
+as control messages beside the frame. So a frame that waited is judged by when it came (canfb.bus.clocks).
+
+The kernel drops what no filter passes, and does not wake the process for it. An exact 11-bit filter is a
+look-up there, so there is one for each CAN-ID. Filters are exchanged as a whole, new ones before old ones go:
+no frame is lost in between. Error frames pass always: bus-off and restart are what canfb.bus.bus_state goes
+by.
 """
 
 from __future__ import annotations
