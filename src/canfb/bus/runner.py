@@ -32,7 +32,7 @@ import logging
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -402,25 +402,30 @@ def _in_one_line(error: Exception) -> str:
 
 
 @contextlib.contextmanager
-def ending_on_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """Call ``stop`` on Ctrl-C, SIGTERM and SIGHUP; the handlers before are put back at the end.
-
-    SIGHUP comes when the terminal goes. Where it is ignored already (nohup) it stays so.
-    """
+def on_signals(call: Callable[[], None], numbers: Iterable[int]) -> Iterator[None]:
+    """Call ``call`` on these signals; the handlers before are put back at the end."""
 
     def handle(number: int, frame: FrameType | None) -> None:
-        stop()
+        call()
 
-    endings = [signal.SIGINT, signal.SIGTERM]
-    hangup = getattr(signal, "SIGHUP", None)  # not on every system
-    if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
-        endings.append(hangup)
-    before = {number: signal.signal(number, handle) for number in endings}
+    before = {number: signal.signal(number, handle) for number in numbers}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def ending_on_signals(stop: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
+    """Call ``stop`` on Ctrl-C, SIGTERM and SIGHUP.
+
+    SIGHUP comes when the terminal goes. Where it is ignored already (nohup) it stays so.
+    """
+    endings = [signal.SIGINT, signal.SIGTERM]
+    hangup = getattr(signal, "SIGHUP", None)  # not on every system
+    if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
+        endings.append(hangup)
+    return on_signals(stop, endings)
 
 
 @contextlib.contextmanager

@@ -28,15 +28,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from canfb.bus.clocks import date_and_time
+from canfb.bus.runner import on_signals
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.configuration import Config
 from canfb.errors import reason
 from canfb.hosting.event_log import Served, title_of
+from canfb.hosting.state_files import SWITCH_S, small_stack
 
 PACKAGES = ("canfb", "python-can", "canopen", "numpy", "PyYAML", "bokeh", "rich", "pylibiio", "uvloop")
 MOST_LINES = 500
@@ -152,8 +153,6 @@ def diagnosis_text(made_by: str, parts: Mapping[str, Any]) -> str:
 log = logging.getLogger(__name__)
 
 ENTRIES_AT_ONCE = 10
-SWITCH_S = 2e-4  # how long the thread may keep the interpreter from the loop
-STACK_BYTES = 1 << 18
 
 
 class SelfDiagnosis:
@@ -234,14 +233,11 @@ class SelfDiagnosis:
 
     def _begin_writing(self) -> None:
         counters = dataclasses.asdict(self._counters())
-        before = threading.stack_size(STACK_BYTES)
-        try:
-            self._writing = threading.Thread(
-                target=self._write, args=(counters,), name="canfb-diagnose", daemon=True
-            )
+        self._writing = threading.Thread(
+            target=self._write, args=(counters,), name="canfb-diagnose", daemon=True
+        )
+        with small_stack():
             self._writing.start()
-        finally:
-            threading.stack_size(before)
 
     def _write(self, counters: dict[str, int]) -> None:
         switch_s = sys.getswitchinterval()
@@ -275,19 +271,7 @@ def _replace(path: Path, text: str) -> None:
         raise
 
 
-@contextlib.contextmanager
-def diagnosing_on_signal(request: Callable[[], None]) -> Iterator[None]:
-    """Call ``request`` on SIGUSR1, where the system has it; the handler before is put back at the end."""
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        request()
-
+def diagnosing_on_signal(request: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
+    """Call ``request`` on SIGUSR1, where the system has it."""
     number = getattr(signal, "SIGUSR1", None)
-    if number is None:
-        yield
-        return
-    before = signal.signal(number, handle)
-    try:
-        yield
-    finally:
-        signal.signal(number, before)
+    return on_signals(request, [] if number is None else [number])

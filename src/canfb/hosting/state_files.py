@@ -19,7 +19,7 @@ import threading
 import zlib
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -49,6 +49,7 @@ class Closing(ABC):
 LARGEST_FILE = 1 << 20  # bytes; stored parameters are some ten thousand
 PENDING = "pending.bin"
 LOCK = "lock"
+_MOST_READINGS = 10
 
 _MAGIC = b"CANFBSET"
 _HEADER = struct.Struct("<8sI")
@@ -247,7 +248,17 @@ def _lock(handle: int) -> None:
 SWITCH_S = 2e-4
 """How long a thread may keep the interpreter from the one that serves the bus, seconds; 5 ms are usual.
 System calls of some microseconds give it back too soon for the other one to take it."""
-STACK_BYTES = 1 << 18  # of the thread; a locked memory would hold all of the usual 8 MB
+STACK_BYTES = 1 << 18  # a locked memory would hold all of the usual 8 MB
+
+
+@contextlib.contextmanager
+def small_stack() -> Iterator[None]:
+    """Threads that begin in here have a small stack."""
+    before = threading.stack_size(STACK_BYTES)
+    try:
+        yield
+    finally:
+        threading.stack_size(before)
 
 
 class ThreadedStore(Closing):
@@ -263,11 +274,8 @@ class ThreadedStore(Closing):
         self._executor = ThreadPoolExecutor(1, "canfb-save")
         self._switch_s = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH_S, self._switch_s))
-        before = threading.stack_size(STACK_BYTES)
-        try:
+        with small_stack():
             self._executor.submit(int).result()
-        finally:
-            threading.stack_size(before)
 
     def close(self) -> None:
         """Wait for what was begun, and end the thread."""
@@ -301,9 +309,6 @@ class ThreadedStore(Closing):
         except OSError as error:
             return error
         return None
-
-
-_MOST_READINGS = 10
 
 
 class SavedParameters(StateFiles):
