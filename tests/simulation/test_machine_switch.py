@@ -14,8 +14,7 @@ from canfb.hosting.serving import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.objects import MachineCommand
 from canfb.signal.sample import Sample
-from canfb.simulation.machine_switch import StoppableMotion
-from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.motion import Motion, Ramp, StoppableMotion
 from canfb.simulation.set_up import Play, set_up
 
 NODE, RAMP_S = 0x10, 2.0

@@ -199,7 +199,7 @@ class EncoderInterface(NodeDevice):
 
 
 def _refuse(value: int) -> None:
-    """2060h is of a machine that the program moves; see :mod:`canfb.simulation.machine_switch`."""
+    """2060h is of a machine that the program moves; see :mod:`canfb.simulation.set_up`."""
     raise SdoAbort(AbortCode.DEVICE_STATE)
 
 

@@ -1,4 +1,4 @@
-"""Motions as functions of time: ramps between speeds with ripple on top; moves that are limited in jerk."""
+"""Motions as functions of time: ramps with ripple, moves limited in jerk, and one that can be stopped."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.phase import FloatArray
+from canfb.sources.motion_source import ShaftMotion
 
 
 class Ramp(NamedTuple):
@@ -114,3 +115,62 @@ class SCurve:
         for at, change in self._changes:
             found += change * np.maximum(0.0, times - at) ** 3 / 6.0
         return found
+
+
+class _Change(NamedTuple):
+    """From ``time_s`` on the rate goes to ``end_rate``; the motion was at its own time ``reached_s`` then."""
+
+    time_s: float
+    reached_s: float
+    rate: float
+    end_rate: float
+
+
+class StoppableMotion:
+    """A motion whose own time can be brought to a halt, and on again, within ``ramp_s`` seconds each.
+
+    So it stops with the acceleration of a ramp of that length from its speed, and goes on where it was.
+    Times before keep their positions.
+    """
+
+    def __init__(self, motion: ShaftMotion, ramp_s: float) -> None:
+        self._motion, self._ramp_s = motion, ramp_s
+        self._changes: list[_Change] = []
+
+    @property
+    def running(self) -> bool:
+        """It runs, or is to run."""
+        return not self._changes or self._changes[-1].end_rate > 0.0
+
+    def run(self, running: bool, time_s: float) -> None:
+        """Begin to run, or to stop, at ``time_s`` of the machine."""
+        if running == self.running:
+            return
+        if self._changes:
+            time_s = max(time_s, self._changes[-1].time_s)
+        reached_s, rate = self._state(time_s)
+        self._changes.append(_Change(time_s, reached_s, rate, float(running)))
+
+    def revolutions(self, time_s: float) -> float:
+        """Position at ``time_s`` of the machine, revolutions."""
+        return self._motion.revolutions(self._state(time_s)[0] if self._changes else time_s)
+
+    def revolutions_at(self, times_s: FloatArray) -> FloatArray:
+        """:meth:`revolutions` for an array of times."""
+        if self._changes:
+            times_s = np.array([self._state(float(time_s))[0] for time_s in times_s])
+        return self._motion.revolutions_at(times_s)
+
+    def _state(self, time_s: float) -> tuple[float, float]:
+        """The own time of the motion at ``time_s``, seconds, and its rate, 0..1."""
+        change = next((one for one in reversed(self._changes) if one.time_s <= time_s), None)
+        if change is None:
+            return time_s, 1.0
+        passed = time_s - change.time_s
+        step = change.end_rate - change.rate
+        ramp_s = self._ramp_s * abs(step)
+        if passed >= ramp_s:
+            after_s = (passed - ramp_s) * change.end_rate
+            return change.reached_s + ramp_s * (change.rate + step / 2.0) + after_s, change.end_rate
+        rate = change.rate + step * passed / ramp_s
+        return change.reached_s + passed * (change.rate + rate) / 2.0, rate

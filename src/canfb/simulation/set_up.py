@@ -16,6 +16,7 @@ import numpy as np
 from canfb import objects as od
 from canfb.checks import number_in
 from canfb.cia301 import cob
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.device_protocol import Device
 from canfb.device.lss import UNCONFIGURED
@@ -28,7 +29,7 @@ from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Coupling, Motor, MotorConfig, Plant, PlantSource
 from canfb.simulation.demand import MotionDemand, of_drive, of_motion, of_recording
 from canfb.simulation.encoder import ShaftEncoder
-from canfb.simulation.machine_switch import MachineSwitch, StoppableMotion
+from canfb.simulation.motion import StoppableMotion
 from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.sync_producer import (
     IN_SLOW_MOTION,
@@ -215,6 +216,36 @@ class SlowMotion(SilentDevice):
     def at(self, now: float) -> float:
         """The time of the last SYNC."""
         return self.time_s
+
+
+class MachineSwitch:
+    """Object 2060h of the interface: 1 lets its machine run, 0 stops it. It reads as what was written.
+
+    A position that was lost comes back after a restart at standstill, so there must be a way to have it
+    without a restart of the simulation. An object works over the bus, with the tools and masters of others as
+    well; a signal or a line on stdin would work only beside the process.
+
+    A source whose machine cannot be stopped here (a recording, a drive) refuses it: 08000022h.
+    """
+
+    def __init__(self, interface: EncoderInterface) -> None:
+        entry, source = interface.dictionary.entry(*od.INTERFACE_MACHINE), interface.source
+        self._source = source if isinstance(source, MotionSource) else None
+        motion = None if self._source is None else self._source.motion
+        self._motion = motion if isinstance(motion, StoppableMotion) else None
+        self._entry, self._now = entry, interface.machine_now
+        entry.on_check = self._check
+        entry.on_written = self._obey
+        entry.on_read = lambda: int(self._motion is None or self._motion.running)
+
+    def _check(self, value: int) -> None:
+        if self._motion is None:
+            raise SdoAbort(AbortCode.DEVICE_STATE)
+
+    def _obey(self) -> None:
+        if self._motion is not None and self._source is not None:
+            running = self._entry.value == od.MachineCommand.START
+            self._motion.run(running, self._source.machine_time(self._now()))
 
 
 @dataclass(frozen=True, kw_only=True)
