@@ -21,7 +21,6 @@ from canfb.cli.options import (
     positive,
     take_yaml,
 )
-from canfb.diagnosis.nodes_on_bus import scan
 from canfb.errors import ConfigError
 from canfb.master.access import NodeAccess
 from canfb.master.node_state import reset_module
@@ -113,6 +112,8 @@ def reset(options: argparse.Namespace) -> int:
 
 def bus_scan(options: argparse.Namespace) -> int:
     """Ask all node-IDs, and say who is there."""
+    from canfb.diagnosis.nodes_on_bus import scan  # here: an NMT command needs no EDS
+
     with BusMaster(open_bus(chosen_bus(options)), 0.3) as master:
         found = scan(master, options.seconds)
     nobody = "no node answers, and no heartbeat is heard: are the bus, its bit rate and its power right?"
