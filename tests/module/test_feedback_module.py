@@ -13,8 +13,8 @@ from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
+from canfb.signal.speeds import STILL_SAMPLES
 from canfb.signal.starts import START_SAMPLES
-from canfb.signal.still_phase import STILL_SAMPLES
 
 
 def abort_code(error: pytest.ExceptionInfo[SdoAbortedError]) -> int:

@@ -13,7 +13,7 @@ from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import LossCause, StatusBit
-from canfb.signal.still_phase import STILL_SAMPLES
+from canfb.signal.speeds import STILL_SAMPLES
 
 LOSS = range(0x10, 0x17)
 EMCY = 0xA0

@@ -17,7 +17,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.still_phase import STILL_SAMPLES
+from canfb.signal.speeds import STILL_SAMPLES
 
 AMPLITUDE = 1500.0
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from canfb.checks import flag, integer_in, text
 from canfb.device.lss import UNCONFIGURED
-from canfb.signal.subsamples import MOST_PER_SYNC
+from canfb.signal.sample import MOST_PER_SYNC
 from canfb.sources.protocol import SourceConfig
 
 

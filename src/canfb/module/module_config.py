@@ -9,8 +9,8 @@ from canfb.checks import flag, integer_in
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.objects import WriteLockMode
 from canfb.signal.chain_config import ChainConfig
+from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.second_position import SecondSensor
-from canfb.signal.subsamples import MOST_PER_SYNC
 from canfb.sources.protocol import SourceConfig
 
 LOWEST_COB_ID, HIGHEST_COB_ID = 0x181, 0x57F

@@ -20,7 +20,7 @@ from canfb.planning.plan import Limited, Plan
 from canfb.planning.plan_input import PlanInput
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.traffic import BIT_RATES
-from canfb.signal.subsamples import MOST_PER_SYNC
+from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.third_order import THIRD
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.simulation.demand import rounded_up

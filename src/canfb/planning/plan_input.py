@@ -31,7 +31,7 @@ from canfb.planning.traffic import (
     node_messages,
     sync_message,
 )
-from canfb.signal.subsamples import MOST_PER_SYNC
+from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.third_order import check_order
 from canfb.signal.tracker import check_residual_limit
 from canfb.simulation.cia402.plant import DriveConfig

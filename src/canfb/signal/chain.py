@@ -22,9 +22,8 @@ from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.reference import Pulse, Reference
 from canfb.signal.recovery.zero_pulse import ZeroPulse
-from canfb.signal.sample import Sample
+from canfb.signal.sample import Sample, in_order
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
-from canfb.signal.subsamples import in_order
 from canfb.signal.supervision import (
     FROZEN,
     LOST,

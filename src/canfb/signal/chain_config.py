@@ -10,7 +10,7 @@ from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.declared import COAST_SAMPLES, DOUBT_ACCELERATION, MOST_BAD_SAMPLES, Declared
 from canfb.signal.harmonics import NO_LOW_PASS, Corners
 from canfb.signal.limits import PHASE_ERROR_CYCLES
-from canfb.signal.subsamples import MOST_PER_SYNC
+from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.supervision import SampleLimits
 from canfb.signal.third_order import SECOND, check_order
 from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit

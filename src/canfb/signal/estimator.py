@@ -26,9 +26,8 @@ from canfb.signal import speeds
 from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL, SHORT_INTERVAL, Spot
 from canfb.signal.declared import Declared
 from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
-from canfb.signal.speeds import Place
+from canfb.signal.speeds import STILL_SAMPLES, Place, StillPhase
 from canfb.signal.starts import START_SAMPLES, SpeedVerdict, Starts
-from canfb.signal.still_phase import STILL_SAMPLES, StillPhase
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of
 from canfb.signal.tracker import NOT_USUAL, Track

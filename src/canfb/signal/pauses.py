@@ -6,7 +6,7 @@ from canfb.objects import LossCause
 from canfb.signal import speeds
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.still_phase import STANDSTILL_CYCLES, STILL_CYCLES
+from canfb.signal.speeds import STANDSTILL_CYCLES, STILL_CYCLES
 from canfb.signal.usual_step import UsualStep
 
 FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill

@@ -20,7 +20,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import AHEAD_INTERVALS, SAME_INTERVAL, FrontEnd
 from canfb.signal.frozen import FrozenInput
 from canfb.signal.harmonics import NO_LOW_PASS, Corners, Row, corrected
-from canfb.signal.recovery.second_listener import SecondListener
+from canfb.signal.recovery.auxiliary_encoder import ComparedChain
 from canfb.signal.sample import Sample
 from canfb.signal.sample_times import SampleTimes
 from canfb.signal.supervision import VALID, Supervision
@@ -29,7 +29,7 @@ from canfb.signal.tracker import Track, Tracker
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
-class UsualStep(SecondListener):
+class UsualStep(ComparedChain):
     """What a usual sample reads and writes; the chain says when one may come (``_nothing_in_doubt``)."""
 
     _estimator: Estimator

@@ -17,8 +17,7 @@ from typing import Any
 
 from canfb.checks import flag, integer_in, number, text
 from canfb.errors import BusError, CanfbError, ConfigError, reason
-from canfb.signal.sample import Sample
-from canfb.signal.subsamples import MOST_PER_SYNC
+from canfb.signal.sample import MOST_PER_SYNC, Sample
 from canfb.sources.even_scans import LEAST_SCANS_PER_SYNC, MOST_SCANS_PER_SYNC, EvenScans
 from canfb.sources.protocol import Source, SourceConfig, Surroundings
 

@@ -11,9 +11,8 @@ from __future__ import annotations
 from collections import deque
 
 from canfb.objects import LossCause
+from canfb.signal.recovery.auxiliary_values import MOST_LATE, AuxiliaryValues, CountSearch, Standstill
 from canfb.signal.recovery.reference import Reference
-from canfb.signal.recovery.second_search import CountSearch, Standstill
-from canfb.signal.recovery.second_values import MOST_LATE, SecondValues
 from canfb.signal.recovery.speed_search import PHASE_CYCLES, SpeedSearch
 from canfb.signal.second_position import Pair, SecondScale, SecondSensor, only_count
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, SECOND_POSITION, VALID
@@ -27,7 +26,7 @@ START_SAMPLES = 4  # after a start a position without a value waits so long for 
 LONGEST_GAP = 100  # intervals without a value: after that the sensor may count from elsewhere
 
 
-class SecondOpinion:
+class AuxiliaryEncoder:
     """Joins another sensor to the position of a chain.
 
     For each sample the chain calls :meth:`apply`, and whoever hears the sensor calls :meth:`hear` between
@@ -42,7 +41,7 @@ class SecondOpinion:
         one, tolerance = self._scale.increment_cycles, self._scale.tolerance_cycles
         self._firm_limit_cycles = tolerance + one
         self._provisional_limit_cycles = PROVISIONAL * tolerance + one
-        self._values = SecondValues(self._scale)
+        self._values = AuxiliaryValues(self._scale)
         self._search = SpeedSearch(1.0, 2.0 * tolerance, one)  # the other sensor drives the machine
         self._first: Pair | None = None  # of the search
         self._standstill = Standstill(self._scale)
@@ -336,3 +335,51 @@ class SecondOpinion:
 
 def _shifted(track: Track, cycles: int) -> Track:
     return track._replace(cycles=track.cycles + cycles)
+
+
+class ComparedChain:
+    """A chain with a ``_reference`` that may be compared with another sensor; without one nothing happens."""
+
+    _reference: Reference
+    _second: AuxiliaryEncoder | None = None
+    _nothing_in_doubt = False  # the next sample may be a usual one
+
+    @property
+    def begun(self) -> bool:
+        """There was a sample since the start."""
+        raise NotImplementedError
+
+    @property
+    def second(self) -> AuxiliaryEncoder | None:
+        """Comparison with another sensor, None without one."""
+        return self._second
+
+    def use_second(self, sensor: SecondSensor | None) -> None:
+        """Take another sensor from now on, or none; nothing is known of it. TypeError if it is not one."""
+        if sensor is not None and not isinstance(sensor, SecondSensor):
+            raise TypeError(f"sensor must be a SecondSensor or None, not {type(sensor).__name__}")
+        self._nothing_in_doubt = False
+        self._second = None if sensor is None else AuxiliaryEncoder(sensor, self._reference, self.begun)
+
+    def hear_second(self, values: int, increments: int) -> None:
+        """An interval of SYNC is over in which so many ``values`` of the other sensor came.
+
+        With just one, its ``increments`` (INTEGER32) are those at the sample before this call. -1: it is not
+        certain which ones came.
+        """
+        if self._second is not None:
+            self._second.hear(values, increments)
+
+    def _renew_second(self) -> None:
+        """The reference is another one: nothing is known of the sensor any more."""
+        if self._second is not None:
+            self.use_second(self._second.sensor)
+
+    def _restart_second(self, keep: bool = False, known: bool = False) -> None:
+        """As :meth:`AuxiliaryEncoder.restart`."""
+        if self._second is not None:
+            self._second.restart(keep, known)
+
+    def _miss_second(self, bits: int) -> int:
+        """Status bits of an interval without a sample."""
+        return bits if self._second is None else self._second.missed(bits)

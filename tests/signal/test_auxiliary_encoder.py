@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from second_kit import N, TwoSensors
 from supervision_kit import DEAD, at, has
-from test_second_adversary import motion
+from test_auxiliary_adversary import motion
 
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.recovery.second_opinion import LONGEST_GAP, START_SAMPLES
+from canfb.signal.recovery.auxiliary_encoder import LONGEST_GAP, START_SAMPLES
 from canfb.signal.second_position import SecondSensor
 from folding import each
 

@@ -18,7 +18,7 @@ from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
-from canfb.signal.recovery.second_opinion import DISAGREEING_VALUES
+from canfb.signal.recovery.auxiliary_encoder import DISAGREEING_VALUES
 from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondSensor
 from folding import each
