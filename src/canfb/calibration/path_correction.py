@@ -25,6 +25,7 @@ import numpy as np
 from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
 from canfb.calibration.recording import Recording, recording, with_time
 from canfb.signal.conditioning import HARMONIC_ORDERS, LARGEST_HARMONIC, Conditioning
+from canfb.signal.harmonics import Corners
 from canfb.signal.phase import FloatArray
 
 FITS = 3
@@ -110,13 +111,14 @@ def _together(sine: FloatArray, cosine: FloatArray, turned_rad: FloatArray, used
 MOST_EFFECT_RAD = 0.1  # of the analog path on the fundamental, for harmonics as at standstill
 
 
-def counts_at(hertz: float, cosine_delay_s: float, corner_hz: float) -> bool:
+def counts_at(hertz: float, cosine_delay_s: float, corners: Corners) -> bool:
     """At this speed, cycles per second, the harmonics are not those at standstill.
 
     A module would correct them twice: their part of the error is in the table of this speed already.
     """
     turned = 2.0 * math.pi * abs(hertz * cosine_delay_s)
-    return turned + (abs(hertz) / corner_hz if corner_hz else 0.0) > MOST_EFFECT_RAD
+    passed = [abs(hertz) / hz for hz in (corners.corner_hz, corners.of_cosine_hz) if hz]
+    return turned + max(passed, default=0.0) > MOST_EFFECT_RAD
 
 
 def without_harmonics(used: Conditioning) -> Conditioning:

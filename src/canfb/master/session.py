@@ -123,12 +123,12 @@ class Session:
         By the speed that the module says now. CommissioningError where its position is not valid.
         """
         delay_s = self.active.conditioning.cosine_delay_s
-        corner_hz = float(self.module.read_known(od.ENCODER_CORNER_FREQUENCY) or 0.0)
-        if not (delay_s or corner_hz):
+        corners = self.corners
+        if not (delay_s or corners.are_there):
             return samples
         check_valid(self.module)
         hertz = self.speed_rad_s() * self.cycles_per_revolution / (2.0 * math.pi)
-        at_speed = counts_at(hertz, delay_s, corner_hz)
+        at_speed = counts_at(hertz, delay_s, corners)
         return replace(samples.together(delay_s, hertz), at_speed=at_speed)
 
     def check_interface(self) -> None:

@@ -35,6 +35,7 @@ from canfb.objects import Multiplexer
 from canfb.signal.chain import SignalChain
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
+from canfb.signal.harmonics import Corners
 from canfb.signal.sample import Sample
 from canfb.signal.sample_recording import SampleRecording
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL
@@ -124,7 +125,10 @@ class Calibrating:
         self._working = working
         self._requested = dictionary.entry(*od.MEASUREMENT_SAMPLES)
         self._full_scale = dictionary.entry(*od.ENCODER_FULL_SCALE)
-        self._corner = dictionary.entry(*od.ENCODER_CORNER_FREQUENCY)
+        self._corners = [
+            dictionary.entry(*corner)
+            for corner in (od.ENCODER_CORNER_FREQUENCY, od.ENCODER_COSINE_CORNER_FREQUENCY)
+        ]
         self._calibration: Calibration | None = None
         self._fastest_hz = 0.0  # of the samples, cycles per second
         self._commands: dict[int, Callable[[], None]] = {
@@ -274,7 +278,8 @@ class Calibrating:
         active = self._chain.correction.conditioning
         turned = self._turned.tobytes() if active.cosine_delay_s else None
         delays_s = active.cosine_delay_s, active.delay_s
-        at_speed = counts_at(self._fastest_hz, active.cosine_delay_s, self._corner.value)
+        corners = Corners(*(corner.value for corner in self._corners))
+        at_speed = counts_at(self._fastest_hz, active.cosine_delay_s, corners)
         self._job = CalibrationJob(
             self._samples.to_bytes(), times, self._adc_bits, turned, delays_s, at_speed
         )
