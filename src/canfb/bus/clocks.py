@@ -165,7 +165,7 @@ class ReceiveTimes:
     def compare(self, now: float) -> float:
         """Look at the wall clock at ``now``, for :meth:`of` several frames.
 
-        What it is ahead of the other one, seconds; not a number where stamps are not to be used.
+        The wall clock minus ``now``, seconds; not a number where stamps are not to be used.
         """
         difference = self._wall() - now
         if not -LARGEST_STEP_S <= difference - self._difference_s <= CLOSE_S:

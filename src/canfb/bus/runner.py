@@ -254,7 +254,7 @@ class Runner:
         """Give frames of one call of the bus to those who listen to them."""
         dispatch, times = self._dispatch, self._times
         alone, send = self._alone, self._sender.send
-        ahead_s = times.compare(self._now)
+        wall_minus_now_s = times.compare(self._now)
         last_s: float | None = None
         for can_id, data, stamp_s in frames:
             if self._stopped:
@@ -265,8 +265,8 @@ class Runner:
                     continue
                 can_id &= HIGHEST_ID
                 table, remote, data = dispatch.remote, True, b""
-            received_s: float | None = stamp_s - ahead_s
-            if not 0.0 <= self._now - stamp_s + ahead_s <= LONGEST_DELAY_S:  # or it is not a number
+            received_s: float | None = stamp_s - wall_minus_now_s  # as `of`, without a call
+            if not 0.0 <= self._now - stamp_s + wall_minus_now_s <= LONGEST_DELAY_S:  # or it is not a number
                 received_s = times.of(stamp_s, self._now)
             last_s = -NEVER if received_s is None else received_s
             self._received += 1

@@ -144,7 +144,10 @@ class FeedbackModule(NodeDevice):
 
     @property
     def on_feedback(self) -> Callable[[Feedback, float], None] | None:
-        """Called as (feedback, now) with each feedback, once its PDOs are out; also for missed samples."""
+        """Called as (feedback, now) with each feedback, also for missed samples.
+
+        Its PDOs are in the outbox then, not sent yet.
+        """
         return self._publishing.on_feedback
 
     @on_feedback.setter
@@ -223,15 +226,15 @@ class FeedbackModule(NodeDevice):
             if entry.index in COMMANDS and entry.access == "rw":
                 entries.leave_out(entry.index, entry.subindex)
 
-    def _on_followed(self, now: float, proved: bool) -> None:
+    def _on_followed(self, received_s: float, proved: bool) -> None:
         """SYNCs come as expected, which is an event after a pause, and measures their jitter.
 
-        Sample times know each interval; a time of the call is not that of the SYNC.
+        With sample times, or without receive times, no jitter is measured.
         """
-        self.events.synced(self._judge.clock.period_s, now)
+        self.events.synced(self._judge.clock.period_s, received_s)
         last = self._publishing.last
         if proved and last is not None and not self._pairing.timed:
-            self._jitter.look(last, now)
+            self._jitter.look(last, received_s)
 
     def _warn(self, text: str) -> None:
         if self.on_warning is not None:
@@ -254,7 +257,7 @@ class FeedbackModule(NodeDevice):
     # Application: called by the node.
 
     def expired(self, now: float) -> None:
-        """No sample for 2010:06 periods, and nobody has said so yet: what can be read is not valid."""
+        """No SYNC for 2010:06 periods, and nobody has said so yet: what can be read is not valid."""
         self._publishing.withhold()
 
     def overdue(self, now: float) -> None:

@@ -32,10 +32,12 @@ FAULTS_AND_VALID = FAULTS | VALID
 
 
 class Publishing:
-    """Takes each :class:`Feedback` of the chain to all who want to know of it, in this order.
+    """Takes each :class:`Feedback` of the chain to all who want to know of it.
 
-    2011h and 2012h (Publication), the encoder profile, the shift to the nominal SYNC (Prediction), EMCY
-    7300h (PositionAlarm), event-driven TPDOs, events and warnings.
+    Status, residual and number of the sample (2011h), 6004h and 6008h are written at once; all else of
+    2011h and of the encoder profile is computed when it is read. Then the shift to the nominal SYNC
+    (Prediction) and event-driven TPDOs. One whose status is not that of the last is also counted (2012h),
+    and goes to EMCY 7300h (PositionAlarm), events and warnings.
     """
 
     def __init__(

@@ -26,7 +26,7 @@ class Sample(NamedTuple):
     zero_pulse              the zero pulse came since the sample before, at this part of the
                             interval (0..1, 2000:07); None: it did not
     time_100ns              sample time in 100 ns, modulo 2^32 (2000:05), or None. With it the real
-                            elapsed time counts, and ``elapsed`` is not used
+                            elapsed time counts, and ``elapsed``, by the count of SYNCs, is a check
     earlier                 pairs (sine, cosine) that were taken before this one in the same interval, the
                             newest first: pair j of m - 1 was taken j/m of an interval before
     options                 elapsed times that are possible if it is not known which one it was, ``elapsed``

@@ -1,8 +1,10 @@
 """The usual sample of a chain in one piece: nearly each sample takes this way, and it costs half as much.
 
-A usual sample comes one interval after the one before, brings two counts and no more, keeps all limits, and
-nothing is in doubt before it or after it. For any other one the chain has its parts, which are called one
-by one; tests/signal/test_usual_step.py compares both, bit for bit.
+A usual sample comes one interval after the one before, or within 5 % of it as its own time says
+(:meth:`UsualStep.usual_timed`), brings two counts and no more, keeps all limits, and nothing is in doubt
+before it or after it. For any other one the chain has its parts, which are called one by one; after each of
+them :meth:`UsualStep._look_again` says whether the next one may be usual. tests/signal/test_usual_step.py
+compares both, bit for bit.
 """
 
 from __future__ import annotations

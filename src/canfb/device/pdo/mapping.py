@@ -1,5 +1,5 @@
-"""PDO parameters and mapping (CiA 301, 7.5.2.35 to 7.5.2.38): what may be written when, and the compiled
-packer.
+"""PDO parameters and mapping (CiA 301, 7.5.2.35 to 7.5.2.38): what may be written when, and the
+`struct` that `packer` (TPDO) and `unpacker` (RPDO) compile from it.
 
 A mapping entry is index, sub-index and length in bits. The PDO is the mapped objects one after the other,
 least significant bit first, without gaps. That is worked out once, when the PDO becomes active: `packer`

@@ -37,7 +37,8 @@ class SampleInput:
     """Waits for all RPDOs that bring a part of 2000h, then gives the sample.
 
     Both tracks must come in one RPDO: they belong to one instant. So must those of each earlier pair, which
-    are used up to the first that no RPDO brings. What no RPDO brings is not used.
+    are used up to the first that no RPDO brings. What no RPDO brings is not used, but for 2000:06 bit 1:
+    SDO may set it.
     """
 
     def __init__(self, dictionary: Dictionary, node: Node) -> None:
