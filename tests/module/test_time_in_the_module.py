@@ -310,3 +310,17 @@ def test_a_late_adc_pdo_is_not_the_answer_to_the_next_sync(stamped: bool) -> Non
     if stamped:  # else the SYNC may have been heard late
         assert machine.counter(8) == 1
         assert all(one.valid for one in machine.positions[-20:])
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_the_same_counts_after_the_next_sync_was_due_may_be_another_sample(stamped: bool) -> None:
+    """At whole cycles per period the answer to a SYNC that was not received looks like the one before."""
+    machine = Machine(stamped, ramped(6.0))
+    machine.run(1, 120)
+    assert machine.status(119.5) & VALID
+    machine.sample(119, 119.6)  # that one again: no SYNC was due
+    assert machine.status(119.7) & VALID
+    machine.sample(120, 120.1)
+    assert not machine.status(120.12) & VALID
+    machine.run(121, 140)
+    assert machine.right()

@@ -457,3 +457,16 @@ def test_a_short_pause_while_a_slow_machine_accelerates(
         position += now
         got = chain.step(sample_at(position))
         assert not got.valid or abs(got.cycles + got.phase - position) < 0.1
+
+
+def test_the_acceleration_over_a_gap_and_after_it_is_that_of_the_machine() -> None:
+    """The speed over a gap is that of its middle, more than one interval before the next one."""
+    acceleration = 0.15
+    chain = SignalChain(ChainConfig(max_acceleration_cycles=acceleration))
+    for number in range(60):
+        if number == 30:
+            chain.miss()
+            continue
+        feedback = chain.step(sample_at(0.5 * acceleration * number * number))
+        if number > 2:  # without a table each phase is off by 0.0125 cycle
+            assert feedback.acceleration_cycles == pytest.approx(acceleration, abs=0.06), number

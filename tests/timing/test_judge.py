@@ -280,6 +280,64 @@ def test_an_incomplete_sample_is_missed() -> None:
     assert judge.sync(40e-3, True, None) is ON_TIME
 
 
+def followed(syncs: int = 40, proved: bool = True, noise_s: float = 0.0) -> Judge:
+    """A judge of SYNCs 1 ms apart, each answered after 0.2 ms."""
+    judge, rng = Judge(), np.random.default_rng(3)
+    for n in range(syncs):
+        at_s = n * 1e-3 + float(rng.uniform(-noise_s, noise_s))
+        judge.sync(at_s, proved, None)
+        judge.answer(at_s + 2e-4, proved)
+    return judge
+
+
+def test_nothing_is_sent_before_it_is_measured() -> None:
+    """An answer before the grid is of a SYNC that was early: by so much the instant may be off."""
+    for early_s, error in ((0.36e-3, 0.16), (0.15e-3, 0.0)):
+        judge = followed(noise_s=0.12e-3)  # so much that the first SYNC is still one in time
+        assert judge.clock.jitter > 0.44
+        judge.sync(40e-3 - early_s, True, None)
+        passed = judge.answer(40.2e-3 - early_s, True)
+        assert isinstance(passed, Passed)
+        assert passed.elapsed == 1.0
+        assert passed.instant_error == pytest.approx(error, abs=0.05 if error else 0.0)
+
+
+def test_a_dropped_sample_leaves_no_interval_open() -> None:
+    judge = followed()
+    judge.sync(40e-3, True, None)
+    judge.sync(41e-3, True, None)
+    assert judge.answer(41.5e-3, True) == Passed((1.0, 2.0))  # to either of them
+    judge.drop()
+    judge.sync(42e-3, True, None)
+    assert judge.answer(42.2e-3, True) == Passed(3.0)
+
+
+def test_a_usual_sample_that_is_dropped_is_one_interval_after_a_gap_as_well() -> None:
+    judge = followed()
+    judge.sync(40e-3, True, None)
+    judge.sync(41e-3, True, None)
+    assert judge.answer(41.2e-3, True) == Passed(2.0)
+    judge.sync(42e-3, True, None)
+    judge.answer(42.2e-3, True)
+    judge.sync(43e-3, True, None)
+    assert judge.answer(43.2e-3, True) is USUAL
+    judge.drop()
+    judge.sync(44e-3, True, None)
+    assert judge.answer(44.2e-3, True) == Passed(2.0)
+
+
+def test_a_sync_that_was_answered_is_not_open_any_more() -> None:
+    """An answer that is too soon cannot be that of the SYNC before, if that one was answered."""
+    judge = followed(proved=False)
+    judge.sync(40e-3, False, None)
+    judge.sync(41e-3, False, None)
+    assert judge.answer(41.2e-3, False) == Passed(2.0)
+    judge.sync(42e-3, False, None)
+    judge.answer(42.02e-3, False)
+    judge.sync(43e-3, False, None)
+    assert judge.answer(43.2e-3, False) is USUAL
+
+
 times = st.floats(-1e6, 1e6) | st.sampled_from((float("inf"), float("-inf"), float("nan")))
 steps = st.lists(
     st.tuples(

@@ -277,6 +277,8 @@ class Pairing(ProcessData):
             explained = judge.extra_came or self._findings.repeats(*self._input.tracks)
             if not explained:
                 self._findings.lose_count(1.0, now)
+            elif judge.next_is_due(moment.received) and self._findings.slips(1.0):
+                self._findings.withhold()  # equal counts may be whole cycles further on
         return None
 
     def _pass_lost(self, syncs: int, passed: Passed, now: float) -> None:

@@ -461,6 +461,9 @@ class SignalChain(Pauses):
         else:  # the speed of a sample that was not valid may be wrong by whole cycles
             acceleration = speeds.acceleration(self._estimator.places)
         self._speed, self._was_valid = speed, bits & VALID
+        if bits & VALID and len(places := self._estimator.places) > 2 and places[-1][2] > HOLE_INTERVALS:
+            acceleration = speeds.acceleration(places)
+            self._speed += acceleration * (places[-1][2] - 1.0) / 2.0  # as over the last interval alone
         if self._front is not None:
             self._turn(speed + AHEAD_INTERVALS * acceleration if bits & VALID else speed)
         status = bits | self._base_status

@@ -74,7 +74,7 @@ class Judge(SyncJudge):
 
     def pause(self) -> None:
         """The next SYNC begins, and the next sample; what is known of periods and delays stays."""
-        self._since_before = 0
+        self._since_before = self._slack_before = 0  # before the last sample
         self.advanced = 0
         """SYNCs that were not received, by the last answer: it answers the last of them."""
         super().pause()
@@ -89,6 +89,7 @@ class Judge(SyncJudge):
             if len(taken) >= DELAYS_TOGETHER:
                 delay.learn(self.clock.period_s)
             self._since, self._usual = 0, False
+            self._since_before, self._slack_before = 1, 0
             self._answered = self.sampled = True
             return USUAL
         return self._another(time_s, proved) if self._answered else self._first(time_s, proved)
@@ -105,6 +106,9 @@ class Judge(SyncJudge):
             offsets = self.delay.answers(delay_s, longest_s, period, self._before_open, proved)
             if offsets == (0,):
                 self.delay.taken.append(delay_s)
+                # Nothing is sent before it is measured: no timer took this sample, and its SYNC was early.
+                early_s = clock.due_s - period - time_s
+                self._error = max(self._error, early_s / period)
         return Refusal.EARLIER if offsets == (-1,) else self._sampled(offsets)
 
     def _another(self, time_s: float, proved: bool) -> Passed | Refusal:
@@ -124,6 +128,11 @@ class Judge(SyncJudge):
         late = 0 if self.delay.is_usual(time_s - self.synced_s) else min(newest - 1, MOST_LATE)
         return self._sampled(tuple(range(-late, 1)))
 
+    def next_is_due(self, time_s: float) -> bool:
+        """A SYNC may have come since the last one, and was not received: what comes now may answer it."""
+        clock = self.clock
+        return not time_s < clock.due_s - clock.jitter * clock.period_s
+
     def free(self, time_s: float, proved: bool) -> Passed | Refusal:
         """Tracks where there is no SYNC: each is its own."""
         verdict = self.sync(time_s, proved, None)
@@ -142,7 +151,7 @@ class Judge(SyncJudge):
             if not self._offered and len(options) == 1:
                 options = self._set
             self._offered = True
-        self._slack = min(offsets[-1] - offsets[0], MOST_OPTIONS)
+        self._slack_before, self._slack = self._slack, min(offsets[-1] - offsets[0], MOST_OPTIONS)
         self._earlier = max(0, -offsets[0])
         self._lowest = options[0] if self._slack and not self.is_open and offsets[0] == 0 else None
         self._since_before, self._since = since, -offsets[-1]
@@ -151,6 +160,11 @@ class Judge(SyncJudge):
         if len(options) == 1 and certain and not error:
             return USUAL if low == 1 else Passed(options[0])
         return Passed(options[0] if len(options) == 1 else options, error, certain)
+
+    def _look_ahead(self) -> None:
+        """A SYNC that is early by more than the delay of its answer is looked at, and so is the answer."""
+        super()._look_ahead()
+        self._low_s = max(self._low_s, -self.delay.low_s)
 
     def _came(self) -> None:
         self._answered = self.sampled = True
@@ -162,6 +176,7 @@ class Judge(SyncJudge):
         """A sample that belongs to the last SYNC, whenever it comes."""
         if self._usual and not self._slack:
             self._since, self._usual = 0, False
+            self._since_before, self._slack_before = 1, 0
             self._answered = self.sampled = True
             return USUAL
         return self._sampled((0,))
@@ -173,5 +188,6 @@ class Judge(SyncJudge):
 
     def drop(self) -> None:
         """The last sample was not taken after all: parts of it are missing."""
+        self._slack = self._earlier = self._slack_before
         self._since = min(self._since + max(1, self._since_before), MOST_INTERVALS)
         self._answered = self._usual = False

@@ -179,7 +179,7 @@ class SyncJudge:
         self._wait_s = period or UNSETTLED_S
         self._spare_s = clock.jitter * period  # a SYNC is not overdue before that
         self._low_s, self._high_s = inf, -inf
-        busy = self.is_open or self._streak or self._error or self._gap or self._slack
+        busy = self.is_open or self._streak or self._error or self._gap or self._slack or self._before_open
         if period and not busy:
             self._low_s, self._high_s = -self._early * period, HALF * period
             if self._proved:  # the time says both sides
