@@ -149,7 +149,7 @@ class SyncJudge:
         self._usual = False  # the last SYNC was usual, and is not answered yet
         self._gap = False  # SYNCs were missing, and none was on its grid since
         self._streak: list[float] = []
-        self._uneven = False  # extra SYNCs came, and this one is late: it may be another rate
+        self._uneven = False  # extra SYNCs came, and it may be another rate
         self._slack = 0  # intervals that the next sample may be further from the last one
         self._earlier = 0  # of these, because the last one may have answered the SYNC before the last
         self._lowest: float | None = None  # of its intervals, if it was not
@@ -296,14 +296,17 @@ class SyncJudge:
         self._next_counter = counter if counter is None else 1 if counter == self.overflow else counter + 1
 
     def _on_time(self, sync: _Sync) -> SyncVerdict:
-        clock = self.clock
+        clock, another_rate = self.clock, False
         if self._streak:
-            if abs(sync.apart - 1 - sync.lost) <= clock.jitter and abs(sync.off) <= self._early:
+            streak = [*self._streak, sync.time_s]
+            another_rate = not sync.proved and len(streak) > 2 and clock.is_left_by(streak)
+            on_grid = abs(sync.apart - 1 - sync.lost) <= clock.jitter and abs(sync.off) <= self._early
+            if on_grid and not another_rate:
                 self._streak.clear()
             elif self._goes_on(sync.time_s):
                 return self._set_again(sync)
         verdict = self._take(sync)
-        self._uneven = bool(self._streak) and sync.off > self._early
+        self._uneven = bool(self._streak) and (another_rate or sync.off > self._early)
         if self._streak and sync.proved:  # one that was expected, by chance: others before it were not
             self._error = abs(sync.apart - 1 - sync.lost)
         if not self._streak and (sync.proved or sync.off < 1.0):
