@@ -284,7 +284,7 @@ def followed(syncs: int = 40, proved: bool = True, noise_s: float = 0.0) -> Judg
     """A judge of SYNCs 1 ms apart, each answered after 0.2 ms."""
     judge, rng = Judge(), np.random.default_rng(3)
     for n in range(syncs):
-        at_s = n * 1e-3 + float(rng.uniform(-noise_s, noise_s))
+        at_s = n * 1e-3 + float(rng.uniform(-noise_s, noise_s)) * (n < syncs - 1)
         judge.sync(at_s, proved, None)
         judge.answer(at_s + 2e-4, proved)
     return judge

@@ -182,7 +182,7 @@ class SampleTimes:
             self._pace_s = ticks * TICK_S / counted
         if not self.interval_s and self.nominal_sync.period_ticks:
             self._follow_pace()
-        unit = self.unit_s
+        unit, stands = self.unit_s, abs(speed_cycles) <= SLIP_CYCLES
         intervals = ticks * TICK_S / unit
         apart = self._apart_s(received_s)
         error_s = self._error_s(ticks * TICK_S, received_s, synced_s)
@@ -194,7 +194,9 @@ class SampleTimes:
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
         if intervals >= CLOSEST and self._is_witnessed(ticks, counted, synced_s):
             self.passed = intervals
-            if self._leaves_line(True, ticks, counted) or not self.nominal_sync.seen:
+            # Another unit while the machine moves would be another bound of a motion that may be in doubt.
+            leaves = stands and self._leaves_line(True, ticks, counted, stands)
+            if leaves or not self.nominal_sync.seen:
                 self.nominal_sync.take(ticks, counted)
             else:
                 self.nominal_sync.skip(ticks)
@@ -215,7 +217,7 @@ class SampleTimes:
                 if skips:
                     self.nominal_sync.skip(ticks)
                 else:
-                    self._follow(ticks, whole if self.nominal_sync.seen else counted)
+                    self._follow(ticks, whole if self.nominal_sync.seen else counted, stands)
                 self._accept(time_100ns, received_s, synced_s, late_s)
             return odd or intervals
         if agrees and 0.0 < intervals < CLOSEST:
@@ -225,24 +227,24 @@ class SampleTimes:
         self.passed = intervals
         return self._doubted(time_100ns, counted, unit, received_s)
 
-    def _follow(self, ticks: int, whole: float) -> None:
+    def _follow(self, ticks: int, whole: float, stands: bool) -> None:
         """The line goes on through a time that is right, or begins again where none lies on it any more."""
         line = self.nominal_sync
-        self._leaves_line(self._is_off(ticks, whole), ticks, whole)
+        self._leaves_line(self._is_off(ticks, whole), ticks, whole, stands)
         line.take(ticks, whole)
         if not self._on_line:
             self._on_line = line.seen > 0
             self._jitter.begin([abs(off) * TICK_S for off in line.first_off_ticks])
 
-    def _leaves_line(self, is_off: bool, ticks: int, whole: float) -> bool:
+    def _leaves_line(self, is_off: bool, ticks: int, whole: float, stands: bool) -> bool:
         """Is a time that is right off the line? True if one after the other is: the line begins again here.
 
-        Only a time on the line and ``whole`` intervals after the last one shows that the line is right:
-        where the pace is twice or half that of the line, every second time lies on it.
+        At standstill only a time on the line and ``whole`` intervals after the last one shows that the line
+        is right: where the pace is twice or half that of the line, every second time lies on it.
         """
         if is_off:
             self._off_line += 1
-        elif abs(ticks * TICK_S / self.unit_s - whole) <= NOMINAL:
+        elif not stands or abs(ticks * TICK_S / self.unit_s - whole) <= NOMINAL:
             self._off_line = 0
         leaves = self._off_line >= RELOCK
         if leaves:

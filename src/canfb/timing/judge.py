@@ -106,10 +106,18 @@ class Judge(SyncJudge):
             offsets = self.delay.answers(delay_s, longest_s, period, self._before_open, proved)
             if offsets == (0,):
                 self.delay.taken.append(delay_s)
-                # Nothing is sent before it is measured: no timer took this sample, and its SYNC was early.
-                early_s = clock.due_s - period - time_s
-                self._error = max(self._error, early_s / period)
+                if self._since == 1:
+                    self._error = max(self._error, self._early_s(time_s) / period)
         return Refusal.EARLIER if offsets == (-1,) else self._sampled(offsets)
+
+    def _early_s(self, time_s: float) -> float:
+        """How much shorter than a period the interval of a sample is, at least, that is received now.
+
+        It is measured after its SYNC, and sent after that. So the interval is no longer than from the SYNC
+        before to this PDO; and one that comes before its SYNC was due is not that of a timer.
+        """
+        clock = self.clock
+        return min(clock.due_s - clock.period_s, self._before_s + clock.period_s) - time_s
 
     def _another(self, time_s: float, proved: bool) -> Passed | Refusal:
         """No SYNC since the last sample: that one again, or the answer to a SYNC that was not received."""

@@ -140,7 +140,7 @@ class SyncJudge:
         """Since the last SYNC: the interface may answer it."""
         self.extra_after = 0.0
         """Periods from the last SYNC to the extra one."""
-        self.synced_s = self._received_s = 0.0
+        self.synced_s = self._received_s = self._before_s = 0.0  # the last one, any, that before the last one
         self._proved = False
         self._counter: int | None = None
         self._next_counter: int | None = None
@@ -196,6 +196,7 @@ class SyncJudge:
             and proved == self._proved
         ):
             clock.due_s += clock.period_s
+            self._before_s = self.synced_s
             self.synced_s = self._received_s = time_s
             if counter is not None:
                 self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
@@ -282,7 +283,7 @@ class SyncJudge:
         self._lowest = None
         self._uneven, self._error = False, 0.0
         self._gap = lost > 0 or (self._gap and abs(sync.off) > clock.jitter)
-        self.synced_s = self._received_s = sync.time_s
+        self._before_s, self.synced_s, self._received_s = self.synced_s, sync.time_s, sync.time_s
         self._count_from(sync.counter)
         self._proved, self.begun = sync.proved, True
         self._answered = self._usual = self.extra_came = False
