@@ -278,3 +278,20 @@ def test_a_wrong_pace_comes_back(wrong: float) -> None:
         at += PERIOD_TICKS if number > 60 else round(wrong * PERIOD_TICKS)
         times.elapsed(at, 1.0, at * 1e-7, at * 1e-7)
     assert times.unit_s == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize(("late_ticks", "sync_late_s", "taken"), [(1500, 0.0, False), (1500, 1.5e-4, True)])
+def test_no_host_takes_a_sync_before_it_comes(late_ticks: int, sync_late_s: float, taken: bool) -> None:
+    """SYNCs are up to 135 us late, the host takes them within 70 us: a time beyond that is a wrong one.
+
+    Without receive times; and it is right if its SYNC was as late.
+    """
+    generator = random.Random(5)
+    times, bad = SampleTimes(), 200
+    for number in range(bad + 1):
+        late_s = generator.uniform(0.0, 135e-6) if number < bad else sync_late_s
+        at_s = number * 1e-3 + late_s
+        ticks = round(at_s * 1e7) + (late_ticks if number == bad and not sync_late_s else 0)
+        taken_s = at_s + generator.uniform(0.0, 70e-6)
+        elapsed = times.elapsed(ticks, 1.0, None, taken_s, 20.0 if number == bad else 0.0)
+    assert (elapsed > 0.0) is taken

@@ -134,6 +134,8 @@ class SampleTimes:
             most_s = HEARD_PART * unit if proved else math.inf
             if heard.learned < LEARNED_SAMPLES or error_s > heard.limit_s or error_s > most_s:
                 return 0.0
+            if not proved and -later_s > heard.limit_s / BEYOND:
+                return 0.0
             heard.learn(error_s)
             if not proved:  # as in _lateness_s
                 late_s = max(0.0, later_s - DRIFT * passed_s)
@@ -336,8 +338,9 @@ class SampleTimes:
         From its line, ``whole`` intervals after the last one, or by the receptions of both SYNCs, whichever
         is the sharper witness. Receptions that are not ``proved`` may be late, and make no time right. But
         a time that they contradict, and that is further off than any before by a quarter, is none of a late
-        SYNC. A second one that is off by as much as the one before: the clock was set. Each witness learns
-        what is usual to it.
+        SYNC; nor is one that is later than they allow by more than they ever were late, as no host takes a
+        SYNC before it comes. A second one that is off by as much as the one before: the clock was set. Each
+        witness learns what is usual to it.
         """
         jitter, heard, before, unit = self._jitter, self._heard, self._odd_s, self.unit_s
         off_s, limit_s, witness = self._off_s(ticks, whole), jitter.limit_of(unit, LINE_PART), jitter
@@ -350,6 +353,8 @@ class SampleTimes:
             if proved and sharper:
                 jitter.see(off_s, limit_s)
                 off_s, limit_s, witness = error_s, heard_s, heard
+            elif not proved and error_s > heard.limit_s / BEYOND and heard.learned >= LEARNED_SAMPLES:
+                off_s, limit_s, witness = error_s, heard.limit_s / BEYOND, heard
             elif not heard.see(error_s, heard_s) and not proved:
                 limit_s = max(limit_s, jitter.limit_s) * DOUBTED / BEYOND
         usual = witness.see(off_s, limit_s) if learns else abs(off_s) <= limit_s
