@@ -79,7 +79,7 @@ def test_another_terminal_reads_it_and_ctrl_c_leaves_nothing(
     assert monitor[-4:] == calibrate[-4:] == bus
     process.send(signal.SIGINT)
     assert process.wait() == 0
-    assert "missed 0, residual 0, amplitude 0, coasted 0, lost 0" in json.loads(process.lines[-1])["text"]
+    assert "missed 0, residual 0, amplitude 0, coasted 6, lost 0" in json.loads(process.lines[-1])["text"]
     assert all(json.loads(line) for line in process.lines)
     assert list(own_folder.iterdir()) == []
 

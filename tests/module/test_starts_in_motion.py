@@ -127,3 +127,27 @@ def test_a_chain_alone_does_the_same_without_an_interval() -> None:
                 off = round(feedback.cycles + feedback.phase - speed * time)
                 first = off if first is None else first
                 assert off == first
+
+
+@pytest.mark.parametrize("speed", [0.0, 3.0])
+def test_a_start_that_is_about_to_be_confirmed_is_no_emergency(speed: float) -> None:
+    """Sample times contradict the start of a machine that turns: that one is reported."""
+    rng = np.random.default_rng(3)
+    config = ModuleConfig(
+        node_id=32, encoder_interface=16, times=True, autostart=True, max_acceleration_rad_s2=0.01 * RAD_S2
+    )
+    module = FeedbackModule(config)
+    module.start(0.0)
+    emergencies, statuses = [], []
+    for number in range(40):
+        at_s = 1.0 + number * PERIOD_S + float(rng.uniform(-JITTER_S, JITTER_S))
+        turned = 2.0 * math.pi * (0.3 + speed * at_s / PERIOD_S)
+        counts = (round(1500.0 * turn(turned)) for turn in (math.sin, math.cos))
+        data = struct.pack("<hhI", *counts, round(at_s * 1e7))
+        sent = module.receive(Frame(0x080, b""), at_s) + module.receive(Frame(0x190, data), at_s + 1e-4)
+        emergencies += [frame.data[:2] for frame in sent if frame.can_id == 0xA0]
+        assert module.feedback is not None
+        statuses.append(module.feedback.status)
+    assert not statuses[3] & VALID
+    assert statuses[-1] & VALID
+    assert bool(emergencies) is (speed != 0.0)

@@ -24,7 +24,7 @@ from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
-from canfb.signal.supervision import VALID
+from canfb.signal.supervision import COASTING, VALID
 
 TPDOS = (1, 2, 3, 4)
 ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
@@ -123,15 +123,22 @@ class Publishing:
             self.on_feedback(feedback, now)
 
     def _alarm(self, feedback: Feedback, now: float) -> None:
-        """6503h, and EMCY 7300h while the position is not valid, unless the other sensor is awaited."""
-        valid, second = bool(feedback.status & VALID), self._chain.second
+        """6503h, and EMCY 7300h while the position is not valid, unless a start is about to be confirmed."""
+        valid = bool(feedback.status & VALID)
         self.profile.alarm_position(not valid)
         if valid and not self.alarm.active:
             return
-        if self.alarm.active or second is None or not second.is_waiting:
+        if self.alarm.active or not self._is_starting(feedback):
             self.alarm.report(valid, feedback.status, now, self.loss)
         if self.events.detailed:
             self.events.fault(feedback, now)
+
+    def _is_starting(self, feedback: Feedback) -> bool:
+        """Sample times, or the other sensor, have yet to confirm a start: that is no fault."""
+        second = self._chain.second
+        if second is not None and second.is_waiting:
+            return True
+        return self._chain.searches and not feedback.status & FAULTS & ~COASTING
 
     def count(self, between: Sequence[Feedback], now: float) -> None:
         """Samples that were taken before the one to publish, in the same interval of SYNC."""

@@ -135,7 +135,8 @@ class AuxiliaryEncoder:
         if not taken or lost != was_lost:
             self._restart_search()
         self._samples += 1
-        self._samples_since_start += 1
+        if not bits & COASTING:  # sample times have yet to confirm the start: no value can before
+            self._samples_since_start += 1
         heard, self._heard = self._heard, None
         if heard is not None and self._place is not None:
             place, place_bits, time = self._place
