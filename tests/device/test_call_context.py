@@ -13,7 +13,7 @@ def taken(call: CallContext, stamp: float, now: float) -> bool:
     """Give a frame with this time stamp to the node, as it does; whether the stamp is used."""
     call.now = now
     call.stamped(stamp)
-    return call.proved
+    return call.is_stamped
 
 
 @given(st.lists(st.tuples(st.floats(1e-5, 2e-3), st.floats(0.0, 1e-2)), min_size=1, max_size=50))

@@ -32,7 +32,7 @@ class Bus:
 
     slots: list[Slot]
     period_s: float = 1e-3
-    proved: bool = False
+    stamped: bool = False
     overflow: int = 0
     nominal_s: float = 0.0
     jitter: float = 0.02  # periods
@@ -70,17 +70,17 @@ class Bus:
                 if begin <= now < end:
                     now = end
             time_s = 100.0 + now * self.period_s
-            if self.proved:
+            if self.stamped:
                 noise = float(rng.uniform(0.0, self.noise_s))
                 time_s = min(100.0 + at * self.period_s + noise, time_s)
             if kind == "sync":
                 counter = n % self.overflow + 1 if self.overflow else None
-                result.sync(judge.sync(time_s, self.proved, counter), n)
+                result.sync(judge.sync(time_s, self.stamped, counter), n)
             else:
                 slot = self.slots[n]
-                at_s = n + 1.0 + slot.late * self.proved  # else nothing shows it
+                at_s = n + 1.0 + slot.late * self.stamped  # else nothing shows it
                 at_s += slot.again * (again > 0)
-                result.sample(judge.answer(time_s, self.proved), n, at_s)
+                result.sample(judge.answer(time_s, self.stamped), n, at_s)
         return result
 
 
@@ -107,7 +107,7 @@ class Result:
     def scale(self) -> float:
         """Where the rate of SYNC has changed, an interval is another one."""
         ratio = self.period_s / (self.judge.clock.period_s or self.period_s)
-        return 1.0 if not self.judge._proved or abs(ratio - 1.0) < 0.05 else ratio
+        return 1.0 if not self.judge._stamped or abs(ratio - 1.0) < 0.05 else ratio
 
     @property
     def same(self) -> float:

@@ -15,16 +15,16 @@ USUAL = 0.2  # periods
 def learned(spread: float = 0.01) -> AnswerDelay:
     delay = AnswerDelay()
     for n in range(40):
-        delay.taken.append((USUAL + (spread if n % 2 else -spread)) * PERIOD_S)
-        if len(delay.taken) == TOGETHER:
+        delay.unlearned.append((USUAL + (spread if n % 2 else -spread)) * PERIOD_S)
+        if len(delay.unlearned) == TOGETHER:
             delay.learn(PERIOD_S)
     return delay
 
 
 def answers(
-    delay: AnswerDelay, periods: float, before_open: bool = False, proved: bool = True
+    delay: AnswerDelay, periods: float, before_open: bool = False, stamped: bool = True
 ) -> tuple[int, ...]:
-    return delay.answers(periods * PERIOD_S, periods * PERIOD_S, PERIOD_S, before_open, proved)
+    return delay.answers(periods * PERIOD_S, periods * PERIOD_S, PERIOD_S, before_open, stamped)
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_what_a_delay_proves(periods: float, before_open: bool, offsets: tuple[i
 
 
 def test_a_late_host_may_have_the_answer_to_any_sync_since() -> None:
-    assert answers(learned(), 3.2, proved=False) == (0, 1, 2, 3)
+    assert answers(learned(), 3.2, stamped=False) == (0, 1, 2, 3)
 
 
 def test_a_late_call_of_the_sync_does_not_make_the_answer_too_early() -> None:

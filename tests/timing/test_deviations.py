@@ -55,7 +55,7 @@ def doubts(judge: Judge, times_s: Noise) -> Iterator[tuple[int, float]]:
         verdict = judge.sync(time_s, True, None)
         if verdict.doubt:
             yield n, verdict.doubt
-        judge.taken()
+        judge.answered_last_sync()
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -12,10 +12,10 @@ from judged_bus import Bus, Result, Slot
 
 from canfb.timing.deviations import JITTER
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
-from canfb.timing.sync_judge import ON_TIME, RELOCK
+from canfb.timing.sync_judge import NOTHING_TO_REPORT, RELOCK
 
 FAULT = 70
-WITNESSES = [(proved, overflow) for proved in (False, True) for overflow in (0, 10, 240)]
+WITNESSES = [(stamped, overflow) for stamped in (False, True) for overflow in (0, 10, 240)]
 Change = Callable[[Bus, np.random.Generator], None]
 
 
@@ -100,8 +100,8 @@ CHANGES: tuple[Change, ...] = (
 )  # fmt: skip
 
 
-def played(change: Change, proved: bool, overflow: int, seed: int = 1, **options: float) -> Result:
-    bus = Bus([Slot() for _ in range(120)], proved=proved, overflow=overflow, seed=seed)
+def played(change: Change, stamped: bool, overflow: int, seed: int = 1, **options: float) -> Result:
+    bus = Bus([Slot() for _ in range(120)], stamped=stamped, overflow=overflow, seed=seed)
     for name, value in options.items():
         setattr(bus, name, value)
     change(bus, np.random.default_rng(seed))
@@ -109,14 +109,14 @@ def played(change: Change, proved: bool, overflow: int, seed: int = 1, **options
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
-@pytest.mark.parametrize(("proved", "overflow"), WITNESSES)
-def test_the_true_intervals_are_among_those_given(change: Change, proved: bool, overflow: int) -> None:
-    if change is second_producer and not proved:
+@pytest.mark.parametrize(("stamped", "overflow"), WITNESSES)
+def test_the_true_intervals_are_among_those_given(change: Change, stamped: bool, overflow: int) -> None:
+    if change is second_producer and not stamped:
         return  # another rate
-    if change is all_together and not (proved or overflow):
+    if change is all_together and not (stamped or overflow):
         return  # nothing shows a SYNC that was not received (docs/wire-faults.md, P1)
     for seed in range(60 if change is all_together else 6):
-        result = played(change, proved, overflow, seed)
+        result = played(change, stamped, overflow, seed)
         assert result.wrong == [], f"seed {seed}"
 
 
@@ -142,9 +142,9 @@ def test_so_they_are_at_any_rate_and_jitter(
     assert result.wrong == []
 
 
-@pytest.mark.parametrize(("proved", "overflow"), WITNESSES)
-def test_a_healthy_bus_needs_no_doubt_and_loses_no_sample(proved: bool, overflow: int) -> None:
-    result = played(healthy, proved, overflow)
+@pytest.mark.parametrize(("stamped", "overflow"), WITNESSES)
+def test_a_healthy_bus_needs_no_doubt_and_loses_no_sample(stamped: bool, overflow: int) -> None:
+    result = played(healthy, stamped, overflow)
     assert result.used == list(range(120))
     assert (result.sets, result.doubts, result.errors) == (0, [], {})
 
@@ -222,14 +222,14 @@ def test_a_wrong_1006h_is_not_believed() -> None:
 
 
 def test_another_rate_is_found_and_each_sync_counts_for_canopen() -> None:
-    for proved in (False, True):
+    for stamped in (False, True):
         for rate in (-0.6, -0.4, -0.2):
 
             def change(bus: Bus, rng: np.random.Generator, rate: float = rate) -> None:
                 for n, slot in enumerate(bus.slots[FAULT:], 1):
                     slot.late = n * rate
 
-            result = played(change, proved, 0, jitter=0.0)
+            result = played(change, stamped, 0, jitter=0.0)
             assert result.judge.clock.period_s == pytest.approx(1e-3 * (1.0 + rate), rel=0.02)
             assert min(result.doubts) <= FAULT + RELOCK
             assert not any(one.repeated for one in result.verdicts.values())  # type: ignore[attr-defined]
@@ -241,10 +241,10 @@ def test_a_repeated_counter_is_the_same_sync() -> None:
     for n in range(40):
         verdict = judge.sync(n * 1e-3, True, n % 10 + 1)
         judge.answer(n * 1e-3 + 2e-4, True)
-    assert verdict is ON_TIME
+    assert verdict is NOTHING_TO_REPORT
     again = judge.sync(39.1e-3, True, 39 % 10 + 1)
     assert (again.repeated, again.extra) == (True, True)
-    assert judge.sync(40e-3, True, 1) is ON_TIME
+    assert judge.sync(40e-3, True, 1) is NOTHING_TO_REPORT
 
 
 def test_the_usual_way_gives_the_same_two_objects() -> None:
@@ -252,7 +252,7 @@ def test_the_usual_way_gives_the_same_two_objects() -> None:
     for n in range(200):
         verdict = judge.sync(n * 1e-3, True, None)
         passed = judge.answer(n * 1e-3 + 2e-4, True)
-    assert verdict is ON_TIME
+    assert verdict is NOTHING_TO_REPORT
     assert passed is USUAL
 
 
@@ -277,16 +277,16 @@ def test_an_incomplete_sample_is_missed() -> None:
         if n == 38:
             judge.drop()
     assert verdict.missed == 1
-    assert judge.sync(40e-3, True, None) is ON_TIME
+    assert judge.sync(40e-3, True, None) is NOTHING_TO_REPORT
 
 
-def followed(syncs: int = 40, proved: bool = True, noise_s: float = 0.0) -> Judge:
+def followed(syncs: int = 40, stamped: bool = True, noise_s: float = 0.0) -> Judge:
     """A judge of SYNCs 1 ms apart, each answered after 0.2 ms."""
     judge, rng = Judge(), np.random.default_rng(3)
     for n in range(syncs):
         at_s = n * 1e-3 + float(rng.uniform(-noise_s, noise_s)) * (n < syncs - 1)
-        judge.sync(at_s, proved, None)
-        judge.answer(at_s + 2e-4, proved)
+        judge.sync(at_s, stamped, None)
+        judge.answer(at_s + 2e-4, stamped)
     return judge
 
 
@@ -328,7 +328,7 @@ def test_a_usual_sample_that_is_dropped_is_one_interval_after_a_gap_as_well() ->
 
 def test_a_sync_that_was_answered_is_not_open_any_more() -> None:
     """An answer that is too soon cannot be that of the SYNC before, if that one was answered."""
-    judge = followed(proved=False)
+    judge = followed(stamped=False)
     judge.sync(40e-3, False, None)
     judge.sync(41e-3, False, None)
     assert judge.answer(41.2e-3, False) == Passed(2.0)
@@ -342,7 +342,17 @@ times = st.floats(-1e6, 1e6) | st.sampled_from((float("inf"), float("-inf"), flo
 steps = st.lists(
     st.tuples(
         st.sampled_from(
-            ("sync", "answer", "taken", "unanswered", "overdue", "drop", "pause", "forget", "free")
+            (
+                "sync",
+                "answer",
+                "answered_last_sync",
+                "unanswered",
+                "overdue",
+                "drop",
+                "pause",
+                "forget",
+                "free",
+            )
         ),
         st.floats(-0.01, 0.05) | times,
         st.booleans(),
@@ -359,12 +369,12 @@ def test_nothing_raises_for_any_input(
     judge = Judge()
     judge.overflow, judge.clock.nominal_s = overflow, nominal_s
     now = 0.0
-    for what, step, proved, counter in calls:
+    for what, step, stamped, counter in calls:
         now = now + step if abs(step) < 1.0 else step
         if what == "sync":
-            judge.sync(now, proved, counter)
+            judge.sync(now, stamped, counter)
         elif what in ("answer", "free"):
-            _is_possible(getattr(judge, what)(now, proved))
+            _is_possible(getattr(judge, what)(now, stamped))
         elif what == "overdue":
             assert judge.overdue(now) >= 0
         else:

@@ -30,7 +30,7 @@ class ProcessData:
     """
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
-        """Whether this SYNC counts as one, before anything is done with it; False drops it.
+        """Whether synchronous PDOs follow this SYNC, before anything is done with it; False drops it.
 
         `counter` is None without 1019h, here and below.
         """

@@ -40,16 +40,16 @@ class CallContext:
     The hooks of an SDO write carry no time, yet a timer that such a write starts needs one. The
     node sets it at each call from its arguments; nothing here reads a clock.
 
-    `received` is the time stamp of the frame if `proved`, else the latest time at which it may have
+    `received` is the time stamp of the frame if `is_stamped`, else the latest time at which it may have
     been received: that of the call. `stamp` is the last time stamp that was taken.
     """
 
-    __slots__ = ("now", "proved", "received", "stamp")
+    __slots__ = ("is_stamped", "now", "received", "stamp")
 
     def __init__(self) -> None:
         self.now = self.received = 0.0
         self.stamp = -NEVER
-        self.proved = False
+        self.is_stamped = False
 
     def stamped(self, stamp: float) -> None:
         """The frame of the running call has a time stamp, seconds.
@@ -59,8 +59,8 @@ class CallContext:
         other that lies before this call. A clock that was set back is used again when it is right.
         """
         last = self.stamp
-        self.proved = last - STAMP_NOISE_S <= stamp <= self.now
-        self.received = self.stamp = max(last, stamp) if self.proved else self.now
+        self.is_stamped = last - STAMP_NOISE_S <= stamp <= self.now
+        self.received = self.stamp = max(last, stamp) if self.is_stamped else self.now
 
 
 class Agenda:

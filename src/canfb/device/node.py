@@ -195,10 +195,10 @@ class Node:
         if now > self._expiry.until and (timestamp is None or timestamp > self._expiry.until):
             self._application.expired(now)
         if timestamp is None:
-            call.received, call.proved = now, False
+            call.received, call.is_stamped = now, False
         elif call.stamp <= timestamp <= now:  # as usual: later than the last
             call.received = call.stamp = timestamp
-            call.proved = True
+            call.is_stamped = True
         else:
             call.stamped(timestamp)
         handler = self._routes.get(can_id)
@@ -217,7 +217,7 @@ class Node:
         """Do what is due at `now`; gives what is to be sent."""
         call = self.call
         call.now = call.received = now
-        call.proved = True  # a SYNC of its own goes out now
+        call.is_stamped = True  # a SYNC of its own goes out now
         if now >= self._expiry.until:
             self._application.overdue(now)
         self._agenda.tick(now)

@@ -14,7 +14,7 @@ It has no data, or with 1019h above 1 one byte: a counter 1 to 1019h, then 1 aga
 say how many SYNCs it has not received; this one leaves that to its application. What a SYNC
 does to PDOs, `Pdos.synchronise` does in one order, so that what is sent belongs to what was received before:
 
-1. the program (`ProcessData`) says whether this SYNC counts (`accepts_sync`);
+1. the program (`ProcessData`) says whether PDOs follow this SYNC (`accepts_sync`);
 2. synchronous RPDOs that came since the last one are taken over, each with `rpdo_received`;
 3. `sync_received`: the program acts on the new interval;
 4. synchronous TPDOs are sampled and sent in the same call, so the window of 1007h always holds for them; then

@@ -226,14 +226,14 @@ class FeedbackModule(NodeDevice):
             if entry.index in COMMANDS and entry.access == "rw":
                 entries.leave_out(entry.index, entry.subindex)
 
-    def _on_followed(self, received_s: float, proved: bool) -> None:
+    def _on_followed(self, received_s: float, stamped: bool) -> None:
         """SYNCs come as expected, which is an event after a pause, and measures their jitter.
 
         With sample times, or without receive times, no jitter is measured.
         """
         self.events.synced(self._judge.clock.period_s, received_s)
         last = self._publishing.last
-        if proved and last is not None and not self._pairing.timed:
+        if stamped and last is not None and not self._pairing.timed:
             self._jitter.look(last, received_s)
 
     def _warn(self, text: str) -> None:

@@ -14,12 +14,12 @@ class SamplingInterval:
     The communication cycle period 1006h counts until SYNC is measured, and as long as SYNC agrees with it.
     """
 
-    __slots__ = ("_clock", "_period_us", "samples_per_sync", "timed_s")
+    __slots__ = ("_clock", "_period_us", "samples_per_sync", "speed_unit_s")
 
     def __init__(self, communication_cycle_period: Entry, clock: SyncClock) -> None:
         self._period_us, self._clock = communication_cycle_period, clock
         self.samples_per_sync = 1
-        self.timed_s = 0.0
+        self.speed_unit_s = 0.0
         """The unit of the speeds of samples that bring their time; 0.0: they bring none."""
 
     @property
@@ -35,7 +35,7 @@ class SamplingInterval:
     @property
     def known_s(self) -> float:
         """Where it is certain enough for limits."""
-        return self.timed_s * self.samples_per_sync or self._clock.period_s or self.nominal_s
+        return self.speed_unit_s * self.samples_per_sync or self._clock.period_s or self.nominal_s
 
     @property
     def seconds(self) -> float:

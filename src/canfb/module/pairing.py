@@ -21,13 +21,13 @@ from canfb.module.objects.sample_input import LocalSource, SampleInput
 from canfb.module.objects.second_input import SecondInput
 from canfb.signal.sample import Sample
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
-from canfb.timing.sync_judge import ON_TIME, SyncVerdict
+from canfb.timing.sync_judge import NOTHING_TO_REPORT, SyncVerdict
 
 COUNTER_OVERFLOW = 0x1019
 COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
 
 
-class Findings(NamedTuple):
+class Actions(NamedTuple):
     """What is done with what was found.
 
     take_usual(now)               two counts and no more have come, in answer to the last SYNC
@@ -77,10 +77,10 @@ class Pairing(ProcessData):
         source: LocalSource | None,
         second: SecondInput,
         prediction: Prediction,
-        findings: Findings,
+        actions: Actions,
     ) -> None:
         self.judge = judge
-        self._moment = node.call
+        self._call = node.call
         self._interval = interval
         self._overflow, self._periods = (
             dictionary.entry(COUNTER_OVERFLOW),
@@ -90,7 +90,7 @@ class Pairing(ProcessData):
         sample_input.on_mixed = self.count_bad_frame
         self._source, self._second = source, second
         self._prediction = prediction
-        self._findings = findings
+        self._actions = actions
         self._bad_frames, self._duplicate_syncs, self._lost_syncs = (
             dictionary.entry(*counter) for counter in COUNTERS
         )
@@ -107,7 +107,7 @@ class Pairing(ProcessData):
         self.extra = False
         """The last SYNC counts as none, but PDOs follow it."""
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
-        self._verdict = ON_TIME  # on the last SYNC
+        self._verdict = NOTHING_TO_REPORT  # on the last SYNC
         self._passed: Passed = USUAL  # up to the tracks that have come
         self.judge.pause()
 
@@ -115,7 +115,7 @@ class Pairing(ProcessData):
     def timed(self) -> bool:
         """Each sample brings its time, which says better than any reception how long an interval was."""
         source = self._source
-        return self._input.timed if source is None else source.timed_s is not None
+        return self._input.timed if source is None else source.source_time_s is not None
 
     def count_bad_frame(self) -> None:
         """A frame that was not used (2012:08)."""
@@ -129,40 +129,40 @@ class Pairing(ProcessData):
         self.judge.until = NEVER
 
     def _hear(self, counter: int | None) -> None:
-        judge, moment = self.judge, self._moment
+        judge, call = self.judge, self._call
         judge.overflow, judge.periods = self._overflow.value, self._periods.value
         if not judge.clock.period_s:
             judge.clock.nominal_s = self._interval.nominal_s
         self._extra_came = judge.extra_came
-        self._verdict = judge.sync(moment.received, moment.proved, counter)
+        self._verdict = judge.sync(call.received, call.is_stamped, counter)
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
         """Before anything is done with a SYNC: is it on the bus for the first time, and were others missed?
 
-        PDOs follow every SYNC of a master. One that comes too early for the sampling is not counted, and
-        changes nothing else.
+        True: synchronous PDOs follow, as every SYNC of a master. One that comes too early for the sampling
+        (2012:0D) brings no sample; the position is withheld if the machine moves.
         """
         self._hear(counter)
         verdict, parts = self._verdict, self._input
-        if verdict is ON_TIME and not (parts.is_synchronous or self.judge.is_open):  # as usual
+        if verdict is NOTHING_TO_REPORT and not (parts.is_synchronous or self.judge.is_open):  # as usual
             return True
         if verdict.extra:
             _count(self._duplicate_syncs)
             self.extra = not verdict.repeated
             self._stale |= self.extra and parts.is_synchronous and not parts.timed  # whose it is, is open
-            if self.extra and self._findings.slips(self.judge.extra_after):
-                self._findings.withhold()  # the position is that of the SYNC before
+            if self.extra and self._actions.slips(self.judge.extra_after):
+                self._actions.withhold()  # the position is that of the SYNC before
             return self.extra
         if parts.is_synchronous and parts.is_ambiguous and not parts.timed:
             self.count_bad_frame()
             self._stale = True
         if verdict.lost or verdict.doubt or self.judge.is_open:
-            self._findings.withhold()
+            self._actions.withhold()
             self._stale |= parts.is_synchronous
         if verdict.confirmed is not None and not self.timed:
-            self._findings.confirm(verdict.confirmed)
+            self._actions.confirm(verdict.confirmed)
         if verdict.doubt and not self.timed:  # sample times know how long it was
-            self._findings.lose_count(verdict.doubt, now)
+            self._actions.lose_count(verdict.doubt, now)
         self._miss_before(verdict, counter, now)
         return True
 
@@ -185,7 +185,7 @@ class Pairing(ProcessData):
         if self.extra:
             self.extra = self._stale = False
             if extrapolates:  # no sample belongs to it, and so none is extrapolated to it
-                self._findings.withhold()
+                self._actions.withhold()
             return False
         parts, judge = self._input, self.judge
         if self._second.number is not None:
@@ -204,7 +204,7 @@ class Pairing(ProcessData):
         if self._source is not None:
             self._sample_source(self._source, now)
         if extrapolates:
-            self._findings.extrapolate()
+            self._actions.extrapolate()
         return extrapolates
 
     def tpdos_sampled(self) -> None:
@@ -214,7 +214,7 @@ class Pairing(ProcessData):
     def _miss(self, samples: int, now: float) -> None:
         """Before the first sample there is nothing to miss."""
         if self.sampled:
-            self._findings.miss(samples, now)
+            self._actions.miss(samples, now)
 
     def overdue(self, now: float) -> bool:
         """No SYNC and no sample for 2010:06 periods; False where the length of a period is not known."""
@@ -244,9 +244,9 @@ class Pairing(ProcessData):
             return
         if number == parts.whole_timed and self._synced:
             received_s, synced_s = self._receptions()
-            if self._findings.take_usual_timed(received_s, synced_s, now):
+            if self._actions.take_usual_timed(received_s, synced_s, now):
                 self._sample_came = self.sampled = True
-                self.judge.taken()
+                self.judge.answered_last_sync()
                 return
         if number == parts.judged:
             passed = self._judged(now)
@@ -255,7 +255,7 @@ class Pairing(ProcessData):
             self._tracks_came = True
             if passed is USUAL and number == parts.whole:
                 self._sample_came = self.sampled = True
-                self._findings.take_usual(now)
+                self._actions.take_usual(now)
                 return
             self._passed = passed
         if number == parts.alone or parts.take(number):
@@ -263,22 +263,22 @@ class Pairing(ProcessData):
 
     def _judged(self, now: float) -> Passed | None:
         """One pair of tracks for each SYNC: which one does this answer? None: it is not to be used."""
-        moment, judge = self._moment, self.judge
+        call, judge = self._call, self.judge
         if self._synced:
-            passed = judge.answer(moment.received, moment.proved)
+            passed = judge.answer(call.received, call.is_stamped)
         else:
-            passed = judge.free(moment.received, moment.proved)
+            passed = judge.free(call.received, call.is_stamped)
         if isinstance(passed, Passed):
             if judge.advanced:
                 self._pass_lost(judge.advanced, passed, now)
             return passed
         self.count_bad_frame()
         if passed is Refusal.ANOTHER:
-            explained = judge.extra_came or self._findings.repeats(*self._input.tracks)
+            explained = judge.extra_came or self._actions.repeats(*self._input.tracks)
             if not explained:
-                self._findings.lose_count(1.0, now)
-            elif judge.next_is_due(moment.received) and self._findings.slips(1.0):
-                self._findings.withhold()  # equal counts may be whole cycles further on
+                self._actions.lose_count(1.0, now)
+            elif judge.next_is_due(call.received) and self._actions.slips(1.0):
+                self._actions.withhold()  # equal counts may be whole cycles further on
         return None
 
     def _pass_lost(self, syncs: int, passed: Passed, now: float) -> None:
@@ -301,8 +301,8 @@ class Pairing(ProcessData):
         if sample.time_100ns is not None:
             came = self._timed(sample, now)
         else:
-            passed = self._passed if self._input.judged is not None else self.judge.taken()
-            came = self._findings.take(sample, passed, now)
+            passed = self._passed if self._input.judged is not None else self.judge.answered_last_sync()
+            came = self._actions.take(sample, passed, now)
         if came:
             self._sample_came = True
         else:
@@ -310,25 +310,26 @@ class Pairing(ProcessData):
 
     def _timed(self, sample: Sample, now: float) -> bool:
         """By its time a sample is the next one, whatever was received when."""
-        moment, judge = self._moment, self.judge
+        call, judge = self._call, self.judge
         received_s, synced_s = self._receptions()
         if not self._synced and self._source is None:
-            judge.sync(moment.received, moment.proved, None)  # each sample is its own
-        came = self._findings.take_timed(sample, received_s, synced_s, judge.extra_came, now)
+            judge.sync(call.received, call.is_stamped, None)  # each sample is its own
+        came = self._actions.take_timed(sample, received_s, synced_s, judge.extra_came, now)
         if came:
-            judge.taken()
+            judge.answered_last_sync()
         return came
 
     def _receptions(self) -> tuple[float | None, float | None]:
         """When the bus received this PDO and the SYNC that it answers, seconds; None: not known.
 
-        Of a host that may be late only the SYNC, and when that was taken.
+        Without receive times the first is None, the second the time of the call of the SYNC. The second is
+        None where it is open which SYNC it answers, and both are for a synchronous RPDO and for a source.
         """
-        moment, judge = self._moment, self.judge
+        call, judge = self._call, self.judge
         if self._input.is_synchronous or self._source is not None:
             return None, None
-        received_s = moment.received if moment.proved else None
-        if self._synced and judge.proved == moment.proved and not judge.extra_came:
+        received_s = call.received if call.is_stamped else None
+        if self._synced and judge.stamped == call.is_stamped and not judge.extra_came:
             return received_s, judge.synced_s
         return received_s, None  # which SYNC it answers is open
 

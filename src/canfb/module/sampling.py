@@ -10,7 +10,7 @@ from canfb.module.interval import SamplingInterval
 from canfb.module.objects.recorder import SampleObservers
 from canfb.module.objects.sample_input import LocalSource, SampleInput
 from canfb.module.objects.second_input import SecondInput
-from canfb.module.pairing import Findings, Pairing
+from canfb.module.pairing import Actions, Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain
@@ -88,21 +88,21 @@ class Sampling:
         )
         self._parts = parts
         self._unconfirmed = 0  # samples after a pause that are not called valid yet
-        found = Findings(
-            self._take_usual,
-            self._take,
-            self._take_usual_timed,
-            self._take_timed,
-            self._miss,
-            self._confirm,
-            self._lose_count,
-            chain.slips,
-            publishing.withhold,
-            chain.repeats,
-            publishing.extrapolate,
+        actions = Actions(
+            take_usual=self._take_usual,
+            take=self._take,
+            take_usual_timed=self._take_usual_timed,
+            take_timed=self._take_timed,
+            miss=self._miss,
+            confirm=self._confirm,
+            lose_count=self._lose_count,
+            slips=chain.slips,
+            withhold=publishing.withhold,
+            repeats=chain.repeats,
+            extrapolate=publishing.extrapolate,
         )
         self.pairing = Pairing(
-            dictionary, node, judge, interval, parts, source, second, self._prediction, found
+            dictionary, node, judge, interval, parts, source, second, self._prediction, actions
         )
 
     def _take_usual(self, now: float) -> None:
@@ -197,7 +197,7 @@ class Sampling:
 
     def _unit_changed(self) -> None:
         """The limits are those of the interval in which the sample is counted, also of the first one."""
-        self._interval.timed_s = self._chain.unit_s
+        self._interval.speed_unit_s = self._chain.unit_s
         if self._limits.narrowed:
             self._limits.follow()
 
@@ -342,7 +342,7 @@ class Sampling:
         limits = self._limits
         if (samples_per_sync, timed) != (self._interval.samples_per_sync, limits.timed):
             self._interval.samples_per_sync, limits.timed = samples_per_sync, timed
-            self._interval.timed_s = 0.0
+            self._interval.speed_unit_s = 0.0
             self._chain.measures_intervals = True
             self._chain.nominal_sync.memory_syncs = GRID_SYNCS if samples_per_sync > 1 else MEMORY_SYNCS
             limits.noise_changes()
@@ -350,6 +350,6 @@ class Sampling:
     def forget_interval(self) -> None:
         """After a reset another master may send SYNC at another rate."""
         self._judge.forget()
-        self._interval.timed_s = 0.0
+        self._interval.speed_unit_s = 0.0
         self._grid_learned_s = 0.0
         self._chain.forget_times()

@@ -43,12 +43,22 @@ ANSWERS_EARLIER = (-1,)
 class AnswerDelay:
     """Follows the delay from SYNC to ADC PDO, seconds.
 
-    A delay from ``low_s`` to ``high_s`` is usual: put it into ``taken``, and call :meth:`learn` when there
-    are TOGETHER. ``usual_s`` is its mean.
+    A delay from ``low_s`` to ``high_s`` is usual: put it into ``unlearned``, and call :meth:`learn` when
+    there are TOGETHER. ``mean_s`` is their mean.
     """
 
-    __slots__ = ("_before_s", "_count", "_least_s", "_left", "_refused", "_spread_s",
-                 "high_s", "low_s", "taken", "usual_s")  # fmt: skip
+    __slots__ = (
+        "_before_s",
+        "_count",
+        "_least_s",
+        "_left",
+        "_refused",
+        "_spread_s",
+        "high_s",
+        "low_s",
+        "mean_s",
+        "unlearned",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.forget()
@@ -58,8 +68,8 @@ class AnswerDelay:
         self._count = self._refused = 0
         self._left = WINDOW
         self._least_s = self._before_s = math.inf
-        self._spread_s = self.usual_s = 0.0
-        self.taken: list[float] = []
+        self._spread_s = self.mean_s = 0.0
+        self.unlearned: list[float] = []
         self.low_s, self.high_s = math.inf, -math.inf
 
     @property
@@ -72,22 +82,22 @@ class AnswerDelay:
         return self.low_s <= delay_s <= self.high_s
 
     def learn(self, period_s: float) -> None:
-        """Follow the delays in ``taken``, and empty it."""
-        taken = self.taken
-        if not taken:
+        """Follow the delays in ``unlearned``, and empty it."""
+        unlearned = self.unlearned
+        if not unlearned:
             return
-        size = len(taken)
+        size = len(unlearned)
         self._refused = 0
         self._count = min(self._count + size, LEARNED)
         gain = size / self._count
-        self.usual_s += (sum(taken) / size - self.usual_s) * gain
-        usual = self.usual_s
-        self._spread_s += (sum([abs(one - usual) for one in taken]) / size - self._spread_s) * gain
+        self.mean_s += (sum(unlearned) / size - self.mean_s) * gain
+        usual = self.mean_s
+        self._spread_s += (sum([abs(one - usual) for one in unlearned]) / size - self._spread_s) * gain
         self._left -= size
         if self._left <= 0:
             self._left, self._before_s, self._least_s = WINDOW, self._least_s, math.inf
-        self._least_s = min(self._least_s, *taken)
-        taken.clear()
+        self._least_s = min(self._least_s, *unlearned)
+        unlearned.clear()
         if self._count >= LEARNED:
             self.low_s = SOONEST * min(self._least_s, self._before_s)
             spare_s = SPARE * period_s
@@ -96,12 +106,12 @@ class AnswerDelay:
             )
 
     def answers(
-        self, delay_s: float, longest_s: float, period_s: float, before_open: bool, proved: bool
+        self, delay_s: float, longest_s: float, period_s: float, before_open: bool, stamped: bool
     ) -> tuple[int, ...]:
         """Which SYNCs the first PDO since the last one may answer: 0 that one, -1 the one before, 1 the next.
 
         ``delay_s`` after it, by no means more than ``longest_s``; ``before_open``: the SYNC before has no
-        answer yet. ``proved``: it did not wait for the host, which may be late by any time.
+        answer yet. ``stamped``: it did not wait for the host, which may be late by any time.
         """
         self.learn(period_s)
         passed = delay_s / period_s
@@ -115,8 +125,8 @@ class AnswerDelay:
                 return ANSWERS_LAST
         elif passed < LATEST:
             return ANSWERS_LAST
-        later = delay_s - self.usual_s
+        later = delay_s - self.mean_s
         if passed < LATEST or later < SPARE * period_s:
             return (-1, 0) if before_open else ANSWERS_LAST
         newest = max(1, min(round(later / period_s), MOST_NEWEST))
-        return tuple(range(max(0, newest - MOST_LATE) if proved else 0, newest + 1))
+        return tuple(range(max(0, newest - MOST_LATE) if stamped else 0, newest + 1))

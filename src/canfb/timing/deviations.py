@@ -74,7 +74,7 @@ class Deviations:
         self._usual_s: list[float] = []  # what their mean is usually off by; the first is of before them
         self._last: list[tuple[float, float]] = []  # groups: their mean, and how far the line was moved then
 
-    def learn(self, errors_s: list[float], moved_s: float, period_s: float, proved: bool) -> None:
+    def learn(self, errors_s: list[float], moved_s: float, period_s: float, stamped: bool) -> None:
         """A group of SYNCs, or a single one at the start, was off by ``errors_s``.
 
         The line follows, and is moved by ``moved_s``.
@@ -82,14 +82,14 @@ class Deviations:
         size = len(errors_s)
         mean_s = sum(errors_s) / size
         # A host that is late is so for a while: what it is late by is no jitter. Slow wander of SYNC is.
-        apart = mean_s if size > 1 and not proved else 0.0
+        apart = mean_s if size > 1 and not stamped else 0.0
         spread = sum([abs(error - apart) for error in errors_s]) / size / period_s
         self._spreads = min(self._spreads + 1, SPREADS * TOGETHER // size)
         self.deviation += (min(spread, JITTER) - self.deviation) / self._spreads
         if size == 1 and self._spreads < TOGETHER:  # fewer than that say nothing
             return
         limit = DEVIATIONS * self.deviation
-        if proved and size > 1:
+        if stamped and size > 1:
             self._follow_largest(max(max(errors_s), -min(errors_s)))
             if self._groups >= PEAKS_KNOWN:
                 limit = min(limit, BEYOND * max(self._largest_s, self._before_s) / period_s)

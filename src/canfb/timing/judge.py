@@ -1,7 +1,7 @@
 """The judge: how many intervals may have passed at each sample, and how far its instant may be off.
 
 Time proves little, and this file says no more than that. What the evidence leaves open is handed on as a
-set of possible intervals, and the estimator of the cycle count decides with the phases; what is proved
+set of possible intervals, and the estimator of the cycle count decides with the phases; what is stamped
 later is confirmed (sync_judge.py). Usually it is one interval, and neither SYNC nor sample needs more than
 a few comparisons.
 
@@ -59,7 +59,7 @@ USUAL = Passed(1.0)
 class Judge(SyncJudge):
     """Give each SYNC to :meth:`sync`, and the sample that answers it to :meth:`answer`; one that is known to
     belong to the last SYNC to :meth:`taken`, and each one to :meth:`free` where there is no SYNC. Times are
-    receive times, seconds; ``proved`` says that the bus gave them.
+    receive times, seconds; ``stamped`` says that the bus gave them.
     """
 
     def __init__(self) -> None:
@@ -79,33 +79,33 @@ class Judge(SyncJudge):
         """SYNCs that were not received, by the last answer: it answers the last of them."""
         super().pause()
 
-    def answer(self, time_s: float, proved: bool) -> Passed | Refusal:
+    def answer(self, time_s: float, stamped: bool) -> Passed | Refusal:
         """Tracks without a sample time have come: the intervals since the last sample."""
         delay = self.delay
         delay_s = time_s - self.synced_s
         if self._usual and delay.low_s <= delay_s <= delay.high_s and not self._slack:
-            taken = delay.taken
-            taken.append(delay_s)
-            if len(taken) >= DELAYS_TOGETHER:
+            unlearned = delay.unlearned
+            unlearned.append(delay_s)
+            if len(unlearned) >= DELAYS_TOGETHER:
                 delay.learn(self.clock.period_s)
             self._since, self._usual = 0, False
             self._since_before, self._slack_before = 1, 0
             self._answered = self.sampled = True
             return USUAL
-        return self._another(time_s, proved) if self._answered else self._first(time_s, proved)
+        return self._another(time_s, stamped) if self._answered else self._first(time_s, stamped)
 
-    def _first(self, time_s: float, proved: bool) -> Passed | Refusal:
+    def _first(self, time_s: float, stamped: bool) -> Passed | Refusal:
         """The first since the last SYNC."""
         clock, period = self.clock, self.clock.period_s
         offsets: tuple[int, ...] = (0,)
         if period and isfinite(time_s):
             delay_s = longest_s = max(0.0, min(time_s - self.synced_s, MOST_INTERVALS * period))
-            if not proved:
+            if not stamped:
                 # A SYNC that was heard late may have come when it was due; not before that, or hardly.
                 longest_s += max(0.0, self.synced_s - clock.due_s + (1.0 + self._early) * period)
-            offsets = self.delay.answers(delay_s, longest_s, period, self._before_open, proved)
+            offsets = self.delay.answers(delay_s, longest_s, period, self._before_open, stamped)
             if offsets == (0,):
-                self.delay.taken.append(delay_s)
+                self.delay.unlearned.append(delay_s)
                 if self._since == 1:
                     self._error = max(self._error, self._early_s(time_s) / period)
         return Refusal.EARLIER if offsets == (-1,) else self._sampled(offsets)
@@ -119,15 +119,15 @@ class Judge(SyncJudge):
         clock = self.clock
         return min(clock.due_s - clock.period_s, self._before_s + clock.period_s) - time_s
 
-    def _another(self, time_s: float, proved: bool) -> Passed | Refusal:
+    def _another(self, time_s: float, stamped: bool) -> Passed | Refusal:
         """No SYNC since the last sample: that one again, or the answer to a SYNC that was not received."""
         period = self.clock.period_s
         if not self.begun:
-            return self.free(time_s, proved)
-        if not proved or not period or not isfinite(time_s):
+            return self.free(time_s, stamped)
+        if not stamped or not period or not isfinite(time_s):
             return Refusal.ANOTHER
         passed = (time_s - self.synced_s) / period
-        later = passed - self.delay.usual_s / period
+        later = passed - self.delay.mean_s / period
         if passed < UNRECEIVED or later < LATER:
             return Refusal.ANOTHER
         self.advanced = newest = max(1, round(min(later, MOST_INTERVALS)))
@@ -141,9 +141,9 @@ class Judge(SyncJudge):
         clock = self.clock
         return not time_s < clock.due_s - clock.jitter * clock.period_s
 
-    def free(self, time_s: float, proved: bool) -> Passed | Refusal:
+    def free(self, time_s: float, stamped: bool) -> Passed | Refusal:
         """Tracks where there is no SYNC: each is its own."""
-        verdict = self.sync(time_s, proved, None)
+        verdict = self.sync(time_s, stamped, None)
         self.begun = True
         return Refusal.ANOTHER if verdict.extra else self._sampled((0,))
 
@@ -180,7 +180,7 @@ class Judge(SyncJudge):
         if self._high_s == -inf or self._slack:
             self._look_ahead()
 
-    def taken(self) -> Passed:
+    def answered_last_sync(self) -> Passed:
         """A sample that belongs to the last SYNC, whenever it comes."""
         if self._usual and not self._slack:
             self._since, self._usual = 0, False

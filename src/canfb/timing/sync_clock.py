@@ -3,7 +3,7 @@
 Every judgement of time needs to know when the next SYNC is due. A drive learns it with a filter on the
 arrivals; so does this clock. What differs is how good the arrivals are:
 
-- A receive time of the bus (*proved*) is the time of the frame within some 10 us. Early and late mean the
+- A receive time of the bus (*stamped*) is the time of the frame within some 10 us. Early and late mean the
   same, and the filter follows the mean of the deviations.
 - Without one, the time of the call is only the latest time at which the frame came. A SYNC cannot come early,
   but a process may be late by any time. So the filter follows the earliest of several arrivals: the phase is
@@ -45,7 +45,7 @@ AGREEMENT = 0.2
 
 MEMORY = 32  # groups of them
 SINGLE = 24  # SYNCs, until they are taken together
-FIRST_INTERVALS = 5  # proved; all but one agree
+FIRST_INTERVALS = 5  # stamped; all but one agree
 TWICE = 0.4  # of the median, below the jitter of two SYNCs of which none is missing
 MORE_INTERVALS = 12  # none of them a gap, where SYNC jitters more than that
 FIRST_CALLS, MOST_CALLS = 9, 33  # straight enough at once, or as they are
@@ -121,41 +121,41 @@ class SyncClock:
         if not self.period_s:
             self._first = [time_s]
 
-    def start(self, time_s: float, proved: bool) -> bool:
+    def start(self, time_s: float, stamped: bool) -> bool:
         """Another SYNC while the period is not known; True if it is known now."""
         first = self._first
         if not first or time_s > first[-1]:
             first.append(time_s)
-        period, last = _measured(first) if proved else _below(first)
+        period, last = _measured(first) if stamped else _below(first)
         if period < LEAST_PERIOD_S:
             return False
-        if abs(self.nominal_s - period) <= max(SAME_PERIOD * period, _uncertain(first, period, proved)):
+        if abs(self.nominal_s - period) <= max(SAME_PERIOD * period, _uncertain(first, period, stamped)):
             period = self.nominal_s
         self.period_s, self.due_s = period, last + period
-        self._begin_line(len(first) - 1, proved)
+        self._begin_line(len(first) - 1, stamped)
         self._first = []
         return True
 
-    def _begin_line(self, intervals: int, proved: bool) -> None:
+    def _begin_line(self, intervals: int, stamped: bool) -> None:
         """The line stands on so many intervals."""
         self.errors.clear()
-        self._groups, self.together = (intervals, 1) if proved else (1, TOGETHER)
+        self._groups, self.together = (intervals, 1) if stamped else (1, TOGETHER)
         self.deviations.forget()
 
-    def learn(self, proved: bool) -> None:
+    def learn(self, stamped: bool) -> None:
         """Follow the group in ``errors``, and empty it."""
         errors, period = self.errors, self.period_s
         size = len(errors)
         mean = sum(errors) / size
-        off = mean if proved else min(errors)
+        off = mean if stamped else min(errors)
         beyond = off - STRAIGHT * period
-        if not proved and beyond > 0.0:
+        if not stamped and beyond > 0.0:
             off -= (1.0 - RISING) * beyond
         self._groups = n = min(self._groups + 1, MEMORY)
         whole = (n + 1) * (n + 2)
         slope = off * 6.0 / whole / size
         phase_s = off * (4 * n + 2) / whole
-        self.deviations.learn(errors, phase_s, period, proved)
+        self.deviations.learn(errors, phase_s, period, stamped)
         errors.clear()
         self.due_s += phase_s + slope
         self.period_s = max(period + slope, LEAST_PERIOD_S)
@@ -189,9 +189,9 @@ class SyncClock:
         self._begin_line(len(times_s) - 1, True)
 
 
-def _uncertain(times_s: list[float], period_s: float, proved: bool) -> float:
+def _uncertain(times_s: list[float], period_s: float, stamped: bool) -> float:
     """How far the first period may be off: the mean of n intervals by 2/n of the largest deviation of one."""
-    if not proved:
+    if not stamped:
         return 0.0
     apart = [b - a for a, b in pairwise(times_s)]
     return 2.0 / len(apart) * max([min(abs(one - period_s), JITTER * period_s) for one in apart])
@@ -205,7 +205,7 @@ def is_regular(times_s: list[float]) -> bool:
 
 
 def _measured(times_s: list[float]) -> tuple[float, float]:
-    """Period and last time by proved times, (0.0, 0.0) if they do not agree; forgets the oldest."""
+    """Period and last time by stamped times, (0.0, 0.0) if they do not agree; forgets the oldest."""
     del times_s[: -MORE_INTERVALS - 1]
     apart = [b - a for a, b in pairwise(times_s)]
     if len(apart) < FIRST_INTERVALS:

@@ -6,8 +6,8 @@ A SYNC falls into a zone, by its lag behind the time at which it was due and by 
 |---|---|---|---|
 | EARLY | sooner than a SYNC can come, shortly after one | extra | more came than can be: doubt |
 | ON | within the jitter; whole periods between are missed SYNCs | so many | all came: confirmed |
-| OFF | proved, and further off than the jitter | so many, off by that | the same |
-| BEHIND | not proved, and a period late or more | open | still open |
+| OFF | stamped, and further off than the jitter | so many, off by that | the same |
+| BEHIND | not stamped, and a period late or more | open | still open |
 | AGAINST | the counter says what time forbids | doubt | doubt |
 
 **Late, or missing.** Without receive times and counter a SYNC that is a period late may be the next one on
@@ -77,7 +77,7 @@ class SyncVerdict(NamedTuple):
     doubt: float = 0.0
 
 
-ON_TIME = SyncVerdict()
+NOTHING_TO_REPORT = SyncVerdict()  # which a late or early SYNC may have, too
 EXTRA = SyncVerdict(extra=True)
 REPEATED = SyncVerdict(extra=True, repeated=True)
 
@@ -92,7 +92,7 @@ class _Sync(NamedTuple):
     """One SYNC as it is judged, in periods."""
 
     time_s: float
-    proved: bool
+    stamped: bool
     counter: int | None
     apart: float  # from the last one that was received
     lost: int  # before it, as counted
@@ -101,20 +101,20 @@ class _Sync(NamedTuple):
 
 
 class SyncJudge:
-    """Judges SYNCs by their times, seconds; ``proved`` says that the bus gave the time. Any numbers may come.
+    """Judges SYNCs by their times, seconds, any numbers; ``stamped`` says that the bus gave the time.
 
-    ``until`` is the time after which the position is not valid without another SYNC or sample, inf while
-    nothing is expected. ``synced_s`` is when the last SYNC was received.
+    ``until`` is the time after which the position is not valid without another SYNC (where there is none,
+    another sample), inf while nothing is expected. ``synced_s`` is when the last SYNC was received.
     """
 
     def __init__(self) -> None:
         self.clock = SyncClock()
         self.overflow = 0
-        """1019h."""
+        """SYNC counter overflow (1019h)."""
         self.periods = 2
-        """2010:06."""
+        """Periods without SYNC until the position is not valid (2010:06)."""
         self.on_followed: Callable[[float, bool], None] | None = None
-        """Called as (time_s, proved) with every TOGETHER-th usual SYNC."""
+        """Called as (time_s, stamped) with each usual SYNC at first, then with every TOGETHER-th."""
         self._table: dict[tuple[Zone, bool], Callable[[_Sync], SyncVerdict]] = {
             (Zone.EARLY, False): self._extra,
             (Zone.EARLY, True): self._contradicted,
@@ -141,7 +141,7 @@ class SyncJudge:
         self.extra_after = 0.0
         """Periods from the last SYNC to the extra one."""
         self.synced_s = self._received_s = self._before_s = 0.0  # the last one, any, that before the last one
-        self._proved = False
+        self._stamped = False
         self._counter: int | None = None
         self._next_counter: int | None = None
         self._since = 0  # periods from the last sample to the last SYNC
@@ -160,9 +160,9 @@ class SyncJudge:
         self._look_ahead()
 
     @property
-    def proved(self) -> bool:
+    def stamped(self) -> bool:
         """The time of the last SYNC is that at which it was on the bus."""
-        return self._proved
+        return self._stamped
 
     def _close(self) -> None:
         """No SYNC may be missing."""
@@ -182,10 +182,10 @@ class SyncJudge:
         busy = self.is_open or self._streak or self._error or self._gap or self._slack or self._before_open
         if period and not busy:
             self._low_s, self._high_s = -self._early * period, HALF * period
-            if self._proved:  # the time says both sides
+            if self._stamped:  # the time says both sides
                 self._low_s, self._high_s = -clock.jitter * period, clock.jitter * period
 
-    def sync(self, time_s: float, proved: bool, counter: int | None) -> SyncVerdict:
+    def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
         """A SYNC at ``time_s`` with its ``counter``, None without one."""
         clock = self.clock
         error = time_s - clock.due_s
@@ -193,7 +193,7 @@ class SyncJudge:
             self._low_s < error < self._high_s
             and self._answered
             and counter == self._next_counter
-            and proved == self._proved
+            and stamped == self._stamped
         ):
             clock.due_s += clock.period_s
             self._before_s = self.synced_s
@@ -205,66 +205,66 @@ class SyncJudge:
             self._usual, self._since = True, 1
             errors = clock.errors
             errors.append(error)
-            return self._follow(time_s, proved) if len(errors) >= clock.together else ON_TIME
-        verdict = self._judged(time_s, proved, counter)
+            return self._follow(time_s, stamped) if len(errors) >= clock.together else NOTHING_TO_REPORT
+        verdict = self._judged(time_s, stamped, counter)
         self._look_ahead()
         return verdict
 
-    def _follow(self, time_s: float, proved: bool) -> SyncVerdict:
-        self.clock.learn(proved)
+    def _follow(self, time_s: float, stamped: bool) -> SyncVerdict:
+        self.clock.learn(stamped)
         step = self.clock.step()
         self._look_ahead()
         if self.on_followed is not None:
-            self.on_followed(time_s, proved)
-        return SyncVerdict(doubt=step) if step else ON_TIME
+            self.on_followed(time_s, stamped)
+        return SyncVerdict(doubt=step) if step else NOTHING_TO_REPORT
 
-    def _judged(self, time_s: float, proved: bool, counter: int | None) -> SyncVerdict:
+    def _judged(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
         if not isfinite(time_s):
             return EXTRA
         if not self.begun:
             self.clock.begin(time_s)
-            return self._take(_Sync(time_s, proved, counter, 1.0, 0, 0.0, 0))
-        turn, counted = 1, 0
+            return self._take(_Sync(time_s, stamped, counter, 1.0, 0, 0.0, 0))
+        modulus, counted = 1, 0
         if counter is not None and self._counter is not None and self.overflow >= 2:
-            turn, counted = self.overflow, (counter - self._counter - 1) % self.overflow
+            modulus, counted = self.overflow, (counter - self._counter - 1) % self.overflow
         if not self.clock.period_s:
             rough = self.clock.rough_s
-            if turn > 1 and counted == turn - 1 and not time_s - self.synced_s > HALF * rough > 0.0:
+            if modulus > 1 and counted == modulus - 1 and not time_s - self.synced_s > HALF * rough > 0.0:
                 return REPEATED
-            verdict = self._take(_Sync(time_s, proved, counter, 1.0, counted, 0.0, 0))
-            self.clock.start(time_s, proved)
+            verdict = self._take(_Sync(time_s, stamped, counter, 1.0, counted, 0.0, 0))
+            self.clock.start(time_s, stamped)
             return verdict
-        zone, sync = self._place(time_s, proved, counter, turn, counted)
-        if zone is Zone.EARLY and turn > 1:
+        zone, sync = self._place(time_s, stamped, counter, modulus, counted)
+        if zone is Zone.EARLY and modulus > 1:
             self._received_s = time_s
             return REPEATED
         return self._table[zone, self.is_open](sync)
 
     def _place(
-        self, time_s: float, proved: bool, counter: int | None, turn: int, counted: int
+        self, time_s: float, stamped: bool, counter: int | None, modulus: int, counted: int
     ) -> tuple[Zone, _Sync]:
         """The zone of a SYNC, and the SYNCs before it that were not received."""
         clock, period = self.clock, self.clock.period_s
         lag = min((time_s - clock.due_s) / period, float(MOST_INTERVALS))
         apart = (time_s - self._received_s) / period
         early = lag <= -self._early and apart < WHOLE
-        if early and counted == turn - 1:
-            return Zone.EARLY, _Sync(time_s, proved, counter, apart, 0, lag, 0)
-        if proved:
-            turns = round((lag - counted) / turn)
+        if early and counted == modulus - 1:
+            return Zone.EARLY, _Sync(time_s, stamped, counter, apart, 0, lag, 0)
+        if stamped:
+            wraps = round((lag - counted) / modulus)
         else:
-            turns = -1 if counted == turn - 1 > 0 and lag < counted - HALF else 0
-        lost = counted + turns * turn
+            wraps = -1 if counted == modulus - 1 > 0 and lag < counted - HALF else 0
+        lost = counted + wraps * modulus
         off = lag - lost
-        behind = 0 if proved else max(0, int((off + self._early) // turn) * turn)
-        sync = _Sync(time_s, proved, counter, apart, max(0, lost), off, behind)
+        behind = 0 if stamped else max(0, int((off + self._early) // modulus) * modulus)
+        sync = _Sync(time_s, stamped, counter, apart, max(0, lost), off, behind)
         if lost < 0:
-            return Zone.EARLY if early and turn == 1 else Zone.AGAINST, sync
-        if off < -HALF or (proved and off > HALF):
+            return Zone.EARLY if early and modulus == 1 else Zone.AGAINST, sync
+        if off < -HALF or (stamped and off > HALF):
             return Zone.AGAINST, sync
         if behind:
             return Zone.BEHIND, sync
-        return Zone.OFF if proved and abs(off) > clock.jitter else Zone.ON, sync
+        return Zone.OFF if stamped and abs(off) > clock.jitter else Zone.ON, sync
 
     def _take(self, sync: _Sync, doubt: float = 0.0, confirmed: float | None = None) -> SyncVerdict:
         """Count this SYNC, and those before it that were not received."""
@@ -285,11 +285,11 @@ class SyncJudge:
         self._gap = lost > 0 or (self._gap and abs(sync.off) > clock.jitter)
         self._before_s, self.synced_s, self._received_s = self.synced_s, sync.time_s, sync.time_s
         self._count_from(sync.counter)
-        self._proved, self.begun = sync.proved, True
+        self._stamped, self.begun = sync.stamped, True
         self._answered = self._usual = self.extra_came = False
         self.until = sync.time_s + self.periods * self._wait_s + self._spare_s
         if not (missed or doubt or lost) and confirmed is None:
-            return ON_TIME
+            return NOTHING_TO_REPORT
         return SyncVerdict(missed=missed, lost=lost, confirmed=confirmed, doubt=doubt)
 
     def _count_from(self, counter: int | None) -> None:
@@ -300,7 +300,7 @@ class SyncJudge:
         clock, another_rate = self.clock, False
         if self._streak:
             streak = [*self._streak, sync.time_s]
-            another_rate = not sync.proved and len(streak) > 2 and clock.is_left_by(streak)
+            another_rate = not sync.stamped and len(streak) > 2 and clock.is_left_by(streak)
             on_grid = abs(sync.apart - 1 - sync.lost) <= clock.jitter and abs(sync.off) <= self._early
             if on_grid and not another_rate:
                 self._streak.clear()
@@ -308,12 +308,12 @@ class SyncJudge:
                 return self._set_again(sync)
         verdict = self._take(sync)
         self._uneven = bool(self._streak) and (another_rate or sync.off > self._early)
-        if self._streak and sync.proved:  # one that was expected, by chance: others before it were not
+        if self._streak and sync.stamped:  # one that was expected, by chance: others before it were not
             self._error = abs(sync.apart - 1 - sync.lost)
-        if not self._streak and (sync.proved or sync.off < 1.0):
+        if not self._streak and (sync.stamped or sync.off < 1.0):
             clock.errors.append(sync.off * clock.period_s)
             if len(clock.errors) >= clock.together:
-                doubt = self._follow(sync.time_s, sync.proved).doubt
+                doubt = self._follow(sync.time_s, sync.stamped).doubt
                 verdict = verdict._replace(doubt=max(verdict.doubt, doubt)) if doubt else verdict
         return verdict
 
@@ -335,7 +335,7 @@ class SyncJudge:
     def _extra(self, sync: _Sync) -> SyncVerdict:
         if self._goes_on(sync.time_s):
             return self._set_again(sync)
-        same = sync.proved and self._proved and sync.time_s - self._received_s < LEAST_PERIOD_S
+        same = sync.stamped and self._stamped and sync.time_s - self._received_s < LEAST_PERIOD_S
         self._received_s, self.extra_came = sync.time_s, True
         self.extra_after = (sync.time_s - self.synced_s) / self.clock.period_s
         return REPEATED if same else EXTRA
@@ -351,13 +351,13 @@ class SyncJudge:
     def _late(self, sync: _Sync) -> SyncVerdict:
         if self._goes_on(sync.time_s):
             return self._set_again(sync)
-        turn = self.overflow if sync.counter is not None and self.overflow >= 2 else 1
+        modulus = self.overflow if sync.counter is not None and self.overflow >= 2 else 1
         verdict = self._take(sync)
         self.is_open, self._debt, self.late_s = True, sync.behind, sync.off * self.clock.period_s
-        first, most = float(max(1, self._since)), sync.behind // turn
+        first, most = float(max(1, self._since)), sync.behind // modulus
         uneven = max(sync.off - sync.behind, abs(sync.apart - 1 - sync.lost - sync.behind))
         self._unclear = most + 1 > MOST_OPTIONS or uneven > self._early
-        self._set = tuple(first + n * turn for n in range(min(most + 1, MOST_OPTIONS)))
+        self._set = tuple(first + n * modulus for n in range(min(most + 1, MOST_OPTIONS)))
         return verdict
 
     def _still_late(self, sync: _Sync) -> SyncVerdict:
@@ -405,7 +405,7 @@ class SyncJudge:
         self._since = min(self._since + intervals, MOST_INTERVALS)
         self.synced_s += intervals * clock.period_s
         clock.due_s += intervals * clock.period_s
-        self._proved = False
+        self._stamped = False
         self._close()
         if self._counter is not None and self.overflow > 1:
             self._count_from((self._counter - 1 + intervals) % self.overflow + 1)

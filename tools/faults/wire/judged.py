@@ -56,12 +56,12 @@ class JudgedModule:
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """As of a module; frames come in the order of the line."""
         event = next(self._events)
-        proved = frame.timestamp is not None
+        stamped = frame.timestamp is not None
         time_s = now if frame.timestamp is None else frame.timestamp
         if event.what == "sync" and len(frame.data) == self._plan.setup.counter:
-            self._sync(self.judge.sync(time_s, proved, frame.data[0] if frame.data else None), event)
+            self._sync(self.judge.sync(time_s, stamped, frame.data[0] if frame.data else None), event)
         elif event.what == "pdo":
-            self._sample(self.judge.answer(time_s, proved), event, proved)
+            self._sample(self.judge.answer(time_s, stamped), event, stamped)
         return []
 
     def _forget(self) -> None:
@@ -78,7 +78,7 @@ class JudgedModule:
             self.wrong.append(f"{event.time:.2f} T: not open any more, off by {self._uncertain:.3f}")
             self._uncertain = 0.0
 
-    def _sample(self, passed: Passed | Refusal, event: Event, proved: bool) -> None:
+    def _sample(self, passed: Passed | Refusal, event: Event, stamped: bool) -> None:
         judge = self.judge
         if isinstance(passed, Refusal):
             if passed is Refusal.ANOTHER and not judge.extra_came:
@@ -88,7 +88,7 @@ class JudgedModule:
         ratio = (judge.clock.period_s or interval_s) / interval_s
         if abs(ratio - 1.0) > ANOTHER_RATE:
             self._forget()
-        true, error = self._true(event, proved), passed.instant_error
+        true, error = self._true(event, stamped), passed.instant_error
         if self._past:
             options = passed.options
             since = true - self._past[-1][1]
@@ -106,11 +106,11 @@ class JudgedModule:
                 self._forget()
         self._past = [*self._past[1 - REMEMBERED :], (self._given, true, error)]
 
-    def _true(self, event: Event, proved: bool) -> float:
+    def _true(self, event: Event, stamped: bool) -> float:
         """The instant of the sample, T. Without receive times nothing shows more than its SYNC."""
         plan, line = self._plan, self._line
         slot = line.sample_slots[event.number]
-        return slot + 1.0 + (plan.slots[slot].late_us * plan.us if proved else 0.0)
+        return slot + 1.0 + (plan.slots[slot].late_us * plan.us if stamped else 0.0)
 
 
 def judged(episode: Episode) -> list[str]:

@@ -217,7 +217,7 @@ class LocalSource:
         ]
         self.samples_per_sync = source.samples_per_sync if isinstance(source, Grouped) else 1
         """Pairs in a sample; several have a time."""
-        self.timed_s: float | None = None
+        self.source_time_s: float | None = None
         """Time of the last sample by its time stamps, seconds since the first one; None without them."""
 
     @property
@@ -249,5 +249,5 @@ class LocalSource:
 
     def _keep_time(self, time_100ns: int) -> None:
         ticks = (time_100ns - self._time.value) % TICKS
-        self.timed_s = 0.0 if self.timed_s is None else self.timed_s + ticks * TICK_S
+        self.source_time_s = 0.0 if self.source_time_s is None else self.source_time_s + ticks * TICK_S
         self._time.value = time_100ns % TICKS
