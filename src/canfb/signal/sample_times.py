@@ -31,7 +31,7 @@ SLIP_CYCLES = 0.15
 LINE_PART, HEARD_PART = 0.5, 0.75
 SAME_PACE = 0.002  # of the interval: a limit of acceleration counts with its square
 DRIFT = 2e-4  # of two clocks, 100 ppm each
-RELOCK = 6  # times that are off the line, and right: SYNC has another rate, or another phase
+RELOCK = 6  # times in a row that are off the line, and right: SYNC has another rate, or another phase
 REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 
 
@@ -83,7 +83,7 @@ class SampleTimes:
     def forget(self) -> None:
         """The next time is the first one."""
         self.nominal_sync.restart()
-        self._off_line = 0  # times, since one showed that the line is right
+        self._off_line = 0  # times in a row
         self._last: int | None = None
         self._received_s: float | None = None  # when that was received
         self._synced_s: float | None = None  # when its SYNC was
@@ -184,7 +184,7 @@ class SampleTimes:
             self._pace_s = ticks * TICK_S / counted
         if not self.interval_s and self.nominal_sync.period_ticks:
             self._follow_pace()
-        unit, stands = self.unit_s, abs(speed_cycles) <= SLIP_CYCLES
+        unit = self.unit_s
         intervals = ticks * TICK_S / unit
         apart = self._apart_s(received_s)
         error_s = self._error_s(ticks * TICK_S, received_s, synced_s)
@@ -196,11 +196,7 @@ class SampleTimes:
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
         if intervals >= CLOSEST and self._is_witnessed(ticks, counted, synced_s):
             self.passed = intervals
-            # Another unit while the machine moves would be another bound of a motion that may be in doubt.
-            leaves = stands and self._leaves_line(True, ticks, counted, stands)
-            if leaves or not self.nominal_sync.seen:
-                self.nominal_sync.take(ticks, counted)
-            else:
+            if self.nominal_sync.seen:
                 self.nominal_sync.skip(ticks)
             self._accept(time_100ns, received_s, synced_s, late_s)
             return intervals
@@ -219,7 +215,7 @@ class SampleTimes:
                 if skips:
                     self.nominal_sync.skip(ticks)
                 else:
-                    self._follow(ticks, whole if self.nominal_sync.seen else counted, stands)
+                    self._follow(ticks, whole if self.nominal_sync.seen else counted)
                 self._accept(time_100ns, received_s, synced_s, late_s)
             return odd or intervals
         if agrees and 0.0 < intervals < CLOSEST:
@@ -229,30 +225,17 @@ class SampleTimes:
         self.passed = intervals
         return self._doubted(time_100ns, counted, unit, received_s)
 
-    def _follow(self, ticks: int, whole: float, stands: bool) -> None:
+    def _follow(self, ticks: int, whole: float) -> None:
         """The line goes on through a time that is right, or begins again where none lies on it any more."""
         line = self.nominal_sync
-        self._leaves_line(self._is_off(ticks, whole), ticks, whole, stands)
+        self._off_line = self._off_line + 1 if self._is_off(ticks, whole) else 0
+        if self._off_line >= RELOCK:
+            self._off_line = 0
+            line.restart()
         line.take(ticks, whole)
         if not self._on_line:
             self._on_line = line.seen > 0
             self._jitter.begin([abs(off) * TICK_S for off in line.first_off_ticks])
-
-    def _leaves_line(self, is_off: bool, ticks: int, whole: float, stands: bool) -> bool:
-        """Is a time that is right off the line? True if one after the other is: the line begins again here.
-
-        At standstill only a time on the line and ``whole`` intervals after the last one shows that the line
-        is right: where the pace is twice or half that of the line, every second time lies on it.
-        """
-        if is_off:
-            self._off_line += 1
-        elif not stands or abs(ticks * TICK_S / self.unit_s - whole) <= NOMINAL:
-            self._off_line = 0
-        leaves = self._off_line >= RELOCK
-        if leaves:
-            self._off_line = 0
-            self.nominal_sync.restart()
-        return leaves
 
     def _is_off(self, ticks: int, whole: float) -> bool:
         return abs(self._off_s(ticks, whole)) > self._jitter.limit_of(self.unit_s, LINE_PART)
