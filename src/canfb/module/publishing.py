@@ -85,7 +85,7 @@ class Publishing:
         """Into the dictionary, and out if there is something new to say."""
         _, _, amplitude, _, cycles, phase, residual, status, _, _, _, samples = feedback
         latest, objects, warnings, profile = self.latest, self.objects, self.warnings, self.profile
-        good = status == warnings.status and status & FAULTS_AND_VALID == VALID and not self.alarm.active
+        good = status == warnings.last_status and status & FAULTS_AND_VALID == VALID and not self.alarm.active
         if not good:
             objects.count(feedback)
         latest.feedback = feedback
@@ -112,7 +112,7 @@ class Publishing:
             for trigger in self.event_tpdos:
                 trigger(now)
         if (
-            status != warnings.status
+            status != warnings.last_status
             or residual > warnings.near_cycles
             or amplitude < warnings.reserve_counts
         ):

@@ -250,7 +250,7 @@ class UsualStep(ComparedChain):
         if feedback is not None:
             return feedback
         sample = Sample(sine, cosine, time_100ns=time_100ns)
-        return self.after(sample, elapsed, next_one=True)
+        return self.after(sample, elapsed, next_one=True)  # which asks :meth:`usual` again, and is refused
 
     def _count_repeats(self, repeated: bool) -> None:
         """The counts of a machine that stood still are the same again, or others."""

@@ -111,7 +111,7 @@ class Warnings:
         self._reported = 0
         self._present_s = dict.fromkeys(CODES, 0.0)
         self.near_cycles = self.reserve_counts = 0.0
-        self.status = NO_STATUS
+        self.last_status = NO_STATUS
         dictionary.entry(WARNINGS).on_read = lambda: self._present(self._last())
         self._mask.on_written = self.look_again
 
@@ -123,7 +123,7 @@ class Warnings:
 
     def look_again(self) -> None:
         """Mapping or mask may have changed: follow the next sample in any case."""
-        self.status = NO_STATUS
+        self.last_status = NO_STATUS
 
     def limits_changed(self) -> None:
         """Take over the residual limit and 2001:03."""
@@ -134,7 +134,7 @@ class Warnings:
 
     def follow(self, feedback: Feedback, now: float) -> None:
         """Report what this sample, taken at ``now`` (seconds), begins or ends."""
-        self.status = feedback.status
+        self.last_status = feedback.status
         if not feedback.status & VALID:
             return
         present = self._present(feedback)
