@@ -100,3 +100,22 @@ def test_too_many_motions_in_one_set_end_the_search() -> None:
     fed = [search.feed(0.4, 1.0 + 0.1 * (n % 2)) for n in range(40)]
     assert not all(fed)
     assert search.left, "that is no contradiction"
+
+
+def test_the_first_interval_may_be_the_unit_of_the_limits() -> None:
+    """A machine at its limit: with the limit of the nominal interval the true speed had gone."""
+    machine, unit = declared(0.198), 1.3
+    generator = np.random.default_rng(25)
+    for limit in (0.198 * unit**2, None):
+        kept = []
+        for _ in range(20):
+            elapsed = 1.0 + generator.uniform(-0.16, 0.16, 40)
+            times = np.cumsum(elapsed) - elapsed[0]
+            shown = 0.3 + 7.0 * times + 0.5 * 0.198 * times**2  # in nominal intervals
+            search = SpeedHypotheses(0.198, machine.phase_error, TAU, machine.bad_samples)
+            for n, position in enumerate(shown):
+                search.feed(position % 1.0, elapsed[n] / unit)
+                if n == 0 and limit is not None:
+                    search.limit(limit, TAU)
+            kept.append(search.holds(int(np.floor(shown[-1]))))
+        assert all(kept) is (limit is not None)

@@ -65,7 +65,7 @@ class SpeedHypotheses:
         self._rows: list[BadRow] = []
         self._has_assumed = True
         self._bad_samples = bad_samples
-        self._least = largest + 4.0 * phase_error
+        self._largest, self._least = largest, largest + 4.0 * phase_error
         self._largest_off = self._squares = 0.0
         self._even = 0  # samples in a row whose times tell nothing
         self._gap = self._elapsed = 0.0
@@ -78,6 +78,14 @@ class SpeedHypotheses:
         """The times are uneven enough to tell speeds apart."""
         self.silent = False
         """They are so even that they never will."""
+
+    def limit(self, largest: float, instant_error: float) -> None:
+        """The acceleration and the error of an instant in another unit of time, before any interval of it."""
+        self._least += largest - self._largest
+        self._largest = largest
+        for one in (self._good, *(row.speeds for row in self._rows)):
+            if one is not None:
+                one.limit(largest, instant_error)
 
     def skip(self, elapsed: float) -> None:
         """No usable phase after so many intervals."""

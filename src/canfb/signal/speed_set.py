@@ -77,6 +77,10 @@ class SpeedSet:
         """Motions that are left; 0 after a false sample."""
         return len(self._counts[0]) if self._counts else 1
 
+    def limit(self, largest: float, instant_error: float) -> None:
+        """These limits from the next sample on."""
+        self._largest, self._instant_error = largest, instant_error
+
     def skip(self, elapsed: float) -> None:
         """No usable phase after so many intervals."""
         self._gap += elapsed

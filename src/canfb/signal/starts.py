@@ -71,6 +71,9 @@ class Starts:
         may be the unit of all others, and even by definition: it shows nothing then.
         """
         if self.active is not None or self._tried:
+            if self.active is not None and self.active.samples == 1 and declared.second_order is not None:
+                # The first interval may be the unit of the limits from here on.
+                self.active.limit(declared.second_order.largest, declared.instant_error)
             return self.active is not None
         self._is_declared = declared.acceleration is not None
         self._may_be_uneven = timed and self._is_declared
