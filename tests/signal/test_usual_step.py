@@ -9,7 +9,7 @@ from random import Random
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.signal.chain import SignalChain
@@ -163,6 +163,12 @@ def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int)
     speed=st.floats(-0.4, 0.4),
     bend=st.floats(-0.01, 0.01),
     random=st.randoms(use_true_random=False),
+)
+@example(
+    happenings=[("run", 0.0), ("interval", 0.75), ("time", 0.0), ("time", 0.0)],
+    speed=0.25,
+    bend=0.0078125,
+    random=Random(0),
 )
 def test_same_bits_as_the_parts_called_one_by_one(
     order: int,

@@ -244,7 +244,8 @@ class SignalChain(Pauses):
         sine, cosine, _, invalid, coarse, _, pulse, _, _, _ = sample
         bad = invalid or not placed
         self._estimator.timed = timed = sample.time_100ns is not None
-        if not (bad or options) and coarse is pulse is None and (elapsed == 1.0 or timed):
+        in_turn = elapsed == 1.0 or (timed and elapsed <= HOLE_INTERVALS)
+        if in_turn and not (bad or options) and coarse is pulse is None:
             feedback = self.usual(sine, cosine, elapsed)
             if feedback is not None:
                 return feedback
