@@ -167,6 +167,8 @@ class Chromium:
 
     def go(self, address: str) -> None:
         """Open an address; wait until it is loaded."""
+        self.call("Page.navigate", url="about:blank")  # the page before, whose server is gone, may complain
+        self.wait_for(lambda: self.look("location.href") == "about:blank", "empty page")
         self.events.clear()
         self.call("Page.navigate", url=address)
         self.wait_for(lambda: self.look("document.readyState") == "complete", address)
