@@ -26,6 +26,7 @@ from canfb.timing.sync_judge import MOST_INTERVALS, MOST_OPTIONS, SyncJudge
 
 UNRECEIVED = 1.15
 LATER = 0.6  # period, than usual: the answer to the next SYNC
+ROUNDING = 1e-6  # of the period: a PDO in the same call as its SYNC is not early by that
 
 
 class Passed(NamedTuple):
@@ -58,8 +59,8 @@ USUAL = Passed(1.0)
 
 class Judge(SyncJudge):
     """Give each SYNC to :meth:`sync`, and the sample that answers it to :meth:`answer`; one that is known to
-    belong to the last SYNC to :meth:`taken`, and each one to :meth:`free` where there is no SYNC. Times are
-    receive times, seconds; ``stamped`` says that the bus gave them.
+    belong to the last SYNC to :meth:`answered_last_sync`, and each one to :meth:`free` where there is no
+    SYNC. Times are receive times, seconds; ``stamped`` says that the bus gave them.
     """
 
     def __init__(self) -> None:
@@ -106,8 +107,9 @@ class Judge(SyncJudge):
             offsets = self.delay.answers(delay_s, longest_s, period, self._before_open, stamped)
             if offsets == (0,):
                 self.delay.unlearned.append(delay_s)
-                if self._since == 1:
-                    self._error = max(self._error, self._early_s(time_s) / period)
+                early = self._early_s(time_s) / period
+                if self._since == 1 and early > ROUNDING:
+                    self._error = max(self._error, early)
         return Refusal.EARLIER if offsets == (-1,) else self._sampled(offsets)
 
     def _early_s(self, time_s: float) -> float:
@@ -172,7 +174,7 @@ class Judge(SyncJudge):
     def _look_ahead(self) -> None:
         """A SYNC that is early by more than the delay of its answer is looked at, and so is the answer."""
         super()._look_ahead()
-        self._low_s = max(self._low_s, -self.delay.low_s)
+        self._low_s = max(self._low_s, -max(self.delay.low_s, ROUNDING * self.clock.period_s))
 
     def _came(self) -> None:
         self._answered = self.sampled = True
