@@ -107,13 +107,11 @@ class Sampling:
 
     def _take_usual(self, now: float) -> None:
         """Two counts that answer the last SYNC, as they stand in the dictionary."""
-        if self._unconfirmed or self._observers.open or self._flags.value:
-            self._take(self._parts.sample(), USUAL, now)
-            return
-        limits = self._limits
-        if limits.narrowed:
-            limits.follow()
-        feedback = self._chain.usual(self._sine.value, self._cosine.value)
+        limits, feedback = self._limits, None
+        if not (self._unconfirmed or self._observers.open or self._flags.value):
+            if limits.narrowed:
+                limits.follow()
+            feedback = self._chain.usual(self._sine.value, self._cosine.value)
         if feedback is None:
             self._take(self._parts.sample(), USUAL, now)
             return

@@ -70,17 +70,19 @@ class Starts:
         Since the last of them ``missed`` intervals have passed. Where samples are ``timed`` the first one
         may be the unit of all others, and even by definition: it shows nothing then.
         """
-        if self.active is not None or self._tried:
-            if self.active is not None and self.active.samples == 1 and declared.second_order is not None:
+        bound = declared.second_order
+        if self.active is not None:
+            if self.active.samples == 1 and bound is not None:
                 # The first interval may be the unit of the limits from here on.
-                self.active.limit(declared.second_order.largest, declared.instant_error)
-            return self.active is not None
+                self.active.limit(bound.largest, declared.instant_error)
+            return True
+        if self._tried:
+            return False
         self._is_declared = declared.acceleration is not None
         self._may_be_uneven = timed and self._is_declared
         even = abs(options[0] - 1.0) <= EVEN + 4.0 * declared.instant_error
         if self.origin is None and even and (lost or not self._may_be_uneven):
             return False
-        bound = declared.second_order
         if bound is None or len(options) > 1 or not (lost or places):
             return False
         bad = declared.bad or min(declared.bad_samples, told_apart(bound.largest, declared.phase_error))
