@@ -10,7 +10,7 @@ import pytest
 
 from canfb import Frame
 from tools.faults.wire import campaign
-from tools.faults.wire.availability import endurance, is_unique, one_lost
+from tools.faults.wire.availability import endurance, is_unique, one_lost, setup_of
 from tools.faults.wire.classes import CLASSES
 from tools.faults.wire.draw import draw_plan
 from tools.faults.wire.host import Sent, drive
@@ -102,6 +102,17 @@ def test_a_flagged_frame_is_never_wrong(judged: tuple[Plan, Line, list[Sent]]) -
     assert verdict(plan, line, sent).outcome == "flagged"
     sent[46] = moved(sent[46], 33.0, status=LOST)
     assert verdict(plan, line, sent).outcome == "lost"
+
+
+@pytest.mark.parametrize(("times", "limit", "late"), [(True, 0.2, 0), (True, None, 1), (False, 0.2, 1)])
+def test_a_start_by_sample_times_may_take_64_samples(times: bool, limit: float | None, late: int) -> None:
+    plan = plan_at(SPEED, setup=setup_of("times" if times else "plain"))
+    plan.options.limit = limit
+    line = lay(plan)
+    sent = honest(plan, line)
+    sent[45] = moved(sent[45], 0.0, status=1 << 1)
+    result = verdict(plan, line, sent)
+    assert (result.outcome, result.after_start) == ("flagged", late)
 
 
 def test_the_range_of_6004h_wraps(judged: tuple[Plan, Line, list[Sent]]) -> None:

@@ -4,7 +4,7 @@
     python -m tools.faults.wire.campaign --episode CLASS:SETUP:SEED --trace
 
 Own motion, own wire, own judge: only canfb.FeedbackModule and canfb.Frame are used. The result depends on
---seed only. Exit status 1 when a valid position was wrong, or a healthy machine was not kept.
+--seed only. Exit status 1 when a valid position was wrong, or a healthy machine was not kept after its start.
 docs/wire-faults.md says what the classes and columns mean.
 """
 
@@ -105,8 +105,8 @@ def misses(tallies: dict[Key, Tally]) -> list[str]:
         if tally.outcomes["wrong"]:
             found.append(f"{name}: {tally.outcomes['wrong']} of {tally.episodes} silent wrong")
             found += [f"    {example}" for example in tally.examples]
-        if CLASSES[number].name.startswith("healthy") and tally.outcomes["kept"] != tally.episodes:
-            found.append(f"{name}: {tally.outcomes['lost']} lost, {tally.outcomes['flagged']} flagged")
+        if CLASSES[number].name.startswith("healthy") and tally.after_start:
+            found.append(f"{name}: {tally.after_start} of {tally.episodes} not valid after the start")
         if CLASSES[number].survives and tally.outcomes["lost"]:
             found.append(f"{name}: {tally.outcomes['lost']} of {tally.episodes} lost, which need not be")
         if tally.unanswered:

@@ -43,6 +43,7 @@ from tools.faults.wire.setups import (
 VALID, LOST, EXTRAPOLATED = 1 << 0, 1 << 2, 1 << 12
 FRESH = 3.0  # 2010:06 is 2 periods; one more for a late SYNC, the delay of the PDO and the host
 START = 12.0  # until then nothing has to be valid: a coarse track is found at rest
+SEARCH = 64  # samples of a start with sample times and 2010:02 at most (docs/legal-motion.md)
 ACCELERATION_MARGIN = 0.15  # cycles/T^2
 RESIDUAL_LIMIT = 1.0 / 3.0  # 2010:01 as delivered
 LIMIT_MARGIN = 0.06  # cycles/T^2: that of a narrowed limit, and the noise
@@ -77,6 +78,7 @@ class Verdict:
     largest_error: float = 0.0
     early: int = 0  # not valid before the fault
     not_valid: int = 0
+    after_start: int = 0  # of them later than a start may take
     shown: int = 0
     acceleration_wrong: int = 0
     emergencies: int = 0  # most within EMCY_WINDOW_S
@@ -103,6 +105,7 @@ class Judge:
             [event.time for event in syncs],
             [event.number for event in syncs],
         )
+        self._start = SEARCH if plan.setup.times and plan.options.limit is not None else 0  # samples
         self._lost = False
         self._last_wrong = 0.0  # T
         self._tolerance = stamp_tolerance(plan.setup, plan.options.interval_s) if plan.setup.times else 0.0
@@ -221,6 +224,7 @@ class Judge:
             if one.newest < 0 or one.now < START:
                 return
             verdict.not_valid += 1
+            verdict.after_start += one.newest > self._start
             if one.now < self._plan.fault + 1.0:
                 verdict.early += 1
         elif abs(error) > self._plan.tolerance:

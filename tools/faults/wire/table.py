@@ -33,6 +33,7 @@ class Tally:
     episodes: int = 0
     outcomes: dict[str, int] = field(default_factory=lambda: dict.fromkeys(OUTCOMES, 0))
     early: int = 0
+    after_start: int = 0  # not valid later than a start may take
     acceleration: int = 0
     emergencies: int = 0
     unanswered: int = 0
@@ -42,6 +43,7 @@ class Tally:
         self.episodes += 1
         self.outcomes[verdict.outcome] += 1
         self.early += verdict.early > 0
+        self.after_start += verdict.after_start > 0
         self.acceleration += verdict.acceleration_wrong > 0
         self.emergencies += verdict.emergencies > EMCY_LIMIT
         self.unanswered += verdict.unanswered > 0
@@ -55,6 +57,7 @@ class Tally:
         for name in OUTCOMES:
             self.outcomes[name] += other.outcomes[name]
         self.early += other.early
+        self.after_start += other.after_start
         self.acceleration += other.acceleration
         self.emergencies += other.emergencies
         self.unanswered += other.unanswered
