@@ -12,7 +12,7 @@ from judged_bus import Bus, Result, Slot
 
 from canfb.timing.deviations import JITTER
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
-from canfb.timing.sync_judge import NOTHING_TO_REPORT, RELOCK, SyncVerdict
+from canfb.timing.sync_judge import LEAST_EARLY, NOTHING_TO_REPORT, RELOCK, SyncVerdict
 
 FAULT = 70
 WITNESSES = [(stamped, overflow) for stamped in (False, True) for overflow in (0, 10, 240)]
@@ -186,6 +186,23 @@ def test_one_sync_lost_without_any_witness_is_a_set_and_is_confirmed() -> None:
     assert verdict.confirmed == 2.0  # type: ignore[attr-defined]
     assert result.doubts == []
     assert result.passed[FAULT + 4] is USUAL
+
+
+@pytest.mark.parametrize(
+    "late", [(0.85, 0.88, 0.61), (0.63, 0.95, 0.96), (0.9, 0.95, 0.98), (1.02, 1.05, 1.08)]
+)
+def test_nothing_is_missing_for_certain_where_a_sync_would_be_early(late: tuple[float, ...]) -> None:
+    """A host that is late again and again: its SYNCs would be those of a gap, but sooner than any before."""
+    judge = followed(40, stamped=False, noise_s=0.2e-3)
+    assert judge.clock.jitter > 0.4
+    due_s = judge.clock.due_s
+    for n, one in enumerate(late):
+        verdict = judge.sync(due_s + (n + one) * 1e-3, False, None)
+        judge.answer(due_s + (n + one) * 1e-3 + 1e-5, False)
+    if min(late) > 1.0 - LEAST_EARLY:
+        assert (verdict.confirmed, verdict.lost, verdict.doubt) == (2.0, 1, 0.0)
+    else:
+        assert (verdict.confirmed, verdict.doubt) == (None, 1.0)
 
 
 def test_a_late_host_confirms_what_was_counted() -> None:

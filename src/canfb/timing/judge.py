@@ -177,6 +177,8 @@ class Judge(SyncJudge):
         self._low_s = max(self._low_s, -max(self.delay.low_s, ROUNDING * self.clock.period_s))
 
     def _came(self) -> None:
+        if self._answered:  # an interval without a SYNC that was received
+            self._sparse.clear()
         self._answered = self.sampled = True
         self._usual = False
         if self._high_s == -inf or self._slack:

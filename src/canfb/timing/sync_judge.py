@@ -15,7 +15,8 @@ a late host. The proof comes by itself: a host that was late takes all that wait
 missing, the SYNCs that follow are there in that burst, until none is due any more: confirmed as they were
 counted. If the host waits again (PACED SYNCs, each more than half a period after the one before) and SYNCs
 are still behind, these are lost. A first one that is behind by whole periods leaves the place of the loss
-clear. Where it is not whole, or where the number changes, some came late and others are missing: doubt.
+clear. Where it is not whole, or where the number changes, some came late and others are missing: doubt. So it
+is where SYNCs would then have come sooner than any did: a host that is always late makes these, too.
 
 **The instant.** An interface samples at the SYNC, or by a timer that follows it; which, it does not say. So
 a SYNC off its grid puts the instant of its sample in doubt by as much, and one whose grid has moved for good
@@ -27,12 +28,15 @@ the same doubt then (deviations.py).
 **Extra SYNCs** (sent twice, or of another producer) are none for sampling, but they are for CANopen: every
 SYNC on the bus triggers the synchronous PDOs. Only one that is repeated by its counter is none at all.
 RELOCK SYNCs in a row that are extra or off, and regular on a line of their own, are another rate or phase:
-the clock is set again.
+the clock is set again. So are as many intervals that are all longer by the same, and by no counter: a slower
+rate, or the usual one again after extra SYNCs in the middle were taken for one. No host makes these: one that
+is late by a period finds the next SYNC, too.
 
 | bound | value | reason |
 |---|---|---|
 | LEAST_EARLY | 0.15 period | a SYNC waits for 135 us at 1 Mbit/s: those after it come sooner by that |
 | WHOLE | 0.85 period | a SYNC this long after another is no repetition: the same jitter |
+| LONGER | 1.25 period | RELOCK such intervals are longer by more than the period that a host can be late |
 | PACED | 2 SYNCs | a host is interrupted while it takes what waits, but not twice, a period apart |
 | MOST_OPTIONS | 4 | more intervals are more machines than phases tell apart |
 | UNSETTLED_S | 0.5 s | taken for a period where none is known |
@@ -45,10 +49,11 @@ from enum import IntEnum
 from math import inf, isfinite
 from typing import NamedTuple
 
-from canfb.timing.sync_clock import EARLIEST, LEAST_PERIOD_S, SAME_PERIOD, SyncClock
+from canfb.timing.sync_clock import EARLIEST, LEAST_PERIOD_S, SAME_PERIOD, SyncClock, is_regular
 
 LEAST_EARLY = 0.15
 WHOLE = 0.85
+LONGER = 1.25
 HALF = 0.5
 PACED = 2
 RELOCK = 6
@@ -98,6 +103,11 @@ class _Sync(NamedTuple):
     lost: int  # before it, as counted
     off: float  # from when it was due
     behind: int  # more that may be missing
+
+    @property
+    def is_between(self) -> bool:
+        """If so many are missing, it is earlier than the earliest: rather it is late."""
+        return self.off < self.behind - LEAST_EARLY
 
 
 class SyncJudge:
@@ -149,6 +159,8 @@ class SyncJudge:
         self._usual = False  # the last SYNC was usual, and is not answered yet
         self._gap = False  # SYNCs were missing, and none was on its grid since
         self._streak: list[float] = []
+        self._sparse: list[float] = []  # in a row, each after a longer interval
+        self._assumed = 0  # SYNCs after the last one, as if they had been received
         self._uneven = False  # extra SYNCs came, and it may be another rate
         self._slack = 0  # intervals that the next sample may be further from the last one
         self._earlier = 0  # of these, because the last one may have answered the SYNC before the last
@@ -180,7 +192,7 @@ class SyncJudge:
         self._spare_s = clock.jitter * period  # a SYNC is not overdue before that
         self._low_s, self._high_s = inf, -inf
         busy = self.is_open or self._streak or self._error or self._gap or self._slack or self._before_open
-        if period and not busy:
+        if period and not busy and not self._sparse:
             self._low_s, self._high_s = -self._early * period, HALF * period
             if self._stamped:  # the time says both sides
                 self._low_s, self._high_s = -clock.jitter * period, clock.jitter * period
@@ -238,7 +250,18 @@ class SyncJudge:
         if zone is Zone.EARLY and modulus > 1:
             self._received_s = time_s
             return REPEATED
+        if self._is_sparse(sync, (counted + self._assumed) % modulus):
+            self._close()
+            return self._set_again(sync, self._sparse)
         return self._table[zone, self.is_open](sync)
+
+    def _is_sparse(self, sync: _Sync, counted: int) -> bool:
+        """SYNCs come at a slower rate: all the last ones after longer intervals, which are regular."""
+        if sync.apart - counted <= LONGER:
+            self._sparse.clear()
+            return False
+        self._sparse = [*(self._sparse or [self._received_s])[-RELOCK:], sync.time_s]
+        return len(self._sparse) > RELOCK and is_regular(self._sparse)
 
     def _place(
         self, time_s: float, stamped: bool, counter: int | None, modulus: int, counted: int
@@ -280,7 +303,7 @@ class SyncJudge:
             self._slack, confirmed = self._earlier, confirmed or self._lowest
         else:  # it may have answered one of those that were not received
             self._earlier = self._slack
-        self._lowest = None
+        self._lowest, self._assumed = None, 0
         self._uneven, self._error = False, 0.0
         self._gap = lost > 0 or (self._gap and abs(sync.off) > clock.jitter)
         self._before_s, self.synced_s, self._received_s = self.synced_s, sync.time_s, sync.time_s
@@ -305,7 +328,7 @@ class SyncJudge:
             if on_grid and not another_rate:
                 self._streak.clear()
             elif self._goes_on(sync.time_s):
-                return self._set_again(sync)
+                return self._set_again(sync, self._streak)
         verdict = self._take(sync)
         self._uneven = bool(self._streak) and (another_rate or sync.off > self._early)
         if self._streak and sync.stamped:  # one that was expected, by chance: others before it were not
@@ -327,14 +350,14 @@ class SyncJudge:
         confirmed = self._set[0] if self._offered else None
         self._close()
         if self._goes_on(sync.time_s):
-            return self._set_again(sync, doubt=abs(sync.off))
+            return self._set_again(sync, self._streak, doubt=abs(sync.off))
         verdict = self._take(sync, confirmed=confirmed)
         self._error = abs(sync.off)
         return verdict
 
     def _extra(self, sync: _Sync) -> SyncVerdict:
         if self._goes_on(sync.time_s):
-            return self._set_again(sync)
+            return self._set_again(sync, self._streak)
         same = sync.stamped and self._stamped and sync.time_s - self._received_s < LEAST_PERIOD_S
         self._received_s, self.extra_came = sync.time_s, True
         self.extra_after = (sync.time_s - self.synced_s) / self.clock.period_s
@@ -343,28 +366,28 @@ class SyncJudge:
     def _contradicted(self, sync: _Sync) -> SyncVerdict:
         self._close()
         if self._goes_on(sync.time_s):
-            return self._set_again(sync)
+            return self._set_again(sync, self._streak)
         verdict = self._take(sync, doubt=max(1.0, float(sync.lost)))
         self.clock.due_s = sync.time_s + self.clock.period_s
         return verdict
 
     def _late(self, sync: _Sync) -> SyncVerdict:
         if self._goes_on(sync.time_s):
-            return self._set_again(sync)
+            return self._set_again(sync, self._streak)
         modulus = self.overflow if sync.counter is not None and self.overflow >= 2 else 1
         verdict = self._take(sync)
         self.is_open, self._debt, self.late_s = True, sync.behind, sync.off * self.clock.period_s
         first, most = float(max(1, self._since)), sync.behind // modulus
         uneven = max(sync.off - sync.behind, abs(sync.apart - 1 - sync.lost - sync.behind))
-        self._unclear = most + 1 > MOST_OPTIONS or uneven > self._early
+        self._unclear = most + 1 > MOST_OPTIONS or uneven > self._early or sync.is_between
         self._set = tuple(first + n * modulus for n in range(min(most + 1, MOST_OPTIONS)))
         return verdict
 
     def _still_late(self, sync: _Sync) -> SyncVerdict:
         if self._goes_on(sync.time_s):
             self._close()
-            return self._set_again(sync)
-        self._unclear |= sync.behind != self._debt
+            return self._set_again(sync, self._streak)
+        self._unclear |= sync.behind != self._debt or sync.is_between
         self._debt = sync.behind
         self._paced += sync.apart > HALF
         if self._paced < PACED:
@@ -390,19 +413,21 @@ class SyncJudge:
         del streak[0]
         return False
 
-    def _set_again(self, sync: _Sync, doubt: float = 1.0) -> SyncVerdict:
+    def _set_again(self, sync: _Sync, times_s: list[float], doubt: float = 1.0) -> SyncVerdict:
         """Another rate or phase: so many intervals may have passed unnoticed meanwhile."""
         before_s = self.clock.period_s
         verdict = self._take(sync._replace(lost=0))
-        self.clock.set_again(self._streak)
+        self.clock.set_again(times_s)
         self._streak.clear()
+        self._sparse.clear()
         changed = abs(self.clock.period_s - before_s) > SAME_PERIOD * before_s
-        return verdict._replace(doubt=1.0 if changed else doubt)
+        return verdict._replace(doubt=max(1.0, self.clock.period_s / before_s) if changed else doubt)
 
     def _advance(self, intervals: int) -> None:
         """So many SYNCs came since the last one, and were not received."""
         clock = self.clock
         self._since = min(self._since + intervals, MOST_INTERVALS)
+        self._assumed += intervals
         self.synced_s += intervals * clock.period_s
         clock.due_s += intervals * clock.period_s
         self._stamped = False
