@@ -27,24 +27,28 @@ Iiod = Callable[..., EmulatedIiod]
 LIMIT_S = 60.0  # for what takes a second
 UNITS_PER_CYCLE = 8192
 PERIOD_S = 0.02
-SYNC = can.Message(arbitration_id=0x80, is_extended_id=False)
-# 2010:06 = 255: a computer that is busy may be late with a SYNC
-PATIENT = can.Message(arbitration_id=0x620, data=bytes.fromhex("2F102006FF000000"), is_extended_id=False)
+# A computer that is busy may be late with a SYNC: 2010:06 = 255; 1019h = 240: none of them is missing.
+COUNTED = 240
+PATIENT = [bytes.fromhex("2F102006FF000000"), bytes.fromhex("2F191000F0000000")]
 
 
 class Producer:
-    """SYNCs at a steady rate."""
+    """SYNCs with a counter, at a steady rate."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
         self._next_s = self._sent_s = time.monotonic()
-        bus.send(PATIENT)
+        self._sent = 0
+        for request in PATIENT:
+            bus.send(can.Message(arbitration_id=0x620, data=request, is_extended_id=False))
 
     def send(self) -> None:
         # A late one puts off those after it: too near together they would pass for duplicates.
         self._next_s = max(self._next_s, self._sent_s) + PERIOD_S
         time.sleep(max(0.0, self._next_s - time.monotonic()))
-        self._bus.send(SYNC)
+        counter = [self._sent % COUNTED + 1]
+        self._bus.send(can.Message(arbitration_id=0x80, data=counter, is_extended_id=False))
+        self._sent += 1
         self._sent_s = time.monotonic()
 
 
