@@ -54,7 +54,7 @@ def errors(machine: Machine, found: SpeedCalibration, rpm: float) -> FloatArray:
     off = []
     for sine, cosine, true in zip(samples.sine, samples.cosine, position, strict=True):
         got = chain.step(Sample(float(sine), float(cosine)))
-        off.append(got.cycles - true + got.phase + chain.lag_intervals * got.speed_cycles)
+        off.append(got.cycles - true + got.phase + chain.tracks.lag_intervals * got.speed_cycles)
     kept = np.array(off[60:])
     return np.asarray(kept - np.round(np.median(kept)), np.float64)
 

@@ -31,7 +31,7 @@ class Parts:
         step = self.module.chain.step
 
         def spy(sample: Sample, received_s: float | None, synced_s: float | None, extra: bool) -> Feedback:
-            before = self.module.chain._samples
+            before = self.module.chain.samples
             feedback = step(sample, received_s, synced_s, extra)
             if feedback.samples > before:  # else its time is an earlier one
                 self.taken.append(sample)

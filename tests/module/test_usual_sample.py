@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from typing import Any
 
 import pytest
 from hypothesis import example, given
@@ -15,6 +16,8 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
+from canfb.signal.stages import Stages
 
 SYNC, ADC_PDO = 0x80, 0x190
 TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in range(64)])
@@ -78,23 +81,44 @@ happenings = st.lists(
 )
 
 
+class Resolving(Stages):
+    """Stages that take no sample for a usual one."""
+
+    def _look_again(self, feedback: Feedback) -> None:
+        super()._look_again(feedback)
+        self._nothing_in_doubt = False
+
+
+class Observer:
+    """Sees samples, and forgets them."""
+
+    def take(self, sample: Sample, feedback: Feedback) -> None: ...
+
+    def miss(self) -> None: ...
+
+
 class Pair:
     """Two modules that hear the same; the second takes each sample part by part."""
+
+    @property
+    def usual(self) -> int:
+        """Samples that took the short way."""
+        return self.modules[0].chain.samples - self.resolved
 
     def __init__(self, times: bool = False) -> None:
         config = ModuleConfig(node_id=32, encoder_interface=16, autostart=True, times=times)
         self.times = times
         self.modules = FeedbackModule(config), FeedbackModule(config)
-        self.modules[1].chain.usual = lambda sine, cosine, elapsed=1.0: None  # type: ignore[method-assign]
-        self.usual = 0
-        usual = self.modules[0].chain.usual
+        self.modules[1].chain.stages.__class__ = Resolving
+        self.modules[1]._observers.add(Observer())  # who gets each sample as a Sample
+        self.resolved = 0
+        resolve = self.modules[0].chain.stages._resolve
 
-        def counted(sine: float, cosine: float, elapsed: float = 1.0) -> Feedback | None:
-            feedback = usual(sine, cosine, elapsed)
-            self.usual += feedback is not None
-            return feedback
+        def counted(*arguments: Any) -> Feedback:
+            self.resolved += 1
+            return resolve(*arguments)
 
-        self.modules[0].chain.usual = counted  # type: ignore[method-assign]
+        self.modules[0].chain.stages._resolve = counted  # type: ignore[method-assign, assignment]
         self.now, self.stamps = 0.0, True
         self.heard: tuple[list[Feedback], list[Feedback]] = ([], [])
         for module in self.modules:

@@ -255,7 +255,7 @@ def test_a_valid_position_in_doubt_goes_on_after_a_pause(missed: int) -> None:
     for _ in range(missed):
         chain.miss()
     assert chain.step(sample_at(position)).valid
-    assert chain._estimator.in_doubt
+    assert chain.stages.estimator.in_doubt
     chain.resume(100.0)
     for _ in range(5):
         got = chain.step(sample_at(position + 0.3))
@@ -331,6 +331,39 @@ def test_a_machine_that_turns_at_a_pause_loses_its_position(
     stand(chain, position)
     chain.resume(intervals)
     assert not chain.lost
+
+
+@pytest.mark.parametrize("seed", [1, 3, 4])
+def test_a_position_found_after_a_reset_in_motion_stays_lost_when_it_is_lost_at_standstill(seed: int) -> None:
+    """The start at standstill, which was waited for, is over with the position that sample times found."""
+    jitter, chain = random.Random(seed), SignalChain(ChainConfig(max_acceleration_cycles=0.01))
+    chain.sync_interval_s = 1e-3
+    position, clock, ticks = 0.1, 0, 0
+
+    def step(speed: float) -> Feedback:
+        nonlocal position, clock, ticks
+        before, clock = ticks, clock + 10000
+        ticks = clock + jitter.randint(-800, 800)
+        position += speed * (ticks - before) / 10000
+        sine, cosine = (round(track) for track in sample_at(position)[:2])
+        noise = clock // 10000 % 3  # equal counts would be looked at closely
+        return chain.step(Sample(sine + noise, cosine, time_100ns=ticks))
+
+    chain.restart(0, 2.3)
+    for _ in range(50):
+        step(2.3)
+    assert not chain.lost
+    chain.reset()
+    chain.resume(300.0)
+    assert chain.lost, "it may still turn"
+    found = [step(0.05).valid for _ in range(100)]
+    assert found[20:] == [True] * 80, "by uneven times"
+    cycles = [step(0.0) for _ in range(40)][-1].cycles
+    assert cycles != 0
+    while not chain.lost:
+        chain.miss()
+    got = step(0.0)
+    assert (got.valid, got.cycles) == (False, cycles)
 
 
 def turning(speed: float, config: ChainConfig | None = None) -> tuple[SignalChain, float]:

@@ -234,13 +234,13 @@ def test_a_change_of_the_period_in_a_doubt_never_gives_a_wrong_position(missed: 
         instants = np.concatenate((np.arange(change), change - 1.0 + 2.0 * np.arange(1, 30)))
         truth = positions(slow, u, speed, np.random.default_rng(2), instants[None, :])[0]
         chain = make_chain(slow)
-        chain.interval_s = 1e-3
+        chain.sync_interval_s = 1e-3
         chain.restart(0, float(speed[0]))
         offset = None
         for k, position in enumerate(truth.tolist()):
             if k == change:
                 chain.set_limits(limits_of(fast))
-                chain.interval_s = 2e-3
+                chain.sync_interval_s = 2e-3
             if 20 <= k < 20 + missed:
                 chain.miss()
                 continue

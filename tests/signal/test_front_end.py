@@ -112,7 +112,7 @@ def test_the_interval_may_come_with_the_samples(kind: str) -> None:
     rng = np.random.default_rng(1)
     chain = SignalChain(ChainConfig(conditioning=ELLIPSE), TABLE)
     if kind == "timed":
-        chain.interval_s = INTERVAL_S
+        chain.sync_interval_s = INTERVAL_S
     else:
         chain.use_interval(INTERVAL_S)
     chain.restart(0, 40.37)
@@ -137,11 +137,11 @@ def test_the_first_interval_of_times_is_one_too() -> None:
 
 def test_another_unit_changes_nothing() -> None:
     chain = SignalChain(ChainConfig(conditioning=ELLIPSE), TABLE)
-    chain.interval_s = INTERVAL_S
+    chain.sync_interval_s = INTERVAL_S
     chain.restart(0, 3.37)
     for k in range(100):
         if k == 50:
-            chain.interval_s = INTERVAL_S * 1.01
+            chain.sync_interval_s = INTERVAL_S * 1.01
         position = 0.1 + 3.37 * k
         got = chain.step(Sample(*counts(position, 3.37, ELLIPSE), time_100ns=TICKS * k))
         assert abs((got.cycles - position) + got.phase) < 2e-5, k
@@ -243,7 +243,7 @@ def test_uneven_times_do_not_tell_speeds_by_phases_that_depend_on_them() -> None
     found = {}
     for name, used in (("with", ELLIPSE), ("without", replace(ELLIPSE, cosine_delay_s=0.0))):
         chain = SignalChain(ChainConfig(conditioning=used, max_acceleration_cycles=0.01), TABLE)
-        chain.interval_s = INTERVAL_S
+        chain.sync_interval_s = INTERVAL_S
         searched = False
         for k in range(40):
             early = int(rng.integers(-200, 200))

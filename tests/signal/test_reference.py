@@ -128,7 +128,7 @@ def test_without_either_a_lost_position_stays_lost() -> None:
 def test_a_count_that_is_wrong_by_cycles_is_set_right_at_the_zero_pulse_and_not_in_silence() -> None:
     chain, machine = starts_at_rest(coarse=False, pulse=True)
     reference = np.median(errors(run(chain, machine, 100)))
-    chain._estimator.found(7, 0)
+    chain.stages.estimator.found(7, 0)
     after = run(chain, machine, 100)
     set_right = [feedback for feedback, _ in after if feedback.jump_cycles]
     assert [feedback.jump_cycles for feedback in set_right] == [-7]
@@ -195,7 +195,7 @@ def test_sample_times_take_the_harm_out_of_jitter(
 ) -> None:
     for interval_s in (1e-3, 0.0):  # nominal, or that of the first two samples
         chain = SignalChain(ChainConfig())
-        chain.interval_s = interval_s
+        chain.sync_interval_s = interval_s
         got = jittered(chain, 10e-6, 3000, timed=True)
         assert all(feedback.valid for feedback, _ in got[START_SAMPLES:])
         assert np.abs(errors(got)).max() < 0.02
@@ -206,7 +206,7 @@ def test_sample_times_take_the_harm_out_of_jitter(
 
 def test_a_late_sample_with_its_time_is_taken_where_it_belongs() -> None:
     chain = SignalChain(ChainConfig())
-    chain.interval_s = 1e-3
+    chain.sync_interval_s = 1e-3
 
     def at(k: int) -> Feedback:
         angle = 2 * math.pi * 0.31 * k
@@ -290,7 +290,7 @@ def test_after_a_count_was_set_right_one_bad_sample_costs_nothing(speed: float) 
     machine.speed = speed
     feedback, truth = run(chain, machine, 2000)[-1]
     reference = feedback.cycles + feedback.phase - truth
-    chain._estimator.found(7, 0)
+    chain.stages.estimator.found(7, 0)
     while not chain.step(machine.sample()).jump_cycles:
         pass
     spoil(chain, machine, 1)
@@ -301,7 +301,7 @@ def test_after_a_count_was_set_right_one_bad_sample_costs_nothing(speed: float) 
 
 def test_a_converter_that_freezes_after_a_bad_sample_is_found_too() -> None:
     chain, machine = starts_at_rest(coarse=False, pulse=False)
-    chain._frozen.frozen_samples = 16
+    chain.stages._frozen.frozen_samples = 16
     while machine.speed > 5.05:
         chain.step(machine.sample(-0.1))
     machine.speed = 5.0

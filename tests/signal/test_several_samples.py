@@ -147,7 +147,7 @@ def test_a_missed_interval_at_constant_speed_keeps_the_count(per_sync: int, spee
 def test_with_sample_times_the_newest_may_be_early_or_late(early_s: float) -> None:
     """The earlier pair is half a nominal interval before it, wherever that is."""
     speed_per_s, made = 12500.0, chain(2)
-    made.interval_s = 1e-3
+    made.sync_interval_s = 1e-3
     made.restart(0, speed_per_s * 0.5e-3)
     for sync in range(60):
         newest_s = sync * 1e-3 + (early_s if sync % 3 == 1 else 0.0)

@@ -20,6 +20,7 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
+from canfb.signal.stages import Stages
 from canfb.signal.stream import SHORTEST_BLOCK, ChainResult, process_stream
 from folding import each
 
@@ -369,16 +370,16 @@ def test_faults_at_every_few_samples_cost_no_more_than_single_samples(
 ) -> None:
     """What is computed in vain stays a small multiple of the samples: it does not grow with the block."""
     computed = 0
-    follow_run = SignalChain.follow_run
+    follow_run = Stages.follow_run
 
-    def counting(chain: SignalChain, *arguments: object) -> int:
+    def counting(stages: Stages, *arguments: object) -> int:
         nonlocal computed
         run = arguments[3]
         assert isinstance(run, slice)
         computed += run.stop - run.start
-        return follow_run(chain, *arguments)  # type: ignore[arg-type]
+        return follow_run(stages, *arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(SignalChain, "follow_run", counting)
+    monkeypatch.setattr(Stages, "follow_run", counting)
     n = 2 * BLOCK_SAMPLES
     for apart in (5, 20, 40, 200):
         computed = 0

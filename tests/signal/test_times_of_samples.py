@@ -35,7 +35,7 @@ units = st.sampled_from([0.0, 1e-3])
 
 def begun(start: int = 0, interval_s: float = 1e-3) -> SampleTimes:
     times = SampleTimes()
-    times.interval_s = interval_s
+    times.sync_interval_s = interval_s
     assert times.elapsed(start % TICKS, 1.0) == 1.0
     return times
 
@@ -208,11 +208,11 @@ def test_without_a_unit_missed_samples_do_not_stretch_it() -> None:
 
 def test_the_interval_of_the_module_takes_the_place_of_the_first_one() -> None:
     times = settled(0, 0.0)
-    times.interval_s = 2e-3
+    times.sync_interval_s = 2e-3
     assert times.unit_s == 2e-3
     times.forget()
     assert times.unit_s == 2e-3
-    times.interval_s = 0.0
+    times.sync_interval_s = 0.0
     times.reset()
     assert times.unit_s == 0.0
 
@@ -222,7 +222,7 @@ def test_periods_that_only_the_times_show_count_for_a_machine_that_creeps(
     speed: float, unheard: int, lost: bool
 ) -> None:
     chain = SignalChain(ChainConfig())
-    chain.interval_s = 1e-3
+    chain.sync_interval_s = 1e-3
 
     def step(at: int) -> Feedback:
         angle = 2.0 * math.pi * speed * at

@@ -73,7 +73,7 @@ class Clock:
         proved: bool = True,
     ) -> None:
         self.times, self.rng = SampleTimes(), np.random.default_rng(seed)
-        self.times.interval_s = PERIOD_S
+        self.times.sync_interval_s = PERIOD_S
         self.jitter_s, self.heard_s, self.at, self.counted = jitter_s, heard_s, 0, 0.0
         self.proved, self.moved_s = proved, 0.0
         for n in range(learned):

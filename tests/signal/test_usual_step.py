@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 from random import Random
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.harmonics import Corners
 from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondSensor
+from canfb.signal.stages import Stages
 from canfb.signal.stream import process_stream
 from canfb.signal.supervision import SECOND_POSITION, SampleLimits
 
@@ -36,22 +38,20 @@ LIMITS = ChainLimits(
 )
 
 
+class Resolving(Stages):
+    """Stages that take no sample for a usual one."""
+
+    def _look_again(self, feedback: Feedback) -> None:
+        super()._look_again(feedback)
+        self._nothing_in_doubt = False
+
+
 class Parts(SignalChain):
     """The same chain, without the short way."""
 
-    def usual(self, sine: float, cosine: float, elapsed: float = 1.0) -> None:
-        return None
-
-
-class Counted(SignalChain):
-    """Counts how often the short way was taken."""
-
-    taken = 0
-
-    def usual(self, sine: float, cosine: float, elapsed: float = 1.0) -> Feedback | None:
-        feedback = super().usual(sine, cosine, elapsed)
-        self.taken += feedback is not None
-        return feedback
+    def __init__(self, config: ChainConfig, table: CorrectionTable | None = None) -> None:
+        super().__init__(config, table)
+        self.stages.__class__ = Resolving
 
 
 def counts(position: float, amplitude: float = 1500.0) -> tuple[int, int]:
@@ -148,7 +148,7 @@ def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int)
     elif kind == "uncertain":
         return chain.uncertain(abs(x))
     elif kind == "interval":
-        chain.interval_s = 0.001 * (1.0 + abs(x))
+        chain.sync_interval_s = 0.001 * (1.0 + abs(x))
     elif kind == "second":
         chain.use_second(
             SecondSensor(increments=4096, tolerance_revolutions=0.01, invalidates=x > 0.5) if x > 0 else None
@@ -206,16 +206,24 @@ def test_same_bits_as_the_parts_called_one_by_one(
 @pytest.mark.parametrize("speed", [0.3, 0.0])
 @pytest.mark.parametrize("jitter_ticks", [None, 0, 300])
 def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way(
-    order: int, speed: float, jitter_ticks: int | None
+    order: int, speed: float, jitter_ticks: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chain, random = Counted(ChainConfig(prediction_order=order), TABLE), Random(1)
-    chain.interval_s = 0.001
+    chain, random = SignalChain(ChainConfig(prediction_order=order), TABLE), Random(1)
+    resolve, resolved = chain.stages._resolve, 0
+
+    def counted(*arguments: Any) -> Feedback:
+        nonlocal resolved
+        resolved += 1
+        return resolve(*arguments)
+
+    monkeypatch.setattr(chain.stages, "_resolve", counted)
+    chain.sync_interval_s = 0.001
     chain.restart(0, speed)
     for k in range(1000):
         early = random.randint(-(jitter_ticks or 0), jitter_ticks or 0)
         pair = counts(0.1 + speed * (k + early / 10000))
         chain.step(Sample(*pair, time_100ns=None if jitter_ticks is None else 10000 * k + early))
-    assert chain.taken > 980
+    assert resolved < 20
 
 
 def test_nan_and_infinite_counts_are_flagged() -> None:

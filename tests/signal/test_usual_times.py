@@ -48,7 +48,7 @@ class Line:
 def at_once(chain: SignalChain, sample: Sample, received_s: float | None, synced_s: float | None) -> Feedback:
     """As the module takes it."""
     assert sample.time_100ns is not None
-    feedback = chain.usual_timed(sample.sine, sample.cosine, sample.time_100ns, received_s, synced_s)
+    feedback = chain.take_in_turn(sample.sine, sample.cosine, sample.time_100ns, received_s, synced_s)
     return chain.step(sample, received_s, synced_s) if feedback is None else feedback
 
 
@@ -103,6 +103,6 @@ def test_most_times_of_a_healthy_machine_are_taken_at_once(proved: bool | None) 
         sample, received_s, synced_s = line.next()
         assert sample.time_100ns is not None
         time = sample.time_100ns
-        taken += chain.usual_timed(sample.sine, sample.cosine, time, received_s, synced_s) is not None
+        taken += chain.take_in_turn(sample.sine, sample.cosine, time, received_s, synced_s) is not None
         chain.step(sample, received_s, synced_s)
     assert taken > 150

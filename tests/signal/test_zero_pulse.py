@@ -133,7 +133,7 @@ def test_a_wrong_count_is_set_right_at_the_pulse_in_both_directions(n: int, spee
     made = turning(speed, n) if n < 100 else turning(30 * speed, n)
     good = made.step()
     offset = good.cycles + good.phase - made.position
-    made.chain._estimator.found(error, 0)
+    made.chain.stages.estimator.found(error, 0)
     wrong = []
     while (got := made.step()).valid:
         wrong.append(got)
@@ -208,7 +208,7 @@ def until_pulse(made: Turning) -> Sample:
 
 def test_a_pulse_in_a_bad_sample_is_not_believed_and_the_next_two_are() -> None:
     made = turning(1.3, 10)
-    made.chain._estimator.found(2, 0)
+    made.chain.stages.estimator.found(2, 0)
     got = made.chain.step(until_pulse(made)._replace(sine=0.0, cosine=0.0))
     assert flags(got) == StatusBit.AMPLITUDE | StatusBit.COASTING | StatusBit.REFERENCED
     assert got.jump_cycles == 0
@@ -220,7 +220,7 @@ def test_a_pulse_in_a_bad_sample_is_not_believed_and_the_next_two_are() -> None:
 
 def test_a_pulse_just_after_a_bad_sample_is_not_believed() -> None:
     made = turning(1.3, 10)
-    made.chain._estimator.found(2, 0)
+    made.chain.stages.estimator.found(2, 0)
     samples = [made.sample() for _ in range(9)]
     at_pulse = next(k for k, sample in enumerate(samples) if k and sample.zero_pulse is not None)
     for k, sample in enumerate(samples[: at_pulse + 1]):
@@ -240,7 +240,7 @@ def test_where_in_the_interval_the_pulse_was_counts(place: float) -> None:
         got = chain.step(at(0.2 * k, zero_pulse=place if k == 55 else None))
         assert got.valid
     assert got.status & StatusBit.REFERENCED
-    chain._estimator.found(1, 0)
+    chain.stages.estimator.found(1, 0)
     jumps = [
         chain.step(at(0.2 * k, zero_pulse=place if k % 50 == 5 else None)).jump_cycles
         for k in range(153, 206)

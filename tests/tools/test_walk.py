@@ -97,7 +97,7 @@ def test_each_frame_goes_where_it_belongs(frames: dict[str, walk.Walk]) -> None:
     assert list(frames) == FRAMES
     through = {name: {(file, function) for _, file, function in one.route} for name, one in frames.items()}
     sync, sample, activation = (through[name] for name in FRAMES)
-    step, activate = ("signal/usual_step.py", "UsualStep.usual"), ("signal/chain.py", "SignalChain.activate")
+    step, activate = ("signal/stages.py", "Stages.take"), ("signal/chain.py", "SignalChain.activate")
     assert step in sample - sync - activation
     assert activate in activation - sample - sync
     assert ("device/sync.py", "Sync.handle") in sync - sample
@@ -123,7 +123,7 @@ def test_one_row_for_each_walk(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_route_has_every_call(capsys: pytest.CaptureFixture[str]) -> None:
     assert walk.main(["--route", "ADC"]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert ["signal/usual_step.py", "UsualStep.usual"] in lines
+    assert ["signal/stages.py", "Stages.take"] in lines
     with pytest.raises(SystemExit):
         walk.main(["--route", "nothing"])
     assert "SYNC" in capsys.readouterr().err

@@ -123,7 +123,7 @@ def error(encoder: Encoder, chain: SignalChain, rpm: float, samples: int) -> Err
     found = []
     for sine, cosine, true in zip(*(one.tolist() for one in (*tracks, position)), strict=True):
         got = chain.step(Sample(sine, cosine))
-        lag = chain.lag_intervals
+        lag = chain.tracks.lag_intervals
         moved = (got.speed_cycles + got.acceleration_cycles * (1.0 + lag) / 2.0) * lag
         found.append((got.cycles - true) + got.phase + moved)
     off = np.array(found[START:])

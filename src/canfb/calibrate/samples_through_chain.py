@@ -82,7 +82,7 @@ def supervise(
     chain.set_limits(limits)
     chain.activate(used)
     if samples.rate_hz:
-        chain.interval_s = 1.0 / samples.rate_hz
+        chain.sync_interval_s = 1.0 / samples.rate_hz
     chain.restart(0, speed_cycles)
     count = len(samples)
     cycles, phase = np.zeros(count, np.int64), np.full(count, math.nan)

@@ -268,7 +268,7 @@ class Limits:
         chain.use_interval(self.interval.sample_s)
         same_s = SAME_NARROWED * applied_s
         self._shortest_s, self._longest_s = applied_s - same_s, applied_s + same_s
-        if chain.needs_interval:
+        if chain.tracks.needs_unit:
             same_s = SAME_ANALOG * known_s
             self._shortest_s = max(self._shortest_s, known_s - same_s)
             self._longest_s = min(self._longest_s, known_s + same_s)
@@ -306,7 +306,7 @@ class Limits:
         )
         self._chain.set_limits(self.in_force)
         self._use_interval()
-        self.narrowed = by_motion or self._chain.needs_interval
+        self.narrowed = by_motion or self._chain.tracks.needs_unit
         if self.on_applied is not None:
             self.on_applied()
 

@@ -72,7 +72,7 @@ class Publishing:
         self.loss = LastLoss(dictionary, limits, chain, lambda: node.now)
         self.objects = Publication(dictionary, interval, chain, parts, limits, self.latest, self.loss)
         self.alarm = PositionAlarm(node)
-        self._chain = chain
+        self._chain, self._tracks = chain, chain.tracks
         self.events = EventWatch(dictionary, limits, self.loss)
         self.event_tpdos: list[Callable[[float], None]] = []
 
@@ -94,7 +94,7 @@ class Publishing:
         self._status.value = status | objects.work
         self._residual.value = int(residual * SIXTEEN_BITS)
         self._samples.value = samples & U32
-        if self._chain.lag_intervals:
+        if self._tracks.lag_intervals:
             cycles, phase = latest.place(feedback)
         scale = profile.scale
         if scale.binary:

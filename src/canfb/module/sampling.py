@@ -52,9 +52,9 @@ class Sampling:
 
     ``pairing`` is fed by the node. ``observers`` see each sample and each one that was missed.
 
-    Nearly each sample is usual: two counts in time, with their own time or without, and nothing wrong. It
-    goes to the chain as it stands in the dictionary (`canfb.signal.usual_step`), and all others as a
-    :class:`Sample`; tests/module/test_usual_sample.py compares both, frame by frame.
+    Nearly each sample is two counts in time, with their own time or without. It goes to the chain as it
+    stands in the dictionary, and all others as a :class:`Sample`; tests/module/test_usual_sample.py compares
+    both, frame by frame.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Sampling:
         observers: SampleObservers,
         publishing: Publishing,
     ) -> None:
-        self._interval, self._limits, self._chain = interval, limits, chain
+        self._interval, self._limits, self._chain, self._stages = interval, limits, chain, chain.stages
         self._observers, self._publishing, self._prediction = observers, publishing, publishing.prediction
         self._paused_s = 0.0
         self._grid_learned_s = 0.0
@@ -80,7 +80,7 @@ class Sampling:
         publishing.events.unconfirmed = self._why_unconfirmed
         chain.on_unit = self._unit_changed
         self._waited = 0.0  # intervals since the last sample that were reported as missed
-        self._set_waited, self._set_back = 0.0, 0  # those before the last set of intervals; samples since
+        self._set_waited = 0.0  # those before the last set of intervals
         self._judge = judge
         self._sine, self._cosine, self._time, self._flags = (
             dictionary.entry(*part)
@@ -98,7 +98,7 @@ class Sampling:
             lose_count=self._lose_count,
             slips=chain.slips,
             withhold=publishing.withhold,
-            repeats=chain.repeats,
+            repeats=chain.stages.repeats,
             extrapolate=publishing.extrapolate,
         )
         self.pairing = Pairing(
@@ -107,14 +107,13 @@ class Sampling:
 
     def _take_usual(self, now: float) -> None:
         """Two counts that answer the last SYNC, as they stand in the dictionary."""
-        limits, feedback = self._limits, None
-        if not (self._unconfirmed or self._observers.open or self._flags.value):
-            if limits.narrowed:
-                limits.follow()
-            feedback = self._chain.usual(self._sine.value, self._cosine.value)
-        if feedback is None:
+        if self._waited or self._unconfirmed or self._observers.open or self._flags.value:
             self._take(self._parts.sample(), USUAL, now)
             return
+        limits = self._limits
+        if limits.narrowed:
+            limits.follow()
+        feedback = self._stages.take(self._sine.value, self._cosine.value)
         noise = limits.noise
         if feedback[-1] >= noise.due and noise.take(feedback):
             limits.measured()
@@ -130,7 +129,6 @@ class Sampling:
         several = options if len(options) > 1 else ()
         placed = not (passed.instant_error and self._chain.slips(passed.instant_error))
         feedback = self._chain.after(sample, options[0], several, placed=placed)
-        self._set_back = 0 if several else self._set_back + 1
         if feedback.status & VALID and (self._unconfirmed or not passed.certain):
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
@@ -157,7 +155,7 @@ class Sampling:
         if limits.narrowed:
             limits.follow()
         time_100ns = self._time.value
-        feedback = self._chain.usual_timed(
+        feedback = self._chain.take_in_turn(
             self._sine.value, self._cosine.value, time_100ns, received_s, synced_s
         )
         if feedback is None:
@@ -261,8 +259,8 @@ class Sampling:
         grid_s, chain = self._grid_s(), self._chain
         # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
         chain.measures_intervals = grid_s > 0.0
-        if abs(grid_s - chain.interval_s) > SAME_GRID * grid_s:
-            chain.interval_s = grid_s
+        if abs(grid_s - chain.sync_interval_s) > SAME_GRID * grid_s:
+            chain.sync_interval_s = grid_s
 
     def _grid_s(self) -> float:
         """The interval of SYNC by the clock of the interface, which takes the earlier samples by it.
@@ -286,13 +284,12 @@ class Sampling:
         # Of a position that is lost it makes no difference how long it has been.
         for left in range(min(samples, MOST_MISSED) - 1, -1, -1):
             self._publishing.publish(self._chain.miss(), now, send=not left and not known_as_lost)
-            self._set_back += 1
             for _ in range(self._interval.samples_per_sync):
                 self._observers.miss()
 
     def _confirm(self, elapsed: float) -> None:
         """So many intervals had passed at the last sample that had several."""
-        self._chain.confirm(elapsed - self._set_waited, self._set_back)
+        self._chain.confirm(elapsed - self._set_waited)
 
     def _lose_count(self, intervals: float, now: float) -> None:
         """So many intervals may or may not have passed: the position is lost if the machine moves."""

@@ -1,50 +1,38 @@
-"""The whole chain for one sample: conditioning, Table 1, correction, eq. 9, supervision."""
+"""The whole chain for one encoder: when its samples were taken, and what they give.
+
+A sample has no time of its own, or one (2000:05), or several may be possible. Here it becomes an interval
+since the sample before (:mod:`canfb.signal.sample_times`), several samples of one interval of SYNC are put in
+their order, and pauses are judged (:mod:`canfb.signal.pauses`). What a sample gives then is the work of
+:mod:`canfb.signal.stages`. Intervals are those of SYNC here, and those from sample to sample there.
+"""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 
 from canfb.objects import LossCause
-from canfb.signal import speeds
-from canfb.signal.blocks import Scratch
+from canfb.signal.adaptation import Adaptation, AdaptConfig, FollowedDrift
 from canfb.signal.bounded_motion import HOLE_INTERVALS
 from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
-from canfb.signal.correction import Correction, CorrectionTable, check_table
-from canfb.signal.declared import Declared
-from canfb.signal.estimator import Estimator
-from canfb.signal.estimator_runs import follow_run, successor, take_run
+from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
-from canfb.signal.front_end import AHEAD_INTERVALS
-from canfb.signal.frozen import FrozenInput, repeats
-from canfb.signal.harmonics import corrected
+from canfb.signal.front_end import SAME_INTERVAL
 from canfb.signal.pauses import Pauses
-from canfb.signal.phase import AnyArray, raw_phase
-from canfb.signal.recovery.coarse import CoarseTrack
-from canfb.signal.recovery.reference import Pulse, Reference
-from canfb.signal.recovery.zero_pulse import ZeroPulse
+from canfb.signal.recovery.auxiliary_encoder import AuxiliaryEncoder
+from canfb.signal.recovery.reference import Reference
 from canfb.signal.sample import Sample, in_order
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
-from canfb.signal.supervision import (
-    FROZEN,
-    LOST,
-    MISSED,
-    REFERENCED,
-    RESIDUAL,
-    TABLE_ACTIVE,
-    VALID,
-    Supervision,
-)
-from canfb.signal.tracker import Track, TrackResult
-from canfb.signal.tracking import continues, write_places_before
-
-_new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
+from canfb.signal.second_position import SecondSensor
+from canfb.signal.stages import Extras, Stages
+from canfb.signal.supervision import LOST, MISSED, VALID
 
 
-class SignalChain(Pauses):
+class SignalChain:
     """One encoder, sample by sample.
 
     A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
-    cycle count; see :mod:`canfb.signal.estimator` for what happens then.
+    cycle count; see :mod:`canfb.signal.estimator` for what happens then. ``stages`` take samples whose
+    interval is known.
 
     TypeError for a ``config`` that is not a :class:`ChainConfig` and a ``table`` that is not a
     :class:`CorrectionTable` (None: the identity).
@@ -52,107 +40,158 @@ class SignalChain(Pauses):
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None = None) -> None:
         check_config(config)
-        super().__init__()
-        self._estimator = Estimator(config.chain_limits.declared)
-        self._tracker = self._estimator.tracker
-        self._supervision = Supervision(config.limits)
-        self._frozen = FrozenInput(config.frozen_samples, self._tracker.residual_limit)
-        self._per_sync = 1
+        self.stages = Stages(config, table)
+        self.tracks = self.stages.tracks
+        """What makes a phase of counts."""
+        self.on_unit: Callable[[], None] = lambda: None
+        """Called when :attr:`unit_s` has changed, before a sample is held against limits of the old one."""
         self.between: tuple[Feedback, ...] = ()
         """Of the last interval: what the samples before the newest gave, oldest first."""
+        self.crowded = False
+        """The last sample came, but so soon after the one before that nothing was made of it."""
+        self.measures_intervals = True
+        """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
+        self._pauses = Pauses(self.stages)
         self._times = SampleTimes()
         self.nominal_sync = self._times.nominal_sync
         """The clock of the encoder interface, by the sample times so far."""
-        self.measures_intervals = True
-        """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
-        limits = config.chain_limits
-        self.crowded = False
-        """The last sample came, but so soon after the one before that nothing was made of it."""
-        self._make_reference(limits)
-        self._sampling_s = config.interval_s
-        self.set_limits(limits)
-        self.activate(Correction(table, config.conditioning))
-        self.adapt(config.adaptation)
+        self._per_sync = 1
+        self._waited = 0.0  # intervals without a sample since the last one with a sample time
+        self._open_sample = 0  # number of the last sample that had several possible times
+        self._untimed_unit_s = config.interval_s
+        self.set_limits(config.chain_limits)
+
+    # What it is told between two samples.
+
+    def set_limits(self, limits: ChainLimits) -> None:
+        """Take new limits, between two samples. Another encoder resets coarse track and zero pulse."""
+        if limits.samples_per_sync != self._per_sync:
+            self.stages.sample_faster(limits.samples_per_sync / self._per_sync)
+            self._per_sync = limits.samples_per_sync
+            self.between = ()
+        self.stages.set_limits(limits)
+        self._follow_unit()
+
+    def activate(self, correction: Correction) -> None:
+        """Take another ``correction``, between two samples. TypeError if its table is none."""
+        self.stages.activate(correction)
+
+    def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
+        """Follow the drift of the tracks within these limits from the next sample on; None: as calibrated.
+
+        It goes on from the drift that was found, or from another one.
+        """
+        self.stages.adapt(limits, start_from)
+
+    def use_second(self, sensor: SecondSensor | None) -> None:
+        """Take another sensor from now on, or none; nothing is known of it. TypeError if it is not one."""
+        if sensor is not None and not isinstance(sensor, SecondSensor):
+            raise TypeError(f"sensor must be a SecondSensor or None, not {type(sensor).__name__}")
+        self.stages.use_second(sensor)
+
+    def hear_second(self, values: int, increments: int) -> None:
+        """An interval of SYNC is over in which so many ``values`` of the other sensor came.
+
+        With just one, its ``increments`` (INTEGER32) are those at the sample before this call. -1: it is not
+        certain which ones came.
+        """
+        second = self.stages.second
+        if second is not None:
+            second.hear(values, increments)
+
+    # What it has found.
 
     @property
     def correction(self) -> Correction:
         """The active correction."""
-        return self._correction
+        return self.tracks.correction
+
+    @property
+    def adaptation(self) -> Adaptation:
+        """What follows the drift of the tracks; :meth:`adapt` turns it on."""
+        return self.tracks.adaptation
 
     @property
     def reference(self) -> Reference:
         """The state of coarse track and zero pulse."""
-        return self._reference
+        return self.stages.reference
+
+    @property
+    def second(self) -> AuxiliaryEncoder | None:
+        """Comparison with another sensor, None without one."""
+        return self.stages.second
+
+    @property
+    def samples(self) -> int:
+        """The number of the last sample, 0 before the first one."""
+        return self.stages.samples
+
+    @property
+    def begun(self) -> bool:
+        """There was a sample since the start."""
+        return self.stages.estimator.tracker.started
 
     @property
     def loss_cause(self) -> LossCause:
         """Why the position was lost the last time."""
-        return self._estimator.loss_cause
+        return self.stages.estimator.loss_cause
 
     @property
     def lost(self) -> bool:
         """True from the moment the position is lost until :meth:`restart`."""
-        return self._estimator.lost
+        return self.stages.estimator.lost
 
     @property
     def searches(self) -> bool:
         """Uneven sample times may still tell at what speed the machine turns."""
-        return self._estimator.searches
+        return self.stages.estimator.searches
 
-    def set_limits(self, limits: ChainLimits) -> None:
-        """Take new limits, between two samples. Another encoder resets coarse track and zero pulse."""
-        self._nothing_in_doubt = False
-        if limits.samples_per_sync != self._per_sync:
-            self._sample_faster(limits.samples_per_sync)
-        self._declare(limits.declared)
-        self._frozen.residual_limit_cycles = limits.residual_limit
-        self._supervision.set_limits(limits.sample)
-        self._frozen.frozen_samples = limits.frozen_samples
-        if limits.cycles_per_revolution != self._reference.coarse.cycles_per_revolution:
-            self._make_reference(limits)
-        self._reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
-        self._reference.coarse.full_scale_counts = limits.sample.full_scale_counts
-        self._use_front_end(self._conditioning, limits.corners)
+    # Units.
 
-    def _declare(self, declared: Declared) -> None:
-        """Hold the next samples against this; the position stays.
+    @property
+    def sync_interval_s(self) -> float:
+        """Nominal interval of SYNC, seconds, used to check sample times. 0.0: not known."""
+        return self._times.sync_interval_s
 
-        With another order of prediction it is lost if the samples were about to determine it; or if the
-        machine accelerates by more than the prediction of constant speed can follow.
-        """
-        if declared.order == self._estimator.order:
-            self._estimator.declare(declared)
-            return
-        self._estimator = successor(self._estimator, declared)
-        self._estimator.phases_keep = not self._conditioning.cosine_delay_s
-        self._tracker = self._estimator.tracker
-        self._reference.follow(self._estimator)
+    @sync_interval_s.setter
+    def sync_interval_s(self, interval_s: float) -> None:
+        """Positions and speeds stay as they are; intervals in progress are counted in the new unit."""
+        old, self._times.sync_interval_s = self._times.unit_s, interval_s
+        self._unit_may_have_changed(old)
 
-    def _sample_faster(self, per_sync: int) -> None:
-        """From the next interval on there are so many samples in it; the position stays."""
-        factor = per_sync / self._per_sync
-        self._per_sync = per_sync
-        self.between = ()
-        self._estimator.rescale(factor)
-        self._reference.slipped()
-        self._speed /= factor
-        self._before = None
+    def use_interval(self, sampling_s: float) -> None:
+        """The sampling interval where samples bring no time, seconds; 0.0: not known."""
+        if abs(sampling_s - self._untimed_unit_s) > SAME_INTERVAL * self._untimed_unit_s:
+            self._untimed_unit_s = sampling_s
+            self._follow_unit()
 
-    def _make_reference(self, limits: ChainLimits) -> None:
-        n = limits.cycles_per_revolution
-        coarse = CoarseTrack(n, limits.sample.full_scale_counts, limits.coarse_limit_revolutions)
-        self._reference = Reference(self._estimator, coarse, ZeroPulse(n))
-        self._referenced = 0
-        self._renew_second()
+    @property
+    def unit_s(self) -> float:
+        """The interval in which speeds of timed samples are given, seconds; 0.0 before it is known."""
+        return self._times.unit_s / self._per_sync
 
-    def activate(self, correction: Correction) -> None:
-        """Take another ``correction``, between two samples. TypeError if its table is none."""
-        check_table(correction.table)
-        self._correction = correction
-        self._use_table(correction.table)
-        self.adaptation.use(correction)
-        self._use_front_end(correction.conditioning, self._corners)
-        self._base_status = 0 if correction.table is None else TABLE_ACTIVE
+    def _unit_may_have_changed(self, old_s: float) -> None:
+        """Intervals are counted in another unit, or for the first time in one that is known."""
+        unit_s = self._times.unit_s
+        if unit_s != old_s:
+            if old_s > 0.0 and unit_s > 0.0:
+                factor = old_s / unit_s
+                self._waited *= factor
+                self.stages.estimator.rescale(factor)
+            self.on_unit()
+        self._follow_unit()
+
+    def _follow_unit(self) -> None:
+        unit_s = self.unit_s or self._untimed_unit_s
+        if unit_s != self.tracks.unit_s:
+            self.stages.use_unit(unit_s)
+
+    def forget_times(self) -> None:
+        """Another interface may send the sample times from now on, by another clock and at another rate."""
+        self._times.reset()
+        self.sync_interval_s = 0.0
+
+    # Starts and pauses.
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
         """Forget the position: the next good sample starts with this cycle count and speed.
@@ -162,28 +201,54 @@ class SignalChain(Pauses):
         sample shows that it is not.
         ValueError for a speed that is not finite or above 2**31 in size.
         """
-        self._estimator.restart(cycles, speed_cycles)
-        self._reference.restart()
-        self._restart_second()
-        self._pause()
+        self.stages.restart(cycles, speed_cycles)
+        self._pauses.forget()
+        self._forget_times_of_samples()
+
+    def reset(self) -> None:
+        """:meth:`restart` at cycle count 0, as the module is reset: the machine may be turning.
+
+        The next :meth:`resume` holds that against it: it does not start on a machine that may still turn.
+        """
+        self._pauses.reset()
+        self._forget_times_of_samples()
+
+    def resume(self, intervals: float = 0.0) -> None:
+        """Go on after a pause in which the machine stood still: less than half a cycle from here.
+
+        ``intervals`` is how long the pause was, in intervals of SYNC. If the machine was moving and
+        at that speed could have left the cycle meanwhile, the position is lost; so is one that is in doubt
+        and was not valid: the samples that would have decided do not come. One that was lost before the
+        pause starts again, at cycle count 0: at once if the machine stood when it was lost and its phases
+        did since, or if they did for STILL_SAMPLES; else once they have. Likewise after :meth:`reset`
+        while it turned, unless by the declared acceleration it has stayed below half a cycle per interval.
+        """
+        if self._pauses.resume(intervals * self._per_sync):
+            self._times.forget()
+            self._waited = 0.0
+        else:
+            self._forget_times_of_samples()
+
+    def _forget_times_of_samples(self) -> None:
         self._times.reset()
-        self._waits, self._turned = False, 0.0
-        self._speed = float(speed_cycles)
-        self._turn(self._speed)
+        self._waited = 0.0
+
+    def slips(self, intervals: float) -> bool:
+        """In so many intervals of SYNC the machine goes so far that its phase could mislead."""
+        return self._pauses.slips(intervals * self._per_sync)
+
+    def uncertain(self, intervals: float) -> Feedback | None:
+        """Up to this many intervals of SYNC may have passed uncounted: lost, except at standstill.
+
+        None where that makes no difference: each phase is then less than half a cycle from the last.
+        """
+        return self.lose() if self.slips(intervals) else None
 
     def lose(self) -> Feedback:
         """The position is lost from now on: no cycles were counted."""
-        self._estimator.lose(LossCause.TIME)
-        self._reference.slipped()
-        track = self._tracker.predict(0.0)
-        return self._feedback(math.nan, math.nan, 0.0, math.nan, track, LOST, 0)
+        return self.stages.lose()
 
-    def _pause(self) -> None:
-        self._forget_sample()
-        self._times.forget()
-        self._referenced = REFERENCED if self._reference.zero.referenced else 0
-        self._waited = 0.0
-        self._was_valid = 0
+    # Samples.
 
     def step(
         self,
@@ -206,17 +271,15 @@ class SignalChain(Pauses):
         time_100ns, elapsed = sample.time_100ns, sample.elapsed
         if time_100ns is None:
             return self.after(sample, elapsed, sample.options)
-        speed, unit_s = self._tracker.step_cycles * self._per_sync, self._times.unit_s
+        times, stages = self._times, self.stages
+        speed, unit_s = stages.estimator.tracker.step_cycles * self._per_sync, times.unit_s
         counted = elapsed + self._waited
-        passed = self._times.elapsed(time_100ns, counted, received_s, synced_s, speed, extra)
-        if self._times.unit_s != unit_s:
-            self._unit_changed(unit_s)
-        if self._front is not None and self._front.unit_s != self.unit_s:
-            self._follow_unit()
+        passed = times.elapsed(time_100ns, counted, received_s, synced_s, speed, extra)
+        self._unit_may_have_changed(unit_s)
         self.crowded = passed == CROWDED
         if passed <= 0.0:
-            if passed in (REPEATED, CROWDED) and self._last is not None:
-                return self._last
+            if passed in (REPEATED, CROWDED) and stages.last is not None:
+                return stages.last
             if passed != SUSPECT:
                 return self._restarted(sample)
             self._waited += elapsed
@@ -226,6 +289,26 @@ class SignalChain(Pauses):
             elapsed = passed - self._waited  # what was waited for is counted already
         self._waited = 0.0
         return self.after(sample, elapsed, next_one=next_one)
+
+    def take_in_turn(
+        self, sine: float, cosine: float, time_100ns: int, received_s: float | None, synced_s: float | None
+    ) -> Feedback | None:
+        """:meth:`step` for these counts and no more; None, nothing changed, unless their time is usual."""
+        if self._waited or self._per_sync != 1 or not self.measures_intervals:
+            return None
+        elapsed = self._times.in_turn(time_100ns, received_s, synced_s)
+        return self.stages.take(sine, cosine, elapsed, True) if elapsed else None
+
+    def _restarted(self, sample: Sample) -> Feedback:
+        """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
+
+        Its length is unknown: a machine that creeps may have gone on as long as the times say.
+        """
+        lost = self.uncertain(max(1.0, self._times.passed) if self._pauses.creeps else 1.0)
+        self._waited = 0.0
+        if self.lost:  # what its times say of the speed begins here
+            self.stages.estimator.lose(LossCause.TIME, starts=False)
+        return self.step(sample._replace(time_100ns=None)) if lost is None else lost
 
     def after(
         self,
@@ -241,19 +324,17 @@ class SignalChain(Pauses):
         ``elapsed`` intervals of SYNC after the one before, or any of the ``options``; ``placed``: False if
         that is not known, which makes it a bad sample; ``next_one``: by the count of SYNCs none was missed.
         """
-        sine, cosine, _, invalid, coarse, _, pulse, _, _, _ = sample
-        bad = invalid or not placed
-        self._estimator.timed = timed = sample.time_100ns is not None
+        sine, cosine, _, invalid, coarse, _, pulse, time_100ns, _, _ = sample
+        bad, timed = invalid or not placed, time_100ns is not None
+        if options:
+            self._open_sample = self.stages.samples + 1
+        if self._per_sync > 1:
+            return self._take_all(sample, elapsed, bad, not placed, next_one, options)
         in_turn = elapsed == 1.0 or (timed and elapsed <= HOLE_INTERVALS)
         if in_turn and not (bad or options) and coarse is pulse is None:
-            feedback = self.usual(sine, cosine, elapsed)
-            if feedback is not None:
-                return feedback
-        if self._per_sync == 1:
-            feedback = self._take(sample, elapsed, bad, not placed, next_one, options=options)
-            self._look_again(feedback)
-            return feedback
-        return self._take_all(sample, elapsed, bad, not placed, next_one, options)
+            return self.stages.take(sine, cosine, elapsed, timed)
+        extras = Extras(sample, bad, not placed, next_one, options=options)
+        return self.stages.take(sine, cosine, elapsed, timed, extras)
 
     def _take_all(
         self,
@@ -265,215 +346,45 @@ class SignalChain(Pauses):
         options: tuple[float, ...],
     ) -> Feedback:
         """The samples of one SYNC in their order, ``elapsed`` intervals of SYNC after those before."""
+        stages, timed = self.stages, sample.time_100ns is not None
         later = [(one - elapsed) * self._per_sync for one in options]  # than the first option
         samples = [sample] if bad else in_order(sample, elapsed * self._per_sync, self._per_sync)
         next_one = next_one and len(samples) == self._per_sync
         between: list[Feedback] = []
         pulse = None
         for one in samples[:-1]:
-            before = self._before
-            first = one._replace(zero_pulse=None)
+            before = stages.place
             times = () if between else tuple(one.elapsed + more for more in later)
-            feedback = self._take(first, one.elapsed, False, False, next_one, newest=False, options=times)
-            after = self._before
-            self._reference.passed(one.elapsed, after is not None)
+            extras = Extras(one._replace(zero_pulse=None), next_one=next_one, newest=False, options=times)
+            feedback = stages.take(one.sine, one.cosine, one.elapsed, timed, extras)
+            after = stages.place
+            self.reference.passed(one.elapsed, after is not None)
             if after is None or (between and (between[-1].status ^ feedback.status) & (VALID | LOST)):
                 pulse = None
             elif one.zero_pulse is not None and before is not None:
-                pulse = self._reference.pulse(before, after, one.zero_pulse, self._clock, one.elapsed)
+                pulse = self.reference.pulse(before, after, one.zero_pulse, stages.clock, one.elapsed)
             between.append(feedback)
         newest = samples[-1]
         whole = elapsed * self._per_sync if bad else newest.elapsed
         times = () if between else tuple(whole + more for more in later)
-        feedback = self._take(newest, whole, bad, unplaced, next_one, pulse, options=times)
+        extras = Extras(newest, bad, unplaced, next_one, pulse, options=times)
+        feedback = stages.take(newest.sine, newest.cosine, whole, timed, extras)
         if any(one.status & MISSED for one in between):
-            feedback = self._last = feedback._replace(status=feedback.status | MISSED)
+            feedback = stages.last = feedback._replace(status=feedback.status | MISSED)
         self.between = tuple(one._replace(status=one.status & ~MISSED) for one in between)
         return feedback
-
-    def _take(
-        self,
-        sample: Sample,
-        elapsed: float,
-        bad: bool,
-        unplaced: bool,
-        next_one: bool,
-        pulse: Pulse | None = None,
-        newest: bool = True,
-        options: tuple[float, ...] = (),
-    ) -> Feedback:
-        """One sample, ``elapsed`` sampling intervals after the one before; its time was looked at.
-
-        ``options`` are all times that may have elapsed, if it is not known which.
-
-        ``pulse`` is a zero pulse that came before one of the :attr:`between`; ``newest``: it is none of them.
-        """
-        sine, cosine, _, _, coarse, _, zero_pulse, _, _, _ = sample
-        offset_s, gain_s, offset_c, factor_c, skew = self._coefficients
-        s = (sine - offset_s) * gain_s
-        c = (cosine - offset_c) * factor_c - s * skew
-        amplitude = math.sqrt(s * s + c * c)
-        raw = raw_phase(s, c)
-        supervision = self._supervision
-        lowest, highest, smallest, largest = supervision.bounds
-        if lowest < sine < highest and lowest < cosine < highest and smallest <= amplitude <= largest:
-            faults = 0
-            if supervision.after_fault:
-                supervision.passed()
-        else:
-            faults = supervision.faults(sine, cosine, amplitude)
-        if sine == self._sine and cosine == self._cosine:
-            if self._frozen.repeated(0.0 if self._frozen.repeats else self._least_speed()):
-                faults |= FROZEN
-        else:
-            self._sine, self._cosine = sine, cosine
-            if self._frozen.repeats:
-                self._frozen.moved()
-        if self._waits and self._may_start():
-            self.restart()
-        measured = not (faults or bad) and raw == raw
-        if measured:
-            table = self._table
-            phase = raw if table is None else table.correct(raw)
-            if self._row:
-                phase = corrected(self._row, phase)
-            track, bits = self._estimator.good(phase, options or elapsed)
-        else:
-            track, bits = self._estimator.bad(options or elapsed, missed=unplaced)
-        reference = self._reference
-        if bits & LOST and (not measured or bits & RESIDUAL):
-            reference.slipped()
-        jump = 0
-        self._clock += elapsed
-        if coarse is not None or zero_pulse is not None or pulse is not None or reference.in_doubt:
-            before = self._before if measured else None
-            if pulse is None and zero_pulse is not None and before is not None:
-                pulse = reference.pulse(before, track, zero_pulse, self._clock, elapsed)
-            bits, jump = reference.apply(sample, track, bits, pulse, elapsed if before else 0.0)
-            self._referenced = REFERENCED if self._reference.zero.referenced else 0
-        if self._second is not None:
-            bits, jump = self._second.apply(track, bits, jump, elapsed, measured, coarse is None, newest)
-        self._before = track if measured and jump == 0 else None
-        if elapsed > HOLE_INTERVALS and not (next_one and bits & VALID):
-            bits |= MISSED
-        return self._feedback(s, c, amplitude, raw, track, bits | faults, jump)
-
-    @property
-    def _doubtful(self) -> int:
-        """Last steps of which any may have been bad."""
-        return self._estimator.declared.bad_samples + 1
-
-    def _least_speed(self) -> float:
-        return speeds.least_speed(self._estimator.places, self._doubtful)
-
-    def write_places_before(self, tracked: TrackResult, at: int) -> None:
-        """Write what the prediction needs into ``tracked``, three places before ``at``."""
-        if self._tracker.is_steady:
-            write_places_before(self._tracker, tracked, at)
-
-    def continues(self, tracked: TrackResult, at: int) -> bool:
-        """True if :meth:`follow_run` may begin at ``at``: what the prediction needs stands before.
-
-        And nothing of the last samples is in doubt. A lost position is not: eq. 9 runs on with it.
-        """
-        doubts = (
-            self._waits
-            or self._estimator.in_doubt
-            or self.searches
-            or self._supervision.after_fault
-            or self._reference.in_doubt
-        )
-        return not doubts and continues(self._tracker, tracked, at)
-
-    def follow_run(
-        self, sine: AnyArray, cosine: AnyArray, tracked: TrackResult, run: slice, scratch: Scratch
-    ) -> int:
-        """:meth:`step` for a run of samples, one interval apart, that keep the limits of one sample.
-
-        Only where :meth:`continues`. ``sine``, ``cosine`` are its counts, ``tracked.phase[run]`` the
-        corrected phases. ``scratch`` has the length of the run. Fills the rest of ``tracked[run]``.
-        The result is the number of samples taken: those before the first with a residual
-        over the limit (unless the position is lost) or a frozen input. The chain stands
-        after these, and the rest is for :meth:`step`.
-        """
-        start: int = run.start
-        cycles, phase = tracked.cycles, tracked.phase
-        state = self._tracker.snapshot()
-        stop = follow_run(self._estimator, tracked, run, scratch)
-        if stop > start:
-            before = self._sine, self._cosine
-            equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
-            if equal is None:
-                self._frozen.moved()
-            else:
-                least = speeds.least_speeds(
-                    () if self.lost else self._estimator.places,
-                    cycles[start:stop],
-                    phase[start:stop],
-                    self._doubtful,
-                )
-                stop = start + self._frozen.take_run(equal, least)
-        if stop == start:
-            self._tracker.restore(state)
-            return 0
-        last = Track(int(cycles[stop - 1]), float(phase[stop - 1]), float(tracked.residual[stop - 1]), True)
-        take_run(self._estimator, state, tracked, start, stop)
-        self._sine, self._cosine = float(sine[stop - start - 1]), float(cosine[stop - start - 1])
-        self._before, self._last = last, None
-        self._speed = self._tracker.step_cycles
-        self._was_valid = 0 if self._estimator.lost else VALID
-        if self._estimator.lost and not tracked.ok[start:stop].all():
-            self._reference.slipped()
-        self._clock += stop - start
-        self._samples += stop - start
-        self._nothing_in_doubt = False
-        return stop - start
-
-    def confirm(self, elapsed: float, back: int = 0) -> None:
-        """Now it is known that the sample ``back`` before the last one came after this elapsed time.
-
-        It is one of its :attr:`canfb.Sample.options`. Missed samples count in ``back``. The position is lost
-        if the sample was taken to have come after another.
-        """
-        last = self._per_sync - 1  # the first sample of an interval has the times
-        self._estimator.confirm((elapsed - 1.0) * self._per_sync + 1.0, back * self._per_sync + last)
 
     def miss(self) -> Feedback:
         """One interval of SYNC without a sample: the position coasts, flagged."""
         self._waited += 1.0
-        intervals = float(self._per_sync)
-        track, bits = self._estimator.bad(intervals, missed=True)
-        self._clock += intervals
-        self._before = None
         self.between = ()
-        self._reference.missed()
-        bits = self._miss_second(bits)
-        return self._feedback(math.nan, math.nan, 0.0, math.nan, track, bits | MISSED, 0)
+        return self.stages.miss(float(self._per_sync))
 
-    def _feedback(
-        self, s: float, c: float, amplitude: float, raw: float, track: Track, bits: int, jump: int
-    ) -> Feedback:
-        self._nothing_in_doubt = False
-        self._samples = samples = self._samples + 1
-        cycles, phase, residual, _ = track
-        speed = self._tracker.step_cycles
-        if self._was_valid or not bits & VALID:
-            acceleration = speed - self._speed
-        else:  # the speed of a sample that was not valid may be wrong by whole cycles
-            acceleration = speeds.acceleration(self._estimator.places)
-        self._speed, self._was_valid = speed, bits & VALID
-        if bits & VALID and len(places := self._estimator.places) > 2 and places[-1][2] > HOLE_INTERVALS:
-            acceleration = speeds.acceleration(places)
-            self._speed += acceleration * (places[-1][2] - 1.0) / 2.0  # as over the last interval alone
-        if self._front is not None:
-            self._turn(speed + AHEAD_INTERVALS * acceleration if bits & VALID else speed)
-        status = bits | self._base_status
-        if self._referenced and not bits & LOST:
-            status |= REFERENCED
-        self._last = _new(
-            Feedback,
-            (s, c, amplitude, raw, cycles, phase, residual, status, speed, acceleration, jump, samples),
-        )
-        if self.adaptation.is_on:
-            self._learn(self._last)
-        return self._last
+    def confirm(self, elapsed: float) -> None:
+        """Now it is known after which of its :attr:`canfb.Sample.options` the last sample that had any came.
+
+        The position is lost if the sample was taken to have come after another.
+        """
+        # The first sample of an interval has the times.
+        intervals = (elapsed - 1.0) * self._per_sync + 1.0
+        self.stages.estimator.confirm(intervals, self.stages.samples - self._open_sample)

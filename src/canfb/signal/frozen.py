@@ -60,6 +60,14 @@ class FrozenInput:
             return False
         return self.repeats >= self.frozen_samples
 
+    def goes_on(self, repeated: bool) -> bool:
+        """The counts of a machine that stands are ``repeated``, or others; the result is :attr:`stands`."""
+        if repeated:
+            self.repeated(self._speed)
+        else:
+            self.moved()
+        return repeated
+
     @property
     def stands(self) -> bool:
         """The counts repeat, and however long they do so, they are those of a machine that stands still."""

@@ -38,8 +38,8 @@ REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 class SampleTimes:
     """Turns sample times into elapsed intervals, and judges them.
 
-    ``interval_s`` is the nominal sampling interval, seconds; while it is 0.0, that of ``nominal_sync`` takes
-    its place: the interface knows its pace better than anybody who hears of it.
+    ``sync_interval_s`` is the nominal interval of SYNC, seconds; while it is 0.0, that of
+    ``nominal_sync`` takes its place: the interface knows its pace better than anybody who hears of it.
     """
 
     __slots__ = (
@@ -58,13 +58,13 @@ class SampleTimes:
         "_suspect",
         "_suspected",
         "_synced_s",
-        "interval_s",
         "nominal_sync",
         "passed",
+        "sync_interval_s",
     )
 
     def __init__(self) -> None:
-        self.interval_s = 0.0
+        self.sync_interval_s = 0.0
         self.nominal_sync = NominalSync()
         """The line through the times that were taken."""
         self.passed = 1.0
@@ -98,7 +98,7 @@ class SampleTimes:
     @property
     def unit_s(self) -> float:
         """The interval in which elapsed times are given, seconds; 0.0 before it is known."""
-        return self.interval_s or self._pace_s
+        return self.sync_interval_s or self._pace_s
 
     def _follow_pace(self) -> None:
         """Speeds are in intervals: they get another unit only where the interval is another one."""
@@ -112,7 +112,7 @@ class SampleTimes:
         It deviates by less than usual from its line, by its own clock and by that of the receptions.
         """
         last, line, unit, jitter = self._last, self.nominal_sync, self._pace_s, self._jitter
-        if last is None or self.interval_s or not line.seen or jitter.learned < LEARNED_SAMPLES:
+        if last is None or self.sync_interval_s or not line.seen or jitter.learned < LEARNED_SAMPLES:
             return 0.0
         ticks, period, proved = time_100ns - last, line.period_ticks, received_s is not None
         passed_s = ticks * TICK_S
@@ -171,8 +171,8 @@ class SampleTimes:
         """
         last = self._last
         if last is None:
-            if self.interval_s and not self.nominal_sync.period_ticks:
-                self.nominal_sync.expect(self.interval_s / TICK_S)
+            if self.sync_interval_s and not self.nominal_sync.period_ticks:
+                self.nominal_sync.expect(self.sync_interval_s / TICK_S)
             self._accept(time_100ns, received_s, synced_s)
             return counted
         ticks = (time_100ns - last) % TICKS
@@ -182,7 +182,7 @@ class SampleTimes:
             if not 0 < ticks < HALF_TICKS:
                 return REPEATED
             self._pace_s = ticks * TICK_S / counted
-        if not self.interval_s and self.nominal_sync.period_ticks:
+        if not self.sync_interval_s and self.nominal_sync.period_ticks:
             self._follow_pace()
         unit = self.unit_s
         intervals = ticks * TICK_S / unit

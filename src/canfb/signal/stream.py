@@ -1,8 +1,8 @@
 """The supervised chain over a stream of arrays: bit for bit as sample by sample, faults included.
 
 Nearly all samples of a recording are good, and a good sample needs none of the decisions
-that :class:`canfb.signal.chain.SignalChain` is made of. So all values of single
-samples are computed at once, then eq. 9 from the chain's state up to the first sample that
+that :class:`canfb.signal.stages.Stages` are made of. So all values of single
+samples are computed at once, then eq. 9 from the state of the stages up to the first sample that
 a check rejects. This one, and those after it that decide the position, go through the
 chain one by one.
 """
@@ -17,11 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, aligned
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
+from canfb.signal.chain_config import ChainConfig, check_config
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import AnyArray, FloatArray, raw_phase_block, wrap_block
-from canfb.signal.sample import Sample
+from canfb.signal.stages import Stages
 from canfb.signal.supervision import LOST, RESIDUAL, TABLE_ACTIVE, VALID
 from canfb.signal.tracker import TrackResult
 from canfb.signal.tracks import check_counts, pair_of_tracks
@@ -104,11 +103,12 @@ def process_stream(
 
 
 class _Stream:
-    """A :class:`SignalChain`, which is all that is carried from block to block, and memory to compute in."""
+    """:class:`Stages`, which are all that is carried from block to block, and memory to compute in."""
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None, speed_cycles: float) -> None:
-        self._chain = SignalChain(config, table)
-        self._chain.restart(0, speed_cycles)
+        check_config(config)
+        self._stages = Stages(config, table)
+        self._stages.restart(0, speed_cycles)
         self._table = table
         self._conditioning = None if config.conditioning.is_identity else config.conditioning
         self._bounds = config.limits.bounds()
@@ -138,7 +138,7 @@ class _Stream:
         phase, residual = (aligned(BEFORE + samples, np.float64) for _ in range(2))
         amplitude, raw, status = (aligned(samples, kind) for kind in (np.float64, np.float64, np.uint16))
         result = ChainResult(cycles[BEFORE:], phase[BEFORE:], residual[BEFORE:], amplitude, raw, status)
-        self._chain.write_places_before(TrackResult(cycles, phase, residual, self._ok), BEFORE)
+        self._stages.write_places_before(TrackResult(cycles, phase, residual, self._ok), BEFORE)
         for start in range(0, samples, BLOCK_SAMPLES):
             part = slice(start, min(start + BLOCK_SAMPLES, samples))
             room = slice(start, BEFORE + part.stop)
@@ -150,13 +150,13 @@ class _Stream:
         """``tracked`` is the same memory as ``result``, with the samples before."""
         samples = len(sine)
         # At another speed, or after a drift, a phase is another one: each needs the samples before it.
-        on_arrays = samples >= SHORTEST_BLOCK and not self._chain.conditions_by_past
+        on_arrays = samples >= SHORTEST_BLOCK and not self._stages.tracks.depends_on_past
         bad = self._compute(sine, cosine, result) if on_arrays else []
         k = 0
         for fault in [*bad, samples]:
             while k < fault:
                 long = on_arrays and fault - k >= SHORTEST_RUN
-                if long and self._chain.continues(tracked, BEFORE + k):
+                if long and self._stages.continues(tracked, BEFORE + k):
                     k = self._run(k, fault, sine, cosine, result, tracked)
                 else:
                     self._step(k, sine, cosine, result)
@@ -217,9 +217,9 @@ class _Stream:
         length = min(fault - k, self._run_samples)
         run, scratch = slice(BEFORE + k, BEFORE + k + length), self._scratch.head(length)
         counts = sine[k : k + length], cosine[k : k + length]
-        taken = self._chain.follow_run(*counts, tracked, run, scratch)
+        taken = self._stages.follow_run(*counts, tracked, run, scratch)
         status = result.status[k : k + taken]
-        if self._chain.lost:
+        if self._stages.estimator.lost:
             status[:] = LOST | self._base_status
             status[~tracked.ok[run.start : run.start + taken]] |= RESIDUAL
         else:
@@ -234,8 +234,8 @@ class _Stream:
         return k
 
     def _step(self, k: int, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> None:
-        """One sample through the chain."""
-        got = self._chain.step(Sample(float(sine[k]), float(cosine[k])))
+        """One sample through the stages."""
+        got = self._stages.take(float(sine[k]), float(cosine[k]))
         result.cycles[k], result.phase[k], result.residual[k] = got.cycles, got.phase, got.residual
         result.amplitude[k], result.raw_phase[k] = got.amplitude, got.raw_phase
         result.status[k] = got.status

@@ -174,7 +174,7 @@ def play(
             sample = Sample(sine[k], cosine[k], elapsed, invalid, earlier=earlier, options=options)
             said = _said(chain, sample)
             if unconfirmed and k == unconfirmed[0][0] + episode.kind.confirmed > unconfirmed[0][0]:
-                chain.confirm(unconfirmed[0][1], episode.kind.confirmed)
+                chain.confirm(unconfirmed[0][1])
         for j, one in enumerate(reversed(said)):
             position[k - j], status[k - j] = one.cycles + one.phase, one.status
     first = per_sync - 1

@@ -196,8 +196,8 @@ class Calibrating:
         """One sample of a recording; one that the supervision flags is left out."""
         status = feedback.status
         self._add_time(sample.time_100ns)
-        turned = self._chain.turned_rad(feedback.speed_cycles)
-        self._fastest_hz = max(self._fastest_hz, abs(self._chain.hertz(feedback.speed_cycles)))
+        turned = self._chain.tracks.turned_rad(feedback.speed_cycles)
+        self._fastest_hz = max(self._fastest_hz, abs(self._chain.tracks.hertz(feedback.speed_cycles)))
         self._turned.append(turned)
         if sample.invalid or _left_out(status) or (turned and status & LOST):  # the speed is not known then
             self._samples.miss()

@@ -88,7 +88,7 @@ class Prediction:
         cycles, phase = ahead(
             last.cycles,
             last.phase,
-            last.speed_cycles * (self._intervals(self._lock.lead_ticks) + self._chain.lag_intervals),
+            last.speed_cycles * (self._intervals(self._lock.lead_ticks) + self._chain.tracks.lag_intervals),
         )
         self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
         self._status.value |= EXTRAPOLATED
@@ -136,7 +136,7 @@ class Prediction:
         after, lock = float(self._interval.samples_per_sync), self._lock
         if self.follows and lock.locked:
             after = self._intervals(lock.lead_ticks + lock.period_ticks)
-        after += self._chain.lag_intervals
+        after += self._chain.tracks.lag_intervals
         self._speed_cycles = displacement = last.speed_cycles * after
         curved = self._kind.value == CONSTANT_ACCELERATION or self._order.value == THIRD
         if curved and self._valid_samples >= KNOWN_ACCELERATION:

@@ -77,7 +77,7 @@ class Latest:
 
     def place(self, feedback: Feedback) -> tuple[int, float]:
         """Cycle count and phase, 0 <= phase < 1, at the instant of the sample."""
-        lag = self._chain.lag_intervals
+        lag = self._chain.tracks.lag_intervals
         if not lag:
             return feedback.cycles, feedback.phase
         way = (feedback.speed_cycles + feedback.acceleration_cycles * (1.0 + lag) * 0.5) * lag

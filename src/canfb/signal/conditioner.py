@@ -1,0 +1,138 @@
+"""What makes a phase of the next two counts: conditioning, analog path, followed drift, correction table.
+
+The arithmetic of a sample is in :meth:`canfb.signal.stages.Stages.take`; here is what it computes with. All
+of it holds between two samples. Usually it never changes; where the analog path depends on the speed
+(:mod:`canfb.signal.front_end`) it is renewed after each sample, with the speed that is expected at the next
+one, and where a drift is followed (:mod:`canfb.signal.adaptation`), now and then.
+"""
+
+from __future__ import annotations
+
+from canfb.signal.adaptation import Adaptation, AdaptConfig, FollowedDrift
+from canfb.signal.correction import NO_CORRECTION, Correction, Lines, check_table
+from canfb.signal.feedback import Feedback
+from canfb.signal.front_end import FrontEnd
+from canfb.signal.harmonics import NO_LOW_PASS, Corners, Row
+
+
+class Conditioner:
+    """The correction in use, and what it is at the speed of the machine. Speeds are cycles per interval.
+
+    correction      the active one
+    coefficients    of the conditioning of the next sample
+    entries, lines  of the table; 0 and none for the identity
+    row             of the harmonics at the next sample; () for none
+    front           what depends on the speed; None: nothing
+    adaptation      what follows the drift of the tracks; :meth:`adapt` turns it on
+    lag_intervals   2002:07 in sampling intervals: the position is that of so much earlier
+    unit_s          the sampling interval, seconds; 0.0: not known
+    """
+
+    __slots__ = (
+        "adaptation",
+        "coefficients",
+        "corners",
+        "correction",
+        "entries",
+        "front",
+        "lag_intervals",
+        "lines",
+        "row",
+        "unit_s",
+    )
+
+    def __init__(self, unit_s: float) -> None:
+        self.correction, self.corners = NO_CORRECTION, NO_LOW_PASS
+        self.entries = 0
+        self.lines: Lines = ()
+        self.row: Row = ()
+        self.unit_s = unit_s
+        self.adaptation = Adaptation()
+        self._renew()
+
+    def activate(self, correction: Correction) -> None:
+        """Take another ``correction``. TypeError if its table is none."""
+        table = correction.table
+        check_table(table)
+        self.correction = correction
+        self.entries, self.lines = (0, ()) if table is None else (len(table), table.lines())
+        self.adaptation.use(correction)
+        self._renew()
+
+    def use_corners(self, corners: Corners) -> None:
+        """The corner frequencies of the tracks are these."""
+        self.corners = corners
+        self._renew()
+
+    def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
+        """Follow the drift of the tracks within these limits; None: as calibrated.
+
+        It goes on from the drift that was found, or from another one.
+        """
+        self.adaptation.limits = limits
+        if start_from is not None:
+            self.adaptation.start_from(start_from)
+        self._renew()
+
+    def use_unit(self, unit_s: float) -> None:
+        """Speeds are per interval of this length from now on, seconds; 0.0: not known."""
+        self.unit_s = unit_s
+        self.lag_intervals = self.correction.conditioning.delay_s / unit_s if unit_s > 0.0 else 0.0
+        if self.front is not None:
+            self.front.use_interval(unit_s)
+
+    def expect(self, speed_cycles: float, amplitude_known: bool = True) -> None:
+        """The next sample is expected at this speed; see :meth:`FrontEnd.coefficients`."""
+        front = self.front
+        if front is not None:
+            self.coefficients = front.coefficients(speed_cycles, amplitude_known)
+            if front.varies:
+                self.row, self.lag_intervals = front.row(speed_cycles), front.lag_intervals(speed_cycles)
+
+    def learn(self, feedback: Feedback) -> bool:
+        """A sample for the adaptation; True if the drift has changed from the next one on."""
+        moved = self.adaptation.take(feedback, self.unit_s)
+        if moved:
+            self._remove_drift()
+        return moved
+
+    @property
+    def phases_keep(self) -> bool:
+        """A phase is the same at any speed."""
+        return self.correction.conditioning.cosine_delay_s == 0.0
+
+    @property
+    def depends_on_past(self) -> bool:
+        """Counts alone do not give the phase."""
+        return self.front is not None or self.adaptation.is_on
+
+    @property
+    def needs_unit(self) -> bool:
+        """The analog path depends on the speed in cycles per second, or the drift is followed by the hour."""
+        return self.depends_on_past or self.correction.conditioning.delay_s != 0.0
+
+    def turned_rad(self, speed_cycles: float) -> float:
+        """By how much the tracks turn at this speed from the sine of a sample to its cosine."""
+        return 0.0 if self.front is None else self.front.turned_rad(speed_cycles)
+
+    def hertz(self, speed_cycles: float) -> float:
+        """This speed in cycles per second, 0.0 while nothing depends on it."""
+        return 0.0 if self.front is None else self.front.hertz(speed_cycles)
+
+    def _renew(self) -> None:
+        """What is expected of the next sample is that of a machine at rest, until :meth:`expect`."""
+        conditioning, corners = self.correction.conditioning, self.corners
+        depends = not self.phases_keep or corners.are_there
+        self.front = FrontEnd(conditioning, corners) if depends else None
+        self.coefficients = conditioning.coefficients()
+        self.row = ()
+        self._remove_drift()
+        self.use_unit(self.unit_s)
+
+    def _remove_drift(self) -> None:
+        """Behind the conditioning; the analog path is that of the conditioning."""
+        if self.adaptation.is_on:
+            used = self.adaptation.drift.removed_by(self.correction.conditioning)
+            self.coefficients = used.coefficients()
+            if self.front is not None:
+                self.front.use_conditioning(used)

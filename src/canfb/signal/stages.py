@@ -1,0 +1,499 @@
+"""The stages of one sample: conditioning, Table 1, correction, eq. 9, supervision, comparisons.
+
+Samples come one after the other, and the interval between two of them is known, or several that are possible
+are: that is the work of :class:`canfb.signal.chain.SignalChain`. Each stage is a field of the
+:class:`Feedback`.
+
+Nearly each sample is usual: two counts and no more, one interval after the one before (or within 5 % of it,
+as its own time says), within all limits, and nothing is in doubt before it or after it. Then eq. 9 counts,
+and :meth:`Stages.take` is done. Whatever differs is left to :meth:`Stages._resolve`, with the phase that was
+computed; afterwards :meth:`Stages._look_again` says whether the next sample may be usual. Table 1 and the
+correction stand in `take` line by line, bit for bit as :func:`raw_phase` and :meth:`CorrectionTable.correct`:
+two calls more would cost 4 % of a cycle. tests/signal/test_usual_step.py compares both ways, bit for bit.
+"""
+
+from __future__ import annotations
+
+from math import nan, sqrt
+from typing import NamedTuple
+
+from canfb.objects import LossCause
+from canfb.signal import speeds
+from canfb.signal.adaptation import AdaptConfig, FollowedDrift
+from canfb.signal.blocks import Scratch
+from canfb.signal.bounded_motion import HOLE_INTERVALS
+from canfb.signal.chain_config import ChainConfig, ChainLimits
+from canfb.signal.conditioner import Conditioner
+from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.declared import Declared
+from canfb.signal.estimator import Estimator
+from canfb.signal.estimator_runs import follow_run, successor, take_run
+from canfb.signal.feedback import Feedback
+from canfb.signal.front_end import AHEAD_INTERVALS
+from canfb.signal.frozen import FrozenInput, repeats
+from canfb.signal.harmonics import corrected
+from canfb.signal.phase import AnyArray, raw_phase
+from canfb.signal.recovery.auxiliary_encoder import AuxiliaryEncoder
+from canfb.signal.recovery.coarse import CoarseTrack
+from canfb.signal.recovery.reference import Pulse, Reference
+from canfb.signal.recovery.zero_pulse import ZeroPulse
+from canfb.signal.sample import Sample
+from canfb.signal.second_position import SecondSensor
+from canfb.signal.supervision import (
+    FROZEN,
+    LOST,
+    MISSED,
+    REFERENCED,
+    RESIDUAL,
+    TABLE_ACTIVE,
+    VALID,
+    Supervision,
+)
+from canfb.signal.tracker import Track, TrackResult
+from canfb.signal.tracking import continues, write_places_before
+
+_new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
+
+
+class Extras(NamedTuple):
+    """What a sample has beside two counts in turn.
+
+    sample    the sample, with coarse track and zero pulse
+    bad       it is not to be used; ``unplaced``: since it is not known when it was taken
+    next_one  by the count of SYNCs none was missed before it
+    pulse     a zero pulse that came before an earlier sample of the same interval of SYNC
+    newest    it is the newest of its interval of SYNC
+    options   all elapsed times that are possible, if it is not known which; () if it is
+    """
+
+    sample: Sample
+    bad: bool = False
+    unplaced: bool = False
+    next_one: bool = False
+    pulse: Pulse | None = None
+    newest: bool = True
+    options: tuple[float, ...] = ()
+
+
+class Stages:
+    """One encoder, sample by sample, at known intervals: those from sample to sample.
+
+    A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
+    cycle count; see :mod:`canfb.signal.estimator` for what happens then.
+
+    estimator   of the cycle count; another one with another order of prediction
+    tracks      what makes a phase of counts
+    reference   the state of coarse track and zero pulse; another one for another encoder
+    second      comparison with another sensor, None without one
+    samples     the number of the last sample, 0 before the first one
+    last        its feedback, None after a start and after a run on arrays
+    place       its place, if it was taken; ``was_valid``: not 0 if it was valid
+    clock       sampling intervals since the start
+    waits       the position is lost until the machine stands, and starts again there
+    """
+
+    def __init__(self, config: ChainConfig, table: CorrectionTable | None) -> None:
+        limits = config.chain_limits
+        self.estimator = Estimator(limits.declared)
+        self._tracker = self.estimator.tracker
+        self._supervision = Supervision(limits.sample)
+        self._frozen = FrozenInput(limits.frozen_samples, limits.residual_limit)
+        self.tracks = Conditioner(config.interval_s)
+        self.second: AuxiliaryEncoder | None = None
+        self.samples = 0
+        self.last: Feedback | None = None
+        self.place: Track | Feedback | None = None
+        self.clock = 0.0
+        self.waits = False
+        self._nothing_in_doubt = False  # the next sample may be a usual one
+        self._stands = False  # the counts repeat, and the machine stands still
+        self._sine = self._cosine = nan  # counts of the last sample
+        self._speed = 0.0
+        self.was_valid = 0  # the last sample
+        self._make_reference(limits)
+        self.set_limits(limits)
+        self.activate(Correction(table, config.conditioning))
+        self.adapt(config.adaptation)
+
+    # What may change between two samples.
+
+    def set_limits(self, limits: ChainLimits) -> None:
+        """Take new limits. Another encoder resets coarse track and zero pulse."""
+        self._declare(limits.declared)
+        self._supervision.set_limits(limits.sample)
+        self._frozen.residual_limit_cycles = limits.residual_limit
+        self._frozen.frozen_samples = limits.frozen_samples
+        if limits.cycles_per_revolution != self.reference.coarse.cycles_per_revolution:
+            self._make_reference(limits)
+        self.reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
+        self.reference.coarse.full_scale_counts = limits.sample.full_scale_counts
+        self.tracks.use_corners(limits.corners)
+        self._tracks_changed()
+
+    def _declare(self, declared: Declared) -> None:
+        """Hold the next samples against this; the position stays.
+
+        With another order of prediction it is lost if the samples were about to determine it; or if the
+        machine accelerates by more than the prediction of constant speed can follow.
+        """
+        if declared.order == self.estimator.order:
+            self.estimator.declare(declared)
+            return
+        self.estimator = successor(self.estimator, declared)
+        self._tracker = self.estimator.tracker
+        self.reference.follow(self.estimator)
+
+    def _make_reference(self, limits: ChainLimits) -> None:
+        n = limits.cycles_per_revolution
+        coarse = CoarseTrack(n, limits.sample.full_scale_counts, limits.coarse_limit_revolutions)
+        self.reference = Reference(self.estimator, coarse, ZeroPulse(n))
+        if self.second is not None:  # nothing is known of the sensor any more
+            self.use_second(self.second.sensor)
+
+    def use_second(self, sensor: SecondSensor | None) -> None:
+        """Compare with another sensor from now on, or with none; nothing is known of it."""
+        self._nothing_in_doubt = False
+        begun = self._tracker.started
+        self.second = None if sensor is None else AuxiliaryEncoder(sensor, self.reference, begun)
+
+    def activate(self, correction: Correction) -> None:
+        """Take another ``correction``. TypeError if its table is none."""
+        self.tracks.activate(correction)
+        self._base_status = 0 if correction.table is None else TABLE_ACTIVE
+        self._tracks_changed()
+
+    def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
+        """As :meth:`Conditioner.adapt`."""
+        self.tracks.adapt(limits, start_from)
+        self._tracks_changed()
+
+    def _tracks_changed(self) -> None:
+        self._nothing_in_doubt = False
+        self.estimator.phases_keep = self.tracks.phases_keep
+        self._expect_present_speed()
+
+    def use_unit(self, unit_s: float) -> None:
+        """The sampling interval, seconds; 0.0: not known. Speeds stay as they are."""
+        self.tracks.use_unit(unit_s)
+        self._expect_present_speed()
+
+    def sample_faster(self, factor: float) -> None:
+        """From now on there are so many times as many samples; the position stays."""
+        self.estimator.rescale(factor)
+        self.reference.slipped()
+        self._speed /= factor
+        self.place = None
+
+    # Starts and pauses.
+
+    def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
+        """Forget the position: the next good sample starts with this cycle count and speed."""
+        self.estimator.restart(cycles, speed_cycles)
+        self.reference.restart()
+        if self.second is not None:
+            self.second.restart()
+        self.waits = False
+        self._forget_sample()
+        self._speed = float(speed_cycles)
+        self._expect(self._speed)
+
+    def resume(self, moved: bool) -> None:
+        """Go on after a pause from the last position, which is lost if the machine may have ``moved``."""
+        self.reference.restart(keep=not moved)
+        if self.second is not None:
+            self.second.restart(keep=not moved, known=True)
+        self.estimator.resume()
+        self._forget_sample()
+        if moved:
+            self.lose_after_pause(starts=True)
+
+    def lose_after_pause(self, starts: bool) -> None:
+        """As :meth:`Estimator.lose`; without a sample."""
+        self.estimator.lose(LossCause.PAUSE, starts)
+        self.reference.slipped()
+
+    def _forget_sample(self) -> None:
+        """The next sample is the first of its kind."""
+        self._nothing_in_doubt = False
+        self.last = self.place = None
+        self._sine = self._cosine = nan
+        self._speed, self.was_valid = 0.0, 0
+        self._expect(0.0)
+
+    # Samples.
+
+    def take(
+        self,
+        sine: float,
+        cosine: float,
+        elapsed: float = 1.0,
+        timed: bool = False,
+        extras: Extras | None = None,
+    ) -> Feedback:
+        """One sample, ``elapsed`` intervals after the one before. A bad one is flagged, it never raises.
+
+        ``timed``: its own time says so, and the next interval may be uneven. Without ``extras`` it comes in
+        turn: after one interval, or where ``timed`` after no more than HOLE_INTERVALS.
+        """
+        usual = self._nothing_in_doubt and extras is None
+        if self.waits and not usual and self.estimator.stands_still:
+            self.restart()
+        tracks = self.tracks
+        offset_s, gain_s, offset_c, factor_c, skew = tracks.coefficients
+        lowest, highest, smallest, largest = self._supervision.bounds
+        s = (sine - offset_s) * gain_s
+        c = (cosine - offset_c) * factor_c - s * skew
+        amplitude = sqrt(s * s + c * c)
+        if not (  # a chained comparison takes longer
+            lowest < sine
+            and sine < highest
+            and lowest < cosine
+            and cosine < highest
+            and smallest <= amplitude
+            and amplitude <= largest
+        ):
+            stages = s, c, amplitude, raw_phase(s, c), nan
+            return self._resolve(sine, cosine, stages, elapsed, timed, extras)
+        if c > 0.0 and -c <= s <= c:
+            raw = 0.125 * (s / c)
+            if raw < 0.0:
+                raw += 1.0
+            raw = raw + 0.0 if raw != 1.0 else 0.0
+        elif c < 0.0 and c <= s <= -c:
+            raw = 0.5 + 0.125 * (s / c)
+        elif s > 0.0:
+            raw = 0.25 - 0.125 * (c / s)
+        elif s < 0.0:
+            raw = 0.75 - 0.125 * (c / s)
+        else:
+            return self._resolve(sine, cosine, (s, c, amplitude, nan, nan), elapsed, timed, extras)
+        phase = raw
+        entries = tracks.entries
+        if entries:
+            place = raw * entries
+            index = int(place)
+            first, slope = tracks.lines[index]
+            phase = first + (place - index) * slope
+            if phase < 0.0:
+                phase += 1.0
+            if phase >= 1.0:
+                phase -= 1.0
+        if tracks.row:
+            phase = corrected(tracks.row, phase)
+        repeated = sine == self._sine and cosine == self._cosine
+        if not usual or (repeated and not self._stands):
+            return self._resolve(sine, cosine, (s, c, amplitude, raw, phase), elapsed, timed, extras)
+        tracker, estimator = self._tracker, self.estimator
+        residual = tracker.advance(phase) if elapsed == 1.0 else estimator.advance_over(phase, elapsed)
+        if residual < 0.0:
+            return self._resolve(sine, cosine, (s, c, amplitude, raw, phase), elapsed, timed, extras)
+        if self._stands:
+            self._stands = self._frozen.goes_on(repeated)
+        cycles, speed = tracker.cycles, tracker.step_cycles
+        estimator.places.append((cycles, phase, elapsed))
+        self._sine, self._cosine = sine, cosine
+        self.clock += elapsed
+        self.samples = samples = self.samples + 1
+        acceleration, self._speed = speed - self._speed, speed
+        status = self._status
+        self.last = self.place = last = _new(
+            Feedback,
+            (s, c, amplitude, raw, cycles, phase, residual, status, speed, acceleration, 0, samples),
+        )
+        if tracks.front is not None:
+            tracks.expect(speed + AHEAD_INTERVALS * acceleration)
+        if samples >= tracks.adaptation.due:
+            self._learn(last)
+        return last
+
+    def _resolve(
+        self,
+        sine: float,
+        cosine: float,
+        stages: tuple[float, float, float, float, float],
+        elapsed: float,
+        timed: bool,
+        extras: Extras | None,
+    ) -> Feedback:
+        """A sample that is not usual; ``stages`` up to its phase, NaN if it does not keep its limits."""
+        s, c, amplitude, raw, phase = stages
+        sample, bad, unplaced, next_one, pulse, newest, options = extras or Extras(Sample(sine, cosine))
+        faults = self._supervision.faults(sine, cosine, amplitude)
+        if sine == self._sine and cosine == self._cosine:
+            if self._frozen.repeated(0.0 if self._frozen.repeats else self._least_speed()):
+                faults |= FROZEN
+        else:
+            self._sine, self._cosine = sine, cosine
+            if self._frozen.repeats:
+                self._frozen.moved()
+        estimator, reference = self.estimator, self.reference
+        estimator.timed = timed
+        measured = not (faults or bad) and phase == phase
+        if measured:
+            track, bits = estimator.good(phase, options or elapsed)
+        else:
+            track, bits = estimator.bad(options or elapsed, missed=unplaced)
+        if bits & LOST and (not measured or bits & RESIDUAL):
+            reference.slipped()
+        jump = 0
+        self.clock += elapsed
+        zero_pulse = sample.zero_pulse
+        no_coarse = sample.coarse_sine is None
+        if not no_coarse or zero_pulse is not None or pulse is not None or reference.in_doubt:
+            before = self.place if measured else None
+            if pulse is None and zero_pulse is not None and before is not None:
+                pulse = reference.pulse(before, track, zero_pulse, self.clock, elapsed)
+            bits, jump = reference.apply(sample, track, bits, pulse, elapsed if before else 0.0)
+        if self.second is not None:
+            bits, jump = self.second.apply(track, bits, jump, elapsed, measured, no_coarse, newest)
+        self.place = track if measured and jump == 0 else None
+        if elapsed > HOLE_INTERVALS and not (next_one and bits & VALID):
+            bits |= MISSED
+        feedback = self._feedback((s, c, amplitude, raw), track, bits | faults, jump)
+        self._look_again(feedback)
+        return feedback
+
+    def miss(self, intervals: float) -> Feedback:
+        """So many intervals without a sample: the position coasts, flagged."""
+        track, bits = self.estimator.bad(intervals, missed=True)
+        self.clock += intervals
+        self.place = None
+        self.reference.missed()
+        if self.second is not None:
+            bits = self.second.missed(bits)
+        return self._feedback((nan, nan, 0.0, nan), track, bits | MISSED, 0)
+
+    def lose(self) -> Feedback:
+        """The position is lost from now on: no cycles were counted."""
+        self.estimator.lose(LossCause.TIME)
+        self.reference.slipped()
+        return self._feedback((nan, nan, 0.0, nan), self._tracker.predict(0.0), LOST, 0)
+
+    def _feedback(
+        self, stages: tuple[float, float, float, float], track: Track, bits: int, jump: int
+    ) -> Feedback:
+        self._nothing_in_doubt = False
+        self.samples = samples = self.samples + 1
+        cycles, phase, residual, _ = track
+        speed, places = self._tracker.step_cycles, self.estimator.places
+        valid = bits & VALID
+        # The speed of a sample that was not valid may be wrong by whole cycles.
+        known = self.was_valid or not valid
+        acceleration = speed - self._speed if known else speeds.acceleration(places)
+        self._speed, self.was_valid = speed, valid
+        if valid and len(places) > 2 and places[-1][2] > HOLE_INTERVALS:
+            acceleration = speeds.acceleration(places)
+            self._speed += acceleration * (places[-1][2] - 1.0) / 2.0  # as over the last interval alone
+        self._expect(speed + AHEAD_INTERVALS * acceleration if valid else speed)
+        status = bits | self._base_status
+        if self.reference.zero.referenced and not bits & LOST:
+            status |= REFERENCED
+        self.last = _new(
+            Feedback, (*stages, cycles, phase, residual, status, speed, acceleration, jump, samples)
+        )
+        if self.tracks.adaptation.is_on:
+            self._learn(self.last)
+        return self.last
+
+    def _look_again(self, feedback: Feedback) -> None:
+        """After ``feedback``: may the next sample be a usual one?"""
+        estimator, frozen = self.estimator, self._frozen
+        self.waits = self.waits and estimator.lost  # what was found goes on, and is not started again
+        in_doubt = estimator.in_doubt or self.reference.in_doubt or self.second is not None
+        self._stands = frozen.stands
+        faulty = self._supervision.after_fault or (frozen.repeats and not self._stands)
+        if feedback.status & VALID and not (in_doubt or faulty or estimator.searches):
+            self._nothing_in_doubt = True
+            self._status = VALID | self._base_status
+            if self.reference.zero.referenced:
+                self._status |= REFERENCED
+
+    def repeats(self, sine: float, cosine: float) -> bool:
+        """``sine`` and ``cosine`` are the counts of the last sample, before conditioning."""
+        return sine == self._sine and cosine == self._cosine
+
+    def _least_speed(self) -> float:
+        """Of the last steps, of which any may have been bad."""
+        return speeds.least_speed(self.estimator.places, self.estimator.declared.bad_samples + 1)
+
+    def _learn(self, feedback: Feedback) -> None:
+        """A sample for the adaptation, whose result counts from the next one on."""
+        if self.tracks.learn(feedback):
+            self._expect(feedback.speed_cycles + AHEAD_INTERVALS * feedback.acceleration_cycles)
+
+    def _expect(self, speed_cycles: float) -> None:
+        """The next sample is expected at this speed. While the position is lost it may be any other."""
+        tracks = self.tracks
+        if tracks.front is not None:
+            known = not self.estimator.lost and (self._tracker.started or speed_cycles != 0.0)
+            self._supervision.amplitude_known(known or not tracks.corners.are_there)
+            tracks.expect(speed_cycles, known)
+
+    def _expect_present_speed(self) -> None:
+        self._expect(self._tracker.step_cycles if self._tracker.started else self._speed)
+
+    # Runs on arrays (:mod:`canfb.signal.stream`).
+
+    def write_places_before(self, tracked: TrackResult, at: int) -> None:
+        """Write what the prediction needs into ``tracked``, three places before ``at``."""
+        if self._tracker.is_steady:
+            write_places_before(self._tracker, tracked, at)
+
+    def continues(self, tracked: TrackResult, at: int) -> bool:
+        """True if :meth:`follow_run` may begin at ``at``: what the prediction needs stands before.
+
+        And nothing of the last samples is in doubt. A lost position is not: eq. 9 runs on with it.
+        """
+        doubts = (
+            self.waits
+            or self.estimator.in_doubt
+            or self.estimator.searches
+            or self._supervision.after_fault
+            or self.reference.in_doubt
+        )
+        return not doubts and continues(self._tracker, tracked, at)
+
+    def follow_run(
+        self, sine: AnyArray, cosine: AnyArray, tracked: TrackResult, run: slice, scratch: Scratch
+    ) -> int:
+        """:meth:`take` for a run of samples, one interval apart, that keep the limits of one sample.
+
+        Only where :meth:`continues`. ``sine``, ``cosine`` are its counts, ``tracked.phase[run]`` the
+        corrected phases. ``scratch`` has the length of the run. Fills the rest of ``tracked[run]``.
+        The result is the number of samples taken: those before the first with a residual
+        over the limit (unless the position is lost) or a frozen input. The stages stand
+        after these, and the rest is for :meth:`take`.
+        """
+        start: int = run.start
+        cycles, phase = tracked.cycles, tracked.phase
+        estimator, tracker = self.estimator, self._tracker
+        state = tracker.snapshot()
+        stop = follow_run(estimator, tracked, run, scratch)
+        if stop > start:
+            before = self._sine, self._cosine
+            equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
+            if equal is None:
+                self._frozen.moved()
+            else:
+                places, doubtful = (
+                    () if estimator.lost else estimator.places,
+                    estimator.declared.bad_samples + 1,
+                )
+                least = speeds.least_speeds(places, cycles[start:stop], phase[start:stop], doubtful)
+                stop = start + self._frozen.take_run(equal, least)
+        if stop == start:
+            tracker.restore(state)
+            return 0
+        last = stop - 1
+        self.place = Track(int(cycles[last]), float(phase[last]), float(tracked.residual[last]), True)
+        take_run(estimator, state, tracked, start, stop)
+        self._sine, self._cosine = float(sine[last - start]), float(cosine[last - start])
+        self.last = None
+        self._speed = tracker.step_cycles
+        self.was_valid = 0 if estimator.lost else VALID
+        if estimator.lost and not tracked.ok[start:stop].all():
+            self.reference.slipped()
+        self.clock += stop - start
+        self.samples += stop - start
+        self._nothing_in_doubt = False
+        return stop - start
