@@ -308,8 +308,8 @@ def followed(syncs: int = 40, stamped: bool = True, noise_s: float = 0.0) -> Jud
 
 
 def test_nothing_is_sent_before_it_is_measured() -> None:
-    """An answer before the grid is of a SYNC that was early: by so much the instant may be off."""
-    for early_s, error in ((0.36e-3, 0.16), (0.15e-3, 0.0)):
+    """An answer before the grid, and sooner after it than any, is of a SYNC that was early by as much."""
+    for early_s, error in ((0.36e-3, 0.30), (0.15e-3, 0.09), (0.05e-3, 0.0)):
         judge = followed(noise_s=0.12e-3)  # so much that the first SYNC is still one in time
         assert judge.clock.jitter > 0.44
         judge.sync(40e-3 - early_s, True, None)
@@ -317,6 +317,10 @@ def test_nothing_is_sent_before_it_is_measured() -> None:
         assert isinstance(passed, Passed)
         assert passed.elapsed == 1.0
         assert passed.instant_error == pytest.approx(error, abs=0.05 if error else 0.0)
+        judge.sync(41e-3 - early_s, True, None)  # at the usual distance, but from one that was not used
+        passed = judge.answer(41.2e-3 - early_s, True)
+        assert isinstance(passed, Passed)
+        assert passed.instant_error == pytest.approx(error, abs=0.07 if error else 0.0)
 
 
 def test_a_dropped_sample_leaves_no_interval_open() -> None:

@@ -20,7 +20,7 @@ from enum import IntEnum
 from math import inf, isfinite
 from typing import NamedTuple
 
-from canfb.timing.answer_delay import MOST_LATE, AnswerDelay
+from canfb.timing.answer_delay import MOST_LATE, SOONEST, AnswerDelay
 from canfb.timing.answer_delay import TOGETHER as DELAYS_TOGETHER
 from canfb.timing.sync_judge import MOST_INTERVALS, MOST_OPTIONS, SyncJudge
 
@@ -115,11 +115,13 @@ class Judge(SyncJudge):
     def _early_s(self, time_s: float) -> float:
         """How much shorter than a period the interval of a sample is, at least, that is received now.
 
-        It is measured after its SYNC, and sent after that. So the interval is no longer than from the SYNC
-        before to this PDO; and one that comes before its SYNC was due is not that of a timer.
+        It is measured after its SYNC, and sent no sooner after that than any. So the interval is no longer
+        than from the SYNC before to that time; and one that is measured before its SYNC was due is not that
+        of a timer. If the last one was off itself, and so was not used, the grid is what is left.
         """
-        clock = self.clock
-        return min(clock.due_s - clock.period_s, self._before_s + clock.period_s) - time_s
+        due_s, period_s = self.clock.due_s, self.clock.period_s
+        at_s = due_s - period_s if self._error_before else min(due_s - period_s, self._before_s + period_s)
+        return at_s - time_s + (self.delay.low_s if self.delay.learned else 0.0)
 
     def _another(self, time_s: float, stamped: bool) -> Passed | Refusal:
         """No SYNC since the last sample: that one again, or the answer to a SYNC that was not received."""
@@ -165,23 +167,24 @@ class Judge(SyncJudge):
         self._earlier = max(0, -offsets[0])
         self._lowest = options[0] if self._slack and not self.is_open and offsets[0] == 0 else None
         self._since_before, self._since = since, -offsets[-1]
-        error = self._error
+        error = self._error_before = self._error
         self._came()
         if len(options) == 1 and certain and not error:
             return USUAL if low == 1 else Passed(options[0])
         return Passed(options[0] if len(options) == 1 else options, error, certain)
 
     def _look_ahead(self) -> None:
-        """A SYNC that is early by more than the delay of its answer is looked at, and so is the answer."""
+        """A SYNC so early that its sample may be, by the delay of its answer, is looked at, and so is that."""
         super()._look_ahead()
-        self._low_s = max(self._low_s, -max(self.delay.low_s, ROUNDING * self.clock.period_s))
+        spare_s = (1.0 / SOONEST - 1.0) * self.delay.low_s
+        self._low_s = max(self._low_s, -max(spare_s, ROUNDING * self.clock.period_s))
 
     def _came(self) -> None:
         if self._answered:  # an interval without a SYNC that was received
             self._sparse.clear()
         self._answered = self.sampled = True
         self._usual = False
-        if self._high_s == -inf or self._slack:
+        if self._high_s == -inf or self._slack or self._error_before:
             self._look_ahead()
 
     def answered_last_sync(self) -> Passed:

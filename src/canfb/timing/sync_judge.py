@@ -165,7 +165,7 @@ class SyncJudge:
         self._slack = 0  # intervals that the next sample may be further from the last one
         self._earlier = 0  # of these, because the last one may have answered the SYNC before the last
         self._lowest: float | None = None  # of its intervals, if it was not
-        self._error = 0.0  # of the instant of this SYNC, periods
+        self._error = self._error_before = 0.0  # of the instant of this SYNC, and of the last sample, periods
         self.late_s = 0.0
         """How late the last SYNC was that opened the question whether others are missing."""
         self._close()
@@ -192,7 +192,7 @@ class SyncJudge:
         self._spare_s = clock.jitter * period  # a SYNC is not overdue before that
         self._low_s, self._high_s = inf, -inf
         busy = self.is_open or self._streak or self._error or self._gap or self._slack or self._before_open
-        if period and not busy and not self._sparse:
+        if period and not (busy or self._sparse or self._error_before):
             self._low_s, self._high_s = -self._early * period, HALF * period
             if self._stamped:  # the time says both sides
                 self._low_s, self._high_s = -clock.jitter * period, clock.jitter * period
