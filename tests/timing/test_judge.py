@@ -323,6 +323,20 @@ def test_nothing_is_sent_before_it_is_measured() -> None:
         assert passed.instant_error == pytest.approx(error, abs=0.07 if error else 0.0)
 
 
+def test_without_receive_times_only_what_was_early_is_usual() -> None:
+    """A host that is late by any time makes no SYNC early: an extra one on it is off the grid by as much."""
+    judge, rng = Judge(), np.random.default_rng(3)
+    for n in range(100):
+        at_s = n * 1e-3 + float(rng.uniform(0.04, 0.32)) * 1e-3
+        judge.sync(at_s, False, None)
+        judge.answer(at_s + 2e-4, False)
+    assert judge.clock.jitter > 0.4
+    judge.sync(99.75e-3, False, None)
+    passed = judge.answer(100.1e-3, False)
+    assert isinstance(passed, Passed)
+    assert passed.instant_error == pytest.approx(0.3, abs=0.05)
+
+
 def test_a_dropped_sample_leaves_no_interval_open() -> None:
     judge = followed()
     judge.sync(40e-3, True, None)

@@ -7,7 +7,7 @@ that is known beforehand, so two bounds hold, and the smaller one is in force:
   them, 6.4 standard deviations, once in 10^10.
 - With receive times BEYOND times the largest deviation of the last 1024 to 2048 SYNCs: of Gaussian jitter
   that is 6.4 standard deviations, too; of jitter with a bound, such as frames that were on the bus, twice
-  the bound.
+  the bound. Without them this holds for SYNCs that are early alone: a host that is late makes none.
 
 **A step within the noise.** Another producer, a phase d later: if d is less than a single SYNC may be off, no
 SYNC shows it, but their mean does. The mean of LASTING groups of n SYNCs is usually off by as much as it was
@@ -40,7 +40,8 @@ MEANS_KNOWN = 16  # the jitter of a producer may swing
 
 
 class Deviations:
-    """``deviation`` is the mean absolute one, ``jitter`` how far a SYNC may be off, both in periods.
+    """``deviation`` is the mean absolute one, ``jitter`` how far a SYNC may be off, ``early`` how far before
+    its line; all in periods.
 
     ``step_s`` is by how much SYNCs were off, seconds, if all of the last groups were; else 0.0.
     """
@@ -56,6 +57,7 @@ class Deviations:
         "_spreads",
         "_usual_s",
         "deviation",
+        "early",
         "jitter",
         "step_s",
     )
@@ -66,7 +68,7 @@ class Deviations:
     def forget(self) -> None:
         """What is declared holds, until it is measured."""
         self.deviation = JITTER / DEVIATIONS
-        self.jitter = JITTER
+        self.jitter = self.early = JITTER
         self.step_s = 0.0
         self._spreads = self._groups = self._means = 0
         self._largest_s = self._before_s = self._mean_s = 0.0
@@ -89,12 +91,16 @@ class Deviations:
         if size == 1 and self._spreads < TOGETHER:  # fewer than that say nothing
             return
         limit = DEVIATIONS * self.deviation
-        if stamped and size > 1:
-            self._follow_largest(max(max(errors_s), -min(errors_s)))
+        largest = math.inf
+        if size > 1:
+            self._follow_largest(max(max(errors_s) if stamped else 0.0, -min(errors_s)))
             if self._groups >= PEAKS_KNOWN:
-                limit = min(limit, BEYOND * max(self._largest_s, self._before_s) / period_s)
+                largest = BEYOND * max(self._largest_s, self._before_s) / period_s
+        if stamped and size > 1:
+            limit = min(limit, largest)
             self._follow_mean(mean_s, moved_s, period_s * self.deviation / math.sqrt(LASTING * size))
         self.jitter = min(JITTER, max(min(LEAST_JITTER, LEAST_JITTER_S / period_s), limit))
+        self.early = min(self.jitter, largest)
 
     def taken_together(self) -> None:
         """From now on SYNCs come in groups."""

@@ -174,7 +174,7 @@ class Judge(SyncJudge):
         return Passed(options[0] if len(options) == 1 else options, error, certain)
 
     def _look_ahead(self) -> None:
-        """A SYNC so early that its sample may be, by the delay of its answer, is looked at, and so is that."""
+        """A SYNC so early that its answer may be sooner than any is looked at, and so is that."""
         super()._look_ahead()
         spare_s = (1.0 / SOONEST - 1.0) * self.delay.low_s
         self._low_s = max(self._low_s, -max(spare_s, ROUNDING * self.clock.period_s))

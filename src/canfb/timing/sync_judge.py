@@ -19,11 +19,11 @@ clear. Where it is not whole, or where the number changes, some came late and ot
 is where SYNCs would then have come sooner than any did: a host that is always late makes these, too.
 
 **The instant.** An interface samples at the SYNC, or by a timer that follows it; which, it does not say. So
-a SYNC off its grid puts the instant of its sample in doubt by as much, and one whose grid has moved for good
-that of all samples from then on: the position is in doubt by the speed times that, and is flagged, or lost,
-by arithmetic. The usual jitter is not part of it: it does not hit whole cycles again and again, and the
-residuals show it (docs/time.md). A step of the grid within the jitter shows in the mean of many SYNCs, and is
-the same doubt then (deviations.py).
+a SYNC off its grid (without receive times: sooner than any) puts the instant of its sample in doubt by as
+much, and one whose grid has moved for good that of all samples from then on: the position is in doubt by the
+speed times that, and is flagged, or lost, by arithmetic. The usual jitter is not part of it: it does not hit
+whole cycles again and again, and the residuals show it (docs/time.md). A step of the grid within the jitter
+shows in the mean of many SYNCs, and is the same doubt then (deviations.py).
 
 **Extra SYNCs** (sent twice, or of another producer) are none for sampling, but they are for CANopen: every
 SYNC on the bus triggers the synchronous PDOs. Only one that is repeated by its counter is none at all.
@@ -188,12 +188,13 @@ class SyncJudge:
         """Which of the next SYNCs need no judgement."""
         clock, period = self.clock, self.clock.period_s
         self._early = min(EARLIEST, max(LEAST_EARLY, clock.jitter))
+        self._soon = max(LEAST_EARLY, clock.deviations.early)
         self._wait_s = period or UNSETTLED_S
         self._spare_s = clock.jitter * period  # a SYNC is not overdue before that
         self._low_s, self._high_s = inf, -inf
         busy = self.is_open or self._streak or self._error or self._gap or self._slack or self._before_open
         if period and not (busy or self._sparse or self._error_before):
-            self._low_s, self._high_s = -self._early * period, HALF * period
+            self._low_s, self._high_s = -min(self._early, self._soon) * period, HALF * period
             if self._stamped:  # the time says both sides
                 self._low_s, self._high_s = -clock.jitter * period, clock.jitter * period
 
@@ -333,6 +334,8 @@ class SyncJudge:
         self._uneven = bool(self._streak) and (another_rate or sync.off > self._early)
         if self._streak and sync.stamped:  # one that was expected, by chance: others before it were not
             self._error = abs(sync.apart - 1 - sync.lost)
+        elif not sync.stamped and sync.off < -self._soon:
+            self._error = -sync.off
         if not self._streak and (sync.stamped or sync.off < 1.0):
             clock.errors.append(sync.off * clock.period_s)
             if len(clock.errors) >= clock.together:
