@@ -185,7 +185,7 @@ def test_a_lost_position_gets_its_speed_and_no_count() -> None:
 def test_times_that_are_even_are_followed_for_eight_samples() -> None:
     estimator = follower(declared(0.01))
     bits = [estimator.good(0.3, 1.0)[1] for _ in range(20)]
-    assert bits == [VALID] + [COASTING] * 6 + [VALID] * 13
+    assert bits == [COASTING] * 7 + [VALID] * 13
     assert not estimator.searches
 
 
