@@ -49,6 +49,21 @@ def test_a_late_host_may_have_the_answer_to_any_sync_since() -> None:
     assert answers(learned(), 3.2, stamped=False) == (0, 1, 2, 3)
 
 
+@pytest.mark.parametrize(("periods", "before_open", "offsets"), [
+    (0.95, False, (0,)),
+    (0.95, True, (-1, 0)),
+    (1.05, False, (0,)),
+    (1.1, False, (0, 1)),
+])  # fmt: skip
+def test_no_answer_comes_before_its_sync_can(
+    periods: float, before_open: bool, offsets: tuple[int, ...]
+) -> None:
+    delay = learned()
+    assert delay.answers(
+        periods * PERIOD_S, periods * PERIOD_S, PERIOD_S, before_open, True, 0.95 * PERIOD_S
+    ) == offsets  # fmt: skip
+
+
 def test_a_late_call_of_the_sync_does_not_make_the_answer_too_early() -> None:
     delay = learned()
     assert delay.answers(0.05 * PERIOD_S, 0.2 * PERIOD_S, PERIOD_S, False, False) == (0,)

@@ -444,3 +444,16 @@ def test_a_usual_sync_is_not_judged_even_if_its_answer_is_in_the_same_call(
         judge.sync(now, False, None)
         assert isinstance(judge.answer(now + delay_s, False), Passed)
     assert len(judged) < 60
+
+
+@pytest.mark.parametrize(("delay", "intervals"), [(0.913, (1.0,)), (1.2, (1.0,)), (1.4, (1.0, 2.0))])
+def test_a_sync_that_is_not_due_yet_has_no_answer(delay: float, intervals: tuple[float, ...]) -> None:
+    """An old PDO in place of a lost one, late in the interval, was held against two intervals as well."""
+    judge, period_s = Judge(), 1e-3
+    for n in range(100):
+        judge.sync(n * period_s, True, n % 10 + 1)
+        judge.answer((n + 0.37) * period_s, True)
+    judge.sync(100 * period_s, True, 1)
+    passed = judge.answer((100 + delay) * period_s, True)
+    assert isinstance(passed, Passed)
+    assert passed.options == intervals

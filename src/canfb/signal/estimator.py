@@ -271,7 +271,7 @@ class Estimator:
             track = tracker.look(phase)
             tracker.accept(track)
             self._begin_places()
-            # The next interval may be even by chance; and what must confirm the start must do so for this one.
+            # The next interval may be even by chance. What confirms the start confirms this sample.
             return track, COASTING if self._follows_speeds((1.0,)) else VALID
         if self._coasted + max(0, round(options[0]) - 1) > self.declared.coast_samples + 0.5:
             self.lose(LossCause.COASTED)

@@ -7,8 +7,8 @@ The PDO carries no mark of its SYNC. What its delay proves:
 - The PDOs of one node keep their order. If the SYNC before has been answered, a late PDO is not its answer.
 - A frame waits for others, some 0.1 ms each, but not for periods. So within the usual delay, and where the
   one before is answered within LATEST, the PDO answers the last SYNC. Outside it may answer the SYNC
-  before, while that has no answer; and, from the time on at which the next SYNC was due, one that was not
-  received.
+  before, while that has no answer; and, from the time on at which the next SYNC can have come and been
+  answered, one that was not received.
 
 Where more than one is left, all of them are the result, and the phases decide. (A PDO that is late by one
 period exactly, while the next one is lost, is within the usual delay: docs/wire-faults.md, P3 and P7.)
@@ -106,12 +106,19 @@ class AnswerDelay:
             )
 
     def answers(
-        self, delay_s: float, longest_s: float, period_s: float, before_open: bool, stamped: bool
+        self,
+        delay_s: float,
+        longest_s: float,
+        period_s: float,
+        before_open: bool,
+        stamped: bool,
+        next_s: float = 0.0,
     ) -> tuple[int, ...]:
         """Which SYNCs the first PDO since the last one may answer: 0 that one, -1 the one before, 1 the next.
 
         ``delay_s`` after it, by no means more than ``longest_s``; ``before_open``: the SYNC before has no
-        answer yet. ``stamped``: it did not wait for the host, which may be late by any time.
+        answer yet. ``stamped``: it did not wait for the host, which may be late by any time. The next SYNC
+        comes no sooner than ``next_s`` after the last one.
         """
         self.learn(period_s)
         passed = delay_s / period_s
@@ -126,7 +133,8 @@ class AnswerDelay:
         elif passed < LATEST:
             return ANSWERS_LAST
         later = delay_s - self.mean_s
-        if passed < LATEST or later < SPARE * period_s:
+        soonest_s = next_s + (self.low_s if self.learned else 0.0)
+        if passed < LATEST or later < SPARE * period_s or delay_s < soonest_s:
             return (-1, 0) if before_open else ANSWERS_LAST
         newest = max(1, min(round(later / period_s), MOST_NEWEST))
         return tuple(range(max(0, newest - MOST_LATE) if stamped else 0, newest + 1))

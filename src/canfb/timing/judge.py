@@ -104,7 +104,8 @@ class Judge(SyncJudge):
             if not stamped:
                 # A SYNC that was heard late may have come when it was due; not before that, or hardly.
                 longest_s += max(0.0, self.synced_s - clock.due_s + (1.0 + self._early) * period)
-            offsets = self.delay.answers(delay_s, longest_s, period, self._before_open, stamped)
+            next_s = clock.due_s - clock.jitter * period - self.synced_s if stamped else 0.0
+            offsets = self.delay.answers(delay_s, longest_s, period, self._before_open, stamped, next_s)
             if offsets == (0,):
                 self.delay.unlearned.append(delay_s)
                 early = self._early_s(time_s) / period
