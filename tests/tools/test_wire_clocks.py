@@ -17,9 +17,19 @@ from tools.faults.wire.judged import judged, main
 from tools.faults.wire.line import Line, Plan, Slot, lay
 from tools.faults.wire.motion import Motion
 from tools.faults.wire.physics import stamp_tolerance
-from tools.faults.wire.play import Episode, plan_of, play_plan
+from tools.faults.wire.play import Episode, plan_of, play, play_plan
 from tools.faults.wire.setups import SETUPS, TPDO1_ID, UNITS_PER_CYCLE, Options
 
+FOUND = (
+    "PDO lost, late host:plain:23303000002",
+    "healthy, late host:plain:23501000000",
+    "SYNC, second producer:plain:34001000000",
+    "SYNC, second producer:plain:54001000007",
+    "SYNC, second producer:plain/rx:54001000007",
+    "SYNC doubled, later:plain/rx:56001000010",
+    "PDO replayed:counter:57001000007",
+)
+"""Each was valid and wrong."""
 AIMED = ("stamp, bad again", "stamp, bad again after reset", "stamp, bad at the start")
 
 
@@ -108,6 +118,15 @@ def test_the_judge_alone_gives_the_true_intervals(name: str) -> None:
     for place, setup in enumerate(SETUPS):
         if CLASSES[number].of(setup) and not setup.servo and (setup.counter or setup.stamps):
             assert judged(Episode(number, place, 2)) == [], setup.name
+
+
+@pytest.mark.parametrize("episode", FOUND)
+def test_what_was_found_is_not_silent(episode: str) -> None:
+    assert play(Episode.parse(episode)).verdict.outcome in ("lost", "flagged", "kept")
+
+
+def test_a_later_frame_that_no_module_knew_makes_no_defect() -> None:
+    assert play(Episode.parse("PDOs slow:counter/rx:57001000059")).verdict.outcome == "physics"
 
 
 def test_the_judge_alone_is_compared_with_the_wire(capsys: pytest.CaptureFixture[str]) -> None:

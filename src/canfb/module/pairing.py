@@ -271,6 +271,9 @@ class Pairing(ProcessData):
         if isinstance(passed, Passed):
             if judge.advanced:
                 self._pass_lost(judge.advanced, passed, now)
+            elapsed, actions = passed.elapsed, self._actions
+            if isinstance(elapsed, tuple) and actions.slips(1.0) and actions.repeats(*self._input.tracks):
+                return passed._replace(certain=False)  # the last one again, and so late that another may fit
             return passed
         self.count_bad_frame()
         if passed is Refusal.ANOTHER:

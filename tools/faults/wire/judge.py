@@ -165,10 +165,11 @@ class Judge:
         return seen_late and not plan.setup.times
 
     def _is_p7(self) -> bool:
-        """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown."""
+        """A PDO answered another SYNC, and a machine that keeps the limits moves as was shown until then."""
         if self._plan.setup.times or not answers_another(self._line):
             return False
-        return self._is_legal([(self._last_sync(one.cause_time), one.position) for one in self._answers()])
+        known = [one for one in self._answers() if one.now <= self._last_wrong]
+        return self._is_legal([(self._last_sync(one.cause_time), one.position) for one in known])
 
     def _is_p9(self) -> bool:
         """Sample times are off by no more than the wire can be, and a machine moves as was shown at them."""

@@ -16,7 +16,8 @@ P3  No sample times. Each PDO is late by one whole period from some slot on.
 P7  No sample times. The first PDO after a SYNC answers an earlier one, and comes when the answer is due.
     Proof: the PDO carries no mark of its SYNC. Take the machine that moves as the module has it: this
     PDO is in time there, and the one of the earlier SYNC was lost. Frames, order and times are the same;
-    the machine is healthy as long as its motion keeps the limits (:func:`is_smooth`).
+    the machine is healthy as long as its motion keeps the limits (:func:`is_smooth`). A later frame may
+    contradict it; no module knows that one.
 P8  Receive times, no sample times. From one SYNC on all of them are off by d, less than the noise of a
     receive time, and v d is a whole number of cycles. For STEP_SYNCS; for good where d is below STEP_PART.
     Proof: each of these receive times may be that of a SYNC on the old grid, with another noise; so a
