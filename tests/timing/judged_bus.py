@@ -107,7 +107,7 @@ class Result:
     def scale(self) -> float:
         """Where the rate of SYNC has changed, an interval is another one."""
         ratio = self.period_s / (self.judge.clock.period_s or self.period_s)
-        return 1.0 if not self.judge._stamped or abs(ratio - 1.0) < 0.05 else ratio
+        return 1.0 if not self.judge.stamped or abs(ratio - 1.0) < 0.05 else ratio
 
     @property
     def same(self) -> float:

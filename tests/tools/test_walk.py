@@ -10,7 +10,7 @@ import pytest
 
 from tools.bench import walk
 
-FRAMES = ["SYNC", "ADC PDO to position PDO", "activation of a table"]
+FRAMES = ["SYNC", "ADC PDO to position PDO", "activation of a table", "ADC PDO with sample time"]
 
 
 def code(file: Path, text: str, **names: object) -> dict[str, Any]:
@@ -90,15 +90,16 @@ def test_the_usual_walk_is_the_median(tmp_path: Path, two: dict[str, Any]) -> No
 
 @pytest.fixture(scope="module")
 def frames() -> dict[str, walk.Walk]:
-    return walk.frames()
+    return walk.all_walks()
 
 
 def test_each_frame_goes_where_it_belongs(frames: dict[str, walk.Walk]) -> None:
     assert list(frames) == FRAMES
     through = {name: {(file, function) for _, file, function in one.route} for name, one in frames.items()}
-    sync, sample, activation = (through[name] for name in FRAMES)
+    sync, sample, activation, timed = (through[name] for name in FRAMES)
     step, activate = ("signal/stages.py", "Stages.take"), ("signal/chain.py", "SignalChain.activate")
-    assert step in sample - sync - activation
+    assert step in (sample & timed) - sync - activation
+    assert ("signal/sample_times.py", "SampleTimes.in_turn") in timed - sample
     assert activate in activation - sample - sync
     assert ("device/sync.py", "Sync.handle") in sync - sample
     assert all(("bus/runner.py", "Runner._take") in one for one in through.values())
@@ -108,7 +109,7 @@ def test_each_frame_goes_where_it_belongs(frames: dict[str, walk.Walk]) -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, frames: dict[str, walk.Walk]) -> None:
     """The frames are measured already."""
-    monkeypatch.setattr(walk, "frames", lambda: frames)
+    monkeypatch.setattr(walk, "all_walks", lambda: frames)
 
 
 @pytest.mark.usefixtures("quick")

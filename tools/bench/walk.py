@@ -34,6 +34,7 @@ SETTLING = 2000  # SYNCs until nothing of the start is left
 WALKED = 200
 TABLE_STAGED = 0x2020, 1
 TABLE_ENTRIES = 256
+TICK_S = 1e-7  # of sample times (2000:05)
 
 
 class Walk:
@@ -130,8 +131,12 @@ class WalkedBus:
         pass
 
 
-def planned_frames(crc32: int) -> list[tuple[float, str, Received]]:
-    """(time, name of its walk, frame): SYNCs and their ADC PDOs; 2020:03 before and after."""
+def planned_frames(crc32: int, times: bool) -> list[tuple[float, str, Received]]:
+    """(time, name of its walk, frame): SYNCs and their ADC PDOs; 2020:03 before and after.
+
+    With ``times`` each ADC PDO carries its sample time, and has the only walks.
+    """
+    adc_pdo = "ADC PDO with sample time" if times else "ADC PDO to position PDO"
 
     def planned(now: float, name: str, can_id: int, data: bytes = b"") -> tuple[float, str, Received]:
         return now, name, (can_id, data, now)
@@ -142,18 +147,22 @@ def planned_frames(crc32: int) -> list[tuple[float, str, Received]]:
         now, walked = (cycle + 1) * INTERVAL_S, cycle >= SETTLING
         angle = 2.0 * math.pi * 0.3 * cycle
         tracks = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
-        plan.append(planned(now, "SYNC" * walked, SYNC))
-        plan.append(planned(now + 0.2 * INTERVAL_S, "ADC PDO to position PDO" * walked, ADC_PDO, tracks))
+        if times:
+            tracks += struct.pack("<I", round(now / TICK_S))
+        plan.append(planned(now, "SYNC" * (walked and not times), SYNC))
+        plan.append(planned(now + 0.2 * INTERVAL_S, adc_pdo * walked, ADC_PDO, tracks))
+    if times:
+        return plan
     return [*plan, *[planned(now + 0.4 * INTERVAL_S, "activation of a table", SDO, activate)] * 9]
 
 
-def frames() -> dict[str, Walk]:
+def frames(times: bool = False) -> dict[str, Walk]:
     """The walks of frames through the runner and a module that turns with a table."""
     module = FeedbackModule(
-        ModuleConfig(node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True)
+        ModuleConfig(node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True, times=times)
     )
     table = CorrectionTable.identity(TABLE_ENTRIES)
-    bus = WalkedBus(planned_frames(table.crc32))
+    bus = WalkedBus(planned_frames(table.crc32, times))
     runner = Runner(cast(FrameBus, bus), [module], clock=bus.clock, wall=bus.clock)
     runner.run(
         finished=lambda: bus.over,
@@ -165,6 +174,11 @@ def frames() -> dict[str, Walk]:
     return {name: usual(walks) for name, walks in bus.walks.items()}
 
 
+def all_walks() -> dict[str, Walk]:
+    """Of a module without sample times, and of one with them."""
+    return frames() | frames(times=True)
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m tools.bench.walk", description=(__doc__ or "").splitlines()[0]
@@ -173,7 +187,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--route", metavar="NAME", help="print every call of the walks with this in their name"
     )
     options = parser.parse_args(arguments)
-    walks = frames()
+    walks = all_walks()
     if options.route is None:
         rows = [(name, walk.calls, walk.files, walk.changes) for name, walk in walks.items()]
         print("\n".join(table(("walk", "calls", "files", "changes of file"), rows)))

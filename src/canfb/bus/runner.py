@@ -115,7 +115,7 @@ class Runner:
         self._clock = clock
         self._sleep = sleep
         self._dispatch = Dispatch(devices, bus)
-        self._alone = len(devices) == 1
+        self._only = self._dispatch.ports[0] if len(devices) == 1 else None
         self._times = ReceiveTimes(clock, wall)
         self._due_s = NEVER  # the earliest deadline, when frames were asked for
         self._received = self._error_frames = self._bus_failures = 0
@@ -189,7 +189,11 @@ class Runner:
         if self._dispatch.moved:
             self._dispatch.follow()
         self._now = asked = self._clock()
-        due = self._dispatch.due_s()
+        if self._only is None:
+            due = self._dispatch.due_s()
+        else:  # the same, without a look at others
+            deadline = self._only.device_deadline()
+            due = NEVER if deadline is None else deadline
         if due <= asked:
             due = self._keep_deadlines(due)
             asked = self._now
@@ -253,7 +257,7 @@ class Runner:
     def _take(self, frames: list[Received]) -> None:
         """Give frames of one call of the bus to those who listen to them."""
         dispatch, times = self._dispatch, self._times
-        alone, send = self._alone, self._sender.send
+        alone, send = self._only is not None, self._sender.send
         wall_minus_now_s = times.compare(self._now)
         last_s: float | None = None
         for can_id, data, stamp_s in frames:
@@ -368,7 +372,7 @@ class Runner:
         dispatch, send = self._dispatch, self._sender.send
         if dispatch.moved:
             dispatch.follow()  # before the master learns that it may send what is new
-        if self._alone:
+        if self._only is not None:
             for frame in frames:
                 send(sender, frame)
             return

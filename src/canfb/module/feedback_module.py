@@ -15,7 +15,7 @@ from canfb.device.storage.storage import Store
 from canfb.module.cia406.alarms import REGISTER
 from canfb.module.cia406.profile import CyclicTimer, OperatingTime
 from canfb.module.events import EventWatch
-from canfb.module.interval import SamplingInterval
+from canfb.module.interval import InterfaceGrid, SamplingInterval
 from canfb.module.jitter_watch import JitterWatch
 from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import Calibrating, CalibrationJob, Outcome
@@ -24,6 +24,7 @@ from canfb.module.objects.sample_input import LocalSource, SampleInput
 from canfb.module.objects.second_input import SecondInput
 from canfb.module.objects.table_store import Adapting, TableStore
 from canfb.module.objects.write_lock import WriteLock
+from canfb.module.pairing import Pairing
 from canfb.module.parameters import Limits, factory_dictionary
 from canfb.module.publishing import Publishing
 from canfb.module.sampling import Sampling
@@ -105,11 +106,13 @@ class FeedbackModule(NodeDevice):
         self._observers = SampleObservers()
         self._publishing = Publishing(dictionary, self, interval, self._limits, chain, self._input)
         self.observer = self.events
-        self._sampling = Sampling(
+        grid = InterfaceGrid(chain, interval)
+        self.process = self._pairing = Pairing(
             dictionary,
             self,
             judge,
             interval,
+            grid,
             self._limits,
             chain,
             self._input,
@@ -118,7 +121,7 @@ class FeedbackModule(NodeDevice):
             self._observers,
             self._publishing,
         )
-        self.process = self._pairing = self._sampling.pairing
+        self._sampling = Sampling(judge, interval, grid, self._limits, chain, self._pairing, self._publishing)
         cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         cycles_per_revolution.on_written = self._encoder_changed
         self._jitter = JitterWatch(judge.clock, interval, self._limits, cycles_per_revolution, self._warn)

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from canfb.device.od.dictionary import Entry
+from canfb.signal.chain import SignalChain
+from canfb.signal.sample import TICK_S
 from canfb.timing.sync_clock import SyncClock
 
 SECONDS_PER_US = 1e-6
+SAME_GRID = 2e-6  # of the interval
+EXACT_SYNCS = 512  # from then on a lock is more exact than the drift of a clock
+CLOSE = 2e-3  # of the interval: as far as the first lock may be from 1006h
 
 
 class SamplingInterval:
@@ -46,3 +51,40 @@ class SamplingInterval:
     def sample_s(self) -> float:
         """The sampling interval, in which speeds are given: that of SYNC, divided by the samples in it."""
         return self.seconds / self.samples_per_sync
+
+
+class InterfaceGrid:
+    """Several samples for each SYNC: the earlier ones were taken by the interval of SYNC, exactly.
+
+    That is the interval by the clock of the interface, as ``chain`` learns it from the sample times.
+    """
+
+    def __init__(self, chain: SignalChain, interval: SamplingInterval) -> None:
+        self._chain, self._interval = chain, interval
+        self.forget()
+
+    def forget(self) -> None:
+        """Another interface may send samples."""
+        self._learned_s = 0.0
+
+    def follow(self) -> None:
+        """Before a sample with its time. While the grid is not known, times measure no intervals."""
+        grid_s, chain = self._grid_s(), self._chain
+        # Of the earlier samples it is not known when they were taken: at standstill it does not matter.
+        chain.measures_intervals = grid_s > 0.0
+        if abs(grid_s - chain.sync_interval_s) > SAME_GRID * grid_s:
+            chain.sync_interval_s = grid_s
+
+    def _grid_s(self) -> float:
+        """0.0: not known yet. 1006h is exact but for the drift of that clock, and so better for a while.
+
+        What was learned stays until the module is reset, or a new lock knows better.
+        """
+        lock, nominal_s = self._chain.nominal_sync, self._interval.nominal_s
+        if not lock.locked:
+            return self._learned_s or nominal_s
+        learned_s = lock.period_ticks * TICK_S
+        if lock.seen < EXACT_SYNCS and abs(learned_s - nominal_s) <= CLOSE * nominal_s:
+            return nominal_s
+        self._learned_s = learned_s
+        return learned_s

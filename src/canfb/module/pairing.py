@@ -1,70 +1,48 @@
-"""Which frames make a sample: one for each SYNC, and what came doubled, late or not at all.
+"""Which frames make a sample, one for each SYNC, and what becomes of it, or of its absence.
 
 What time says of a frame, the judge says (:mod:`canfb.timing.judge`). Here it meets the parts of a sample,
-which may come in several RPDOs, and becomes what the chain is told: a sample after so many intervals, one
-that is missing, or a count that is in doubt.
+which may come in several RPDOs: what came doubled, late or not at all. A sample goes through the chain with
+the intervals that have passed, and its feedback is published; what is not certain is withheld.
+
+Nearly each sample is two counts in time, with their own time or without. It goes to the chain as it stands in
+the dictionary, and all others as a :class:`Sample`; tests/module/test_usual_sample.py compares both, frame by
+frame.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from typing import NamedTuple
 
 from canfb import objects as od
 from canfb.device.application import ProcessData
 from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.module.interval import SamplingInterval
-from canfb.module.objects.prediction import Prediction
+from canfb.module.interval import InterfaceGrid, SamplingInterval
+from canfb.module.objects.recorder import SampleObservers
 from canfb.module.objects.sample_input import LocalSource, SampleInput
 from canfb.module.objects.second_input import SecondInput
-from canfb.signal.sample import Sample
+from canfb.module.parameters import Limits
+from canfb.module.publishing import Publishing
+from canfb.signal.chain import SignalChain
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import TICK_S, TICKS, Sample
+from canfb.signal.supervision import COASTING, VALID
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
 from canfb.timing.sync_judge import NOTHING_TO_REPORT, SyncVerdict
 
 COUNTER_OVERFLOW = 0x1019
 COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
+PARTS = (od.SAMPLE_SINE, od.SAMPLE_COSINE, od.SAMPLE_TIME, od.SAMPLE_FLAGS)
+MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
 
-
-class Actions(NamedTuple):
-    """What is done with what was found.
-
-    take_usual(now)               two counts and no more have come, in answer to the last SYNC
-    take(sample, passed, now)     a sample after what the judge says has passed; False if nothing came of it
-    take_usual_timed(received_s, synced_s, now)
-                                  two counts and their time have come, no more, in answer to the last SYNC;
-                                  False if that is left to take_timed
-    take_timed(sample, received_s, synced_s, extra, now)
-                                  a sample with its time, and when it and its SYNC were received, seconds,
-                                  None if that is not known; extra: it may answer an extra SYNC; False if it
-                                  was an earlier one again
-    miss(samples, now)            this many samples are missing
-    confirm(elapsed)              the one of the last set of intervals that was true
-    lose_count(intervals, now)    this many intervals may or may not have passed
-    slips(intervals)              whether the machine leaves its position in so many intervals
-    withhold()                    what stands in the dictionary is not valid any more
-    repeats(sine, cosine)         whether these are the counts of the last sample
-    extrapolate()                 a SYNC, before its TPDOs are sampled, if 2013:01 is not 0
-    """
-
-    take_usual: Callable[[float], None]
-    take: Callable[[Sample, Passed, float], bool]
-    take_usual_timed: Callable[[float | None, float | None, float], bool]
-    take_timed: Callable[[Sample, float | None, float | None, bool, float], bool]
-    miss: Callable[[int, float], None]
-    confirm: Callable[[float], None]
-    lose_count: Callable[[float, float], None]
-    slips: Callable[[float], bool]
-    withhold: Callable[[], None]
-    repeats: Callable[[float, float], bool]
-    extrapolate: Callable[[], None]
+SampleInstant = tuple[int, float | None, float | None]
+"""Sample time in 100 ns; when the sample and its SYNC were received, seconds, None where not known."""
 
 
 class Pairing(ProcessData):
-    """SYNCs and RPDOs in, samples out. All times are receive times where the bus gives them.
+    """SYNCs and RPDOs in, feedback out. All times are receive times where the bus gives them.
 
-    With a ``source`` each SYNC is answered by it, and RPDOs are not looked at.
+    With a ``source`` each SYNC is answered by it, and RPDOs are not looked at. ``observers`` see each sample
+    and each one that was missed.
     """
 
     def __init__(
@@ -73,27 +51,35 @@ class Pairing(ProcessData):
         node: Node,
         judge: Judge,
         interval: SamplingInterval,
+        grid: InterfaceGrid,
+        limits: Limits,
+        chain: SignalChain,
         sample_input: SampleInput,
         source: LocalSource | None,
         second: SecondInput,
-        prediction: Prediction,
-        actions: Actions,
+        observers: SampleObservers,
+        publishing: Publishing,
     ) -> None:
+        entry = dictionary.entry
         self.judge = judge
         self._call = node.call
-        self._interval = interval
-        self._overflow, self._periods = (
-            dictionary.entry(COUNTER_OVERFLOW),
-            dictionary.entry(*od.SUPERVISION_PERIODS),
-        )
+        self._interval, self._grid, self._limits = interval, grid, limits
+        self._chain, self._stages = chain, chain.stages
+        self._publishing, self._prediction = publishing, publishing.prediction
+        self._source, self._second, self._observers = source, second, observers
         self._input = sample_input
+        self._sine, self._cosine, self._time, self._flags = (entry(*part) for part in PARTS)
+        self._overflow, self._periods = entry(COUNTER_OVERFLOW), entry(*od.SUPERVISION_PERIODS)
+        self._bad_frames, self._duplicate_syncs, self._lost_syncs = (entry(*counter) for counter in COUNTERS)
         sample_input.on_mixed = self.count_bad_frame
-        self._source, self._second = source, second
-        self._prediction = prediction
-        self._actions = actions
-        self._bad_frames, self._duplicate_syncs, self._lost_syncs = (
-            dictionary.entry(*counter) for counter in COUNTERS
-        )
+        chain.on_unit = self._unit_changed
+        self.unconfirmed = 0
+        """Samples after a pause that are not called valid yet."""
+        self.last_valid: SampleInstant | None = None
+        """When the last valid sample with a time was taken."""
+        self.doubted: SampleInstant | None = None
+        """When the present one was, if it is not valid."""
+        self._set_waited = 0.0  # missed before the last set of intervals
         self.begin()
 
     def begin(self) -> None:
@@ -109,6 +95,7 @@ class Pairing(ProcessData):
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
         self._verdict = NOTHING_TO_REPORT  # on the last SYNC
         self._passed: Passed = USUAL  # up to the tracks that have come
+        self._waited = 0.0  # intervals since the last sample that were reported as missed
         self.judge.pause()
 
     @property
@@ -150,19 +137,19 @@ class Pairing(ProcessData):
             _count(self._duplicate_syncs)
             self.extra = not verdict.repeated
             self._stale |= self.extra and parts.is_synchronous and not parts.timed  # whose it is, is open
-            if self.extra and self._actions.slips(self.judge.extra_after):
-                self._actions.withhold()  # the position is that of the SYNC before
+            if self.extra and self._chain.slips(self.judge.extra_after):
+                self._publishing.withhold()  # the position is that of the SYNC before
             return self.extra
         if parts.is_synchronous and parts.is_ambiguous and not parts.timed:
             self.count_bad_frame()
             self._stale = True
         if verdict.lost or verdict.doubt or self.judge.is_open:
-            self._actions.withhold()
+            self._publishing.withhold()
             self._stale |= parts.is_synchronous
         if verdict.confirmed is not None and not self.timed:
-            self._actions.confirm(verdict.confirmed)
+            self._confirm(verdict.confirmed)
         if verdict.doubt and not self.timed:  # sample times know how long it was
-            self._actions.lose_count(verdict.doubt, now)
+            self._lose_count(verdict.doubt, now)
         self._miss_before(verdict, counter, now)
         return True
 
@@ -185,7 +172,7 @@ class Pairing(ProcessData):
         if self.extra:
             self.extra = self._stale = False
             if extrapolates:  # no sample belongs to it, and so none is extrapolated to it
-                self._actions.withhold()
+                self._publishing.withhold()
             return False
         parts, judge = self._input, self.judge
         if self._second.number is not None:
@@ -204,7 +191,7 @@ class Pairing(ProcessData):
         if self._source is not None:
             self._sample_source(self._source, now)
         if extrapolates:
-            self._actions.extrapolate()
+            self._publishing.extrapolate()
         return extrapolates
 
     def tpdos_sampled(self) -> None:
@@ -212,9 +199,16 @@ class Pairing(ProcessData):
         self._prediction.withdraw()
 
     def _miss(self, samples: int, now: float) -> None:
-        """Before the first sample there is nothing to miss."""
-        if self.sampled:
-            self._actions.miss(samples, now)
+        """So many samples that did not come, reported once; before the first one there is nothing to miss."""
+        if not self.sampled:
+            return
+        known_as_lost = self._chain.lost
+        self._waited += samples
+        # Of a position that is lost it makes no difference how long it has been.
+        for left in range(min(samples, MOST_MISSED) - 1, -1, -1):
+            self._publishing.publish(self._chain.miss(), now, send=not left and not known_as_lost)
+            for _ in range(self._interval.samples_per_sync):
+                self._observers.miss()
 
     def overdue(self, now: float) -> bool:
         """No SYNC and no sample for 2010:06 periods; False where the length of a period is not known."""
@@ -244,7 +238,7 @@ class Pairing(ProcessData):
             return
         if number == parts.whole_timed and self._synced:
             received_s, synced_s = self._receptions()
-            if self._actions.take_usual_timed(received_s, synced_s, now):
+            if self._take_usual_timed(received_s, synced_s, now):
                 self._sample_came = self.sampled = True
                 self.judge.answered_last_sync()
                 return
@@ -255,7 +249,7 @@ class Pairing(ProcessData):
             self._tracks_came = True
             if passed is USUAL and number == parts.whole:
                 self._sample_came = self.sampled = True
-                self._actions.take_usual(now)
+                self._take_usual(now)
                 return
             self._passed = passed
         if number == parts.alone or parts.take(number):
@@ -271,17 +265,17 @@ class Pairing(ProcessData):
         if isinstance(passed, Passed):
             if judge.advanced:
                 self._pass_lost(judge.advanced, passed, now)
-            elapsed, actions = passed.elapsed, self._actions
-            if isinstance(elapsed, tuple) and actions.slips(1.0) and actions.repeats(*self._input.tracks):
+            open_ = passed is not USUAL and isinstance(passed.elapsed, tuple)
+            if open_ and self._chain.slips(1.0) and self._stages.repeats(*self._input.tracks):
                 return passed._replace(certain=False)  # the last one again, and so late that another may fit
             return passed
         self.count_bad_frame()
         if passed is Refusal.ANOTHER:
-            explained = judge.extra_came or self._actions.repeats(*self._input.tracks)
+            explained = judge.extra_came or self._stages.repeats(*self._input.tracks)
             if not explained:
-                self._actions.lose_count(1.0, now)
-            elif judge.next_is_due(call.received) and self._actions.slips(1.0):
-                self._actions.withhold()  # equal counts may be whole cycles further on
+                self._lose_count(1.0, now)
+            elif judge.next_is_due(call.received) and self._chain.slips(1.0):
+                self._publishing.withhold()  # equal counts may be whole cycles further on
         return None
 
     def _pass_lost(self, syncs: int, passed: Passed, now: float) -> None:
@@ -305,7 +299,7 @@ class Pairing(ProcessData):
             came = self._timed(sample, now)
         else:
             passed = self._passed if self._input.judged is not None else self.judge.answered_last_sync()
-            came = self._actions.take(sample, passed, now)
+            came = self._take(sample, passed, now)
         if came:
             self._sample_came = True
         else:
@@ -317,7 +311,7 @@ class Pairing(ProcessData):
         received_s, synced_s = self._receptions()
         if not self._synced and self._source is None:
             judge.sync(call.received, call.is_stamped, None)  # each sample is its own
-        came = self._actions.take_timed(sample, received_s, synced_s, judge.extra_came, now)
+        came = self._take_timed(sample, received_s, synced_s, judge.extra_came, now)
         if came:
             judge.answered_last_sync()
         return came
@@ -346,6 +340,152 @@ class Pairing(ProcessData):
             self._miss(1, now)
         else:
             self._complete(sample, now)
+
+    # Samples into the chain, and out.
+
+    def _take_usual(self, now: float) -> None:
+        """Two counts that answer the last SYNC, as they stand in the dictionary."""
+        if self._waited or self.unconfirmed or self._observers.open or self._flags.value:
+            self._take(self._input.sample(), USUAL, now)
+            return
+        limits = self._limits
+        if limits.narrowed:
+            limits.follow()
+        feedback = self._stages.take(self._sine.value, self._cosine.value)
+        noise = limits.noise
+        if feedback[-1] >= noise.due and noise.take(feedback):
+            limits.measured()
+        self._publishing.publish(feedback, now)
+
+    def _take(self, sample: Sample, passed: Passed, now: float) -> bool:
+        """A sample without a time through the chain, and out; False if nothing came of it."""
+        if self._limits.narrowed:
+            self._limits.follow()
+        options = self._since_last(passed)
+        if not options:
+            return False
+        several = options if len(options) > 1 else ()
+        placed = not (passed.instant_error and self._chain.slips(passed.instant_error))
+        feedback = self._chain.after(sample, options[0], several, placed=placed)
+        if feedback.status & VALID and (self.unconfirmed or not passed.certain):
+            feedback = self._withheld(feedback)
+        self._out(sample, feedback, now)
+        return True
+
+    def _since_last(self, passed: Passed) -> tuple[float, ...]:
+        """Intervals since the last sample or miss, all possible ones; none if it may be one of those missed.
+
+        Then it comes too late: the time goes on from the miss, and the set would lack what may be true.
+        """
+        options, waited = passed.options, self._waited
+        if options[0] <= waited:
+            return ()
+        self._waited = 0.0
+        if len(options) > 1:
+            self._set_waited = waited
+        return tuple([one - waited for one in options]) if waited else options
+
+    def _take_usual_timed(self, received_s: float | None, synced_s: float | None, now: float) -> bool:
+        """A sample with its time as it stands in the dictionary; False if it is to be looked at closely."""
+        if self._prediction.follows or self.unconfirmed or self._observers.open or self._flags.value:
+            return False
+        limits = self._limits
+        if limits.narrowed:
+            limits.follow()
+        time_100ns = self._time.value
+        feedback = self._chain.take_in_turn(
+            self._sine.value, self._cosine.value, time_100ns, received_s, synced_s
+        )
+        if feedback is None:
+            return False
+        self._waited = 0.0
+        self._remember(feedback, (time_100ns, received_s, synced_s))
+        noise = limits.noise
+        if feedback[-1] >= noise.due and noise.take(feedback):
+            limits.measured()
+        self._publishing.publish(feedback, now)
+        return True
+
+    def _take_timed(
+        self, sample: Sample, received_s: float | None, synced_s: float | None, extra: bool, now: float
+    ) -> bool:
+        """A sample with its time; False if it is an earlier one again, and nothing happened.
+
+        Nothing happens either with one that is too near to the last, but it did come.
+        """
+        time_100ns = sample.time_100ns
+        assert time_100ns is not None
+        self._unit_changed()
+        if self._interval.samples_per_sync > 1:
+            self._grid.follow()
+        last = self._publishing.last
+        feedback = self._chain.step(sample, received_s, synced_s, extra)
+        if last is not None and feedback.samples == last.samples:
+            return self._chain.crowded
+        self._waited = 0.0
+        self._remember(feedback, (time_100ns, received_s, synced_s))
+        if feedback.status & VALID and self.unconfirmed:
+            feedback = self._withheld(feedback)
+        self._out(sample, feedback, now)
+        return True
+
+    def _unit_changed(self) -> None:
+        """The limits are those of the interval in which the sample is counted, also of the first one."""
+        self._interval.speed_unit_s = self._chain.unit_s
+        if self._limits.narrowed:
+            self._limits.follow()
+
+    def _remember(self, feedback: Feedback, instant: SampleInstant) -> None:
+        """When the sample was taken: a later one that is in doubt is compared with it in words."""
+        if feedback.status & VALID:
+            self.last_valid, self.doubted = instant, None
+        else:
+            self.doubted = instant
+
+    def _withheld(self, feedback: Feedback) -> Feedback:
+        """What may be right, but is not confirmed."""
+        self._chain.adaptation.drop()
+        if self.unconfirmed:
+            self.unconfirmed -= 1
+        return feedback._replace(status=feedback.status & ~VALID | COASTING)
+
+    def _out(self, sample: Sample, feedback: Feedback, now: float) -> None:
+        noise = self._limits.noise
+        if self._chain.between:
+            self._publishing.count(self._chain.between, now)
+            for earlier in self._chain.between:
+                if noise.take(earlier):
+                    self._limits.measured()
+        if noise.take(feedback):
+            self._limits.measured()
+        self._publishing.publish(feedback, now)
+        if self._observers.open:
+            self._observe(sample, feedback)
+
+    def _observe(self, sample: Sample, feedback: Feedback) -> None:
+        """All samples of this SYNC for the observers, each with its own time."""
+        between, apart = self._chain.between, round(self._chain.unit_s / TICK_S)
+        for place in range(self._interval.samples_per_sync - 1, 0, -1):
+            if place > len(between):
+                self._observers.miss()
+                continue
+            time = sample.time_100ns
+            at = None if time is None else (time - place * apart) % TICKS
+            sine, cosine = sample.earlier[place - 1]
+            self._observers.take(
+                Sample(sine, cosine, invalid=sample.invalid, time_100ns=at), between[len(between) - place]
+            )
+        self._observers.take(sample, feedback)
+
+    def _confirm(self, elapsed: float) -> None:
+        """So many intervals had passed at the last sample that had several."""
+        self._chain.confirm(elapsed - self._set_waited)
+
+    def _lose_count(self, intervals: float, now: float) -> None:
+        """So many intervals may or may not have passed: the position is lost if the machine moves."""
+        feedback = self._chain.uncertain(intervals)
+        if feedback is not None:
+            self._publishing.publish(feedback, now)
 
 
 def _count(counter: Entry, events: int = 1) -> None:

@@ -151,7 +151,8 @@ class SyncJudge:
         self.extra_after = 0.0
         """Periods from the last SYNC to the extra one."""
         self.synced_s = self._received_s = self._before_s = 0.0  # the last one, any, that before the last one
-        self._stamped = False
+        self.stamped = False
+        """The time of the last SYNC is that at which it was on the bus."""
         self._counter: int | None = None
         self._next_counter: int | None = None
         self._since = 0  # periods from the last sample to the last SYNC
@@ -170,11 +171,6 @@ class SyncJudge:
         """How late the last SYNC was that opened the question whether others are missing."""
         self._close()
         self._look_ahead()
-
-    @property
-    def stamped(self) -> bool:
-        """The time of the last SYNC is that at which it was on the bus."""
-        return self._stamped
 
     def _close(self) -> None:
         """No SYNC may be missing."""
@@ -195,7 +191,7 @@ class SyncJudge:
         busy = self.is_open or self._streak or self._error or self._gap or self._slack or self._before_open
         if period and not (busy or self._sparse or self._error_before):
             self._low_s, self._high_s = -min(self._early, self._soon) * period, HALF * period
-            if self._stamped:  # the time says both sides
+            if self.stamped:  # the time says both sides
                 self._low_s, self._high_s = -clock.jitter * period, clock.jitter * period
 
     def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
@@ -206,7 +202,7 @@ class SyncJudge:
             self._low_s < error < self._high_s
             and self._answered
             and counter == self._next_counter
-            and stamped == self._stamped
+            and stamped == self.stamped
         ):
             clock.due_s += clock.period_s
             self._before_s = self.synced_s
@@ -309,7 +305,7 @@ class SyncJudge:
         self._gap = lost > 0 or (self._gap and abs(sync.off) > clock.jitter)
         self._before_s, self.synced_s, self._received_s = self.synced_s, sync.time_s, sync.time_s
         self._count_from(sync.counter)
-        self._stamped, self.begun = sync.stamped, True
+        self.stamped, self.begun = sync.stamped, True
         self._answered = self._usual = self.extra_came = False
         self.until = sync.time_s + self.periods * self._wait_s + self._spare_s
         if not (missed or doubt or lost) and confirmed is None:
@@ -361,7 +357,7 @@ class SyncJudge:
     def _extra(self, sync: _Sync) -> SyncVerdict:
         if self._goes_on(sync.time_s):
             return self._set_again(sync, self._streak)
-        same = sync.stamped and self._stamped and sync.time_s - self._received_s < LEAST_PERIOD_S
+        same = sync.stamped and self.stamped and sync.time_s - self._received_s < LEAST_PERIOD_S
         self._received_s, self.extra_came = sync.time_s, True
         self.extra_after = (sync.time_s - self.synced_s) / self.clock.period_s
         return REPEATED if same else EXTRA
@@ -433,7 +429,7 @@ class SyncJudge:
         self._assumed += intervals
         self.synced_s += intervals * clock.period_s
         clock.due_s += intervals * clock.period_s
-        self._stamped = False
+        self.stamped = False
         self._close()
         if self._counter is not None and self.overflow > 1:
             self._count_from((self._counter - 1 + intervals) % self.overflow + 1)
