@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -11,6 +12,7 @@ from test_speed_set import TAU, declared, follower, motion, offsets, started_at
 from canfb.objects import LossCause
 from canfb.signal.declared import Declared
 from canfb.signal.speed_hypotheses import SpeedHypotheses
+from canfb.signal.starts import SpeedVerdict, Starts
 from canfb.signal.supervision import LOST
 
 
@@ -119,3 +121,48 @@ def test_the_first_interval_may_be_the_unit_of_the_limits() -> None:
                     search.limit(limit, TAU)
             kept.append(search.holds(int(np.floor(shown[-1]))))
         assert all(kept) is (limit is not None)
+
+
+def verdicts(
+    machine: Declared,
+    elapsed: np.ndarray,
+    shown: np.ndarray,
+    factor: float = 1.0,
+    changed: int | None = None,
+    later: Declared | None = None,
+) -> tuple[list[SpeedVerdict], float]:
+    """Of the samples of a search while lost, and the speed found, per interval of the begin; NaN: none.
+
+    At sample ``changed`` all intervals are ``factor`` times as long, and ``later`` is declared.
+    """
+    starts, given, unit = Starts(), machine, 1.0
+    found: list[SpeedVerdict] = []
+    for number, (interval, phase) in enumerate(zip(elapsed, shown % 1.0, strict=True)):
+        if number == changed:
+            unit, given = factor, later or machine
+            starts.rescale(factor)
+        time = float(interval) * unit
+        if starts.begin(given, True, (time,), True, [], 0.0):
+            found.append(starts.take(float(phase), time, True, None))
+    before, last, apart = starts.last_two
+    speed = (last[0] - before[0] + last[1] - before[1]) / apart * unit
+    return found, speed if SpeedVerdict.FOUND in found else float("nan")
+
+
+@pytest.mark.parametrize("changed", [2, 3, 7])
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_search_means_the_same_in_another_unit(factor: float, changed: int) -> None:
+    machine = declared(0.05)
+    later = replace(declared(0.05 / factor**2), instant_error=TAU * factor)
+    generator = np.random.default_rng(24)
+    resolved = 0
+    for _ in range(30):
+        elapsed, shown = motion(
+            machine, float(generator.uniform(-60.0, 60.0)), jitter_at(1.0, machine), 60, generator
+        )
+        known, speed = verdicts(machine, elapsed, shown)
+        other, same = verdicts(machine, elapsed, shown, factor, changed, later)
+        assert known == other
+        assert same == pytest.approx(speed, nan_ok=True)
+        resolved += speed == speed
+    assert resolved > 3

@@ -79,7 +79,7 @@ class SignalChain:
     def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
         """Follow the drift of the tracks within these limits from the next sample on; None: as calibrated.
 
-        It goes on from the drift that was found, or from another one.
+        It goes on from the drift that was found, or from another one, ``start_from``.
         """
         self.stages.adapt(limits, start_from)
 
@@ -293,7 +293,10 @@ class SignalChain:
     def take_in_turn(
         self, sine: float, cosine: float, time_100ns: int, received_s: float | None, synced_s: float | None
     ) -> Feedback | None:
-        """:meth:`step` for these counts and no more; None, nothing changed, unless their time is usual."""
+        """:meth:`step` for a sample of counts alone; None, nothing changed, unless its time is usual.
+
+        ``sine`` and ``cosine`` were taken at ``time_100ns``; ``received_s`` and ``synced_s`` as there.
+        """
         if self._waited or self._per_sync != 1 or not self.measures_intervals:
             return None
         elapsed = self._times.in_turn(time_100ns, received_s, synced_s)
@@ -381,9 +384,9 @@ class SignalChain:
         return self.stages.miss(float(self._per_sync))
 
     def confirm(self, elapsed: float) -> None:
-        """Now it is known after which of its :attr:`canfb.Sample.options` the last sample that had any came.
+        """The last sample with several :attr:`canfb.Sample.options` came after this time ``elapsed``.
 
-        The position is lost if the sample was taken to have come after another.
+        That is one of them. The position is lost if the sample was taken to have come after another.
         """
         # The first sample of an interval has the times.
         intervals = (elapsed - 1.0) * self._per_sync + 1.0

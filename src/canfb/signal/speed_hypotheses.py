@@ -80,7 +80,7 @@ class SpeedHypotheses:
         """They are so even that they never will."""
 
     def limit(self, largest: float, instant_error: float) -> None:
-        """The acceleration and the error of an instant in another unit of time, before any interval of it."""
+        """The largest acceleration and the error of an instant from the next sample on."""
         self._least += largest - self._largest
         self._largest = largest
         for one in (self._good, *(row.speeds for row in self._rows)):

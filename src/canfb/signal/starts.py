@@ -68,13 +68,14 @@ class Starts:
         """Is the next sample to be held against them? ``places`` are the samples of a start that is assumed.
 
         Since the last of them ``missed`` intervals have passed. Where samples are ``timed`` the first one
-        may be the unit of all others, and even by definition: it shows nothing then.
+        may be the unit of all others, and even by definition: it shows nothing then. The limits of a search
+        follow ``declared``.
         """
         bound = declared.second_order
         if self.active is not None:
-            if self.active.samples == 1 and bound is not None:
-                # The first interval may be the unit of the limits from here on.
-                self.active.limit(bound.largest, declared.instant_error)
+            if bound is not None:  # which is in the unit of now, and the search in that of its begin
+                unit = self._unit
+                self.active.limit(bound.largest * unit * unit, declared.instant_error / unit)
             return True
         if self._tried:
             return False
