@@ -63,7 +63,7 @@ class Bus:
         judge = judge or Judge()
         judge.overflow, judge.clock.nominal_s = self.overflow, self.nominal_s
         result = Result(judge, self.period_s)
-        now = 0.0
+        now, newest = 0.0, -1
         for at, kind, n, _, again in self.frames():
             now = max(now + 1e-5, at + float(rng.uniform(0.0, self.latency)))
             for begin, end in self.stalls:
@@ -76,11 +76,17 @@ class Bus:
             if kind == "sync":
                 counter = n % self.overflow + 1 if self.overflow else None
                 result.sync(judge.sync(time_s, self.stamped, counter), n)
+                newest = n
             else:
                 slot = self.slots[n]
                 at_s = n + 1.0 + slot.late * self.stamped  # else nothing shows it
                 at_s += slot.again * (again > 0)
-                result.sample(judge.answer(time_s, self.stamped), n, at_s)
+                in_time_for_next = n < newest and judge.delay.is_usual(time_s - judge.synced_s)
+                passed = judge.answer(time_s, self.stamped)
+                if in_time_for_next and not isinstance(passed, Refusal):  # docs/wire-faults.md, P7
+                    result.begin_again()
+                else:
+                    result.sample(passed, n, at_s)
         return result
 
 
@@ -118,7 +124,7 @@ class Result:
         self.verdicts[n] = verdict
         if verdict.doubt:  # type: ignore[attr-defined]
             self.doubts.append(n)
-            self._open, self._set_true, self._instant = 0.0, None, None
+            self.begin_again()
         if verdict.confirmed is not None and self._set_true is not None:  # type: ignore[attr-defined]
             if abs(verdict.confirmed - self._set_true) > SAME:  # type: ignore[attr-defined]
                 self.wrong.append(f"SYNC {n}: confirmed {verdict}, was {self._set_true}")
@@ -126,6 +132,10 @@ class Result:
         if not (self.judge.is_open or self.judge._streak) and abs(self._open) > SAME:
             self.wrong.append(f"SYNC {n}: closed, off by {self._open}")
             self._open = 0.0
+
+    def begin_again(self) -> None:
+        """What comes from here on is compared."""
+        self._open, self._set_true, self._instant = 0.0, None, None
 
     def sample(self, passed: Passed | Refusal, n: int, instant: float) -> None:
         """Compares with all of the samples that the estimator remembers."""

@@ -75,7 +75,7 @@ def another_rate(bus: Bus, rng: np.random.Generator) -> None:
 
 
 def pdo_late(bus: Bus, rng: np.random.Generator) -> None:
-    """Not by one period: that is the usual delay of the next SYNC (docs/wire-faults.md, P7)."""
+    """Where that is the usual delay of the next SYNC, it is P7 of docs/wire-faults.md."""
     bus.slots[FAULT].pdo_late = float(rng.choice((0.3, 0.5, 0.7, 0.9, 1.15, 1.3, 1.4)))
 
 
@@ -140,6 +140,13 @@ def test_so_they_are_at_any_rate_and_jitter(
         return  # another rate; nothing shows what was not received
     result = played(change, *witnesses, seed, period_s=period_s, jitter=jitter)
     assert result.wrong == []
+
+
+@pytest.mark.parametrize("seed", [1012, 1024, 1036])
+def test_a_host_that_waits_again_and_is_late_again_has_not_all(seed: int) -> None:
+    """SYNCs that moved to shortly before their grid: one was extra, those after it nearly a period late."""
+    for jitter in (0.0, 0.01, 0.04):
+        assert played(producer_shifts, False, 0, seed, jitter=jitter).wrong == []
 
 
 @pytest.mark.parametrize(("stamped", "overflow"), WITNESSES)

@@ -340,7 +340,11 @@ class SyncJudge:
         return verdict
 
     def _all_came(self, sync: _Sync) -> SyncVerdict:
-        """No SYNC is due that was not received: all were late."""
+        """No SYNC is due that was not received: all were late. Not so if the host waited, and is late again."""
+        modulus = self._turn(sync)
+        nearly = int((sync.off + HALF) // modulus) * modulus
+        if nearly > 0 and sync.apart > HALF and not sync.stamped:
+            return self._still_late(sync._replace(behind=nearly))
         confirmed = self._set[0] if self._offered else None
         self._close()
         return self._take(sync, confirmed=confirmed)
@@ -370,10 +374,14 @@ class SyncJudge:
         self.clock.due_s = sync.time_s + self.clock.period_s
         return verdict
 
+    def _turn(self, sync: _Sync) -> int:
+        """Periods in a turn of its counter."""
+        return self.overflow if sync.counter is not None and self.overflow >= 2 else 1
+
     def _late(self, sync: _Sync) -> SyncVerdict:
         if self._goes_on(sync.time_s):
             return self._set_again(sync, self._streak)
-        modulus = self.overflow if sync.counter is not None and self.overflow >= 2 else 1
+        modulus = self._turn(sync)
         verdict = self._take(sync)
         self.is_open, self._debt, self.late_s = True, sync.behind, sync.off * self.clock.period_s
         first, most = float(max(1, self._since)), sync.behind // modulus
