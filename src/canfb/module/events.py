@@ -109,7 +109,6 @@ class NodeEvents(Application):
 
 
 NO_STATUS = -1  # no status word
-FAULT_BITS = sum(od.FAULT_WORDS)
 ANOTHER_RATE = 0.05  # relative change of the SYNC rate that is an event
 
 
@@ -180,7 +179,7 @@ class EventWatch(NodeEvents):
             self._sampled = True
             values = {"sine_counts": feedback.sine, "cosine_counts": feedback.cosine}
             self._report(EventKind.FIRST_SAMPLE, now, f"first sample, {self._amplitude(feedback)}", **values)
-        self._causes |= feedback.status & FAULT_BITS
+        self._causes |= feedback.status & od.FAULT_BITS
         state = od.position_state(feedback.status)
         if state is not self._state:
             self._changed(state, feedback, now)

@@ -19,7 +19,7 @@ from canfb.module.cia406.profile import EncoderProfile
 from canfb.module.events import EventWatch
 from canfb.module.interval import SamplingInterval
 from canfb.module.objects.prediction import Prediction
-from canfb.module.objects.publication import FAULTS, SIXTEEN_BITS, U32, LastLoss, Latest, Publication
+from canfb.module.objects.publication import SIXTEEN_BITS, U32, LastLoss, Latest, Publication
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain
@@ -28,7 +28,7 @@ from canfb.signal.supervision import COASTING, VALID
 
 TPDOS = (1, 2, 3, 4)
 ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
-FAULTS_AND_VALID = FAULTS | VALID
+FLAGGED_AND_VALID = od.FLAGGED_BITS | VALID
 
 
 class Publishing:
@@ -85,7 +85,9 @@ class Publishing:
         """Into the dictionary, and out if there is something new to say."""
         _, _, amplitude, _, cycles, phase, residual, status, _, _, _, samples = feedback
         latest, objects, warnings, profile = self.latest, self.objects, self.warnings, self.profile
-        good = status == warnings.last_status and status & FAULTS_AND_VALID == VALID and not self.alarm.active
+        good = (
+            status == warnings.last_status and status & FLAGGED_AND_VALID == VALID and not self.alarm.active
+        )
         if not good:
             objects.count(feedback)
         latest.feedback = feedback
@@ -138,7 +140,7 @@ class Publishing:
         second = self._chain.second
         if second is not None and second.is_waiting:
             return True
-        return self._chain.searches and not feedback.status & FAULTS & ~COASTING
+        return self._chain.searches and not feedback.status & od.FLAGGED_BITS & ~COASTING
 
     def count(self, between: Sequence[Feedback], now: float) -> None:
         """Samples that were taken before the one to publish, in the same interval of SYNC."""

@@ -17,24 +17,13 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from canfb.checks import number_in
+from canfb.objects import FLAGGED_BITS
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.feedback import Feedback
-from canfb.signal.supervision import (
-    AMPLITUDE,
-    CLIPPED,
-    COARSE,
-    COASTING,
-    FROZEN,
-    LOST,
-    MISSED,
-    RESIDUAL,
-    SECOND_POSITION,
-    VALID,
-)
+from canfb.signal.supervision import VALID
 from canfb.signal.track_sectors import NO_DEVIATION, CircleDeviation, TrackSectors, deviation_of
 
-FAULTS = AMPLITUDE | CLIPPED | COARSE | COASTING | FROZEN | LOST | MISSED | RESIDUAL | SECOND_POSITION
 NEVER: Final = 1 << 62  # no sample has this number
 EVERY_S = 0.02  # between two samples that are learned
 PAUSE_S = 1.0  # after a fault
@@ -194,7 +183,7 @@ class Adaptation:
     def take(self, feedback: Feedback, interval_s: float) -> bool:
         """A sample; True if :attr:`drift` has changed. ``interval_s``: sampling interval, 0.0: not known."""
         samples = feedback.samples
-        if feedback.status & (FAULTS | VALID) != VALID:
+        if feedback.status & (FLAGGED_BITS | VALID) != VALID:
             self._begin(samples + int(PAUSE_S / interval_s) if interval_s > 0.0 else samples)
             return False
         if samples < self.due:

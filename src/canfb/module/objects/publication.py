@@ -50,9 +50,7 @@ COUNTED = (
     (od.COUNTER_COARSE_DISAGREEMENTS, COARSE),
     (od.COUNTER_SECOND_DISAGREEMENTS, SECOND_POSITION),
 )
-FAULTS = MISSED | RESIDUAL | AMPLITUDE | CLIPPED | COASTING | LOST | FROZEN | COARSE | SECOND_POSITION
 BAD = MISSED | AMPLITUDE | CLIPPED | FROZEN | RESIDUAL
-FAULT_BITS = sum(od.FAULT_WORDS)
 NO_SAMPLE = -1
 NOTHING = Feedback(0.0, 0.0, 0.0, math.nan, 0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0)
 
@@ -137,7 +135,7 @@ class LastLoss:
             self._is_lost = False
             return
         self._bad = self._bad + 1 if status & BAD else 0
-        self._row_faults |= status & FAULT_BITS
+        self._row_faults |= status & od.FAULT_BITS
         if status & LOST and not self._is_lost:
             self._keep(feedback)
         self._is_lost = bool(status & LOST)
@@ -210,7 +208,7 @@ class Publication:
 
     def count_between(self, feedback: Feedback) -> None:
         """Count the faults of a sample that is not published: another one of its SYNC follows."""
-        if feedback.status & FAULTS or self._lost:
+        if feedback.status & od.FLAGGED_BITS or self._lost:
             self._count(feedback)
 
     def calibrating(self, working: bool) -> None:
