@@ -142,6 +142,7 @@ class EventWatch(NodeEvents):
         self._state: od.PositionState | None = None
         self._causes = 0
         self._not_valid_s = 0.0
+        self._was_valid = False  # the position, at any time
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
         """A change of the NMT state, and ``why`` if it was not commanded.
@@ -232,8 +233,8 @@ class EventWatch(NodeEvents):
         before, self._state = self._state, state
         if state is od.PositionState.VALID:
             self._causes = 0
-            again = "" if before is None else f" again, after {_time(now - self._not_valid_s)}"
-            text, reasons = f"position valid{again}", []
+            again = f" again, after {_time(now - self._not_valid_s)}" if self._was_valid else ""
+            text, reasons, self._was_valid = f"position valid{again}", [], True
         else:
             if before in (None, od.PositionState.VALID):
                 self._not_valid_s = now

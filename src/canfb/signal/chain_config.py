@@ -36,14 +36,15 @@ class ChainLimits:
     """What a sample is held against; it may change between two samples (2001h, 2010h).
 
     ``sample`` are the limits of one sample, counts; ``acceleration`` is the largest acceleration of the
-    machine, cycles per interval squared, None if it is not known (2010:02); ``jerk`` its largest jerk, cycles
-    per interval cubed (2010:08). ``start_limit``, for ``prediction_order`` 3, is the residual limit of the
-    samples that eq. 9 predicts, cycles; None: the same. ``samples_per_sync``, 1..4, is how many samples there
-    are in an interval of SYNC: all intervals above are those from sample to sample. ``coast_samples`` counts
-    intervals of SYNC. ``phase_error`` is the largest error of a phase, cycles, ``instant_error`` that
-    of a sample time, intervals: it is added at the speed of the machine, up to ``widest_limit`` (2010:01;
-    None: ``residual_limit``). ``corners`` are those of the low-passes of the tracks. The others
-    are those of :class:`ChainConfig`.
+    machine, cycles per interval squared (2010:02), None if it is not known, or (``acceleration_waits``) the
+    interval in which it counts is not; ``jerk`` its largest jerk, cycles per interval cubed (2010:08).
+    ``start_limit``, for ``prediction_order`` 3, is the residual limit of the samples that eq. 9 predicts,
+    cycles; None: the same. ``samples_per_sync``, 1..4, is how many samples there are in an interval of SYNC:
+    all intervals above are those from sample to sample. ``coast_samples`` counts intervals of SYNC.
+    ``phase_error`` is the largest error of a phase, cycles, ``instant_error`` that of a sample time,
+    intervals: it is added at the speed of the machine, up to ``widest_limit`` (2010:01; None:
+    ``residual_limit``). ``corners`` are those of the low-passes of the tracks. The others are those of
+    :class:`ChainConfig`.
     ValueError for a bad limit or order.
     """
 
@@ -54,6 +55,7 @@ class ChainLimits:
     frozen_samples: int
     coarse_limit_revolutions: float
     acceleration: float | None = None
+    acceleration_waits: bool = False
     prediction_order: int = SECOND
     jerk: float | None = None
     start_limit: float | None = None
@@ -89,6 +91,7 @@ class ChainLimits:
             given_start_limit=self.start_limit,
             widest_limit=self.widest_limit,
             acceleration=self.acceleration,
+            acceleration_waits=self.acceleration_waits,
             jerk=self.jerk,
             phase_error=self.phase_error,
             instant_error=self.instant_error,

@@ -28,6 +28,7 @@ class Declared:
     given_start_limit   with order 3: of the samples that eq. 9 predicts, cycles; None: the same
     widest_limit        2010:01, cycles: of the first step after a start; None: ``residual_limit``
     acceleration        largest, cycles per interval^2; None: not known
+    acceleration_waits  it is declared, but not yet in which interval: the second sample shows it
     jerk                largest, cycles per interval^3; None: not known
     phase_error         largest of a good sample, cycles
     instant_error       largest of a sampling instant, intervals
@@ -41,6 +42,7 @@ class Declared:
     given_start_limit: float | None = None
     widest_limit: float | None = None
     acceleration: float | None = None
+    acceleration_waits: bool = False
     jerk: float | None = None
     phase_error: float = PHASE_ERROR_CYCLES
     instant_error: float = 0.0

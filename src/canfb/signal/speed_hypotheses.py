@@ -79,6 +79,12 @@ class SpeedHypotheses:
         self.silent = False
         """They are so even that they never will."""
 
+    def expect_bad(self, bad_samples: int) -> None:
+        """m, after the first sample: what is declared may count from then on."""
+        for row in self._rows:
+            row.waits += bad_samples - self._bad_samples
+        self._bad_samples = bad_samples
+
     def limit(self, largest: float, instant_error: float) -> None:
         """The largest acceleration and the error of an instant from the next sample on."""
         self._least += largest - self._largest

@@ -40,7 +40,7 @@ class Starts:
         self.active: SpeedHypotheses | None = None
         self.last_two: Found = NOTHING_FOUND
         self._tried = False
-        self._is_declared = self._may_be_uneven = False
+        self._is_declared = self._may_be_uneven = self._acceleration_waits = False
         self._unit = 1.0  # that of the speeds, in intervals as they are counted now
 
     def rescale(self, factor: float) -> None:
@@ -76,19 +76,21 @@ class Starts:
             if bound is not None:  # which is in the unit of now, and the search in that of its begin
                 unit = self._unit
                 self.active.limit(bound.largest * unit * unit, declared.instant_error / unit)
+                if self._acceleration_waits and self.active.samples == 1:
+                    self.active.expect_bad(_row(declared, bound.largest))
             return True
         if self._tried:
             return False
-        self._is_declared = declared.acceleration is not None
+        self._acceleration_waits = declared.acceleration_waits
+        self._is_declared = declared.acceleration is not None or declared.acceleration_waits
         self._may_be_uneven = timed and self._is_declared
         even = abs(options[0] - 1.0) <= EVEN + 4.0 * declared.instant_error
         if self.origin is None and even and (lost or not self._may_be_uneven):
             return False
         if bound is None or len(options) > 1 or not (lost or places):
             return False
-        bad = declared.bad or min(declared.bad_samples, told_apart(bound.largest, declared.phase_error))
         self.active = speeds = SpeedHypotheses(
-            bound.largest, declared.phase_error, declared.instant_error, bad
+            bound.largest, declared.phase_error, declared.instant_error, _row(declared, bound.largest)
         )
         self._unit = 1.0
         if places:
@@ -130,3 +132,8 @@ class Starts:
         if speeds.samples > UNTOLD_SAMPLES and not speeds.telling:
             self.active, self.origin = None, None
         return SpeedVerdict.UNKNOWN
+
+
+def _row(declared: Declared, largest: float) -> int:
+    """Bad samples in a row that a start is held against."""
+    return declared.bad or min(declared.bad_samples, told_apart(largest, declared.phase_error))

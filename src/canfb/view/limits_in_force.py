@@ -31,6 +31,7 @@ class MotionBounds(NamedTuple):
     residual       limit of the prediction in use
     start          limit of the samples that eq. 9 predicts
     acceleration, jerk   of the machine, None: not known
+    is_waiting     2010:02 is set, and the interval in which it counts is not known yet
     phase_error    largest error of a phase
     instant_error  largest error of a sampling instant, intervals
     bad_samples, doubt_acceleration   2010:0A, 2010:0B
@@ -44,6 +45,7 @@ class MotionBounds(NamedTuple):
     instant_error: float
     bad_samples: int
     doubt_acceleration: float
+    is_waiting: bool = False
 
     def chain_limits(self, order: int, widest: float, **others: Any) -> ChainLimits:
         """All limits of a chain: these, its order, 2010:01 in cycles, and ``others``."""
@@ -53,6 +55,7 @@ class MotionBounds(NamedTuple):
             residual_limit=self.residual,
             start_limit=self.start,
             acceleration=self.acceleration,
+            acceleration_waits=self.is_waiting,
             jerk=self.jerk,
             phase_error=self.phase_error,
             instant_error=self.instant_error,
@@ -130,7 +133,8 @@ class LimitSettings:
         phase_error = min(declared, margin / math.sqrt(RESIDUAL_WEIGHTS[order]))
         doubt = self.bad_samples, self.doubt_acceleration
         if not interval_s:
-            return MotionBounds(widest, widest, None, None, phase_error, 0.0, *doubt)
+            waits = self.acceleration_rad_s2 > 0.0
+            return MotionBounds(widest, widest, None, None, phase_error, 0.0, *doubt, waits)
         of_eq9 = margin if order == SECOND else math.inf
         start = narrowed_residual_limit(widest, self.acceleration_rad_s2, n, interval_s, of_eq9, declared)
         limit = start
