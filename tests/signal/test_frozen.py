@@ -219,3 +219,13 @@ def test_a_machine_stands_where_no_number_of_repeats_is_a_fault(
     assert frozen.take_run(np.zeros(3, np.bool_), np.zeros(3)) == 3
     assert not frozen.stands
     assert frozen.repeats == 0
+
+
+def test_a_machine_that_stands_goes_on_standing_while_counts_repeat() -> None:
+    frozen = FrozenInput(4, 1 / 3)
+    frozen.repeated(0.0)
+    assert frozen.stands
+    assert frozen.goes_on(True)
+    assert (frozen.repeats, frozen.stands) == (2, True)
+    assert not frozen.goes_on(False)
+    assert (frozen.repeats, frozen.stands) == (0, False)

@@ -1,12 +1,10 @@
 """Which frames make a sample, one for each SYNC, and what becomes of it, or of its absence.
 
 What time says of a frame, the judge says (:mod:`canfb.timing.judge`). Here it meets the parts of a sample,
-which may come in several RPDOs: what came doubled, late or not at all. A sample goes through the chain with
-the intervals that have passed, and its feedback is published; what is not certain is withheld.
-
-Nearly each sample is two counts in time, with their own time or without. It goes to the chain as it stands in
-the dictionary, and all others as a :class:`Sample`; tests/module/test_usual_sample.py compares both, frame by
-frame.
+which may come in several RPDOs. A sample goes through the chain with the intervals that have passed, and its
+feedback is published; what is not certain is withheld. Nearly each one is two counts, with their own time or
+without. It goes to the chain as it stands in the dictionary, and all others as a :class:`Sample`: the same
+frame by frame (tests/module/test_usual_sample.py).
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ from canfb.device.application import ProcessData
 from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.module.interval import InterfaceGrid, SamplingInterval
+from canfb.module.interval import InterfaceGrid, SampleInstant, SamplingInterval
 from canfb.module.objects.recorder import SampleObservers
 from canfb.module.objects.sample_input import LocalSource, SampleInput
 from canfb.module.objects.second_input import SecondInput
@@ -24,18 +22,14 @@ from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
-from canfb.signal.sample import TICK_S, TICKS, Sample
+from canfb.signal.sample import TICK_S, Sample
 from canfb.signal.supervision import COASTING, VALID
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
 from canfb.timing.sync_judge import NOTHING_TO_REPORT, SyncVerdict
 
 COUNTER_OVERFLOW = 0x1019
 COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
-PARTS = (od.SAMPLE_SINE, od.SAMPLE_COSINE, od.SAMPLE_TIME, od.SAMPLE_FLAGS)
 MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
-
-SampleInstant = tuple[int, float | None, float | None]
-"""Sample time in 100 ns; when the sample and its SYNC were received, seconds, None where not known."""
 
 
 class Pairing(ProcessData):
@@ -44,6 +38,42 @@ class Pairing(ProcessData):
     With a ``source`` each SYNC is answered by it, and RPDOs are not looked at. ``observers`` see each sample
     and each one that was missed.
     """
+
+    # More than 30 attributes in a dict cost each frame 3 % of a cycle.
+    __slots__ = (
+        "_bad_frames",
+        "_call",
+        "_chain",
+        "_duplicate_syncs",
+        "_extra_came",
+        "_grid",
+        "_input",
+        "_interval",
+        "_limits",
+        "_lost_syncs",
+        "_observers",
+        "_overflow",
+        "_passed",
+        "_periods",
+        "_prediction",
+        "_publishing",
+        "_sample_came",
+        "_second",
+        "_set_waited",
+        "_source",
+        "_stages",
+        "_stale",
+        "_synced",
+        "_tracks_came",
+        "_verdict",
+        "_waited",
+        "doubted",
+        "extra",
+        "judge",
+        "last_valid",
+        "sampled",
+        "unconfirmed",
+    )
 
     def __init__(
         self,
@@ -64,15 +94,14 @@ class Pairing(ProcessData):
         self.judge = judge
         self._call = node.call
         self._interval, self._grid, self._limits = interval, grid, limits
-        self._chain, self._stages = chain, chain.stages
-        self._publishing, self._prediction = publishing, publishing.prediction
+        self._chain, self._stages, self._publishing = chain, chain.stages, publishing
+        self._prediction = publishing.prediction
         self._source, self._second, self._observers = source, second, observers
         self._input = sample_input
-        self._sine, self._cosine, self._time, self._flags = (entry(*part) for part in PARTS)
         self._overflow, self._periods = entry(COUNTER_OVERFLOW), entry(*od.SUPERVISION_PERIODS)
         self._bad_frames, self._duplicate_syncs, self._lost_syncs = (entry(*counter) for counter in COUNTERS)
         sample_input.on_mixed = self.count_bad_frame
-        chain.on_unit = self._unit_changed
+        chain.on_unit = limits.unit_changed
         self.unconfirmed = 0
         """Samples after a pause that are not called valid yet."""
         self.last_valid: SampleInstant | None = None
@@ -147,7 +176,7 @@ class Pairing(ProcessData):
             self._publishing.withhold()
             self._stale |= parts.is_synchronous
         if verdict.confirmed is not None and not self.timed:
-            self._confirm(verdict.confirmed)
+            self._chain.confirm(verdict.confirmed - self._set_waited)
         if verdict.doubt and not self.timed:  # sample times know how long it was
             self._lose_count(verdict.doubt, now)
         self._miss_before(verdict, counter, now)
@@ -345,13 +374,14 @@ class Pairing(ProcessData):
 
     def _take_usual(self, now: float) -> None:
         """Two counts that answer the last SYNC, as they stand in the dictionary."""
-        if self._waited or self.unconfirmed or self._observers.open or self._flags.value:
-            self._take(self._input.sample(), USUAL, now)
+        parts = self._input
+        if self._waited or self.unconfirmed or self._observers.open or parts.flags.value:
+            self._take(parts.sample(), USUAL, now)
             return
         limits = self._limits
         if limits.narrowed:
             limits.follow()
-        feedback = self._stages.take(self._sine.value, self._cosine.value)
+        feedback = self._stages.take(parts.sine.value, parts.cosine.value)
         noise = limits.noise
         if feedback[-1] >= noise.due and noise.take(feedback):
             limits.measured()
@@ -387,14 +417,15 @@ class Pairing(ProcessData):
 
     def _take_usual_timed(self, received_s: float | None, synced_s: float | None, now: float) -> bool:
         """A sample with its time as it stands in the dictionary; False if it is to be looked at closely."""
-        if self._prediction.follows or self.unconfirmed or self._observers.open or self._flags.value:
+        parts = self._input
+        if self._prediction.follows or self.unconfirmed or self._observers.open or parts.flags.value:
             return False
         limits = self._limits
         if limits.narrowed:
             limits.follow()
-        time_100ns = self._time.value
+        time_100ns = parts.time.value
         feedback = self._chain.take_in_turn(
-            self._sine.value, self._cosine.value, time_100ns, received_s, synced_s
+            parts.sine.value, parts.cosine.value, time_100ns, received_s, synced_s
         )
         if feedback is None:
             return False
@@ -415,7 +446,7 @@ class Pairing(ProcessData):
         """
         time_100ns = sample.time_100ns
         assert time_100ns is not None
-        self._unit_changed()
+        self._limits.unit_changed()
         if self._interval.samples_per_sync > 1:
             self._grid.follow()
         last = self._publishing.last
@@ -428,12 +459,6 @@ class Pairing(ProcessData):
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
         return True
-
-    def _unit_changed(self) -> None:
-        """The limits are those of the interval in which the sample is counted, also of the first one."""
-        self._interval.speed_unit_s = self._chain.unit_s
-        if self._limits.narrowed:
-            self._limits.follow()
 
     def _remember(self, feedback: Feedback, instant: SampleInstant) -> None:
         """When the sample was taken: a later one that is in doubt is compared with it in words."""
@@ -460,26 +485,8 @@ class Pairing(ProcessData):
             self._limits.measured()
         self._publishing.publish(feedback, now)
         if self._observers.open:
-            self._observe(sample, feedback)
-
-    def _observe(self, sample: Sample, feedback: Feedback) -> None:
-        """All samples of this SYNC for the observers, each with its own time."""
-        between, apart = self._chain.between, round(self._chain.unit_s / TICK_S)
-        for place in range(self._interval.samples_per_sync - 1, 0, -1):
-            if place > len(between):
-                self._observers.miss()
-                continue
-            time = sample.time_100ns
-            at = None if time is None else (time - place * apart) % TICKS
-            sine, cosine = sample.earlier[place - 1]
-            self._observers.take(
-                Sample(sine, cosine, invalid=sample.invalid, time_100ns=at), between[len(between) - place]
-            )
-        self._observers.take(sample, feedback)
-
-    def _confirm(self, elapsed: float) -> None:
-        """So many intervals had passed at the last sample that had several."""
-        self._chain.confirm(elapsed - self._set_waited)
+            per_sync, apart = self._interval.samples_per_sync, round(self._chain.unit_s / TICK_S)
+            self._observers.take_all(sample, feedback, self._chain.between, per_sync, apart)
 
     def _lose_count(self, intervals: float, now: float) -> None:
         """So many intervals may or may not have passed: the position is lost if the machine moves."""

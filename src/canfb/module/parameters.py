@@ -252,6 +252,12 @@ class Limits:
         self.noise.forget()
         self.apply()
 
+    def unit_changed(self) -> None:
+        """The limits are those of the interval in which the next sample is counted, also of the first one."""
+        self.interval.speed_unit_s = self._chain.unit_s
+        if self.narrowed:
+            self.follow()
+
     def follow(self) -> None:
         """Before a sample, if it is :attr:`narrowed`: take limits and analog path along with the interval."""
         known_s = self.interval.known_s

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from canfb.device.core import NEVER
-from canfb.module.interval import InterfaceGrid, SamplingInterval
-from canfb.module.pairing import Pairing, SampleInstant
+from canfb.module.interval import InterfaceGrid, SampleInstant, SamplingInterval
+from canfb.module.pairing import Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain

@@ -340,7 +340,7 @@ class SyncJudge:
         return verdict
 
     def _all_came(self, sync: _Sync) -> SyncVerdict:
-        """No SYNC is due that was not received: all were late. Not so if the host waited, and is late again."""
+        """No SYNC is due that was not received: all were late. Not so if the host waited again."""
         modulus = self._turn(sync)
         nearly = int((sync.off + HALF) // modulus) * modulus
         if nearly > 0 and sync.apart > HALF and not sync.stamped:

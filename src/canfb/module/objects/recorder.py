@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from canfb import objects as od
@@ -9,7 +10,7 @@ from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.interval import SamplingInterval
 from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
+from canfb.signal.sample import TICKS, Sample
 from canfb.signal.sample_recording import SampleRecording
 
 
@@ -44,6 +45,21 @@ class SampleObservers:
         """A sample for all of them."""
         for observer in self.open:
             observer.take(sample, feedback)
+
+    def take_all(
+        self, sample: Sample, feedback: Feedback, between: Sequence[Feedback], per_sync: int, apart_ticks: int
+    ) -> None:
+        """The samples of one SYNC, ``apart_ticks`` apart; ``between`` are the feedbacks before the newest."""
+        for place in range(per_sync - 1, 0, -1):
+            if place > len(between):
+                self.miss()
+                continue
+            time = sample.time_100ns
+            at = None if time is None else (time - place * apart_ticks) % TICKS
+            sine, cosine = sample.earlier[place - 1]
+            earlier = Sample(sine, cosine, invalid=sample.invalid, time_100ns=at)
+            self.take(earlier, between[len(between) - place])
+        self.take(sample, feedback)
 
     def miss(self) -> None:
         """No sample, for all of them."""

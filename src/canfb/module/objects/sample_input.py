@@ -38,15 +38,15 @@ class SampleInput:
 
     Both tracks must come in one RPDO: they belong to one instant. So must those of each earlier pair, which
     are used up to the first that no RPDO brings. What no RPDO brings is not used, but for 2000:06 bit 1:
-    SDO may set it.
+    SDO may set it. ``sine``, ``cosine``, ``time`` and ``flags`` are the entries of 2000:01, :02, :05 and :06.
     """
 
     def __init__(self, dictionary: Dictionary, node: Node) -> None:
         self._node = node
-        self._sine, self._cosine, self._coarse_sine, self._coarse_cosine, *rest = (
+        self.sine, self.cosine, self._coarse_sine, self._coarse_cosine, *rest = (
             dictionary.entry(*part) for part in PARTS
         )
-        self._time, self._flags, self._place = rest
+        self.time, self.flags, self._place = rest
         self._all_earlier = [tuple(dictionary.entry(*part) for part in pair) for pair in od.SAMPLE_EARLIER]
         self._earlier = self._all_earlier[:0]
         self._required = 0  # bit n: RPDO n
@@ -161,11 +161,11 @@ class SampleInput:
     @property
     def tracks(self) -> tuple[int, int]:
         """Sine and cosine as they stand in the dictionary, counts."""
-        return self._sine.value, self._cosine.value
+        return self.sine.value, self.cosine.value
 
     def sample(self) -> Sample:
         """The sample of the parts that have come."""
-        flags = self._flags.value
+        flags = self.flags.value
         invalid = flags & SAMPLE_INVALID != 0
         pulse = None
         if self._with_flags and flags & ZERO_PULSE:
@@ -175,14 +175,14 @@ class SampleInput:
         return tuple.__new__(  # without its slow constructor
             Sample,
             (
-                self._sine.value,
-                self._cosine.value,
+                self.sine.value,
+                self.cosine.value,
                 1.0,
                 invalid,
                 self._coarse_sine.value if self._with_coarse else None,
                 self._coarse_cosine.value if self._with_coarse else None,
                 pulse,
-                self._time.value if self.timed else None,
+                self.time.value if self.timed else None,
                 tuple([(sine.value, cosine.value) for sine, cosine in earlier]) if earlier else (),
                 (),
             ),
