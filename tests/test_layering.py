@@ -56,7 +56,7 @@ ALLOWED: dict[str, set[str]] = {
     "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "tables"} | WORDS,
     "commission": {"signal", "calibration", "report", "view", "master", "calibrate"} | WORDS,
     # What others tell of themselves on the bus; so it may watch modules that are not ours.
-    "monitoring": {"signal", "module", "configuration", "bus", "view"} | WORDS - {"checks", "rows"},
+    "monitoring": {"signal", "timing", "module", "configuration", "bus", "view"} | WORDS - {"checks", "rows"},
     # What a page shows and lets do, and its server.
     "scope": {"signal", "calibration", "monitoring", "master", "tables", "calibrate", "bus", "view"}
              | WORDS - {"checks", "rows"},

@@ -91,6 +91,18 @@ def test_jitter_that_is_known_is_measured(jitter_us: float, period_s: float) -> 
     assert seen.jitter_peak_s == pytest.approx(jitter_us * 1e-6, rel=0.06, abs=1e-9)
 
 
+@pytest.mark.parametrize("period_s", [0.15, 0.5, 1.0])
+def test_a_slow_sync_and_one_that_changes_its_rate_have_one(period_s: float) -> None:
+    meter, now = SyncMeter(), 0.0
+    for rate in (1.0, 0.4, 2.0):
+        for _ in range(20):
+            now += period_s * rate
+            meter.sync(now)
+        seen = meter.snapshot(now)
+        assert seen.rate_hz == pytest.approx(1.0 / (period_s * rate), rel=1e-4)
+        assert seen.jitter_peak_s == pytest.approx(0.0, abs=1e-9)
+
+
 def test_jitter_of_a_simulated_producer_is_measured() -> None:
     network = MonitoredNetwork(jitter_us=20.0)
     network.run(2.0)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import statistics
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import pairwise
 
 from canfb import objects as od
 from canfb.monitoring.layout import COUNTERS, NodeLayout, PdoMap
 from canfb.monitoring.snapshot import LoadSnapshot, ModuleSnapshot, SyncSnapshot
 from canfb.objects import Multiplexer, PositionState, StatusBit
+from canfb.timing.sync_judge import SyncJudge
 from canfb.view.limits_in_force import LIMIT_UNITS
 from canfb.view.pdo_map import Number
 
@@ -20,56 +21,57 @@ LEAST_SYNCS = 4
 OLDEST_S = 2.0
 MISSING_PERIODS = 8.0  # without a SYNC: there is none
 LEAST_SILENCE_S = 0.1
-SHORTEST_S = 1e-6  # a SYNC takes longer on any bus
-SAME = 0.1  # of a period: a doubled SYNC
 SLOT_S = 0.1
 SLOTS = 10
 
 
 class SyncMeter:
-    """Rate and jitter by the straight line through the times of the last SYNCs, gaps left out."""
+    """Rate and jitter by the straight line through the times of the last SYNCs.
+
+    Which of them count, and how many were missed before one, the clock of SYNC says, as in the module.
+    """
 
     def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=SYNCS)
+        self._judge = SyncJudge()
+        self._places: deque[tuple[int, float]] = deque(maxlen=SYNCS)
+        self._last_s: float | None = None
         self._count = 0
 
     def sync(self, time_s: float) -> None:
         """A SYNC came."""
-        self._times.append(time_s)
+        judge, places = self._judge, self._places
+        if self._last_s is not None and not 0.0 <= time_s - self._last_s <= self._longest_s:
+            judge.clock.forget()
+            judge.pause()
+            places.clear()
+        self._last_s = time_s
         self._count += 1
+        verdict = judge.sync(time_s, True, None)
+        if verdict.doubt:  # another rate or phase
+            places.clear()
+        if judge.clock.period_s and not verdict.extra:
+            places.append((places[-1][0] + 1 + verdict.lost if places else 0, time_s))
+
+    @property
+    def _longest_s(self) -> float:
+        """So long without a SYNC, and there is none."""
+        period_s = self._judge.clock.period_s
+        return max(LEAST_SILENCE_S, MISSING_PERIODS * period_s) if period_s else math.inf
 
     def snapshot(self, now: float) -> SyncSnapshot:
         """Rate and jitter by ``now``."""
-        if not self._times:
+        if self._last_s is None:
             return SyncSnapshot()
-        silent_s = max(0.0, now - self._times[-1])
-        times = [time for time in self._times if now - time <= OLDEST_S] or [*self._times][-LEAST_SYNCS:]
-        line = _line(times)
-        if line is None or silent_s > max(LEAST_SILENCE_S, MISSING_PERIODS * line[0]):
+        silent_s = max(0.0, now - self._last_s)
+        known = [*self._places]
+        recent = [one for one in known[:-LEAST_SYNCS] if now - one[1] <= OLDEST_S] + known[-LEAST_SYNCS:]
+        if len(recent) < LEAST_SYNCS or silent_s > self._longest_s:
             return SyncSnapshot(silent_s=silent_s, count=self._count)
-        period_s, errors = line
-        rms = math.sqrt(sum(error * error for error in errors) / len(errors))
-        return SyncSnapshot(1.0 / period_s, rms, max(map(abs, errors)), silent_s, self._count)
-
-
-def _line(times: Sequence[float]) -> tuple[float, list[float]] | None:
-    """The period, and the deviation of each time from the regular grid (least squares); None for too few."""
-    steps = [after - before for before, after in pairwise(times)]
-    if len(times) < LEAST_SYNCS or (middle := statistics.median(steps)) < SHORTEST_S:
-        return None
-    places, kept = [0], [times[0]]
-    for step, time in zip(steps, times[1:], strict=True):
-        if step > SAME * middle:
-            places.append(places[-1] + max(1, round((time - kept[-1]) / middle)))
-            kept.append(time)
-    if len(kept) < LEAST_SYNCS:
-        return None
-    mean_place, mean_time = statistics.fmean(places), statistics.fmean(kept)
-    spread = sum((place - mean_place) ** 2 for place in places)
-    period = sum((p - mean_place) * (t - mean_time) for p, t in zip(places, kept, strict=True)) / spread
-    if not SHORTEST_S <= period < math.inf:
-        return None
-    return period, [t - mean_time - period * (p - mean_place) for p, t in zip(places, kept, strict=True)]
+        places, times = zip(*recent, strict=True)
+        line = statistics.linear_regression(places, times)
+        errors = [time - line.intercept - place * line.slope for place, time in recent]
+        rms_s = math.sqrt(sum(error * error for error in errors) / len(errors))
+        return SyncSnapshot(1.0 / line.slope, rms_s, max(map(abs, errors)), silent_s, self._count)
 
 
 class LoadMeter:
