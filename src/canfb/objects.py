@@ -199,10 +199,6 @@ FAULT_WORDS: Final[dict[int, str]] = {
 }
 """Bits of the status word for what is wrong, in words. All but the last take the valid bit."""
 
-FAULT_BITS: Final = sum(FAULT_WORDS)
-FLAGGED_BITS: Final = FAULT_BITS | StatusBit.COASTING.value | StatusBit.LOST.value
-"""Those, and that the position coasts or is lost."""
-
 
 def fault_words(status: int) -> list[str]:
     """What is wrong by the status word 2011:01."""

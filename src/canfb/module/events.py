@@ -22,7 +22,7 @@ from canfb.device.storage.image import ParameterGroup
 from canfb.module.objects.publication import LastLoss
 from canfb.module.parameters import Limits
 from canfb.signal.correction import Correction
-from canfb.signal.feedback import Feedback
+from canfb.signal.feedback import FAULT_BITS, Feedback
 from canfb.signal.supervision import AMPLITUDE, MISSED, REFERENCED, RESIDUAL, SECOND_POSITION
 
 
@@ -180,7 +180,7 @@ class EventWatch(NodeEvents):
             self._sampled = True
             values = {"sine_counts": feedback.sine, "cosine_counts": feedback.cosine}
             self._report(EventKind.FIRST_SAMPLE, now, f"first sample, {self._amplitude(feedback)}", **values)
-        self._causes |= feedback.status & od.FAULT_BITS
+        self._causes |= feedback.status & FAULT_BITS
         state = od.position_state(feedback.status)
         if state is not self._state:
             self._changed(state, feedback, now)

@@ -23,12 +23,12 @@ from canfb.module.objects.publication import SIXTEEN_BITS, U32, LastLoss, Latest
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain
-from canfb.signal.feedback import Feedback
+from canfb.signal.feedback import FLAGGED_BITS, Feedback
 from canfb.signal.supervision import COASTING, VALID
 
 TPDOS = (1, 2, 3, 4)
 ON_EVENT = EVENT_DRIVEN | {0}  # transmission types; 0 goes out at the SYNC after the event
-FLAGGED_AND_VALID = od.FLAGGED_BITS | VALID
+FLAGGED_AND_VALID = FLAGGED_BITS | VALID
 
 
 class Publishing:
@@ -140,7 +140,7 @@ class Publishing:
         second = self._chain.second
         if second is not None and second.is_waiting:
             return True
-        return self._chain.searches and not feedback.status & od.FLAGGED_BITS & ~COASTING
+        return self._chain.searches and not feedback.status & FLAGGED_BITS & ~COASTING
 
     def count(self, between: Sequence[Feedback], now: float) -> None:
         """Samples that were taken before the one to publish, in the same interval of SYNC."""

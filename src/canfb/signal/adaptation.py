@@ -17,10 +17,9 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from canfb.checks import number_in
-from canfb.objects import FLAGGED_BITS
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction
-from canfb.signal.feedback import Feedback
+from canfb.signal.feedback import FLAGGED_BITS, Feedback
 from canfb.signal.supervision import VALID
 from canfb.signal.track_sectors import NO_DEVIATION, CircleDeviation, TrackSectors, deviation_of
 

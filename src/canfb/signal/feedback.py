@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+from canfb.objects import FAULT_WORDS, StatusBit
+
+FAULT_BITS: Final = sum(FAULT_WORDS)
+"""Of the status word: what is wrong with a sample."""
+FLAGGED_BITS: Final = FAULT_BITS | StatusBit.COASTING.value | StatusBit.LOST.value
+"""Those, and that the position coasts or is lost."""
 
 
 class Feedback(NamedTuple):

@@ -20,7 +20,7 @@ from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.objects import LossCause
 from canfb.signal.chain import SignalChain
-from canfb.signal.feedback import Feedback
+from canfb.signal.feedback import FAULT_BITS, FLAGGED_BITS, Feedback
 from canfb.signal.supervision import (
     AMPLITUDE,
     CALIBRATING,
@@ -135,7 +135,7 @@ class LastLoss:
             self._is_lost = False
             return
         self._bad = self._bad + 1 if status & BAD else 0
-        self._row_faults |= status & od.FAULT_BITS
+        self._row_faults |= status & FAULT_BITS
         if status & LOST and not self._is_lost:
             self._keep(feedback)
         self._is_lost = bool(status & LOST)
@@ -208,7 +208,7 @@ class Publication:
 
     def count_between(self, feedback: Feedback) -> None:
         """Count the faults of a sample that is not published: another one of its SYNC follows."""
-        if feedback.status & od.FLAGGED_BITS or self._lost:
+        if feedback.status & FLAGGED_BITS or self._lost:
             self._count(feedback)
 
     def calibrating(self, working: bool) -> None:
