@@ -308,6 +308,13 @@ def test_stalls_that_leave_one_motion_are_kept(who: str) -> None:
     assert (long.long, long.wrong) == (1, 0)
 
 
+@pytest.mark.parametrize(("rate_hz", "setup", "seed"), [(1000, 0, 39004), (100, 1, 39012), (500, 2, 39013)])
+def test_a_stalled_host_is_late_as_two_clocks_have_it(rate_hz: int, setup: int, seed: int) -> None:
+    """Without receive times: how long frames waited is known within the drift since then."""
+    short = stall("module", rate_hz, timed_setups("*")[setup], seed, True)
+    assert (short.kept, short.wrong) == (8, 0)
+
+
 def test_one_lost_at_half_the_limit_is_kept_at_constant_acceleration() -> None:
     assert vars(one_lost("constant", 0.1, 1, "counter")) == vars(
         one_lost("constant", 0.1, 1, "counter/rx")

@@ -50,6 +50,7 @@ class SampleTimes:
         "_jitter",
         "_last",
         "_late_s",
+        "_late_spare_s",
         "_odd_s",
         "_off_line",
         "_on_line",
@@ -88,6 +89,7 @@ class SampleTimes:
         self._received_s: float | None = None  # when that was received
         self._synced_s: float | None = None  # when its SYNC was
         self._late_s = 0.0  # so late that was taken, at least, where it is not known when it was received
+        self._late_spare_s = 0.0  # and so much later at most, where it waited: by two clocks, meanwhile
         self._odd_s: float | None = None  # a time after that was off by so much
         self._suspect: int | None = None
         self._suspected = 0.0  # intervals counted up to it
@@ -134,11 +136,14 @@ class SampleTimes:
             most_s = HEARD_PART * unit if proved else math.inf
             if heard.learned < LEARNED_SAMPLES or error_s > heard.limit_s or error_s > most_s:
                 return 0.0
-            if not proved and -later_s > heard.limit_s / BEYOND:
+            ever_s = heard.limit_s / BEYOND
+            if not proved and -later_s > ever_s + self._late_spare_s:
                 return 0.0
             heard.learn(error_s)
             if not proved:  # as in _lateness_s
                 late_s = max(0.0, later_s - DRIFT * passed_s)
+                waited = late_s > ever_s or self._late_s > ever_s
+                self._late_spare_s = self._late_spare_s + 2.0 * DRIFT * passed_s if waited else 0.0
         jitter.learn(off_s)
         line.follow(off)
         self._off_line = 0
@@ -189,6 +194,8 @@ class SampleTimes:
         apart = self._apart_s(received_s)
         error_s = self._error_s(ticks * TICK_S, received_s, synced_s)
         late_s = self._lateness_s(ticks, received_s, synced_s)
+        waited = max(late_s, self._late_s) > self._heard.limit_s / BEYOND
+        spare_s = self._late_spare_s + 2.0 * DRIFT * ticks * TICK_S if waited else 0.0
         # The receptions say how long it was even where SYNCs came too near together to count well.
         least = CLOSEST if counted < 1.5 or error_s < CLOSE * unit else counted - SPARE_BEFORE
         agrees = error_s <= SPARE_S + SPARE_PART * unit
@@ -198,7 +205,7 @@ class SampleTimes:
             self.passed = intervals
             if self.nominal_sync.seen:
                 self.nominal_sync.skip(ticks)
-            self._accept(time_100ns, received_s, synced_s, late_s)
+            self._accept(time_100ns, received_s, synced_s, late_s, spare_s)
             return intervals
         if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
             whole = counted
@@ -216,7 +223,7 @@ class SampleTimes:
                     self.nominal_sync.skip(ticks)
                 else:
                     self._follow(ticks, whole if self.nominal_sync.seen else counted)
-                self._accept(time_100ns, received_s, synced_s, late_s)
+                self._accept(time_100ns, received_s, synced_s, late_s, spare_s)
             return odd or intervals
         if agrees and 0.0 < intervals < CLOSEST:
             return CROWDED
@@ -331,13 +338,15 @@ class SampleTimes:
         if synced_apart_s is not None and self._late_s <= unit:  # frames that wait say nothing of the next
             error_s = ticks * TICK_S - synced_apart_s
             heard_s = heard.limit_of(unit, HEARD_PART) if proved else heard.limit_of(unit, math.inf)
+            # How late a SYNC was that waited is known as well as two clocks ran alike meanwhile.
+            ever_s = heard.limit_s / BEYOND + self._late_spare_s
             # Equally sharp, as at the start: right if one of them agrees; the SYNC or the host may be late.
             sharper = heard_s < limit_s or (heard_s == limit_s and abs(error_s) < abs(off_s))
             if proved and sharper:
                 jitter.see(off_s, limit_s)
                 off_s, limit_s, witness = error_s, heard_s, heard
-            elif not proved and error_s > heard.limit_s / BEYOND and heard.learned >= LEARNED_SAMPLES:
-                off_s, limit_s, witness = error_s, heard.limit_s / BEYOND, heard
+            elif not proved and error_s > ever_s and heard.learned >= LEARNED_SAMPLES:
+                off_s, limit_s, witness = error_s, ever_s, heard
             elif not heard.see(error_s, heard_s) and not proved:
                 limit_s = max(limit_s, jitter.limit_s) * DOUBTED / BEYOND
         usual = witness.see(off_s, limit_s) if learns else abs(off_s) <= limit_s
@@ -347,10 +356,16 @@ class SampleTimes:
         return RESTARTED if before is not None and abs(off_s - before) <= limit_s else SUSPECT
 
     def _accept(
-        self, time_100ns: int, received_s: float | None, synced_s: float | None, late_s: float = 0.0
+        self,
+        time_100ns: int,
+        received_s: float | None,
+        synced_s: float | None,
+        late_s: float = 0.0,
+        spare_s: float = 0.0,
     ) -> None:
         self._last, self._received_s, self._suspect = time_100ns, received_s, None
-        self._synced_s, self._late_s, self._odd_s = synced_s, late_s, None
+        self._synced_s, self._odd_s = synced_s, None
+        self._late_s, self._late_spare_s = late_s, spare_s
 
     def _restart(self, time_100ns: int, received_s: float | None, synced_s: float | None = None) -> None:
         """The clock was started again or set, or SYNC is on another grid: a line begins here."""
