@@ -13,7 +13,7 @@ from collections.abc import Callable
 from canfb.objects import LossCause
 from canfb.signal.adaptation import Adaptation, AdaptConfig, FollowedDrift
 from canfb.signal.bounded_motion import HOLE_INTERVALS
-from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
+from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import SAME_INTERVAL
@@ -39,7 +39,6 @@ class SignalChain:
     """
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None = None) -> None:
-        check_config(config)
         self.stages = Stages(config, table)
         self.tracks = self.stages.tracks
         """What makes a phase of counts."""

@@ -123,7 +123,7 @@ class SampleTimes:
         off_s = abs(off) * TICK_S
         if (
             abs(intervals - 1.0) > NOMINAL
-            or off_s > (jitter.limit_s if proved else jitter.limit_s / BEYOND)
+            or off_s > (jitter.limit_s if proved else jitter.ever_s)
             or off_s > LINE_PART * unit
             or abs(period * TICK_S - unit) > SAME_PACE * unit
         ):
@@ -136,14 +136,13 @@ class SampleTimes:
             most_s = HEARD_PART * unit if proved else math.inf
             if heard.learned < LEARNED_SAMPLES or error_s > heard.limit_s or error_s > most_s:
                 return 0.0
-            ever_s = heard.limit_s / BEYOND
-            if not proved and -later_s > ever_s + self._late_spare_s:
-                return 0.0
-            heard.learn(error_s)
-            if not proved:  # as in _lateness_s
+            if not proved:
+                if -later_s > heard.ever_s + self._late_spare_s:
+                    return 0.0
+                # As in _lateness_s.
                 late_s = max(0.0, later_s - DRIFT * passed_s)
-                waited = late_s > ever_s or self._late_s > ever_s
-                self._late_spare_s = self._late_spare_s + 2.0 * DRIFT * passed_s if waited else 0.0
+                self._late_spare_s = self._spare_s(passed_s, late_s)
+            heard.learn(error_s)
         jitter.learn(off_s)
         line.follow(off)
         self._off_line = 0
@@ -194,8 +193,7 @@ class SampleTimes:
         apart = self._apart_s(received_s)
         error_s = self._error_s(ticks * TICK_S, received_s, synced_s)
         late_s = self._lateness_s(ticks, received_s, synced_s)
-        waited = max(late_s, self._late_s) > self._heard.limit_s / BEYOND
-        spare_s = self._late_spare_s + 2.0 * DRIFT * ticks * TICK_S if waited else 0.0
+        spare_s = self._spare_s(ticks * TICK_S, late_s)
         # The receptions say how long it was even where SYNCs came too near together to count well.
         least = CLOSEST if counted < 1.5 or error_s < CLOSE * unit else counted - SPARE_BEFORE
         agrees = error_s <= SPARE_S + SPARE_PART * unit
@@ -285,6 +283,14 @@ class SampleTimes:
         passed_s = ticks * TICK_S
         return max(0.0, apart_s - passed_s - DRIFT * passed_s)
 
+    def _spare_s(self, passed_s: float, late_s: float) -> float:
+        """By how much more the SYNC of this sample may have been taken late, where it or the last one waited.
+
+        Two clocks, each of which is off by DRIFT, say how late it was, since the last one that was in time.
+        """
+        waited = late_s > self._heard.ever_s or self._late_s > self._heard.ever_s
+        return self._late_spare_s + 2.0 * DRIFT * passed_s if waited else 0.0
+
     def _is_witnessed(self, ticks: int, counted: float, synced_s: float | None) -> bool:
         """The interval is not ``counted`` long, and both clocks say so: SYNC was late, or some were not sent.
 
@@ -296,7 +302,7 @@ class SampleTimes:
             return False
         if not self._is_off(ticks, counted):
             return False
-        most_s = self._heard.limit_s / BEYOND
+        most_s = self._heard.ever_s
         error_s = abs(ticks * TICK_S - synced_apart_s)
         return error_s <= most_s < abs(ticks * TICK_S - counted * self.unit_s) - error_s
 
@@ -307,7 +313,7 @@ class SampleTimes:
         themselves by more than ever, and from the times by no more than ever.
         """
         usual_s = min(self._jitter.limit_s, self._heard.limit_s)
-        moved = error_s <= self._heard.limit_s / BEYOND < abs(self._odd_s or 0.0) - error_s
+        moved = error_s <= self._heard.ever_s < abs(self._odd_s or 0.0) - error_s
         return moved or error_s * speed_cycles <= slip or error_s <= usual_s
 
     def _apart_s(self, received_s: float | None) -> float | None:
@@ -339,7 +345,7 @@ class SampleTimes:
             error_s = ticks * TICK_S - synced_apart_s
             heard_s = heard.limit_of(unit, HEARD_PART) if proved else heard.limit_of(unit, math.inf)
             # How late a SYNC was that waited is known as well as two clocks ran alike meanwhile.
-            ever_s = heard.limit_s / BEYOND + self._late_spare_s
+            ever_s = heard.ever_s + self._late_spare_s
             # Equally sharp, as at the start: right if one of them agrees; the SYNC or the host may be late.
             sharper = heard_s < limit_s or (heard_s == limit_s and abs(error_s) < abs(off_s))
             if proved and sharper:

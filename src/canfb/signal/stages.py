@@ -22,7 +22,7 @@ from canfb.signal import speeds
 from canfb.signal.adaptation import AdaptConfig, FollowedDrift
 from canfb.signal.blocks import Scratch
 from canfb.signal.bounded_motion import HOLE_INTERVALS
-from canfb.signal.chain_config import ChainConfig, ChainLimits
+from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.conditioner import Conditioner
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.declared import Declared
@@ -93,6 +93,7 @@ class Stages:
     """
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None) -> None:
+        check_config(config)
         limits = config.chain_limits
         self.estimator = Estimator(limits.declared)
         self._tracker = self.estimator.tracker

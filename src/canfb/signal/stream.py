@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, aligned
-from canfb.signal.chain_config import ChainConfig, check_config
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import AnyArray, FloatArray, raw_phase_block, wrap_block
 from canfb.signal.stages import Stages
@@ -106,7 +106,6 @@ class _Stream:
     """:class:`Stages`, which are all that is carried from block to block, and memory to compute in."""
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None, speed_cycles: float) -> None:
-        check_config(config)
         self._stages = Stages(config, table)
         self._stages.restart(0, speed_cycles)
         self._table = table

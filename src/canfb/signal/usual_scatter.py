@@ -20,9 +20,9 @@ BEGUN, APART = 3, 24
 class UsualScatter:
     """Follows the largest deviation of the last 1024 to 2048 samples.
 
-    ``limit_s`` is twice that, seconds; :meth:`limit_of` is what holds for intervals of some length: at most
-    some part of one, and until 32 samples have come at least 3/32. What is beyond the limit is not
-    learned, unless it is the third in close succession.
+    ``ever_s`` is that, ``limit_s`` twice as much, seconds; :meth:`limit_of` is what holds for intervals of
+    some length: at most some part of one, and until 32 samples have come at least 3/32. What is beyond the
+    limit is not learned, unless it is the third in close succession.
     """
 
     __slots__ = (
@@ -32,12 +32,13 @@ class UsualScatter:
         "_passed",
         "_refused",
         "_refused_s",
+        "ever_s",
         "learned",
         "limit_s",
     )
 
     def __init__(self) -> None:
-        self.limit_s = 0.0
+        self.limit_s = self.ever_s = 0.0
         self.learned = 0
         """Samples that count towards the first limit, up to 32."""
         self._largest_s = self._before_s = 0.0
@@ -92,4 +93,5 @@ class UsualScatter:
             self.learn(self._refused_s)
 
     def _find_limit(self) -> None:
-        self.limit_s = BEYOND * max(self._largest_s, self._before_s)
+        self.ever_s = max(self._largest_s, self._before_s)
+        self.limit_s = BEYOND * self.ever_s

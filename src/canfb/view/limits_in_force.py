@@ -31,7 +31,7 @@ class MotionBounds(NamedTuple):
     residual       limit of the prediction in use
     start          limit of the samples that eq. 9 predicts
     acceleration, jerk   of the machine, None: not known
-    is_waiting     2010:02 is set, and the interval in which it counts is not known yet
+    acceleration_waits   2010:02 is set, and the interval in which it counts is not known yet
     phase_error    largest error of a phase
     instant_error  largest error of a sampling instant, intervals
     bad_samples, doubt_acceleration   2010:0A, 2010:0B
@@ -45,7 +45,7 @@ class MotionBounds(NamedTuple):
     instant_error: float
     bad_samples: int
     doubt_acceleration: float
-    is_waiting: bool = False
+    acceleration_waits: bool = False
 
     def chain_limits(self, order: int, widest: float, **others: Any) -> ChainLimits:
         """All limits of a chain: these, its order, 2010:01 in cycles, and ``others``."""
@@ -55,7 +55,7 @@ class MotionBounds(NamedTuple):
             residual_limit=self.residual,
             start_limit=self.start,
             acceleration=self.acceleration,
-            acceleration_waits=self.is_waiting,
+            acceleration_waits=self.acceleration_waits,
             jerk=self.jerk,
             phase_error=self.phase_error,
             instant_error=self.instant_error,
