@@ -11,6 +11,8 @@ from collections.abc import Collection, Sequence
 from enum import IntEnum, IntFlag, StrEnum
 from typing import Final, NamedTuple
 
+from canfb.cia301.codes import CodeWithText
+
 
 class Multiplexer(NamedTuple):
     """Index and sub-index of an object (CiA 301, 7.2.4.3)."""
@@ -37,6 +39,12 @@ IDENTITY_VENDOR_ID: Final = Multiplexer(0x1018, 1)
 IDENTITY_PRODUCT_CODE: Final = Multiplexer(0x1018, 2)
 IDENTITY_REVISION_NUMBER: Final = Multiplexer(0x1018, 3)
 IDENTITY_SERIAL_NUMBER: Final = Multiplexer(0x1018, 4)
+IDENTITY: Final = (
+    IDENTITY_VENDOR_ID,
+    IDENTITY_PRODUCT_CODE,
+    IDENTITY_REVISION_NUMBER,
+    IDENTITY_SERIAL_NUMBER,
+)
 STORE_ALL_PARAMETERS: Final = Multiplexer(0x1010, 1)
 STORE_MANUFACTURER_PARAMETERS: Final = Multiplexer(0x1010, 4)
 
@@ -223,17 +231,8 @@ def position_state(status: int) -> PositionState:
     return PositionState.COASTING if status & StatusBit.COASTING else PositionState.NOT_VALID
 
 
-class LossCause(IntEnum):
+class LossCause(CodeWithText):
     """Why the position was lost, object 2012:10."""
-
-    text: str
-
-    def __new__(cls, value: int, text: str) -> LossCause:
-        """Make the member with its text."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.text = text
-        return member
 
     NONE = 0, "not lost since the start"
     COASTED = 1, "more samples in a row were bad or missing than 2010:03 allows"
@@ -253,17 +252,8 @@ def loss_cause(number: float | None) -> LossCause | None:
     return next((one for one in LossCause if one and one == number), None)
 
 
-class EncoderEmergency(IntEnum):
+class EncoderEmergency(CodeWithText):
     """Emergency error codes of the warnings 6505h, FF10h plus the number of the bit, and their meaning."""
-
-    text: str
-
-    def __new__(cls, value: int, text: str) -> EncoderEmergency:
-        """Make the member with its text."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.text = text
-        return member
 
     FREQUENCY = 0xFF10, "residual near its limit"
     AMPLITUDE_LOW = 0xFF11, "low amplitude"

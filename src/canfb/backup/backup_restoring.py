@@ -13,7 +13,6 @@ from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.active_table import check_can_save
 from canfb.master.all_or_nothing import Guard, change
 from canfb.master.node_state import nmt_state
-from canfb.master.session import IDENTITY
 from canfb.sdo.object_description import Place
 
 STORES = (od.STORE_ALL_PARAMETERS,)
@@ -111,7 +110,7 @@ class Restoring:
         return Restored(self._module, identity, changes, untouched, wishes, saved_as)
 
     def _check_identity(self, backup: Backup, force: bool) -> NodeIdentity:
-        there = NodeIdentity(*(self._module.integer(*place, "I") for place in IDENTITY))
+        there = NodeIdentity(*(self._module.integer(*place, "I") for place in od.IDENTITY))
         if there[:2] != backup.identity[:2]:
             ours, theirs = (
                 f"product {one.product} of vendor {one.vendor}" for one in (there, backup.identity)

@@ -17,7 +17,6 @@ import os
 import socket
 import time
 from collections.abc import Callable, Iterable
-from types import TracebackType
 from typing import Protocol, Self
 from uuid import uuid4
 
@@ -55,9 +54,7 @@ class FrameBus(Protocol):
     def __enter__(self) -> Self:
         """The bus is open already."""
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         """Close it."""
 
 
@@ -213,9 +210,7 @@ class PythonCanBus:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._bus.shutdown()
 
 

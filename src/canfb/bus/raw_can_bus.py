@@ -24,7 +24,6 @@ import select
 import socket
 import struct
 from collections.abc import Iterable
-from types import TracebackType
 from typing import Any, Self
 
 from canfb.bus.bus_state import ERROR_RESTARTED, INTERFACE_DOWN
@@ -256,7 +255,5 @@ class RawCanBus:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._socket.close()

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum, IntFlag
+from typing import Self
 
 
-class AbortCode(IntEnum):
-    """SDO abort codes (CiA 301, 7.2.4.3.17); `.text` says what it means."""
+class CodeWithText(IntEnum):
+    """An integer code; `.text` says what it means. A member is NUMBER, TEXT."""
 
     text: str
 
-    def __new__(cls, value: int, text: str) -> AbortCode:
+    def __new__(cls, value: int, text: str) -> Self:
         """Make the member with its text."""
         member = int.__new__(cls, value)
         member._value_ = value
         member.text = text
         return member
+
+
+class AbortCode(CodeWithText):
+    """SDO abort codes (CiA 301, 7.2.4.3.17); `.text` says what it means."""
 
     TOGGLE = 0x05030000, "toggle bit not alternated"
     TIMEOUT = 0x05040000, "SDO protocol timed out"
@@ -51,17 +56,8 @@ class AbortCode(IntEnum):
     NO_DATA = 0x08000024, "no data available"
 
 
-class EmergencyCode(IntEnum):
+class EmergencyCode(CodeWithText):
     """Emergency error codes (CiA 301, 7.2.7.1); `.text` says what it means."""
-
-    text: str
-
-    def __new__(cls, value: int, text: str) -> EmergencyCode:
-        """Make the member with its text."""
-        member = int.__new__(cls, value)
-        member._value_ = value
-        member.text = text
-        return member
 
     NO_ERROR = 0x0000, "error reset, or no error"
     GENERIC = 0x1000, "generic error"

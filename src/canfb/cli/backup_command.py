@@ -7,6 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from canfb import objects as od
 from canfb.backup.backup_file import Backup, NodeIdentity, backup_text, read_backup
 from canfb.backup.backup_restoring import RestoreOptions, Restoring
 from canfb.backup.backup_words import backup_result, restored_result
@@ -16,7 +17,6 @@ from canfb.cli.options import Commands, add_command, node_number
 from canfb.eds_files import eds_path
 from canfb.master.access import Master, ModuleObjects, NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
-from canfb.master.session import IDENTITY
 from canfb.module.device_configuration import (
     OF_THE_MACHINE,
     backup_values,
@@ -74,7 +74,7 @@ def backup_of(master: Master, node_id: int, date: str) -> Backup:
             machine[entry.place] = entry.decode(objects.data(*place))
     return Backup(
         node_id,
-        NodeIdentity(*(module.integer(*place, "I") for place in IDENTITY)),
+        NodeIdentity(*(module.integer(*place, "I") for place in od.IDENTITY)),
         date,
         version("canfb"),
         objects.data(0x1008, 0).decode("latin-1"),

@@ -25,11 +25,12 @@ from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
     BUS_WORDS,
     Commands,
+    add_answer_within,
     add_bus_options,
     add_command,
+    add_measured_nodes,
     bus_options,
     refuse_idle,
-    whole_number,
 )
 from canfb.cli.progress import Progress, shown_progress
 from canfb.configuration import Config, load_config
@@ -99,13 +100,7 @@ def _add_nodes_and_results(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         help="take the bus and the node-IDs of the first module from this file",
     )
-    parser.add_argument("--module", type=whole_number, metavar="ID", help="node-ID of the module (32)")
-    parser.add_argument(
-        "--encoder-interface",
-        type=whole_number,
-        metavar="ID",
-        help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
-    )
+    add_measured_nodes(parser)
     parser.add_argument("--dry-run", action="store_true", help="measure only, write nothing to the module")
     parser.add_argument(
         "--check", action="store_true", help="only measure how far the encoder has drifted from its table"
@@ -162,7 +157,7 @@ def _add_measurement(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--rate", type=float, metavar="HZ", help="samples per second, if not known otherwise")
     group.add_argument("--sync", type=float, metavar="HZ", help="produce the SYNC, on a bus without one")
     group.add_argument("--encoder", default="", metavar="NAME", help="name or serial number of the encoder")
-    group.add_argument("--answer-within", type=float, default=1.0, metavar="S", help="SDO time-out (1)")
+    add_answer_within(group)
 
 
 def choices_of(options: argparse.Namespace) -> CalibrateOptions:

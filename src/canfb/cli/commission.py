@@ -11,12 +11,13 @@ from canfb.calibrate.choices import CalibrateOptions
 from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
     Commands,
+    add_answer_within,
     add_bus_options,
     add_command,
+    add_measured_nodes,
     bus_options,
     node_number,
     refuse_idle,
-    whole_number,
 )
 from canfb.cli.progress import Progress, shown_progress
 from canfb.commission.commission_run import CommissionOptions, CommissionRun
@@ -65,13 +66,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="node-ID of the module such as 0x20, or a configuration with the bus and the node-IDs",
     )
     add("--config", metavar="CONFIG.yaml", help="takes the bus and the node-IDs from this configuration")
-    add("--module", type=whole_number, metavar="ID", help="node-ID of the module (32)")
-    add(
-        "--encoder-interface",
-        type=whole_number,
-        metavar="ID",
-        help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
-    )
+    add_measured_nodes(parser)
     add("--write", action="store_true", help="write the limits; undone if the module then flags samples")
     add("--save", action="store_true", help="with --write: save them (1010h)")
     add("--seconds", type=float, default=60.0, metavar="S", help="how long to listen to the machine (60)")
@@ -100,7 +95,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, metavar="DIR", help="folder for report and samples")
     add("--json", action="store_true", help="print the figures as JSON")
     add("--sync", type=float, metavar="HZ", help="produce the SYNC, on a bus without one")
-    add("--answer-within", type=float, default=1.0, metavar="S", help="SDO time-out (1)")
+    add_answer_within(parser)
     add_bus_options(parser)
 
 

@@ -12,6 +12,7 @@ from canfb.bus.opening import open_bus
 from canfb.cli.examples import examples_of
 from canfb.cli.options import (
     Commands,
+    add_answer_within,
     add_bus_options,
     add_command,
     bus_options,
@@ -135,7 +136,7 @@ def _add_dcf_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--name", default="", help="NodeName of the DCF (module_20h)")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
-    parser.add_argument("--answer-within", type=float, default=1.0, metavar="S", help="SDO time-out (1)")
+    add_answer_within(parser)
     add_bus_options(parser)
 
 

@@ -13,6 +13,7 @@ from canfb.bus.clocks import local_time
 from canfb.cli import node_options
 from canfb.cli.options import (
     Commands,
+    add_answer_within,
     add_bus_options,
     add_command,
     bus_options,
@@ -48,9 +49,7 @@ def register(commands: Commands) -> None:
     parser.add_argument("--config", metavar="CONFIG.yaml", help="the configuration, with the bus")
     parser.add_argument("--out", type=Path, metavar="FILE", help="(canfb-diagnose-DATE-TIME.json); replaced")
     parser.add_argument("--seconds", metavar="S", type=positive, default=LISTEN_S, help="to listen (2)")
-    parser.add_argument(
-        "--answer-within", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)"
-    )
+    add_answer_within(parser)
     add_bus_options(parser)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import add_bus_options, chosen_bus, node_number, yaml_file
+from canfb.cli.options import add_answer_within, add_bus_options, chosen_bus, node_number, yaml_file
 from canfb.cli.printing import report
 from canfb.configuration import Config
 from canfb.errors import ConfigError
@@ -33,9 +33,7 @@ def add_access_options(parser: argparse.ArgumentParser, *, answers: bool = True)
         "configuration", metavar="CONFIG.yaml", nargs="?", type=yaml_file, help="the same, without --config"
     )
     if answers:
-        parser.add_argument(
-            "--answer-within", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)"
-        )
+        add_answer_within(parser)
     add_bus_options(parser)
 
 

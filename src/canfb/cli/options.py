@@ -57,6 +57,24 @@ def add_bus_options(parser: argparse.ArgumentParser) -> None:
             action.metavar = BUS_METAVARS.get(action.dest, action.metavar)
 
 
+def add_answer_within(parser: argparse._ActionsContainer) -> None:
+    """``--answer-within``, of the commands that use SDO."""
+    parser.add_argument(
+        "--answer-within", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)"
+    )
+
+
+def add_measured_nodes(parser: argparse.ArgumentParser) -> None:
+    """``--module`` and ``--encoder-interface``, of the commands that measure."""
+    parser.add_argument("--module", type=whole_number, metavar="ID", help="node-ID of the module (32)")
+    parser.add_argument(
+        "--encoder-interface",
+        type=whole_number,
+        metavar="ID",
+        help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
+    )
+
+
 def whole_number(text: str) -> int:
     """A whole number, decimal or as 0x20: a type for argparse."""
     try:

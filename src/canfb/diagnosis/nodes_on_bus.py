@@ -112,15 +112,7 @@ def scan(master: Master, listen_s: float) -> list[FoundNode]:
 
 
 def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
-    vendor, product, revision, serial = (
-        _number(node, *place, "I")
-        for place in (
-            od.IDENTITY_VENDOR_ID,
-            od.IDENTITY_PRODUCT_CODE,
-            od.IDENTITY_REVISION_NUMBER,
-            od.IDENTITY_SERIAL_NUMBER,
-        )
-    )
+    vendor, product, revision, serial = (_number(node, *place, "I") for place in od.IDENTITY)
     device_type = _number(node, *od.DEVICE_TYPE, "I") or 0
     try:
         name = node.read_bytes(*DEVICE_NAME).decode("latin-1").rstrip("\0").strip()

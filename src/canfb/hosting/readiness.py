@@ -9,7 +9,6 @@ import re
 import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
 
 from canfb.errors import CanfbError, ConfigError
 
@@ -47,9 +46,7 @@ class Readiness:
             _clear(self._path)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._notify(STOPPING)
         if self._path is not None:
             self._path.unlink(missing_ok=True)

@@ -21,7 +21,6 @@ import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Protocol, Self
 
 from canfb.bus.opening import check_device_bus, describe, open_device_bus
@@ -75,9 +74,7 @@ class OnBus(ABC):
             self._resources = opened.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._resources.close()
 
     def stop(self) -> None:

@@ -12,7 +12,6 @@ import logging
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Protocol, Self
 
 from canfb.errors import CanfbError, ConfigError, reason
@@ -202,9 +201,7 @@ class DaskPool:
             self._opened = opened.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._opened.close()
 
     def run(self, jobs: Iterable[LogJob], settings: ReplayOptions) -> Iterator[tuple[LogJob, list[Row]]]:

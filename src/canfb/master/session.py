@@ -21,12 +21,6 @@ from canfb.view.pdo_map import PdoLayout, interface_layout, module_layout
 
 Source = Callable[[float, int, Progress], TrackSamples]
 """Collects samples: seconds, least number of samples, and a callable that gets 0..1."""
-IDENTITY = (
-    od.IDENTITY_VENDOR_ID,
-    od.IDENTITY_PRODUCT_CODE,
-    od.IDENTITY_REVISION_NUMBER,
-    od.IDENTITY_SERIAL_NUMBER,
-)
 DEFAULT_INTERFACE = 0x10
 CORNERS = (od.ENCODER_CORNER_FREQUENCY, od.ENCODER_COSINE_CORNER_FREQUENCY)
 
@@ -149,7 +143,7 @@ def read_corners(module: NodeAccess) -> Corners:
 def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
     """Vendor-ID, product code, revision and serial number, as many as it has; None without an answer."""
     found: list[int] = []
-    for place in IDENTITY:
+    for place in od.IDENTITY:
         try:
             found.append(node.integer(*place, "I"))
         except CommissioningError:

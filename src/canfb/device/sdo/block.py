@@ -12,10 +12,9 @@ from canfb.device.sdo.transfer import (
     ABORT_COMMAND,
     BLOCK_DOWNLOAD,
     BLOCK_UPLOAD,
-    Quiet,
+    Download,
     Reply,
     check_received,
-    check_size,
     finish_download,
 )
 
@@ -149,7 +148,7 @@ class BlockUpload:
         self._reply(bytes([_UPLOAD_END | unused << 2]) + self._crc.to_bytes(2, "little"))
 
 
-class BlockDownload(Quiet):
+class BlockDownload(Download):
     """Client to server. Segments after a gap are dropped and asked for again."""
 
     def __init__(
@@ -161,14 +160,8 @@ class BlockDownload(Quiet):
         with_crc: bool,
         reply: Reply,
     ) -> None:
-        if announced is not None:
-            check_size(entry, announced)
-        self.multiplexer = multiplexer
-        self.target = entry
-        self._announced = announced
+        super().__init__(multiplexer, entry, announced, reply)
         self._with_crc = with_crc
-        self._reply = reply
-        self._received = bytearray()
         self._sequence = 0
         self._complete = False
         answer = _DOWNLOAD_ANSWER | (CRC_SUPPORTED if with_crc else 0)

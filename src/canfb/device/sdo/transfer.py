@@ -132,7 +132,7 @@ class SegmentedUpload(Quiet):
         return not last
 
 
-class SegmentedDownload(Quiet):
+class Download(Quiet):
     """Client to server. The entry is written when all is there."""
 
     def __init__(self, multiplexer: bytes, entry: Entry, announced: int | None, reply: Reply) -> None:
@@ -143,6 +143,13 @@ class SegmentedDownload(Quiet):
         self._announced = announced
         self._reply = reply
         self._received = bytearray()
+
+
+class SegmentedDownload(Download):
+    """Segments of seven bytes, each of them acknowledged."""
+
+    def __init__(self, multiplexer: bytes, entry: Entry, announced: int | None, reply: Reply) -> None:
+        super().__init__(multiplexer, entry, announced, reply)
         self._toggle = 0
         reply(b"\x60" + multiplexer)
 

@@ -120,11 +120,16 @@ class MemoryStore:
 
     def save(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
         """Keep or forget."""
-        for group, image in changes.items():
-            if image is None:
-                self.images.pop(group, None)
-            else:
-                self.images[group] = image
+        keep(self.images, changes)
+
+
+def keep(images: dict[ParameterGroup, bytes], changes: Mapping[ParameterGroup, bytes | None]) -> None:
+    """Put the images of ``changes`` among ``images``; None forgets one."""
+    for group, image in changes.items():
+        if image is None:
+            images.pop(group, None)
+        else:
+            images[group] = image
 
 
 class Storage:
@@ -285,11 +290,7 @@ class Storage:
             done(error)
             return
         mended = [group for group in changes if self.faults.pop(group, None)]
-        for group, image in changes.items():
-            if image is None:
-                self._images.pop(group, None)
-            else:
-                self._images[group] = image
+        keep(self._images, changes)
         if mended:
             self.report_faults()
         forgotten = [group for group, image in changes.items() if image is None]
