@@ -1,8 +1,6 @@
-"""What an input reaches, and what it must not do: which lines of canfb run, processor time, memory, files.
+"""What an input must not do: take much processor time or memory, write files, start programs.
 
-Lines that have been reached are not asked for again: a function of which all have is not traced, so that a
-campaign soon runs nearly as fast as the program. Time is that of the processor: no limit depends on what else
-the computer does.
+Time is that of the processor: no limit depends on what else the computer does.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import CodeType, FrameType
+from types import FrameType
 from typing import Any
 
 LONGEST_S = 10.0
@@ -41,43 +39,6 @@ MOVES = frozenset({"os.rename", "os.link"})
 
 class BeyondBoundsError(BaseException):
     """An input did what none may do. No ``except Exception`` hides it."""
-
-
-class ReachedLines:
-    """The lines of the files below ``folders`` that have run within :meth:`watching`."""
-
-    def __init__(self, folders: tuple[str, ...]) -> None:
-        self._folders = folders
-        self._left: dict[
-            int, tuple[CodeType, set[int]]
-        ] = {}  # with the code, whose id is else another's soon
-        self.count = 0
-
-    @contextmanager
-    def watching(self) -> Iterator[None]:
-        """Trace what runs; a tracer that was there before is back afterwards."""
-        before = sys.gettrace()
-        sys.settrace(self._called)
-        try:
-            yield
-        finally:
-            sys.settrace(before)
-
-    def _called(self, frame: FrameType, event: str, argument: Any) -> Any:
-        code = frame.f_code
-        known = self._left.get(id(code))
-        if known is None:
-            ours = code.co_filename.startswith(self._folders)
-            lines = {line for _, _, line in code.co_lines() if line} if ours else set()
-            known = self._left[id(code)] = code, lines
-        return self._ran if known[1] else None
-
-    def _ran(self, frame: FrameType, event: str, argument: Any) -> Any:
-        left = self._left[id(frame.f_code)][1]
-        if event == "line" and frame.f_lineno in left:
-            left.discard(frame.f_lineno)
-            self.count += 1
-        return self._ran
 
 
 class _WatchedFolder:

@@ -10,7 +10,7 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -52,7 +52,8 @@ from canfb.signal.conditioning import IDENTITY
 from canfb.sources.recording_source import RecordingLayout, RecordingSource
 from canfb.tables.table_file import as_yaml, read_table_file
 from tools.fuzz import body, seeds
-from tools.fuzz.inputs import NODE_ID
+from tools.fuzz.bounds import bounded
+from tools.fuzz.inputs import NODE_ID, Reader, steps
 from tools.fuzz.watch import demand
 
 SAMPLES = 20
@@ -61,7 +62,13 @@ HEADER = '{"msgid": "1", "msgtype": "PATCH-DOC"}'
 RENEWED = 100
 FRAMES_LONGEST, LOG_LONGEST = 400, 1 << 12
 """Bytes: what is behind the reader takes time for each frame, and for each second between two."""
+LONGEST_MESSAGE = 1000
+"""Characters of a refusal."""
 CORPUS_OF_FRAMES = Path(__file__).parents[2] / "tests" / "tools" / "fuzz_corpus.txt"
+
+
+class NotOneLineError(Exception):
+    """A refusal that the command line could not print as one line."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,7 @@ class Target:
     suffix     of the file
     longest    input, bytes
     sealed     the same input with its checksums right, so that what is behind them is reached
+    story      what an input means, in lines
     """
 
     name: str
@@ -84,10 +92,38 @@ class Target:
     suffix: str = ""
     longest: int = 1 << 15
     sealed: Callable[[bytes], bytes] | None = None
+    story: Callable[[bytes], Iterator[str]] | None = None
+
+    def accepts(self, path: Path, data: bytes) -> bool:
+        """False: the input is refused as it should be. Raises what is found, BeyondBoundsError too."""
+        path.write_bytes(data)
+        try:
+            with bounded(path.parent):
+                self.play(path, data)
+        except self.refusals as error:
+            text = str(error)
+            is_line = bool(text) and len(text) <= LONGEST_MESSAGE and len(text.splitlines()) == 1
+            if "MemoryError" in text or (isinstance(error, CanfbError) and not is_line):
+                raise NotOneLineError(f"{len(text)} characters: {text}") from error
+            return False
+        return True
 
 
 def _frames(path: Path, data: bytes) -> None:
     body.play(data)
+
+
+def _story_of_frames(data: bytes) -> Iterator[str]:
+    reader = Reader(data)
+    yield f"device {reader.byte()}"
+    for step in steps(reader):
+        for frame in step.frames:
+            remote = " remote" if frame.rtr else ""
+            yield f"  {frame.can_id:03X}#{frame.data.hex().upper()}{remote}"
+        if step.follow:
+            yield f"  a client goes on, {step.follow} rounds, and writes {len(step.content)} bytes"
+        if step.pause_s:
+            yield f"  {step.pause_s} s{' with ticks when they are due' if step.punctual else ''}"
 
 
 def kept_frames() -> list[bytes]:
@@ -337,7 +373,7 @@ def _is_ours(error: BaseException) -> bool:
 TARGETS = {
     target.name: target
     for target in (
-        Target("frames", kept_frames, _frames, (), longest=FRAMES_LONGEST),
+        Target("frames", kept_frames, _frames, (), longest=FRAMES_LONGEST, story=_story_of_frames),
         Target("eds", seeds.eds, _eds, suffix=".eds"),
         Target("dcf", seeds.dcf, _dcf, (ValueError,), ".dcf"),
         Target("concise", seeds.concise, _concise, (ValueError,)),
