@@ -122,6 +122,7 @@ CLASSES: tuple[WireClass, ...] = (
     aimed("stamp, bad again after reset", clocks.bad_stamp_after_reset, clocks.timed, survives=True),
     aimed("stamp, bad at the start", clocks.bad_stamp_early, clocks.timed),
     aimed("stamp, late once", clocks.late_stamp_once, clocks.timed, survives=True),
+    aimed("stamp, set in a burst", clocks.clock_set_in_a_burst, clocks.timed),
     aimed("SYNC, producer shifts", clocks.producer_shifts, clocks.untimed_with_stamps),
     aimed("SYNC, producer shifts, times", clocks.producer_shifts, clocks.timed_with_stamps, survives=True),
     aimed("SYNC, another rate", clocks.producer_changes_rate, clocks.untimed_with_stamps),

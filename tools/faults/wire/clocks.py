@@ -263,7 +263,9 @@ def producer_stalls(plan: Plan, begin: float, end: float) -> None:
     last = int(end - 1.0)  # slot n is due at n + 1
     for slot in plan.slots[int(begin) : last]:
         slot.produced = False
-    plan.slots[last].late_us = max(0.0, end - (last + 1.0)) / plan.us
+    # It is sent before the next one, however both jitter, and a frame of 135 us takes the bus (1 Mbit/s).
+    most = 1.0 - (2.0 * plan.jitter_us + 135.0) * plan.us
+    plan.slots[last].late_us = min(max(0.0, end - (last + 1.0)), most) / plan.us
 
 
 def longest_bridged(limit: float) -> int:
@@ -281,3 +283,20 @@ def late_stamp_once(plan: Plan) -> None:
     plan.options.interval_s = 1e-3
     machine(plan, a_speed(plan, 5.0, 40.0), 60)
     plan.slots[plan.fault].stamp_add = round(float(plan.rng.uniform(500.0, 4000.0)))
+
+
+def clock_set_in_a_burst(plan: Plan) -> None:
+    """The host stalls; while frames wait, the clock of the interface goes on by periods, once or for good.
+
+    As if frames had been dropped: at whole cycles per period the phases fit, too.
+    """
+    plan.options.interval_s = 1e-3
+    machine(plan, float(round(a_speed(plan, 0.6, 20.0))), 200)
+    plan.jitter_us = float(plan.rng.uniform(0.0, 50.0))
+    begin, long = plan.fault + float(plan.rng.uniform()), float(plan.rng.uniform(3.0, 80.0))
+    plan.stalls.append((begin, begin + long))
+    first = plan.fault + int(plan.rng.integers(0, int(long) + 1))
+    last = first + int(plan.rng.choice((1, 2, 1000)))
+    periods = int(plan.rng.integers(1, int(long) + 2))
+    for slot in plan.slots[first:last]:
+        slot.stamp_add = round(periods * plan.options.interval_s / TICK_S)
