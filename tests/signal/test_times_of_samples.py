@@ -285,3 +285,15 @@ def test_no_host_takes_a_sync_before_it_comes(late_ticks: int, sync_late_s: floa
         taken_s = at_s + generator.uniform(0.0, 70e-6)
         elapsed = times.elapsed(ticks, 1.0, None, taken_s, 20.0 if number == bad else 0.0)
     assert (elapsed > 0.0) is taken
+
+
+def test_samples_after_a_sync_that_was_late_and_taken_late_are_no_earlier_ones() -> None:
+    times = SampleTimes()
+    for n in range(80):
+        at = n * PERIOD_TICKS + 500 * (n % 3 - 1) + 500
+        times.elapsed(at, 1.0, None, at * 1e-7 + 3e-5 * (n % 2))
+    # The SYNC of the next one is 0.8 ms late, and taken 0.2 ms later.
+    assert times.elapsed(808_000, 1.0, None, 0.0808 + 2e-4) == pytest.approx(1.75, abs=0.01)
+    assert times.elapsed(810_000, 1.0, None, 0.081) == REPEATED, "too near to it"
+    assert times.elapsed(820_000, 2.0, None, 0.082) == pytest.approx(1.2, abs=0.01)
+    assert times.elapsed(830_000, 1.0, None, 0.083) == pytest.approx(1.0, abs=0.01)

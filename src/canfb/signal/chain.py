@@ -24,7 +24,7 @@ from canfb.signal.sample import Sample, in_order
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Extras, Stages
-from canfb.signal.supervision import LOST, MISSED, VALID
+from canfb.signal.supervision import COASTING, LOST, MISSED, VALID
 
 
 class SignalChain:
@@ -141,6 +141,11 @@ class SignalChain:
         return self.stages.estimator.lost
 
     @property
+    def gap(self) -> float:
+        """Intervals for which only sample times say that they have passed, of frames that were dropped."""
+        return self._times.gap
+
+    @property
     def searches(self) -> bool:
         """Uneven sample times may still tell at what speed the machine turns."""
         return self.stages.estimator.searches
@@ -222,6 +227,8 @@ class SignalChain:
         did since, or if they did for STILL_SAMPLES; else once they have. Likewise after :meth:`reset`
         while it turned, unless by the declared acceleration it has stayed below half a cycle per interval.
         """
+        if self._times.gap:  # the receptions that would decide do not come
+            self.uncertain(self._times.gap)
         if self._pauses.resume(intervals * self._per_sync):
             self._times.forget()
             self._waited = 0.0
@@ -287,7 +294,14 @@ class SignalChain:
         if self.measures_intervals:
             elapsed = passed - self._waited  # what was waited for is counted already
         self._waited = 0.0
-        return self.after(sample, elapsed, next_one=next_one)
+        feedback = self.after(sample, elapsed, next_one=next_one)
+        return self._withheld(feedback) if times.gap and feedback.status & VALID else feedback
+
+    def _withheld(self, feedback: Feedback) -> Feedback:
+        """Receptions are still to show that its time is right."""
+        self.adaptation.drop()
+        self.stages.last = feedback = feedback._replace(status=feedback.status & ~VALID | COASTING)
+        return feedback
 
     def take_in_turn(
         self, sine: float, cosine: float, time_100ns: int, received_s: float | None, synced_s: float | None
