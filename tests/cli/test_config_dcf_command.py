@@ -78,7 +78,7 @@ def test_a_dcf_that_makes_a_module_as_delivered_the_one_of_the_configuration(
     out, err = said(capsys, str(yaml), "--concise", "module.bin")
     assert err == ""
     assert out.splitlines()[0].startswith("module-21h.dcf: node 33 (21h), ")
-    assert "not as delivered: 1400:01, 2001:01, 2001:02, 2001:03, 2001:04, 6001:00, 6002:00" in out
+    assert "; not at factory defaults: 1400:01, 2001:01, 2001:02, 2001:03, 2001:04, 6001:00, 6002:00" in out
     dictionary = canopen.import_od("module-21h.dcf")
     assert (dictionary.node_id, dictionary.bitrate) == (0x21, 250_000)
     peer = Peer(ModuleConfig(node_id=0x21), dictionary=dictionary)

@@ -16,8 +16,8 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.planning.budget import PEAK, RAW_PHASE_ERROR_CYCLES, ResidualBudget
 from canfb.planning.jerk_budget import budget_of
-from canfb.planning.plan import SAMPLE_BOUNDS, Limited, Plan
-from canfb.signal.limits import narrowed_residual_limit, samples_without_harm
+from canfb.planning.plan import Limited, Plan
+from canfb.signal.limits import narrowed_residual_limit, safe_deviation, samples_without_harm
 from canfb.simulation.demand import of_motion
 from canfb.simulation.scenario import MotionConfig
 
@@ -168,8 +168,9 @@ def test_jerk_is_what_it_changes_in_one_interval_and_counts_for_nothing_yet() ->
 
 def test_the_samples_in_a_row_are_those_of_the_page() -> None:
     rows = dict(re.findall(r"^\| (\d) \| 1/(\d) \|", LEGAL, re.M))
-    assert {int(n): 1.0 / int(part) for n, part in rows.items()} == SAMPLE_BOUNDS
-    for n, largest in SAMPLE_BOUNDS.items():
+    assert {int(n): 1.0 / int(part) for n, part in rows.items()} == {n: safe_deviation(n) for n in (1, 2, 3)}
+    for n in (1, 2, 3):
+        largest = safe_deviation(n)
         assert samples_without_harm(largest) == n
         assert samples_without_harm(largest + 1e-6) == n - 1
     assert samples_without_harm(0.0) == 255

@@ -9,7 +9,7 @@ follows from the NMT state (7.3.2.2.5): `Services.route` lists who listens. :cla
 place where a service has an effect on others: the :class:`Reactions`.
 
 All services hold for one node-ID. LSS can give the node another one, from the next reset on: then they are
-all made again (`_make_services`). LSS, storage and silence are there from the first moment.
+all made again (`_make_services`). LSS, storage and silence are there from the first power-on.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class Guard:
             self._held = False
 
 
-PAUSE_S = 1.0  # before the second attempt: a bus that is away for a moment, a node that starts
+PAUSE_S = 1.0  # before the second attempt: a bus that is away briefly, a node that starts
 ATTEMPTS = 2
 
 
@@ -106,7 +106,7 @@ def change(
 
 
 def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: bool = False) -> None:
-    """``act`` writes ``what`` from before, and proves it; once more after a moment, if the bus fails.
+    """``act`` writes ``what`` from before, and proves it; once more after a pause, if the bus fails.
 
     CommissioningError, which says how things stand and what to do, if that does not work either; with
     ``saving`` it may have been saved already.

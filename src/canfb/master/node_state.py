@@ -128,7 +128,7 @@ class MachineLook:
 
 
 def watch_standstill(module: NodeAccess) -> MachineLook:
-    """Watch the phase of a module for a moment. CommissioningError if it gets too few samples."""
+    """Watch the phase of a module briefly. CommissioningError if it gets too few samples."""
     master = module.master
     began = master.now()
     first: float | None = None

@@ -152,7 +152,7 @@ class SupervisionLimits:
 def write_limits(module: NodeAccess, limits: Mapping[Multiplexer, float]) -> None:
     """Write these objects and read them back. CommissioningError for what does not read as written.
 
-    The lower amplitude limit stays below the upper one at every moment.
+    The lower amplitude limit stays below the upper one at all times.
     """
     places = [place for place in KINDS if place in limits]
     low, high = AMPLITUDES

@@ -98,9 +98,9 @@ class ConfigurationFiles:
         """What was written, for people."""
         configuration, changed = self.configuration, self.configuration.changed()
         node_id = configuration.node_id
-        others = f"; not as delivered: {place_names(list(changed))}" if changed else ", all as delivered"
+        others = f"not at factory defaults: {place_names(list(changed))}" if changed else "factory defaults"
         count = len(configuration.settings)
-        lines = [f"{self.path}: node {node_id} ({node_id:02X}h), {count} parameters{others}"]
+        lines = [f"{self.path}: node {node_id} ({node_id:02X}h), {count} parameters; {others}"]
         if self.table_path is not None:
             size, crc32 = len(configuration.table) // 4, configuration.table_crc32
             lines.append(f"{self.table_path}: correction table, {size} entries, {crc32:08X}")

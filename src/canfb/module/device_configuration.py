@@ -98,7 +98,7 @@ class DeviceConfiguration:
         ]
 
     def changed(self) -> dict[Place, Any]:
-        """The parameters whose value is not that of a module as delivered."""
+        """The parameters whose value is not the factory default."""
         dictionary = FeedbackModule(ModuleConfig(node_id=self.node_id)).dictionary
         return {
             setting.place: setting.value
@@ -107,7 +107,7 @@ class DeviceConfiguration:
         }
 
     def refused_in_index_order(self) -> list[Place]:
-        """What a module as delivered refuses when each object is written once, in ascending order.
+        """What a module with factory defaults refuses when each object is written once, in ascending order.
 
         PDOs apart: every master knows how to write these.
         """

@@ -20,10 +20,8 @@ from canfb.planning.jerk_budget import budget_of
 from canfb.planning.plan_input import PlanInput
 from canfb.planning.planned_module import PlannedModule
 from canfb.signal.declared import Declared
-from canfb.signal.limits import ROUNDING, safe_deviation, samples_without_harm
+from canfb.signal.limits import ROUNDING, samples_without_harm
 
-SAMPLE_BOUNDS = {n: safe_deviation(n) for n in (1, 2, 3)}
-"""Largest L + a for so many samples in a row."""
 WELL = 1.0 / 6.0  # docs/faults.md: keep the limit below 1/6
 WELL_THIRD_ORDER = 0.25  # docs/legal-motion.md: a single bad sample is without harm
 

@@ -312,7 +312,7 @@ def _motion_rows(budget: ResidualBudget) -> list[Row]:
     most = f"{budget.largest_jerk_rad_s3:.6g} rad/s^3"
     equation = f"third-order prediction alone allows {budget.equation_rad_s3:.6g}"
     if jerk is None:
-        step = "no jerk is stated: the acceleration steps from 0 in one interval"
+        step = "no jerk is given: the acceleration steps from 0 in one interval"
         rows.append(Row("", f"{step}; {needs}" if asked else step))
         return [*rows, Row("jerk", most, jerk=jerks), Row("", equation)]
     factor = over(budget.largest_jerk_rad_s3, jerk)

@@ -19,14 +19,14 @@ from canfb.signal.declared import MOST_BAD_SAMPLES
 from canfb.signal.doubt import FALSE_ACCEPTANCE
 from canfb.signal.speed_set import SAMPLES_BEFORE, Found, SpeedSet
 
-EVEN_SAMPLES = 8  # in a row whose times tell nothing: at q = 0.7 each is one with a probability of 0.11
+EVEN_SAMPLES = 8  # in a row whose times decide nothing: at q = 0.7 each is one with a probability of 0.11
 KNOWN_SAMPLES = 32  # from then on their rms is known; before, the largest difference stands for it
-# q: below the first nothing is told within MOST_WAITING samples of a start; first samples below the second
+# q: below the first nothing is decided within MOST_WAITING samples of a start; first samples below the second
 # show that it is below the first.
 TELLING, SILENT = 0.4, 0.1
 
 
-def told_apart(largest: float, phase_error: float) -> int:
+def longest_decidable_row(largest: float, phase_error: float) -> int:
     """The longest row of bad samples behind the first sample that leaves one count; 1 at least.
 
     The row of m is a gap of E = m + 1 intervals, and its counts give mean speeds 1 / E apart. The
@@ -67,7 +67,7 @@ class SpeedHypotheses:
         self._bad_samples = bad_samples
         self._largest, self._least = largest, largest + 4.0 * phase_error
         self._largest_off = self._squares = 0.0
-        self._even = 0  # samples in a row whose times tell nothing
+        self._even = 0  # samples in a row whose times decide nothing
         self._gap = self._elapsed = 0.0
         self._alone = 0  # samples
         self.samples = 0

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from enum import Enum
 
 from canfb.signal.declared import Declared
-from canfb.signal.speed_hypotheses import SpeedHypotheses, told_apart
+from canfb.signal.speed_hypotheses import SpeedHypotheses, longest_decidable_row
 from canfb.signal.speed_set import Found
 from canfb.signal.speeds import Place
 
 # At q = 0.7 a second difference is below TELLING with a probability of 0.43, below SILENT with 0.11. So times
 # that tell pass for others in one of 10^5 starts, the second differences of as many samples taken together.
 LEAST_SAMPLES = 8  # before they count as even: 0.11^6
-UNTOLD_SAMPLES = 16  # before they count as telling nothing: 0.43^14
+UNDECIDED_SAMPLES = 16  # before they count as deciding nothing: 0.43^14
 EVEN = 2e-4  # of the interval: drift of two crystals
 START_SAMPLES = 8  # at q >= 1 uneven times contradict a wrong speed at a start by sample 5 in 95 %
 MOST_WAITING = 64  # samples after a start: at q = 0.4 a wrong speed has gone after 12 to 40
@@ -114,7 +114,7 @@ class Starts:
         if self.origin is not None and not (holds := speeds.holds(count - self.origin)):
             return SpeedVerdict.OPEN if holds is None else SpeedVerdict.FALSE_START
         even = speeds.samples >= LEAST_SAMPLES and speeds.silent
-        most = MOST_WAITING if speeds.telling else UNTOLD_SAMPLES
+        most = MOST_WAITING if speeds.telling else UNDECIDED_SAMPLES
         if speeds.is_decided or even or speeds.samples > most:
             self.stop()
             return SpeedVerdict.UNKNOWN
@@ -129,11 +129,11 @@ class Starts:
             self.last_two = found._replace(elapsed=found.elapsed * self._unit)
             self.stop()
             return SpeedVerdict.FOUND
-        if speeds.samples > UNTOLD_SAMPLES and not speeds.telling:
+        if speeds.samples > UNDECIDED_SAMPLES and not speeds.telling:
             self.active, self.origin = None, None
         return SpeedVerdict.UNKNOWN
 
 
 def _row(declared: Declared, largest: float) -> int:
     """Bad samples in a row that a start is held against."""
-    return declared.bad or min(declared.bad_samples, told_apart(largest, declared.phase_error))
+    return declared.bad or min(declared.bad_samples, longest_decidable_row(largest, declared.phase_error))

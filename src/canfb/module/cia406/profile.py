@@ -51,7 +51,7 @@ class OperatingTime:
     """Counts from the first :meth:`begin` on, beyond what the store has kept.
 
     Writing takes milliseconds, in which a store that does not write in the background answers no SYNC. So
-    :meth:`keep` is for moments in which none has to be, and what has passed since the last one is lost with
+    :meth:`keep` is called when none is due, and what has passed since the last one is lost with
     the power. Without a store the time is not counted: 6508h reads FFFFFFFFh. ``now()`` is the time of the
     running call.
     """
