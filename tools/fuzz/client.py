@@ -1,10 +1,10 @@
-"""A good SDO client that goes on with whatever transfer runs: so the fuzzer gets to the ends of transfers."""
+"""A good SDO client that goes on with whatever transfer runs: so a fuzzer, or a load, gets to their ends."""
 
 from __future__ import annotations
 
 from binascii import crc_hqx
 
-_SEGMENT, _LARGEST_BLOCK = 7, 127
+_SEGMENT, LARGEST_BLOCK = 7, 127
 _START, _ACKNOWLEDGE, _END = 0xA3, 0xA2, 0xA1
 
 
@@ -30,6 +30,10 @@ class Follower:
             return
         self._streams = False
         self._last = data
+
+    def is_within_block(self, data: bytes) -> bool:
+        """After this answer more segments come by themselves."""
+        return self._streams and self._streamed < LARGEST_BLOCK and not data[0] & 0x80
 
     def requests(self) -> list[bytes]:
         """The next frames; none where nothing runs that could go on."""
@@ -59,7 +63,7 @@ class Follower:
 
     def _acknowledge(self) -> list[bytes]:
         streamed, self._streamed = self._streamed, 0
-        return [bytes([_ACKNOWLEDGE, streamed, _LARGEST_BLOCK]) + bytes(5)]
+        return [bytes([_ACKNOWLEDGE, streamed, LARGEST_BLOCK]) + bytes(5)]
 
     def _ask(self, command: int) -> list[bytes]:
         if command != 0x41 and command & 1:

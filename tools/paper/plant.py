@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb import CorrectionTable, TrackResult, phase_in_cycle, track
 from canfb.signal.phase import wrap
-from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.encoder import Encoder, Harmonic, demo_encoder
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -21,16 +21,7 @@ WRONG_CYCLES = 0.5  # a position further off than that belongs to another cycle
 
 IDEAL = Encoder(amplitude_counts=1900.0)
 # A mediocre encoder, with half a count of noise on either track.
-USUAL = Encoder(
-    amplitude_counts=1500.0,
-    sine_offset=0.04,
-    cosine_offset=-0.03,
-    sine_amplitude=1.03,
-    cosine_amplitude=0.96,
-    phase_error_rad=0.05,
-    harmonics=(Harmonic(3, 0.012, 0.010), Harmonic(5, 0.003, 0.004)),
-    noise_lsb=0.5,
-)
+USUAL = replace(demo_encoder(), harmonics=(Harmonic(3, 0.012, 0.010), Harmonic(5, 0.003, 0.004)))
 # The paper's extreme case: 40 % offset and 20 % amplitude error.
 EXTREME = Encoder(
     amplitude_counts=1200.0,

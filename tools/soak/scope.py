@@ -1,6 +1,6 @@
 """`canfb scope --write` under load and attack: what it takes, refuses and costs; its bus meanwhile.
 
-    python -m tools.soak.scope [--seconds N] [--rounds N] [--only TEXT] [--seed N] [--json]
+    python -m tools.soak.scope [--seconds N] [--rounds N] [--only TEXT]
 
 Module, machine and scope are processes of their own on a udp_multicast bus, with --frames frames a second of
 other nodes. One attack follows the other for --seconds each. A row says how many connections were tried and
@@ -19,7 +19,6 @@ import base64
 import contextlib
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -255,8 +254,8 @@ class Page:
 class Attacker:
     """Does one thing for ``seconds``; counts what was tried and let in."""
 
-    def __init__(self, where: SplitResult, code: str, seconds: float, random_: random.Random) -> None:
-        self.where, self.code, self.seconds, self.random = where, code, seconds, random_
+    def __init__(self, where: SplitResult, code: str, seconds: float) -> None:
+        self.where, self.code, self.seconds = where, code, seconds
         self.origin = {"Origin": f"http://{where.netloc}"}
         self.count: Counter[str] = Counter()
         self.largest = 0
@@ -348,7 +347,7 @@ class Attacker:
 
     async def uploads(self) -> None:
         """Table files as large as a message may be, and larger ones, again and again, with their tasks."""
-        file = base64.b64encode(self.random.randbytes(LARGEST_MESSAGE * 3 // 5)).decode()
+        file = base64.b64encode(os.urandom(LARGEST_MESSAGE * 3 // 5)).decode()
         for number, _ in enumerate(self.left):
             page = await self.pulled()
             if page is None:
@@ -373,38 +372,16 @@ class Attacker:
         """Open, ask for the document many times and read nothing: all pages that there may be."""
 
         async def one() -> None:
-            self.count["tried"] += 1
-            ticket = await self.ticket()
-            if not ticket:
-                return
-            stream = await self.upgraded(ticket)
-            if stream is not None:
-                for part in ({"msgid": "1", "msgtype": "PULL-DOC-REQ"}, {}, {}) * 50:
-                    stream[1].write(text_frame(json.dumps(part)))
+            page = await self.page()  # whose client takes no more than a message that nobody reads
+            if page is not None:
+                with contextlib.suppress(WebSocketClosedError, TimeoutError):
+                    async with asyncio.timeout(self.seconds):
+                        for _ in range(50):
+                            await page.send("PULL-DOC-REQ", {})
                 await asyncio.sleep(self.seconds)
-                stream[1].close()
+                page.connection.close()
 
         await asyncio.gather(*(one() for _ in range(MOST_PAGES)))
-
-    async def upgraded(self, ticket: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter] | None:
-        """A websocket as bytes."""
-        stream = await self.connected()
-        if stream is None:
-            return None
-        head = (
-            f"GET /live/ws HTTP/1.1\r\nHost: {self.where.netloc}\r\nOrigin: http://{self.where.netloc}\r\n"
-            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-            f"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: bokeh, {ticket}\r\n\r\n"
-        )
-        try:
-            stream[1].write(head.encode())
-            if b" 101 " in await stream[0].readuntil(b"\r\n\r\n"):
-                self.count["let in"] += 1
-                return stream
-        except (OSError, asyncio.IncompleteReadError):
-            pass
-        stream[1].close()
-        return None
 
     async def slow_readers(self) -> None:
         """More connections than there may be, each asks for the largest file and does not read it."""
@@ -441,106 +418,6 @@ class Attacker:
             if number % 50 == 0:
                 await asyncio.sleep(0)
 
-    async def broken_requests(self) -> None:
-        """HTTP with random changes."""
-        netloc = self.where.netloc
-        valid = [
-            f"GET / HTTP/1.1\r\nHost: {netloc}\r\n\r\n",
-            f"GET /scope.js HTTP/1.1\r\nHost: {netloc}\r\nRange: bytes=5-2\r\n\r\n",
-            f"GET /{BOKEH_SCRIPTS[0]} HTTP/1.1\r\nHost: {netloc}\r\nIf-None-Match: x\r\n\r\n",
-            f"POST /session HTTP/1.1\r\nHost: {netloc}\r\nOrigin: http://{netloc}\r\n"
-            "Authorization: Bearer x\r\nContent-Length: 0\r\n\r\n",
-            f"GET /live/ws HTTP/1.1\r\nHost: {netloc}\r\nOrigin: http://{netloc}\r\nUpgrade: websocket\r\n"
-            "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: x\r\n\r\n",
-        ]
-
-        async def one() -> None:
-            stream = await self.connected()
-            if stream is None:
-                return
-            text = self.mutated(self.random.choice(valid).encode())
-            with contextlib.suppress(OSError, TimeoutError):
-                stream[1].write(text)
-                stream[1].write_eof()
-                async with asyncio.timeout(2.0):
-                    if await stream[0].read(1):
-                        self.count["let in"] += 1
-            stream[1].close()
-
-        for _ in self.left:
-            await asyncio.gather(*(one() for _ in range(8)))
-
-    async def broken_messages(self) -> None:
-        """Frames and messages of a page with random changes; floods of pings, fragments without end."""
-        parts = [
-            json.dumps({"msgid": "1", "msgtype": kind})
-            for kind in ("PATCH-DOC", "PULL-DOC-REQ", "SERVER-INFO-REQ")
-        ]
-        change = {"kind": "ModelChanged", "model": {"id": "p1001"}, "attr": "value", "new": "x"}
-        contents = [
-            "{}",
-            "[]",
-            "null",
-            json.dumps({"events": [change]}),
-            json.dumps({"events": [change] * 99}),
-        ]
-
-        async def one(number: int) -> None:
-            self.count["tried"] += 1
-            ticket = await self.ticket()
-            stream = await self.upgraded(ticket) if ticket else None
-            if stream is None:
-                await asyncio.sleep(0.2)
-                return
-            with contextlib.suppress(OSError, TimeoutError):
-                if number % 4 == 0:
-                    for _ in range(2000):
-                        stream[1].write(frame(0x9, b"x" * 125))
-                elif number % 4 == 1:
-                    stream[1].write(frame(0x1, b"x", last=False))
-                    for _ in range(2000):
-                        stream[1].write(frame(0x0, b"x" * 500, last=False))
-                for _ in range(100):
-                    for text in (self.random.choice(parts), "{}", self.random.choice(contents)):
-                        data = text_frame(text)
-                        stream[1].write(self.mutated(data) if self.random.random() < 0.02 else data)
-                async with asyncio.timeout(2.0):
-                    await stream[1].drain()
-                    while await stream[0].read(65536):
-                        pass
-                    self.count["closed"] += 1
-            stream[1].close()
-
-        for number, _ in enumerate(self.left):
-            await asyncio.gather(*(one(4 * number + n) for n in range(4)))
-
-    def mutated(self, data: bytes) -> bytes:
-        """With some bytes changed, removed, repeated."""
-        changed = bytearray(data)
-        for _ in range(self.random.randint(0, 4)):
-            at = self.random.randrange(len(changed) or 1)
-            kind = self.random.randrange(4)
-            if kind == 0:
-                changed[at : at + 1] = self.random.randbytes(1)
-            elif kind == 1:
-                del changed[at : at + self.random.randint(1, 8)]
-            elif kind == 2:
-                changed[at:at] = self.random.randbytes(self.random.randint(1, 40))
-            else:
-                changed[at:at] = changed[at : at + 20] * self.random.randint(1, 400)
-        return bytes(changed)
-
-
-def frame(opcode: int, data: bytes, *, last: bool = True) -> bytes:
-    """Of a client (RFC 6455, 5.2), with a mask of zeros."""
-    length = bytes([0x80 | len(data)]) if len(data) < 126 else bytes([0xFE]) + len(data).to_bytes(2, "big")
-    return bytes([0x80 * last | opcode]) + length + bytes(4) + data
-
-
-def text_frame(text: str) -> bytes:
-    """A message."""
-    return frame(0x1, text.encode())
-
 
 ATTACKS: dict[str, Callable[[Attacker], Awaitable[None]]] = {
     "one page": Attacker.one_page,
@@ -550,8 +427,6 @@ ATTACKS: dict[str, Callable[[Attacker], Awaitable[None]]] = {
     "pages that do not read": Attacker.silent_pages,
     "downloads that are not read": Attacker.slow_readers,
     "connections opened and closed": Attacker.connections_storm,
-    "broken requests": Attacker.broken_requests,
-    "broken messages": Attacker.broken_messages,
 }
 
 
@@ -578,22 +453,21 @@ async def settled(watch: Watch, files: int) -> int:
 async def run(network: Network, options: argparse.Namespace) -> tuple[list[list[str]], list[str]]:
     """All rounds: the rows, and what is not good."""
     watch, flood = Watch(network.scope.pid), Flood(options.frames)
-    chosen = random.Random(options.seed)
     rows, bad = list[list[str]](), list[str]()
     memory: list[int] = []
     try:
-        await page_after(Attacker(network.where, network.code, 1.0, chosen))
+        await page_after(Attacker(network.where, network.code, 1.0))
         await asyncio.sleep(GONE_S)
         files = watch.now()[1]
         for _ in range(options.rounds):
             for name, attack in ATTACKS.items():
                 if options.only in name:
-                    attacker = Attacker(network.where, network.code, options.seconds, chosen)
+                    attacker = Attacker(network.where, network.code, options.seconds)
                     watch.begin()
                     lines = network.log.read_text().count("\n")
                     await attack(attacker)
                     counts = attacker.count["tried"], attacker.count["let in"]
-                    after_s = await page_after(Attacker(network.where, network.code, 1.0, chosen))
+                    after_s = await page_after(Attacker(network.where, network.code, 1.0))
                     lines = network.log.read_text().count("\n") - lines
                     figures = f"{watch.memory_bytes / 1e6:.0f}", watch.files, watch.waiting, watch.dropped
                     rows.append(
@@ -625,17 +499,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=2, help="of all attacks (2)")
     parser.add_argument("--frames", type=float, default=500.0, help="of other nodes, in a second (500)")
     parser.add_argument("--only", default="", metavar="TEXT", help="attacks with TEXT in their name")
-    parser.add_argument("--seed", type=int, default=28)
-    parser.add_argument("--json", action="store_true")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder, Network(Path(folder)) as network:
         rows, bad = asyncio.run(run(network, options))
         end = network.scope.poll()
     bad += [f"canfb scope ended with {end}"] * (end is not None)
-    if options.json:
-        print(json.dumps({"rows": [dict(zip(HEAD, row, strict=True)) for row in rows], "bad": bad}, indent=1))
-    else:
-        print("\n".join([*table(HEAD, rows), *bad]))
+    print("\n".join([*table(HEAD, rows), *bad]))
     return 1 if bad else 0
 
 

@@ -30,10 +30,11 @@ from canfb.cli.options import (
     add_command,
     add_measured_nodes,
     bus_options,
+    named_config,
     refuse_idle,
 )
 from canfb.cli.progress import Progress, shown_progress
-from canfb.configuration import Config, load_config
+from canfb.configuration import Config
 from canfb.errors import CalibrationError
 from canfb.master.access import Master
 from canfb.master.all_or_nothing import Guard
@@ -53,7 +54,7 @@ def register(commands: Commands) -> None:
 def calibrate(options: argparse.Namespace) -> int:
     """Do all of it; 0 when the table is active, or when ``--dry-run`` or ``--check`` is done."""
     choices = choices_of(options)
-    config = load_config(options.config) if options.config else Config()
+    config = named_config(options)
     if choices.out:
         prepare(choices.out)
     with shown_progress(quiet=options.json, interrupted="the module is unchanged") as progress:

@@ -17,6 +17,7 @@ from canfb.cli.options import (
     add_command,
     bus_options,
     chosen_module,
+    named_config,
     refuse_idle,
     whole_number,
 )
@@ -143,7 +144,7 @@ def _add_dcf_options(parser: argparse.ArgumentParser) -> None:
 def write_dcf(options: argparse.Namespace) -> int:
     """Write the files; 0 when it is done."""
     _check(options)
-    config = load_config(options.config) if options.config else Config()
+    config = named_config(options)
     words = bus_options(options, config.bus)
     if options.node is None:
         configuration = saved_configuration(_chosen(config, options))

@@ -15,13 +15,13 @@ from canfb.cli.options import (
     add_bus_options,
     add_command,
     bus_options,
+    named_config,
     positive,
     refuse_idle,
     take_yaml,
 )
 from canfb.cli.printing import say
 from canfb.cli.watch_options import add_watched
-from canfb.configuration import Config, load_config
 from canfb.diagnosis.frame_words import FrameWords, read_by_sdo
 from canfb.eds_files import eds_path
 from canfb.master.access import NodeAccess
@@ -49,7 +49,7 @@ def register(commands: Commands) -> None:
 def dump(options: argparse.Namespace) -> int:
     """Show frames until Ctrl-C, the end of the log, or --seconds."""
     take_yaml(options)
-    config = load_config(options.config) if options.config else Config()
+    config = named_config(options)
     if options.log is not None:
         refuse_idle(options, ["listen"], "a log answers no SDO anyway")
     modules = known_objects(config, options.nodes)

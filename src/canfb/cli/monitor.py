@@ -15,13 +15,13 @@ from canfb.cli.options import (
     add_bus_options,
     add_command,
     bus_options,
+    named_config,
     positive,
     refuse_idle,
     take_yaml,
 )
 from canfb.cli.printing import say
 from canfb.cli.watch_options import add_machine_unit, add_watched, bit_rate_of
-from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import assumed_layout, known_layouts
@@ -52,7 +52,7 @@ def register(commands: Commands) -> None:
 def monitor(options: argparse.Namespace) -> int:
     """Show what there is to see until Ctrl-C, the end of the log, or --seconds."""
     take_yaml(options)
-    config = load_config(options.config) if options.config else Config()
+    config = named_config(options)
     words = bus_options(options, config.bus)
     if options.log is None:
         refuse_idle(options, ["speed"], "goes with --log")

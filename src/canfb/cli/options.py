@@ -159,6 +159,13 @@ def chosen_bus(options: argparse.Namespace) -> dict[str, Any]:
     return bus_options(options, load_config(chosen, ANY_NODES).bus if chosen else {})
 
 
+def named_config(options: argparse.Namespace) -> Config:
+    """The configuration of ``--config`` or CONFIG.yaml; without one, an empty one."""
+    from canfb.configuration import Config, load_config
+
+    return load_config(options.config) if options.config else Config()
+
+
 def add_ready_file(parser: argparse.ArgumentParser) -> None:
     """``--ready-file``, for :class:`canfb.hosting.readiness.Readiness`."""
     parser.add_argument(

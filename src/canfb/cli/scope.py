@@ -13,12 +13,12 @@ from canfb.cli.options import (
     add_command,
     add_ready_file,
     bus_options,
+    named_config,
     refuse_idle,
     take_yaml,
 )
 from canfb.cli.printing import announce_page
 from canfb.cli.watch_options import add_machine_unit, add_watched
-from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
 from canfb.monitoring.layout import known_layouts
@@ -60,7 +60,7 @@ def scope(options: argparse.Namespace) -> int:
             raise
         raise CanfbError("the page needs Bokeh: pip install 'canfb[scope]'") from None
     take_yaml(options)
-    config = load_config(options.config) if options.config else Config()
+    config = named_config(options)
     with contextlib.ExitStack() as held:
         words = bus_options(options, config.bus) if not options.demo else {}
         if options.demo:
