@@ -227,10 +227,11 @@ def test_physics_excuses_little() -> None:
         slot.produced = False
     assert unseen(plan) == ""
     extra = plan_at(SPEED)
-    extra.slots[30].again.append((500.0, True, False))
+    extra.slots[30].again.append((500.0, False, True))
     assert unseen(extra) == ""
-    extra.slots[30].again.append((500.0, True, True))
+    extra.slots[30].again.append((500.0, True, False))
     assert unseen(extra) == "P1"
+    assert unseen(extra, until=30.5) == ""
     assert unseen(replace(extra, setup=SETUPS[1])) == ""
     late = plan_at(SPEED)
     for slot in late.slots[30:]:

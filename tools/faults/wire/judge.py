@@ -29,6 +29,7 @@ from tools.faults.wire.physics import (
     host_may_be_late,
     is_smooth,
     stamp_tolerance,
+    unseen,
     within_half,
 )
 from tools.faults.wire.setups import (
@@ -152,6 +153,7 @@ class Judge:
         verdict.right_at_end = ended_valid and abs(positions[-1].error) <= self._plan.tolerance
         if verdict.wrong:
             physics = self._is_p8() if self._plan.note.startswith("P8") else self._plan.note.startswith("P")
+            physics = physics or unseen(self._plan, self._last_wrong) == "P1"
             verdict.outcome = "physics" if physics or self._is_p7() or self._is_p9() else "wrong"
         elif self._lost or not ended_valid:
             verdict.outcome = "lost"

@@ -6,7 +6,9 @@ P1  No sample times, no receive times. Module and interface hear nothing for n p
     Take the machine whose SYNCs were fewer by n: each of its frames was received n T earlier, and its
     host was later by n T, from there on. That host is no later than it may be, so this machine is healthy.
     Frames, order and moments are the same, the positions differ by n v. Who accepts one accepts the other.
-    Likewise n SYNCs too many that both hear, without a counter: a machine whose host was later before.
+    Likewise n SYNCs too many that the module hears, without a counter: a machine whose host was later
+    before, and whose PDOs were lost where the interface does not hear them. Those that come later do not
+    count: the module does not know them yet.
 P2  The same, with sample times: the frames that a SYNC causes before the next ADC PDO has brought its
     time. They may show the newest sample heard. (Rule J2 of the judge knows it.)
 P3  No sample times. Each PDO is late by one whole period from some slot on.
@@ -37,6 +39,7 @@ P9  The same error, and the positions shown lie on one motion within the limits,
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 from tools.faults.wire.line import Line, Plan, Slot
@@ -64,24 +67,23 @@ def step_note(plan: Plan, step: float) -> str:
     return "P8" if part <= STEP_PART else "P8 for a while" if part <= 1.0 else ""
 
 
-def unseen(plan: Plan) -> str:
-    """P1, P3, or nothing."""
+def unseen(plan: Plan, until: float = math.inf) -> str:
+    """P1, P3, or nothing; by the extra SYNCs ``until`` then, T: no module knows those that come later."""
     if plan.setup.times:
         return ""
     late = [n for n, slot in enumerate(plan.slots) if slot.pdo_late_us * plan.us > 0.99]
     if late and late == list(range(late[0], len(plan.slots))):
         return "P3"
-    return "P1" if not plan.setup.stamps and not plan.actions and _is_short(plan) else ""
+    return "P1" if not plan.setup.stamps and not plan.actions and _is_short(plan, until) else ""
 
 
-def _is_short(plan: Plan) -> bool:
+def _is_short(plan: Plan, until: float) -> bool:
     runs = _runs([_is_unheard(slot) for slot in plan.slots])
     turn = plan.options.overflow if plan.setup.counter else 1
     if any(run % turn for run in runs):
         return False
-    extra = (
-        0 if plan.setup.counter else sum(again[1:] == (True, True) for s in plan.slots for again in s.again)
-    )
+    slots = [slot for n, slot in enumerate(plan.slots) if n + 1 <= until]  # slot n is due at n + 1
+    extra = 0 if plan.setup.counter else sum(to_module for s in slots for _, to_module, _ in s.again)
     return 0.0 < (sum(runs) + extra) * plan.options.interval_s <= LATEST_HOST_S
 
 
