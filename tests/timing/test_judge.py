@@ -212,6 +212,18 @@ def test_nothing_is_missing_for_certain_where_a_sync_would_be_early(late: tuple[
         assert (verdict.confirmed, verdict.doubt) == (None, 1.0)
 
 
+def test_a_sync_that_is_missing_counts_once_where_its_answer_may_have_come() -> None:
+    """No PDO for the last SYNC, then one where the next answer is due, and a SYNC a period late."""
+    judge = followed(stamped=False)
+    judge.sync(40e-3, False, None)
+    assert judge.answer(41.2e-3, False) == Passed((1.0, 2.0))
+    for n in (42, 43, 44):
+        verdict = judge.sync(n * 1e-3, False, None)
+        judge.answer((n + 0.2) * 1e-3, False)
+    # Three intervals in all, of which the answer before may have taken one or two.
+    assert (verdict.confirmed, verdict.lost, verdict.doubt) == (None, 1, 1.0)
+
+
 def test_a_late_host_confirms_what_was_counted() -> None:
     def change(bus: Bus, rng: np.random.Generator) -> None:
         bus.stalls = [(FAULT + 0.9, FAULT + 3.3)]

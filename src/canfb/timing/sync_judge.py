@@ -387,6 +387,7 @@ class SyncJudge:
         first, most = float(max(1, self._since)), sync.behind // modulus
         uneven = max(sync.off - sync.behind, abs(sync.apart - 1 - sync.lost - sync.behind))
         self._unclear = most + 1 > MOST_OPTIONS or uneven > self._early or sync.is_between
+        self._unclear |= self._slack > 0  # the last sample may have answered one of those that are missing
         self._set = tuple(first + n * modulus for n in range(min(most + 1, MOST_OPTIONS)))
         return verdict
 
