@@ -1,32 +1,29 @@
-"""Measure what one cycle and what whole arrays cost, each against something everybody knows.
+"""Measure what one cycle and what whole arrays cost, each against something everybody knows, with pyperf.
 
-    python -m tools.bench.cycle [--json] [--check] [--only TEXT] [--repeat N]
+    python -m tools.bench.cycle [--only TEXT] [--check] [options of pyperf]
 
-Each pair is measured in turns, A B A B, in one run: other work on the machine then meets both alike. Times
-are those of the process, not of the clock on the wall. Printed are the medians, the quartiles, and those of
-the ratios of neighbours. --check: exit status 1 when a goal is missed. docs/benchmarks.md says more.
+pyperf runs each piece of work in processes of its own, and says mean and standard deviation; `-o FILE` keeps
+all values, and `python -m pyperf compare_to BEFORE AFTER` compares two versions. Times are those of the
+process, not of the clock on the wall. Printed at the end are the ratios of the medians. --check: exit status
+1 when a goal is missed. docs/benchmarks.md says more.
 """
 
 from __future__ import annotations
 
 import argparse
-import gc
-import json
 import math
-import platform
-import statistics
 import struct
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from importlib.metadata import version
-from pathlib import Path
+from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any, cast
 
 import can
 import canopen
 import numpy as np
+import pyperf
 
 import canfb
 from canfb.eds_files import eds_path
@@ -48,74 +45,30 @@ PAIR = struct.Struct("<hh")
 COUNTS = struct.Struct("<Ii")
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Median and quartiles."""
-
-    median: float
-    lower: float
-    upper: float
-
-    @classmethod
-    def of(cls, values: list[float]) -> Spread:
-        lower, median, upper = statistics.quantiles(values, n=4, method="inclusive")
-        return cls(median, lower, upper)
+Work = Callable[[], object]
 
 
 @dataclass(frozen=True)
-class Result:
-    """One comparison; `goal` is what the ratio must stay below, None for information only."""
+class Timed:
+    """Work that is timed: ``make`` prepares and checks it; a call of the result does it ``units`` times."""
 
-    name: str
-    ours: str
-    other: str
-    unit: str
-    ours_time: Spread
-    other_time: Spread
-    ratio: Spread
-    goal: float | None
-
-    @property
-    def is_missed(self) -> bool:
-        return self.goal is not None and self.ratio.median >= self.goal
+    make: Callable[[], Work]
+    units: int
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two functions that do the same work, `units` times `per` seconds each."""
+    """Names of two that do the same work; `goal` is what the ratio must stay below, None: for information."""
 
     name: str
-    ours: tuple[str, Callable[[], object]]
-    other: tuple[str, Callable[[], object]]
-    unit: str
-    scale: float  # from seconds of one call to the unit
+    ours: str
+    other: str
     goal: float | None = None
 
-    def run(self, repeat: int) -> Result:
-        ours: list[float] = []
-        other: list[float] = []
-        for function in (self.ours[1], self.other[1]):  # warm up
-            function()
-        for _ in range(repeat):
-            ours.append(seconds(self.ours[1]) * self.scale)
-            other.append(seconds(self.other[1]) * self.scale)
-        ratios = [one / two for one, two in zip(ours, other, strict=True)]
-        return Result(
-            self.name,
-            self.ours[0],
-            self.other[0],
-            self.unit,
-            Spread.of(ours),
-            Spread.of(other),
-            Spread.of(ratios),
-            self.goal,
-        )
-
-
-def seconds(function: Callable[[], object]) -> float:
-    started = time.process_time()
-    function()
-    return time.process_time() - started
+    def verdict(self, ratio: float) -> str:
+        if self.goal is None:
+            return ""
+        return f"< {self.goal:g}: {'MISSED' if ratio >= self.goal else 'met'}"
 
 
 # One cycle, frame to frame
@@ -286,68 +239,57 @@ def array_goals() -> tuple[float, float, float]:
     return GOALS_AVX512 if any("AVX512" in name or name == "X86_V4" for name in found) else GOALS_OTHER
 
 
-def array_comparisons(samples: int) -> list[Comparison]:
-    position, sine, cosine = tracks(samples)
+def process_arrays(kind: type) -> Work:
+    """`canfb.process` of this type of samples, whose positions are right."""
+    position, sine, cosine = tracks(SAMPLES)
+    s, c = as_type(sine, kind), as_type(cosine, kind)
     table = encoder_table()
-    comparisons = []
-    *goals, stream_goal = array_goals()
-    for name, kind, goal in zip(("float64", "int16"), (np.float64, np.int16), goals, strict=True):
-        s, c = (np.rint(track).astype(kind) if kind is np.int16 else track for track in (sine, cosine))
 
-        def ours(s: np.ndarray = s, c: np.ndarray = c) -> canfb.TrackResult:
-            return canfb.process(s, c, table)
+    def ours() -> canfb.TrackResult:
+        return canfb.process(s, c, table)
 
-        def other(s: np.ndarray = s, c: np.ndarray = c) -> np.ndarray:
-            return np.unwrap(np.arctan2(s, c))
-
-        result = ours()
-        moved = (result.cycles + result.phase) - (result.cycles[0] + result.phase[0])
-        assert result.ok.all()
-        assert np.abs(moved - (position - position[0])).max() < 0.1
-        assert np.abs(other() - other()[0] - 2 * np.pi * (position - position[0])).max() < 0.1
-        comparisons.append(
-            Comparison(
-                f"{samples} samples, {name}",
-                (f"canfb.process, table of {TABLE_ENTRIES}", ours),
-                ("numpy.unwrap(numpy.arctan2(s, c))", other),
-                "ns per sample",
-                1e9 / samples,
-                goal,
-            )
-        )
-    comparisons.append(stream_comparison(sine, cosine, table, stream_goal))
-    return comparisons
+    result = ours()
+    moved = (result.cycles + result.phase) - (result.cycles[0] + result.phase[0])
+    assert result.ok.all()
+    assert np.abs(moved - (position - position[0])).max() < 0.1
+    return ours
 
 
-def stream_comparison(
-    sine: np.ndarray, cosine: np.ndarray, table: canfb.CorrectionTable, goal: float
-) -> Comparison:
+def unwrap_arrays(kind: type) -> Work:
+    """What numpy has for it, whose positions are right."""
+    position, sine, cosine = tracks(SAMPLES)
+    s, c = as_type(sine, kind), as_type(cosine, kind)
+
+    def other() -> np.ndarray:
+        return np.unwrap(np.arctan2(s, c))
+
+    assert np.abs(other() - other()[0] - 2 * np.pi * (position - position[0])).max() < 0.1
+    return other
+
+
+def as_type(track: np.ndarray, kind: type) -> np.ndarray:
+    return np.rint(track).astype(kind) if kind is np.int16 else track
+
+
+def supervised_stream() -> Work:
     """The supervised chain over the same samples, from one to the next block of them."""
-    samples = len(sine)
-    parts = [slice(start, start + STREAM_BLOCK) for start in range(0, samples, STREAM_BLOCK)]
+    _, sine, cosine = tracks(SAMPLES)
+    table = encoder_table()
+    parts = [slice(start, start + STREAM_BLOCK) for start in range(0, len(sine), STREAM_BLOCK)]
 
     def ours() -> None:
         for result in canfb.process_stream(((sine[part], cosine[part]) for part in parts), table=table):
             assert result.status[-1] == canfb.StatusBit.VALID | canfb.StatusBit.TABLE_ACTIVE
 
-    def other() -> np.ndarray:
-        return np.unwrap(np.arctan2(sine, cosine))
-
-    return Comparison(
-        f"{samples} samples, supervised",
-        (f"canfb.process_stream, table of {TABLE_ENTRIES}, blocks of {STREAM_BLOCK}", ours),
-        ("numpy.unwrap(numpy.arctan2(s, c))", other),
-        "ns per sample",
-        1e9 / samples,
-        goal,
-    )
+    return ours
 
 
 # One sample
 
 
-def bare_arithmetic(data: list[bytes]) -> Callable[[], None]:
+def bare_arithmetic() -> Work:
     """The least that plain Python needs: unpack, Table 1, eq. 9, residual, pack. No check, no object."""
+    data = adc_data(CYCLES)
 
     def run() -> None:
         cycles = step = 0
@@ -373,18 +315,24 @@ def bare_arithmetic(data: list[bytes]) -> Callable[[], None]:
     return run
 
 
-def sample_comparisons(cycles: int) -> list[Comparison]:
-    data = adc_data(cycles)
-    bare = bare_arithmetic(data)
-    samples = [canfb.Sample(*PAIR.unpack(pair)) for pair in data]
-    phases = [canfb.phase_in_cycle(sample.sine, sample.cosine) for sample in samples]
+def tracker_updates() -> Work:
+    """One phase after the other."""
+    counts = [PAIR.unpack(pair) for pair in adc_data(CYCLES)]
+    phases = [canfb.phase_in_cycle(*pair) for pair in counts]
     tracker = canfb.Tracker()
-    chain = canfb.SignalChain(canfb.ChainConfig(), encoder_table())
 
     def track() -> None:
         update = tracker.update
         for phase in phases:
             update(phase)
+
+    return track
+
+
+def chain_steps() -> Work:
+    """One sample after the other, with a table."""
+    samples = [canfb.Sample(*PAIR.unpack(pair)) for pair in adc_data(CYCLES)]
+    chain = canfb.SignalChain(canfb.ChainConfig(), encoder_table())
 
     def step() -> None:
         take = chain.step
@@ -392,117 +340,99 @@ def sample_comparisons(cycles: int) -> list[Comparison]:
             take(sample)
         assert take(samples[0]).valid
 
-    other = ("bare arithmetic in plain Python", bare)
-    unit, scale = "us per sample", 1e6 / cycles
+    return step
+
+
+MODULE, STOCK, NUMPY, NUMPY_16 = "module", "canopen", "numpy, float64", "numpy, int16"
+WORK: dict[str, Timed] = {
+    MODULE: Timed(partial(ModuleRun, CYCLES), CYCLES),
+    "third order": Timed(partial(ModuleRun, CYCLES, 3), CYCLES),
+    **{name: Timed(partial(ModuleRun, CYCLES, **fields), CYCLES) for name, fields in ANALOG_PATHS.items()},
+    "2002:08": Timed(partial(ModuleRun, CYCLES, adapt=True), CYCLES),
+    "standstill": Timed(partial(ModuleRun, CYCLES, speed=0.0), CYCLES),
+    "sample times": Timed(TimedRun, TimedRun.CYCLES),
+    STOCK: Timed(lambda: StockRun(StockNetwork(), CYCLES), CYCLES),
+    "canopen, can.Message": Timed(
+        lambda: StockRun(canopen.Network(cast(can.BusABC, NullBus())), CYCLES), CYCLES
+    ),
+    "process, float64": Timed(partial(process_arrays, np.float64), SAMPLES),
+    "process, int16": Timed(partial(process_arrays, np.int16), SAMPLES),
+    "process_stream": Timed(supervised_stream, SAMPLES),
+    NUMPY: Timed(partial(unwrap_arrays, np.float64), SAMPLES),
+    NUMPY_16: Timed(partial(unwrap_arrays, np.int16), SAMPLES),
+    "Tracker.update": Timed(tracker_updates, CYCLES),
+    "SignalChain.step": Timed(chain_steps, CYCLES),
+    "bare arithmetic": Timed(bare_arithmetic, CYCLES),
+}
+
+
+def comparisons() -> list[Comparison]:
+    """All of them; the goals of arrays depend on the processor."""
+    floats, counts, stream = array_goals()
     return [
-        Comparison("tracker", ("Tracker.update", track), other, unit, scale),
-        Comparison("chain", ("SignalChain.step, with table", step), other, unit, scale),
+        Comparison("cycle", MODULE, STOCK, 0.6),
+        Comparison("cycle, third order", "third order", MODULE, 1.05),
+        Comparison("cycle, cosine delay", "2002:06", MODULE, 1.1),
+        Comparison("cycle, delay", "2002:07", MODULE, 1.1),
+        Comparison("cycle, adapt", "2002:08", MODULE, 1.1),
+        Comparison("cycle, both and corner", "both, and 2001:05", MODULE),
+        Comparison("cycle, at standstill", "standstill", STOCK),
+        Comparison("cycle, sample times", "sample times", STOCK),
+        Comparison("cycle, can.Message", MODULE, "canopen, can.Message"),
+        Comparison("samples, float64", "process, float64", NUMPY, floats),
+        Comparison("samples, int16", "process, int16", NUMPY_16, counts),
+        Comparison("samples, supervised", "process_stream", NUMPY, stream),
+        Comparison("tracker", "Tracker.update", "bare arithmetic"),
+        Comparison("chain", "SignalChain.step", "bare arithmetic"),
     ]
 
 
-def comparisons(cycles: int, samples: int) -> list[Comparison]:
-    module = ("canfb.FeedbackModule: ADC PDO, SYNC in, position out", ModuleRun(cycles))
-    third = ("the same, with third-order prediction", ModuleRun(cycles, 3))
-    second = ("canfb.FeedbackModule with factory defaults", ModuleRun(cycles))
-    delayed, lagging, attenuated = (
-        (f"the same, with {what}", ModuleRun(cycles, **fields)) for what, fields in ANALOG_PATHS.items()
-    )
-    adapting = ("the same, with 2002:08", ModuleRun(cycles, adapt=True))
-    still = ("the same, the machine stands", ModuleRun(cycles, speed=0.0))
-    timed = ("the same, with sample times", TimedRun())
-    null_bus = cast(can.BusABC, NullBus())
-    frames, messages = StockRun(StockNetwork(), cycles), StockRun(canopen.Network(null_bus), cycles)
-    unit, scale = "us per cycle", 1e6 / cycles
-    return [
-        Comparison("cycle", module, ("canopen.LocalNode with atan2", frames), unit, scale, goal=0.6),
-        Comparison("cycle, third order", third, second, unit, scale, goal=1.05),
-        Comparison("cycle, cosine delay", delayed, second, unit, scale, goal=1.1),
-        Comparison("cycle, delay", lagging, second, unit, scale, goal=1.1),
-        Comparison("cycle, adapt", adapting, second, unit, scale, goal=1.1),
-        Comparison("cycle, both and corner", attenuated, second, unit, scale),
-        Comparison("cycle, at standstill", still, ("canopen.LocalNode with atan2", frames), unit, scale),
-        Comparison(
-            "cycle, sample times",
-            timed,
-            ("canopen.LocalNode with atan2", StockRun(StockNetwork(), TimedRun.CYCLES)),
-            unit,
-            1e6 / TimedRun.CYCLES,
-        ),
-        Comparison("cycle, can.Message", module, ("the same, with a can.Message", messages), unit, scale),
-        *array_comparisons(samples),
-        *sample_comparisons(cycles),
-    ]
+def seconds(make: Callable[[], Work], loops: int) -> float:
+    """Of the process, for so many calls."""
+    work = make()
+    work()  # warm up
+    started = time.process_time()
+    for _ in range(loops):
+        work()
+    return time.process_time() - started
 
 
-def machine() -> dict[str, str]:
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return {
-        "processor": f"{names[0]}, {len(names)} cores" if names else platform.processor() or "unknown",
-        "system": platform.system(),
-        "python": platform.python_version(),
-        **{name: version(name) for name in ("numpy", "canopen", "python-can", "canfb")},
-    }
-
-
-def as_text(results: list[Result], repeat: int) -> str:
-    """As in docs/benchmarks.md."""
-    rows = [
-        (
-            one.name,
-            in_words(one.ratio),
-            verdict(one),
-            in_words(one.ours_time),
-            in_words(one.other_time),
-            one.unit,
-        )
-        for one in results
-    ]
-    return "\n".join(
-        [
-            ", ".join(f"{name} {value}" for name, value in machine().items()) + ".",
-            f"Median [quartiles] of {repeat} repetitions, processor time.\n",
-            *table(("name", "ratio", "goal", "ours", "the other", "unit"), rows),
-        ]
-    )
-
-
-def verdict(result: Result) -> str:
-    if result.goal is None:
-        return ""
-    return f"< {result.goal:g}: {'MISSED' if result.is_missed else 'met'}"
-
-
-def in_words(spread: Spread) -> str:
-    return f"{spread.median:.2f} [{spread.lower:.2f} .. {spread.upper:.2f}]"
+def pass_on(command: list[str], options: argparse.Namespace) -> None:
+    """To the processes that measure: they count the pieces of work."""
+    command += ["--only", options.only]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.bench.cycle", description=(__doc__ or "").splitlines()[0]
+    runner = pyperf.Runner(
+        processes=3, values=5, program_args=("-m", "tools.bench.cycle"), add_cmdline_args=pass_on
     )
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
-    parser.add_argument("--only", default="", metavar="TEXT", help="only what has this text in its name")
-    parser.add_argument(
-        "--repeat", type=int, default=101, help="repetitions, at least 2 (default %(default)s)"
-    )
-    parser.add_argument("--cycles", type=int, default=CYCLES, help="cycles of one repetition")
-    parser.add_argument("--samples", type=int, default=SAMPLES, help="samples of an array")
-    options = parser.parse_args(arguments)
-    if options.repeat < 2 or options.cycles < 100 or options.samples < 100:
-        parser.error("--repeat must be at least 2, --cycles and --samples at least 100")
-    work = [one for one in comparisons(options.cycles, options.samples) if options.only in one.name]
-    if not work:
-        parser.error(f"nothing has {options.only!r} in its name")
-    gc.collect()
-    results = [comparison.run(options.repeat) for comparison in work]
-    if options.json:
-        print(json.dumps({"machine": machine(), "results": [asdict(result) for result in results]}, indent=2))
-    else:
-        print(as_text(results, options.repeat))
-    return 1 if options.check and any(result.is_missed for result in results) else 0
+    runner.argparser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
+    runner.argparser.add_argument("--only", default="", metavar="TEXT", help="what has this text in its name")
+    options = runner.parse_args(arguments)
+    options.inherit_environ = [*(options.inherit_environ or []), "OPENBLAS_NUM_THREADS"]
+    chosen = [one for one in comparisons() if options.only in one.name]
+    if not chosen:
+        runner.argparser.error(f"nothing has {options.only!r} in its name")
+    medians: dict[str, float] = {}
+    for name, timed in WORK.items():
+        if any(name in (one.ours, one.other) for one in chosen):
+            measured = runner.bench_time_func(
+                name, partial(seconds, cache(timed.make)), inner_loops=timed.units
+            )
+            if not options.worker:  # which measures only one of them
+                medians[name] = measured.median()
+    return 0 if options.worker else report(chosen, medians, check=options.check)
+
+
+def report(chosen: list[Comparison], medians: dict[str, float], *, check: bool) -> int:
+    """Print the ratios of the medians; 1 if a goal is missed and ``check``."""
+    ratios = {one: medians[one.ours] / medians[one.other] for one in chosen}
+    rows = [
+        (one.name, f"{ratio:.2f}", one.verdict(ratio), one.ours, one.other) for one, ratio in ratios.items()
+    ]
+    print("\n".join(["", *table(("name", "ratio", "goal", "ours", "the other"), rows)]))
+    missed = any(one.goal is not None and ratio >= one.goal for one, ratio in ratios.items())
+    return 1 if check and missed else 0
 
 
 if __name__ == "__main__":
