@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Iterator
 
 import canfb
+from tools.site.markdown import FIELD
 
 INTRODUCTION = """\
 Python API
@@ -37,7 +38,6 @@ PARTS = (
     ),
 )
 OTHERS = "Further names"
-FIELD = re.compile(r"^(\w+(?:, \w+)*) {2,}(\S.*)$")
 # What reStructuredText reads as markup: left alone inside of ``literals`` and :roles:`of names`.
 KEPT = re.compile(r"(``.+?``|:\w+:`[^`]+`|`[^`]+`)")
 

@@ -15,7 +15,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 from canfb.sources.protocol import source_kinds
-from tools.site.markdown import plain, table
+from tools.site.markdown import FIELD, plain, table
 
 SECTIONS: tuple[tuple[str, type, str], ...] = (
     ("modules", ModuleConfig, "a list: one part for each module"),
@@ -100,7 +100,6 @@ RANGE = re.compile(
     rf"|above {NUMBER}(?:, at most {NUMBER})?|more than {NUMBER}"
     r"|any finite value|any number of counts"
 )
-FIELD = re.compile(r"^(\w+(?:, \w+)*) {2,}(\S.*)$")
 
 
 class Key(NamedTuple):

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 
 FENCED = re.compile(r"^(```|~~~).*?^\1[^\n]*$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
+FIELD = re.compile(r"^(\w+(?:, \w+)*) {2,}(\S.*)$")
+"""A line of a docstring on a field: its name, or several, and what it means."""
 SENTENCE = re.compile(r"(.+?[.:])(?:\s|$)", re.DOTALL)
 
 
