@@ -1,4 +1,4 @@
-"""`canfb diagnose`: what is in its file, also where something is wrong; and docs/diagnose.md."""
+"""`canfb diagnose`: what is in its file, also where something is wrong; and docs/monitor.md."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from canfb.hosting import self_diagnosis
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
 from node_commands import Commands, abort, between, place_of
 
-PAGE = (Path(__file__).parents[2] / "docs" / "diagnose.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "monitor.md").read_text(encoding="utf-8")
+PAGE = PAGE.partition("\n## One file")[2]
 SECONDS = "--seconds=0.01"
 
 
