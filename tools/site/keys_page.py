@@ -23,7 +23,7 @@ SECTIONS: tuple[tuple[str, type, str], ...] = (
     (
         "modules: second_position",
         SecondPositionConfig,
-        "another sensor of the machine (2014h); see [the second position](../docs/second-position.md)",
+        "another sensor of the machine (2014h); see [the second position](../docs/homing.md)",
     ),
     (
         "interfaces",

@@ -33,7 +33,7 @@ FAULTY_SAMPLES = 200  # as in docs/fault-campaign.md
 HARM_CYCLES = 0.25
 LONGEST_RAMP = 200
 SEED = 61800
-USUAL_TOLERANCE = 0.01  # revolutions, as in docs/second-position.md
+USUAL_TOLERANCE = 0.01  # revolutions, as in docs/homing.md
 LEAST_MOTION_CYCLES = 0.01  # where no motion is given
 SECOND = od.SAMPLE_SECOND_POSITION.mapped(32)
 

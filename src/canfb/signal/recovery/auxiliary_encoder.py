@@ -1,4 +1,4 @@
-"""Comparison with another sensor of the machine; the rules are in docs/second-position.md.
+"""Comparison with another sensor of the machine; the rules are in docs/homing.md.
 
 It is heard one SYNC later than the sample, when the interval is over and the value is certain. It does
 three things. After a start, and while the position is lost, it determines the range of speed, as the coarse
