@@ -1,4 +1,4 @@
-"""docs/dcf.md: its commands and its examples run, one after the other."""
+"""docs/storage.md: its commands and its examples run, one after the other."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 
-PAGE = (Path(__file__).parents[2] / "docs" / "dcf.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "storage.md").read_text(encoding="utf-8")
+PAGE = PAGE.partition("\n## A file for the PLC")[2]
 COMMANDS = [
     shlex.split(line, comments=True)
     for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
@@ -71,7 +72,7 @@ def test_commands_and_examples_make_the_module_of_the_configuration(
     network = Network()
     monkeypatch.setattr(canopen, "Network", lambda: network)
     names: dict[str, Any] = {}
-    exec(compile(EXAMPLES[0], "docs/dcf.md", "exec"), names)
+    exec(compile(EXAMPLES[0], "docs/storage.md", "exec"), names)
     wanted = saved_configuration(load_config("feedback.yaml").modules[0])
     assert configuration_of(network.module).values() == wanted.values()
 
@@ -81,7 +82,7 @@ def test_commands_and_examples_make_the_module_of_the_configuration(
     assert main(COMMANDS[2][1:]) == 0
     fresh = Network()
     names["node"] = fresh.add_node(0x20, canopen.import_od("module-20h.dcf"))
-    exec(compile(EXAMPLES[1], "docs/dcf.md", "exec"), names)
+    exec(compile(EXAMPLES[1], "docs/storage.md", "exec"), names)
     assert configuration_of(fresh.module).values() == wanted.values()
 
 
