@@ -1,4 +1,4 @@
-"""docs/linux-interface.md: its speeds are those of the plan."""
+"""docs/local-adc.md: its speeds are those of the plan."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from canfb.cli.main import main
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE = (DOCS / "linux-interface.md").read_text(encoding="utf-8")
+PAGE = (DOCS / "local-adc.md").read_text(encoding="utf-8")
 
 
 PLAN = re.findall(r"^    canfb (plan .*)$", PAGE, re.M)[0].split()

@@ -11,6 +11,7 @@ from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.protocol import source_kinds
 
 PAGE = (Path(__file__).parents[2] / "docs" / "local-adc.md").read_text(encoding="utf-8")
+PAGE = PAGE.partition("\n## An encoder interface")[0]
 CONFIGURATIONS = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 
 

@@ -28,7 +28,7 @@ SECTIONS: tuple[tuple[str, type, str], ...] = (
     (
         "interfaces",
         InterfaceConfig,
-        "a list, for `canfb interface`; see [a Linux computer as the interface](../docs/linux-interface.md)",
+        "a list, for `canfb interface`; see [a Linux computer as the interface](../docs/local-adc.md)",
     ),
     ("realtime", RealtimeConfig, "see [real time](../docs/realtime.md)"),
     ("simulation", SimulationConfig, "what `canfb simulate` plays; see [simulation](../docs/simulation.md)"),
