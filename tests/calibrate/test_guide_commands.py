@@ -17,7 +17,7 @@ from canfb.cli.main import build_parser
 ROOT = Path(__file__).parents[2]
 GUIDES = (
     *("first-hour", "first-encoder", "wiring", "several-samples"),
-    *("realtime", "homing", "calibration", "canopen", "simulation"),
+    *("service#Real time", "homing", "calibration", "canopen", "simulation"),
 )
 # Parsed, not run.
 PARSED_ONLY = {
@@ -60,7 +60,7 @@ RUNNING = (
 HARDWARE = ("canfb simulate machine.yaml --rate 100",)
 BEFORE = {
     "several-samples": RUNNING[:2],
-    "realtime": RUNNING,
+    "service#Real time": RUNNING,
     "homing": ("canfb run still.yaml", "canfb simulate still.yaml --rate 100 --rpm 0", RUNNING[-1]),
     "calibration": RUNNING,
     "canopen": RUNNING,
@@ -77,7 +77,7 @@ SAYS = {
     ("first-encoder", 5): "saved (1010:04)",
     ("first-encoder", 6): "axis-1.yaml",
     ("several-samples", 0): "the module follows 209 at 500 Hz (eq. 10)",
-    ("realtime", 0): "2012:01 Counters: Missed samples: 0",
+    ("service#Real time", 0): "2012:01 Counters: Missed samples: 0",
     ("homing", 0): VALID,
     ("calibration", 0): "is active and verified on fresh samples",
     ("calibration", 1): "Accepted.",
@@ -87,10 +87,17 @@ SAYS = {
 }
 
 
+def text_of(page: str) -> str:
+    """A page, or a part of one: "service#Real time"."""
+    name, _, part = page.partition("#")
+    text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    return text.partition(f"\n## {part}\n")[2].partition("\n## ")[0] if part else text
+
+
 def lines_of(page: str) -> list[str]:
     """The lines of the indented and the `sh` blocks of a page."""
     lines, fence = [], None
-    for line in (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8").splitlines():
+    for line in text_of(page).splitlines():
         if line.startswith("```"):
             fence = line[3:] if fence is None else None
         elif fence == "sh" or (fence is None and re.match(r" {4}( {4})?\S", line)):
@@ -128,7 +135,7 @@ def play(network: GuideNetwork, *pages: str) -> None:
             network.wait(0.5)
 
 
-@pytest.mark.parametrize("page", ["first-hour", "wiring", "several-samples", "realtime"])
+@pytest.mark.parametrize("page", ["first-hour", "wiring", "several-samples", "service#Real time"])
 def test_a_page_from_its_first_to_its_last_command(network: GuideNetwork, page: str) -> None:
     play(network, page)
 

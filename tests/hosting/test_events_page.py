@@ -11,6 +11,7 @@ PAGE = (
     (Path(__file__).parents[2] / "docs" / "service.md")
     .read_text(encoding="utf-8")
     .partition("\n## Events")[2]
+    .partition("\n## Real time")[0]
 )
 
 

@@ -116,10 +116,9 @@ def test_what_is_refused_is_reported_each_in_one_line_and_the_rest_is_still_aske
     reason = os.strerror(errno.EPERM)
     python = os.path.realpath(sys.executable)
     remedies = (
-        f"; sudo setcap cap_sys_nice+ep {python}, or LimitRTPRIO=99 in the systemd unit; "
-        "see docs/realtime.md",
+        f"; sudo setcap cap_sys_nice+ep {python}, or LimitRTPRIO=99 in the systemd unit; see docs/service.md",
         f"; sudo setcap cap_ipc_lock+ep {python}, or LimitMEMLOCK=infinity in the systemd unit; "
-        "see docs/realtime.md",
+        "see docs/service.md",
         "",
     )
     assert lines == [
@@ -152,7 +151,7 @@ def test_the_real_system_refuses_and_the_remedy_is_named(lockable_bytes: int) ->
     python = os.path.realpath(sys.executable)
     assert lines == [
         f"realtime: {name} could not be set: {reason}; sudo setcap {capability}+ep {python}, "
-        f"or {limit} in the systemd unit; see docs/realtime.md"
+        f"or {limit} in the systemd unit; see docs/service.md"
         for name, reason, (capability, limit) in zip(
             ("priority", "lock_memory"), reasons, rights, strict=True
         )

@@ -30,7 +30,7 @@ SECTIONS: tuple[tuple[str, type, str], ...] = (
         InterfaceConfig,
         "a list, for `canfb interface`; see [a Linux computer as the interface](../docs/local-adc.md)",
     ),
-    ("realtime", RealtimeConfig, "see [real time](../docs/realtime.md)"),
+    ("realtime", RealtimeConfig, "see [real time](../docs/service.md#real-time)"),
     ("simulation", SimulationConfig, "what `canfb simulate` plays; see [simulation](../docs/simulation.md)"),
     ("simulation: encoder", EncoderScenario, "the errors of the simulated encoder"),
     ("simulation: encoder: harmonics", HarmonicConfig, "a list"),

@@ -215,7 +215,7 @@ class LostPosition:
             yield from self._longer(loss)
         if cause in (LossCause.COASTED, LossCause.AMBIGUOUS) and loss.faults & MISSED:
             yield from self._declared()
-            yield "fewer missed samples: docs/realtime.md, and the priority of SYNC and ADC PDO on the bus"
+            yield "fewer missed samples: docs/service.md, and the priority of SYNC and ADC PDO on the bus"
         elif cause is LossCause.AMBIGUOUS:
             yield from self._declared()
         if loss.faults & BAD_SIGNAL:

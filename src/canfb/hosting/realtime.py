@@ -54,7 +54,7 @@ def _suggestion(name: str, error: Exception) -> str:
         return ""
     capability, limit = _RIGHTS[name]
     python = os.path.realpath(sys.executable)
-    return f"; sudo setcap {capability}+ep {python}, or {limit} in the systemd unit; see docs/realtime.md"
+    return f"; sudo setcap {capability}+ep {python}, or {limit} in the systemd unit; see docs/service.md"
 
 
 def _set_fifo(priority: int) -> None:
