@@ -23,7 +23,7 @@ def test_each_known_survivor_is_a_change_and_has_a_reason() -> None:
 
 
 def test_the_page_counts_the_changes_and_those_that_change_nothing() -> None:
-    page = (ROOT / "docs" / "supervision.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\w+)\.py: [^|]* \| (\d+) \| (\d+) \|$", page, re.M)
     known = Counter(line.split(" ")[0] for line in LIST.read_text(encoding="utf-8").splitlines())
     files = {path.stem: path for path in (ROOT / "src" / "canfb" / "signal").rglob("*.py")}
