@@ -15,9 +15,10 @@ from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 
 ROOT = Path(__file__).parents[2]
+RATE = "plan#The SYNC rate"
 DRIFT = "adaptation#Drift: does the correction table still fit?"
 GUIDES = (
-    *("first-hour", "first-encoder", "wiring", "several-samples"),
+    *("first-hour", "first-encoder", "wiring", RATE),
     *("service#Real time", "homing", "calibration", DRIFT, "canopen", "simulation"),
 )
 # Parsed, not run.
@@ -60,7 +61,7 @@ RUNNING = (
 )
 HARDWARE = ("canfb simulate machine.yaml --rate 100",)
 BEFORE = {
-    "several-samples": RUNNING[:2],
+    RATE: RUNNING[:2],
     "service#Real time": RUNNING,
     "homing": ("canfb run still.yaml", "canfb simulate still.yaml --rate 100 --rpm 0", RUNNING[-1]),
     "calibration": RUNNING,
@@ -77,7 +78,7 @@ SAYS = {
     ("first-encoder", 4): "cycles",
     ("first-encoder", 5): "saved (1010:04)",
     ("first-encoder", 6): "axis-1.yaml",
-    ("several-samples", 0): "the module follows 209 at 500 Hz (eq. 10)",
+    (RATE, 0): "the module follows 209 at 500 Hz (eq. 10)",
     ("service#Real time", 0): "2012:01 Counters: Missed samples: 0",
     ("homing", 0): VALID,
     ("calibration", 0): "is active and verified on fresh samples",
@@ -136,7 +137,7 @@ def play(network: GuideNetwork, *pages: str) -> None:
             network.wait(0.5)
 
 
-@pytest.mark.parametrize("page", ["first-hour", "wiring", "several-samples", "service#Real time"])
+@pytest.mark.parametrize("page", ["first-hour", "wiring", RATE, "service#Real time"])
 def test_a_page_from_its_first_to_its_last_command(network: GuideNetwork, page: str) -> None:
     play(network, page)
 

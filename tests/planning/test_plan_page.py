@@ -12,6 +12,7 @@ from canfb.cia301.frame import frame_bits
 from canfb.cli.main import main
 
 PAGE = (Path(__file__).parents[2] / "docs" / "plan.md").read_text(encoding="utf-8")
+PAGE = PAGE.partition("\n## The SYNC rate")[0]
 BLOCKS = [block.splitlines() for block in re.findall(r"```sh\n(.*?)```", PAGE, re.S)]
 
 
