@@ -24,10 +24,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import can
 
@@ -37,6 +37,7 @@ from canfb.configuration import Config, parse_config
 from canfb.hosting.trying import private_bus
 from canfb.module.parameters import configured_defaults
 from canfb.objects import StatusBit
+from tools.running import canfb, running
 
 NMT = 0x000
 LOST = "position lost: "
@@ -167,27 +168,19 @@ def measured(run: Run, words: dict[str, Any], log: Path | None = None) -> Judge:
         judge = Judge(TrueMotion(config), config.modules[0].node_id, config.modules[0].encoder_interface)
         bus = held.enter_context(open_bus(config.bus))
         _deepen(bus)
-        canfb = [sys.executable, "-m", "canfb"]
+        ready = [folder / "0.ready", folder / "1.ready"]
         commands = [
-            [*canfb, "run", str(path), "--ready-file", str(folder / "0.ready")],
-            [
-                *canfb,
-                "simulate",
-                str(path),
-                "--rate",
-                f"{run.rate_hz:g}",
-                "--ready-file",
-                str(folder / "1.ready"),
-            ],
+            canfb("run", str(path), "--ready-file", str(ready[0])),
+            canfb("simulate", str(path), "--rate", f"{run.rate_hz:g}", "--ready-file", str(ready[1])),
         ]
         said = held.enter_context((folder / "run.txt").open("wb"))
         programs = [
-            held.enter_context(_running(commands[0], said)),
-            held.enter_context(_running(commands[1])),
+            held.enter_context(running(commands[0], said)),
+            held.enter_context(running(commands[1])),
         ]
-        _wait_ready([folder / "0.ready", folder / "1.ready"], programs)
+        _wait_ready(ready, programs)
         for _ in range(run.loops):
-            held.enter_context(_running([sys.executable, "-c", "while True: pass"]))
+            held.enter_context(running([sys.executable, "-c", "while True: pass"]))
         bus.send(can.Message(arbitration_id=NMT, data=b"\x01\x00", is_extended_id=False))
         writer = None if log is None else held.enter_context(can.Logger(log))
         _play(run, judge, bus, [programs[number] for number in WHO[run.who]], writer)
@@ -228,18 +221,6 @@ def _play(
                 writer(message)
     for program in held:
         program.send_signal(signal.SIGCONT)
-
-
-@contextlib.contextmanager
-def _running(
-    command: Sequence[str], output: IO[bytes] | int = subprocess.DEVNULL
-) -> Iterator[subprocess.Popen[bytes]]:
-    program = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.DEVNULL)
-    try:
-        yield program
-    finally:
-        program.kill()
-        program.wait()
 
 
 def _wait_ready(files: Sequence[Path], programs: Sequence[subprocess.Popen[bytes]]) -> None:

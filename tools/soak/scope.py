@@ -19,7 +19,6 @@ import base64
 import contextlib
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -27,6 +26,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
@@ -39,6 +39,7 @@ from tornado.websocket import WebSocketClientConnection, WebSocketClosedError, w
 from canfb.bus.opening import open_bus
 from canfb.scope.scope_page import BOKEH_SCRIPTS, LARGEST_MESSAGE
 from canfb.scope.scope_server import GONE_S, MOST_CONNECTIONS, MOST_PAGES
+from tools.running import canfb, running
 from tools.site.markdown import table
 
 GROUP, NODE, OTHERS_ID = "239.74.163.128", 0x20, 0x3A0
@@ -70,48 +71,38 @@ simulation:
 """
 
 
+@dataclass(frozen=True)
 class Network:
-    """Module, machine and scope, until the end of a ``with``."""
+    """Module, machine and scope: process, log and address of the scope, and the code of its writing tasks."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._processes = folder, list[subprocess.Popen[bytes]]()
-        self.log = folder / "scope.log"
+    scope: subprocess.Popen[bytes]
+    log: Path
+    where: SplitResult
+    code: str
 
-    def __enter__(self) -> Network:
-        config = self._folder / "network.yaml"
-        config.write_text(CONFIG)
-        self._start("run", str(config))
-        self._start("simulate", str(config), "--rate", "100", "--autostart")
-        self.scope = self._start("scope", "--config", str(config), "--write")
+
+@contextlib.contextmanager
+def network_in(folder: Path) -> Iterator[Network]:
+    """A network whose files are in this folder."""
+    config, log = folder / "network.yaml", folder / "scope.log"
+    config.write_text(CONFIG)
+    with contextlib.ExitStack() as held:
+
+        def start(command: str, *arguments: str) -> subprocess.Popen[bytes]:
+            output = held.enter_context((folder / f"{command}.log").open("wb"))
+            return held.enter_context(running(canfb(command, *arguments), output))
+
+        start("run", str(config))
+        start("simulate", str(config), "--rate", "100", "--autostart")
+        scope = start("scope", "--config", str(config), "--write")
         give_up_s = time.monotonic() + PATIENCE_S
-        while "http://" not in (said := self.log.read_text()):
-            if time.monotonic() > give_up_s or self.scope.poll() is not None:
+        while "http://" not in (said := log.read_text()):
+            if time.monotonic() > give_up_s or scope.poll() is not None:
                 sys.exit(f"canfb scope did not start: {said}")
             time.sleep(0.1)
         words = said.split()
-        self.where = urlsplit(next(word for word in words if word.startswith("http://")))
-        self.code = words[-1]
-        return self
-
-    def _start(self, command: str, *arguments: str) -> subprocess.Popen[bytes]:
-        with (self._folder / f"{command}.log").open("wb") as log:
-            self._processes.append(
-                subprocess.Popen(
-                    [sys.executable, "-u", "-m", "canfb", command, *arguments],
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                )
-            )
-        return self._processes[-1]
-
-    def __exit__(self, *_: object) -> None:
-        for process in self._processes:
-            process.send_signal(signal.SIGTERM)
-        for process in self._processes:
-            try:
-                process.wait(PATIENCE_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
+        where = urlsplit(next(word for word in words if word.startswith("http://")))
+        yield Network(scope, log, where, words[-1])
 
 
 class Watch:
@@ -500,7 +491,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--frames", type=float, default=500.0, help="of other nodes, in a second (500)")
     parser.add_argument("--only", default="", metavar="TEXT", help="attacks with TEXT in their name")
     options = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory() as folder, Network(Path(folder)) as network:
+    with tempfile.TemporaryDirectory() as folder, network_in(Path(folder)) as network:
         rows, bad = asyncio.run(run(network, options))
         end = network.scope.poll()
     bad += [f"canfb scope ended with {end}"] * (end is not None)

@@ -41,8 +41,6 @@ class PdoRecorder:
         self._coarse: list[tuple[int, int] | None] = []
         self._earlier: list[list[tuple[int, int]]] = []
         self.samples = 0
-        self.surplus = 0
-        """PDOs beyond one for each SYNC, or too short: not used."""
 
     @property
     def syncs(self) -> int:
@@ -63,8 +61,7 @@ class PdoRecorder:
             return  # it belongs to a SYNC that was before
         counts = self._layout.unpack(data)
         if counts is None or self._pairs[-1] != MISSED:
-            self.surplus += 1
-            return
+            return  # too short, or beyond one for each SYNC
         self._pairs[-1] = counts
         if self._layout.time_byte is not None:
             self._stamps[-1] = self._layout.sample_time(data)
