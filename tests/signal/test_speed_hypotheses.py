@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from unittest.mock import Mock
 
 import numpy as np
@@ -43,7 +44,7 @@ def test_a_row_of_bad_samples_in_a_start_leaves_no_wrong_position(acceleration: 
     resolved = 0
     for _ in range(60):
         speed = float(generator.choice([0.0, 1.0, -2.0, 3.0, generator.uniform(-125.0, 125.0)]))
-        elapsed, shown = motion(machine, speed, jitter_at(q, machine), 80, generator)
+        elapsed, shown = motion(machine, speed, jitter_at(q, machine), 56, generator)
         given, row = with_bad_row(shown, machine, generator, first=1)
         _, off = offsets(follower(machine), elapsed, given)
         off[row] = [None] * (row.stop - row.start)
@@ -149,19 +150,25 @@ def verdicts(
     return found, speed if SpeedVerdict.FOUND in found else float("nan")
 
 
+@cache
+def searches_in_one_unit() -> list[tuple[np.ndarray, np.ndarray, list[SpeedVerdict], float]]:
+    """Elapsed times and positions, and what a search says of them."""
+    machine = declared(0.05)
+    generator = np.random.default_rng(24)
+    motions = [
+        motion(machine, float(generator.uniform(-60.0, 60.0)), jitter_at(1.0, machine), 60, generator)
+        for _ in range(30)
+    ]
+    return [(elapsed, shown, *verdicts(machine, elapsed, shown)) for elapsed, shown in motions]
+
+
 @pytest.mark.parametrize("changed", [2, 3, 7])
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_a_search_means_the_same_in_another_unit(factor: float, changed: int) -> None:
-    machine = declared(0.05)
     later = replace(declared(0.05 / factor**2), instant_error=TAU * factor)
-    generator = np.random.default_rng(24)
     resolved = 0
-    for _ in range(30):
-        elapsed, shown = motion(
-            machine, float(generator.uniform(-60.0, 60.0)), jitter_at(1.0, machine), 60, generator
-        )
-        known, speed = verdicts(machine, elapsed, shown)
-        other, same = verdicts(machine, elapsed, shown, factor, changed, later)
+    for elapsed, shown, known, speed in searches_in_one_unit():
+        other, same = verdicts(declared(0.05), elapsed, shown, factor, changed, later)
         assert known == other
         assert same == pytest.approx(speed, nan_ok=True)
         resolved += speed == speed

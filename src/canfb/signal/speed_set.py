@@ -98,7 +98,9 @@ class SpeedSet:
     def unite(self, other: SpeedSet) -> None:
         """Follow those of ``other`` as well, which has had the same samples as far back as they count."""
         both = np.hstack([np.stack(self._counts), np.stack(other._counts)])
-        self._counts = list(np.unique(both, axis=1))
+        both = both[:, np.lexsort(both[::-1])]  # np.unique(axis=1) takes four times as long
+        differs = (both[:, 1:] != both[:, :-1]).any(axis=0)
+        self._counts = list(both[:, np.append(True, differs)])
         self.chance += other.chance
 
     def feed(self, phase: float, elapsed: float) -> bool:
