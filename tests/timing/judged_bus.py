@@ -61,7 +61,7 @@ class Bus:
         """All frames through a judge."""
         rng = np.random.default_rng(self.seed + 1)
         judge = judge or Judge()
-        judge.overflow, judge.clock.nominal_s = self.overflow, self.nominal_s
+        judge.syncs.overflow, judge.syncs.clock.nominal_s = self.overflow, self.nominal_s
         result = Result(judge, self.period_s)
         now, newest = 0.0, -1
         for at, kind, n, _, again in self.frames():
@@ -75,13 +75,13 @@ class Bus:
                 time_s = min(100.0 + at * self.period_s + noise, time_s)
             if kind == "sync":
                 counter = n % self.overflow + 1 if self.overflow else None
-                result.sync(judge.sync(time_s, self.stamped, counter), n)
+                result.sync(judge.syncs.sync(time_s, self.stamped, counter), n)
                 newest = n
             else:
                 slot = self.slots[n]
                 at_s = n + 1.0 + slot.late * self.stamped  # else nothing shows it
                 at_s += slot.again * (again > 0)
-                in_time_for_next = n < newest and judge.delay.is_usual(time_s - judge.synced_s)
+                in_time_for_next = n < newest and judge.delay.is_usual(time_s - judge.syncs.synced_s)
                 passed = judge.answer(time_s, self.stamped)
                 if in_time_for_next and not isinstance(passed, Refusal):  # docs/wire-faults.md, P7
                     result.begin_again()
@@ -112,13 +112,13 @@ class Result:
     @property
     def scale(self) -> float:
         """Where the rate of SYNC has changed, an interval is another one."""
-        ratio = self.period_s / (self.judge.clock.period_s or self.period_s)
-        return 1.0 if not self.judge.stamped or abs(ratio - 1.0) < 0.05 else ratio
+        ratio = self.period_s / (self.judge.syncs.clock.period_s or self.period_s)
+        return 1.0 if not self.judge.syncs.stamped or abs(ratio - 1.0) < 0.05 else ratio
 
     @property
     def same(self) -> float:
         """The usual jitter is not part of the error of an instant."""
-        return SAME + 2.0 * self.judge.clock.jitter
+        return SAME + 2.0 * self.judge.syncs.clock.jitter
 
     def sync(self, verdict: object, n: int) -> None:
         self.verdicts[n] = verdict
@@ -129,7 +129,7 @@ class Result:
             if abs(verdict.confirmed - self._set_true) > SAME:  # type: ignore[attr-defined]
                 self.wrong.append(f"SYNC {n}: confirmed {verdict}, was {self._set_true}")
             self._set_true = None
-        if not (self.judge.is_open or self.judge._streak) and abs(self._open) > SAME:
+        if not (self.judge.syncs.is_open or self.judge.syncs._streak) and abs(self._open) > SAME:
             self.wrong.append(f"SYNC {n}: closed, off by {self._open}")
             self._open = 0.0
 

@@ -52,7 +52,7 @@ KINDS = (uniform, gaussian, frames_before, wander, swing, quiet)
 def doubts(judge: Judge, times_s: Noise) -> Iterator[tuple[int, float]]:
     """Which SYNCs put the instants in doubt, and by how much, periods; each is answered."""
     for n, time_s in enumerate(times_s.tolist()):
-        verdict = judge.sync(time_s, True, None)
+        verdict = judge.syncs.sync(time_s, True, None)
         if verdict.doubt:
             yield n, verdict.doubt
         judge.answered_last_sync()
@@ -89,7 +89,7 @@ def test_after_a_step_the_new_grid_is_the_usual_one() -> None:
     times_s[1000:] += 40e-6
     judge = Judge()
     assert all(n <= 1100 for n, _ in doubts(judge, times_s))
-    assert judge.clock.period_s == pytest.approx(PERIOD_S, rel=1e-4)
+    assert judge.syncs.clock.period_s == pytest.approx(PERIOD_S, rel=1e-4)
 
 
 def test_the_largest_deviation_bounds_the_jitter() -> None:

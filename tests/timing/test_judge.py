@@ -12,7 +12,8 @@ from judged_bus import Bus, Result, Slot
 
 from canfb.timing.deviations import JITTER
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
-from canfb.timing.sync_judge import LEAST_EARLY, NOTHING_TO_REPORT, RELOCK, SyncVerdict
+from canfb.timing.sync_judge import LEAST_EARLY, RELOCK, SyncJudge
+from canfb.timing.sync_verdict import NOTHING_TO_REPORT, SyncVerdict
 
 FAULT = 70
 WITNESSES = [(stamped, overflow) for stamped in (False, True) for overflow in (0, 10, 240)]
@@ -173,14 +174,14 @@ def test_receive_times_say_what_was_missed() -> None:
 def test_a_reset_forgets_the_clock() -> None:
     judge = played(healthy, True, 0).judge
     judge.forget()
-    assert (judge.clock.period_s, judge.clock.jitter) == (0.0, JITTER)
+    assert (judge.syncs.clock.period_s, judge.syncs.clock.jitter) == (0.0, JITTER)
 
 
 def test_a_burst_is_not_fed_into_the_period() -> None:
     for seed in range(20):
         for overflow in (0, 240):
             result = played(stall, False, overflow, seed)
-            assert result.judge.clock.period_s == pytest.approx(1e-3, rel=2e-3)
+            assert result.judge.syncs.clock.period_s == pytest.approx(1e-3, rel=2e-3)
 
 
 def test_one_sync_lost_without_any_witness_is_a_set_and_is_confirmed() -> None:
@@ -201,10 +202,10 @@ def test_one_sync_lost_without_any_witness_is_a_set_and_is_confirmed() -> None:
 def test_nothing_is_missing_for_certain_where_a_sync_would_be_early(late: tuple[float, ...]) -> None:
     """A host that is late again and again: its SYNCs would be those of a gap, but sooner than any before."""
     judge = followed(40, stamped=False, noise_s=0.2e-3)
-    assert judge.clock.jitter > 0.4
-    due_s = judge.clock.due_s
+    assert judge.syncs.clock.jitter > 0.4
+    due_s = judge.syncs.clock.due_s
     for n, one in enumerate(late):
-        verdict = judge.sync(due_s + (n + one) * 1e-3, False, None)
+        verdict = judge.syncs.sync(due_s + (n + one) * 1e-3, False, None)
         judge.answer(due_s + (n + one) * 1e-3 + 1e-5, False)
     if min(late) > 1.0 - LEAST_EARLY:
         assert (verdict.confirmed, verdict.lost, verdict.doubt) == (2.0, 1, 0.0)
@@ -215,10 +216,10 @@ def test_nothing_is_missing_for_certain_where_a_sync_would_be_early(late: tuple[
 def test_a_sync_that_is_missing_counts_once_where_its_answer_may_have_come() -> None:
     """No PDO for the last SYNC, then one where the next answer is due, and a SYNC a period late."""
     judge = followed(stamped=False)
-    judge.sync(40e-3, False, None)
+    judge.syncs.sync(40e-3, False, None)
     assert judge.answer(41.2e-3, False) == Passed((1.0, 2.0))
     for n in (42, 43, 44):
-        verdict = judge.sync(n * 1e-3, False, None)
+        verdict = judge.syncs.sync(n * 1e-3, False, None)
         judge.answer((n + 0.2) * 1e-3, False)
     # Three intervals in all, of which the answer before may have taken one or two.
     assert (verdict.confirmed, verdict.lost, verdict.doubt) == (None, 1, 1.0)
@@ -252,9 +253,9 @@ def test_a_wrong_1006h_is_not_believed() -> None:
     for factor in (0.1, 0.5, 0.9, 1.5, 2.0, 10.0):
         result = played(pdo_lost, True, 0, nominal_s=1e-3 * factor)
         assert result.wrong == []
-        assert result.judge.clock.period_s == pytest.approx(1e-3, rel=3e-3)
+        assert result.judge.syncs.clock.period_s == pytest.approx(1e-3, rel=3e-3)
     exact = played(healthy, True, 0, nominal_s=1e-3)
-    assert exact.judge.clock.period_s == pytest.approx(1e-3, rel=1e-4)
+    assert exact.judge.syncs.clock.period_s == pytest.approx(1e-3, rel=1e-4)
 
 
 def test_another_rate_is_found_and_each_sync_counts_for_canopen() -> None:
@@ -266,27 +267,27 @@ def test_another_rate_is_found_and_each_sync_counts_for_canopen() -> None:
                     slot.late = n * rate
 
             result = played(change, stamped, 0, jitter=0.0)
-            assert result.judge.clock.period_s == pytest.approx(1e-3 * (1.0 + rate), rel=0.02)
+            assert result.judge.syncs.clock.period_s == pytest.approx(1e-3 * (1.0 + rate), rel=0.02)
             assert min(result.doubts) <= FAULT + RELOCK
             assert not any(one.repeated for one in result.verdicts.values())  # type: ignore[attr-defined]
 
 
 def test_a_repeated_counter_is_the_same_sync() -> None:
     judge = Judge()
-    judge.overflow = 10
+    judge.syncs.overflow = 10
     for n in range(40):
-        verdict = judge.sync(n * 1e-3, True, n % 10 + 1)
+        verdict = judge.syncs.sync(n * 1e-3, True, n % 10 + 1)
         judge.answer(n * 1e-3 + 2e-4, True)
     assert verdict is NOTHING_TO_REPORT
-    again = judge.sync(39.1e-3, True, 39 % 10 + 1)
+    again = judge.syncs.sync(39.1e-3, True, 39 % 10 + 1)
     assert (again.repeated, again.extra) == (True, True)
-    assert judge.sync(40e-3, True, 1) is NOTHING_TO_REPORT
+    assert judge.syncs.sync(40e-3, True, 1) is NOTHING_TO_REPORT
 
 
 def test_the_usual_way_gives_the_same_two_objects() -> None:
     judge = Judge()
     for n in range(200):
-        verdict = judge.sync(n * 1e-3, True, None)
+        verdict = judge.syncs.sync(n * 1e-3, True, None)
         passed = judge.answer(n * 1e-3 + 2e-4, True)
     assert verdict is NOTHING_TO_REPORT
     assert passed is USUAL
@@ -295,12 +296,12 @@ def test_the_usual_way_gives_the_same_two_objects() -> None:
 def test_an_outage_is_counted_by_the_deadline() -> None:
     judge = Judge()
     for n in range(40):
-        judge.sync(n * 1e-3, True, None)
+        judge.syncs.sync(n * 1e-3, True, None)
         judge.answer(n * 1e-3 + 2e-4, True)
-    assert judge.until == pytest.approx(41e-3 + judge.clock.jitter * 1e-3)
-    assert judge.overdue(judge.until) == 1
-    assert judge.overdue(judge.until) == 1
-    verdict = judge.sync(45e-3, True, None)
+    assert judge.syncs.until == pytest.approx(41e-3 + judge.syncs.clock.jitter * 1e-3)
+    assert judge.syncs.overdue(judge.syncs.until) == 1
+    assert judge.syncs.overdue(judge.syncs.until) == 1
+    verdict = judge.syncs.sync(45e-3, True, None)
     assert verdict.missed == 3
     assert judge.answer(45.2e-3, True) == Passed(6.0)
 
@@ -308,12 +309,12 @@ def test_an_outage_is_counted_by_the_deadline() -> None:
 def test_an_incomplete_sample_is_missed() -> None:
     judge = Judge()
     for n in range(40):
-        verdict = judge.sync(n * 1e-3, True, None)
+        verdict = judge.syncs.sync(n * 1e-3, True, None)
         judge.answer(n * 1e-3 + 2e-4, True)
         if n == 38:
             judge.drop()
     assert verdict.missed == 1
-    assert judge.sync(40e-3, True, None) is NOTHING_TO_REPORT
+    assert judge.syncs.sync(40e-3, True, None) is NOTHING_TO_REPORT
 
 
 def followed(syncs: int = 40, stamped: bool = True, noise_s: float = 0.0) -> Judge:
@@ -321,7 +322,7 @@ def followed(syncs: int = 40, stamped: bool = True, noise_s: float = 0.0) -> Jud
     judge, rng = Judge(), np.random.default_rng(3)
     for n in range(syncs):
         at_s = n * 1e-3 + float(rng.uniform(-noise_s, noise_s)) * (n < syncs - 1)
-        judge.sync(at_s, stamped, None)
+        judge.syncs.sync(at_s, stamped, None)
         judge.answer(at_s + 2e-4, stamped)
     return judge
 
@@ -330,13 +331,13 @@ def test_nothing_is_sent_before_it_is_measured() -> None:
     """An answer before the grid, and sooner after it than any, is of a SYNC that was early by as much."""
     for early_s, error in ((0.36e-3, 0.30), (0.15e-3, 0.09), (0.05e-3, 0.0)):
         judge = followed(noise_s=0.12e-3)  # so much that the first SYNC is still one in time
-        assert judge.clock.jitter > 0.44
-        judge.sync(40e-3 - early_s, True, None)
+        assert judge.syncs.clock.jitter > 0.44
+        judge.syncs.sync(40e-3 - early_s, True, None)
         passed = judge.answer(40.2e-3 - early_s, True)
         assert isinstance(passed, Passed)
         assert passed.elapsed == 1.0
         assert passed.instant_error == pytest.approx(error, abs=0.05 if error else 0.0)
-        judge.sync(41e-3 - early_s, True, None)  # at the usual distance, but from one that was not used
+        judge.syncs.sync(41e-3 - early_s, True, None)  # at the usual distance, but from one that was not used
         passed = judge.answer(41.2e-3 - early_s, True)
         assert isinstance(passed, Passed)
         assert passed.instant_error == pytest.approx(error, abs=0.07 if error else 0.0)
@@ -347,10 +348,10 @@ def test_without_receive_times_only_what_was_early_is_usual() -> None:
     judge, rng = Judge(), np.random.default_rng(3)
     for n in range(100):
         at_s = n * 1e-3 + float(rng.uniform(0.04, 0.32)) * 1e-3
-        judge.sync(at_s, False, None)
+        judge.syncs.sync(at_s, False, None)
         judge.answer(at_s + 2e-4, False)
-    assert judge.clock.jitter > 0.4
-    judge.sync(99.75e-3, False, None)
+    assert judge.syncs.clock.jitter > 0.4
+    judge.syncs.sync(99.75e-3, False, None)
     passed = judge.answer(100.1e-3, False)
     assert isinstance(passed, Passed)
     assert passed.instant_error == pytest.approx(0.3, abs=0.05)
@@ -358,37 +359,37 @@ def test_without_receive_times_only_what_was_early_is_usual() -> None:
 
 def test_a_dropped_sample_leaves_no_interval_open() -> None:
     judge = followed()
-    judge.sync(40e-3, True, None)
-    judge.sync(41e-3, True, None)
+    judge.syncs.sync(40e-3, True, None)
+    judge.syncs.sync(41e-3, True, None)
     assert judge.answer(41.5e-3, True) == Passed((1.0, 2.0))  # to either of them
     judge.drop()
-    judge.sync(42e-3, True, None)
+    judge.syncs.sync(42e-3, True, None)
     assert judge.answer(42.2e-3, True) == Passed(3.0)
 
 
 def test_a_usual_sample_that_is_dropped_is_one_interval_after_a_gap_as_well() -> None:
     judge = followed()
-    judge.sync(40e-3, True, None)
-    judge.sync(41e-3, True, None)
+    judge.syncs.sync(40e-3, True, None)
+    judge.syncs.sync(41e-3, True, None)
     assert judge.answer(41.2e-3, True) == Passed(2.0)
-    judge.sync(42e-3, True, None)
+    judge.syncs.sync(42e-3, True, None)
     judge.answer(42.2e-3, True)
-    judge.sync(43e-3, True, None)
+    judge.syncs.sync(43e-3, True, None)
     assert judge.answer(43.2e-3, True) is USUAL
     judge.drop()
-    judge.sync(44e-3, True, None)
+    judge.syncs.sync(44e-3, True, None)
     assert judge.answer(44.2e-3, True) == Passed(2.0)
 
 
 def test_a_sync_that_was_answered_is_not_open_any_more() -> None:
     """An answer that is too soon cannot be that of the SYNC before, if that one was answered."""
     judge = followed(stamped=False)
-    judge.sync(40e-3, False, None)
-    judge.sync(41e-3, False, None)
+    judge.syncs.sync(40e-3, False, None)
+    judge.syncs.sync(41e-3, False, None)
     assert judge.answer(41.2e-3, False) == Passed(2.0)
-    judge.sync(42e-3, False, None)
+    judge.syncs.sync(42e-3, False, None)
     judge.answer(42.02e-3, False)
-    judge.sync(43e-3, False, None)
+    judge.syncs.sync(43e-3, False, None)
     assert judge.answer(43.2e-3, False) is USUAL
 
 
@@ -400,7 +401,7 @@ steps = st.lists(
                 "sync",
                 "answer",
                 "answered_last_sync",
-                "unanswered",
+                "give_up",
                 "overdue",
                 "drop",
                 "pause",
@@ -421,16 +422,18 @@ def test_nothing_raises_for_any_input(
     calls: list[tuple[str, float, bool, int | None]], overflow: int, nominal_s: float
 ) -> None:
     judge = Judge()
-    judge.overflow, judge.clock.nominal_s = overflow, nominal_s
+    judge.syncs.overflow, judge.syncs.clock.nominal_s = overflow, nominal_s
     now = 0.0
     for what, step, stamped, counter in calls:
         now = now + step if abs(step) < 1.0 else step
         if what == "sync":
-            judge.sync(now, stamped, counter)
+            judge.syncs.sync(now, stamped, counter)
         elif what in ("answer", "free"):
             _is_possible(getattr(judge, what)(now, stamped))
         elif what == "overdue":
-            assert judge.overdue(now) >= 0
+            assert judge.syncs.overdue(now) >= 0
+        elif what == "give_up":
+            judge.syncs.give_up()
         else:
             getattr(judge, what)()
 
@@ -450,17 +453,17 @@ def test_a_usual_sync_is_not_judged_even_if_its_answer_is_in_the_same_call(
     """Neither are early by what a float rounds: it made each cycle cost 2.7 times as much."""
     judge = Judge()
     judged: list[float] = []
-    original = judge._judged
+    original = SyncJudge._judged
 
-    def counted(time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
+    def counted(syncs: SyncJudge, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
         judged.append(time_s)
-        return original(time_s, stamped, counter)
+        return original(syncs, time_s, stamped, counter)
 
-    monkeypatch.setattr(judge, "_judged", counted)
+    monkeypatch.setattr(SyncJudge, "_judged", counted)
     now = 1000.0
     for _ in range(400):
         now += 1e-3
-        judge.sync(now, False, None)
+        judge.syncs.sync(now, False, None)
         assert isinstance(judge.answer(now + delay_s, False), Passed)
     assert len(judged) < 60
 
@@ -470,17 +473,9 @@ def test_a_sync_that_is_not_due_yet_has_no_answer(delay: float, intervals: tuple
     """An old PDO in place of a lost one, late in the interval, was held against two intervals as well."""
     judge, period_s = Judge(), 1e-3
     for n in range(100):
-        judge.sync(n * period_s, True, n % 10 + 1)
+        judge.syncs.sync(n * period_s, True, n % 10 + 1)
         judge.answer((n + 0.37) * period_s, True)
-    judge.sync(100 * period_s, True, 1)
+    judge.syncs.sync(100 * period_s, True, 1)
     passed = judge.answer((100 + delay) * period_s, True)
     assert isinstance(passed, Passed)
     assert passed.options == intervals
-
-
-def test_each_attribute_has_a_slot() -> None:
-    """In a dict of more than 30 each access costs more, and nearly all of a SYNC are accesses."""
-    judge = Judge()
-    judge.sync(0.0, True, None)
-    judge.answer(1e-4, True)
-    assert not vars(judge)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from canfb.timing.judge import Judge, Passed
-from canfb.timing.sync_judge import RELOCK, SyncVerdict
+from canfb.timing.sync_judge import RELOCK
+from canfb.timing.sync_verdict import SyncVerdict
 
 PERIOD_S, DELAY_S, BEFORE, AFTER = 1e-3, 0.2e-3, 100, 80
 JITTER_S, LATENCY_S = 10e-6, 20e-6
@@ -60,13 +61,13 @@ class Producer:
 
     def heard(self, stamped: bool) -> list[Heard]:
         judge, heard, last = Judge(), [], 0.0
-        judge.overflow = self._overflow
+        judge.syncs.overflow = self._overflow
         for time_s, is_sync, counter in sorted(self.frames):
             last = max(last, time_s + (0.0 if stamped else float(self._rng.uniform(0.0, LATENCY_S))))
-            while judge.until <= last:
-                judge.overdue(judge.until)
-            said = judge.sync(last, stamped, counter) if is_sync else judge.answer(last, stamped)
-            heard.append(Heard(time_s, said, judge.clock.period_s))
+            while judge.syncs.until <= last:
+                judge.syncs.overdue(judge.syncs.until)
+            said = judge.syncs.sync(last, stamped, counter) if is_sync else judge.answer(last, stamped)
+            heard.append(Heard(time_s, said, judge.syncs.clock.period_s))
         return heard
 
 

@@ -93,7 +93,7 @@ class Node:
         if not 0 < sdo_timeout_s < NEVER:
             raise ValueError(f"sdo_timeout_s is {sdo_timeout_s}; give a time in seconds, more than 0")
         self._application = Application() if application is None else application
-        # Of a module its `Judge`: each SYNC moves `until` on.
+        # Of a module its `SyncJudge`: each SYNC moves `until` on.
         self._expiry: Expiry = _NeverExpires() if expiry is None else expiry
         self._life = life = LifeCycle(
             dictionary,

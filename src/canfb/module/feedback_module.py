@@ -74,7 +74,7 @@ class FeedbackModule(NodeDevice):
             autostart=config.autostart,
             store=store,
             bit_rates_kbit_s=bit_rates_kbit_s,
-            expiry=self._judge,
+            expiry=self._judge.syncs,
         )
         self.config = config
         self.chain = SignalChain(ChainConfig())  # limits and correction are those of the dictionary
@@ -96,7 +96,8 @@ class FeedbackModule(NodeDevice):
     def _make_chain_around(self, source: Source | None) -> None:
         """What feeds the chain, and what its feedback becomes."""
         dictionary, chain, judge = self.dictionary, self.chain, self._judge
-        self._interval = interval = SamplingInterval(dictionary.entry(*od.CYCLE_PERIOD), judge.clock)
+        clock = judge.syncs.clock
+        self._interval = interval = SamplingInterval(dictionary.entry(*od.CYCLE_PERIOD), clock)
         self._limits = Limits(dictionary, chain, interval)
         self._input = SampleInput(dictionary, self)
         self._second = SecondInput(dictionary, self, chain)
@@ -124,8 +125,10 @@ class FeedbackModule(NodeDevice):
         self._sampling = Sampling(judge, interval, grid, self._limits, chain, self._pairing, self._publishing)
         cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         cycles_per_revolution.on_written = self._encoder_changed
-        self._jitter = JitterWatch(judge.clock, interval, self._limits, cycles_per_revolution, self._warn)
-        judge.on_followed = self._on_followed
+        self._jitter = JitterWatch(
+            judge.syncs.clock, interval, self._limits, cycles_per_revolution, self._warn
+        )
+        judge.syncs.on_followed = self._on_followed
         self._recorder = Recorder(dictionary, interval, self._observers)
 
     def _make_commands(self) -> None:
@@ -234,7 +237,7 @@ class FeedbackModule(NodeDevice):
 
         With sample times, or without receive times, no jitter is measured.
         """
-        self.events.synced(self._judge.clock.period_s, received_s)
+        self.events.synced(self._judge.syncs.clock.period_s, received_s)
         last = self._publishing.last
         if stamped and last is not None and not self._pairing.timed:
             self._jitter.look(last, received_s)
@@ -265,7 +268,7 @@ class FeedbackModule(NodeDevice):
 
     def overdue(self, now: float) -> None:
         """No SYNC and no sample for 2010:06 periods."""
-        self.events.sync_lost(self._judge.synced_s, now)
+        self.events.sync_lost(self._judge.syncs.synced_s, now)
         self._sampling.overdue(now)
 
     def check_write(self, entry: Entry | None) -> None:

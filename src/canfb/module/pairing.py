@@ -25,7 +25,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICK_S, Sample
 from canfb.signal.supervision import COASTING, VALID
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
-from canfb.timing.sync_judge import NOTHING_TO_REPORT, SyncVerdict
+from canfb.timing.sync_verdict import NOTHING_TO_REPORT, SyncVerdict
 
 COUNTER_OVERFLOW = 0x1019
 COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
@@ -72,6 +72,7 @@ class Pairing(ProcessData):
         "judge",
         "last_valid",
         "sampled",
+        "syncs",
         "unconfirmed",
     )
 
@@ -91,7 +92,7 @@ class Pairing(ProcessData):
         publishing: Publishing,
     ) -> None:
         entry = dictionary.entry
-        self.judge = judge
+        self.judge, self.syncs = judge, judge.syncs
         self._call = node.call
         self._interval, self._grid, self._limits = interval, grid, limits
         self._chain, self._stages, self._publishing = chain, chain.stages, publishing
@@ -142,15 +143,15 @@ class Pairing(ProcessData):
     def idle_sync_received(self, counter: int | None) -> None:
         """A SYNC in PRE-OPERATIONAL: the first samples are judged by a period that is known."""
         self._hear(counter)
-        self.judge.until = NEVER
+        self.syncs.until = NEVER
 
     def _hear(self, counter: int | None) -> None:
-        judge, call = self.judge, self._call
-        judge.overflow, judge.periods = self._overflow.value, self._periods.value
-        if not judge.clock.period_s:
-            judge.clock.nominal_s = self._interval.nominal_s
-        self._extra_came = judge.extra_came
-        self._verdict = judge.sync(call.received, call.is_stamped, counter)
+        syncs, call = self.syncs, self._call
+        syncs.overflow, syncs.periods = self._overflow.value, self._periods.value
+        if not syncs.clock.period_s:
+            syncs.clock.nominal_s = self._interval.nominal_s
+        self._extra_came = syncs.extra_came
+        self._verdict = syncs.sync(call.received, call.is_stamped, counter)
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
         """Before anything is done with a SYNC: is it on the bus for the first time, and were others missed?
@@ -160,19 +161,19 @@ class Pairing(ProcessData):
         """
         self._hear(counter)
         verdict, parts = self._verdict, self._input
-        if verdict is NOTHING_TO_REPORT and not (parts.is_synchronous or self.judge.is_open):  # as usual
+        if verdict is NOTHING_TO_REPORT and not (parts.is_synchronous or self.syncs.is_open):  # as usual
             return True
         if verdict.extra:
             _count(self._duplicate_syncs)
             self.extra = not verdict.repeated
             self._stale |= self.extra and parts.is_synchronous and not parts.timed  # whose it is, is open
-            if self.extra and self._chain.slips(self.judge.extra_after):
+            if self.extra and self._chain.slips(self.syncs.extra_after):
                 self._publishing.withhold()  # the position is that of the SYNC before
             return self.extra
         if parts.is_synchronous and parts.is_ambiguous and not parts.timed:
             self.count_bad_frame()
             self._stale = True
-        if verdict.lost or verdict.doubt or self.judge.is_open:
+        if verdict.lost or verdict.doubt or self.syncs.is_open:
             self._publishing.withhold()
             self._stale |= parts.is_synchronous
         if verdict.confirmed is not None and not self.timed:
@@ -203,17 +204,17 @@ class Pairing(ProcessData):
             if extrapolates:  # no sample belongs to it, and so none is extrapolated to it
                 self._publishing.withhold()
             return False
-        parts, judge = self._input, self.judge
+        parts, syncs = self._input, self.syncs
         if self._second.number is not None:
-            self._second.interval_over(not (self._verdict.lost or judge.is_open or self._extra_came))
+            self._second.interval_over(not (self._verdict.lost or syncs.is_open or self._extra_came))
         if parts.arrived and parts.give_up():
             self.count_bad_frame()
         if not self._sample_came and self.sampled:
             if self._tracks_came:  # without the rest of the sample
-                judge.drop()
+                self.judge.drop()
                 self._miss(1, now)
             elif parts.is_synchronous and self._synced and self._source is None:
-                judge.unanswered()
+                syncs.give_up()
                 self._miss(1, now)
         self._sample_came = self._tracks_came = self._stale = False
         self._synced = True
@@ -241,10 +242,10 @@ class Pairing(ProcessData):
 
     def overdue(self, now: float) -> bool:
         """No SYNC and no sample for 2010:06 periods; False where the length of a period is not known."""
-        judge = self.judge
-        missed = judge.overdue(now)
+        syncs = self.syncs
+        missed = syncs.overdue(now)
         if not self.sampled:
-            judge.until = NEVER
+            syncs.until = NEVER
         if not missed or not self.sampled:
             return False
         self._miss(missed, now)
@@ -300,7 +301,7 @@ class Pairing(ProcessData):
             return passed
         self.count_bad_frame()
         if passed is Refusal.ANOTHER:
-            explained = judge.extra_came or self._stages.repeats(*self._input.tracks)
+            explained = self.syncs.extra_came or self._stages.repeats(*self._input.tracks)
             if not explained:
                 self._lose_count(1.0, now)
             elif judge.next_is_due(call.received) and self._chain.slips(1.0):
@@ -336,13 +337,13 @@ class Pairing(ProcessData):
 
     def _timed(self, sample: Sample, now: float) -> bool:
         """By its time a sample is the next one, whatever was received when."""
-        call, judge = self._call, self.judge
+        call, syncs = self._call, self.syncs
         received_s, synced_s = self._receptions()
         if not self._synced and self._source is None:
-            judge.sync(call.received, call.is_stamped, None)  # each sample is its own
-        came = self._take_timed(sample, received_s, synced_s, judge.extra_came, now)
+            syncs.sync(call.received, call.is_stamped, None)  # each sample is its own
+        came = self._take_timed(sample, received_s, synced_s, syncs.extra_came, now)
         if came:
-            judge.answered_last_sync()
+            self.judge.answered_last_sync()
         return came
 
     def _receptions(self) -> tuple[float | None, float | None]:
@@ -351,21 +352,21 @@ class Pairing(ProcessData):
         Without receive times the first is None, the second the time of the call of the SYNC. The second is
         None where it is open which SYNC it answers, and both are for a synchronous RPDO and for a source.
         """
-        call, judge = self._call, self.judge
+        call, syncs = self._call, self.syncs
         if self._input.is_synchronous or self._source is not None:
             return None, None
         received_s = call.received if call.is_stamped else None
-        if self._synced and judge.stamped == call.is_stamped and not judge.extra_came:
-            return received_s, judge.synced_s
+        if self._synced and syncs.stamped == call.is_stamped and not syncs.extra_came:
+            return received_s, syncs.synced_s
         return received_s, None  # which SYNC it answers is open
 
     def _sample_source(self, source: LocalSource, now: float) -> None:
         """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
         self.sampled = True
-        self.judge.sampled = True
+        self.syncs.count.sampled = True
         sample = source.next(now)
         if sample is None:
-            self.judge.unanswered()
+            self.syncs.give_up()
             self._miss(1, now)
         else:
             self._complete(sample, now)

@@ -56,8 +56,8 @@ class Sampling:
             return f"{CONFIRMING_SAMPLES} samples must confirm it after the pause"
         if self._chain.gap:
             return "frames were dropped while others waited: the next SYNCs show whether the times are right"
-        if self._judge.is_open:
-            late_ms = self._judge.late_s * 1e3
+        if self._judge.syncs.is_open:
+            late_ms = self._judge.syncs.late_s * 1e3
             return f"SYNC {late_ms:.3g} ms late, one may have been missed: the next SYNCs decide"
         if self._chain.searches:
             return "the sample times do not confirm yet that the machine stood at the start"
@@ -72,7 +72,7 @@ class Sampling:
         if not self._pairing.overdue(now):
             self._publishing.outdated(now)
         if self._chain.lost:
-            self._judge.until = NEVER
+            self._judge.syncs.until = NEVER
 
     def uncounted(self, now: float) -> None:
         """The bus is gone: SYNCs are not counted, and the position is lost."""
@@ -83,9 +83,9 @@ class Sampling:
     def pause(self, now: float) -> None:
         """OPERATIONAL ends: nobody counts, and what can be read by SDO is not valid any more."""
         self._publishing.withhold()
-        judge = self._judge
-        self._paused_s = judge.synced_s if judge.begun else now
-        judge.pause()
+        syncs = self._judge.syncs
+        self._paused_s = syncs.synced_s if syncs.begun else now
+        self._judge.pause()
 
     def resume(self, now: float) -> None:
         """OPERATIONAL, for the first time or again: nothing was counted meanwhile."""

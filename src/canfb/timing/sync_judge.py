@@ -49,7 +49,10 @@ from enum import IntEnum
 from math import inf, isfinite
 from typing import NamedTuple
 
+from canfb.timing.answer_delay import SOONEST, AnswerDelay
+from canfb.timing.since_sample import MOST_INTERVALS, SinceSample
 from canfb.timing.sync_clock import EARLIEST, LEAST_PERIOD_S, SAME_PERIOD, SyncClock, is_regular
+from canfb.timing.sync_verdict import EXTRA, NOTHING_TO_REPORT, REPEATED, SyncVerdict
 
 LEAST_EARLY = 0.15
 WHOLE = 0.85
@@ -59,32 +62,7 @@ PACED = 2
 RELOCK = 6
 MOST_OPTIONS = 4
 UNSETTLED_S = 0.5
-MOST_INTERVALS = 1 << 20  # more are as good as lost
-
-
-class SyncVerdict(NamedTuple):
-    """What a SYNC shows.
-
-    missed     samples that are missing for certain, and were not reported yet
-    extra      no sample is to be expected for it
-    repeated   the same SYNC twice, by its counter: nothing is to be done with it
-    lost       SYNCs before it that were not received
-    confirmed  the one of the last set of intervals that was true, None: not known
-    doubt      so many intervals may or may not have passed, and nothing will show it; 0.0: none. Less than
-               half of one is a step of the grid
-    """
-
-    missed: int = 0
-    extra: bool = False
-    repeated: bool = False
-    lost: int = 0
-    confirmed: float | None = None
-    doubt: float = 0.0
-
-
-NOTHING_TO_REPORT = SyncVerdict()  # which a late or early SYNC may have, too
-EXTRA = SyncVerdict(extra=True)
-REPEATED = SyncVerdict(extra=True, repeated=True)
+ROUNDING = 1e-6  # of the period: a PDO in the same call as its SYNC is not early by that
 
 
 class Zone(IntEnum):
@@ -114,11 +92,54 @@ class SyncJudge:
     """Judges SYNCs by their times, seconds, any numbers; ``stamped`` says that the bus gave the time.
 
     ``until`` is the time after which the position is not valid without another SYNC (where there is none,
-    another sample), inf while nothing is expected. ``synced_s`` is when the last SYNC was received.
+    another sample), inf while nothing is expected. ``synced_s`` is when the last SYNC was received. ``delay``
+    is that of the samples that answer; without samples there is none.
     """
 
-    def __init__(self) -> None:
+    # More than 30 attributes in a dict cost each frame 3 % of a cycle.
+    __slots__ = (
+        "_assumed",
+        "_counter",
+        "_debt",
+        "_delay",
+        "_gap",
+        "_high_s",
+        "_low_s",
+        "_next_counter",
+        "_offered",
+        "_paced",
+        "_received_s",
+        "_set",
+        "_soon",
+        "_spare_s",
+        "_sparse",
+        "_streak",
+        "_table",
+        "_unclear",
+        "_uneven",
+        "_wait_s",
+        "before_s",
+        "begun",
+        "clock",
+        "count",
+        "early",
+        "extra_after",
+        "extra_came",
+        "is_open",
+        "late_s",
+        "on_followed",
+        "overflow",
+        "periods",
+        "stamped",
+        "synced_s",
+        "until",
+    )
+
+    def __init__(self, delay: AnswerDelay | None = None) -> None:
         self.clock = SyncClock()
+        self.count = SinceSample()
+        """What has passed since the last sample."""
+        self._delay = AnswerDelay() if delay is None else delay
         self.overflow = 0
         """SYNC counter overflow (1019h)."""
         self.periods = 2
@@ -144,29 +165,23 @@ class SyncJudge:
         self.clock.pause()
         self.until = inf
         self.begun = False
-        self.sampled = False
-        """A sample came since."""
         self.extra_came = False
         """Since the last SYNC: the interface may answer it."""
         self.extra_after = 0.0
         """Periods from the last SYNC to the extra one."""
-        self.synced_s = self._received_s = self._before_s = 0.0  # the last one, any, that before the last one
+        self.synced_s = self._received_s = 0.0  # the last one, any
+        self.before_s = 0.0
+        """When the SYNC before the last one was received."""
         self.stamped = False
         """The time of the last SYNC is that at which it was on the bus."""
+        self.count.begin()
         self._counter: int | None = None
         self._next_counter: int | None = None
-        self._since = 0  # periods from the last sample to the last SYNC
-        self._answered, self._before_open = True, False
-        self._usual = False  # the last SYNC was usual, and is not answered yet
         self._gap = False  # SYNCs were missing, and none was on its grid since
         self._streak: list[float] = []
         self._sparse: list[float] = []  # in a row, each after a longer interval
         self._assumed = 0  # SYNCs after the last one, as if they had been received
         self._uneven = False  # extra SYNCs came, and it may be another rate
-        self._slack = 0  # intervals that the next sample may be further from the last one
-        self._earlier = 0  # of these, because the last one may have answered the SYNC before the last
-        self._lowest: float | None = None  # of its intervals, if it was not
-        self._error = self._error_before = 0.0  # of the instant of this SYNC, and of the last sample, periods
         self.late_s = 0.0
         """How late the last SYNC was that opened the question whether others are missing."""
         self._close()
@@ -182,36 +197,39 @@ class SyncJudge:
 
     def _look_ahead(self) -> None:
         """Which of the next SYNCs need no judgement."""
-        clock, period = self.clock, self.clock.period_s
-        self._early = min(EARLIEST, max(LEAST_EARLY, clock.jitter))
+        clock, count, period = self.clock, self.count, self.clock.period_s
+        # How early a SYNC may be, periods.
+        self.early = min(EARLIEST, max(LEAST_EARLY, clock.jitter))
         self._soon = max(LEAST_EARLY, clock.deviations.early)
         self._wait_s = period or UNSETTLED_S
         self._spare_s = clock.jitter * period  # a SYNC is not overdue before that
         self._low_s, self._high_s = inf, -inf
-        busy = self.is_open or self._streak or self._error or self._gap or self._slack or self._before_open
-        if period and not (busy or self._sparse or self._error_before):
-            self._low_s, self._high_s = -min(self._early, self._soon) * period, HALF * period
+        busy = self.is_open or self._streak or self._gap or self._sparse or count.slack or count.before_open
+        if period and not (busy or count.error or count.error_before):
+            self._low_s, self._high_s = -min(self.early, self._soon) * period, HALF * period
             if self.stamped:  # the time says both sides
                 self._low_s, self._high_s = -clock.jitter * period, clock.jitter * period
+            # One so early that its answer may be sooner than any is looked at, and so is that.
+            spare_s = (1.0 / SOONEST - 1.0) * self._delay.low_s
+            self._low_s = max(self._low_s, -max(spare_s, ROUNDING * period))
 
     def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
         """A SYNC at ``time_s`` with its ``counter``, None without one."""
-        clock = self.clock
+        clock, count = self.clock, self.count
         error = time_s - clock.due_s
         if (
             self._low_s < error < self._high_s
-            and self._answered
+            and count.answered
             and counter == self._next_counter
             and stamped == self.stamped
         ):
             clock.due_s += clock.period_s
-            self._before_s = self.synced_s
+            self.before_s = self.synced_s
             self.synced_s = self._received_s = time_s
             if counter is not None:
                 self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
             self.until = time_s + self.periods * self._wait_s + self._spare_s
-            self._answered = False
-            self._usual, self._since = True, 1
+            count.answered, count.usual, count.intervals = False, True, 1
             errors = clock.errors
             errors.append(error)
             return self._follow(time_s, stamped) if len(errors) >= clock.together else NOTHING_TO_REPORT
@@ -267,7 +285,7 @@ class SyncJudge:
         clock, period = self.clock, self.clock.period_s
         lag = min((time_s - clock.due_s) / period, float(MOST_INTERVALS))
         apart = (time_s - self._received_s) / period
-        early = lag <= -self._early and apart < WHOLE
+        early = lag <= -self.early and apart < WHOLE
         if early and counted == modulus - 1:
             return Zone.EARLY, _Sync(time_s, stamped, counter, apart, 0, lag, 0)
         if stamped:
@@ -276,7 +294,7 @@ class SyncJudge:
             wraps = -1 if counted == modulus - 1 > 0 and lag < counted - HALF else 0
         lost = counted + wraps * modulus
         off = lag - lost
-        behind = 0 if stamped else max(0, int((off + self._early) // modulus) * modulus)
+        behind = 0 if stamped else max(0, int((off + self.early) // modulus) * modulus)
         sync = _Sync(time_s, stamped, counter, apart, max(0, lost), off, behind)
         if lost < 0:
             return Zone.EARLY if early and modulus == 1 else Zone.AGAINST, sync
@@ -289,24 +307,16 @@ class SyncJudge:
     def _take(self, sync: _Sync, doubt: float = 0.0, confirmed: float | None = None) -> SyncVerdict:
         """Count this SYNC, and those before it that were not received."""
         clock, lost = self.clock, sync.lost
-        missed = lost + (not self._answered) if self.sampled else 0
-        missed = max(0, missed + min(0, self._since))  # the last sample may have answered some of them
-        self._before_open = self.sampled and (not self._answered or lost > 0)
+        missed, shown = self.count.add(lost, sync.behind > 0)
+        confirmed = confirmed or shown
         if clock.period_s and self.begun:
             clock.due_s += (1 + lost) * clock.period_s
-        self._since = min(self._since + 1 + lost, MOST_INTERVALS)
-        if not lost and not sync.behind:  # what came before this SYNC answers none after the one before
-            self._since += self._slack - self._earlier
-            self._slack, confirmed = self._earlier, confirmed or self._lowest
-        else:  # it may have answered one of those that were not received
-            self._earlier = self._slack
-        self._lowest, self._assumed = None, 0
-        self._uneven, self._error = False, 0.0
+        self._assumed, self._uneven = 0, False
         self._gap = lost > 0 or (self._gap and abs(sync.off) > clock.jitter)
-        self._before_s, self.synced_s, self._received_s = self.synced_s, sync.time_s, sync.time_s
+        self.before_s, self.synced_s, self._received_s = self.synced_s, sync.time_s, sync.time_s
         self._count_from(sync.counter)
         self.stamped, self.begun = sync.stamped, True
-        self._answered = self._usual = self.extra_came = False
+        self.extra_came = False
         self.until = sync.time_s + self.periods * self._wait_s + self._spare_s
         if not (missed or doubt or lost) and confirmed is None:
             return NOTHING_TO_REPORT
@@ -321,17 +331,17 @@ class SyncJudge:
         if self._streak:
             streak = [*self._streak, sync.time_s]
             another_rate = not sync.stamped and len(streak) > 2 and clock.is_left_by(streak)
-            on_grid = abs(sync.apart - 1 - sync.lost) <= clock.jitter and abs(sync.off) <= self._early
+            on_grid = abs(sync.apart - 1 - sync.lost) <= clock.jitter and abs(sync.off) <= self.early
             if on_grid and not another_rate:
                 self._streak.clear()
             elif self._goes_on(sync.time_s):
                 return self._set_again(sync, self._streak)
         verdict = self._take(sync)
-        self._uneven = bool(self._streak) and (another_rate or sync.off > self._early)
+        self._uneven = bool(self._streak) and (another_rate or sync.off > self.early)
         if self._streak and sync.stamped:  # one that was expected, by chance: others before it were not
-            self._error = abs(sync.apart - 1 - sync.lost)
+            self.count.error = abs(sync.apart - 1 - sync.lost)
         elif not sync.stamped and sync.off < -self._soon:
-            self._error = -sync.off
+            self.count.error = -sync.off
         if not self._streak and (sync.stamped or sync.off < 1.0):
             clock.errors.append(sync.off * clock.period_s)
             if len(clock.errors) >= clock.together:
@@ -355,7 +365,7 @@ class SyncJudge:
         if self._goes_on(sync.time_s):
             return self._set_again(sync, self._streak, doubt=abs(sync.off))
         verdict = self._take(sync, confirmed=confirmed)
-        self._error = abs(sync.off)
+        self.count.error = abs(sync.off)
         return verdict
 
     def _extra(self, sync: _Sync) -> SyncVerdict:
@@ -384,10 +394,10 @@ class SyncJudge:
         modulus = self._turn(sync)
         verdict = self._take(sync)
         self.is_open, self._debt, self.late_s = True, sync.behind, sync.off * self.clock.period_s
-        first, most = float(max(1, self._since)), sync.behind // modulus
+        first, most = float(max(1, self.count.intervals)), sync.behind // modulus
         uneven = max(sync.off - sync.behind, abs(sync.apart - 1 - sync.lost - sync.behind))
-        self._unclear = most + 1 > MOST_OPTIONS or uneven > self._early or sync.is_between
-        self._unclear |= self._slack > 0  # the last sample may have answered one of those that are missing
+        self._unclear = most + 1 > MOST_OPTIONS or uneven > self.early or sync.is_between
+        self._unclear |= self.count.slack > 0  # the last sample may have answered one of these
         self._set = tuple(first + n * modulus for n in range(min(most + 1, MOST_OPTIONS)))
         return verdict
 
@@ -402,7 +412,7 @@ class SyncJudge:
             return self._take(sync)
         more, unclear = sync.behind, self._unclear
         confirmed = self._set[0] + more if self._offered and not unclear else None
-        doubt = float(more) if unclear and self.sampled else 0.0
+        doubt = float(more) if unclear and self.count.sampled else 0.0
         self._close()
         if confirmed is None and not doubt:  # no sample has come yet: these are missed like any others
             return self._take(sync._replace(lost=sync.lost + more))
@@ -431,10 +441,10 @@ class SyncJudge:
         changed = abs(self.clock.period_s - before_s) > SAME_PERIOD * before_s
         return verdict._replace(doubt=max(1.0, self.clock.period_s / before_s) if changed else doubt)
 
-    def _advance(self, intervals: int) -> None:
+    def advance(self, intervals: int) -> None:
         """So many SYNCs came since the last one, and were not received."""
         clock = self.clock
-        self._since = min(self._since + intervals, MOST_INTERVALS)
+        self.count.pass_by(intervals)
         self._assumed += intervals
         self.synced_s += intervals * clock.period_s
         clock.due_s += intervals * clock.period_s
@@ -444,6 +454,31 @@ class SyncJudge:
             self._count_from((self._counter - 1 + intervals) % self.overflow + 1)
         self.until = self.synced_s + self.periods * self._wait_s + self._spare_s
         self._look_ahead()
+
+    # What its sample needs.
+
+    def settle(self, options: tuple[float, ...], certain: bool) -> tuple[tuple[float, ...], bool]:
+        """The intervals of a sample, and whether they are ``certain``, with what is open about its SYNC."""
+        certain = certain and not self._uneven
+        if not self.is_open:
+            return options, certain
+        certain = certain and not (self._offered or self._unclear)
+        if not self._offered and len(options) == 1:
+            options = self._set
+        self._offered = True
+        return options, certain
+
+    def sample_came(self, was_answered: bool) -> None:
+        """A sample that was not usual; ``was_answered``: another one came for the last SYNC before it."""
+        if was_answered:  # an interval without a SYNC that was received
+            self._sparse.clear()
+        if self._high_s == -inf or self.count.slack or self.count.error_before:
+            self._look_ahead()
+
+    def give_up(self) -> None:
+        """The last SYNC has no sample, which was reported already."""
+        self.count.answered, self.count.usual = True, False
+        self._high_s = -inf  # the next SYNC adds to the intervals since the last sample
 
     def overdue(self, now: float) -> int:
         """Samples that are missing by ``now``, without a SYNC or a sample; they count as missed from here on.
@@ -455,9 +490,9 @@ class SyncJudge:
             self.until = inf
             return 0
         passed = max(1, min(int((now - self.synced_s) / period + 1e-6) - 1, MOST_INTERVALS))
-        missed = passed + (not self._answered)
-        self._advance(passed)
-        self._answered = self._before_open = True
-        self._high_s = -inf  # the next one is looked at
+        missed = passed + (not self.count.answered)
+        self.advance(passed)
+        self.count.before_open = True
+        self.give_up()
         self.until = max(self.synced_s + 2.0 * period, now + period)  # after more than MOST_INTERVALS
-        return missed if self.sampled else 0
+        return missed if self.count.sampled else 0

@@ -16,7 +16,7 @@ from fnmatch import fnmatch
 
 from canfb import Frame
 from canfb.timing.judge import Judge, Passed, Refusal
-from canfb.timing.sync_judge import SyncVerdict
+from canfb.timing.sync_verdict import SyncVerdict
 from tools.faults.wire.classes import CLASSES
 from tools.faults.wire.host import drive
 from tools.faults.wire.line import Event, Line, Plan, lay
@@ -37,8 +37,8 @@ class JudgedModule:
         self._events = iter(line.events)
         self.judge = judge = Judge()
         options = plan.options
-        judge.overflow = options.overflow if plan.setup.counter else 0
-        judge.clock.nominal_s = options.interval_s * options.period_factor if options.period else 0.0
+        judge.syncs.overflow = options.overflow if plan.setup.counter else 0
+        judge.syncs.clock.nominal_s = options.interval_s * options.period_factor if options.period else 0.0
         self.wrong: list[str] = []
         self._past: list[tuple[float, float, float]] = []  # given, true, error
         self._given = self._uncertain = 0.0
@@ -46,11 +46,11 @@ class JudgedModule:
 
     def deadline(self) -> float | None:
         """As of a module."""
-        return None if self.judge.until == float("inf") else self.judge.until
+        return None if self.judge.syncs.until == float("inf") else self.judge.syncs.until
 
     def tick(self, now: float) -> list[Frame]:
         """As of a module."""
-        self.judge.overdue(now)
+        self.judge.syncs.overdue(now)
         return []
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
@@ -59,7 +59,7 @@ class JudgedModule:
         stamped = frame.timestamp is not None
         time_s = now if frame.timestamp is None else frame.timestamp
         if event.what == "sync" and len(frame.data) == self._plan.setup.counter:
-            self._sync(self.judge.sync(time_s, stamped, frame.data[0] if frame.data else None), event)
+            self._sync(self.judge.syncs.sync(time_s, stamped, frame.data[0] if frame.data else None), event)
         elif event.what == "pdo":
             self._sample(self.judge.answer(time_s, stamped), event, stamped)
         return []
@@ -74,18 +74,18 @@ class JudgedModule:
             if abs(verdict.confirmed - self._set_true) > WHOLE:
                 self.wrong.append(f"{event.time:.2f} T: {verdict}, was {self._set_true:.3f}")
             self._set_true = None
-        if not self.judge.is_open and abs(self._uncertain) > WHOLE:
+        if not self.judge.syncs.is_open and abs(self._uncertain) > WHOLE:
             self.wrong.append(f"{event.time:.2f} T: not open any more, off by {self._uncertain:.3f}")
             self._uncertain = 0.0
 
     def _sample(self, passed: Passed | Refusal, event: Event, stamped: bool) -> None:
         judge = self.judge
         if isinstance(passed, Refusal):
-            if passed is Refusal.ANOTHER and not judge.extra_came:
+            if passed is Refusal.ANOTHER and not judge.syncs.extra_came:
                 self._forget()
             return
         interval_s = self._plan.options.interval_s
-        ratio = (judge.clock.period_s or interval_s) / interval_s
+        ratio = (judge.syncs.clock.period_s or interval_s) / interval_s
         if abs(ratio - 1.0) > ANOTHER_RATE:
             self._forget()
         true, error = self._true(event, stamped), passed.instant_error
