@@ -173,6 +173,9 @@ def read(entry: object) -> str:
 
 @pytest.mark.parametrize("times", [False, True])
 @given(happenings=happenings, speed=st.floats(0.05, 0.4))
+@example(  # the pace of the interface passes a limit in a usual sample
+    happenings=[("lost SYNC", 0.0), ("run", 0.0), ("run", 0.0), ("run", 0.0)], speed=0.25
+)
 @example(  # the interval of SYNC changes by less than a limit, by more than the delay of the cosine bears
     happenings=[("missed", 0.0), ("cosine delay", 0.0), ("missed", 0.0), ("run", 0.0)], speed=0.25
 )

@@ -143,7 +143,7 @@ class SampleTimes:
             abs(intervals - 1.0) > NOMINAL
             or off_s > (jitter.limit_s if proved else jitter.ever_s)
             or off_s > LINE_PART * unit
-            or abs(period * TICK_S - unit) > SAME_PACE * unit
+            or abs(period * TICK_S - unit) > SAME_PACE * period * TICK_S  # as in _follow_pace
         ):
             return 0.0
         late_s = 0.0
