@@ -81,7 +81,6 @@ MUTATIONS = [
     # objects and entries
     ("2011sub0", "highest sub-index", put("2011sub0", "DefaultValue", "9")),
     ("1016sub2", "CiA 301 gives it DataType=0x0007", put("1016sub2", "DataType", "0x0006")),
-    ("1016", "have one data type", put("1016sub2", "DataType", "0x0006")),
     ("1018", "CiA 301 gives it ObjectType=0x9", put("1018", "ObjectType", "0x8")),
     ("1800sub2", "CiA 301 gives it DataType=0x0005", put("1800sub2", "DataType", "0x0006")),
     ("2012", "not one of ours", put("2012", "ObjectType", "0x5")),
@@ -128,7 +127,6 @@ MUTATIONS = [
     ("1400sub2", "no transmission type of a RPDO", put("1400sub2", "DefaultValue", "252")),
     ("1A00", "does not count 0..8", put("1A00sub0", "DefaultValue", "9")),
     ("1A00sub0", "writable or not", put("1A00sub0", "AccessType", "ro")),
-    ("1A00sub1", "6004h:00 has 32 bits, mapped are 16", put("1A00sub1", "DefaultValue", "0x60040010")),
     ("1A00sub1", "6005h:00 does not exist", put("1A00sub1", "DefaultValue", "0x60050020")),
     ("1A00sub1", "2000h:05 must not be mapped into a TPDO", put("1A00sub1", "DefaultValue", "0x20000520")),
     ("1600sub1", "2011h:01 must not be mapped into a RPDO", put("1600sub1", "DefaultValue", "0x20110110")),

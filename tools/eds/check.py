@@ -156,7 +156,7 @@ def check_objects(eds: Eds) -> Iterator[Finding]:
         kind, subs = section.object_type, eds.subs(index)
         yield from _check_name(section)
         if kind in (ARRAY, RECORD):
-            yield from _check_subs(index, section, subs)
+            yield from _check_subs(index, subs)
         elif kind not in (VAR, DOMAIN):
             yield Finding(section.name, f"ObjectType={section.text('ObjectType')} is not one of ours")
         elif subs:
@@ -165,9 +165,7 @@ def check_objects(eds: Eds) -> Iterator[Finding]:
             yield Finding(section.name, f"CiA 301 gives it ObjectType=0x{standard_kind(index, kind):X}")
 
 
-def _check_subs(index: int, section: Section, subs: dict[int, Entry]) -> Iterator[Finding]:
-    if section.object_type == ARRAY and len({entry.data_type for sub, entry in subs.items() if sub}) > 1:
-        yield Finding(section.name, "the entries of an ARRAY have one data type")
+def _check_subs(index: int, subs: dict[int, Entry]) -> Iterator[Finding]:
     # 1003h:00 counts errors, and :00 of a mapping counts what is mapped: neither is the highest sub-index.
     counts = index == 0x1003 or is_mapping(index)
     if 0 in subs and not counts and subs[0].section.number("DefaultValue") != max(subs):

@@ -75,10 +75,6 @@ def _check_mapped(eds: Eds, kind: str, slot: Entry, value: int) -> Iterator[Find
     else:
         if not entry.mappable or entry.access not in PDO_ACCESS[kind]:
             yield Finding(slot.section.name, f"{name} must not be mapped into a {kind}")
-        if bits != BITS.get(entry.data_type):
-            yield Finding(
-                slot.section.name, f"{name} has {BITS.get(entry.data_type)} bits, mapped are {bits}"
-            )
         if bits < (eds.section("DeviceInfo").number("Granularity") or 0):
             yield Finding(slot.section.name, f"{name} is shorter than Granularity")
 
