@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from canfb.cli.main import main
+from canfb.planning import plan_rows
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "local-adc.md").read_text(encoding="utf-8")
@@ -26,9 +27,13 @@ def holds(rpm: float, cycles: int, phase_error: float, capsys: pytest.CaptureFix
     return bool(result["holds"])
 
 
-def test_the_speeds_are_those_of_the_plan(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_speeds_are_those_of_the_plan(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """0.0125 + v (e + d / 2) cycles: each speed holds, and one a tenth higher does not."""
     assert main(PLAN) == 0
+    # The faults that are simulated have no part in whether it holds, and take nearly all of the time.
+    monkeypatch.setattr(plan_rows, "fault_coverage", lambda window: [])
     capsys.readouterr()
     rows = re.findall(r"^\| (\d+) µs \| (\d+) µs \| (\d+) \| (\d+) \|", PAGE, re.M)
     assert len(rows) == 6

@@ -77,12 +77,15 @@ def test_a_long_interval_costs_nothing_where_one_count_fits() -> None:
     assert kept >= 0.8 * long
 
 
-@pytest.mark.parametrize("most", [0.05, 0.15, 0.28])
+@pytest.mark.parametrize(("most", "seeds"), [(0.05, 20), (0.15, 60), (0.28, 15)])
 @pytest.mark.parametrize("is_declared", [False, True])
-def test_a_valid_position_behind_long_intervals_is_right(most: float, is_declared: bool) -> None:
-    """All that the usual residual limit allows, with intervals that are often long."""
+def test_a_valid_position_behind_long_intervals_is_right(most: float, seeds: int, is_declared: bool) -> None:
+    """All that the usual residual limit allows, with intervals that are often long.
+
+    A LONG_INTERVAL of 1.55 is wrong for one seed of 20 at 0.15, and for none of 60 at the others.
+    """
     long = 0
-    for seed in range(60):
+    for seed in range(seeds):
         named = {"acceleration": most} if is_declared else {}
         intervals, _, wrong = play(np.random.default_rng((seed, 2)), most, 0.25, **named)
         assert not wrong, seed

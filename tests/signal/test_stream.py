@@ -209,12 +209,13 @@ def test_a_stream_gives_the_bits_of_single_samples(
 def test_each_fault_in_a_long_block(fault: Fault, length: int) -> None:
     """The position recovers where the fault was short, and both ways agree on it."""
     rng = np.random.default_rng(length)
-    n = BLOCK_SAMPLES + 3000
-    sine, cosine = tracks_at(np.cumsum(0.4 * np.sin(np.arange(n) * 1e-3)))
-    for at in (1000, BLOCK_SAMPLES - 2, BLOCK_SAMPLES + 700):
+    part = 3000  # of a block, in place of BLOCK_SAMPLES
+    sine, cosine = tracks_at(np.cumsum(0.4 * np.sin(np.arange(2 * part) * 1e-3)))
+    for at in (1000, part - 2, part + 700):
         fault(sine, cosine, slice(at, at + length), rng)
     wanted = one_by_one(sine, cosine, ChainConfig())
-    assert_same(in_blocks(sine, cosine, ChainConfig()), wanted)
+    with patch.object(stream, "BLOCK_SAMPLES", part):
+        assert_same(in_blocks(sine, cosine, ChainConfig()), wanted)
     assert wanted.valid[:1000].all()
     if fault in (both_dead, no_number):
         assert not wanted.valid[1000]

@@ -28,7 +28,7 @@ from tools.soak.parts import SlowStore, Truths
 from tools.soak.setups import SETUPS
 from tools.soak.world import Findings, World
 
-CYCLES = 4000
+CYCLES = 2000
 BY_NAME = {one.name: one for one in SETUPS}
 HAPPENS = sorted({(name, setup.name) for setup in SETUPS for name in disturbances_of(setup)})
 ONCE = dict(HAPPENS)  # each disturbance in one of the set-ups that have it
