@@ -169,7 +169,7 @@ def test_a_multiplexer(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_what_fails_leaves_everything_as_it_was() -> None:
     """The encoder changes between measurement and proof."""
-    made = bench()
+    made = bench(rpm=(61.0, 3001.0))
     before = read_active(made.access)
     changed: list[bool] = []
 
@@ -183,7 +183,7 @@ def test_what_fails_leaves_everything_as_it_was() -> None:
     with pytest.raises(
         CommissioningError, match=r"predicted.*the previous table and conditioning are active"
     ):
-        calibrate(made)
+        calibrate(made, speeds="61,3001")
     assert changed
     assert read_active(made.access) == before
     assert read_corners(made.access) == NO_LOW_PASS

@@ -82,8 +82,8 @@ def test_vibration_is_followed(size_cycles, frequency_hz):
     goal = 0.002 if frequency_hz < 100.0 else 0.01
     rng = np.random.default_rng(int(1000 * size_cycles))
     encoder = random_encoder(rng, 0.5)
-    position = wandering(2000.0, rng, 10.0)
-    position += size_cycles * np.sin(2.0 * np.pi * frequency_hz * _time(10.0))
+    position = wandering(2000.0, rng, 6.0)
+    position += size_cycles * np.sin(2.0 * np.pi * frequency_hz * _time(6.0))
     _check(calibrate_from_motion(*encoder.sample(position, rng)), encoder, goal * PERCENT)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -138,15 +139,21 @@ def test_other_conditionings_need_the_tracks(measured: Calibration) -> None:
         drift(old, measured.table, Conditioning(1.0))
 
 
+@cache
+def commissioned(make: Callable[..., Encoder]) -> tuple[Encoder, Calibration]:
+    rng = np.random.default_rng(3)
+    encoder = make(rng, 0.5)
+    return encoder, calibrate_from_motion(*encoder.sample(wandering(300.0, rng, 8.0), rng), "fit")
+
+
 @pytest.mark.parametrize("make", [random_encoder, extreme_encoder])
 @pytest.mark.parametrize("conditioning", [None, "fit"])
 def test_measurements_of_one_encoder_differ_by_their_uncertainty(
     make: Callable[..., Encoder], conditioning: Literal["fit"] | None
 ) -> None:
     rng = np.random.default_rng(3)
-    encoder = make(rng, 0.5)
-    first = calibrate_from_motion(*encoder.sample(wandering(300.0, rng, 8.0), rng), "fit")
-    slow = calibrate_from_zero_crossings(*encoder.sample(paper_motion(rng, 4.0), rng), conditioning)
+    encoder, first = commissioned(make)
+    slow = calibrate_from_zero_crossings(*encoder.sample(paper_motion(rng, 2.0), rng), conditioning)
     for again in (
         calibrate_from_motion(*encoder.sample(wandering(900.0, rng, 8.0), rng), conditioning),
         slow,

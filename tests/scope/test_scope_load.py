@@ -118,8 +118,6 @@ def test_what_is_too_large_or_broken_ends_its_own_connection(
         await other.pull()
         for parts in broken:
             connection = await page(where)
-            session = Session(connection)
-            await session.pull()
             with contextlib.suppress(WebSocketClosedError):
                 for part in parts:
                     await connection.write_message(part, binary=isinstance(part, bytes))
