@@ -297,3 +297,15 @@ def test_samples_after_a_sync_that_was_late_and_taken_late_are_no_earlier_ones()
     assert times.elapsed(810_000, 1.0, None, 0.081) == REPEATED, "too near to it"
     assert times.elapsed(820_000, 2.0, None, 0.082) == pytest.approx(1.2, abs=0.01)
     assert times.elapsed(830_000, 1.0, None, 0.083) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("off_ticks", "late_s", "taken"), [(700, 4.5e-5, False), (4000, 4e-4, True)])
+def test_a_host_that_is_later_than_ever_by_a_little_is_no_witness(
+    off_ticks: int, late_s: float, taken: bool
+) -> None:
+    """It was late by up to 40 us. A time off by 70 us is wrong, one off by 0.4 ms is that of a late SYNC."""
+    times = SampleTimes()
+    for n in range(80):
+        times.elapsed(n * PERIOD_TICKS, 1.0, None, n * 1e-3 + 4e-5 * (n % 2), speed_cycles=10.0)
+    got = times.elapsed(80 * PERIOD_TICKS + off_ticks, 1.0, None, 0.08 + late_s, speed_cycles=10.0)
+    assert (got > 0.0) is taken

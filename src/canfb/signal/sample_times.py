@@ -223,7 +223,7 @@ class SampleTimes:
         agrees = error_s <= SPARE_S + SPARE_PART * unit
         nominal = abs(intervals - counted) <= NOMINAL  # also where a simulation is slower than true time
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
-        witnessed = intervals >= CLOSEST and self._is_witnessed(ticks, counted, synced_s)
+        witnessed = intervals >= CLOSEST and self._is_witnessed(ticks, counted, received_s, synced_s)
         longer = received_s is None and intervals > counted + SPARE_BEFORE
         if witnessed or (longer and self._may_be_gap(ticks, counted, synced_s)):
             self.passed = intervals
@@ -353,20 +353,23 @@ class SampleTimes:
         waited = late_s > self._heard.ever_s or self._late_s > self._heard.ever_s
         return self._late_spare_s + 2.0 * DRIFT * passed_s if waited else 0.0
 
-    def _is_witnessed(self, ticks: int, counted: float, synced_s: float | None) -> bool:
+    def _is_witnessed(
+        self, ticks: int, counted: float, received_s: float | None, synced_s: float | None
+    ) -> bool:
         """The interval is not ``counted`` long, and both clocks say so: SYNC was late, or some were not sent.
 
         The receptions are further from the count than they ever were from a time, and from this time no
-        further than that. So a host that is late all the time witnesses nothing.
+        further than that. So a host that is late all the time witnesses nothing. Nor does one that is later
+        than ever once, by a little: without receive times they are further by more than is usual.
         """
-        synced_apart_s = self._synced_apart_s(synced_s)
-        if self._heard.learned < LEARNED_SAMPLES or synced_apart_s is None:
+        heard, synced_apart_s = self._heard, self._synced_apart_s(synced_s)
+        if heard.learned < LEARNED_SAMPLES or synced_apart_s is None:
             return False
         if not self._is_off(ticks, counted):
             return False
-        most_s = self._heard.ever_s
+        most_s = heard.limit_s if received_s is None else heard.ever_s
         error_s = abs(ticks * TICK_S - synced_apart_s)
-        return error_s <= most_s < abs(ticks * TICK_S - counted * self.unit_s) - error_s
+        return error_s <= heard.ever_s and most_s < abs(ticks * TICK_S - counted * self.unit_s) - error_s
 
     def _is_explained(self, error_s: float, slip: float, speed_cycles: float) -> bool:
         """Two times in a row are off the line equally, but the receptions were as uneven: no clock was set.
