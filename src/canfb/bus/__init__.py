@@ -1,1 +1,1 @@
-"""Real buses: the only place with a clock, a thread or a socket."""
+"""Real buses: clock, sockets, and the runner of any device."""

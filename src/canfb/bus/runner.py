@@ -56,8 +56,8 @@ log = logging.getLogger(__name__)
 POLL_S = 0.01  # from one look at the computations to the next
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 BUS_RESOLUTION_S = 0.001  # so much earlier a bus may end a wait that is longer
-CLOSE_S = 1e-6  # what an instant may lack by rounding
-LEAST_WAIT_S = 2e-4  # what is not faster than that was waited for
+CLOSE_S = 1e-6  # a queue that is empty so shortly before a deadline is empty at it: rounding
+LEAST_WAIT_S = 2e-4  # without receive times: a read that took so long has waited, and found no queue
 LONGEST_DRAIN_S = 1.0  # how long frames that wait may put off a deadline
 LONGEST_BLIND_DRAIN_S = 0.1  # where they have no receive times, and may have come after it
 
@@ -246,7 +246,7 @@ class Runner:
             self._sleep(BUS_RETRY_S)
 
     def _take_overdue(self, frames: list[Received]) -> None:
-        """The same one by one: a deadline has come, and lies before some of them perhaps."""
+        """As :meth:`_take`, frame by frame: a deadline that is due may lie between two of these frames."""
         for number, frame in enumerate(frames):
             if number:
                 due = self._dispatch.due_s()

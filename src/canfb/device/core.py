@@ -29,6 +29,7 @@ NEVER = float("inf")
 """The deadline of a service that waits for nothing, seconds."""
 
 STAMP_NOISE_S = 1e-3
+"""A receive time may be earlier than the one before by this; by more, the clock was set."""
 
 Emit = Callable[[Frame], None]
 """How a service sends a frame."""

@@ -109,7 +109,7 @@ class Pairing(ProcessData):
         """When the last valid sample with a time was taken."""
         self.doubted: SampleInstant | None = None
         """When the present one was, if it is not valid."""
-        self._set_waited = 0.0  # missed before the last set of intervals
+        self._set_waited = 0.0  # `_waited` at the last sample that had several possible intervals
         self.begin()
 
     def begin(self) -> None:
@@ -124,7 +124,7 @@ class Pairing(ProcessData):
         """The last SYNC counts as none, but PDOs follow it."""
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
         self._verdict = NOTHING_TO_REPORT  # on the last SYNC
-        self._passed: Passed = USUAL  # up to the tracks that have come
+        self._passed: Passed = USUAL  # of the tracks that have come, before the other parts
         self._waited = 0.0  # intervals since the last sample that were reported as missed
         self.judge.pause()
 
@@ -166,7 +166,7 @@ class Pairing(ProcessData):
         if verdict.extra:
             _count(self._duplicate_syncs)
             self.extra = not verdict.repeated
-            self._stale |= self.extra and parts.is_synchronous and not parts.timed  # whose it is, is open
+            self._stale |= self.extra and parts.is_synchronous and not parts.timed  # may answer either
             if self.extra and self._chain.slips(self.syncs.extra_after):
                 self._publishing.withhold()  # the position is that of the SYNC before
             return self.extra

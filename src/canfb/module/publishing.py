@@ -36,8 +36,8 @@ class Publishing:
 
     Status, residual and number of the sample (2011h), 6004h and 6008h are written at once; all else of
     2011h and of the encoder profile is computed when it is read. Then the shift to the nominal SYNC
-    (Prediction) and event-driven TPDOs. One whose status is not that of the last is also counted (2012h),
-    and goes to EMCY 7300h (PositionAlarm), events and warnings.
+    (Prediction) and event-driven TPDOs. One that is flagged or not valid is also counted (2012h), and goes to
+    EMCY 7300h (PositionAlarm); a change of the status word goes to events and warnings.
     """
 
     def __init__(

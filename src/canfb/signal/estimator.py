@@ -94,7 +94,7 @@ class Estimator:
         tracker = self.tracker
         tracker.residual_limit = declared.residual_limit
         usual = declared.usual
-        self._by_line = declared.order == SECOND
+        self._by_line = declared.order == SECOND  # eq. 9: the line through two samples
         self._largest = usual.bounds[0].largest
         self._error, self._instant_error = usual.phase_error, usual.instant_error
         if isinstance(tracker, ThirdOrderTracker):
@@ -331,7 +331,7 @@ class Estimator:
         return counted.residual
 
     def _usual_radius(self, elapsed: float) -> float:
-        """Half the window of a sample in turn, cycles, in closed form; 1 where others narrow it.
+        """Half the window of a sample in turn, cycles, by eq. 9; 1.0 where that alone does not give it.
 
         It is that of the last two samples, eq. 9, the only one unless their interval was short. Narrower
         than a cycle it holds one count at most.

@@ -14,7 +14,7 @@ from canfb.signal.speeds import STANDSTILL_CYCLES, STILL_CYCLES
 from canfb.signal.stages import Stages
 
 FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
-LARGEST_SLIP_CYCLES = 0.15
+LARGEST_SLIP_CYCLES = 0.15  # with the residual limit of 1/3 less than half a cycle
 
 
 class Pauses:

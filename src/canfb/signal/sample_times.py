@@ -39,8 +39,8 @@ REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 class SampleTimes:
     """Turns sample times into elapsed intervals, and judges them.
 
-    ``sync_interval_s`` is the nominal interval of SYNC, seconds; while it is 0.0, that of
-    ``nominal_sync`` takes its place: the interface knows its pace better than anybody who hears of it.
+    ``sync_interval_s`` is the nominal interval of SYNC, seconds, which a module sets for several samples in
+    one; while it is 0.0, that of ``nominal_sync`` takes its place: the interface knows its pace best.
     """
 
     __slots__ = (
@@ -92,12 +92,12 @@ class SampleTimes:
         self._last: int | None = None
         self._received_s: float | None = None  # when that was received
         self._synced_s: float | None = None  # when its SYNC was
-        self._late_s = 0.0  # so late that was taken, at least, where it is not known when it was received
-        self._late_spare_s = 0.0  # and so much later at most, where it waited: by two clocks, meanwhile
+        self._late_s = 0.0  # so late the host took it, at least, by the sample times; 0 with receive times
+        self._late_spare_s = 0.0  # and so much more at most: the drift of two clocks while frames waited
         self._gap_s = 0.0  # the shortest one that only the sample times show, 0.0: none
         self._gap_ever_s = 0.0  # so late a SYNC was at most before it
         self._paced = 0  # SYNCs since that were taken in time, in a row
-        self._odd_s: float | None = None  # a time after that was off by so much
+        self._odd_s: float | None = None  # the deviation of a SUSPECT time after it, seconds
         self._suspect: int | None = None
         self._suspected = 0.0  # intervals counted up to it
         self._earlier: int | None = None  # the last time that was REPEATED

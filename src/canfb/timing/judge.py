@@ -1,8 +1,8 @@
 """The judge: how many intervals may have passed at each sample, and how far its instant may be off.
 
 Time proves little, and this file says no more than that. What the evidence leaves open is handed on as a
-set of possible intervals, and the estimator of the cycle count decides with the phases; what is stamped
-later is confirmed (sync_judge.py). Usually it is one interval, and neither SYNC nor sample needs more than
+set of possible intervals, and the estimator of the cycle count decides with the phases; the next SYNCs may
+show which it was (sync_judge.py). Usually it is one interval, and neither SYNC nor sample needs more than
 a few comparisons.
 
 A sample belongs to a SYNC by its delay (answer_delay.py), and the intervals are those between SYNCs. Sample
@@ -11,7 +11,8 @@ whatever SYNCs were missed or late.
 
 | bound | value | reason |
 |---|---|---|
-| UNRECEIVED | 1.15 period after a SYNC | from there on the next one is overdue by more than its jitter |
+| UNRECEIVED | 1.15 period after a SYNC | the next one is overdue by more than LEAST_EARLY |
+| LATER | 0.6 period after the usual delay | it is nearer to the answer of the next SYNC |
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from canfb.timing.since_sample import MOST_INTERVALS
 from canfb.timing.sync_judge import MOST_OPTIONS, ROUNDING, SyncJudge
 
 UNRECEIVED = 1.15
-LATER = 0.6  # period, than usual: the answer to the next SYNC
+LATER = 0.6
 
 
 class Passed(NamedTuple):
@@ -125,7 +126,7 @@ class Judge:
     def _early_s(self, time_s: float) -> float:
         """How much shorter than a period the interval of a sample is, at least, that is received now.
 
-        It is measured after its SYNC, and sent no sooner after that than any. So the interval is no longer
+        It was measured the shortest delay before that time at the latest. So the interval is no longer
         than from the SYNC before to that time; and one that is measured before its SYNC was due is not that
         of a timer. If the last one was off itself, and so was not used, the grid is what is left.
         """

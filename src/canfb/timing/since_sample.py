@@ -48,7 +48,7 @@ class SinceSample:
         self.earlier = 0
         """Of these, because the last one may have answered the SYNC before the last."""
         self.lowest: float | None = None
-        """Of the intervals of the last sample, if it was not so."""
+        """The fewest of the last sample: right unless it answered a later SYNC; None: it has one."""
         self.error = self.error_before = 0.0
         """Of the instant of the last SYNC, and of the last sample, intervals."""
         self.taken = self.slack_before = 0

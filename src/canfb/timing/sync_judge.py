@@ -169,7 +169,7 @@ class SyncJudge:
         """Since the last SYNC: the interface may answer it."""
         self.extra_after = 0.0
         """Periods from the last SYNC to the extra one."""
-        self.synced_s = self._received_s = 0.0  # the last one, any
+        self.synced_s = self._received_s = 0.0  # the last one, and the last one with extra ones
         self.before_s = 0.0
         """When the SYNC before the last one was received."""
         self.stamped = False
@@ -198,7 +198,7 @@ class SyncJudge:
     def _look_ahead(self) -> None:
         """Which of the next SYNCs need no judgement."""
         clock, count, period = self.clock, self.count, self.clock.period_s
-        # How early a SYNC may be, periods.
+        # Periods: from `early` on a SYNC is extra, from `_soon` on its instant is in doubt.
         self.early = min(EARLIEST, max(LEAST_EARLY, clock.jitter))
         self._soon = max(LEAST_EARLY, clock.deviations.early)
         self._wait_s = period or UNSETTLED_S
@@ -209,7 +209,7 @@ class SyncJudge:
             self._low_s, self._high_s = -min(self.early, self._soon) * period, HALF * period
             if self.stamped:  # the time says both sides
                 self._low_s, self._high_s = -clock.jitter * period, clock.jitter * period
-            # One so early that its answer may be sooner than any is looked at, and so is that.
+            # Where a sample may come less than a period after the last, both are judged (Judge._early_s).
             spare_s = (1.0 / SOONEST - 1.0) * self._delay.low_s
             self._low_s = max(self._low_s, -max(spare_s, ROUNDING * period))
 

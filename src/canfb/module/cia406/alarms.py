@@ -85,7 +85,7 @@ class Warnings:
 
     For the hot path: :meth:`follow` must see samples whose residual is above
     :attr:`near_cycles`, whose amplitude is below :attr:`reserve_counts`, or whose status word is not
-    :attr:`status`.
+    :attr:`last_status`.
     """
 
     def __init__(
