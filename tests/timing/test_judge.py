@@ -479,3 +479,9 @@ def test_a_sync_that_is_not_due_yet_has_no_answer(delay: float, intervals: tuple
     passed = judge.answer((100 + delay) * period_s, True)
     assert isinstance(passed, Passed)
     assert passed.options == intervals
+
+
+def test_each_attribute_has_a_slot() -> None:
+    """In a dict of more than 30 each access costs more, and nearly all of a SYNC are accesses."""
+    judge = Judge()
+    assert not any(hasattr(one, "__dict__") for one in (judge, judge.syncs, judge.syncs.count))

@@ -105,7 +105,7 @@ def misses(tallies: dict[Key, Tally]) -> list[str]:
         if tally.outcomes["wrong"]:
             found.append(f"{name}: {tally.outcomes['wrong']} of {tally.episodes} silent wrong")
             found += [f"    {example}" for example in tally.examples]
-        if CLASSES[number].name.startswith("healthy") and tally.after_start:
+        if CLASSES[number].valid(SETUPS[place]) and tally.after_start:
             found.append(f"{name}: {tally.after_start} of {tally.episodes} not valid after the start")
         if CLASSES[number].survives and tally.outcomes["lost"]:
             found.append(f"{name}: {tally.outcomes['lost']} of {tally.episodes} lost, which need not be")

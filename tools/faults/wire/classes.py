@@ -14,6 +14,10 @@ def always(_: Setup) -> bool:
     return True
 
 
+def never(_: Setup) -> bool:
+    return False
+
+
 def with_times(setup: Setup) -> bool:
     return setup.times
 
@@ -34,6 +38,11 @@ def with_stamps(setup: Setup) -> bool:
     return setup.stamps
 
 
+def with_any_time(setup: Setup) -> bool:
+    """Without, what a host takes a period late may be of the next SYNC until a later frame shows it."""
+    return setup.stamps or setup.times
+
+
 def with_counter(setup: Setup) -> bool:
     return setup.counter
 
@@ -43,7 +52,8 @@ class WireClass:
     """A class of wire faults.
 
     ``torque``: part of the episodes with a torque pulse beside the fault. ``survives``: what is declared
-    keeps the position, so that a loss is a goal missed.
+    keeps the position, so that a loss is a goal missed; ``valid``: in these set-ups each sample after the
+    start is to be valid.
     """
 
     name: str
@@ -52,6 +62,7 @@ class WireClass:
     after: int = 70
     of: Callable[[Setup], bool] = always
     survives: bool = False
+    valid: Callable[[Setup], bool] = never
 
 
 def aimed(name: str, change: Change, of: Callable[[Setup], bool], survives: bool = False) -> WireClass:
@@ -60,10 +71,12 @@ def aimed(name: str, change: Change, of: Callable[[Setup], bool], survives: bool
 
 
 CLASSES: tuple[WireClass, ...] = (
-    WireClass("healthy", around.healthy),
-    WireClass("healthy, late host", around.late_host),
-    WireClass("healthy, zero pulses", around.zero_pulses),
-    WireClass("healthy, at the limit", around.at_the_limit, torque=0.0, of=is_no_servo_with_times),
+    WireClass("healthy", around.healthy, valid=always),
+    WireClass("healthy, late host", around.late_host, valid=with_any_time),
+    WireClass("healthy, zero pulses", around.zero_pulses, valid=always),
+    WireClass(
+        "healthy, at the limit", around.at_the_limit, torque=0.0, of=is_no_servo_with_times, valid=always
+    ),
     WireClass("stall", around.stall, after=220),
     WireClass("stall, one lost", around.stall_with_loss, after=220),
     WireClass("pulse, 1..3 lost", unheard.pulse_and_one_lost, torque=0.0, of=is_no_servo),
