@@ -104,6 +104,20 @@ def test_how_long_the_position_was_away_counts_from_the_end_of_the_stall() -> No
     assert not holds(Run(100.0, 50, "both", 0, 10.0), judge), "it did not come back after the last one"
 
 
+def test_a_sample_that_is_flagged_much_later_is_not_that_of_the_stall() -> None:
+    judge = Judge(TRUTH)
+    played(judge, range(1000))
+    judge.resumed(9.995)
+    played(judge, range(1000, 1010), status=StatusBit.COASTING)
+    played(judge, range(1010, 1020))
+    played(judge, range(1020, 1021), status=StatusBit.COASTING)
+    played(judge, range(1021, 1100))
+    played(judge, range(1100, 1101), status=StatusBit.COASTING)
+    played(judge, range(1101, 1110))
+    judge.settle()
+    assert judge.back_s == [pytest.approx(0.216)]
+
+
 def test_a_module_that_says_nothing_does_not_hold() -> None:
     assert not holds(Run(100.0, 0, "both", 0, 10.0), Judge(TRUTH))
 

@@ -47,6 +47,7 @@ MOST_WRONG_CYCLES = 0.5
 SETTLE_S, EVERY_S, READY_S = 5.0, 1.5, 120.0
 HOLDS_MS = 50  # a shorter stall must not lose the position
 BACK_S = 1.0  # and it is valid again so soon
+STEADY_S = 0.25  # for so long; what is flagged later has another cause, as a load beside it
 WHO = {"both": (0, 1), "module": (0,), "interface": (1,)}
 DURATIONS_MS = (15, 20, 25, 30, 40, 50, 100)
 
@@ -126,7 +127,8 @@ class Judge:
         if status & StatusBit.LOST:
             self.lost = True
         if not status & StatusBit.VALID:
-            self._back_at_s = None
+            if self._back_at_s is not None and at_s - self._back_at_s < STEADY_S:
+                self._back_at_s = None
             return
         self.valid += 1
         if self._valid_at_s is not None:
