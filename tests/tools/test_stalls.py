@@ -90,11 +90,17 @@ def test_real_programs_are_stopped_and_never_valid_and_wrong(tmp_path: Path) -> 
     assert "190#" in (tmp_path / "bus.log").read_text()
 
 
-def test_how_long_the_position_was_away_counts_from_the_end_of_the_stall() -> None:
+def stalled_at_10_s(coasting: int) -> Judge:
+    """So many of the samples after it are coasting; the next one is number 1000 and as many."""
     judge = Judge(TRUTH)
     played(judge, range(1000))
     judge.resumed(9.995)
-    played(judge, range(1000, 1020), status=StatusBit.COASTING)
+    played(judge, range(1000, 1000 + coasting), status=StatusBit.COASTING)
+    return judge
+
+
+def test_how_long_the_position_was_away_counts_from_the_end_of_the_stall() -> None:
+    judge = stalled_at_10_s(coasting=20)
     played(judge, range(1020, 1030))
     judge.resumed(10.295)
     played(judge, range(1030, 1031))
@@ -105,10 +111,7 @@ def test_how_long_the_position_was_away_counts_from_the_end_of_the_stall() -> No
 
 
 def test_a_sample_that_is_flagged_much_later_is_not_that_of_the_stall() -> None:
-    judge = Judge(TRUTH)
-    played(judge, range(1000))
-    judge.resumed(9.995)
-    played(judge, range(1000, 1010), status=StatusBit.COASTING)
+    judge = stalled_at_10_s(coasting=10)
     played(judge, range(1010, 1020))
     played(judge, range(1020, 1021), status=StatusBit.COASTING)
     played(judge, range(1021, 1100))

@@ -125,9 +125,7 @@ class FeedbackModule(NodeDevice):
         self._sampling = Sampling(judge, interval, grid, self._limits, chain, self._pairing, self._publishing)
         cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         cycles_per_revolution.on_written = self._encoder_changed
-        self._jitter = JitterWatch(
-            judge.syncs.clock, interval, self._limits, cycles_per_revolution, self._warn
-        )
+        self._jitter = JitterWatch(clock, interval, self._limits, cycles_per_revolution, self._warn)
         judge.syncs.on_followed = self._on_followed
         self._recorder = Recorder(dictionary, interval, self._observers)
 

@@ -23,7 +23,7 @@ from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICK_S, Sample
-from canfb.signal.supervision import COASTING, VALID
+from canfb.signal.supervision import VALID
 from canfb.timing.judge import USUAL, Judge, Passed, Refusal
 from canfb.timing.sync_verdict import NOTHING_TO_REPORT, SyncVerdict
 
@@ -470,10 +470,9 @@ class Pairing(ProcessData):
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         """What may be right, but is not confirmed."""
-        self._chain.adaptation.drop()
         if self.unconfirmed:
             self.unconfirmed -= 1
-        return feedback._replace(status=feedback.status & ~VALID | COASTING)
+        return self._chain.withheld(feedback)
 
     def _out(self, sample: Sample, feedback: Feedback, now: float) -> None:
         noise = self._limits.noise

@@ -295,13 +295,14 @@ class SignalChain:
             elapsed = passed - self._waited  # what was waited for is counted already
         self._waited = 0.0
         feedback = self.after(sample, elapsed, next_one=next_one)
-        return self._withheld(feedback) if times.gap and feedback.status & VALID else feedback
-
-    def _withheld(self, feedback: Feedback) -> Feedback:
-        """Receptions are still to show that its time is right."""
-        self.adaptation.drop()
-        self.stages.last = feedback = feedback._replace(status=feedback.status & ~VALID | COASTING)
+        if times.gap and feedback.status & VALID:  # receptions are still to show that its time is right
+            stages.last = feedback = self.withheld(feedback)
         return feedback
+
+    def withheld(self, feedback: Feedback) -> Feedback:
+        """The last sample, which was valid, as one that is not confirmed: nothing is learned from it."""
+        self.adaptation.drop()
+        return feedback._replace(status=feedback.status & ~VALID | COASTING)
 
     def take_in_turn(
         self, sine: float, cosine: float, time_100ns: int, received_s: float | None, synced_s: float | None
