@@ -20,7 +20,7 @@ from folding import each
 from node_commands import Commands, abort, between, place_of
 
 NODE = hex(MODULE_ID)
-PAGE = (Path(__file__).parents[2] / "docs" / "lost.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture
