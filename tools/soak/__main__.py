@@ -4,10 +4,10 @@
 
 Module, encoder interface, SYNC at 1 kHz, master, monitor and event log of one network, whose machine moves
 and rests; with a drive in some set-ups, and with the module in the runner of `canfb run` in others. One
-disturbance follows the other (disturbances.py). A lost position is brought back by an NMT reset at a rest, as
-docs/troubleshooting.md has it. Exit status 1 if a valid position was wrong, a cycle was not counted, the position did
-not come back without a restart of the process, memory, its blocks or file descriptors grew, or the log was
-longer than it may be; 2 for a wrong option.
+disturbance follows the other (disturbances.py). A lost position is brought back by an NMT reset at a rest,
+as docs/troubleshooting.md says. Exit status 1 if a valid position was wrong, a cycle was not counted, the
+position did not come back without a restart of the process, memory, its blocks or file descriptors grew, or
+the log was longer than it may be; 2 for a wrong option.
 """
 
 from __future__ import annotations

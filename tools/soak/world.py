@@ -237,7 +237,7 @@ class World:
         """A SYNC has come."""
 
     def recover(self) -> None:
-        """The position is valid again: by itself or, if it is lost, by a reset at a rest (docs/troubleshooting.md)."""
+        """The position is valid again: by itself or, if it is lost, by a reset at a rest."""
         began = reset_s = self.bus.now
         while not self.valid():
             if self.bus.now - began > RECOVERY_S:
