@@ -13,9 +13,9 @@ from typing import Any
 
 from canopen.profiles.p402 import State402
 
-PROFILE, CYCLIC = 1, 8  # 6060h: profile position; cyclic synchronous position
-ENABLE, NEW_SET_POINT, CHANGE_AT_ONCE, RESET_FAULT = 0x0F, 0x10, 0x20, 0x80
-TARGET_REACHED, SET_POINT_TAKEN = 1 << 10, 1 << 12
+CYCLIC = 8  # 6060h: cyclic synchronous position
+ENABLE, RESET_FAULT = 0x0F, 0x80
+WINDOW = 1 / 8192  # revolutions: within it the target is reached
 VALID = 1 << 0  # 2011:01 of the module
 PATIENCE_S, MOVE_S = 20.0, 600.0  # for a step, for a whole move: a slow computer takes its time
 
@@ -69,19 +69,26 @@ class Figures:
 class Axis:
     """The drive ``drive`` with its feedback ``module``, two canopen.RemoteNode whose PDOs are set up.
 
-    ``range_units`` is 6002h of the module: its position wraps there. ``until`` waits.
+    ``range_units`` is 6002h of the module: its position wraps there. ``until`` waits. Moves have this
+    largest ``speed`` and ``acceleration``, revolutions per second and second squared.
     """
 
-    def __init__(self, drive: Any, module: Any, range_units: int, until: Until) -> None:
+    def __init__(
+        self,
+        drive: Any,
+        module: Any,
+        range_units: int,
+        until: Until,
+        speed: float = 0.75,
+        acceleration: float = 1.0,
+    ) -> None:
         self._drive, self._module, self._until = drive, module, until
         self._range = range_units
         self._last_units: int | None = None
         self._module_units = self._module_before = 0
         self.units = int(drive.sdo[0x608F][1].raw) / int(drive.sdo[0x608F][2].raw)
         self.module_units = int(drive.sdo[0x60E6][1].raw) / int(drive.sdo[0x60EB][1].raw)
-        self.window = drive.sdo[0x6067].raw / self.units
-        self._speed = drive.sdo[0x6081].raw / self.units
-        self._acceleration = drive.sdo[0x6083].raw / self.units
+        self._speed, self._acceleration = speed, acceleration
         self.rows: list[Row] = []  # since the move has begun
         self.all_rows: list[Row] = []
         self.follow: Callable[[], float] | None = None  # the set-point for the next SYNC
@@ -111,12 +118,12 @@ class Axis:
         """The position of the module was valid at the last 20 SYNCs."""
         return len(self.rows) >= 20 and all(row.module_valid for row in self.rows[-20:])
 
-    def enable(self, mode: int) -> None:
+    def enable(self) -> None:
         """Through the states to OPERATION ENABLED, where the target is the present position."""
         self._until(lambda: len(self.rows) > 0, PATIENCE_S, "the drive to answer the SYNC")
         passing = ("NOT READY TO SWITCH ON", "FAULT REACTION ACTIVE")
         self._until(lambda: self.state not in passing, PATIENCE_S, "a state that can be left by command")
-        self._command_pdo[0x6060].raw = mode
+        self._command_pdo[0x6060].raw = CYCLIC
         if self.state == "FAULT":
             self.command(0)
             answered = len(self.rows)
@@ -133,7 +140,7 @@ class Axis:
                 raise FaultError(f"the drive is in {state}, from where no command leads on")
             self.command(State402.TRANSITIONTABLE[state, aim], self.position)
             self._running(lambda before=state: self.state != before, PATIENCE_S, aim)  # type: ignore[misc]
-        self._running(lambda: self._state_pdo[0x6061].raw == mode, PATIENCE_S, f"mode {mode} (6061h)")
+        self._running(lambda: self._state_pdo[0x6061].raw == CYCLIC, PATIENCE_S, f"mode {CYCLIC} (6061h)")
 
     def disable(self) -> None:
         """Switch the power stage off; no wait."""
@@ -147,32 +154,18 @@ class Axis:
             self._command_pdo[0x607A].raw = round(target * self.units)
         self._command_pdo.transmit()
 
-    def begin(self, mode: int, distance: float) -> float:
+    def begin(self, distance: float) -> float:
         """Begin a move; its target."""
         self.rows.clear()
         start = self.position
         target = start + distance
-        if mode == CYCLIC:
-            profile = trapezoid(distance, self._speed, self._acceleration)
-            period = self._drive.sdo[0x60C2][1].raw * 10.0 ** self._drive.sdo[0x60C2][2].raw
-            self.follow = lambda: start + profile(len(self.rows) * period)
-        else:
-            self.command(ENABLE, target)
-            self.wait_syncs(2)
-            self.command(ENABLE | NEW_SET_POINT | CHANGE_AT_ONCE, target)
+        profile = trapezoid(distance, self._speed, self._acceleration)
+        period = self._drive.sdo[0x60C2][1].raw * 10.0 ** self._drive.sdo[0x60C2][2].raw
+        self.follow = lambda: start + profile(len(self.rows) * period)
         return target
 
-    def finish(self, mode: int, target: float) -> None:
+    def finish(self, target: float) -> None:
         """Wait until the target is reached, and see it stay there for half a second of SYNCs."""
-        if mode == PROFILE:
-            status = self._state_pdo[0x6041]
-            self._running(
-                lambda: status.raw & SET_POINT_TAKEN != 0, PATIENCE_S, "the drive to take the set-point"
-            )
-            self.command(ENABLE, target)
-            self._running(
-                lambda: self._demands(target) and status.raw & TARGET_REACHED != 0, MOVE_S, "the target"
-            )
         self._running(lambda: self._demands(target), MOVE_S, "the end of the set-points")
         self.wait_syncs(50)
         self.follow = None
@@ -182,7 +175,7 @@ class Axis:
         rows = self.rows
         errors = [row.following_error for row in rows]
         ended = next(n for n, row in enumerate(rows) if abs(row.demand - target) <= 1.5 / self.units)
-        outside = [n for n, row in enumerate(rows) if abs(row.position - target) > self.window]
+        outside = [n for n, row in enumerate(rows) if abs(row.position - target) > WINDOW]
         offset = rows[0].module_positions[1] - rows[0].position
         return Figures(
             math.sqrt(sum(error * error for error in errors) / len(errors)),

@@ -1,7 +1,6 @@
 """The master of the drive network: configures every node from network.yaml, runs a move, reports.
 
-    python master.py network.yaml                     one revolution in profile position mode
-    python master.py network.yaml --mode csp          the same, with a set-point at each SYNC
+    python master.py network.yaml                     one revolution, with a set-point at each SYNC
     python master.py network.yaml --provoke-alarm     the feedback fails in the middle of a move
     python master.py network.yaml --check             only compare; nothing is written, nothing moves
 
@@ -22,14 +21,13 @@ from typing import Any
 
 import can
 import canopen
-from axis import CYCLIC, MOVE_S, PATIENCE_S, PROFILE, Axis, FaultError
+from axis import MOVE_S, PATIENCE_S, WINDOW, Axis, FaultError
 from canopen.sdo.exceptions import SdoError
 from configuring import Configuration, NetworkError
 from network_file import NetworkFile, NetworkFileError, load
 from nodes import Listener, Nodes
 from sync import produce
 
-MODES = {"profile": PROFILE, "csp": CYCLIC}
 BRAKING_S = 1.0  # until the machine stands: the module begins at standstill, and nobody sees the machine now
 STEADY_S = 1.0  # for the feedback, until it is taken for lost
 
@@ -37,8 +35,8 @@ STEADY_S = 1.0  # for the feedback, until it is taken for lost
 class Story:
     """A move, and what the drive does when its feedback fails."""
 
-    def __init__(self, nodes: Nodes, axis: Axis, mode: int, period_s: float) -> None:
-        self._nodes, self._axis, self._mode, self._period_s = nodes, axis, mode, period_s
+    def __init__(self, nodes: Nodes, axis: Axis, period_s: float) -> None:
+        self._nodes, self._axis, self._period_s = nodes, axis, period_s
 
     def move(self, revolutions: float) -> list[str]:
         """Enable the drive and turn by so much; the report."""
@@ -46,16 +44,16 @@ class Story:
         self._pass(STEADY_S, axis.feedback_is_steady)
         if not axis.feedback_is_steady():
             self.recover()  # it began while the machine was still turning
-        axis.enable(self._mode)
+        axis.enable()
         start = axis.position
-        target = axis.begin(self._mode, revolutions)
-        axis.finish(self._mode, target)
+        target = axis.begin(revolutions)
+        axis.finish(target)
         result = axis.figures(start, target)
         settled_s = result.settled_syncs * self._period_s
         return [
             f"moved by {revolutions:g} revolutions in {len(axis.rows)} SYNCs; all figures in revolutions",
             f"  following error   rms {result.following_rms:.6f}, peak {result.following_peak:.6f}",
-            f"  settled           {settled_s:.3f} s after the last set-point, within {axis.window:.6f}",
+            f"  settled           {settled_s:.3f} s after the last set-point, within {WINDOW:.6f}",
             f"  position          drive {result.drive:.6f}, module {result.module:.6f}",
             f"  drive and module  at most {result.apart_peak:.6f} apart at one SYNC",
         ]
@@ -63,9 +61,9 @@ class Story:
     def provoke_alarm(self, revolutions: float) -> list[str]:
         """Stop the encoder interface in the middle of a move; the drive must go to FAULT."""
         axis, nodes = self._axis, self._nodes
-        axis.enable(self._mode)
+        axis.enable()
         start = axis.position
-        axis.begin(self._mode, revolutions)
+        axis.begin(revolutions)
         axis.wait_syncs(2)
         nodes.until(lambda: abs(axis.position - start) > abs(revolutions) / 2, MOVE_S, "half of the distance")
         stopped = len(axis.rows)
@@ -162,8 +160,8 @@ def tell_story(nodes: Nodes, file: NetworkFile, remotes: dict[str, Any], options
     if missing:
         raise FaultError(f"this example needs nodes with the names {', '.join(sorted(missing))}")
     drive, module = remotes["drive"], remotes["module"]
-    axis = Axis(drive, module, module.sdo[0x6002].raw, nodes.until)
-    story = Story(nodes, axis, MODES[options.mode], file.sync_period_us / 1e6)
+    axis = Axis(drive, module, module.sdo[0x6002].raw, nodes.until, options.speed, options.acceleration)
+    story = Story(nodes, axis, file.sync_period_us / 1e6)
     try:
         print(*story.move(options.revolutions), sep="\n")
         if options.provoke_alarm:
@@ -183,8 +181,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     """The options of the command."""
     parser = argparse.ArgumentParser(prog="master", description="the master of the drive network")
     parser.add_argument("file", nargs="?", default="network.yaml")
-    parser.add_argument("--mode", choices=MODES, default="profile")
     parser.add_argument("--revolutions", type=float, default=1.0, metavar="N")
+    parser.add_argument("--speed", type=float, default=0.75, metavar="V", help="revolutions per second")
+    parser.add_argument("--acceleration", type=float, default=1.0, metavar="A", help="revolutions/s^2")
     parser.add_argument("--provoke-alarm", action="store_true", help="let the feedback fail during a move")
     parser.add_argument("--trace", metavar="FILE.csv", help="values received at each SYNC, in revolutions")
     parser.add_argument("--check", action="store_true", help="only compare")

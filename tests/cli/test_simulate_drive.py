@@ -165,7 +165,7 @@ def test_a_motor_that_the_module_cannot_follow_is_told(rate: float, words: str |
     assert axis is not None
     assert axis.demand is not None
     assert axis.demand.describe().startswith(
-        f"drive: up to {25000 / rate:.3g} cycles per sample, acceleration"
+        f"drive: up to {125000 / rate:.3g} cycles per sample, acceleration"
     )
     assert (axis.demand.warning() or "").endswith(words or "")
     assert (axis.demand.warning() is None) is (words is None)

@@ -46,11 +46,10 @@ def assert_all_quiet(network: DriveNetwork) -> None:
     assert (network.plant.motor.command_nm, network.plant.motor.speed_rad_s) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("mode", ["profile", "csp"])
 @pytest.mark.parametrize("revolutions", [1.0, -2.5])
-def test_a_move(mode: str, revolutions: float, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_move(revolutions: float, capsys: pytest.CaptureFixture[str]) -> None:
     network = DriveNetwork()
-    assert network.run("--mode", mode, "--revolutions", str(revolutions)) == 0
+    assert network.run("--revolutions", str(revolutions)) == 0
     said = capsys.readouterr().out
     assert 1e-5 < figure(said, "rms") < 1e-3
     assert figure(said, "peak") < 3e-3
@@ -63,10 +62,9 @@ def test_a_move(mode: str, revolutions: float, capsys: pytest.CaptureFixture[str
     assert_all_quiet(network)
 
 
-@pytest.mark.parametrize("mode", ["profile", "csp"])
-def test_the_alarm(mode: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_alarm(capsys: pytest.CaptureFixture[str]) -> None:
     network = DriveNetwork()
-    assert network.run("--mode", mode, "--provoke-alarm") == 0
+    assert network.run("--provoke-alarm") == 0
     said = capsys.readouterr().out
     assert "EMCY of module (20h): 7300h" in said
     assert "EMCY of drive (30h): 7305h" in said
@@ -98,7 +96,7 @@ def test_the_trace_has_a_line_for_each_sync(tmp_path: Path, capsys: pytest.Captu
 def test_a_second_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     network = DriveNetwork()
     assert network.run("--check") == 1
-    assert "drive (30h) 6067:00 is 00000419h, not 00000080h" in capsys.readouterr().out
+    assert "drive (30h) 6085:00 is 03C00000h, not 00100000h" in capsys.readouterr().out
     assert network.run() == network.run("--check") == 0
     assert "all nodes agree with the file" in capsys.readouterr().out
     assert network.run() == 0

@@ -20,8 +20,9 @@ from tools.soak.world import INTERVAL_S, MODULE, World
 
 DRIVE, POSITION = 0x30, 0x180 + MODULE
 UNITS, RANGE = 20_480_000, 4_280_320_000  # of 6004h in a revolution, and in all, by default
-TOP_REVOLUTIONS_S, REVOLUTIONS_S2 = 0.75, 1.0
-TURN_REVOLUTIONS, DWELL_S = 0.4, 2.0
+TURN_REVOLUTIONS, REVOLUTIONS_S2, DWELL_S = 0.4, 1.5, 2.0
+TURN_S = math.pi * math.sqrt(TURN_REVOLUTIONS / 2.0 / REVOLUTIONS_S2)  # (1 - cos) / 2 from rest to rest
+TOP_REVOLUTIONS_S = math.pi / 2.0 * TURN_REVOLUTIONS / TURN_S
 MOST_SPEED_RAD_S = 1.3 * 2.0 * math.pi * TOP_REVOLUTIONS_S
 PER_MILLE = 60  # of the rated torque: 15 rad/s²
 STANDS_RAD_S, RUNS_RAD_S = 1e-6, 0.6 * 2.0 * math.pi * TOP_REVOLUTIONS_S
@@ -33,16 +34,12 @@ PARAMETERS = {
     (0x2110, 3): ("H", 1),
     (0x2110, 8): ("H", 100),
     (0x6065, 0): ("I", UNITS // 8),
-    (0x6067, 0): ("I", UNITS // 4096),
-    (0x6068, 0): ("H", 20),
     (0x6072, 0): ("H", PER_MILLE),
-    (0x6081, 0): ("I", round(UNITS * TOP_REVOLUTIONS_S)),
-    (0x6083, 0): ("I", round(UNITS * REVOLUTIONS_S2)),
-    (0x6084, 0): ("I", round(UNITS * REVOLUTIONS_S2)),
-    (0x6060, 0): ("b", 1),
+    (0x6085, 0): ("I", round(UNITS * REVOLUTIONS_S2)),
+    (0x6060, 0): ("b", 8),
 }
-CONTROLWORD, TARGET = (0x6040, 0), (0x607A, 0)
-SHUTDOWN, SWITCH_ON, ENABLE, RESET_FAULT, NEW_SET_POINT = 0x06, 0x07, 0x0F, 0x80, 0x3F
+CONTROLWORD, TARGETS = (0x6040, 0), 0x300 + DRIVE
+SHUTDOWN, SWITCH_ON, ENABLE, RESET_FAULT = 0x06, 0x07, 0x0F, 0x80
 NEXT = {
     State.SWITCH_ON_DISABLED: SHUTDOWN,
     State.READY_TO_SWITCH_ON: SWITCH_ON,
@@ -79,6 +76,7 @@ class ServoWorld(World):
         self._aim = TURN_REVOLUTIONS
         self._dwells_until_s = 0.0
         self._is_turning = False
+        self._from_units, self._begun_s = 0, 0.0
         self._published = 0
         super().__init__(setup, seed, ServoMachine(self.plant), first=[self.plant], last=[self.drive])
         self.bus.observers.append(self._hear_position)
@@ -94,8 +92,7 @@ class ServoWorld(World):
 
     def rests(self, spare_s: float) -> bool:
         """It stands, and is not moved."""
-        stands = abs(self.plant.motor.speed_rad_s) < STANDS_RAD_S
-        return stands and not self._is_turning and self.bus.now + spare_s < self._dwells_until_s
+        return self._stands() and not self._is_turning and self.bus.now + spare_s < self._dwells_until_s
 
     def is_fast(self) -> bool:
         """It moves fast."""
@@ -124,16 +121,21 @@ class ServoWorld(World):
             self._turn(now)
 
     def _turn(self, now: float) -> None:
-        reached = bool(self.drive.dictionary.entry(0x6041).value & 1 << 10)
-        if self._is_turning and reached and abs(self.plant.motor.speed_rad_s) < STANDS_RAD_S:
+        if self._is_turning and now > self._begun_s + TURN_S and self._stands():
             self._is_turning, self._dwells_until_s = False, now + DWELL_S
         elif not self._is_turning and now >= self._dwells_until_s:
-            self._is_turning, self._aim = True, -self._aim
-            target = int(self.drive.dictionary.entry(0x6064).value) + round(self._aim * UNITS)
-            self._drive_access.write(*TARGET, "i", target)
-            self._command(ENABLE)
-            self._command(NEW_SET_POINT)
-            self._command(ENABLE)
+            self._is_turning, self._aim, self._begun_s = True, -self._aim, now
+            self._from_units = int(self.drive.dictionary.entry(0x6064).value)
+
+    def _stands(self) -> bool:
+        return abs(self.plant.motor.speed_rad_s) < STANDS_RAD_S
+
+    def _send_target(self, now: float) -> None:
+        """The target of the move for the next SYNC."""
+        if self._is_turning:
+            part = min(1.0, (now - self._begun_s) / TURN_S)
+            gone = round(self._aim * UNITS * (1.0 - math.cos(math.pi * part)) / 2.0)
+            self.bus.send(Frame(TARGETS, (self._from_units + gone).to_bytes(4, "little", signed=True)))
 
     def _command(self, controlword: int) -> None:
         self._drive_access.write(*CONTROLWORD, "H", controlword)
@@ -145,6 +147,7 @@ class ServoWorld(World):
 
     def on_sync(self, now: float) -> None:
         """The drive holds what the module has published, and does not run away."""
+        self._send_target(now)
         feedback = self.drive.feedback
         if not feedback.wrong and self.drive.state is State.OPERATION_ENABLED:
             self.found.driven += 1

@@ -37,7 +37,7 @@ from canfb.signal.tracker import check_residual_limit
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.demand import MotionDemand, of_motion
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.set_up import profile_demand, sync_rate
+from canfb.simulation.set_up import drive_demand, sync_rate
 from canfb.simulation.sync_producer import CUT_OFF
 
 ROUNDED_AMPLITUDE = 0.75  # of full scale, as the simulated encoder has it
@@ -282,7 +282,7 @@ def _motion(
 def _demand(simulation: SimulationConfig, config: ModuleConfig, rate_hz: float) -> MotionDemand | None:
     """Demand of the motion of ``canfb simulate``; None if the configuration does not define a motion."""
     if simulation.drive is not None:
-        return profile_demand(simulation.drive, _drive_objects(simulation.drive), config, rate_hz)
+        return drive_demand(simulation.drive, _drive_objects(simulation.drive), config, rate_hz)
     if simulation.motion == SimulationConfig().motion:
         return None
     return of_motion(simulation.motion, config, rate_hz)

@@ -42,7 +42,7 @@ from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
 from canfb.sources.recording_source import ArraySource, RecordingLayout, RecordingSource, open_recording
 
-PROFILE_VELOCITY, INCREMENTS = (0x6081, 0), (0x608F, 1)  # increments per second, per revolution
+MOST_RPM = (0x6080, 0)
 
 MISSED = -32768  # in both tracks, as in 2050:03
 
@@ -137,17 +137,16 @@ def simulated_axis(
     demand = None
     if rate_hz is not None:
         per_sync = module.samples_per_sync
-        demand = profile_demand(settings, drive.dictionary, chain, rate_hz * per_sync)
+        demand = drive_demand(settings, drive.dictionary, chain, rate_hz * per_sync)
         demand = replace(demand, per_sync=per_sync)
     return SimulatedAxis(plant, source, drive, module.node_id, demand)
 
 
-def profile_demand(
+def drive_demand(
     motor: MotorConfig, dictionary: Dictionary, chain: ChainConfig, rate_hz: float
 ) -> MotionDemand:
-    """What a drive with this dictionary asks of the module: its profile velocity, and all its torque."""
-    speed = dictionary.entry(*PROFILE_VELOCITY).value / dictionary.entry(*INCREMENTS).value
-    return of_drive(motor, chain, rate_hz, speed)
+    """What a drive with this dictionary asks of the module at most: its largest speed, and all its torque."""
+    return of_drive(motor, chain, rate_hz, dictionary.entry(*MOST_RPM).value / 60.0)
 
 
 class SampleRecorder(SilentDevice):

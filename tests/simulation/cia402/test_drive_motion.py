@@ -14,9 +14,9 @@ CYCLE = UNITS / 2500
 NO_WINDOW = 0xFFFFFFFF
 
 
-def enabled(mode: str = "CYCLIC SYNCHRONOUS POSITION", **fields: Any) -> DriveBench:
+def enabled(**fields: Any) -> DriveBench:
     bench = DriveBench(**fields)
-    bench.enable(mode)
+    bench.enable()
     bench.write(0x6065, NO_WINDOW)
     return bench
 
@@ -48,32 +48,6 @@ def test_a_small_step_overshoots_little(size: int) -> None:
     assert truth.max() < 1.06
     assert 10 < int(np.argmax(truth > 0.9)) < 80
     assert abs(truth[-1] - 1) < 0.02
-
-
-@pytest.mark.parametrize("synchronous", [False, True])
-def test_a_profile_of_one_revolution_is_a_trapezoid(synchronous: bool) -> None:
-    bench = enabled("PROFILED POSITION", synchronous=synchronous)
-    bench.write(0x6081, 5 * UNITS)
-    start = bench.shaft_units
-    bench.write(0x607A, bench.read(0x6064) + UNITS)
-    bench.control(0x1F)
-    assert bench.read(0x6041) & 0x1000
-    track: list[float] = []
-    reached = None
-    for count in range(500):
-        bench.cycle()
-        track.append(bench.shaft_units)
-        if reached is None and bench.drive.dictionary.entry(0x6041).value & 0x0400:
-            reached = count
-    truth = np.array(track)
-    ideal_ms = 1000 * (1 / 5 + 5 / 50)
-    assert ideal_ms - 20 < last_outside(truth, start + UNITS, UNITS / 1000) < ideal_ms + 30
-    assert reached is not None
-    assert ideal_ms < reached < ideal_ms + 60
-    assert 0 < (truth.max() - start - UNITS) / UNITS < 5e-4
-    assert 5.0 < np.diff(truth).max() / UNITS * 1000 < 5.2
-    bench.control(0x0F)
-    assert not bench.read(0x6041) & 0x1000
 
 
 # The friction reverses with the motion, which is most of the error.
@@ -150,13 +124,10 @@ def test_6064h_is_the_shaft_at_the_sync(speed_rev_s: float) -> None:
 
 def test_the_way_goes_on_where_the_position_of_the_module_wraps() -> None:
     """From 0 to -2 revolutions and back: the module's position wraps, the drive's does not."""
-    bench = enabled("PROFILED POSITION")
+    bench = enabled()
     raw = [bench.module.dictionary.entry(0x6004).value]
     for target in (-2 * UNITS, UNITS):
-        bench.write(0x607A, target)
-        bench.control(0x1F)
-        bench.cycle(800)
-        bench.control(0x0F)
+        bench.follow([target] * 1500)
         assert bench.read(0x6064) == pytest.approx(target, abs=20)
         assert bench.shaft_units == pytest.approx(target, abs=20)
         raw.append(bench.module.dictionary.entry(0x6004).value)
@@ -168,16 +139,10 @@ def test_the_way_goes_on_where_6064h_wraps() -> None:
     """A coarse drive unit is not needed: 2048 revolutions are the end of INTEGER32, not of the way."""
     bench = DriveBench()
     bench.write(0x608F, (1 << 31) // 3, 1)  # 3 revolutions to the end of the positive numbers
-    bench.write(0x6081, 0xFFFFFFFF)
-    for ramp in (0x6083, 0x6084):
-        bench.write(ramp, 0xFFFFFFFF)
-    bench.enable("PROFILED POSITION")
+    bench.enable()
     bench.write(0x6065, NO_WINDOW)
     for count in range(1, 5):
-        bench.write(0x607A, (count * (1 << 31) // 3 + (1 << 31)) % (1 << 32) - (1 << 31))
-        bench.control(0x1F)
-        bench.cycle(1200)
-        bench.control(0x0F)
+        bench.follow([(count * (1 << 31) // 3 + (1 << 31)) % (1 << 32) - (1 << 31)] * 1200)
         assert bench.motor.revolutions == pytest.approx(count, abs=1e-3)
 
 
@@ -198,16 +163,11 @@ def test_a_target_every_few_syncs_is_joined_by_lines() -> None:
 
 @pytest.mark.parametrize(("period_s", "cycles"), [(5e-4, 2500), (2e-3, 512), (5e-3, 128)])
 def test_the_gains_suit_any_rate_of_sync(period_s: float, cycles: int) -> None:
-    bench = enabled("PROFILED POSITION", period_s=period_s, cycles_per_revolution=cycles)
-    bench.write(0x6072, 500)
-    for ramp in (0x6083, 0x6084):
-        bench.write(ramp, 20 * UNITS)
-    bench.write(0x607A, UNITS)
-    bench.control(0x1F)
-    bench.cycle(round(3 / period_s))
+    bench = enabled(period_s=period_s, cycles_per_revolution=cycles)
+    times = np.minimum(np.arange(round(3 / period_s)) * period_s, 1.0)
+    bench.follow(np.round(UNITS * (1 - np.cos(np.pi * times)) / 2))
     assert bench.read(0x2101, 1) == pytest.approx(period_s, rel=1e-3)
     assert bench.shaft_units == pytest.approx(UNITS, abs=200)
-    assert bench.read(0x6041) & 0x0400
 
 
 def test_1006h_is_the_period_where_a_master_has_written_it() -> None:

@@ -44,7 +44,7 @@ FIGURE = {
     "R": ".OESS.",
     "O": "R.ESS.",
     "E": "RO.SQ.",
-    "Q": "..ES..",
+    "Q": "...S..",
     "r": "......",
     "F": ".....S",
 }
@@ -122,12 +122,6 @@ def test_a_fault_whose_cause_is_there_is_not_reset_and_needs_another_edge() -> N
     machine.control(0x0F)
     assert machine.state is State.FAULT
     assert machine.control(0x80)
-
-
-def test_after_a_quick_stop_that_ends_in_switch_on_disabled_nothing_goes_on() -> None:
-    machine = machine_in(State.QUICK_STOP_ACTIVE)
-    assert not machine.control(0x0F, may_resume=False)
-    assert machine.control(0x00, may_resume=False)
 
 
 def test_with_bit_7_held_no_other_command_is_heard() -> None:

@@ -1,4 +1,4 @@
-"""The motion of the drive: units, set-points, position demand of the mode of operation, and their objects."""
+"""The motion of the drive: units, position demand, and their objects."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import math
 from collections.abc import Callable
 
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary, Entry
+from canfb.device.od.dictionary import Dictionary
 from canfb.simulation.cia402.feedback_input import FeedbackInput
 from canfb.simulation.cia402.loop import Demand, Gains, Interpolation, PositionLoop, Trajectory, chosen_gains
-from canfb.simulation.cia402.state_machine import Control, Status
+from canfb.simulation.cia402.state_machine import Status
 
-NO_MODE, PROFILE_POSITION, CYCLIC_SYNCHRONOUS_POSITION = 0, 1, 8
+NO_MODE, CYCLIC_SYNCHRONOUS_POSITION = 0, 8
 OFF = 0xFFFFFFFF
-"""6065h and 6067h: no window."""
+"""6065h: no window."""
 KG_M2_PER_G_CM2 = 1e-7
 STANDSTILL_REV_S = 0.02
 
@@ -34,17 +34,15 @@ class Axis:
         self.on_mode: Callable[[], None] | None = None
         """Called when 6060h was written."""
         self._trajectory, self._interpolation = Trajectory(), Interpolation()
-        self._set_points = SetPoints()
-        self._at_target, self._too_far = Lasting(), Lasting()
+        self._too_far_since_s: float | None = None
         entry = dictionary.entry
         self._target, self._mode, self._display = entry(0x607A), entry(0x6060), entry(0x6061)
         self._lowest, self._highest = entry(0x607D, 1), entry(0x607D, 2)
-        self._velocity, self._acceleration, self._deceleration = entry(0x6081), entry(0x6083), entry(0x6084)
+        self._deceleration = entry(0x6085)
         self._gains = [entry(0x2100, sub) for sub in range(1, 7)]
         self._demand_entry, self._torque_demand = entry(0x6062), entry(0x6074)
         self._internal, self._actual, self._speed = entry(0x6063), entry(0x6064), entry(0x606C)
         self._error_entry = entry(0x60F4)
-        self._window, self._window_time = entry(0x6067), entry(0x6068)
         self._error_window, self._error_time = entry(0x6065), entry(0x6066)
         self._target.on_written = self._target_written
         self._supported = entry(0x6502)
@@ -73,39 +71,19 @@ class Axis:
         """The power goes on: hold the position that there is, whatever 607Ah says."""
         self._loop.reset()
         self._place()
-        self.resume()
-
-    def resume(self) -> None:
-        """Go on from a ramp: targets from before it are forgotten."""
         self._interpolation.reset()
-        self._set_points.reset()
-        self._goal: float | None = None
         self._new_target = False
-        self._halted = False
-        self._ramp: Entry | None = None
-        self._too_far.reset()
-        self._at_target.reset()
+        self._braking = False
+        self._too_far_since_s = None
         self._demand = Demand(self._trajectory.position / self.scaling.units)
         self._demanded_rad_s = 0.0  # speed of the demand as it comes, before it is limited
         self._limited = False
 
-    def ramp_down(self, deceleration: Entry, *, from_actual: bool = False) -> None:
-        """Come to a standstill with the deceleration of this object, from the demand or the actual motion."""
+    def ramp_down(self, *, from_actual: bool = False) -> None:
+        """Come to a standstill with the deceleration 6085h, from the demand or the actual motion."""
         if from_actual:
             self._place(self._feedback.speed * self.scaling.units)
-        self._ramp = deceleration
-
-    def control_mode(self, controlword: int) -> None:
-        """Bits 4 to 6 and 8 of the controlword, those of the mode."""
-        self._halted = bool(controlword & Control.HALT)
-        if self.mode != PROFILE_POSITION:
-            return
-        relative = controlword & Control.RELATIVE
-        position = self._trajectory.position
-        value = self._target.value if relative else nearest(self._target.value, position)
-        if self._set_points.control(controlword, float(value), position):
-            self._goal = self._set_points.active
-            self._at_target.reset()
+        self._braking = True
 
     def advance(self, period_s: float) -> None:
         """A SYNC: the position demand of this cycle, ``period_s`` seconds after the one before."""
@@ -150,7 +128,13 @@ class Axis:
         """Whether the following error has been outside of 6065h for 6066h."""
         window = self._error_window.value
         outside = window != OFF and abs(self._error_units()) > window
-        return self._too_far.update(outside, self._error_time.value / 1000.0, now)
+        if not outside:
+            self._too_far_since_s = None
+        elif self._too_far_since_s is None:
+            self._too_far_since_s = now
+        since_s = self._too_far_since_s
+        # Sums of times round: a whole number of periods must count as such.
+        return since_s is not None and now - since_s >= self._error_time.value / 1000.0 - 1e-9
 
     def power_off(self) -> None:
         """Nothing is demanded any more."""
@@ -164,8 +148,8 @@ class Axis:
         self._display.value = self.mode
         return bool(changed)
 
-    def status(self, enabled: bool, now: float) -> int:
-        """Bits 10 to 13 of the statusword; ``enabled`` in Operation enabled."""
+    def status(self, enabled: bool) -> int:
+        """Bits 11 to 13 of the statusword; ``enabled`` in Operation enabled."""
         bits = 0
         if not enabled:
             return bits
@@ -173,30 +157,14 @@ class Axis:
             bits |= Status.INTERNAL_LIMIT
         if self._error_window.value != OFF and abs(self._error_units()) > self._error_window.value:
             bits |= Status.FOLLOWING_ERROR
-        if self.mode == PROFILE_POSITION:
-            bits |= Status.SET_POINT_ACKNOWLEDGE if self._set_points.acknowledged else 0
-            bits |= Status.TARGET_REACHED if self._target_reached(now) else 0
-        elif self.mode == CYCLIC_SYNCHRONOUS_POSITION and self._ramp is None:
+        if self.mode == CYCLIC_SYNCHRONOUS_POSITION:
             bits |= Status.FOLLOWS_TARGET
         return int(bits)
 
-    def _target_reached(self, now: float) -> bool:
-        if self._halted:
-            return self.stands_still
-        if self._goal is None:
-            return False
-        distance = abs(self._goal - self._feedback.revolutions * self.scaling.units)
-        within = self._set_points.active is None and (
-            self._window.value == OFF or distance <= self._window.value
-        )
-        return self._at_target.update(within, self._window_time.value / 1000.0, now)
-
     def _move(self, period_s: float) -> None:
         trajectory, mode = self._trajectory, self.mode
-        if self._ramp is not None:
-            trajectory.brake(float(self._ramp.value), period_s)
-        elif mode == PROFILE_POSITION:
-            self._move_profile(period_s)
+        if self._braking:
+            trajectory.brake(float(self._deceleration.value), period_s)
         elif mode == CYCLIC_SYNCHRONOUS_POSITION:
             if self._new_target:
                 target = self._within_limits(float(nearest(self._target.value, trajectory.position)))
@@ -205,25 +173,6 @@ class Axis:
         else:
             trajectory.hold()
         self._new_target = False
-
-    def _move_profile(self, period_s: float) -> None:
-        trajectory, active = self._trajectory, self._set_points.active
-        if self._halted:
-            trajectory.brake(float(self._deceleration.value), period_s)
-            return
-        if active is None:
-            trajectory.hold()
-            return
-        units = self.scaling.units
-        reached = trajectory.profile(
-            self._within_limits(active),
-            min(float(self._velocity.value), self.scaling.largest_speed * units),
-            float(self._acceleration.value),
-            float(self._deceleration.value),
-            period_s,
-        )
-        if reached and self._set_points.reached():
-            self._goal = self._set_points.active
 
     def _forward(self, revolutions: float, speed_rad_s: float, period_s: float) -> Demand:
         """What is fed forward: no faster change of speed than the motor can make.
@@ -270,8 +219,7 @@ class Axis:
         """In another mode the targets of the one before mean nothing."""
         if self.mode != self._display.value:
             self._interpolation.reset()
-            self._set_points.reset()
-            self._goal, self._new_target = None, False
+            self._new_target = False
         if self.on_mode is not None:
             self.on_mode()
 
@@ -282,78 +230,6 @@ class Axis:
 def _check_gain(value: float) -> None:
     if not 0.0 <= value <= 1e9:
         raise SdoAbort(AbortCode.INVALID_VALUE)
-
-
-class SetPoints:
-    """The active target and one that waits for it to be reached.
-
-    A rising edge of bit 4 brings a new set-point: at once with bit 5, or when none is active, else it
-    waits. It is acknowledged (statusword bit 12) when it is taken, until bit 4 is 0 again and there is
-    room for another.
-    """
-
-    def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """No set-point."""
-        self.active: float | None = None
-        self._waiting: float | None = None
-        self._requested = False
-        self.acknowledged = False
-
-    def control(self, controlword: int, value: float, from_position: float) -> bool:
-        """Take the ``controlword`` with target ``value`` (units); True if the active target has changed.
-
-        Bit 6: the value is relative to the last target, or to ``from_position`` where there is none.
-        """
-        requested = bool(controlword & Control.NEW_SET_POINT)
-        rising, self._requested = requested and not self._requested, requested
-        changed = False
-        if rising and not self.acknowledged:
-            changed = self._take(controlword, value, from_position)
-        elif not requested:
-            self.acknowledged = self._waiting is not None
-        return changed
-
-    def reached(self) -> bool:
-        """The active target is reached; True if another one follows."""
-        self.active, self._waiting = self._waiting, None
-        if not self._requested:
-            self.acknowledged = False
-        return self.active is not None
-
-    def _take(self, controlword: int, value: float, from_position: float) -> bool:
-        last = self._waiting if self._waiting is not None else self.active
-        base = from_position if last is None else last
-        target = base + value if controlword & Control.RELATIVE else value
-        self.acknowledged = True
-        if controlword & Control.CHANGE_IMMEDIATELY or self.active is None:
-            self.active, self._waiting = target, None
-            return True
-        self._waiting = target
-        return False
-
-
-class Lasting:
-    """True once something has been so for a time."""
-
-    def __init__(self) -> None:
-        self._since: float | None = None
-
-    def reset(self) -> None:
-        """It is not so."""
-        self._since = None
-
-    def update(self, is_so: bool, duration_s: float, now: float) -> bool:
-        """Whether it has been so for ``duration_s`` at ``now``, both in seconds."""
-        if not is_so:
-            self._since = None
-            return False
-        if self._since is None:
-            self._since = now
-        # Sums of times round: a whole number of periods must count as such.
-        return now - self._since >= duration_s - 1e-9
 
 
 _HALF, _FULL = 1 << 31, 1 << 32

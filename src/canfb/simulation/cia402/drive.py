@@ -29,7 +29,7 @@ EDS = "drive"
 POSITION = (0x60E4, 1)
 LIVE = ((0x6040, 0), (0x607A, 0), POSITION, (0x2110, 1), (0x2110, 4))
 """Writable entries that are not parameters: `save` does not keep them."""
-QUICK_STOP_OPTIONS = frozenset({0, 1, 2, 5, 6})
+COAST, QUICK_STOP_RAMP = 0, 2  # 605Eh
 STOP_TIMEOUT_S = 0.5
 """After a ramp the shaft has this time to come to rest; then the power goes off."""
 
@@ -79,16 +79,11 @@ class ServoDrive(Application):
         self._period, self._cycle, self._dead = entry(0x1006), entry(0x2101, 1), entry(0x2101, 2)
         self._statusword, self._error = entry(0x6041), entry(0x603F)
         self._torque = entry(0x6077)
-        self._abort_option, self._quick_option, self._fault_option = (
-            entry(0x6007),
-            entry(0x605A),
-            entry(0x605E),
-        )
-        self._deceleration, self._quick_deceleration = entry(0x6084), entry(0x6085)
+        self._abort_option, self._fault_option = entry(0x6007), entry(0x605E)
         self._emergency_id, self._sync_timeout = entry(0x2110, 7), entry(0x2110, 8)
         self._controlword = entry(0x6040)
         self._controlword.on_written = self._controlled
-        self._quick_option.on_check = _check_quick_stop_option
+        self._fault_option.on_check = _check_fault_option
         self.axis.on_mode = self._show
         for index, subindex in LIVE:
             self.node.storage.entries.leave_out(index, subindex)
@@ -211,8 +206,7 @@ class ServoDrive(Application):
             self._announce(error, now)
         self._show()
         if ramp and powered:
-            deceleration = self._deceleration if ramp == 1 else self._quick_deceleration
-            self.axis.ramp_down(deceleration, from_actual=True)
+            self.axis.ramp_down(from_actual=True)
             self._stop_by_s = None
         else:
             self._finish_reaction(now)
@@ -228,7 +222,7 @@ class ServoDrive(Application):
         self._switch(self._machine.reaction_done, now)
 
     def _end_stop(self, now: float) -> None:
-        """After the ramp of a quick stop or a fault the power goes off, or the position is held."""
+        """After the ramp of a quick stop or a fault the power goes off."""
         if self.state is State.OPERATION_ENABLED or not self.axis.ramp_is_over:
             return
         if self._stop_by_s is None:
@@ -237,24 +231,17 @@ class ServoDrive(Application):
             return
         if self.state is State.FAULT_REACTION_ACTIVE:
             self._finish_reaction(now)
-        elif self._quick_option.value < 5:
+        else:
             self._switch(self._machine.quick_stop_done, now)
 
     def _controlled(self) -> None:
         """6040h was written."""
         controlword, now = self._controlword.value, self._now
         before = self.state
-        self._switch(
-            lambda: self._machine.control(
-                controlword, may_reset=not self.feedback.wrong, may_resume=self._quick_option.value >= 5
-            ),
-            now,
-        )
+        self._switch(lambda: self._machine.control(controlword, may_reset=not self.feedback.wrong), now)
         if before is State.FAULT and self.state is not State.FAULT:
             self._clear_error(now)
         self._supervise(now)
-        if self.state is State.OPERATION_ENABLED:
-            self.axis.control_mode(controlword)
         self._show()
 
     def _switch(self, change: Callable[[], bool], now: float) -> None:
@@ -266,23 +253,14 @@ class ServoDrive(Application):
         if after in SWITCHED_ON and before not in SWITCHED_ON:
             self._watched_from_s = now
         if after is State.QUICK_STOP_ACTIVE:
-            self._begin_quick_stop(now)
-        elif after is State.OPERATION_ENABLED and before is State.QUICK_STOP_ACTIVE:
-            self.axis.resume()
+            self._stop_by_s = None
+            self.axis.ramp_down()
         elif after is State.OPERATION_ENABLED:
             self.axis.start()
             self.plant.drive(0.0, True, self._received_s)
         elif after not in POWERED:
             self._power_off(now)
         self._show()
-
-    def _begin_quick_stop(self, now: float) -> None:
-        option = self._quick_option.value
-        self._stop_by_s = None
-        if option == 0:
-            self._switch(self._machine.quick_stop_done, now)
-        else:
-            self.axis.ramp_down(self._deceleration if option in (1, 5) else self._quick_deceleration)
 
     def _power_off(self, now: float) -> None:
         self.plant.drive(0.0, False, self._received_s)
@@ -367,7 +345,7 @@ class ServoDrive(Application):
         word = self.state.value | Status.VOLTAGE_ENABLED
         if self.node.state is NmtState.OPERATIONAL:
             word |= Status.REMOTE
-        word |= self.axis.status(self.state is State.OPERATION_ENABLED, self._received_s)
+        word |= self.axis.status(self.state is State.OPERATION_ENABLED)
         self._statusword.value = int(word)
         self._torque.value = self.axis.scaling.per_mille(self.plant.motor.torque_nm)
         self._shown_error = self.error
@@ -376,8 +354,8 @@ class ServoDrive(Application):
                 self.node.trigger_tpdo(number, self._now)
 
 
-def _check_quick_stop_option(value: int) -> None:
-    if value not in QUICK_STOP_OPTIONS:
+def _check_fault_option(value: int) -> None:
+    if value not in (COAST, QUICK_STOP_RAMP):
         raise SdoAbort(AbortCode.INVALID_VALUE)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 
 class Trajectory:
-    """Position demand with speed; the motions below move it on by one period at a time."""
+    """Position demand with its speed."""
 
     def __init__(self) -> None:
         self.position = 0.0
@@ -37,35 +37,6 @@ class Trajectory:
         else:
             self.position += (before + self.speed) / 2.0 * period_s
         return self.speed == 0.0
-
-    def profile(
-        self, target: float, velocity: float, acceleration: float, deceleration: float, period_s: float
-    ) -> bool:
-        """One period of a trapezoid towards the target, from any speed; True when it is there."""
-        distance = target - self.position
-        side = -1.0 if distance < 0.0 or (distance == 0.0 and self.speed > 0.0) else 1.0
-        ahead, speed = side * distance, side * self.speed
-        if ahead <= deceleration * period_s**2 and abs(speed) <= 2.0 * deceleration * period_s:
-            self.place(target)
-            return True
-        following = self._next_speed(ahead, speed, velocity, acceleration, deceleration, period_s)
-        self.position += side * (speed + following) / 2.0 * period_s
-        self.speed = side * following
-        return False
-
-    @staticmethod
-    def _next_speed(
-        ahead: float, speed: float, velocity: float, acceleration: float, deceleration: float, period_s: float
-    ) -> float:
-        """Speed at the end of the period, from which braking ends at the target or is possible at all."""
-        slower = deceleration * period_s
-        if speed < 0.0:  # the wrong way
-            return min(0.0, speed + slower)
-        half = slower / 2.0
-        room = half * half + 2.0 * deceleration * (ahead - speed * period_s / 2.0)
-        stopping = math.sqrt(room) - half if room > 0.0 else 0.0
-        following = min(speed + acceleration * period_s, velocity, stopping)
-        return max(following, speed - slower, 0.0)
 
 
 class Interpolation:

@@ -36,10 +36,8 @@ class Status(IntFlag):
     VOLTAGE_ENABLED = 0x0010
     WARNING = 0x0080
     REMOTE = 0x0200
-    TARGET_REACHED = 0x0400
     INTERNAL_LIMIT = 0x0800
-    SET_POINT_ACKNOWLEDGE = 0x1000  # profile position
-    FOLLOWS_TARGET = 0x1000  # cyclic synchronous position
+    FOLLOWS_TARGET = 0x1000
     FOLLOWING_ERROR = 0x2000
 
 
@@ -50,11 +48,7 @@ class Control(IntFlag):
     ENABLE_VOLTAGE = 0x0002
     QUICK_STOP = 0x0004  # 0 asks for it
     ENABLE_OPERATION = 0x0008
-    NEW_SET_POINT = 0x0010
-    CHANGE_IMMEDIATELY = 0x0020
-    RELATIVE = 0x0040
     FAULT_RESET = 0x0080
-    HALT = 0x0100
 
 
 POWERED = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE})
@@ -78,7 +72,6 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
     (State.OPERATION_ENABLED, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 9
     (State.OPERATION_ENABLED, Command.QUICK_STOP): State.QUICK_STOP_ACTIVE,  # 11
     (State.QUICK_STOP_ACTIVE, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 12
-    (State.QUICK_STOP_ACTIVE, Command.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 16, if 605Ah is 5 or 6
     (State.FAULT, Command.FAULT_RESET): State.SWITCH_ON_DISABLED,  # 15, when the error is gone
 }
 """The transitions that a controlword causes, with their numbers in the standard; any other does nothing."""
@@ -111,17 +104,11 @@ class StateMachine:
         self.state = State.SWITCH_ON_DISABLED
         self._controlword = 0
 
-    def control(self, controlword: int, *, may_reset: bool = True, may_resume: bool = True) -> bool:
-        """Take a ``controlword`` 0..FFFFh; True if the state has changed.
-
-        ``may_reset``: no error is left; ``may_resume``: 605Ah lets the drive continue
-        after a quick stop.
-        """
+    def control(self, controlword: int, *, may_reset: bool = True) -> bool:
+        """Take a ``controlword`` 0..FFFFh; True if the state has changed. ``may_reset``: no error is left."""
         command = command_of(controlword, self._controlword)
         self._controlword = controlword
         if command is Command.FAULT_RESET and not may_reset:
-            return False
-        if self.state is State.QUICK_STOP_ACTIVE and command is Command.ENABLE_OPERATION and not may_resume:
             return False
         return self._go(TRANSITIONS.get((self.state, command), self.state))
 

@@ -4,10 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.simulation.cia402.axis import Lasting, SetPoints, nearest, saturated, wrapped
+from canfb.simulation.cia402.axis import nearest, saturated, wrapped
 from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, approach, chosen_gains
 
-NEW, AT_ONCE, RELATIVE = 0x1F, 0x3F, 0x5F
 GAINS = Gains(50.0, 0.2, 0.04, 1.0, 1.0, 1e-3)
 
 
@@ -62,48 +61,6 @@ def test_the_approach_is_no_faster_than_the_motor_brakes(error: float) -> None:
     assert near == pytest.approx(speed, rel=1e-6, abs=1e-12)
 
 
-def test_a_set_point_is_taken_and_acknowledged_until_bit_4_falls() -> None:
-    points = SetPoints()
-    assert points.control(NEW, 100.0, 0.0)
-    assert (points.active, points.acknowledged) == (100.0, True)
-    assert not points.control(NEW, 200.0, 0.0), "no rising edge"
-    assert not points.control(0x0F, 200.0, 0.0)
-    assert not points.acknowledged
-    assert points.active == 100.0
-
-
-def test_a_second_one_waits_and_holds_the_acknowledgement() -> None:
-    points = SetPoints()
-    points.control(NEW, 100.0, 0.0)
-    points.control(0x0F, 0.0, 0.0)
-    assert not points.control(NEW, 200.0, 0.0)
-    points.control(0x0F, 0.0, 0.0)
-    assert points.acknowledged, "no room for another"
-    assert not points.control(NEW, 300.0, 0.0)
-    points.control(0x0F, 0.0, 0.0)
-    assert points.reached()
-    assert (points.active, points.acknowledged) == (200.0, False)
-    assert not points.reached()
-    assert points.active is None
-
-
-def test_one_at_once_takes_the_place_of_all() -> None:
-    points = SetPoints()
-    points.control(NEW, 100.0, 0.0)
-    points.control(0x0F, 0.0, 0.0)
-    assert points.control(AT_ONCE, -5.0, 0.0)
-    assert points.active == -5.0
-
-
-def test_a_relative_one_counts_from_the_last_target_else_from_here() -> None:
-    points = SetPoints()
-    points.control(RELATIVE, 10.0, 500.0)
-    assert points.active == 510.0
-    points.control(0x0F, 0.0, 0.0)
-    points.control(RELATIVE | AT_ONCE, 10.0, 503.0)
-    assert points.active == 520.0
-
-
 @given(st.integers(-(10**12), 10**12))
 def test_what_wraps_is_an_integer32_of_the_same_count(value: int) -> None:
     shown = wrapped(value)
@@ -124,10 +81,3 @@ def test_the_nearest_of_all_positions_that_show_alike(target: int, reference: in
 )
 def test_what_does_not_fit_is_saturated(value: float, shown: int) -> None:
     assert saturated(value, 16) == shown
-
-
-def test_what_must_last_begins_anew_after_each_break() -> None:
-    lasting = Lasting()
-    said = [lasting.update(bool(so), 0.002, 0.001 * n) for n, so in enumerate([1, 1, 1, 0, 1, 1, 1, 1])]
-    assert said == [False, False, True, False, False, False, True, True]
-    assert Lasting().update(True, 0.0, 5.0)
