@@ -13,7 +13,6 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.events import Event, EventKind, EventWatch
-from canfb.module.sampling import doubt_words
 from canfb.signal.feedback import Feedback
 
 NODE, INTERFACE = 0x20, 0x10
@@ -249,7 +248,7 @@ def test_good_samples_ask_the_watch_nothing(monkeypatch: pytest.MonkeyPatch) -> 
     assert calls == []
 
 
-def test_a_sample_time_that_fits_nothing_is_told_with_its_figures() -> None:
+def test_a_sample_time_that_fits_nothing_is_reported() -> None:
     module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE, autostart=True, times=True), MemoryStore())
     events: list[Event] = []
     module.start(0.0)
@@ -267,16 +266,4 @@ def test_a_sample_time_that_fits_nothing_is_told_with_its_figures() -> None:
     module.events.on_event = events.append
     sample(100, off_s=0.004)
     (text,) = (event.text for event in events if event.kind is EventKind.POSITION)
-    assert text == (
-        "position coasting: sample time 14.000 ms after the last valid one, by its SYNC 10.000 ms"
-    )
-
-
-def test_a_doubted_time_is_compared_with_the_best_that_is_known() -> None:
-    before, now = (0xFFFFFFFF, 1.0, 2.0), (9_999, 1.02, 2.03)
-    assert doubt_words(before, now, 0.01).endswith("by its SYNC 30.000 ms")
-    assert doubt_words((*before[:2], None), now, 0.01).endswith("by its reception 20.000 ms")
-    assert doubt_words((0xFFFFFFFF, None, None), now, 0.01) == (
-        "sample time 1.000 ms after the last valid one, by the interval 10.000 ms"
-    )
-    assert doubt_words((0xFFFFFFFF, None, None), now, 0.0) == "sample time 1.000 ms after the last valid one"
+    assert text == "position coasting: the sample time is not where it was due"

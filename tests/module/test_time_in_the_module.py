@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 import struct
 from collections.abc import Callable
 from itertools import pairwise
@@ -57,7 +58,7 @@ class Machine:
             self.module.dictionary.entry(*place).value = value
         self.stamped, self.motion = stamped, motion
         self.positions: list[Position] = []
-        self.sampled = 0  # the SYNC of the last sample
+        self.sampled = 0.0  # the SYNC of the last sample
         self.emergencies: list[tuple[float, int]] = []
         self.module.start(0.0)
         self.nmt(1, 0.0)
@@ -91,7 +92,7 @@ class Machine:
     def sync(self, k: float) -> None:
         self.give(Frame(0x80, b""), float(k))
 
-    def sample(self, k: int, at: float | None = None, off: float = 0.0) -> None:
+    def sample(self, k: float, at: float | None = None, off: float = 0.0) -> None:
         """The ADC PDO with the sample of SYNC k, usually a quarter of a period after it."""
         angle = 2 * math.pi * (self.motion(k) + off)
         data = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
@@ -324,3 +325,38 @@ def test_the_same_counts_after_the_next_sync_was_due_may_be_another_sample(stamp
     assert not machine.status(120.12) & VALID
     machine.run(121, 140)
     assert machine.right()
+
+
+@pytest.mark.parametrize("faster", [0.0005, 0.003, 0.01])
+def test_an_interface_faster_than_sync_loses_the_position(faster: float) -> None:
+    """More samples come than SYNCs: one of them is counted too little when the delay passes zero."""
+    machine = Machine(motion=lambda at: 0.3 + 1e-3 * max(0.0, at - 50.0) ** 2)
+    frames = [(float(k), k, True) for k in range(1, 2000)]
+    frames += [(at, k, False) for k in range(1, 2010) if (at := k / (1.0 + faster) + 0.6) < 2000.0]
+    for at, _number, is_sync in sorted(frames):
+        if is_sync:
+            machine.sync(at)
+        else:
+            machine.sample(at, at)
+    assert machine.positions[-1].status & LOST
+    assert not [one for one in machine.positions if one.valid and abs(one.cycles - one.truth) > 0.5]
+
+
+@pytest.mark.parametrize("periods", [4, 10, 100])
+def test_each_sample_is_published_again_after_a_slower_sync(periods: int) -> None:
+    """An ADC PDO that came after the next SYNC was counted as missed before; those after it are not late."""
+    machine, draw = Machine(motion=lambda _at: 0.3), random.Random(1)
+    frames: list[tuple[float, bool]] = []
+    for first, apart, many in ((1.0, 1, 400), (401.0, periods, 300)):
+        for k in range(many):
+            at = first + k * apart
+            frames += [(at, True), (at + draw.uniform(0.3, 1.1), False)]
+    for at, is_sync in sorted(frames):
+        if is_sync:
+            machine.sync(at)
+        else:
+            machine.sample(0, at)
+    before = len(machine.positions)
+    for k in range(50):
+        machine.cycle(401 + (300 + k) * periods)
+    assert len(machine.positions) - before == 50

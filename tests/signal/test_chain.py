@@ -17,6 +17,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
+from canfb.signal.second_position import SecondSensor
 from canfb.signal.speeds import STILL_SAMPLES
 
 AMPLITUDE = 1500.0
@@ -238,12 +239,13 @@ def test_after_a_pause_at_standstill_the_count_goes_on_from_the_nearest_cycle() 
     got = chain.step(sample_at(position + 0.3))
     assert got.valid
     assert got.cycles == math.floor(position + 0.3)
+    stand(chain, position + 0.3)
     for _ in range(5):
         chain.miss()
     assert chain.lost
-    stand(chain, 0.5)
+    stand(chain, position + 0.3)
     chain.resume()
-    assert not chain.lost
+    assert not chain.lost, "it stood before, and since"
     assert chain.step(sample_at(0.5)).cycles == 0
 
 
@@ -273,6 +275,7 @@ def test_a_position_that_is_not_valid_at_a_pause_is_lost() -> None:
     assert flags(got) & StatusBit.LOST
     assert not got.valid
     stand(chain, position)
+    chain.reset()
     chain.resume(100.0)
     assert chain.step(sample_at(position)).cycles == 0
 
@@ -325,10 +328,12 @@ def test_a_machine_that_turns_at_a_pause_loses_its_position(
     assert got.valid is not lost
     if not lost:
         assert got.cycles == math.floor(position)
+    stand(chain, position)
     if lost:
         chain.resume(intervals)
-        assert chain.lost, "it may still turn"
-    stand(chain, position)
+        assert chain.lost, "equal phases are those of whole cycles per interval, too"
+        stand(chain, position)
+        chain.reset()
     chain.resume(intervals)
     assert not chain.lost
 
@@ -445,6 +450,7 @@ def test_standstill_is_no_slow_motion() -> None:
         for n in range(2 * STILL_SAMPLES):
             position += speed
             chain.step(sample_at(position + noise * (-1) ** n))
+        chain.reset()
         chain.resume(1.0)
         assert chain.lost is lost
 
@@ -503,3 +509,36 @@ def test_the_acceleration_over_a_gap_and_after_it_is_that_of_the_machine() -> No
         feedback = chain.step(sample_at(0.5 * acceleration * number * number))
         if number > 2:  # without a table each phase is off by 0.0125 cycle
             assert feedback.acceleration_cycles == pytest.approx(acceleration, abs=0.06), number
+
+
+@pytest.mark.parametrize("valid_before", [True, False])
+@pytest.mark.parametrize("coarse", [True, False])
+def test_a_pause_in_motion_ends_the_position_for_good(coarse: bool, valid_before: bool) -> None:
+    """Coarse track and second position find its speed again, but not the revolutions meanwhile."""
+    chain, n, position, speed = SignalChain(ChainConfig()), 2500, 0.3, 0.0
+    other = SecondSensor(increments=1 << 16, tolerance_revolutions=0.01)
+    if not coarse:
+        chain.use_second(other)
+
+    def step() -> bool:
+        nonlocal position
+        position += speed
+        sample, angle = sample_at(position), 2.0 * math.pi * position / n
+        if coarse:
+            sample = sample._replace(coarse_sine=1500 * math.sin(angle), coarse_cosine=1500 * math.cos(angle))
+        feedback = chain.step(sample)
+        if not coarse:
+            chain.hear_second(1, math.floor(position * (1 << 16) / n))
+        return feedback.valid
+
+    while speed < 3.0:
+        step()
+        speed += 0.1
+    assert [step() for _ in range(20)][-1]
+    for _ in range(2):
+        if not valid_before:  # in doubt it is lost at once
+            chain.lose()
+            assert not any(step() for _ in range(400))
+        chain.resume(20.0)
+        position += 20.0 * speed
+        assert not any(step() for _ in range(1200))

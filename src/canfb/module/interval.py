@@ -12,9 +12,6 @@ SAME_GRID = 2e-6  # of the interval
 EXACT_SYNCS = 512  # from then on a lock is more exact than the drift of a clock
 CLOSE = 2e-3  # of the interval: as far as the first lock may be from 1006h
 
-SampleInstant = tuple[int, float | None, float | None]
-"""Sample time in 100 ns; when the sample and its SYNC were received, seconds, None where not known."""
-
 
 class SamplingInterval:
     """The interval of SYNC, seconds, and that from one sample to the next; 0.0 while it is not known.

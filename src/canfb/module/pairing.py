@@ -14,7 +14,7 @@ from canfb.device.application import ProcessData
 from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.module.interval import InterfaceGrid, SampleInstant, SamplingInterval
+from canfb.module.interval import InterfaceGrid, SamplingInterval
 from canfb.module.objects.recorder import SampleObservers
 from canfb.module.objects.sample_input import LocalSource, SampleInput
 from canfb.module.objects.second_input import SecondInput
@@ -67,10 +67,8 @@ class Pairing(ProcessData):
         "_tracks_came",
         "_verdict",
         "_waited",
-        "doubted",
         "extra",
         "judge",
-        "last_valid",
         "sampled",
         "syncs",
         "unconfirmed",
@@ -105,10 +103,6 @@ class Pairing(ProcessData):
         chain.on_unit = limits.unit_changed
         self.unconfirmed = 0
         """Samples after a pause that are not called valid yet."""
-        self.last_valid: SampleInstant | None = None
-        """When the last valid sample with a time was taken."""
-        self.doubted: SampleInstant | None = None
-        """When the present one was, if it is not valid."""
         self._set_waited = 0.0  # `_waited` at the last sample that had several possible intervals
         self.begin()
 
@@ -394,6 +388,8 @@ class Pairing(ProcessData):
             self._limits.follow()
         options = self._since_last(passed)
         if not options:
+            if len(passed.options) > 1:
+                self._lose_count(passed.options[-1] - passed.options[0], now)
             return False
         several = options if len(options) > 1 else ()
         placed = not (passed.instant_error and self._chain.slips(passed.instant_error))
@@ -410,6 +406,7 @@ class Pairing(ProcessData):
         """
         options, waited = passed.options, self._waited
         if options[0] <= waited:
+            self._waited = waited - options[0]
             return ()
         self._waited = 0.0
         if len(options) > 1:
@@ -424,14 +421,12 @@ class Pairing(ProcessData):
         limits = self._limits
         if limits.narrowed:
             limits.follow()
-        time_100ns = parts.time.value
         feedback = self._chain.take_in_turn(
-            parts.sine.value, parts.cosine.value, time_100ns, received_s, synced_s
+            parts.sine.value, parts.cosine.value, parts.time.value, received_s, synced_s
         )
         if feedback is None:
             return False
         self._waited = 0.0
-        self._remember(feedback, (time_100ns, received_s, synced_s))
         noise = limits.noise
         if feedback[-1] >= noise.due and noise.take(feedback):
             limits.measured()
@@ -445,8 +440,6 @@ class Pairing(ProcessData):
 
         Nothing happens either with one that is too near to the last, but it did come.
         """
-        time_100ns = sample.time_100ns
-        assert time_100ns is not None
         self._limits.unit_changed()
         if self._interval.samples_per_sync > 1:
             self._grid.follow()
@@ -455,18 +448,10 @@ class Pairing(ProcessData):
         if last is not None and feedback.samples == last.samples:
             return self._chain.crowded
         self._waited = 0.0
-        self._remember(feedback, (time_100ns, received_s, synced_s))
         if feedback.status & VALID and self.unconfirmed:
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
         return True
-
-    def _remember(self, feedback: Feedback, instant: SampleInstant) -> None:
-        """When the sample was taken: a later one that is in doubt is compared with it in words."""
-        if feedback.status & VALID:
-            self.last_valid, self.doubted = instant, None
-        else:
-            self.doubted = instant
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         """What may be right, but is not confirmed."""

@@ -3,32 +3,16 @@
 from __future__ import annotations
 
 from canfb.device.core import NEVER
-from canfb.module.interval import InterfaceGrid, SampleInstant, SamplingInterval
+from canfb.module.interval import InterfaceGrid, SamplingInterval
 from canfb.module.pairing import Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain
 from canfb.signal.nominal_sync import MEMORY_SYNCS
-from canfb.signal.sample import TICK_S, TICKS
 from canfb.timing.judge import Judge
 
 GRID_SYNCS = 1024  # of several samples for each SYNC, which are taken by its interval
 CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
-
-
-def doubt_words(before: SampleInstant, now: SampleInstant, interval_s: float) -> str:
-    """By how much a sample time deviates from the receptions, or from the nominal interval, in words.
-
-    ``before`` is the last valid sample, ``interval_s`` the interval of SYNC, 0.0: not known.
-    """
-    by_time_s = ((now[0] - before[0] + TICKS // 2) % TICKS - TICKS // 2) * TICK_S
-    text = f"sample time {by_time_s * 1e3:.3f} ms after the last valid one"
-    for what, place in (("its SYNC", 2), ("its reception", 1)):
-        first, last = before[place], now[place]
-        if first is not None and last is not None:
-            apart_s = last - first
-            return f"{text}, by {what} {apart_s * 1e3:.3f} ms"
-    return f"{text}, by the interval {interval_s * 1e3:.3f} ms" if interval_s else text
 
 
 class Sampling:
@@ -63,9 +47,7 @@ class Sampling:
             return "the sample times do not confirm yet that the machine stood at the start"
         if self._chain.reference.in_doubt:
             return "a zero pulse contradicts it"
-        if pairing.last_valid is None or pairing.doubted is None:
-            return ""
-        return doubt_words(pairing.last_valid, pairing.doubted, self._interval.seconds)
+        return "the sample time is not where it was due" if pairing.timed else ""
 
     def overdue(self, now: float) -> None:
         """No SYNC and no sample for 2010:06 periods: what stands there is not the position any more."""
@@ -91,7 +73,6 @@ class Sampling:
         """OPERATIONAL, for the first time or again: nothing was counted meanwhile."""
         chain, pairing, interval_s = self._chain, self._pairing, self._interval.seconds
         pairing.begin()
-        pairing.last_valid = pairing.doubted = None
         pairing.unconfirmed = CONFIRMING_SAMPLES if chain.begun and not chain.lost else 0
         # Since the last SYNC, whose sample may not have come any more.
         chain.resume((now - self._paused_s) / interval_s + 1.0 if interval_s else NEVER)

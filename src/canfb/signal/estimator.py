@@ -104,11 +104,7 @@ class Estimator:
             self._doubt.declare(declared.in_doubt, declared.bad_samples)
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
-        """Start with this cycle count and speed; the position is not lost any more.
-
-        ``speed_cycles`` in cycles per interval, as in :meth:`Tracker.restart`. Standstill is what is assumed
-        where nothing is known: uneven times are held against it. Any other speed is known.
-        """
+        """Start with this cycle count and speed, cycles per interval; uneven times are held against 0.0."""
         self.tracker.restart(cycles, speed_cycles)
         self._known = speed_cycles != 0.0
         self.lost = False
@@ -214,6 +210,11 @@ class Estimator:
     def stands_still(self) -> bool:
         """While lost: the machine stood before, or its phases have for long enough."""
         return self._still.samples >= STILL_SAMPLES
+
+    @property
+    def stays_still(self) -> bool:
+        """While lost: the machine stood before, and has not moved since."""
+        return self._still.stays
 
     @property
     def searches(self) -> bool:

@@ -72,10 +72,14 @@ class Pauses:
         """From cycle count 0, now or at the next standstill.
 
         After a reset the first sample is cycle 0 at any speed that uneven times find. A position that was
-        lost stays lost while the machine turns: nobody has asked for another one.
+        lost in motion stays lost: equal phases do not exclude motion.
         """
         stages, estimator = self._stages, self._stages.estimator
         was_lost, declared = estimator.lost, estimator.declared
+        if was_lost and not (stages.waits or estimator.stays_still):
+            # Samples of whole cycles per interval equal those of a machine at rest, however many.
+            stages.resume(moved=True, starts=False)
+            return
         acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
         fastest = self._turned + acceleration * intervals
         waits = not estimator.stands_still if was_lost else stages.waits

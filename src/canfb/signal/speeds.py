@@ -75,12 +75,16 @@ def least_speeds(
 
 
 class StillPhase:
-    """Counts the samples in a row near one phase; ``phase`` is that of a machine that is known to stand."""
+    """Counts the samples in a row near one phase; ``phase`` is that of a machine that is known to stand.
 
-    __slots__ = ("_phase", "samples")
+    ``stays``: it is, and each sample since was near it.
+    """
+
+    __slots__ = ("_phase", "samples", "stays")
 
     def __init__(self, phase: float | None = None) -> None:
-        self.samples = 0 if phase is None else STILL_SAMPLES
+        self.stays = phase is not None
+        self.samples = STILL_SAMPLES if self.stays else 0
         self._phase = math.nan if phase is None else phase
 
     def take(self, phase: float) -> None:
@@ -89,4 +93,4 @@ class StillPhase:
         if self.samples and abs(apart) <= STILL_CYCLES:
             self.samples += 1
         else:
-            self.samples, self._phase = 1, phase
+            self.samples, self._phase, self.stays = 1, phase, False

@@ -125,18 +125,16 @@ class Stages:
         self._frozen.residual_limit_cycles = limits.residual_limit
         self._frozen.frozen_samples = limits.frozen_samples
         if limits.cycles_per_revolution != self.reference.coarse.cycles_per_revolution:
+            had_position = self.reference.had_position
             self._make_reference(limits)
+            self.reference.had_position = had_position
         self.reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
         self.reference.coarse.full_scale_counts = limits.sample.full_scale_counts
         self.tracks.use_corners(limits.corners)
         self._tracks_changed()
 
     def _declare(self, declared: Declared) -> None:
-        """Hold the next samples against this; the position stays.
-
-        With another order of prediction it is lost if the samples were about to determine it; or if the
-        machine accelerates by more than the prediction of constant speed can follow.
-        """
+        """Hold the next samples against this; with another order a position in doubt is lost."""
         if declared.order == self.estimator.order:
             self.estimator.declare(declared)
             return
@@ -198,15 +196,15 @@ class Stages:
         self._speed = float(speed_cycles)
         self._expect(self._speed)
 
-    def resume(self, moved: bool) -> None:
-        """Go on after a pause from the last position, which is lost if the machine may have ``moved``."""
-        self.reference.restart(keep=not moved)
+    def resume(self, moved: bool, starts: bool = True) -> None:
+        """Go on after a pause, lost if the machine may have ``moved``; the references stay aligned."""
+        self.reference.restart(keep=True)
         if self.second is not None:
-            self.second.restart(keep=not moved, known=True)
+            self.second.restart(keep=not moved, known=self.reference.had_position)
         self.estimator.resume()
         self._forget_sample()
         if moved:
-            self.lose_after_pause(starts=True)
+            self.lose_after_pause(starts)
 
     def lose_after_pause(self, starts: bool) -> None:
         """As :meth:`Estimator.lose`; without a sample."""
@@ -378,6 +376,8 @@ class Stages:
         cycles, phase, residual, _ = track
         speed, places = self._tracker.step_cycles, self.estimator.places
         valid = bits & VALID
+        if valid:
+            self.reference.had_position = True
         # The speed of a sample that was not valid may be wrong by whole cycles.
         known = self.was_valid or not valid
         acceleration = speed - self._speed if known else speeds.acceleration(places)

@@ -121,7 +121,10 @@ class Judge:
                 early = self._early_s(time_s) / period
                 if count.intervals == 1 and early > ROUNDING:
                     count.error = max(count.error, early)
-        return Refusal.EARLIER if offsets == (-1,) else self._sampled(offsets)
+        if offsets != (-1,):
+            return self._sampled(offsets)
+        # Where the SYNC before has its answer already, more samples come than SYNCs.
+        return Refusal.EARLIER if count.before_open or not count.sampled else Refusal.ANOTHER
 
     def _early_s(self, time_s: float) -> float:
         """How much shorter than a period the interval of a sample is, at least, that is received now.

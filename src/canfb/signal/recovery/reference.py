@@ -49,6 +49,8 @@ class Reference:
         """Number of speeds recovered by the coarse track."""
         self.set_right = 0
         """How often a zero pulse found the count wrong and set it right."""
+        self.had_position = False
+        """There was a valid position since the start: its count is not that of the next one found."""
         self.restart()
 
     def follow(self, recovery: Estimator) -> None:
@@ -76,7 +78,7 @@ class Reference:
         if not keep:
             self.coarse.forget()
             self.zero.forget()
-            self.in_doubt = False
+            self.had_position = self.in_doubt = False
             """Zero pulses contradict the position, or each other: :meth:`apply` is to see every sample."""
         self._proven = False  # the coarse track has confirmed the range of speed since the start
         self._range_known = False  # ... since the position was lost
@@ -191,7 +193,9 @@ class Reference:
             coarse.align(angle, track.cycles, track.phase)
             return 0
         exact = coarse.limit_revolutions * coarse.cycles_per_revolution < EXACT_CYCLES
-        if exact or not (coarse.aligned or self.zero.referenced):
+        # A count that was lost is not known again where the coarse track was never aligned with it.
+        known = coarse.aligned or self.zero.referenced
+        if (exact and known) or not (known or self.had_position):
             self._estimator.confirm_count()  # or there was no position yet that could be lost
         return jump
 
