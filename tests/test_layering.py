@@ -50,7 +50,7 @@ ALLOWED: dict[str, set[str]] = {
     # What all tools share that are the master of a bus: objects by SDO, samples, changes that are undone.
     "master": {"signal", "calibration", "sources", "view"} | WORDS,
     "tables": {"marked_yaml", "signal", "calibration", "master"} | WORDS - {"checks", "cia301"},
-    "sdo": {"marked_yaml", "calibration", "master"} | WORDS - {"checks", "rows"},
+    "sdo": {"marked_yaml", "calibration", "device", "master"} | WORDS - {"checks", "rows"},
     "backup": {"marked_yaml", "signal", "master", "sdo"} | WORDS - {"checks", "errors"},
     "diagnosis": {"signal", "view", "master", "sdo"} | WORDS - {"checks"},
     "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "tables"} | WORDS,
@@ -92,7 +92,6 @@ MAY_NAME_A_KIND = {"simulation", "demo", "calibrate", "cli"}
 FOREIGN: dict[str, set[str]] = {
     "signal": {"numpy"},
     "calibration": {"numpy"},
-    "device": {"canopen"},
     "sources": {"numpy", "iio"},
     "interface": {"numpy"},
     "simulation": {"numpy"},
@@ -103,7 +102,6 @@ FOREIGN: dict[str, set[str]] = {
     "report": {"numpy"},
     "master": {"numpy", "canopen", "can"},
     "tables": {"numpy", "yaml"},
-    "sdo": {"canopen"},
     "backup": {"yaml"},
     "calibrate": {"numpy"},
     "commission": {"numpy"},

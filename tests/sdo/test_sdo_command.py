@@ -230,6 +230,14 @@ def test_a_node_of_another_maker(canfb: Commands, bench: Bench, tmp_path: Path) 
     assert "the type in the EDS is not that of the node: give its own with --eds" in err
 
 
+@pytest.mark.parametrize("unused", [b"", b"\0", b"\x12\x34"])
+def test_the_type_says_how_many_bytes_of_an_expedited_answer_are_used(unused: bytes) -> None:
+    (limit,) = OF_MODULE.meant("2010:01")  # UNSIGNED16
+    assert limit.decode(b"\x07\x01" + unused) == 0x107
+    with pytest.raises(ValueError, match="has 2 bytes, not 1"):
+        limit.decode(b"\x07")
+
+
 HEAD = "[DeviceInfo]\nProductName=their drive\n[1000]\n"
 
 

@@ -1,35 +1,26 @@
-"""Objects of a node by its EDS: names, types, units, limits; and look-up by name.
-
-The unit of an object is a line ``;Unit=`` above its section in our EDS files, a comment for CiA 306, or a key
-``Unit`` in it, as python canopen has it.
-"""
+"""Objects of a node by its EDS: names, types, units, limits; and look-up by name."""
 
 from __future__ import annotations
 
-import io
-import logging
 import re
 from collections.abc import Iterator
-from configparser import Error, RawConfigParser
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import canopen
-
 from canfb import objects as od
 from canfb.cia301 import datatypes
-from canfb.cia301.datatypes import DataType
+from canfb.device.od import eds
 from canfb.errors import ConfigError
 from canfb.marked_yaml import read_bytes
 from canfb.master.access import CommissioningError
 
 Place = tuple[int, int]
-DOMAIN_OBJECT = 0x2
 MOST_LISTED = 12
 LONGEST_NAME = 80  # in a message
-_UNIT = re.compile(r"^; *Unit *=(.*)\r?\n(\[\w+\].*)$", re.MULTILINE)
+EXPEDITED = 4
+"""Bytes of an SDO answer in one frame (CiA 301, 7.2.4.3.3)."""
 _NUMBERED = re.compile(r"(?:0x)?([0-9a-f]{4})h?(?:[:.](?:0x)?([0-9a-f]{1,2})h?)?", re.IGNORECASE)
 
 
@@ -80,7 +71,14 @@ class ObjectDescription:
         return self.access in ("wo", "rw", "rwr", "rww")
 
     def decode(self, data: bytes) -> Any:
-        """The value of bytes from the bus. ValueError where their number is not that of the type."""
+        """The value of bytes from the bus. ValueError where they are fewer than those of the type.
+
+        An expedited answer has four bytes, used or not: where a slave does not say how many (42h), or says
+        four, the length of the type decides.
+        """
+        size = datatypes.byte_length(self.data_type)
+        if size and len(data) <= EXPEDITED:
+            data = data[:size]
         return datatypes.decode(self.data_type, data)
 
 
@@ -89,7 +87,16 @@ class ObjectDescriptions:
 
     def __init__(self, path: Path, node_id: int) -> None:
         self.path = path
-        self.product, self.identity, self._entries = _described(path, node_id, _modified(path))
+        content = read_bytes(path, CommissioningError)
+        try:
+            described = eds.content_described(content)
+            self._entries = _described(content, node_id)
+        except ValueError as error:
+            raise CommissioningError(f"{path}: this is not an EDS: {error}") from None
+        if not self._entries:
+            raise CommissioningError(f"{path}: this is not an EDS: it has no object")
+        self.product = described.product_name or path.name
+        self.identity = (described.vendor, described.product)
 
     def __iter__(self) -> Iterator[ObjectDescription]:
         return iter(self._entries.values())
@@ -160,77 +167,13 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:MOST_LISTED]) + more
 
 
-def _modified(path: Path) -> tuple[int, int] | None:
-    """Time (ns) and length of the file; None for one that cannot be read, which reading it will say."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_mtime_ns, status.st_size
-
-
 @lru_cache(maxsize=8)
-def _described(
-    path: Path, node_id: int, modified: tuple[int, int] | None
-) -> tuple[str, tuple[Any, Any], dict[Place, ObjectDescription]]:
-    """Product, vendor and product number, and entries; nobody changes them.
-
-    Reading the EDS of the module is most of what a short command computes, and a backup needs it twice.
-    """
-    imported = _imported(path, node_id)
-    information = imported.device_information
-    entries = {one.place: one for thing in imported.values() for one in _entries(thing)}
-    identity = (information.vendor_number, information.product_number)
-    return str(information.product_name or path.name), identity, entries
-
-
-def _imported(path: Path, node_id: int) -> Any:
-    """python canopen's dictionary of the file."""
-    parser = RawConfigParser(inline_comment_prefixes=(";",))
-    parser.optionxform = str  # type: ignore[assignment,method-assign]
-    text = read_bytes(path, CommissioningError).decode("utf-8", errors="replace")
-    canopens = logging.getLogger("canopen.objectdictionary")
-    level = canopens.level
-    try:
-        canopens.setLevel(logging.CRITICAL)  # an oddity of the file that does no harm
-        parser.read_string(_UNIT.sub(r"\2\nUnit=\1", text))
-        if not parser.has_section("DeviceInfo"):
-            raise ValueError("[DeviceInfo] is missing")
-        for section in parser.sections():  # CiA 306: a DOMAIN need not say its type
-            if int(parser.get(section, "ObjectType", fallback="0") or "0", 0) == DOMAIN_OBJECT:
-                for option, value in (("DataType", f"0x{DataType.DOMAIN:04X}"), ("AccessType", "rw")):
-                    if not parser.get(section, option, fallback=""):
-                        parser.set(section, option, value)
-        file = io.StringIO()
-        parser.write(file)
-        file.seek(0)
-        file.name = "objects.eds"
-        return canopen.import_od(file, node_id)
-    except (Error, ValueError, KeyError, TypeError, AttributeError) as error:
-        said = " ".join(str(error).split())[:200]
-        raise CommissioningError(f"{path}: this is not an EDS: {said}") from None
-    finally:
-        canopens.setLevel(level)
-
-
-def _entries(thing: Any) -> Iterator[ObjectDescription]:
-    if isinstance(thing, canopen.objectdictionary.ODVariable):
-        if thing.index >= 0x1000:  # below are the dummies of PDO mappings
-            yield _entry(thing, "")
-        return
-    for subindex in sorted(thing.subindices):
-        yield _entry(thing.subindices[subindex], str(thing.name))
-
-
-def _entry(variable: Any, parent: str) -> ObjectDescription:
-    return ObjectDescription(
-        int(variable.index),
-        int(variable.subindex),
-        str(variable.name),
-        parent,
-        int(variable.data_type or DataType.DOMAIN),
-        str(variable.access_type),
-        str(variable.unit),
-        variable.min,
-        variable.max,
-    )
+def _described(content: bytes, node_id: int) -> dict[Place, ObjectDescription]:
+    """The entries of a file with this content; nobody changes them. ValueError for one that is no EDS."""
+    return {
+        (one.index, one.subindex): ObjectDescription(
+            one.index, one.subindex, one.name, one.parent, one.data_type, one.access, one.unit, low, high
+        )
+        for one in eds.content_described(content).entries
+        for _, low, high in [one.values(node_id)]
+    }

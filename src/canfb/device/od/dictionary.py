@@ -4,40 +4,20 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from enum import IntEnum
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.datatypes import DataType
-
-
-class ObjectKind(IntEnum):
-    """Object code (CiA 301, 7.4.3)."""
-
-    DOMAIN = 0x02
-    VAR = 0x07
-    ARRAY = 0x08
-    RECORD = 0x09
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectInfo:
-    """What an index holds: its name, its kind and its sub-indices in ascending order."""
-
-    index: int
-    name: str
-    kind: ObjectKind
-    subindices: tuple[int, ...]
-
+from canfb.device.od import eds
+from canfb.device.od.eds import ACCESS, Description, ObjectInfo, ObjectKind
 
 READABLE = frozenset({"ro", "rw", "rwr", "rww", "const"})
 WRITABLE = frozenset({"wo", "rw", "rwr", "rww"})
 TPDO_ACCESS = frozenset({"ro", "rw", "rwr", "const"})
 RPDO_ACCESS = frozenset({"wo", "rw", "rww"})
-ACCESS = READABLE | WRITABLE
 
 
 class Entry:
@@ -254,15 +234,18 @@ class Dictionary:
         the file has it, is the file itself. A content is parsed once in a process; each dictionary has
         entries of its own.
         """
-        from canfb.device.od import eds  # with canopen: loaded by the first dictionary, no sooner
-
         if not (1 <= node_id <= 127 or node_id == 255):
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
-        described = eds.load(Path(path), node_id)
-        dictionary = cls(described.fresh_entries(), described.objects, described.dummies)
+        content = Path(path).read_bytes()
+        try:
+            described = eds.content_described(content)
+            template = _template(content, node_id)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+        dictionary = cls([entry.fresh() for entry in template], described.objects, described.dummies)
         stored = dictionary.find(STORE_EDS)
         if stored is not None and stored.data_type == DataType.DOMAIN:
-            stored.default = stored.value = described.content
+            stored.default = stored.value = content
         return dictionary
 
     def entry(self, index: int, subindex: int = 0) -> Entry:
@@ -320,6 +303,35 @@ class Dictionary:
         for entry in self._entries.values():
             if first <= entry.index <= last:
                 entry.reset()
+
+
+@lru_cache(maxsize=32)
+def _template(content: bytes, node_id: int) -> tuple[Entry, ...]:
+    """The entries that a dictionary begins with. They are never given away: each one gets copies."""
+    return tuple(_entry(one, node_id) for one in eds.content_described(content).entries)
+
+
+def _entry(described: Description, node_id: int) -> Entry:
+    default, low, high = described.values(node_id)
+    try:
+        entry = Entry(
+            described.index,
+            described.subindex,
+            described.data_type,
+            name=described.name,
+            access=described.access,
+            default=default,
+            low=low,
+            high=high,
+            pdo_mappable=described.pdo_mappable,
+            follows_node_id=described.follows_node_id,
+        )
+        entry.encode()
+        if entry.default is not None:
+            entry.check_limits(entry.default)
+    except (ValueError, SdoAbort) as error:
+        raise ValueError(f"[{described.section}]: {error}") from error
+    return entry
 
 
 def _guess_objects(entries: Iterable[tuple[int, int]]) -> list[ObjectInfo]:

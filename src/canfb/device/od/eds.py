@@ -1,50 +1,136 @@
-"""An EDS file (CiA 306): read once in a process for each content, and made a template of the dictionary.
+"""EDS and DCF files (CiA 306): one reader, for the device and for the tools.
 
-`canopen.import_od` gives the objects, their names, types and access. It does not expand CompactSubObj,
-drops limits of REAL32, requires a DataType for every DOMAIN and reads a negative default written in
-hexadecimal as a positive number. So the file is completed first, and the numbers are read here.
-Reading takes tens of milliseconds, copying a template less than one.
+Tolerant where files in the field are odd and nothing depends on it: byte order mark, Ctrl-Z, Windows-1252,
+indented lines, any case of sections and keys, octal numbers, `$NODEID` on either side, CompactSubObj,
+missing sections and blank numbers. Strict where a value decides: a data type, an access, a default or a
+limit that is none is refused, with its section and key. A content is read once in a process.
 """
 
 from __future__ import annotations
 
 import io
+import math
 import re
-from collections.abc import Mapping
+import struct
 from configparser import Error as ParserError
 from configparser import RawConfigParser
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from canopen import ObjectDictionary, import_od
-from canopen.objectdictionary import ODArray, ODRecord, ODVariable
-
 from canfb.cia301 import datatypes
-from canfb.cia301.codes import SdoAbort
 from canfb.cia301.datatypes import DataType
-from canfb.device.od.dictionary import Entry, ObjectInfo, ObjectKind
 
-DOMAIN = 0x02
-VAR = 0x07
-ARRAY = 0x08
-RECORD = 0x09
 
+class ObjectKind(IntEnum):
+    """Object code (CiA 301, 7.4.3)."""
+
+    NULL = 0x00
+    DOMAIN = 0x02
+    DEFTYPE = 0x05
+    DEFSTRUCT = 0x06
+    VAR = 0x07
+    ARRAY = 0x08
+    RECORD = 0x09
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectInfo:
+    """What an index holds: its name, its kind and its sub-indices in ascending order."""
+
+    index: int
+    name: str
+    kind: ObjectKind
+    subindices: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """One entry as the file describes it; `default`, `low` and `high` are texts until a node-ID is known.
+
+    `parent` is the name of the object, empty where the entry is all of it. `unit` is a key Unit, or a comment
+    `;Unit=` above the section.
+    """
+
+    index: int
+    subindex: int
+    name: str
+    parent: str
+    data_type: int
+    access: str
+    pdo_mappable: bool
+    unit: str
+    section: str
+    default: str
+    low: str
+    high: str
+
+    @property
+    def follows_node_id(self) -> bool:
+        """Whether the node-ID is part of the default."""
+        return "$NODEID" in self.default.upper()
+
+    def values(self, node_id: int) -> tuple[Any, Any, Any]:
+        """Default, lowest and highest value; None for none. ValueError that names section and key."""
+        limits = self.data_type not in _WITHOUT_LIMITS
+        return (
+            self._number("DefaultValue", self.default, node_id),
+            self._number("LowLimit", self.low, node_id) if limits else None,
+            self._number("HighLimit", self.high, node_id) if limits else None,
+        )
+
+    def _number(self, key: str, text: str, node_id: int) -> Any:
+        try:
+            return number(text, self.data_type, node_id)
+        except ValueError as error:
+            raise ValueError(f"[{self.section}] {key}: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Described:
+    """A whole file. `vendor` and `product` are the numbers of 1018h, None where the file has none."""
+
+    product_name: str
+    vendor: int | None
+    product: int | None
+    objects: tuple[ObjectInfo, ...]
+    entries: tuple[Description, ...]
+    dummies: frozenset[int]
+    """Data types that may fill gaps of an RPDO (section DummyUsage)."""
+
+
+ACCESS = frozenset({"ro", "rw", "wo", "rwr", "rww", "const"})
+FIRST_OBJECT = 0x1000
+"""Below are data types (CiA 301, 7.4.1), which are no objects of the device."""
 LONGEST_MESSAGE = 200
+_FIRST_OWN_TYPE, _LAST_OWN_TYPE = 0x20, 0x025F
+"""Data types that a profile or a manufacturer defines: their values are bytes here."""
+_WITHOUT_LIMITS = frozenset(
+    {DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.STRINGS, *datatypes.FIXED_BYTES}
+)
 _INDEX = re.compile(r"^[0-9A-Fa-f]{4}$")
-_SUBINDEX = re.compile(r"^([0-9A-Fa-f]{4})[Ss]ub([0-9A-Fa-f]+)$")
+_SUBINDEX = re.compile(r"^([0-9A-Fa-f]{4})sub([0-9A-Fa-f]+)$", re.IGNORECASE)
+_LIST = re.compile(r"^([0-9A-Fa-f]{4})(Name|Value)$", re.IGNORECASE)
 _DUMMY = re.compile(r"^Dummy([0-9A-Fa-f]{4})$", re.IGNORECASE)
-
-
-class EdsText(io.StringIO):
-    """The text of an EDS that looks like an open file: `import_od` takes the format from the name."""
-
-    name = "dictionary.eds"
+_HEADER = re.compile(r"^\[([^\]\n]*)\]", re.MULTILINE)
+_UNIT = re.compile(r"^; *Unit *=(.*)\n\[([^\]\n]*)\]", re.MULTILINE)
+_OCTAL = re.compile(r"[+-]?0[0-9]+")
+_SPELLING = {
+    name.lower(): name
+    for name in (
+        *("FileInfo", "DeviceInfo", "DummyUsage", "Comments", "DeviceComissioning", "MandatoryObjects"),
+        *("OptionalObjects", "ManufacturerObjects", "ParameterName", "ObjectType", "DataType", "AccessType"),
+        *("DefaultValue", "LowLimit", "HighLimit", "PDOMapping", "SubNumber", "CompactSubObj", "ObjFlags"),
+        *("ParameterValue", "Unit", "VendorNumber", "ProductNumber", "ProductName", "EDSVersion"),
+    )
+}
+"""Sections and keys as CiA 306 spells them; case has no meaning in a file."""
 
 
 def read(path: Path) -> RawConfigParser:
-    """The sections of the file, completed. ValueError when it is not an EDS."""
+    """The sections of the file, completed. OSError, ValueError when it is not an EDS."""
     try:
         return parse(path.read_bytes())
     except ValueError as error:
@@ -52,29 +138,52 @@ def read(path: Path) -> RawConfigParser:
 
 
 def parse(content: bytes) -> RawConfigParser:
-    """The sections of a file with this content, completed. ValueError when it is not an EDS."""
-    parser = RawConfigParser(inline_comment_prefixes=(";",))
-    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    """The sections of a file with this content: usual spelling, CompactSubObj written out, a type for DOMAIN.
+
+    ValueError when it is not an EDS.
+    """
+    parser = RawConfigParser(delimiters=("=",), inline_comment_prefixes=(";",))
+    parser.optionxform = _spelled  # type: ignore[assignment,method-assign]
+    text = _HEADER.sub(lambda match: f"[{_section_name(match[1])}]", _text(content))
     try:
-        parser.read_file(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8", errors="replace"))
+        parser.read_file(io.StringIO(text))
     except ParserError as error:
         said = " ".join(str(error).split())[:LONGEST_MESSAGE]  # it tells of every line
         raise ValueError(f"not an EDS: {said}") from error
     for section in [name for name in parser.sections() if _INDEX.match(name)]:
         _expand_compact(parser, section)
     for section in parser.sections():
-        if _object_type(parser, section) == DOMAIN:
+        if _kind(parser, section) is ObjectKind.DOMAIN:
             _default_option(parser, section, "DataType", f"0x{DataType.DOMAIN:04X}")
             _default_option(parser, section, "AccessType", "rw")
     return parser
 
 
-def as_file(parser: RawConfigParser) -> EdsText:
-    """The completed file, for `import_od`."""
-    text = EdsText()
-    parser.write(text)
-    text.seek(0)
-    return text
+def _text(content: bytes) -> str:
+    """Lines without blanks around them: an indented one would continue the one before."""
+    for encoding in ("utf-8-sig", "cp1252", "latin-1"):
+        try:
+            text = content.decode(encoding)
+            break
+        except UnicodeDecodeError:
+            continue
+    text, _, _ = text.partition("\x1a")  # the end of a text file, once
+    return "\n".join(line.strip() for line in text.splitlines())
+
+
+def _spelled(name: str) -> str:
+    return _SPELLING.get(name.strip().lower(), name.strip())
+
+
+def _section_name(name: str) -> str:
+    name = _spelled(name)
+    if _INDEX.match(name):
+        return name.upper()
+    if match := _SUBINDEX.match(name):
+        return f"{match[1].upper()}sub{int(match[2], 16):X}"
+    if match := _LIST.match(name):
+        return f"{match[1].upper()}{match[2].capitalize()}"
+    return name
 
 
 def sections(parser: RawConfigParser) -> dict[tuple[int, int], str]:
@@ -87,15 +196,80 @@ def sections(parser: RawConfigParser) -> dict[tuple[int, int], str]:
         if _INDEX.match(name):
             found.setdefault((int(name, 16), 0), name)
         elif match := _SUBINDEX.match(name):
-            found[int(match.group(1), 16), int(match.group(2), 16)] = name
+            found[int(match[1], 16), int(match[2], 16)] = name
     return found
+
+
+@lru_cache(maxsize=8)
+def content_described(content: bytes) -> Described:
+    """What a file with this content describes. ValueError with section and key for the impossible."""
+    parser = parse(content)
+    units = {_section_name(match[2]): match[1].strip() for match in _UNIT.finditer(_text(content))}
+    places = sections(parser)
+    subindices: dict[int, list[int]] = {}
+    for name in parser.sections():
+        if match := _SUBINDEX.match(name):
+            subindices.setdefault(int(match[1], 16), []).append(int(match[2], 16))
+    objects, entries = [], []
+    for index in sorted({index for index, _ in places if index >= FIRST_OBJECT}):
+        head = f"{index:04X}"
+        kind = _kind(parser, head) if parser.has_section(head) else ObjectKind.RECORD
+        if kind is ObjectKind.NULL:
+            continue
+        has_subs = index in subindices or kind in (ObjectKind.ARRAY, ObjectKind.RECORD, ObjectKind.DEFSTRUCT)
+        subs = tuple(sorted(subindices.get(index, ()))) if has_subs else (0,)
+        name = parser.get(head, "ParameterName", fallback=head).strip()
+        objects.append(ObjectInfo(index, name, kind, subs))
+        for sub in subs:
+            section = places[index, sub]
+            unit = units.get(section, "")
+            entries.append(_description(parser, section, (index, sub), name if has_subs else "", unit))
+    return Described(
+        parser.get("DeviceInfo", "ProductName", fallback="").strip(),
+        _option_number(parser, "DeviceInfo", "VendorNumber"),
+        _option_number(parser, "DeviceInfo", "ProductNumber"),
+        tuple(objects),
+        tuple(entries),
+        _dummy_types(parser),
+    )
+
+
+def _description(
+    parser: RawConfigParser, section: str, place: tuple[int, int], parent: str, unit: str
+) -> Description:
+    def text(key: str) -> str:
+        return str(parser.get(section, key, fallback="")).strip()
+
+    data_type = _option_number(parser, section, "DataType")
+    if data_type is None:
+        raise ValueError(f"[{section}] DataType is missing")
+    if data_type not in datatypes.KNOWN and not _FIRST_OWN_TYPE <= data_type <= _LAST_OWN_TYPE:
+        raise ValueError(f"[{section}] DataType: unknown data type {data_type:#06x}; see CiA 301, 7.4.7")
+    access = text("AccessType").lower()
+    if access not in ACCESS:
+        said = f"{access!r} is none" if access else "is missing"
+        raise ValueError(f"[{section}] AccessType {said}; use one of {', '.join(sorted(ACCESS))}")
+    return Description(
+        *place,
+        text("ParameterName"),
+        parent,
+        data_type,
+        access,
+        bool(_option_number(parser, section, "PDOMapping")),
+        text("Unit") or unit,
+        section,
+        text("DefaultValue"),
+        text("LowLimit"),
+        text("HighLimit"),
+    )
 
 
 def number(text: str, data_type: int, node_id: int) -> Any:
     """A default or a limit as the file writes it; None for an empty text.
 
-    `$NODEID` is replaced, and a hexadecimal number beyond the positive range of a signed type is
-    its two's complement (CiA 306). ValueError when the text is not such a number.
+    `$NODEID` is replaced; a leading 0 makes a number octal; a hexadecimal number beyond the positive range
+    of a signed type is its two's complement, that of a REAL its bits (CiA 306). ValueError when the text is
+    not such a number.
     """
     text = text.strip()
     if not text:
@@ -105,36 +279,65 @@ def number(text: str, data_type: int, node_id: int) -> Any:
     if data_type in (DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.FIXED_BYTES):
         return bytes.fromhex(text)
     if data_type in datatypes.FLOATS:
-        return float(text)
-    value = sum(_term(term, node_id) for term in text.split("+"))
+        return _real(text, data_type)
+    if data_type not in datatypes.KNOWN:
+        return None
+    value = sum(node_id if term.strip().upper() == "$NODEID" else whole(term) for term in text.split("+"))
     bits = datatypes.SIGNED_BITS.get(data_type, 0)
     if bits and "0x" in text.lower() and (1 << (bits - 1)) <= value < (1 << bits):
         value -= 1 << bits
     return bool(value) if data_type == DataType.BOOLEAN else value
 
 
-def dummy_types(parser: RawConfigParser) -> frozenset[int]:
-    """Data types that may fill gaps of an RPDO (section DummyUsage)."""
+def whole(text: str) -> int:
+    """A whole number: decimal, 0x hexadecimal, or octal with a leading 0 (CiA 306). ValueError for none."""
+    text = text.strip()
+    try:
+        return int(text, 8) if _OCTAL.fullmatch(text) else int(text, 0)
+    except ValueError:
+        raise ValueError(f"{text[:LONGEST_MESSAGE]!r} is not a number") from None
+
+
+def _real(text: str, data_type: int) -> float:
+    if text.lower().startswith("0x"):
+        code, size = ("f", 4) if data_type == DataType.REAL32 else ("d", 8)
+        data = whole(text)
+        if data >> (8 * size):
+            raise ValueError(f"{text} has more bits than a REAL{8 * size}")
+        value = float(struct.unpack(f">{code}", data.to_bytes(size, "big"))[0])
+    else:
+        value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not a finite number")
+    return value
+
+
+def _dummy_types(parser: RawConfigParser) -> frozenset[int]:
     if not parser.has_section("DummyUsage"):
         return frozenset()
-    types = set()
-    for option, text in parser.items("DummyUsage"):
-        match = _DUMMY.match(option)
-        if match and int(text or "0", 0):
-            types.add(int(match.group(1), 16))
-    return frozenset(types)
+    return frozenset(
+        int(match[1], 16)
+        for match in map(_DUMMY.match, parser.options("DummyUsage"))
+        if match and _option_number(parser, "DummyUsage", match[0])
+    )
 
 
-def _term(term: str, node_id: int) -> int:
-    term = term.strip()
-    return node_id if term.upper() == "$NODEID" else int(term, 0)
-
-
-def _object_type(parser: RawConfigParser, section: str) -> int:
+def _option_number(parser: RawConfigParser, section: str, option: str) -> int | None:
+    """The number of a key, None where it is missing or blank. ValueError that names it."""
+    text = parser.get(section, option, fallback="").strip()
     try:
-        return int(parser.get(section, "ObjectType", fallback="") or "0", 0)
+        return whole(text) if text else None
     except ValueError as error:
-        raise ValueError(f"[{section}] ObjectType: {error}") from error
+        raise ValueError(f"[{section}] {option}: {error}") from None
+
+
+def _kind(parser: RawConfigParser, section: str) -> ObjectKind:
+    """The object type; a missing one means VAR (CiA 306)."""
+    code = _option_number(parser, section, "ObjectType")
+    try:
+        return ObjectKind.VAR if code is None else ObjectKind(code)
+    except ValueError:
+        raise ValueError(f"[{section}] ObjectType: {code} is no object type of CiA 301") from None
 
 
 def _default_option(parser: RawConfigParser, section: str, option: str, value: str) -> None:
@@ -144,9 +347,8 @@ def _default_option(parser: RawConfigParser, section: str, option: str, value: s
 
 def _expand_compact(parser: RawConfigParser, section: str) -> None:
     """Write CompactSubObj (CiA 306) out as one section for each sub-index."""
-    count = int(parser.get(section, "CompactSubObj", fallback="") or "0", 0)
-    if parser.has_option(section, "CompactSubObj"):
-        parser.remove_option(section, "CompactSubObj")
+    count = _option_number(parser, section, "CompactSubObj")
+    parser.remove_option(section, "CompactSubObj")
     if not count:
         return
     if not 0 < count <= 254:
@@ -159,16 +361,8 @@ def _expand_compact(parser: RawConfigParser, section: str) -> None:
     name = parser.get(section, "ParameterName", fallback="")
     names = _listed(parser, f"{section}Name")
     values = _listed(parser, f"{section}Value")
-    _add_section(
-        parser,
-        f"{section}sub0",
-        {
-            "ParameterName": "Highest sub-index supported",
-            "DataType": f"0x{DataType.UNSIGNED8:04X}",
-            "AccessType": "ro",
-            "DefaultValue": str(count),
-        },
-    )
+    head = {"ParameterName": "Highest sub-index supported", "DataType": f"0x{DataType.UNSIGNED8:04X}"}
+    _add_section(parser, f"{section}sub0", {**head, "AccessType": "ro", "DefaultValue": str(count)})
     for subindex in range(1, count + 1):
         own = {"ParameterName": names.get(subindex, f"{name} {subindex}")}
         if subindex in values:
@@ -188,113 +382,5 @@ def _add_section(parser: RawConfigParser, section: str, options: dict[str, str])
     if parser.has_section(section):
         return
     parser.add_section(section)
-    for option, text in {"ObjectType": f"0x{VAR:X}", **options}.items():
+    for option, text in {"ObjectType": f"0x{ObjectKind.VAR:X}", **options}.items():
         parser.set(section, option, text)
-
-
-@dataclass(frozen=True, slots=True)
-class Template:
-    """What a dictionary begins with. The entries are never given away: `fresh_entries` copies them."""
-
-    entries: tuple[Entry, ...]
-    objects: tuple[ObjectInfo, ...]
-    dummies: frozenset[int]
-    content: bytes
-
-    def fresh_entries(self) -> list[Entry]:
-        """Entries at their defaults, without hooks, not shared."""
-        return [entry.fresh() for entry in self.entries]
-
-
-def load(path: Path, node_id: int) -> Template:
-    """The template of the file for this node-ID; a file that has changed is read again.
-
-    Raises OSError when the file cannot be read, and ValueError that names the section when it describes
-    something impossible.
-    """
-    try:
-        return _template(path.read_bytes(), node_id)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-
-
-@dataclass(frozen=True, slots=True)
-class _File:
-    """A file as the parsers read it; never changed."""
-
-    parser: RawConfigParser
-    sections: Mapping[tuple[int, int], str]
-    imported: ObjectDictionary
-
-
-@lru_cache(maxsize=8)
-def _file(content: bytes) -> _File:
-    parser = parse(content)
-    try:
-        # The node-ID does not matter: $NODEID is replaced by `number`, not here.
-        imported = import_od(as_file(parser), 1)
-    except Exception as error:
-        raise ValueError(f"not a usable EDS: {error}") from error
-    return _File(parser, sections(parser), imported)
-
-
-@lru_cache(maxsize=32)
-def _template(content: bytes, node_id: int) -> Template:
-    file = _file(content)
-    entries: list[Entry] = []
-    objects: list[ObjectInfo] = []
-    for index in sorted(file.imported.indices):
-        if index <= 0x1F:  # the dummies, which are not objects of the device
-            continue
-        thing = file.imported.indices[index]
-        variables = _variables(thing)
-        for variable in variables:
-            section = file.sections[variable.index, variable.subindex]
-            entries.append(_entry(file.parser, section, variable, node_id))
-        subindices = tuple(variable.subindex for variable in variables)
-        objects.append(ObjectInfo(index, str(thing.name), _kind(thing), subindices))
-    return Template(tuple(entries), tuple(objects), dummy_types(file.parser), content)
-
-
-def _variables(thing: ODVariable | ODArray | ODRecord) -> list[ODVariable]:
-    if isinstance(thing, ODVariable):
-        return [thing]
-    return [thing.subindices[subindex] for subindex in sorted(thing.subindices)]
-
-
-def _kind(thing: ODVariable | ODArray | ODRecord) -> ObjectKind:
-    if isinstance(thing, ODArray):
-        return ObjectKind.ARRAY
-    if isinstance(thing, ODRecord):
-        return ObjectKind.RECORD
-    return ObjectKind.DOMAIN if thing.data_type == DataType.DOMAIN else ObjectKind.VAR
-
-
-def _entry(parser: RawConfigParser, section: str, variable: ODVariable, node_id: int) -> Entry:
-    data_type = int(variable.data_type or 0)
-
-    def given(option: str) -> Any:
-        try:
-            return number(parser.get(section, option, fallback=""), data_type, node_id)
-        except ValueError as error:
-            raise ValueError(f"[{section}] {option}: {error}") from error
-
-    try:
-        entry = Entry(
-            variable.index,
-            variable.subindex,
-            data_type,
-            name=variable.name,
-            access=variable.access_type,
-            default=given("DefaultValue"),
-            low=given("LowLimit"),
-            high=given("HighLimit"),
-            pdo_mappable=variable.pdo_mappable,
-            follows_node_id="$NODEID" in parser.get(section, "DefaultValue", fallback="").upper(),
-        )
-        entry.encode()
-        if entry.default is not None:
-            entry.check_limits(entry.default)
-    except (ValueError, SdoAbort) as error:
-        raise ValueError(f"[{section}]: {error}") from error
-    return entry
