@@ -197,12 +197,12 @@ values = st.recursive(
 KEYS = ("node_id", "encoder_interface", "cycles_per_revolution", "adc_bits", "amplitude_low_counts",
         "amplitude_high_counts", "residual_limit", "coast_samples", "conditioning", "max_acceleration_rad_s2",
         "state_dir", "serial_number", "autostart", "frozen_samples", "coarse_limit_revolutions",
-        "source", "predict", "times", "nominal_sync", "sync_timeout_periods", "prediction_order",
+        "source", "predict", "times", "nominal_sync", "sync_timeout_periods",
         "samples_per_sync", "noise_margin", "write_lock", "unlock_code",
-        "max_jerk_rad_s3", "second_position", "phase_error_cycles", "bad_samples",
+        "second_position", "phase_error_cycles", "bad_samples",
         "doubt_acceleration_cycles",
         "corner_hz", "cosine_corner_hz", "interval_s", "adapt",
-        "max_acceleration_cycles", "max_jerk_cycles")  # fmt: skip
+        "max_acceleration_cycles")  # fmt: skip
 
 
 @given(

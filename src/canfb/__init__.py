@@ -31,12 +31,11 @@ if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__
     from canfb.signal.conditioning import Conditioning
     from canfb.signal.correction import CorrectionTable
     from canfb.signal.feedback import Feedback
-    from canfb.signal.limits import max_acceleration, max_jerk, max_speed
+    from canfb.signal.limits import max_acceleration, max_speed
     from canfb.signal.phase import phase_in_cycle
     from canfb.signal.sample import Sample
     from canfb.signal.second_position import SecondSensor
     from canfb.signal.stream import ChainResult, process_stream
-    from canfb.signal.third_order import ThirdOrderTracker
     from canfb.signal.tracker import Track, Tracker, TrackResult
     from canfb.signal.tracking import track
 
@@ -63,7 +62,6 @@ __all__ = [
     "SignalChain",
     "StateFiles",
     "StatusBit",
-    "ThirdOrderTracker",
     "Track",
     "TrackResult",
     "Tracker",
@@ -73,7 +71,6 @@ __all__ = [
     "eds_path",
     "load_config",
     "max_acceleration",
-    "max_jerk",
     "max_speed",
     "phase_in_cycle",
     "process",
@@ -102,12 +99,11 @@ _PLACES = {
     "signal.conditioning": ("Conditioning",),
     "signal.correction": ("CorrectionTable",),
     "signal.feedback": ("Feedback",),
-    "signal.limits": ("max_acceleration", "max_jerk", "max_speed"),
+    "signal.limits": ("max_acceleration", "max_speed"),
     "signal.phase": ("phase_in_cycle",),
     "signal.sample": ("Sample",),
     "signal.second_position": ("SecondSensor",),
     "signal.stream": ("ChainResult", "process_stream"),
-    "signal.third_order": ("ThirdOrderTracker",),
     "signal.tracker": ("Track", "Tracker", "TrackResult"),
     "signal.tracking": ("track",),
 }

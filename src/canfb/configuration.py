@@ -195,6 +195,11 @@ def _short(text: str) -> str:
     return f"{short[:_LONGEST_MESSAGE]} ..." if len(short) > _LONGEST_MESSAGE else short
 
 
+_SEVERAL = "leave it out; a servo takes several samples for each SYNC (samples_per_sync)"
+GONE = dict.fromkeys(("prediction_order", "max_jerk_rad_s3"), _SEVERAL)
+"""Keys of older versions, and what to do."""
+
+
 class _Reader:
     """Turns YAML nodes into dataclasses and keeps the line of every key."""
 
@@ -311,6 +316,8 @@ class _Reader:
     @staticmethod
     def unknown(key: str, known: list[str], where: str) -> str:
         """What to say of a key that there is not."""
+        if key in GONE:
+            return f"{key!r} in {where} is no key any more: {GONE[key]}"
         near = difflib.get_close_matches(key, known, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
         return f"unknown key {key!r} in {where}; {hint}"

@@ -80,26 +80,6 @@ def test_a_configuration_and_options_before_it(tmp_path: Path, capsys: pytest.Ca
     assert other["modules"][0]["acceleration"]["stated_rad_s2"] == 3.0
 
 
-def test_the_order_and_the_jerk_of_a_configuration(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = "modules: [{node_id: 32, prediction_order: 3, max_jerk_rad_s3: 25000}]\n"
-    (module,) = figures(capsys, written(tmp_path, text))["modules"]
-    assert module["prediction_order"] == 3
-    assert module["jerk"]["stated_rad_s3"] == 25_000.0, "the machine may do it"
-    assert module["jerk"]["margin"] == 1.0
-    assert module["residual_limit_cycles"] == pytest.approx(
-        8 * 819 / 65536 + 25_000 * 2500 / 6.2832 / 1000**3, abs=1e-5
-    )
-    assert module["acceleration"]["largest_rad_s2"] is None
-    words = ("--prediction-order", "2", "--jerk", "30000", "--acceleration", "100")
-    (other,) = figures(capsys, written(tmp_path, text), *words)["modules"]
-    assert other["prediction_order"] == 2
-    assert other["jerk"]["stated_rad_s3"] == 30_000.0
-    assert other["jerk"]["largest_rad_s3"] is other["jerk"]["margin"] is None
-    assert other["detection"]["limit_and_motion_cycles"] == pytest.approx(1 / 3 + 0.0398, abs=1e-4)
-
-
 def test_a_drive_its_frames_and_its_torque(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = written(tmp_path, MODULES + "simulation: {drive: {node_id: 0x30}}\n")
     found = figures(capsys, path)
@@ -140,7 +120,6 @@ BAD = {
     "--rpm inf": "--rpm must be a number",
     "--acceleration -3": "--acceleration must be a number",
     "--modules 0": "--modules must be a whole number 1..32",
-    "--prediction-order 4": "--prediction-order must be 2 (constant speed) or 3",
     "--adc-bits 99": "--adc-bits must be a whole number 4..16",
     "--bitrate 5": "--bitrate must be a whole number 10000..1000000",
     "--residual-limit 0.6": "--residual-limit must be above 0 and at most 0.5",

@@ -33,50 +33,38 @@ def runs() -> list[ServoRun]:
     return servo_move(Encoder(amplitude_counts=1800.0, noise_lsb=0.5), Correction(IDEAL_TABLE, IDENTITY), 7)
 
 
-def test_two_samples_and_order_3_count_exactly_and_order_2_loses_the_move(runs: list[ServoRun]) -> None:
-    two, _, eq_9 = runs
-    assert (two.samples_per_sync, two.prediction_order) == (2, 3)
-    assert two.exact
-    assert 0.035 < two.largest_residual < MOST_RESIDUAL_CYCLES < two.limit_cycles < 0.15
-    assert (eq_9.samples_per_sync, eq_9.prediction_order) == (1, 2)
-    assert not eq_9.exact
-    assert abs(eq_9.cycles_off) > 1000
+def test_four_samples_count_exactly_and_one_loses_the_move(runs: list[ServoRun]) -> None:
+    four, two, one = runs
+    assert four.exact
+    assert 0.15 < four.largest_residual < MOST_RESIDUAL_CYCLES < four.limit_cycles
+    for fewer in (two, one):
+        assert not fewer.exact
+    assert abs(one.cycles_off) > 1000
 
 
 def test_every_sample_is_in_the_picture(runs: list[ServoRun]) -> None:
-    two, one, _ = runs
-    assert len(two.residual) == 2 * (len(one.residual) - 1), "the first SYNC has no earlier one"
-    apart = np.diff(two.time_s)
-    assert abs(apart - 0.5e-3).max() < 0.25e-3  # SYNC jitters by 0.1 ms, twice
-    fastest = two.time_s[np.argmax(two.residual)]
-    assert 0.0 < fastest < 0.055, "the jerk is within the move"
+    four, _, one = runs
+    assert len(four.residual) == 4 * (len(one.residual) - 1), "the first SYNC has no earlier one"
+    assert abs(np.diff(four.time_s) - 0.25e-3).max() < 0.25e-3  # SYNC jitters by 0.1 ms, twice
+    assert 0.0 < four.time_s[np.argmax(four.residual)] < 0.055, "it is within the move"
     drawn = servo(Story(servo=runs)).svg()
-    assert two.name in drawn or "order 3, two samples" in drawn
+    assert four.name in drawn
     assert servo(Story()).svg()
 
 
 def test_what_is_said(runs: list[ServoRun]) -> None:
     facts = servo_facts(Story(servo=runs))
-    assert (facts[0].name, *facts[0].words) == (
-        "servo",
-        "0 to 3000 rpm in 50 ms: 7850 rad/s^2, 785000 rad/s^3",
-    )
-    assert (
-        facts[1]
-        .words[0]
-        .startswith("order 3, two samples for each SYNC: counted exactly, largest residual 0.0")
-    )
-    assert (
-        facts[3].words[0] == f"order 2, one sample for each SYNC: lost, {abs(runs[2].cycles_off)} cycles off"
-    )
+    assert facts[0].words == ("0 to 3000 rpm in 50 ms: 7850 rad/s^2, 785000 rad/s^3",)
+    assert facts[1].words[0].startswith("four samples for each SYNC: counted exactly, largest residual 0.")
+    assert facts[3].words[0] == f"one sample for each SYNC: lost, {abs(runs[2].cycles_off)} cycles off"
     assert runs[0].figures()["counted_exactly"] is True
 
 
 def test_a_run_that_was_wrong_once_is_not_exact() -> None:
-    assert ServoRun(2, 3, valid=True).exact
-    assert not ServoRun(2, 3, valid=True, wrong_and_valid=1).exact
-    assert not ServoRun(2, 3, valid=True, cycles_off=-1).exact
-    assert not ServoRun(2, 3).exact
+    assert ServoRun(2, valid=True).exact
+    assert not ServoRun(2, valid=True, wrong_and_valid=1).exact
+    assert not ServoRun(2, valid=True, cycles_off=-1).exact
+    assert not ServoRun(2).exact
 
 
 def test_the_move_is_limited_in_jerk() -> None:

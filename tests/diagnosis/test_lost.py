@@ -150,20 +150,6 @@ def test_the_longest_gap_is_that_of_the_page_on_missed_samples() -> None:
     assert replace(LOST, acceleration_rad_s2=0.0).longest_gap() is None
 
 
-def test_third_order_is_judged_by_the_jerk() -> None:
-    third = replace(LOST, prediction_order=3, acceleration_rad_s2=0.0)
-    for missed, largest in ((1, 1 / 8), (2, 1 / 20)):  # 4 and 10 times a jerk, twice, are a cycle
-        rad_s3 = largest * 100.0**3 / 2500 * 6.283185307
-        assert replace(third, jerk_rad_s3=0.999 * rad_s3).longest_gap() == missed
-        assert replace(third, jerk_rad_s3=1.01 * rad_s3).longest_gap() == missed - 1
-    assert third.longest_gap() is None
-    assert "2010:08 is 0, not declared: set it to the largest jerk" in "\n".join(third.would_have_kept())
-    jump = Loss(LossCause.JUMP, 3.0, 1, 0.3, 0.1, 1.2, 0)
-    kept = replace(third, loss=jump, jerk_rad_s3=50.0).would_have_kept()
-    assert kept[0].startswith("2010:08 is 50 rad/s³, which narrows the residual limit to 0.100 cycle")
-    assert kept[1].startswith("the motion must stay below 837.8 rad/s³ at 100 Hz and 2010:01")
-
-
 def test_2010_03_counts_intervals_of_sync() -> None:
     loss = Loss(LossCause.COASTED, 3.0, 3, 0.2, 0.333, 1.2, 0)
     several = replace(LOST, loss=loss, samples_per_sync=3, sample_hz=300.0)

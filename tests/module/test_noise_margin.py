@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 
 import numpy as np
@@ -11,15 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb import objects as od
+from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.limits import (
-    cycles_per_interval_cubed,
     cycles_per_interval_squared,
-    limit_narrowed_by_jerk,
     narrowed_residual_limit,
 )
 from canfb.signal.sample import Sample
@@ -27,13 +27,13 @@ from folding import each
 from servo_kit import IDEAL_TABLE
 
 N, PERIOD_S = 2500, 1e-3
-ACCELERATION, JERK = 25.0, 100e3
+ACCELERATION = 25.0
 
 
 class Turning:
     """A module with its own ADC; each SYNC is a sample at ``position`` cycles with ``noise`` counts."""
 
-    def __init__(self, order: int = 2, margin: int = 6, noise: float = 0.5) -> None:
+    def __init__(self, margin: int = 6, noise: float = 0.5) -> None:
         self.noise, self.error_cycles = noise, 0.0
         self._rng, self.syncs, self.speed = np.random.default_rng(7), 0, 23.37
         self._position = 0.0
@@ -41,10 +41,8 @@ class Turning:
             ModuleConfig(
                 node_id=32,
                 autostart=True,
-                prediction_order=order,
                 noise_margin=margin,
-                max_acceleration_rad_s2=ACCELERATION if order == 2 else 0.0,
-                max_jerk_rad_s3=JERK if order == 3 else 0.0,
+                max_acceleration_rad_s2=ACCELERATION,
             ),
             source=self,
         )
@@ -79,58 +77,48 @@ class Turning:
         return float(entry.value if entry.on_read is None else entry.on_read())
 
 
-def bound(order: int) -> float:
-    if order == 2:
-        return cycles_per_interval_squared(ACCELERATION, N, PERIOD_S)
-    return cycles_per_interval_cubed(JERK, N, PERIOD_S)
+BOUND = cycles_per_interval_squared(ACCELERATION, N, PERIOD_S)
+FIXED_LIMIT = narrowed_residual_limit(1.0 / 3.0, ACCELERATION, N, PERIOD_S)
 
 
-def fixed_limit(order: int) -> float:
-    if order == 2:
-        return narrowed_residual_limit(1.0 / 3.0, ACCELERATION, N, PERIOD_S)
-    return limit_narrowed_by_jerk(1.0 / 3.0, JERK, N, PERIOD_S)
-
-
-@pytest.mark.parametrize(("order", "weights"), [(2, 6.0), (3, 20.0)])
-def test_the_limit_is_the_bound_of_the_motion_and_six_sigma(order: int, weights: float) -> None:
-    machine = Turning(order)
+def test_the_limit_is_the_bound_of_the_motion_and_six_sigma() -> None:
+    machine = Turning()
     machine.sync(500)
-    assert machine.limit == pytest.approx(fixed_limit(order), rel=1e-3)  # too little is known yet
+    assert machine.limit == pytest.approx(FIXED_LIMIT, rel=1e-3)  # too little is known yet
     machine.sync(4000)
     counts = math.sqrt(0.5**2 + 1.0 / 12.0)  # the converter rounds
-    expected = counts / (2.0 * math.pi * 1800.0) * math.sqrt(weights)
+    expected = counts / (2.0 * math.pi * 1800.0) * math.sqrt(6.0)
     measured = machine.read(od.FEEDBACK_NOISE) / 65536.0
     assert measured == pytest.approx(expected, rel=0.35)
-    assert 5.0 * expected < machine.limit - bound(order) < 10.0 * expected
+    assert 5.0 * expected < machine.limit - BOUND < 10.0 * expected
     assert machine.sync().valid
 
 
 def test_half_a_count_of_noise_adds_little_to_the_motion() -> None:
     """25 rad/s^2 at 1 kHz: 0.00995 of the motion, 6 sigma of half a count; 0.06 with the fixed margin."""
-    machine = Turning(2)
+    machine = Turning()
     machine.sync(4500)
     assert 0.0105 < machine.limit < 0.013
 
 
-@each("order", [2, 3])
-def test_zero_is_the_fixed_margin(order: int) -> None:
-    machine = Turning(order, margin=0)
+def test_zero_is_the_fixed_margin() -> None:
+    machine = Turning(margin=0)
     machine.sync(3000)
-    assert machine.limit == pytest.approx(fixed_limit(order), rel=1e-3)
+    assert machine.limit == pytest.approx(FIXED_LIMIT, rel=1e-3)
     assert machine.read(od.FEEDBACK_NOISE) > 0
 
 
-@given(margin=st.integers(0, 255), noise=st.floats(0.0, 40.0), order=st.integers(2, 3))
-def test_it_is_never_looser_than_the_fixed_limit(margin: int, noise: float, order: int) -> None:
-    machine = Turning(order, margin, noise)
+@given(margin=st.integers(0, 255), noise=st.floats(0.0, 40.0))
+def test_it_is_never_looser_than_the_fixed_limit(margin: int, noise: float) -> None:
+    machine = Turning(margin, noise)
     for _ in range(8):
         machine.sync(150)
-        assert bound(order) <= machine.limit <= fixed_limit(order) * 1.001
+        assert BOUND <= machine.limit <= FIXED_LIMIT * 1.001
 
 
 @each("event", ["table", "margin off", "reset"])
 def test_it_begins_anew_with(event: str) -> None:
-    machine = Turning(2)
+    machine = Turning()
     machine.sync(3000)
     assert machine.limit < 0.02
     act: dict[str, Callable[[], None]] = {
@@ -152,10 +140,10 @@ def write(module: FeedbackModule, place: tuple[int, int], value: int) -> None:
 @pytest.mark.parametrize("period", [2, 3, 7])
 def test_a_fault_that_grows_below_the_limit_is_found_at_the_stated_bound(period: int) -> None:
     """An error of the phase in every ``period``-th sample, larger by 2e-7 cycle each time."""
-    machine = Turning(2)
+    machine = Turning()
     machine.sync(40 * 256)  # the reference is known: 32 blocks of 4 x 64 samples
     reference = machine.module._limits.noise.usable_cycles
-    largest_limit = bound(2) + 6.0 * 2.0 * reference
+    largest_limit = BOUND + 6.0 * 2.0 * reference
     error = 0.0
     for sync in range(60_000):
         error += 2e-7
@@ -172,7 +160,7 @@ def test_a_fault_that_grows_below_the_limit_is_found_at_the_stated_bound(period:
 
 
 def test_no_false_alarm_at_any_speed_after_learning_at_one() -> None:
-    machine = Turning(2)
+    machine = Turning()
     machine.sync(3000)
     for speed in (0.01, 0.4, 1.1, 7.77, 50.5, 3.25, 0.0):
         while machine.speed != speed:
@@ -180,3 +168,16 @@ def test_no_false_alarm_at_any_speed_after_learning_at_one() -> None:
             machine.sync()
         machine.sync(200)
     assert [machine.read(place) for place in (od.COUNTER_RESIDUAL, od.COUNTER_LOST)] == [0, 0]
+
+
+@pytest.mark.parametrize(("place", "layout", "only"), [((0x2010, 7), "<B", 2), ((0x2010, 8), "<f", 0.0)])
+def test_what_third_order_prediction_had_reads_its_default_and_refuses_all_else(
+    place: tuple[int, int], layout: str, only: float
+) -> None:
+    entry = Turning().module.dictionary.entry(*place)
+    entry.download(struct.pack(layout, only))
+    for other in (1, 3):
+        with pytest.raises(SdoAbort) as refused:
+            entry.download(struct.pack(layout, other))
+        assert refused.value.code == AbortCode.INVALID_VALUE
+    assert entry.upload() == struct.pack(layout, only)

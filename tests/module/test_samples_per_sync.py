@@ -39,7 +39,7 @@ class Bus:
     """The interface, its module, and a master whose SYNC jitters."""
 
     def __init__(self, jitter_s: float = 0.0, seed: int = 1, **config: float) -> None:
-        values = {"node_id": 32, "prediction_order": 3, "times": True, "autostart": True, **config}
+        values = {"node_id": 32, "times": True, "autostart": True, **config}
         self.module = FeedbackModule(ModuleConfig(**values))  # type: ignore[arg-type]
         self.source = MotionSource(ShaftEncoder(Encoder(noise_lsb=0.5), N, seed), Servo(), PERIOD_S)
         self.interface = EncoderInterface(
@@ -136,7 +136,7 @@ def test_the_mapping_says_how_many_samples_there_are() -> None:
 
 @pytest.mark.parametrize("lost_id", [0x190, 0x290])
 def test_a_sample_with_a_lost_pdo_is_missed_as_a_whole(lost_id: int) -> None:
-    bus = Bus(samples_per_sync=2, max_jerk_rad_s3=800e3)
+    bus = Bus(samples_per_sync=2, max_acceleration_rad_s2=100.0)
     for _ in range(150):
         bus.sync()
     bus.deliver = lambda frame: frame.can_id != lost_id

@@ -32,8 +32,6 @@ WRITES: dict[str, list[tuple[int, int, float]]] = {
     "predict": [(0x2013, 1, 1)],
     "no prediction": [(0x2013, 1, 0)],
     "acceleration": [(0x2010, 2, 1e4)],
-    "third order": [(0x2010, 7, 3)],
-    "order 2": [(0x2010, 7, 2)],
     "residual": [(0x2010, 1, 2000)],
     "flags": [(0x2000, 6, 2)],
     "no flags": [(0x2000, 6, 0)],

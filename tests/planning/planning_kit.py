@@ -179,20 +179,6 @@ def up_to_speed(cycles_per_s: float, cycles_per_s2: float, start_s: float = 0.1)
     return placed
 
 
-def jerked(cycles_per_s3: float, jerk_s: float, start_s: float = 0.1) -> Placed:
-    """Standstill; constant jerk, and as much of the opposite sign; then constant speed."""
-
-    def placed(now: float) -> float:
-        since = max(0.0, now - start_s)
-        first, second = min(since, jerk_s), min(max(0.0, since - jerk_s), jerk_s)
-        peak = cycles_per_s3 * jerk_s
-        position = cycles_per_s3 * first**3 / 6.0
-        position += (peak * jerk_s / 2.0) * second + peak * second**2 / 2.0 - cycles_per_s3 * second**3 / 6.0
-        return position + peak * jerk_s * max(0.0, since - 2.0 * jerk_s)
-
-    return placed
-
-
 def cycles(rad: float, per_revolution: int = 2500) -> float:
     """Radians as cycles."""
     return rad * per_revolution / (2.0 * math.pi)

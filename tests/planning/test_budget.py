@@ -15,7 +15,6 @@ import canfb
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.planning.budget import PEAK, RAW_PHASE_ERROR_CYCLES, ResidualBudget
-from canfb.planning.jerk_budget import budget_of
 from canfb.planning.plan import Limited, Plan
 from canfb.signal.limits import narrowed_residual_limit, safe_deviation, samples_without_harm
 from canfb.simulation.demand import of_motion
@@ -32,7 +31,7 @@ def budget(**stated: object) -> ResidualBudget:
 
 def known(plan: Plan, acceleration: float) -> ResidualBudget:
     module = plan.plan_input.modules[0].with_values({(0x2010, 2): acceleration})
-    return budget_of(plan.plan_input, module)
+    return ResidualBudget(plan.plan_input, module)
 
 
 def test_without_errors_it_is_the_public_formula() -> None:
@@ -157,13 +156,6 @@ def test_what_is_not_stated_has_no_margin() -> None:
     stated = planned(rpm=0.0, acceleration_rad_s2=0.0, jitter_us=5.0)
     assert stated.holds
     assert math.isinf(next(one.factor for one in stated.margins if one.limited is Limited.SPEED))
-
-
-def test_jerk_is_what_it_changes_in_one_interval_and_counts_for_nothing_yet() -> None:
-    one = budget(jerk_rad_s3=785_000.0, acceleration_rad_s2=100.0)
-    assert one.jerk_rad_s2 == pytest.approx(785.0)
-    assert one.acceleration_cycles(785.0) == pytest.approx(0.3123, abs=1e-4)
-    assert one.needed_cycles == budget(acceleration_rad_s2=100.0).needed_cycles
 
 
 def test_the_samples_in_a_row_are_those_of_the_page() -> None:

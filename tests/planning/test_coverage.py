@@ -32,7 +32,6 @@ DEFAULT = SampleWindow(
     high_counts=2560,
     nominal_counts=1500.0,
     limit_cycles=1.0 / 3.0,
-    order=2,
     motion_cycles=0.01,
     tolerance_cycles=25.0,
 )
@@ -82,7 +81,7 @@ def test_what_must_be_seen_and_what_cannot_be() -> None:
 
 
 def test_each_means_adds_to_the_one_before() -> None:
-    for window in (DEFAULT, COMMISSIONED, replace(COMMISSIONED, order=3, limit_cycles=0.14)):
+    for window in (DEFAULT, COMMISSIONED):
         for one in found(window).values():
             assert one.shares.second is not None
             assert 0.0 <= one.shares.amplitude <= one.shares.residual <= one.shares.second <= 1.0
@@ -104,7 +103,7 @@ def test_the_window_of_a_plan() -> None:
     plan = planned(acceleration_rad_s2=25.0, residual_limit=0.06)
     (budget,) = plan.budgets
     window = window_of(plan, budget)
-    assert (window.low_counts, window.high_counts, window.order) == (410, 2560, 2)
+    assert (window.low_counts, window.high_counts) == (410, 2560)
     assert window.limit_cycles == pytest.approx(0.06, abs=2e-5)
     assert window.motion_cycles == pytest.approx(25.0 * 2500 / (2 * math.pi) * 1e-6)
     assert window.tolerance_cycles == 25.0

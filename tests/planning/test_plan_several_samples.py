@@ -7,21 +7,19 @@ import math
 from typing import Any
 
 import pytest
-from planning_kit import BIT_RATE, RATE_HZ, cycles, jerked, planned, play, up_to_speed
+from planning_kit import BIT_RATE, RATE_HZ, cycles, planned, play, up_to_speed
 
 from canfb import objects as od
 from canfb.hosting.hosting import saved_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.planning.budget import ResidualBudget
 from canfb.planning.plan import Plan
 from canfb.planning.plan_changes import changes_of
 from canfb.planning.planned_module import PlannedModule
 
 HELD, FLAGGED = 0.95, 1.05
 RPM = 2.0 * math.pi / 60.0
-SERVO: dict[str, Any] = {"acceleration_rad_s2": 7850.0, "jerk_rad_s3": 785_000.0, "table": True}
-FAST: dict[str, Any] = {"acceleration_rad_s2": 20_000.0, "jerk_rad_s3": 4e6, "table": True}
-ORDER_3: dict[str, Any] = {"prediction_order": 3}
 ALL = [(count, times) for count in (1, 2, 3, 4) for times in (False, True)]
 
 
@@ -88,25 +86,6 @@ def test_no_rpdo_is_left() -> None:
         delivered(1, times=True).with_values(others).with_samples(2)
 
 
-@pytest.mark.parametrize(("count", "times"), [(2, False), (4, False), (2, True)])
-@pytest.mark.parametrize("part", [HELD, FLAGGED])
-def test_jerk(part: float, count: int, times: bool) -> None:
-    words = {**ORDER_3, "table": True, "samples_per_sync": count, "times": times}
-    limit = planned(**words, jerk_rad_s3=1.0).budgets[0].largest_jerk_rad_s3
-    assert limit == pytest.approx(count**3 * planned(**ORDER_3, table=True).budgets[0].largest_jerk_rad_s3)
-    stated = part * limit
-    assert planned(**words, jerk_rad_s3=stated).holds is (part == HELD)
-    found = play(
-        jerked(cycles(stated), 0.004, start_s=0.2),
-        0.3,
-        table=True,
-        samples_per_sync=count,
-        times=times,
-        **ORDER_3,
-    )
-    assert found.holds is (part == HELD), max(found.residuals)
-
-
 @pytest.mark.parametrize("part", [HELD, FLAGGED])
 def test_acceleration_with_a_jitter_that_a_single_sample_would_not_survive(part: float) -> None:
     """The instants are those of the interface, so SYNC may jitter."""
@@ -138,79 +117,8 @@ def test_the_frames_are_those_on_the_wire() -> None:
     assert planned(samples_per_sync=4, times=True).plan_input.bus.bit_rate == BIT_RATE
 
 
-def test_sample_times_widen_the_limit_as_in_the_module() -> None:
-    """By 8 v 50 ns (order 3) or 4 v 50 ns, up to 2010:01."""
-    rpm = 3000.0
-    for order, jerk, acceleration in ((3, 50_000.0, 0.0), (2, 0.0, 30.0)):
-        config = ModuleConfig(
-            node_id=0x20,
-            times=True,
-            samples_per_sync=2,
-            prediction_order=order,
-            max_jerk_rad_s3=jerk,
-            max_acceleration_rad_s2=acceleration,
-        )
-        module = FeedbackModule(config)
-        module.dictionary.entry(*od.CYCLE_PERIOD).value = 1000
-        module.start(0.0)
-        plan = planned(rpm=rpm, times=True, samples_per_sync=2, prediction_order=order)
-        known: dict[tuple[int, int], float] = {od.SUPERVISION_JERK: jerk}
-        known |= {od.SUPERVISION_ACCELERATION: acceleration}
-        one = type(plan.budgets[0])(plan.plan_input, plan.budgets[0].module.with_values(known))
-        speed = cycles(rpm * RPM) / (2.0 * RATE_HZ)  # cycles per sample
-        limits = module.limits
-        weight = 8.0 if order == 3 else 4.0
-        widened = limits.residual_limit + weight * speed * limits.instant_error
-        assert widened > 1.2 * limits.residual_limit
-        assert one.limit_cycles == pytest.approx(widened, rel=1e-6)
-
-
-@pytest.mark.parametrize("part", [HELD, FLAGGED])
-def test_the_known_jerk_with_a_margin_by_the_measured_noise(part: float) -> None:
-    """The module measures the noise at 730 cycles per second, then a known jerk is played."""
-    known, noise = 200_000.0, {"noise_margin": 6, "phase_error_cycles": 0.0}
-    plan = planned(**ORDER_3, **noise, table=True)
-    module = plan.plan_input.modules[0].with_values({od.SUPERVISION_JERK: known})
-    one = type(plan.budgets[0])(plan.plan_input, module)
-    assert one.has_noise_margin
-    assert one.margin == 1.0
-    assert one.largest_jerk_rad_s3 == pytest.approx(known)
-    turned, move = up_to_speed(730.0, 730.0, start_s=0.1), jerked(cycles(part * known), 0.01, start_s=2.2)
-    found = play(
-        lambda now: turned(now) + move(now),
-        2.4,
-        table=True,
-        max_jerk_rad_s3=known,
-        noise_margin=6,
-        **ORDER_3,
-    )
-    assert found.holds is (part == HELD), max(found.residuals)
-
-
-def test_the_noise_margin_is_sharper_and_never_wider() -> None:
-    def limit(**stated: Any) -> float:
-        plan = planned(**ORDER_3, **stated)
-        module = plan.plan_input.modules[0].with_values({od.SUPERVISION_JERK: 100_000.0})
-        return type(plan.budgets[0])(plan.plan_input, module).limit_cycles
-
-    assert limit(table=True, phase_error_cycles=0.0, noise_margin=6) == pytest.approx(0.041, abs=5e-4)
-    assert limit(table=True) == pytest.approx(0.14, abs=5e-4)
-    assert limit(noise_margin=6) == limit(), "without a table the fixed margin is less"
-    assert limit(table=True, noise_margin=255) == limit()
-
-
 def texts(plan: Plan) -> list[str]:
     return [f"{one.for_what}: {one.text}" for one in changes_of(plan)]
-
-
-def test_two_samples_hold_a_move_and_cost_four_bytes() -> None:
-    first = "acceleration: set prediction_order: 3 (2010:07), and send two samples for each SYNC ("
-    cost = "samples_per_sync: 2; 4 bytes more for each SYNC, bus load +4.0 %): that holds this move"
-    assert texts(planned(**FAST))[0] == first + cost
-    assert texts(planned(**FAST, **ORDER_3))[0] == ("jerk: send two samples for each SYNC (" + cost)
-    held = planned(**FAST, **ORDER_3, samples_per_sync=2)
-    assert held.holds
-    assert not planned(**FAST, samples_per_sync=2).holds
 
 
 def test_more_samples_where_the_bus_carries_no_faster_sync() -> None:
@@ -221,9 +129,34 @@ def test_more_samples_where_the_bus_carries_no_faster_sync() -> None:
     )
 
 
-def test_the_noise_margin_is_proposed_where_the_fixed_one_is_too_much() -> None:
-    found = texts(planned(**ORDER_3, table=True, jerk_rad_s3=250_000.0))
-    assert found == [
-        "detection: set max_jerk_rad_s3 (2010:08) to 250000: the residual limit becomes 0.199",
-        "detection: set noise_margin (2010:09) to 6: the residual limit becomes 0.115",
-    ]
+def test_four_samples_hold_the_move_of_a_servo() -> None:
+    assert planned(acceleration_rad_s2=7850.0, table=True, samples_per_sync=4).holds
+    assert not planned(acceleration_rad_s2=7850.0, table=True, samples_per_sync=2).holds
+
+
+def test_sample_times_widen_the_limit_as_in_the_module() -> None:
+    """By 4 v 50 ns, up to 2010:01."""
+    rpm = 3000.0
+    config = ModuleConfig(node_id=0x20, times=True, samples_per_sync=2, max_acceleration_rad_s2=30.0)
+    module = FeedbackModule(config)
+    module.dictionary.entry(*od.CYCLE_PERIOD).value = 1000
+    module.start(0.0)
+    plan = planned(rpm=rpm, times=True, samples_per_sync=2)
+    known = plan.budgets[0].module.with_values({od.SUPERVISION_ACCELERATION: 30.0})
+    speed = cycles(rpm * RPM) / (2.0 * RATE_HZ)  # cycles per sample
+    limits = module.limits
+    widened = limits.residual_limit + 4.0 * speed * limits.instant_error
+    assert widened > 1.2 * limits.residual_limit
+    assert ResidualBudget(plan.plan_input, known).limit_cycles == pytest.approx(widened, rel=1e-6)
+
+
+def test_the_noise_margin_is_sharper_and_never_wider() -> None:
+    def limit(**stated: Any) -> float:
+        plan = planned(**stated)
+        module = plan.plan_input.modules[0].with_values({od.SUPERVISION_ACCELERATION: 25.0})
+        return ResidualBudget(plan.plan_input, module).limit_cycles
+
+    assert limit(table=True, phase_error_cycles=0.0, noise_margin=6) == pytest.approx(0.0107, abs=5e-4)
+    assert limit(table=True) == pytest.approx(0.06, abs=5e-4)
+    assert limit(noise_margin=6) == limit(), "without a table the fixed margin is less"
+    assert limit(table=True, noise_margin=255) == limit()

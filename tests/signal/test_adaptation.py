@@ -267,12 +267,9 @@ def test_a_growing_fault_is_found_within_the_bound(rate: float, track: str) -> N
 @given(
     st.integers(0, 2**32 - 1),
     st.lists(st.integers(1, 400), min_size=1, max_size=8),
-    st.sampled_from([2, 3]),
     st.sampled_from([0.0, 2e-5]),
 )
-def test_arrays_have_the_bits_of_single_samples(
-    seed: int, blocks: list[int], order: int, delay_s: float
-) -> None:
+def test_arrays_have_the_bits_of_single_samples(seed: int, blocks: list[int], delay_s: float) -> None:
     rng = np.random.default_rng(seed)
     samples = 1500
     positions = motion(samples, float(rng.uniform(0.1, 0.3)))
@@ -283,7 +280,7 @@ def test_arrays_have_the_bits_of_single_samples(
     used = calibrated()
     conditioning = replace(used.conditioning, cosine_delay_s=delay_s)
     words: dict[str, Any] = {"interval_s": 10.0 * INTERVAL_S, "adapt": FAST, "phase_error_cycles": 0.05}
-    config = ChainConfig(conditioning=conditioning, prediction_order=order, **words)
+    config = ChainConfig(conditioning=conditioning, **words)
     chain = SignalChain(config, used.table)
     got = taken(chain, (sine, cosine))
     ends = np.cumsum(blocks)
@@ -294,7 +291,7 @@ def test_arrays_have_the_bits_of_single_samples(
         assert np.array_equal(ours, [getattr(one, name) for one in got]), name
     if not (np.abs(sine) > 2046).any():
         assert chain.adaptation.drift != NO_DRIFT
-        whole = canfb.process(sine, cosine, used.table, 1 / 3, conditioning, 0.0, order, **words)
+        whole = canfb.process(sine, cosine, used.table, 1 / 3, conditioning, 0.0, **words)
         assert np.array_equal(whole.phase, [one.phase for one in got])
 
 

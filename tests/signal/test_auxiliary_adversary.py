@@ -111,12 +111,11 @@ class Axis:
         return got
 
 
-@each("order", [2, 3])
-def test_a_machine_that_is_well_is_never_contradicted(order: int) -> None:
+def test_a_machine_that_is_well_is_never_contradicted() -> None:
     """Whatever the bus does to the values: the position, its status word, everything is as without them."""
     for seed in range(25):
-        rng = np.random.default_rng((seed, order))
-        axis, shaft = Axis(rng, 0.02, prediction_order=order), None
+        rng = np.random.default_rng((seed, 2))
+        axis, shaft = Axis(rng, 0.02), None
         for k, (position, acceleration) in enumerate(motion(rng, 1000)):
             shaft = shaft or Shaft(position)
             got, without = axis.step(at(position), shaft.other(position, acceleration))

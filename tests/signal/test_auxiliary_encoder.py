@@ -29,18 +29,17 @@ def standing(tolerance: float = 0.01, **config: object) -> TwoSensors:
     return machine
 
 
-@each("order", [2, 3])
 @each("speed", [0.0, 0.2, -83.2, 83.5, 0.5, 41.99, -7.25])
 @each("tolerance", [EXACT, 0.001])
-def test_a_start_on_a_turning_machine(order: int, speed: float, tolerance: float) -> None:
-    machine = TwoSensors(tolerance, prediction_order=order)
+def test_a_start_on_a_turning_machine(speed: float, tolerance: float) -> None:
+    machine = TwoSensors(tolerance)
     got = machine.run(250, speed)
     first = has(got, VALID).index(True)
     assert all(feedback.valid for feedback in got[first:])
     assert got[-1].speed_cycles == pytest.approx(speed, abs=0.05)
     counted = got[-1].cycles - got[first].cycles + got[-1].phase - got[first].phase
     assert counted == pytest.approx(speed * (249 - first), abs=0.05)
-    at_rest = 3 if order == 2 else 6  # three values agree, twice with third-order prediction
+    at_rest = 3  # three values agree
     assert first <= (at_rest if abs(speed) < 0.1 else 16.0 * (tolerance * N + 2.0))
 
 
@@ -62,12 +61,11 @@ def test_with_a_coarse_track_that_finds_the_speed() -> None:
     assert not any(has(got, DISAGREES))
 
 
-@each("order", [2, 3])
 @each("speed", [0.0, 83.2, -40.7])
 @each("dead", [8, 40])
-def test_a_lost_count_is_set_right(order: int, speed: float, dead: int) -> None:
+def test_a_lost_count_is_set_right(speed: float, dead: int) -> None:
     """Announced by its jump, and valid with the next sample; the machine changed its speed meanwhile."""
-    machine = standing(EXACT, increments=FINE, prediction_order=order)
+    machine = standing(EXACT, increments=FINE)
     machine.ramp(0.0, speed)
     before = machine.error(machine.step(speed))
     machine.spoil = lambda sample: DEAD
@@ -107,14 +105,13 @@ def test_what_disagreed_before_the_loss_sets_nothing_right() -> None:
     assert not any(has(machine.run(300), VALID))
 
 
-@each("order", [2, 3])
 @each("tolerance", [0.3, 0.7, 0.95])
-def test_no_wrong_count_is_ever_valid_after_a_loss(order: int, tolerance: float) -> None:
+def test_no_wrong_count_is_ever_valid_after_a_loss(tolerance: float) -> None:
     """Dead tracks of any length in a motion of any kind; the shaft twists as far as the tolerance allows."""
     recovered = 0
     for seed in range(40):
-        rng = np.random.default_rng((seed, order))
-        machine = TwoSensors(tolerance / N, FINE, prediction_order=order)
+        rng = np.random.default_rng((seed, 2))
+        machine = TwoSensors(tolerance / N, FINE)
         begin = int(rng.integers(60, 300))
         end = begin + int(rng.integers(1, 60))
         last, valid_after = 0.0, False

@@ -5,47 +5,41 @@ The linear program (tools/faults/estimator/legal.py) and the enumeration share n
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from motion_oracles import motions_through
 
-from canfb.signal.bounded_motion import Bound, BoundedMotion, Spot, Window
-from tools.faults.estimator.declared import Declared
+from canfb.signal.bounded_motion import BoundedMotion, Spot, Window
 from tools.faults.estimator.legal import least_bound
 from tools.faults.estimator.machine import positions
 
 TRIALS = 30
 START_ERROR = 0.05
-BOUND = {2: 0.1, 3: 0.05}
+BOUND = 0.1
 Q = 24  # grid steps per cycle
 
 
-def motion_of(order: int, phase_error: float = 0.0125) -> BoundedMotion:
-    return BoundedMotion((Bound(order, BOUND[order]),), Bound(2, 0.2), phase_error)
+MOTION = BoundedMotion(BOUND, 0.0125)
 
 
-def instants_of(rng: np.random.Generator, order: int, k: int, uneven: bool, missed: int) -> np.ndarray:
-    """``order`` samples, a hole of ``missed`` samples, then k: the last is the one that is predicted."""
-    before, after = np.ones(order - 1), np.ones(k - 1)
+def instants_of(rng: np.random.Generator, k: int, uneven: bool, missed: int) -> np.ndarray:
+    """Two samples, a hole of ``missed`` samples, then k: the last is the one that is predicted."""
+    before, after = np.ones(1), np.ones(k - 1)
     hole = missed + 1.0
     if uneven:
-        before, after = rng.uniform(0.3, 1.5, order - 1), rng.uniform(0.3, 1.5, k - 1)
+        before, after = rng.uniform(0.3, 1.5, 1), rng.uniform(0.3, 1.5, k - 1)
         hole = max(1.6, hole + float(rng.uniform(-0.5, 0.5))) if missed else float(rng.uniform(0.3, 1.4))
     return np.concatenate(([0.0], np.cumsum([*before, hole, *after])))
 
 
-def true_samples(
-    rng: np.random.Generator, order: int, at: np.ndarray, errors: np.ndarray
-) -> tuple[np.ndarray, float]:
+def true_samples(rng: np.random.Generator, at: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, float]:
     """A motion within the bound at these instants, with errors up to ``errors``; whole speeds, too."""
-    declared = Declared(BOUND[order], order=order, jerk=BOUND[order])
     extreme = rng.uniform() < 0.5
     u = rng.choice((-1.0, 1.0), (1, 20)) if extreme else rng.uniform(-1.0, 1.0, (1, 20))
     speed = np.array([rng.uniform(-30.0, 30.0)])
-    truth = positions(declared, BOUND[order] * u, speed, rng, at[None, :] + 3.0)[0]
+    truth = positions(BOUND * u, speed, rng, at[None, :] + 3.0)[0]
     part = rng.choice((-1.0, 1.0), len(at)) if extreme else rng.uniform(-1.0, 1.0, len(at))
     return truth + part * errors, float(speed[0])
 
@@ -58,142 +52,111 @@ def spots_of(at: np.ndarray, samples: np.ndarray, errors: np.ndarray, phase_erro
     )
 
 
-def found(motion: BoundedMotion, spots: tuple[Spot, ...], time: float) -> Window:
-    order = motion.order
-    return motion.beyond(spots[:order], spots[order:], time)
-
-
 @pytest.mark.parametrize("start_error", [0.0, START_ERROR])
 @pytest.mark.parametrize("uneven", [False, True])
 @pytest.mark.parametrize("missed", [0, 1, 2, 5])
 @pytest.mark.parametrize("k", [1, 2, 3])
-@pytest.mark.parametrize("order", [2, 3])
 def test_a_junction_has_every_legal_sample_and_ends_at_the_bound(
-    order: int, k: int, missed: int, uneven: bool, start_error: float
+    k: int, missed: int, uneven: bool, start_error: float
 ) -> None:
     """At either end of the window the least bound of a motion through all samples is the one declared."""
-    rng = np.random.default_rng([order, k, missed, uneven])
-    motion = motion_of(order)
+    rng = np.random.default_rng([k, missed, uneven])
     for trial in range(TRIALS):
-        at = instants_of(rng, order, k, uneven, missed)
-        errors = np.full(len(at), motion.phase_error)
+        at = instants_of(rng, k, uneven, missed)
+        errors = np.full(len(at), MOTION.phase_error)
         errors[0] += start_error
-        samples, _ = true_samples(rng, order, at, errors)
-        spots = spots_of(at, samples, errors, motion.phase_error)
-        window = found(motion, spots[:-1], float(at[-1]))
+        samples, _ = true_samples(rng, at, errors)
+        spots = spots_of(at, samples, errors, MOTION.phase_error)
+        window = MOTION.beyond(spots[:2], spots[2:-1], float(at[-1]))
         low, high = window.base + window.low, window.base + window.high
         assert low - 1e-9 <= samples[-1] <= high + 1e-9
         assert spots[-1].cycles in window.counts(spots[-1].phase)
         if trial < 8:
             for end in (low, high):
                 through = np.append(samples[:-1], end)
-                assert least_bound(at, through, errors, order) == pytest.approx(BOUND[order], abs=1e-6)
+                assert least_bound(at, through, errors, 2) == pytest.approx(BOUND, abs=1e-6)
 
 
-@pytest.mark.parametrize("order", [2, 3])
 @pytest.mark.parametrize("uneven", [False, True])
-def test_a_window_has_every_legal_sample(order: int, uneven: bool) -> None:
+def test_a_window_has_every_legal_sample(uneven: bool) -> None:
     """Of a run without a hole, also behind short intervals, where several baselines are asked."""
-    rng = np.random.default_rng([order, uneven])
-    motion = motion_of(order)
+    rng = np.random.default_rng(int(uneven))
     for trial in range(4 * TRIALS):
         apart = rng.uniform(0.1, 1.5, 7) if uneven else np.ones(7)
         at = np.concatenate(([0.0], np.cumsum(apart)))
-        errors = np.full(len(at), motion.phase_error)
-        samples, _ = true_samples(rng, order, at, errors)
-        spots = spots_of(at, samples, errors, motion.phase_error)
-        window = motion.window(spots[:-1], float(at[-1]))
+        errors = np.full(len(at), MOTION.phase_error)
+        samples, _ = true_samples(rng, at, errors)
+        spots = spots_of(at, samples, errors, MOTION.phase_error)
+        window = MOTION.window(spots[:-1], float(at[-1]))
         low, high = window.base + window.low, window.base + window.high
         assert low - 1e-9 <= samples[-1] <= high + 1e-9
         if not uneven and trial < 8:  # the last r samples: the residual limit
-            assert window.width == pytest.approx(2.0 * (BOUND[order] + 2**order * motion.phase_error))
-            last = slice(-order - 1, None)
+            assert window.width == pytest.approx(2.0 * (BOUND + 4.0 * MOTION.phase_error))
+            last = slice(-3, None)
             for end in (low, high):
                 through = np.append(samples[:-1], end)[last]
-                least = least_bound(at[last], through, motion.phase_error, order)
-                assert least == pytest.approx(BOUND[order], abs=1e-6)
+                least = least_bound(at[last], through, MOTION.phase_error, 2)
+                assert least == pytest.approx(BOUND, abs=1e-6)
 
 
 def test_more_baselines_are_sharper_behind_a_short_interval() -> None:
     """0.8 intervals ahead of two samples 0.1 apart the window of these alone is 9 + 8 + 1 errors wide."""
-    motion = motion_of(2)
     spots = tuple(Spot(t, 0, 0.5) for t in (0.0, 1.0, 2.0, 2.1))
-    wide = motion.window(spots[-2:], 2.9).width
-    assert wide > 2.0 * 18.0 * motion.phase_error
-    assert motion.window(spots, 2.9).width < 0.55 * wide
+    wide = MOTION.window(spots[-2:], 2.9).width
+    assert wide > 2.0 * 18.0 * MOTION.phase_error
+    assert MOTION.window(spots, 2.9).width < 0.55 * wide
 
 
-@pytest.mark.parametrize(
-    ("order", "missed", "bound"), [(2, 1, 3), (2, 2, 2), (2, 3, 2), (3, 1, 2), (3, 2, 1)]
-)
-def test_a_junction_ends_where_enumeration_does(order: int, missed: int, bound: int) -> None:
-    """Every motion of a grid, without phase errors; k = 1: the same ends, k = 2, 3: none outside.
+@pytest.mark.parametrize(("missed", "bound"), [(1, 3), (2, 2), (3, 2)])
+def test_a_junction_ends_where_enumeration_does(missed: int, bound: int) -> None:
+    """Every motion of a grid, without phase errors; k = 1: the same ends, k = 2: none outside.
 
     Given the first sample behind the hole, the end of the window need not be on the grid: for each missed
-    sample it may be a step (order 3: two) away. The linear program above holds it against 1e-6.
+    sample it may be a step away. The linear program above holds it against 1e-6.
     """
-    motion = BoundedMotion((Bound(order, bound / Q),), Bound(2, 1.0), 0.0)
-    known = [Q * n + n * n for n in range(order)]
+    motion = BoundedMotion(bound / Q, 0.0)
+    known = [Q * n + n * n for n in range(2)]
     before = tuple(Spot(float(n), *_count(one)) for n, one in enumerate(known))
-    every = motions_through(known, [None] * (missed + 1), Q, order, bound)
-    hole = order - 1 + missed + 1.0
-    spare = (order - 1) * (missed + 1)
+    every = motions_through(known, [None] * (missed + 1), Q, 2, bound)
+    hole = missed + 2.0
+    spare = missed + 1
     firsts = sorted({one[-1] for one in every})
     window = motion.beyond(before, (), hole)
     assert window.base + window.low == pytest.approx(firsts[0] / Q)
     assert window.base + window.high == pytest.approx(firsts[-1] / Q)
     for first in (firsts[0], firsts[len(firsts) // 3], firsts[len(firsts) // 2]):
         run: tuple[Spot, ...] = (Spot(hole, *_count(first)),)
-        futures = {one[-order - 1 :] for one in every if one[-1] == first}
-        ends = sorted({end for one in futures for end in _next(one[-order:], order, bound)})
+        futures = {one[-3:] for one in every if one[-1] == first}
+        ends = sorted({end for one in futures for end in _next(one[-2:], bound)})
         window = motion.beyond(before, run, hole + 1.0)
         low, high = Q * (window.base + window.low), Q * (window.base + window.high)
         assert low - 1e-6 <= ends[0] < low + spare
         assert high - spare < ends[-1] <= high + 1e-6
-        if order == 3:
-            second = ends[len(ends) // 2]
-            run = (*run, Spot(hole + 1.0, *_count(second)))
-            lasts = {(*one[-2:], second) for one in futures if second in _next(one[-3:], 3, bound)}
-            ends = sorted({end for one in lasts for end in _next(one, 3, bound)})
-            window = motion.beyond(before, run, hole + 2.0)
-            low, high = Q * (window.base + window.low), Q * (window.base + window.high)
-            assert low - 1e-6 <= ends[0] < low + spare
-            assert high - spare < ends[-1] <= high + 1e-6
 
 
 def _count(position: int) -> tuple[int, float]:
     return position // Q, position % Q / Q
 
 
-def _next(last: tuple[int, ...], order: int, bound: int) -> range:
-    binomial = [math.comb(order, n) * (-1) ** (n + 1) for n in range(order, 0, -1)]
-    centre = sum(w * x for w, x in zip(binomial, last, strict=True))
+def _next(last: tuple[int, ...], bound: int) -> range:
+    centre = 2 * last[1] - last[0]
     return range(centre - bound, centre + bound + 1)
 
 
 def test_samples_that_no_motion_has_leave_no_window() -> None:
     """The first two samples behind the hole are a cycle apart in speed: nothing is left for the third."""
-    motion = motion_of(3)
-    before = tuple(Spot(float(n), 0, 0.25) for n in range(3))
-    run = (Spot(4.0, 0, 0.25), Spot(5.0, 3, 0.25))
-    window = motion.beyond(before, run, 6.0)
+    before = tuple(Spot(float(n), 0, 0.25) for n in range(2))
+    run = (Spot(3.0, 0, 0.25), Spot(4.0, 3, 0.25))
+    window = MOTION.beyond(before, run, 5.0)
     assert not window.counts(0.25)
     assert window.width == 0.0
 
 
 def test_the_error_of_an_instant_counts_with_the_speed() -> None:
-    slow = BoundedMotion((Bound(2, 0.1),), Bound(2, 0.1), 0.0125, 1e-3)
+    slow = BoundedMotion(0.1, 0.0125, 1e-3)
     for speed in (0, 50):
         spots = tuple(Spot(float(n), speed * n, 0.5) for n in range(2))
         assert slow.window(spots, 2.0).width == pytest.approx(2.0 * (0.1 + 4.0 * (0.0125 + 1e-3 * speed)))
-
-
-def test_a_second_bound_narrows_the_window() -> None:
-    """Third order with a bounded acceleration: both hold."""
-    both = BoundedMotion((Bound(3, 0.05), Bound(2, 0.01)), Bound(2, 0.2), 0.0125)
-    spots = tuple(Spot(float(n), 0, 0.5) for n in range(3))
-    assert both.window(spots, 3.0).width == pytest.approx(2.0 * (0.01 + 4.0 * 0.0125))
-    assert both.beyond(spots, (), 5.0).width < motion_of(3).beyond(spots, (), 5.0).width
 
 
 def test_meet_is_where_both_are() -> None:

@@ -9,12 +9,10 @@ import pytest
 from canfb.objects import LossCause
 from canfb.signal.declared import Declared
 from canfb.signal.estimator import Estimator
-from canfb.signal.estimator_runs import successor
 from canfb.signal.speeds import steady_speed
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 
 SLOW = Declared(residual_limit=0.06, widest_limit=1.0 / 3.0, acceleration=0.01)
-THIRD = Declared(order=3, residual_limit=0.14, given_start_limit=0.3, widest_limit=1.0 / 3.0, jerk=0.04)
 
 
 def phases(speed: float, samples: int, first: int = 0) -> list[float]:
@@ -46,10 +44,9 @@ def test_nothing_is_said_before_the_first_sample() -> None:
     assert not estimator.lost
 
 
-@pytest.mark.parametrize("declared", [SLOW, THIRD], ids=["order 2", "order 3"])
 @pytest.mark.parametrize("speed", [0.0, 0.4, -17.25, 100.0])
-def test_a_start_at_a_known_speed_counts_from_the_first_sample(declared: Declared, speed: float) -> None:
-    estimator = Estimator(declared)
+def test_a_start_at_a_known_speed_counts_from_the_first_sample(speed: float) -> None:
+    estimator = Estimator(SLOW)
     estimator.restart(1000, speed)
     for n, phase in enumerate(phases(speed, 20)):
         track, bits = estimator.good(phase, 1.0)
@@ -211,7 +208,7 @@ def test_a_loss_is_told_once() -> None:
 
 
 def test_a_lost_position_is_counted_on_and_flagged() -> None:
-    estimator = started(THIRD, 0.2)
+    estimator = started()
     estimator.lose(LossCause.COASTED)
     assert take(estimator, phases(0.2, 4, 12)) == [LOST] * 4
     assert estimator.good(0.95, 1.0)[1] == LOST | RESIDUAL
@@ -220,9 +217,8 @@ def test_a_lost_position_is_counted_on_and_flagged() -> None:
 # What is known from outside.
 
 
-@pytest.mark.parametrize("declared", [SLOW, THIRD], ids=["order 2", "order 3"])
-def test_an_absolute_value_ends_a_loss(declared: Declared) -> None:
-    estimator = started(declared)
+def test_an_absolute_value_ends_a_loss() -> None:
+    estimator = started()
     estimator.lose(LossCause.COASTED)
     take(estimator, phases(0.2, 4, 12))
     estimator.found(7, 0)
@@ -264,22 +260,6 @@ def test_resume_goes_on_at_standstill() -> None:
     estimator.resume()
     assert not estimator.lost
     assert estimator.good(0.7, 1.0)[0].cycles == 0
-
-
-@pytest.mark.parametrize("change", ["in doubt", "too fast", "neither"])
-def test_another_order_goes_on_or_is_lost(change: str) -> None:
-    estimator = started(THIRD, 0.2, 3)
-    acceleration = 0.1 if change == "too fast" else 0.0
-    take(estimator, [(0.3 + 0.2 * n + acceleration / 2.0 * (n - 2) ** 2) % 1.0 for n in range(3, 12)])
-    assert not estimator.lost
-    if change == "in doubt":
-        estimator.bad(1.0)
-    new = successor(estimator, SLOW)
-    assert new.lost == (change != "neither")
-    if new.lost:
-        assert new.loss_cause == LossCause.CONFIGURATION
-    else:
-        assert new.good(phases(0.2, 1, 12)[0], 1.0)[1] == VALID
 
 
 # Sets of elapsed times.

@@ -46,8 +46,8 @@ def counts(
     )
 
 
-def chain_of(used: Conditioning, order: int = 2, **others: float) -> SignalChain:
-    config = ChainConfig(conditioning=used, interval_s=INTERVAL_S, prediction_order=order, **others)  # type: ignore[arg-type]
+def chain_of(used: Conditioning, **others: float) -> SignalChain:
+    config = ChainConfig(conditioning=used, interval_s=INTERVAL_S, **others)  # type: ignore[arg-type]
     return SignalChain(config, TABLE)
 
 
@@ -74,12 +74,11 @@ def errors(
 
 @each("delay_s", [1e-6, -1e-6, 1e-7])
 @each("top", [FAST, -FAST, 2.513])
-@each("order", [2, 3])
-def test_the_delay_is_removed_at_each_speed(order: int, top: float, delay_s: float) -> None:
+def test_the_delay_is_removed_at_each_speed(top: float, delay_s: float) -> None:
     """Also on the ramp, and with an ellipse: what is left is the interpolation of the table."""
     encoder = replace(ELLIPSE, cosine_delay_s=delay_s)
     positions, speeds = ramp(0.1, top)
-    found = errors(chain_of(encoder, order), positions, speeds, encoder)
+    found = errors(chain_of(encoder), positions, speeds, encoder)
     assert 1e-10 < np.abs(found[-500:]).max() < 2e-6
     assert np.abs(found).max() < 2e-4, "where the acceleration begins or ends it is not known yet"
 
@@ -89,21 +88,6 @@ def test_without_the_delay_known_the_error_is_that_of_the_issue() -> None:
     positions, speeds = ramp(0.1, FAST)
     found = errors(chain_of(replace(ELLIPSE, cosine_delay_s=0.0)), positions, speeds, ELLIPSE)
     assert np.ptp(found[-500:]) / 2.0 == pytest.approx(FAST * DELAY_S / INTERVAL_S / 2.0, rel=0.1)
-
-
-def test_a_large_acceleration_needs_the_third_order_and_its_speed() -> None:
-    """Four cycles per interval^2: the speed of the last interval is six cycles per interval behind."""
-    encoder = replace(ELLIPSE, cosine_delay_s=1e-7)
-    k = np.arange(300.0)
-    turn = 80.0  # then the acceleration stays
-    positions = np.where(
-        k < turn, 0.05 * k**3 / 6.0, 0.05 * turn * (k * k - k * turn + turn * turn / 3.0) / 2.0
-    )
-    speeds = np.where(k < turn, 0.05 * k * k / 2.0, 0.05 * turn * (k - turn / 2.0))
-    found = errors(chain_of(encoder, 3), positions + 0.1, speeds, encoder)
-    assert np.abs(found).max() < 2e-5
-    behind = 1.5 * 0.05 * turn * 1e-7 / INTERVAL_S / 2.0
-    assert behind > 2e-4, "what the speed of the last interval would leave"
 
 
 @each("kind", ["timed", "untimed"])
@@ -164,13 +148,12 @@ def test_several_samples_in_an_interval() -> None:
 # The amplitude.
 
 
-@each("order", [2, 3])
-def test_the_amplitude_is_that_of_a_slow_machine(order: int) -> None:
+def test_the_amplitude_is_that_of_a_slow_machine() -> None:
     """A window of 0.9 to 1.1 holds from standstill to 3000 rpm, where the low-pass leaves 0.7."""
     narrow = {"amplitude_low_counts": 1350, "amplitude_high_counts": 1650}
     plain = Conditioning()
-    with_corner = chain_of(plain, order, corner_hz=125e3, **narrow)
-    without = chain_of(plain, order, **narrow)
+    with_corner = chain_of(plain, corner_hz=125e3, **narrow)
+    without = chain_of(plain, **narrow)
     positions, speeds = ramp(0.1, FAST)
     flagged = 0
     for position, speed in zip(positions, speeds, strict=True):

@@ -136,7 +136,6 @@ MACHINES = (
     Declared(0.2),
     Declared(0.05, samples_per_sync=3),
     Declared(0.05, 0.002),
-    Declared(0.0, order=3, jerk=0.05),
 )
 
 
@@ -152,8 +151,8 @@ def test_the_true_motion_is_a_legal_one(kind, machine: Declared) -> None:
         assert np.abs(right - episode.truth)[received].max() < machine.phase_error
         part = slice(max(0, episode.fault - 6), episode.fault + 14)
         at, samples = episode.instants[part][received[part]], right[part][received[part]]
-        assert is_legal(at, samples, machine.phase_error, machine.order, machine.bound)
-        motions = LegalMotions(machine.phase_error, machine.order, machine.bound)
+        assert is_legal(at, samples, machine.phase_error, 2, machine.acceleration)
+        motions = LegalMotions(machine.phase_error, 2, machine.acceleration)
         motions.begin(at[:4].tolist(), samples[:4].tolist())
         for instant, sample in zip(at[4:].tolist(), samples[4:].tolist(), strict=True):
             motions.add(instant, sample % 1.0)

@@ -56,9 +56,9 @@ def test_a_pulse_between_two_samples_is_where_the_machine_was(
 
 
 def test_a_zero_pulse_of_a_machine_that_accelerates_is_at_its_place() -> None:
-    """With up to 9 cycles per interval^2 a straight line is a cycle off; no pulse must contradict."""
-    n, jerk, given = 400, 0.1, []
-    chain = SignalChain(ChainConfig(cycles_per_revolution=n, prediction_order=3))
+    """A straight line is up to a/8 off; no pulse must contradict."""
+    n, jerk, given = 40, 0.003, []
+    chain = SignalChain(ChainConfig(cycles_per_revolution=n))
     before = 0.25
     chain.step(at(before))
     for sample in range(1, 90):
@@ -70,7 +70,7 @@ def test_a_zero_pulse_of_a_machine_that_accelerates_is_at_its_place() -> None:
         got = chain.step(at(here, zero_pulse=place))
         assert got.valid, sample
         before = here
-    assert len(given) >= 10
+    assert len(given) >= 8
     assert chain.reference.zero.referenced
     assert chain.reference.set_right == 0
 
@@ -133,7 +133,7 @@ def test_what_the_coarse_track_has_contradicted_it_sets_right_again() -> None:
 class Noted:
     """A recovery that notes what it is told."""
 
-    order, in_doubt = 2, False
+    in_doubt = False
 
     def __init__(self, lost: bool) -> None:
         self.lost = lost

@@ -177,7 +177,6 @@ def recording(
         coast_samples=st.sampled_from([0, 1, 3, 40]),
         frozen_samples=st.sampled_from([0, 1, 2, 3, 16]),
         amplitude_low_counts=st.sampled_from([None, 0]),
-        prediction_order=st.sampled_from([2, 3]),
     ),
     kind=st.sampled_from([np.float64, np.int16, np.float32]),
     part=st.sampled_from([17, 40, 300, BLOCK_SAMPLES]),
@@ -223,11 +222,10 @@ def test_each_fault_in_a_long_block(fault: Fault, length: int) -> None:
         assert wanted.valid[-1]
 
 
-@each("order", [2, 3])
 @each("length", [1, 2, 3])
-def test_what_stands_before_a_part_of_a_block_is_left_as_it_is(order: int, length: int) -> None:
+def test_what_stands_before_a_part_of_a_block_is_left_as_it_is(length: int) -> None:
     """A fault on the seam: what the prediction goes on from is not what was given for these samples."""
-    config = ChainConfig(prediction_order=order)
+    config = ChainConfig()
     position = np.cumsum(np.cumsum(np.linspace(0.0, 0.02, 120)))
     for at in range(55, 66):
         sine, cosine = tracks_at(position)

@@ -84,7 +84,6 @@ def events(draw: st.DrawFn) -> list[tuple[str, float]]:
             "coarse",
             "missed",
             "limits",
-            "order",
             "several",
             "table",
             "restart",
@@ -127,8 +126,6 @@ def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int)
         chain.set_limits(
             replace(LIMITS, residual_limit=0.2 + 0.1 * abs(x), sample=SampleLimits(2048, 300, 2048))
         )
-    elif kind == "order":
-        chain.set_limits(replace(LIMITS, prediction_order=3 if x > 0 else 2))
     elif kind == "several":
         chain.set_limits(replace(LIMITS, samples_per_sync=2 if x > 0 else 1))
     elif kind == "table":
@@ -156,7 +153,6 @@ def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int)
     return None
 
 
-@pytest.mark.parametrize("order", [2, 3])
 @pytest.mark.parametrize("jitter_ticks", [None, 0, 800])
 @given(
     happenings=events(),
@@ -171,14 +167,13 @@ def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int)
     random=Random(0),
 )
 def test_same_bits_as_the_parts_called_one_by_one(
-    order: int,
     jitter_ticks: int | None,
     happenings: list[tuple[str, float]],
     speed: float,
     bend: float,
     random: Random,
 ) -> None:
-    config = ChainConfig(prediction_order=order)
+    config = ChainConfig()
     ours, theirs = SignalChain(config, TABLE), Parts(config, TABLE)
     position, step, ticks = 0.1, 0.0, 0
     for kind, x in happenings:
@@ -202,13 +197,12 @@ def test_same_bits_as_the_parts_called_one_by_one(
         assert ours.between == theirs.between
 
 
-@pytest.mark.parametrize("order", [2, 3])
 @pytest.mark.parametrize("speed", [0.3, 0.0])
 @pytest.mark.parametrize("jitter_ticks", [None, 0, 300])
 def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way(
-    order: int, speed: float, jitter_ticks: int | None, monkeypatch: pytest.MonkeyPatch
+    speed: float, jitter_ticks: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chain, random = SignalChain(ChainConfig(prediction_order=order), TABLE), Random(1)
+    chain, random = SignalChain(ChainConfig(), TABLE), Random(1)
     resolve, resolved = chain.stages._resolve, 0
 
     def counted(*arguments: Any) -> Feedback:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,27 +110,3 @@ def test_a_recording_of_nothing() -> None:
     for length in (0, 1, 2):
         demand = of_recording(np.full(length, 100.0), np.full(length, np.nan), MODULE, 100.0, "x.csv")
         assert (demand.speed_cycles, demand.acceleration_rad_s2, demand.warning()) == (0.0, 0.0, None)
-
-
-def test_with_third_order_prediction_it_is_the_jerk_that_counts() -> None:
-    third = replace(MODULE, prediction_order=3)
-    ramp = MotionConfig(standstill_s=0.5, ramp_s=1.0, rpm=60.0)
-    second = of_motion(ramp, MODULE, 1000.0)
-    demand = of_motion(ramp, third, 1000.0)
-    margins = (MODULE.residual_limit - 0.05) / (MODULE.residual_limit - 0.1)
-    assert demand.asked == pytest.approx(margins * second.asked)  # the acceleration of a ramp steps
-    assert demand.least_rate_hz == pytest.approx(math.sqrt(margins) * second.least_rate_hz)
-    assert "jerk up to 6.28e+03 rad/s^3" in demand.describe()
-    shaking = MotionConfig(standstill_s=0.5, ramp_s=1.0, rpm=0.0, ripple_rpm=200.0, ripple_hz=20.0)
-    assert "acceleration" in str(of_motion(shaking, MODULE, 1000.0).warning())
-    assert of_motion(shaking, third, 1000.0).warning() is None
-    assert "jerk 3.31e+05" in str(of_motion(shaking, third, 600.0).warning())
-
-
-def test_a_recording_with_third_order_prediction() -> None:
-    k = np.arange(100.0)
-    x = 0.02 * k**2 * np.minimum(k, 20.0)
-    sine, cosine = 1500 * np.sin(2 * np.pi * x), 1500 * np.cos(2 * np.pi * x)
-    module = replace(MODULE, prediction_order=3)
-    demand = of_recording(sine[:20], cosine[:20], module, 1000.0, "r")
-    assert 0.12 < demand.asked * module.residual_limit < 0.12 + 8 * 0.0125  # with the errors of Table 1

@@ -26,7 +26,7 @@ def test_each_piece_of_work_checks_itself(name: str, monkeypatch: pytest.MonkeyP
 def test_goals_are_those_of_the_page() -> None:
     floats, counts, stream = cycle.array_goals()
     assert {one.name: one.goal for one in cycle.comparisons()} == {
-        "cycle": 0.6, "cycle, third order": 1.05, "cycle, cosine delay": 1.1, "cycle, delay": 1.1,
+        "cycle": 0.6, "cycle, cosine delay": 1.1, "cycle, delay": 1.1,
         "cycle, adapt": 1.1, "cycle, both and corner": None, "cycle, at standstill": None,
         "cycle, sample times": None, "cycle, can.Message": None,
         "samples, float64": floats, "samples, int16": counts, "samples, supervised": stream,

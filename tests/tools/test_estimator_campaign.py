@@ -15,7 +15,7 @@ from tools.faults.estimator.episodes import Episode, Published, draw, play
 from tools.faults.estimator.judge import Cause, judge, proof
 from tools.faults.estimator.kinds import KINDS, State
 from tools.faults.estimator.machine import KINDS as MOTIONS
-from tools.faults.estimator.machine import MOST_ACCELERATION, Array, derivatives, positions
+from tools.faults.estimator.machine import Array, derivatives, positions
 from tools.faults.estimator.on_module import ModulePlayer
 
 SLOW, FAST = Declared(0.01), Declared(0.2)
@@ -36,27 +36,24 @@ def test_two_runs_are_the_same_and_the_number_of_processes_changes_nothing() -> 
     }
 
 
-@pytest.mark.parametrize("order", [2, 3])
-def test_half_of_the_machines_use_all_of_the_bound_and_none_more(order: int) -> None:
-    machine = Declared(0.1, order=order, jerk=0.05)
+def test_half_of_the_machines_use_all_of_the_bound_and_none_more() -> None:
+    machine, order = Declared(0.1), 2
     rng = np.random.default_rng(1)
     u = derivatives(machine, rng, np.full(400, 20), 60)
     largest = np.abs(u).max(axis=1)
     assert len(MOTIONS) == 10
-    assert 0.4 < (largest > 0.9 * machine.bound).mean() < 0.7
-    assert largest.max() <= machine.bound
-    even = positions(machine, u, np.full(400, 100.0), rng)
-    assert np.abs(np.diff(even, order, axis=1)).max() <= machine.bound + 1e-9
-    if order == 3:
-        assert np.abs(np.diff(even, 2, axis=1)).max() < MOST_ACCELERATION + 1e-9
+    assert 0.4 < (largest > 0.9 * machine.acceleration).mean() < 0.7
+    assert largest.max() <= machine.acceleration
+    even = positions(u, np.full(400, 100.0), rng)
+    assert np.abs(np.diff(even, order, axis=1)).max() <= machine.acceleration + 1e-9
     instants = np.sort(rng.uniform(0.0, 55.0, (400, 50)), axis=1)
-    at = positions(machine, u, np.full(400, 100.0), rng, instants)
+    at = positions(u, np.full(400, 100.0), rng, instants)
     for row, times in zip(at[:20], instants[:20], strict=True):
         values, n = row, order
         for step in range(1, n + 1):
             values = np.diff(values) / (times[step:] - times[:-step]) * step
         apart = np.min([times[k + order] - times[k] for k in range(len(times) - order)])
-        assert np.abs(values).max() <= machine.bound + 1e-9 / max(apart, 1e-3) ** order
+        assert np.abs(values).max() <= machine.acceleration + 1e-9 / max(apart, 1e-3) ** order
 
 
 def _episode(name: str, machine: Declared) -> Episode:
@@ -183,7 +180,7 @@ def test_exit_status_counts_what_the_declaration_covers(monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize(
     "words",
-    [["--episodes", "0"], ["--processes", "0"], ["--module", "--samples-per-sync", "2"], ["--order", "4"]],
+    [["--episodes", "0"], ["--processes", "0"], ["--module", "--samples-per-sync", "2"]],
 )
 def test_bad_options_end_with_2(words: list[str]) -> None:
     with pytest.raises(SystemExit) as error:

@@ -14,7 +14,7 @@ from tools.faults.chain.campaign import Campaign
 from tools.faults.chain.classes import CLASSES, FaultClass
 from tools.faults.chain.clean import CleanResult, clean_motion, judge_clean, run_clean
 from tools.faults.chain.judge import Episode, first_illegal, follow, judge, play
-from tools.faults.chain.plant import COMMISSIONED, DEFAULT, ENCODER, HARD, SERVO, SETTINGS, Setting, Turning
+from tools.faults.chain.plant import COMMISSIONED, DEFAULT, ENCODER, HARD, SETTINGS, Setting, Turning
 from tools.faults.chain.tally import Tally
 
 # Faults beyond what is declared: a phase error of 0.4 cycle where 0.0125 are declared; nine bad samples in a
@@ -227,13 +227,6 @@ def test_false_alarms_are_counted() -> None:
     assert missed == ["1 false alarms in 1000 clean samples", "2 wrong positions in clean samples"]
 
 
-def test_the_moves_of_a_servo_are_clean() -> None:
-    result = run_clean(5, 0, 60_000, [SERVO])
-    assert (result.flagged, result.wrong) == (0, 0)
-    assert 0.03 < result.largest_residual < SERVO.residual_limit
-    assert result.largest_speed > 10.0
-
-
 def test_the_result_depends_on_the_seed_only() -> None:
     assert run_clean(3, 1, 5000) == run_clean(3, 1, 5000)
     group = campaign.Group(9, 0, 16, 2)
@@ -273,12 +266,3 @@ def test_wrong_options_are_refused(wrong: list[str], capsys: pytest.CaptureFixtu
         campaign.main(wrong)
     assert stop.value.code == 2
     assert "must be" in capsys.readouterr().err
-
-
-def test_a_servo_with_third_order_prediction() -> None:
-    result = campaign.campaign(seed=5, episodes=2, clean=0, processes=1, settings=(3,))
-    assert result.misses() == []
-    assert {setting for setting, _ in result.tallies} == {3}
-    lost_one = result.tallies[3, [one.name for one in CLASSES].index("lost, 1")]
-    assert (lost_one.episodes, lost_one.lost) == (10, 0)
-    assert "| fault | servo: soon | servo: detected | servo: lost |" in campaign.as_text(result)

@@ -117,14 +117,13 @@ def encoder_table(entries: int = TABLE_ENTRIES, error_cycles: float = 0.01) -> c
     return canfb.CorrectionTable(ideal + error_cycles * np.sin(2 * np.pi * (ideal + 0.1)))
 
 
-def feedback_module(order: int = 2, times: bool = False, **fields: Any) -> canfb.FeedbackModule:
+def feedback_module(times: bool = False, **fields: Any) -> canfb.FeedbackModule:
     """The module with factory defaults, operational, with an active correction table."""
     module = canfb.FeedbackModule(
         canfb.ModuleConfig(
             node_id=NODE_ID,
             encoder_interface=ENCODER_INTERFACE,
             autostart=True,
-            prediction_order=order,
             times=times,
             **fields,
         )
@@ -160,10 +159,8 @@ class ModuleRun:
 
     interval_s = INTERVAL_S
 
-    def __init__(
-        self, cycles: int, order: int = 2, *, speed: float = 0.3, times: bool = False, **fields: Any
-    ) -> None:
-        self.module = feedback_module(order, times, **fields)
+    def __init__(self, cycles: int, *, speed: float = 0.3, times: bool = False, **fields: Any) -> None:
+        self.module = feedback_module(times, **fields)
         self.sync = canfb.Frame(SYNC, b"")
         self.samples = [canfb.Frame(ADC_PDO, data) for data in adc_data(cycles, speed)]
         self.now = 0.0
@@ -346,7 +343,6 @@ def chain_steps() -> Work:
 MODULE, STOCK, NUMPY, NUMPY_16 = "module", "canopen", "numpy, float64", "numpy, int16"
 WORK: dict[str, Timed] = {
     MODULE: Timed(partial(ModuleRun, CYCLES), CYCLES),
-    "third order": Timed(partial(ModuleRun, CYCLES, 3), CYCLES),
     **{name: Timed(partial(ModuleRun, CYCLES, **fields), CYCLES) for name, fields in ANALOG_PATHS.items()},
     "2002:08": Timed(partial(ModuleRun, CYCLES, adapt=True), CYCLES),
     "standstill": Timed(partial(ModuleRun, CYCLES, speed=0.0), CYCLES),
@@ -371,7 +367,6 @@ def comparisons() -> list[Comparison]:
     floats, counts, stream = array_goals()
     return [
         Comparison("cycle", MODULE, STOCK, 0.6),
-        Comparison("cycle, third order", "third order", MODULE, 1.05),
         Comparison("cycle, cosine delay", "2002:06", MODULE, 1.1),
         Comparison("cycle, delay", "2002:07", MODULE, 1.1),
         Comparison("cycle, adapt", "2002:08", MODULE, 1.1),

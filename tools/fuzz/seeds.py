@@ -109,7 +109,6 @@ bus: {interface: virtual, channel: x, bitrate: 500000, receive_own_messages: tru
 modules:
   - {node_id: 33, encoder_interface: 16, cycles_per_revolution: 2500, adc_bits: 14, times: true,
      autostart: true, max_acceleration_rad_s2: 1e3, residual_limit: 0.3, coast_samples: 3,
-     prediction_order: 3, max_jerk_rad_s3: 1e6,
      conditioning: {sine_offset_counts: 3, cosine_gain: 1.01, cosine_delay_s: 1e-6}, adapt: true,
      corner_hz: 125e3,
      second_position: {cob_id: 0x3B0, increments: 65536, tolerance_revolutions: 0.01},
@@ -137,7 +136,7 @@ def planned() -> list[bytes]:
     """Configurations that take little time."""
     return text_seeds(
         "bus: {bitrate: 500000}\nmodules:\n- {node_id: 1, corner_hz: 1e5, times: true}\n",
-        "modules: [{node_id: 255, prediction_order: 3, max_jerk_rad_s3: 1e6, samples_per_sync: 2}]\n"
+        "modules: [{node_id: 255, samples_per_sync: 2}]\n"
         "simulation: {motion: {rpm: 300, ramp_s: 1}, sync_period_us: 500}\n",
     )
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from canfb.simulation.sync_producer import REGULAR, SyncTiming
-from tools.soak.machine import MAX_ACCELERATION_CYCLES_S2, MAX_JERK_CYCLES_S3
+from tools.soak.machine import MAX_ACCELERATION_CYCLES_S2
 
 CYCLES = 2500
 RADIANS = 2.0 * math.pi / CYCLES
 SPARE = 1.05  # declared beyond what the machine does
 ACCELERATION = {"max_acceleration_rad_s2": SPARE * MAX_ACCELERATION_CYCLES_S2 * RADIANS}
-JERK = {"prediction_order": 3, "max_jerk_rad_s3": SPARE * MAX_JERK_CYCLES_S3 * RADIANS}
 BRAKED = {"max_acceleration_rad_s2": 100.0}  # of the drive, its brake and its friction: 67
 JITTER = SyncTiming(sync_jitter_us=20.0, sync_drift_ppm=-50.0)
 
@@ -44,7 +43,6 @@ class Setup:
 SETUPS = (
     Setup("plain", ACCELERATION),
     Setup("times", ACCELERATION | {"times": True}),
-    Setup("third order", JERK | {"times": True}),
     Setup("two samples", ACCELERATION | {"times": True, "samples_per_sync": 2}),
     Setup("coarse track", ACCELERATION, coarse=True),
     Setup("predicted", ACCELERATION | {"times": True, "predict": True}),

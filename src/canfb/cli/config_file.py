@@ -49,8 +49,6 @@ modules:                                        # one process serves several nod
     coast_samples: 30                           # bad or missed samples to bridge before the position is lost
     sync_timeout_periods: 20                    # a desktop may stop a program for 0.1 s; a real-time bus: 2
     autostart: false                            # true: OPERATIONAL without a master
-    # prediction_order: 3                       # a servo: the limit bounds its jerk, not its acceleration
-    # max_jerk_rad_s3: 785000                   # and narrows it, if it is known (2010:08)
     # predict: true                             # synchronous PDOs carry the position of their SYNC (2013h)
     # nominal_sync: true                        # the position of a SYNC without jitter (2013:02)
     # second_position: {cob_id: 0x3B0, increments: 65536, tolerance_revolutions: 0.01}    # 2014h

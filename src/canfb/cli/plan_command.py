@@ -24,7 +24,6 @@ NUMBERS = (
     ("--heartbeat", "heartbeat_ms", "MS", "heartbeat of each node that has none"),
     ("--rpm", "rpm", "RPM", "largest speed"),
     ("--acceleration", "acceleration_rad_s2", "RAD/S2", "largest acceleration"),
-    ("--jerk", "jerk_rad_s3", "RAD/S3", "largest jerk"),
     ("--noise", "noise_counts", "COUNTS", "rms noise of a track (noise_lsb, 0.5)"),
     (
         "--phase-error",
@@ -47,9 +46,6 @@ def register(commands: Commands) -> None:
         parser.add_argument(option, dest=field, type=float, metavar=word, help=text)
     parser.add_argument(
         "--cycles", dest="cycles_per_revolution", type=whole_number, metavar="N", help="per revolution (2500)"
-    )
-    parser.add_argument(
-        "--prediction-order", type=whole_number, metavar="ORDER", help="2 or 3, of every module (2)"
     )
     parser.add_argument(
         "--samples-per-sync", type=whole_number, metavar="COUNT", help="1 to 4, of every interface (1)"
@@ -107,6 +103,6 @@ def _named(message: str) -> str:
     name = message.split()[0]
     options = {field: option for option, field, _, _ in NUMBERS}
     options |= {"bit_rate": "--bitrate", "cycles_per_revolution": "--cycles", "adc_bits": "--adc-bits"}
-    options |= {"modules": "--modules", "prediction_order": "--prediction-order"}
+    options |= {"modules": "--modules"}
     options |= {"samples_per_sync": "--samples-per-sync", "noise_margin": "--noise-margin"}
     return message.replace(name, options.get(name, name), 1)

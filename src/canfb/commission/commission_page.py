@@ -8,6 +8,7 @@ from canfb import objects as od
 from canfb.calibrate.artefacts import REPORT
 from canfb.calibrate.calibration_page import place_line
 from canfb.commission.commission_summary import (
+    SUM_WORDS,
     Commissioned,
     detection_rows,
     detection_words,
@@ -16,7 +17,6 @@ from canfb.commission.commission_summary import (
     machine_facts,
     notes,
     outcome,
-    sum_words,
 )
 from canfb.commission.machine_figures import smooth_acceleration
 from canfb.master.all_or_nothing import write_whole
@@ -26,8 +26,8 @@ from canfb.report.page import figure, gallery, page, table
 from canfb.report.pictures import lissajous
 
 FOOTER = (
-    "Made by canfb commission. L is the residual limit in force, a the largest acceleration, j the largest "
-    "jerk, in cycles and sampling intervals. The limits hold for the motion that was seen, times the margin."
+    "Made by canfb commission. L is the residual limit in force, a the largest acceleration, in "
+    "cycles and sampling intervals. The limits hold for the motion that was seen, times the margin."
 )
 
 
@@ -52,7 +52,7 @@ def commission_html(done: Commissioned) -> str:
         + table(
             "Bad samples in a row that cannot falsify the cycle count unseen",
             detection_rows(done),
-            (f"{sum_words(done)}, cycle", "before", "proposed"),
+            (f"{SUM_WORDS}, cycle", "before", "proposed"),
         )
         + gallery("Pictures", _pictures(done))
         + table("Origin", origins(done.where), style="origin")
@@ -84,7 +84,7 @@ def _pictures(done: Commissioned) -> list[str]:
             "Acceleration over time",
             "averaged as far as the noise demands, with the limit 2010:02",
             pictures.acceleration_over_time(
-                to_rad * smooth_acceleration(machine.motion.bend, noise), interval_s, to_rad * largest
+                to_rad * smooth_acceleration(machine.motion.residual, noise), interval_s, to_rad * largest
             ),
         ),
         (

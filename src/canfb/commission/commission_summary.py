@@ -20,13 +20,11 @@ from canfb.master.supervision_limits import (
     SupervisionLimits,
 )
 from canfb.rows import Result, Row, as_columns, as_figures, as_lines
-from canfb.signal.limits import ROUNDING, safe_deviation, samples_without_harm
-from canfb.signal.third_order import THIRD
+from canfb.signal.limits import safe_deviation, samples_without_harm
 from canfb.view.limits_in_force import LIMIT_UNITS
 
 ROWS = 3  # of the table of detection, at least
 MOST_ROWS = 12
-SAFE_THIRD_ORDER = 0.25  # L + j at which one bad sample is without harm, and never two (docs/legal-motion.md)
 
 LEAST_JITTER_S = 1e-8
 WIDTH = 21  # of the names, characters
@@ -67,32 +65,12 @@ class Commissioned:
         """Of the machine, cycles per interval squared: 2010:02, or what was seen while that is not known."""
         return self.new.acceleration_cycles(self.machine.interval_s) or self.machine.motion.acceleration
 
-    @property
-    def is_third_order(self) -> bool:
-        """The module predicts by third order."""
-        return self.new.prediction_order == THIRD
-
-    @property
-    def largest_motion(self) -> float:
-        """What the machine leaves as a residual: its acceleration, by third order its jerk; cycles."""
-        if not self.is_third_order:
-            return self.largest_acceleration
-        return self.new.bounds(self.machine.interval_s).jerk or self.machine.motion.jerk
-
     def deviation(self, limits: SupervisionLimits) -> float:
-        """L + a of docs/legal-motion.md with these limits, L + j of docs/legal-motion.md; cycles."""
-        return limits.residual_limit(self.machine.interval_s) + self.largest_motion
-
-    def safe(self, count: int) -> float:
-        """The largest deviation at which so many bad samples in a row are without harm, cycles."""
-        if self.is_third_order:
-            return SAFE_THIRD_ORDER if count == 1 else 0.0
-        return safe_deviation(count)
+        """L + a of docs/legal-motion.md with these limits; cycles."""
+        return limits.residual_limit(self.machine.interval_s) + self.largest_acceleration
 
     def without_harm(self, limits: SupervisionLimits) -> int:
         """Bad samples in a row that are without harm with these limits."""
-        if self.is_third_order:
-            return int(self.deviation(limits) <= SAFE_THIRD_ORDER * (1.0 + ROUNDING))
         return samples_without_harm(self.deviation(limits))
 
 
@@ -240,11 +218,6 @@ def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revo
             return "0, not known"
         cycles = value * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
         return f"{value:.3g} rad/s² ({cycles:.2g} cycle)"
-    if choice.place == od.SUPERVISION_JERK:
-        if value == 0.0:
-            return "0, not known"
-        cycles = value * cycles_per_revolution / (2.0 * math.pi) * interval_s**3
-        return f"{value:.3g} rad/s³ ({cycles:.2g} cycle)"
     if choice.place == od.SUPERVISION_FROZEN and not value:
         return "0, off"
     return f"{value:.0f} {KINDS[choice.place].unit}"
@@ -252,30 +225,27 @@ def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revo
 
 def detection_rows(done: Commissioned) -> list[Row]:
     """Bad samples in a row: at most so much L + a, whether it holds before and with the new limits."""
-    last = 2 if done.is_third_order else min(MOST_ROWS, max(ROWS, done.without_harm(done.new) + 1))
+    last = min(MOST_ROWS, max(ROWS, done.without_harm(done.new) + 1))
     words = {True: "detected", False: "not for sure"}
     return [
         Row(
             str(count),
-            f"{done.safe(count):.3g}",
-            words[done.deviation(done.before) <= done.safe(count)],
-            words[done.deviation(done.new) <= done.safe(count)],
+            f"{safe_deviation(count):.3g}",
+            words[done.deviation(done.before) <= safe_deviation(count)],
+            words[done.deviation(done.new) <= safe_deviation(count)],
         )
         for count in range(1, last + 1)
     ]
 
 
-def sum_words(done: Commissioned) -> str:
-    """What the bad samples are held against."""
-    return f"L + {'j' if done.is_third_order else 'a'} at most"
+SUM_WORDS = "L + a at most"
+"""What the bad samples are held against."""
 
 
 def detection_words(done: Commissioned) -> str:
     """One sentence."""
     before, new = (done.without_harm(one) for one in (done.before, done.new))
-    bound = f"accelerations up to {done.largest_motion:.3g} cycle per interval²"
-    if done.is_third_order:
-        bound = f"jerks up to {done.largest_motion:.3g} cycle per interval³"
+    bound = f"accelerations up to {done.largest_acceleration:.3g} cycle per interval²"
     return (
         f"Up to {new} bad samples in a row of any phase cannot falsify the cycle count unseen, {before} with "
         "the limits before; a single one is flagged if its phase is off by more than "
@@ -286,12 +256,12 @@ def detection_words(done: Commissioned) -> str:
 
 def kept_words(done: Commissioned) -> str:
     """One sentence on missed samples."""
-    interval_s, motion = done.machine.interval_s, done.largest_motion
+    interval_s, motion = done.machine.interval_s, done.largest_acceleration
     before, new = (one.kept_samples(interval_s, motion) for one in (done.before, done.new))
     return (
         f"After up to {new} missed or flagged samples in a row the position is certain, {before} with the "
-        f"limits before (2010:03 bridges {done.new.coast_samples}). A machine that exceeds the acceleration, "
-        "the jerk or the phase error declared here can leave a position valid and wrong after a fault"
+        f"limits before (2010:03 bridges {done.new.coast_samples}). A machine that exceeds the acceleration "
+        "or the phase error declared here can leave a position valid and wrong after a fault"
     )
 
 
@@ -312,7 +282,7 @@ def outcome(done: Commissioned) -> str:
 def lines(done: Commissioned) -> list[str]:
     """For people."""
     head, *limits = as_columns(limit_rows(done), ("", "before", "proposed"))
-    heads = ("bad samples", sum_words(done), "before", "proposed")
+    heads = ("bad samples", SUM_WORDS, "before", "proposed")
     return [
         *as_lines(machine_facts(done), WIDTH),
         *(f"note: {text}" for text in notes(done)),
@@ -330,7 +300,7 @@ def lines(done: Commissioned) -> list[str]:
 
 def figures(done: Commissioned) -> dict[str, Any]:
     """For programs; units in the names, intervals are those of the samples."""
-    interval_s, motion = done.machine.interval_s, done.largest_motion
+    interval_s, motion = done.machine.interval_s, done.largest_acceleration
     verdict = Row(
         margin=done.margin,
         notes=notes(done),

@@ -20,9 +20,7 @@ from canfb.signal.limits import (
     CALIBRATED_PHASE_ERROR_CYCLES,
     MOST_PHASE_ERROR_CYCLES,
     max_acceleration,
-    max_jerk,
 )
-from canfb.signal.third_order import THIRD
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.view.limits_in_force import LIMIT_UNITS
 
@@ -62,18 +60,17 @@ class Choice:
 def choose(
     machine: MachineFigures, limits: SupervisionLimits, margin: float, known_rad_s2: float = 0.0
 ) -> list[Choice]:
-    """All limits in the order of :data:`LIMITS`; that of the jerk with third-order prediction only.
+    """All limits in the order of :data:`LIMITS`.
 
     ``margin`` is the factor beyond what was measured, above 1. ``known_rad_s2`` is an acceleration that the
     machine is known to do, rad/s^2, 0.0 if there is none.
     """
     corner = corner_choice(machine.low_pass, limits)
-    motion = _third_order if limits.prediction_order == THIRD else _motion
     error = _phase_error(machine, limits, margin)
     return [
         *([] if corner is None else [corner]),
         *_amplitude(machine.tracks, limits, margin),
-        *motion(machine, limits.changed({error.place: error.value}), margin, known_rad_s2),
+        *_motion(machine, limits.changed({error.place: error.value}), margin, known_rad_s2),
         error,
         _frozen(machine, limits, margin),
         _coarse(machine, limits, margin),
@@ -160,43 +157,6 @@ def _motion(
     )
 
 
-def _third_order(
-    machine: MachineFigures, limits: SupervisionLimits, margin: float, known_rad_s2: float
-) -> tuple[Choice, Choice, Choice]:
-    """Residual limit and largest jerk, which belong together (docs/legal-motion.md), and the acceleration."""
-    motion, n = machine.motion, limits.cycles_per_revolution
-    places = (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION, od.SUPERVISION_JERK)
-    change = motion.fastest - motion.slowest
-    if change < LEAST_SPEED_CHANGE * motion.top_speed or motion.jerk == 0.0 or motion.acceleration == 0.0:
-        why = (
-            f"the speed changed by {PERCENT * change / motion.top_speed:.0f} % only, so the largest jerk was "
-            "not seen: let the machine start and stop meanwhile"
-        )
-        first, second, third = (_choice(limits, place, None, why) for place in places)
-        return first, second, third
-    needed, limit = _residual_limit(motion, motion.jerk, margin, 0.0)
-    # A smaller jerk would narrow the limit.
-    largest = max(margin * motion.jerk, limit / LIMIT_UNITS - 8.0 * limits.settings.phase_error_cycles)
-    to_acceleration, to_jerk = machine.rad(1.0, 2, n), machine.rad(1.0, 3, n)
-    most = max_jerk(n, 1.0 / machine.interval_s)
-    jerk = as_real32(min(_rounded_up(largest * to_jerk), most))
-    words = f"{motion.jerk * to_jerk:.3g} rad/s³ seen, times {margin:g}"
-    if jerk >= most * (1.0 - 1e-6):
-        words += "; no more than the widest limit allows: increase the SYNC rate"
-    acceleration = max(margin * motion.acceleration * to_acceleration, known_rad_s2)
-    return (
-        _choice(limits, places[0], limit, _residual_words(motion, needed, margin, 0.0)),
-        _choice(
-            limits,
-            places[1],
-            as_real32(_rounded_up(acceleration)),
-            f"{motion.acceleration * to_acceleration:.3g} rad/s² seen"
-            + (f", {known_rad_s2:g} given" if acceleration == known_rad_s2 else f", times {margin:g}"),
-        ),
-        _choice(limits, places[2], jerk, words),
-    )
-
-
 def _phase_error(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> Choice:
     """What the phases are off by, as the machine shows it at its own speeds."""
     place, motion = od.SUPERVISION_PHASE_ERROR, machine.motion
@@ -217,7 +177,7 @@ def _phase_error(machine: MachineFigures, limits: SupervisionLimits, margin: flo
 
 
 def _residual_limit(motion: MotionFigures, largest: float, margin: float, known: float) -> tuple[float, int]:
-    """The limit that is needed, cycles, and 2010:01, for the largest acceleration or jerk of this machine.
+    """The limit that is needed, cycles, and 2010:01, for the largest acceleration of this machine.
 
     ``known`` is a larger one that is given, cycles per interval; 0.0: none.
     """

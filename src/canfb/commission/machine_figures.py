@@ -36,7 +36,6 @@ from canfb.master.samples import TrackSamples
 from canfb.signal.harmonics import Corners
 from canfb.signal.phase import FloatArray
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
-from canfb.signal.third_order import SECOND as SECOND_ORDER
 
 HALVES = (1, 2, 4, 8, 16, 32, 64)  # of the windows of the parabolas, samples to each side
 MOVING_CYCLES = 0.02  # per interval: slower, the counts of neighbours hardly differ and noise hides
@@ -56,10 +55,7 @@ class MotionFigures:
     acceleration       the largest, cycles per interval squared, noise taken off
     jerk               the largest change of that in an interval, noise taken off
     noise              rms of the phase of one sample, cycles, at the speeds at which it is largest
-    residual           of the prediction, cycles; NaN where not known: the second difference at each sample
-                       from the third on, the third difference from the fourth on
-    bend               second difference at each sample from the third on, cycles; NaN where not known
-    order              of the prediction
+    residual           second difference at each sample from the third on, cycles; NaN where not known
     """
 
     slowest: float
@@ -70,8 +66,6 @@ class MotionFigures:
     jerk: float
     noise: float
     residual: FloatArray
-    bend: FloatArray
-    order: int = SECOND_ORDER
 
     @property
     def top_speed(self) -> float:
@@ -94,27 +88,22 @@ class MotionFigures:
 
         They weigh three phases with 1, 2, 1; at most all are off at the same time.
         """
-        off = self.bend - smooth_acceleration(self.bend, self.noise)
+        off = self.residual - smooth_acceleration(self.residual, self.noise)
         off = off[np.isfinite(off)]
         return peak(off) / 4.0 if len(off) else 0.0
 
     @property
     def residual_noise(self) -> float:
-        """Rms of the residual that the noise of three or four samples makes."""
-        return math.sqrt(RESIDUAL_WEIGHTS[self.order]) * self.noise
+        """Rms of the residual that the noise of three samples makes."""
+        return math.sqrt(RESIDUAL_WEIGHTS) * self.noise
 
 
-def motion_figures(samples: SupervisedSamples, order: int = SECOND_ORDER) -> MotionFigures:
-    """The motion of these samples, as a prediction of ``order`` has it; at least one step between two valid
-    ones.
-    """
+def motion_figures(samples: SupervisedSamples) -> MotionFigures:
+    """The motion of these samples; at least one step between two valid ones."""
     speed, elapsed = samples.speed, samples.elapsed
     known = speed[np.isfinite(speed)]
     between = (elapsed[2:] + elapsed[1:-1]) / 2.0
     acceleration = np.diff(speed) / between
-    bend = residual = np.diff(speed) * elapsed[2:]  # eq. 9 carries the last speed on
-    if order != SECOND_ORDER:  # the parabola through three samples: Newton's form
-        residual = np.diff(acceleration) / 2.0 * elapsed[3:] * (elapsed[3:] + elapsed[2:-1])
     position = samples.position[samples.valid]
     moves = np.abs(speed) >= MOVING_CYCLES
     noise = _noise(acceleration, np.where(moves, np.abs(speed), np.nan)[1:])
@@ -128,9 +117,7 @@ def motion_figures(samples: SupervisedSamples, order: int = SECOND_ORDER) -> Mot
         acceleration=_largest(acceleration, noise, np.array([1.0, -2.0, 1.0])),
         jerk=_largest(np.diff(acceleration), noise, np.array([1.0, -3.0, 3.0, -1.0])),
         noise=noise,
-        residual=residual,
-        bend=bend,
-        order=order,
+        residual=np.diff(speed) * elapsed[2:],  # eq. 9 carries the last speed on
     )
 
 

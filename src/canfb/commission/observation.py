@@ -88,7 +88,7 @@ def observe(
         # With it the amplitude is another one: the limits of before say nothing about that.
         open_limits = limits.changed({CORNER.place: corner.value, AMPLITUDES[1]: WIDEST_AMPLITUDE})
         followed = supervise(samples, used, open_limits.chain_limits(interval_s), start_speed)
-    motion = motion_figures(followed, limits.prediction_order)
+    motion = motion_figures(followed)
     if motion.turned < LEAST_TURNED_CYCLES or motion.moving < LEAST_MOVING:
         raise CommissioningError(
             "the machine stands still: nothing can be said of its acceleration; let it do its normal duty "

@@ -201,7 +201,7 @@ def demo_page(story: Story, made: str, pictures: tuple[Plot, Plot, Plot, Plot, P
             ],
         )
         + beside(checks, figure(RESIDUAL, "at 2000 rpm; the limit is that of eq. 12", faults.svg()))
-        + beside(act, figure(SERVO, "all samples; the limit is that of the known jerk", moved.svg())),
+        + beside(act, figure(SERVO, "all samples; four samples for each SYNC", moved.svg())),
         FOOTER,
         story.held,
     )

@@ -6,17 +6,15 @@ limits (2010h), and which references it really has mapped: coarse track, zero pu
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from canfb import objects as od
 from canfb.master.access import NodeAccess, ObjectAbsentError
 from canfb.objects import LossCause, Multiplexer, PositionState, StatusBit
 from canfb.rows import Result
-from canfb.signal.limits import cycles_per_interval_cubed, cycles_per_interval_squared, kept_samples
-from canfb.signal.third_order import SECOND, THIRD
+from canfb.signal.limits import cycles_per_interval_squared, kept_samples, max_acceleration
 from canfb.view.limits_in_force import limit_settings
 from canfb.view.pdo_map import mapped_objects
 
@@ -41,15 +39,6 @@ class Loss:
     faults: int
 
 
-class _Motion(NamedTuple):
-    """What bounds a motion: its name, its object, and the largest one, 0: not declared."""
-
-    name: str
-    place: str
-    unit: str
-    largest: float
-
-
 @dataclass(frozen=True)
 class LostPosition:
     """State of the position of a module, and its last loss.
@@ -63,8 +52,6 @@ class LostPosition:
     coast_samples           2010:03
     residual_limit_cycles   2010:01
     coarse, zero_pulse, second, timed   which parts of a sample its RPDOs bring
-    prediction_order        2010:07
-    jerk_rad_s3             2010:08, 0: not declared
     samples_per_sync        pairs that its RPDOs bring
     """
 
@@ -84,8 +71,6 @@ class LostPosition:
     zero_pulse: bool
     second: bool
     timed: bool
-    prediction_order: int = SECOND
-    jerk_rad_s3: float = 0.0
     samples_per_sync: int = 1
 
     @property
@@ -235,7 +220,7 @@ class LostPosition:
         if cause is LossCause.REFERENCE:
             yield "wiring and scale of coarse track and zero pulse: one contradicted the count (2010:05)"
         if cause is LossCause.CONFIGURATION:
-            yield "limits, prediction order and PDO mapping written while the position is valid"
+            yield "limits and PDO mapping written while the position is valid"
 
     def _longer(self, loss: Loss) -> Iterator[str]:
         bridged = self.coast_samples * self.samples_per_sync
@@ -246,59 +231,46 @@ class LostPosition:
             return
         most = self.longest_gap() if loss.faults & MISSED else None
         if most is not None and most <= bridged:
-            motion = self._motion
-            yield f"{text}; more would not help at this {motion.name} ({motion.place}) and SYNC rate"
+            yield f"{text}; more would not help at this acceleration (2010:02) and SYNC rate"
         else:
             yield f"{text}: a larger value bridges a longer fault"
 
     def _declared(self) -> Iterator[str]:
-        motion = self._motion
-        if not motion.largest:
+        if not self.acceleration_rad_s2:
             yield (
-                f"{motion.place} is 0, not declared: set it to the largest {motion.name} of the machine, "
-                f"{motion.unit}, so that only motions that it can do are considered"
+                "2010:02 is 0, not declared: set it to the largest acceleration of the machine, rad/s², "
+                "so that only motions that it can do are considered"
             )
             return
         most = self.longest_gap()
         said = "" if most is None else f": one motion is certain over {most} missed samples at most"
         yield (
-            f"{motion.place} is {motion.largest:.4g} {motion.unit}{said}; a smaller one, if it is true, "
+            f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s²{said}; a smaller one, if it is true, "
             "or a faster SYNC, over more"
         )
 
-    @property
-    def _motion(self) -> _Motion:
-        """What bounds the motion, by the prediction in use."""
-        if self.prediction_order == THIRD:
-            return _Motion("jerk", "2010:08", "rad/s³", self.jerk_rad_s3)
-        return _Motion("acceleration", "2010:02", "rad/s²", self.acceleration_rad_s2)
-
     def longest_gap(self) -> int | None:
-        """Missed samples over which 2010:02, in third order 2010:08, leaves one motion; None: not known.
+        """Missed samples over which 2010:02 leaves one motion; None: not known.
 
         docs/legal-motion.md has the proof.
         """
-        if not (self._motion.largest and self.sample_hz):
+        if not (self.acceleration_rad_s2 and self.sample_hz):
             return None
-        in_cycles = (
-            cycles_per_interval_cubed if self.prediction_order == THIRD else cycles_per_interval_squared
-        )
-        largest = in_cycles(self._motion.largest, self.cycles_per_revolution, 1.0 / self.sample_hz)
-        return kept_samples(self.prediction_order, largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
+        n, interval_s = self.cycles_per_revolution, 1.0 / self.sample_hz
+        largest = cycles_per_interval_squared(self.acceleration_rad_s2, n, interval_s)
+        return kept_samples(largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
 
     def _gentler(self, loss: Loss) -> Iterator[str]:
-        motion = self._motion
-        if motion.largest and loss.limit_cycles < self.residual_limit_cycles:
+        if self.acceleration_rad_s2 and loss.limit_cycles < self.residual_limit_cycles:
             yield (
-                f"{motion.place} is {motion.largest:.4g} {motion.unit}, which narrows the residual limit to "
-                f"{loss.limit_cycles:.3f} cycle: is it the largest {motion.name}, also in a jolt? "
+                f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s², which narrows the residual limit to "
+                f"{loss.limit_cycles:.3f} cycle: is it the largest acceleration, also in a jolt? "
                 "See canfb commission"
             )
         if self.sample_hz:
-            per_s = self.sample_hz**self.prediction_order
-            largest = 2.0 * math.pi * self.residual_limit_cycles * per_s / self.cycles_per_revolution
+            largest = max_acceleration(self.cycles_per_revolution, self.sample_hz, self.residual_limit_cycles)
             yield (
-                f"the motion must stay below {largest:.4g} {motion.unit} at {self.sample_hz:.4g} Hz and "
+                f"the motion must stay below {largest:.4g} rad/s² at {self.sample_hz:.4g} Hz and "
                 "2010:01: a faster SYNC, or a gentler motion"
             )
         yield "a correction table, which removes phase errors: canfb calibrate"
@@ -334,8 +306,6 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
         zero_pulse=od.SAMPLE_FLAGS.mapped(8) in mapped,
         second=od.SAMPLE_SECOND_POSITION.mapped(32) in mapped and tolerance > 0.0,
         timed=limits.timed,
-        prediction_order=limits.prediction_order,
-        jerk_rad_s3=limits.jerk_rad_s3,
         samples_per_sync=limits.samples_per_sync,
         **settings,
     )

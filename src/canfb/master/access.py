@@ -74,7 +74,6 @@ ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
 REALS = frozenset(
     {
         od.SUPERVISION_ACCELERATION,
-        od.SUPERVISION_JERK,
         od.ENCODER_CORNER_FREQUENCY,
         od.ENCODER_COSINE_CORNER_FREQUENCY,
     }

@@ -39,7 +39,6 @@ LIMITS = (
     LimitObject(od.ENCODER_HIGHEST_AMPLITUDE, "H", "highest amplitude", "counts"),
     LimitObject(od.SUPERVISION_RESIDUAL_LIMIT, "H", "residual limit", "1/65536 cycle"),
     LimitObject(od.SUPERVISION_ACCELERATION, "f", "largest acceleration", "rad/s²"),
-    LimitObject(od.SUPERVISION_JERK, "f", "largest jerk", "rad/s³"),
     LimitObject(od.SUPERVISION_PHASE_ERROR, "H", "phase error", "1/65536 cycle"),
     LimitObject(od.SUPERVISION_FROZEN, "B", "equal samples of a frozen input", "samples"),
     LimitObject(od.SUPERVISION_COARSE_LIMIT, "H", "coarse track limit", "1/65536 revolution"),
@@ -58,7 +57,7 @@ class SupervisionLimits:
     full_scale_counts       2001:02
     cycles_per_revolution   2001:01
     coast_samples           2010:03
-    motion                  order of the prediction, noise margin, samples per SYNC, sample times
+    motion                  noise margin, samples per SYNC, sample times
     noise_cycles            2011:0B, of the residual; None: not known
     """
 
@@ -99,14 +98,8 @@ class SupervisionLimits:
             self.motion,
             widest_cycles=self.values[od.SUPERVISION_RESIDUAL_LIMIT] / LIMIT_UNITS,
             acceleration_rad_s2=self.values[od.SUPERVISION_ACCELERATION],
-            jerk_rad_s3=self.values.get(od.SUPERVISION_JERK, 0.0),
             phase_error_cycles=self.values[od.SUPERVISION_PHASE_ERROR] / LIMIT_UNITS,
         )
-
-    @property
-    def prediction_order(self) -> int:
-        """2010:07."""
-        return self.motion.prediction_order
 
     def bounds(self, interval_s: float) -> MotionBounds:
         """What bounds the motion at this interval from sample to sample."""
@@ -115,7 +108,7 @@ class SupervisionLimits:
     def kept_samples(self, interval_s: float, motion_cycles: float) -> int:
         """Missed or flagged samples in a row after which the position is certain, at most 2010:03.
 
-        ``motion_cycles`` is the largest acceleration, by third order the largest jerk, of the machine.
+        ``motion_cycles`` is the largest acceleration of the machine.
         """
         return self.chain_limits(interval_s).declared.kept_samples(motion_cycles)
 
@@ -128,7 +121,7 @@ class SupervisionLimits:
         return self.bounds(interval_s).acceleration or 0.0
 
     def residual_limit(self, interval_s: float) -> float:
-        """The residual limit in force, cycles: 2010:01, narrowed by 2010:02 or 2010:08 and 2010:09."""
+        """The residual limit in force, cycles: 2010:01, narrowed by 2010:02 and 2010:09."""
         return self.bounds(interval_s).residual
 
     def chain_limits(self, interval_s: float) -> ChainLimits:
@@ -138,7 +131,6 @@ class SupervisionLimits:
         """
         low, high = (self.values[place] for place in AMPLITUDES)
         return self.bounds(interval_s).chain_limits(
-            self.prediction_order,
             self.settings.widest_cycles,
             sample=SampleLimits(self.full_scale_counts, low, high),
             cycles_per_revolution=self.cycles_per_revolution,

@@ -21,8 +21,7 @@ RPM = 60.0 / (2.0 * math.pi)
 
 
 class JitterWatch:
-    """Compares the speed with what 4 v j < L - a allows for the measured jitter j (docs/time.md); 8 v j with
-    third-order prediction.
+    """Compares the speed with what 4 v j < L - a allows for the measured jitter j (docs/time.md).
 
     Only receive times that the bus gives measure the SYNC; without them nothing is said. ``warn`` gets
     one line.
@@ -57,7 +56,7 @@ class JitterWatch:
         return self._max_speed(jitter_s, left) if left > 0.0 else 0.0
 
     def _max_speed(self, jitter_s: float, left: float) -> float:
-        return max_speed(self._cycles_per_revolution.value, jitter_s, left, self._limits.order)
+        return max_speed(self._cycles_per_revolution.value, jitter_s, left)
 
     def in_words(self) -> str:
         """The largest speeds for two jitters, by the parameters of the module."""

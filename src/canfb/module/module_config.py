@@ -56,7 +56,7 @@ def _gap(size: int) -> list[int]:
 
 
 RPDOS = 3
-MOST_ACCELERATION_RAD_S2, MOST_JERK_RAD_S3 = 1e9, 1e15  # 2010:02, 2010:08
+MOST_ACCELERATION_RAD_S2 = 1e9  # 2010:02
 
 
 WRITE_LOCKS = {"none": WriteLockMode.OFF, "preop": WriteLockMode.PREOP, "code": WriteLockMode.CODE}
@@ -80,14 +80,11 @@ class ModuleConfig(ChainConfig):
                              With a source of kind iio: that it gives; not used with another
     source                   source of the samples instead of the ADC PDO; None: the PDO
     max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0 = not known
-    max_jerk_rad_s3          largest jerk of the machine, 0..1e15 (2010:08), for prediction_order 3; 0 = not
-                             known
-    noise_margin             0..255 (2010:09): where a known acceleration or jerk narrows the residual limit,
+    noise_margin             0..255 (2010:09): where a known acceleration narrows the residual limit,
                              the margin is this many standard deviations of the measured noise, and no more
                              than the fixed one; 0: the fixed margin. 6 is usual
     predict                  what synchronous TPDOs send, 0..2 (2013:01): False the measured position, True
-                             (or 1) that at their SYNC with constant speed, 2 with constant acceleration;
-                             with prediction_order 3 always with constant acceleration
+                             (or 1) that at their SYNC with constant speed, 2 with constant acceleration
     nominal_sync             True: with ``times`` the position is that of a SYNC without jitter (2013:02)
     sync_timeout_periods     2..255 periods without SYNC or sample until the position is not valid
                              (2010:06)
@@ -108,7 +105,6 @@ class ModuleConfig(ChainConfig):
     samples_per_sync: int = 1
     source: SourceConfig | None = None
     max_acceleration_rad_s2: float = 0.0
-    max_jerk_rad_s3: float = 0.0
     noise_margin: int = 0
     predict: bool | int = False
     nominal_sync: bool = False
@@ -137,17 +133,15 @@ class ModuleConfig(ChainConfig):
             )
         if self.source is None and self.encoder_interface == self.node_id:
             raise ValueError(f"encoder_interface must differ from node_id {self.node_id}")
-        for name, key in (("max_acceleration_cycles", "_rad_s2"), ("max_jerk_cycles", "_rad_s3")):
-            if getattr(self, name):
-                raise ValueError(
-                    f"{name} belongs to a chain without a bus: {name.removesuffix('_cycles') + key}"
-                )
+        if self.max_acceleration_cycles:
+            raise ValueError(
+                "max_acceleration_cycles belongs to a chain without a bus: max_acceleration_rad_s2"
+            )
         if self.interval_s:
             raise ValueError(
                 "interval_s belongs to a chain without a bus: a module measures it, or reads 1006h"
             )
         _check_largest("max_acceleration_rad_s2", self.max_acceleration_rad_s2, MOST_ACCELERATION_RAD_S2)
-        _check_largest("max_jerk_rad_s3", self.max_jerk_rad_s3, MOST_JERK_RAD_S3)
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
         integer_in("noise_margin", self.noise_margin, 0, 255)

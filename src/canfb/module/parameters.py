@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from operator import eq
 from typing import Any
 
 from canfb import objects as od
@@ -23,7 +25,6 @@ from canfb.module.cia406.position import distinguishable_revolutions, single_tur
 from canfb.module.interval import SamplingInterval
 from canfb.module.module_config import (
     MOST_ACCELERATION_RAD_S2,
-    MOST_JERK_RAD_S3,
     WRITE_LOCKS,
     ModuleConfig,
 )
@@ -87,8 +88,6 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.SUPERVISION_COAST: config.coast_samples,
         od.SUPERVISION_FROZEN: config.frozen_samples,
         od.SUPERVISION_COARSE_LIMIT: max(1, round(config.coarse_limit_revolutions * LIMIT_UNITS)),
-        od.SUPERVISION_ORDER: config.prediction_order,
-        od.SUPERVISION_JERK: config.max_jerk_rad_s3,
         od.SUPERVISION_NOISE_MARGIN: config.noise_margin,
         od.SUPERVISION_BAD_SAMPLES: config.bad_samples,
         od.SUPERVISION_DOUBT_ACCELERATION: round(config.doubt_acceleration_cycles * LIMIT_UNITS),
@@ -186,7 +185,6 @@ class Limits:
         )
         self._residual = entry(*od.SUPERVISION_RESIDUAL_LIMIT)
         self._acceleration = entry(*od.SUPERVISION_ACCELERATION)
-        self._order, self._jerk = entry(*od.SUPERVISION_ORDER), entry(*od.SUPERVISION_JERK)
         self._coast, self._frozen = entry(*od.SUPERVISION_COAST), entry(*od.SUPERVISION_FROZEN)
         self._coarse, self._margin = entry(*od.SUPERVISION_COARSE_LIMIT), entry(*od.SUPERVISION_NOISE_MARGIN)
         self._bad, self._assumed = (
@@ -212,7 +210,8 @@ class Limits:
         self._low.on_check = self._check(lambda low: low < self._high.value or self._upper_is_old)
         self._high.on_check = self._check(lambda high: high > self._low.value)
         self._acceleration.on_check = self._check(lambda value: 0.0 <= value <= MOST_ACCELERATION_RAD_S2)
-        self._jerk.on_check = self._check(lambda value: 0.0 <= value <= MOST_JERK_RAD_S3)
+        for gone, only in ((od.SUPERVISION_ORDER, 2), (od.SUPERVISION_JERK, 0.0)):
+            entry(*gone).on_check = self._check(partial(eq, only))
         for corner in (self._corner, self._cosine_corner):
             corner.on_check = self._check(lambda value: 0.0 <= value <= MOST_CORNER_HZ)
         for changed in (
@@ -221,8 +220,6 @@ class Limits:
             self._high,
             self._residual,
             self._acceleration,
-            self._order,
-            self._jerk,
             self._coast,
             self._frozen,
             self._coarse,
@@ -236,11 +233,6 @@ class Limits:
             changed.on_written = self.apply
         self._full_scale.on_written = self._full_scale_written
         self._high.on_written = self._upper_written
-
-    @property
-    def order(self) -> int:
-        """Of the prediction (2010:07)."""
-        return int(self._order.value)
 
     def reset(self) -> None:
         """After a reset of the node: the values of the dictionary belong together."""
@@ -291,16 +283,13 @@ class Limits:
 
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
-        self.noise.order = self.order
         known_s, per_sync = self.interval.known_s, self.interval.samples_per_sync
         self._applied_noise = usable = self.noise.usable_cycles
         settings = replace(limit_settings(self._read), samples_per_sync=per_sync, timed=self.timed)
         noise_cycles = usable if usable == usable else None
         bounds = settings.bounds(self._cycles_per_revolution.value, known_s / per_sync, noise_cycles)
         self._applied_s = known_s
-        by_motion = self._acceleration.value > 0.0 or self._jerk.value > 0.0
         self.in_force = bounds.chain_limits(
-            self.order,
             settings.widest_cycles,
             sample=SampleLimits(self._full_scale.value, self._low.value, self._high.value),
             cycles_per_revolution=self._cycles_per_revolution.value,
@@ -312,7 +301,7 @@ class Limits:
         )
         self._chain.set_limits(self.in_force)
         self._use_interval()
-        self.narrowed = by_motion or self._chain.tracks.needs_unit
+        self.narrowed = self._acceleration.value > 0.0 or self._chain.tracks.needs_unit
         if self.on_applied is not None:
             self.on_applied()
 

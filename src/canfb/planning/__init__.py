@@ -6,7 +6,6 @@ Pure arithmetic over a module, its interface and a simulated motion::
     planned_module  one module by its objects, and other layouts of the RPDOs that bring its samples
     plan_input      the input of a plan, from a configuration and options
     budget          what the residual limit of a module is used up by, and the limits that follow
-    jerk_budget     the same with third-order prediction
     plan            margins, whether they hold, and which errors of the count cannot pass
     coverage        how much of the faults of an encoder the limits detect
     change_table    the changes that a plan proposes, as a table; plan_changes tries them

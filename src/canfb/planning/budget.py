@@ -6,13 +6,12 @@ The residual of a healthy machine is at most
 
 with the speed v, the error e of a phase and the uncertainty u of the sampling instant: without sample times
 half the range of the SYNC, with them half a unit of the sample time, which the module adds to its limit. An
-interface that sends several samples for each SYNC takes them by its own timer, whatever the SYNC does. w is 4
-for eq. 9, 8 for third-order prediction. What the motion leaves is, for eq. 9, a N/(2 pi) T^2 with the
-acceleration a and the interval T from sample to sample; unequal intervals, which sample times allow, make it
-larger. :mod:`canfb.planning.jerk_budget` is that of third-order prediction.
+interface that sends several samples for each SYNC takes them by its own timer, whatever the SYNC does. w is
+4, the sum of the weights 1, 2, 1 of eq. 9. What the motion leaves is a N/(2 pi) T^2 with the acceleration a
+and the interval T from sample to sample; unequal intervals, which sample times allow, make it larger.
 
-The errors of a phase (:class:`PhaseErrors`) add up as the weights of the difference say (:class:`Weights`):
-their sizes for the largest, their squares for the rms.
+The errors of a phase (:class:`PhaseErrors`) add up by these weights: their sizes for the largest, their
+squares for the rms.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 from canfb.planning.plan_input import EncoderErrors, PlanInput
 from canfb.planning.planned_module import PlannedModule
@@ -32,7 +30,6 @@ from canfb.signal.limits import (
 )
 from canfb.signal.sample import TICK_S
 from canfb.signal.supervision import SampleLimits
-from canfb.signal.third_order import SECOND, THIRD
 from canfb.view.limits_in_force import MotionBounds
 
 RAW_PHASE_ERROR_CYCLES = 0.0113  # of Table 1, without a correction table
@@ -42,21 +39,7 @@ ROUNDING_VARIANCE = 1.0 / 12.0  # counts^2
 RPM = 60.0 / (2.0 * math.pi)  # of a speed in rad/s
 
 
-class Weights(NamedTuple):
-    """How a difference of phases adds up their errors.
-
-    order            of the prediction
-    errors           sum of the sizes of the weights
-    variance         sum of their squares
-    """
-
-    order: int
-    errors: float
-    variance: float
-
-
-SECOND_DIFFERENCE = Weights(SECOND, 4.0, 6.0)  # 1, 2, 1
-THIRD_DIFFERENCE = Weights(THIRD, 8.0, 20.0)  # 1, 3, 3, 1
+WEIGHTS, SQUARES = 4.0, 6.0  # sums of the sizes and of the squares of 1, 2, 1 (eq. 9)
 
 
 @dataclass(frozen=True)
@@ -80,19 +63,18 @@ class PhaseErrors:
             return self.errors.phase_cycles
         return TABLE_PHASE_ERROR_CYCLES if self.module.has_table else RAW_PHASE_ERROR_CYCLES
 
-    def largest_in(self, weights: Weights) -> float:
-        """At most in a difference: all errors at the same time, and the noise."""
-        noise = PEAK * math.sqrt(weights.variance) * self.noise_cycles
-        return weights.errors * self.largest_cycles + noise
+    @property
+    def largest_residual(self) -> float:
+        """At most in a residual: all errors at the same time, and the noise."""
+        return WEIGHTS * self.largest_cycles + PEAK * math.sqrt(SQUARES) * self.noise_cycles
 
-    def rms_in(self, weights: Weights) -> float:
-        """The rms of a difference, as the module measures it (2011:0B).
+    @property
+    def rms_residual(self) -> float:
+        """The rms of a residual, as the module measures it (2011:0B).
 
         At speed the errors of the table are as good as random: up to their largest size, all alike.
         """
-        return math.sqrt(weights.variance) * math.hypot(
-            self.noise_cycles, self.largest_cycles / math.sqrt(3.0)
-        )
+        return math.sqrt(SQUARES) * math.hypot(self.noise_cycles, self.largest_cycles / math.sqrt(3.0))
 
 
 HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
@@ -114,8 +96,6 @@ class ResidualBudget:
     plan_input: PlanInput
     module: PlannedModule
 
-    weights = SECOND_DIFFERENCE
-
     @property
     def interval_s(self) -> float:
         """The nominal sampling interval: that of SYNC, divided by the samples in it."""
@@ -129,7 +109,7 @@ class ResidualBudget:
     @cached_property
     def limit_cycles(self) -> float:
         """The residual limit in force at the given speed: uncertain sample times widen a narrowed one."""
-        uncertain = self.weights.errors * self._cycles_per_s * self.known_uncertainty_s
+        uncertain = WEIGHTS * self._cycles_per_s * self.known_uncertainty_s
         return min(self.slow_limit_cycles + uncertain, self.module.widest_limit_cycles)
 
     @cached_property
@@ -148,7 +128,6 @@ class ResidualBudget:
         module = self.module
         settings = module.settings
         return self.bounds.chain_limits(
-            settings.prediction_order,
             settings.widest_cycles,
             sample=SampleLimits(module.full_scale_counts, *module.amplitude_limits_counts),
             cycles_per_revolution=module.cycles_per_revolution,
@@ -165,7 +144,7 @@ class ResidualBudget:
     @cached_property
     def measured_noise_cycles(self) -> float:
         """The rms of the residual without the motion (2011:0B)."""
-        return self.phase_errors.rms_in(self.weights)
+        return self.phase_errors.rms_residual
 
     @cached_property
     def noise_margin_cycles(self) -> float:
@@ -175,7 +154,7 @@ class ResidualBudget:
     @property
     def has_noise_margin(self) -> bool:
         """The margin of the limit in force is that of the measured noise."""
-        return self.is_narrowed and self.noise_margin_cycles < self._declared_cycles(self.weights)
+        return self.is_narrowed and self.noise_margin_cycles < self._declared_cycles
 
     @property
     def known_phase_error_cycles(self) -> float:
@@ -186,11 +165,6 @@ class ResidualBudget:
     def asked_rad_s2(self) -> float | None:
         """The largest acceleration that the module has to follow; None: not given."""
         return self.plan_input.motion.acceleration_of(self.module)
-
-    @property
-    def asked_rad_s3(self) -> float | None:
-        """The largest jerk of the machine; None: not given."""
-        return self.plan_input.motion.jerk_of(self.module)
 
     @cached_property
     def sync_jitter_s(self) -> float:
@@ -213,7 +187,7 @@ class ResidualBudget:
     @property
     def parts(self) -> tuple[ResidualPart, ...]:
         """What the residual is made of, at worst, all at the same time."""
-        instants = self.instants_cycles()
+        instants = self.instants_cycles
         return (
             self.motion_part,
             ResidualPart("sampling instants", instants),
@@ -251,16 +225,6 @@ class ResidualBudget:
         return self._acceleration(self.left_in_force_cycles, 1.0 / self.worst_interval_s)
 
     @property
-    def largest_jerk_rad_s3(self) -> float:
-        """With the speed as given; inf: eq. 9 limits the acceleration alone."""
-        return math.inf
-
-    @property
-    def equation_rad_s3(self) -> float:
-        """The jerk that the residual limit allows without any errors; inf: eq. 9 does not limit it."""
-        return math.inf
-
-    @property
     def equation_speed_rad_s(self) -> float:
         """The speed that w v u < L allows without any errors; inf without an uncertainty."""
         return self._speed_beside(0.0)
@@ -274,14 +238,14 @@ class ResidualBudget:
         motion = self.motion_part.cycles
         if self.slow_limit_cycles - motion < self.rest_cycles(0.0) - ROUNDING_CYCLES:
             motion = 0.0
-        return self._speed_beside(motion + self.phase_cycles())
+        return self._speed_beside(motion + self.phase_cycles)
 
     def _speed_beside(self, needed_cycles: float) -> float:
         """The speed at which the sampling instants need what this leaves; the limit grows with the speed."""
         own_s = self.uncertainty_s - self.known_uncertainty_s
         return min(
-            self.speed_rad_s(self.slow_limit_cycles - needed_cycles, self.weights, own_s),
-            self.speed_rad_s(self.module.widest_limit_cycles - needed_cycles, self.weights),
+            self.speed_rad_s(self.slow_limit_cycles - needed_cycles, own_s),
+            self.speed_rad_s(self.module.widest_limit_cycles - needed_cycles, self.uncertainty_s),
         )
 
     @property
@@ -295,17 +259,7 @@ class ResidualBudget:
         taken, left = self.motion_part.cycles, self.left_cycles(widest, widest)
         if not taken:
             return 0.0
-        return self.plan_input.sync_hz * (taken / left) ** (1.0 / self.power) if left > 0.0 else math.inf
-
-    @property
-    def jerk_rad_s2(self) -> float | None:
-        """How far the jerk changes the acceleration within one interval; None: not given."""
-        return None if self.asked_rad_s3 is None else self.asked_rad_s3 * self.interval_s
-
-    @property
-    def power(self) -> int:
-        """Of the interval, with which the residual of the motion grows."""
-        return 2
+        return self.plan_input.sync_hz * math.sqrt(taken / left) if left > 0.0 else math.inf
 
     @cached_property
     def off_s(self) -> float:
@@ -335,14 +289,14 @@ class ResidualBudget:
         """Those of the encoder."""
         return PhaseErrors(self.plan_input.errors, self.module)
 
-    def phase_cycles(self, weights: Weights | None = None) -> float:
-        """Errors of the phases in a difference, without those of their instants.
+    @property
+    def phase_cycles(self) -> float:
+        """Errors of the phases in a residual, without those of their instants.
 
         All at the same time; with a margin by the measured noise six standard deviations, if that is less.
         """
-        weights, errors = weights or self.weights, self.phase_errors
-        largest = errors.largest_in(weights)
-        return min(largest, PEAK * errors.rms_in(weights)) if self.has_noise_margin else largest
+        largest = self.phase_errors.largest_residual
+        return min(largest, PEAK * self.measured_noise_cycles) if self.has_noise_margin else largest
 
     @property
     def _cycles_per_s(self) -> float:
@@ -350,19 +304,21 @@ class ResidualBudget:
         cycles = self.module.cycles_per_revolution
         return (self.plan_input.motion.speed_rad_s or 0.0) * cycles / (2 * math.pi)
 
-    def instants_cycles(self, weights: Weights | None = None) -> float:
-        """Errors of the sampling instants in a difference of phases."""
-        return (weights or self.weights).errors * self._cycles_per_s * self.uncertainty_s
+    @property
+    def instants_cycles(self) -> float:
+        """Errors of the sampling instants in a residual."""
+        return WEIGHTS * self._cycles_per_s * self.uncertainty_s
 
-    def rest_cycles(self, instants_cycles: float, weights: Weights | None = None) -> float:
+    def rest_cycles(self, instants_cycles: float) -> float:
         """All but the motion, not below what the module itself allows for an uncorrected phase."""
         uncorrected = self.plan_input.errors.phase_cycles is None and not self.module.has_table
-        rest = self.phase_cycles(weights) + instants_cycles
-        return max(rest, self._declared_cycles(weights or self.weights)) if uncorrected else rest
+        rest = self.phase_cycles + instants_cycles
+        return max(rest, self._declared_cycles) if uncorrected else rest
 
-    def _declared_cycles(self, weights: Weights) -> float:
+    @property
+    def _declared_cycles(self) -> float:
         """What the module allows for errors of the phases: each of the size of 2010:0C."""
-        return weights.errors * self.module.declared_phase_error_cycles
+        return WEIGHTS * self.module.declared_phase_error_cycles
 
     @property
     def left_in_force_cycles(self) -> float:
@@ -374,18 +330,16 @@ class ResidualBudget:
 
         ``slow_limit_cycles`` is that of a machine that turns slowly.
         """
-        left = limit_cycles - self.rest_cycles(self.instants_cycles())
+        left = limit_cycles - self.rest_cycles(self.instants_cycles)
         return left if left > 0.0 else slow_limit_cycles - self.rest_cycles(0.0)
 
-    def speed_rad_s(self, left_cycles: float, weights: Weights, uncertainty_s: float | None = None) -> float:
+    def speed_rad_s(self, left_cycles: float, uncertainty_s: float) -> float:
         """The speed at which the sampling instants need so much; inf if they are known."""
         if left_cycles <= 0.0:
             return 0.0
-        uncertain_s = self.uncertainty_s if uncertainty_s is None else uncertainty_s
-        if uncertain_s <= 0.0:
+        if uncertainty_s <= 0.0:
             return math.inf
-        cycles, order = self.module.cycles_per_revolution, weights.order
-        return max_speed(cycles, uncertain_s, min(left_cycles, 0.5), order)
+        return max_speed(self.module.cycles_per_revolution, uncertainty_s, min(left_cycles, 0.5))
 
     def _acceleration(self, left_cycles: float, rate_hz: float) -> float:
         cycles = self.module.cycles_per_revolution

@@ -15,24 +15,22 @@ from typing import Any, NamedTuple
 
 from canfb import objects as od
 from canfb.module.parameters import LIMIT_UNITS
-from canfb.planning.budget import RPM, ResidualBudget
-from canfb.planning.plan import Limited, Plan
+from canfb.planning.budget import RPM, WEIGHTS, ResidualBudget
+from canfb.planning.plan import WELL, Limited, Plan
 from canfb.planning.plan_input import PlanInput
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.traffic import BIT_RATES
 from canfb.signal.sample import MOST_PER_SYNC
-from canfb.signal.third_order import THIRD
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.simulation.demand import rounded_up
 
 LEAVES = 0.95  # of the largest SYNC rate, of what jitter may be, of what is sharp
 FASTER = 1.05
-LITTLE_FASTER = 1.25
 MOST_FASTER = 40  # steps of FASTER: 7 times the rate
 JUST_BELOW = 1.0 - 1e-9
 KNOWN_ENOUGH = 1.1  # what the module knows over what is given
 NOISE_MARGIN = 6  # docs/faults.md
-MOTION = (Limited.ACCELERATION, Limited.JERK, Limited.RESIDUAL)
+MOTION = (Limited.ACCELERATION, Limited.RESIDUAL)
 NUMBERS = {2: "two", 3: "three", 4: "four"}
 
 
@@ -111,12 +109,6 @@ def _rates(given: PlanInput, value: tuple[float, str, int]) -> PlanInput:
     return _bit_rate(replace(given, sync_hz=rate_hz), bit_rate)
 
 
-def _samples(given: PlanInput, value: tuple[str, str, int, str]) -> PlanInput:
-    order, _, per_sync, _ = value
-    given = _with_samples(given, per_sync)
-    return _third_order(given, None) if order else given
-
-
 def _with_samples(given: PlanInput, per_sync: int) -> PlanInput:
     return _each(lambda one: one.with_samples(max(per_sync, one.samples_per_sync)))(given, None)
 
@@ -126,11 +118,6 @@ def _noise_margin(module: PlannedModule) -> PlannedModule:
     return module if module.noise_margin else module.with_values({od.SUPERVISION_NOISE_MARGIN: NOISE_MARGIN})
 
 
-def _third_order_of(given: PlanInput, jerk_rad_s3: float) -> PlanInput:
-    return _set(od.SUPERVISION_JERK)(_third_order(given, None), jerk_rad_s3)
-
-
-_third_order = _each(lambda module: module.with_values({od.SUPERVISION_ORDER: THIRD}))
 _table = _each(lambda module: replace(module, has_table=True))
 
 
@@ -162,11 +149,6 @@ def _no_table(case: ChangeCase) -> bool:
     return case.given.errors.phase_cycles is None and not all(module.has_table for module in case.modules)
 
 
-def _second_order(case: ChangeCase) -> bool:
-    """A jerk is given, and it is not used."""
-    return bool(case.given.motion.jerk_rad_s3) and not all(module.is_third_order for module in case.modules)
-
-
 def _jitter_us(case: ChangeCase) -> Iterator[float]:
     """The largest speed goes with 1/u: so much smaller the uncertainty has to be."""
     budget, speed = case.budget, case.given.motion.speed_rad_s or 0.0
@@ -194,14 +176,8 @@ def _wider_limit(case: ChangeCase) -> Iterator[float]:
         yield limit
 
 
-def _by_samples(case: ChangeCase) -> bool:
-    """More samples for each SYNC come before a faster SYNC: for a jerk, unless a little faster does it."""
-    least_hz = max(budget.least_sync_hz for budget in case.plan.budgets)
-    return bool(case.budget.asked_rad_s3) and least_hz > LITTLE_FASTER * case.given.sync_hz
-
-
-def _more_samples(case: ChangeCase) -> Iterator[tuple[str, str, int, str]]:
-    """More samples for each SYNC, with what they cost; without and with third-order prediction."""
+def _more_samples(case: ChangeCase) -> Iterator[tuple[str, int, str]]:
+    """More samples for each SYNC, with what they cost."""
     given = case.given
     if all(module.samples_itself for module in case.modules):
         return
@@ -213,9 +189,7 @@ def _more_samples(case: ChangeCase) -> Iterator[tuple[str, str, int, str]]:
         more = sum(one.sample_bytes for one in after.modules) - sum(one.sample_bytes for one in case.modules)
         load = 100.0 * (after.bus.load - given.bus.load)
         cost = f"{more} bytes more for each SYNC, bus load +{load:.1f} %"
-        yield "", NUMBERS[per_sync], per_sync, cost
-        if _second_order(case) and not motion_holds(Plan(after)):
-            yield "set prediction_order: 3 (2010:07), and ", NUMBERS[per_sync], per_sync, cost
+        yield NUMBERS[per_sync], per_sync, cost
 
 
 def _faster(case: ChangeCase) -> Iterator[tuple[float, str, int]]:
@@ -236,84 +210,45 @@ def _faster(case: ChangeCase) -> Iterator[tuple[float, str, int]]:
         rate_hz *= FASTER
 
 
-class _Known(NamedTuple):
-    """What of the motion narrows the residual limit, if the module knows it."""
-
-    key: str
-    place: od.Multiplexer
-    asked: Callable[[ResidualBudget], float | None]
-    known: Callable[[PlannedModule], float]
+def _exceeded(case: ChangeCase) -> Iterator[float]:
+    """The acceleration, where the module knows a smaller one."""
+    asked = case.budget.asked_rad_s2 or 0.0
+    if 0.0 < case.budget.module.known_acceleration_rad_s2 < asked:
+        yield asked
 
 
-ACCELERATION = _Known(
-    "max_acceleration_rad_s2 (2010:02)",
-    od.SUPERVISION_ACCELERATION,
-    lambda budget: budget.asked_rad_s2,
-    lambda module: module.known_acceleration_rad_s2,
-)
-JERK = _Known(
-    "max_jerk_rad_s3 (2010:08)",
-    od.SUPERVISION_JERK,
-    lambda budget: budget.asked_rad_s3,
-    lambda module: module.known_jerk_rad_s3,
-)
+def asked_acceleration(plan: Plan) -> float:
+    """The largest one, rad/s^2; 0.0: not given."""
+    return max(budget.asked_rad_s2 or 0.0 for budget in plan.budgets)
 
 
-def _exceeded(kind: _Known) -> Callable[[ChangeCase], Iterator[float]]:
-    """The motion, where the module knows a smaller one."""
-
-    def values(case: ChangeCase) -> Iterator[float]:
-        asked, module = kind.asked(case.budget) or 0.0, case.budget.module
-        if 0.0 < kind.known(module) < asked and (kind is ACCELERATION or module.is_third_order):
-            yield asked
-
-    return values
-
-
-def _kind(plan: Plan) -> _Known:
-    """By the order of prediction, which is one."""
-    return JERK if plan.plan_input.modules[0].is_third_order else ACCELERATION
-
-
-def asked_motion(plan: Plan) -> float:
-    """The largest acceleration, by third order the largest jerk; 0.0: not given."""
-    return max(_kind(plan).asked(budget) or 0.0 for budget in plan.budgets)
-
-
-def _unknown_motion(case: ChangeCase) -> Iterator[tuple[str, float, float]]:
-    """The motion that a module does not know, or not well; and the residual limit with it."""
-    kind, asked = _kind(case.plan), asked_motion(case.plan)
-    if not all(0.0 < kind.known(module) <= KNOWN_ENOUGH * asked for module in case.modules):
-        yield kind.key, asked, widest_limit(Plan(_set(kind.place)(case.given, asked)))
+def _unknown_motion(case: ChangeCase) -> Iterator[tuple[float, float]]:
+    """The acceleration that a module does not know, or not well; and the residual limit with it."""
+    asked = asked_acceleration(case.plan)
+    if not all(0.0 < one.known_acceleration_rad_s2 <= KNOWN_ENOUGH * asked for one in case.modules):
+        yield asked, widest_limit(Plan(_set(od.SUPERVISION_ACCELERATION)(case.given, asked)))
 
 
 def _narrower_limit(case: ChangeCase) -> Iterator[float]:
     limit = _needed_limit(case)
-    if limit <= RESIDUAL_LIMIT and not any(_kind(case.plan).known(module) for module in case.modules):
+    if limit <= RESIDUAL_LIMIT and not any(module.known_acceleration_rad_s2 for module in case.modules):
         yield limit
 
 
 def _narrowed_by_noise(case: ChangeCase) -> Iterator[float]:
-    if all(_kind(case.plan).known(module) for module in case.modules):
+    if all(module.known_acceleration_rad_s2 for module in case.modules):
         yield widest_limit(Plan(_each(_noise_margin)(case.given, None)))
-
-
-def _unused_jerk(case: ChangeCase) -> Iterator[float]:
-    if _kind(case.plan) is ACCELERATION and case.given.motion.jerk_rad_s3:
-        yield case.given.motion.jerk_rad_s3
 
 
 def _sharp_rate(case: ChangeCase) -> Iterator[float]:
     """The rate at which motion + margin + motion is sharp: the limit follows the rate."""
-    if not all(_kind(case.plan).known(module) for module in case.modules):
+    if not all(module.known_acceleration_rad_s2 for module in case.modules):
         return
     declared = max(module.declared_phase_error_cycles for module in case.modules)
-    well = case.plan.detection(case.budget).well
-    least = (well - case.budget.weights.errors * declared) / 2.0 * LEAVES
-    widest = max(case.plan.budgets, key=lambda budget: budget.motion_part.cycles)
-    taken = widest.motion_part.cycles
+    least = (WELL - WEIGHTS * declared) / 2.0 * LEAVES
+    taken = max(budget.motion_part.cycles for budget in case.plan.budgets)
     if taken > least:
-        yield float(rounded_up(case.given.sync_hz * (taken / least) ** (1.0 / widest.power)))
+        yield float(rounded_up(case.given.sync_hz * math.sqrt(taken / least)))
 
 
 def is_sharp(plan: Plan) -> bool:
@@ -328,15 +263,12 @@ def widest_limit(plan: Plan) -> float:
 
 # The table.
 
-_FASTER_SYNC = "raise the SYNC rate to {:g} Hz{}"
-_NEEDS = ", which is what the motion needs"
 _TIMES = ChangeRow(
     "send sample times with the ADC PDO (times: true)",
     _if(lambda case: not all(module.times for module in case.modules)),
     _each(lambda module: module.with_times()),
 )
 _TABLE = ChangeRow("measure the correction table (canfb calibrate)", _if(_no_table), _table)
-_ORDER_3 = "set prediction_order: 3 (2010:07): order 3 holds this move"
 
 _OF_THE_BUS = (
     ChangeRow("raise the bit rate to {} bit/s", _higher_bit_rates, _bit_rate),
@@ -369,32 +301,18 @@ _OF_THE_SPEED = (
 _OF_THE_MOTION = (
     _TIMES,
     ChangeRow(
-        f"set {ACCELERATION.key} to {{:.4g}}{_NEEDS}", _exceeded(ACCELERATION), _set(ACCELERATION.place)
+        "set max_acceleration_rad_s2 (2010:02) to {:.4g}, which is what the motion needs",
+        _exceeded,
+        _set(od.SUPERVISION_ACCELERATION),
     ),
-    ChangeRow(f"set {JERK.key} to {{:.6g}}{_NEEDS}", _exceeded(JERK), _set(JERK.place)),
     ChangeRow("raise residual_limit (2010:01) to {:.3f} cycle", _wider_limit, _limit),
     _TABLE,
-    ChangeRow(_ORDER_3, _if(_second_order), _third_order, whole=True),
+    ChangeRow("raise the SYNC rate to {:g} Hz{}", _faster, _rates),
     ChangeRow(
-        f"{_TABLE.text}, and {_ORDER_3}",
-        _if(lambda case: _second_order(case) and _no_table(case)),
-        lambda given, _: _table(_third_order(given, None), None),
-        whole=True,
-    ),
-    ChangeRow(_FASTER_SYNC, lambda case: [] if _by_samples(case) else _faster(case), _rates),
-    ChangeRow(
-        "{}send {} samples for each SYNC (samples_per_sync: {}; {}): that holds this move",
+        "send {} samples for each SYNC (samples_per_sync: {}; {}): that holds this move",
         _more_samples,
-        _samples,
+        lambda given, value: _with_samples(given, value[1]),
         whole=True,
-    ),
-    ChangeRow(_FASTER_SYNC, lambda case: _faster(case) if _by_samples(case) else [], _rates),
-    ChangeRow(
-        "limit the jerk to {:.4g} rad/s^3",
-        lambda case: _below(
-            case.given.motion.jerk_rad_s3, case.least(lambda budget: budget.largest_jerk_rad_s3)
-        ),
-        _motion("jerk_rad_s3"),
     ),
     ChangeRow(
         "accelerate by {:.4g} rad/s^2 at most",
@@ -412,9 +330,9 @@ _OF_THE_MOTION = (
 CHANGES = {Limited.BUS: _OF_THE_BUS, Limited.SPEED: _OF_THE_SPEED, **dict.fromkeys(MOTION, _OF_THE_MOTION)}
 NARROWER = (
     ChangeRow(
-        "set {} to {:.6g}: the residual limit becomes {:.3f}",
+        "set max_acceleration_rad_s2 (2010:02) to {:.6g}: the residual limit becomes {:.3f}",
         _unknown_motion,
-        lambda given, value: _set(_kind(Plan(given)).place)(given, value[1]),
+        lambda given, value: _set(od.SUPERVISION_ACCELERATION)(given, value[0]),
     ),
     ChangeRow("lower residual_limit (2010:01) to {:.3f} cycle", _narrower_limit, _limit),
 )
@@ -423,9 +341,6 @@ SHARPER = (
         f"set noise_margin (2010:09) to {NOISE_MARGIN}: the residual limit becomes {{:.3f}}",
         _narrowed_by_noise,
         _each(_noise_margin),
-    ),
-    ChangeRow(
-        f"set prediction_order: 3 (2010:07), and {JERK.key} to {{:.6g}}", _unused_jerk, _third_order_of
     ),
     ChangeRow(
         "raise the SYNC rate to {:g} Hz", _sharp_rate, lambda given, rate_hz: replace(given, sync_hz=rate_hz)

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from canfb import objects as od
 from canfb.planning.budget import ResidualBudget
 from canfb.planning.plan import Plan
-from canfb.signal.third_order import THIRD
+from canfb.signal.bounded_motion import ORDER
 from canfb.simulation import faults
 from canfb.simulation.faults import Fault, Samples, Signal
 from canfb.view.pdo_map import valid_pdos
@@ -50,8 +50,7 @@ class SampleWindow:
     low_counts, high_counts     accepted amplitude
     nominal_counts              amplitude of the healthy tracks
     limit_cycles                residual limit L
-    order                       of the prediction, 2 or 3
-    motion_cycles               largest acceleration (order 3: jerk), cycles per interval to the order
+    motion_cycles               largest acceleration, cycles per interval^2
     tolerance_cycles            of the second position, None: there is none
     """
 
@@ -60,7 +59,6 @@ class SampleWindow:
     high_counts: int
     nominal_counts: float
     limit_cycles: float
-    order: int
     motion_cycles: float
     tolerance_cycles: float | None
 
@@ -99,7 +97,6 @@ def window_of(plan: Plan, budget: ResidualBudget) -> SampleWindow:
         high_counts=high,
         nominal_counts=plan.plan_input.errors.amplitude * module.full_scale_counts,
         limit_cycles=budget.limit_cycles,
-        order=THIRD if module.is_third_order else 2,
         motion_cycles=min(budget.motion_part.cycles or LEAST_MOTION_CYCLES, budget.limit_cycles),
         tolerance_cycles=tolerance * module.cycles_per_revolution,
     )
@@ -141,7 +138,7 @@ def fault_coverage(window: SampleWindow) -> list[FaultCoverage]:
 
 def _covered(window: SampleWindow, name: str, draw: Callable[[Rng, float], Fault] | None) -> FaultCoverage:
     rng = np.random.default_rng([SEED, list(KINDS).index(name)])
-    order, total = window.order, window.order + FAULTY_SAMPLES
+    total = ORDER + FAULTY_SAMPLES
     truth = np.stack([_motion(window, total, rng) for _ in range(CASES)])
     # Without its coupling the encoder goes on at its last speed.
     clean = truth if draw is not None else truth[:, :1] + np.arange(total) * np.diff(truth[:, :2])
@@ -155,41 +152,41 @@ def _covered(window: SampleWindow, name: str, draw: Callable[[Rng, float], Fault
                 np.ones(total, dtype=np.bool_),
                 window.full_scale_counts,
             )
-            bad = draw(rng, window.nominal_counts).inject(samples, order, total, rng)
+            bad = draw(rng, window.nominal_counts).inject(samples, ORDER, total, rng)
             sine[case], cosine[case] = bad.sine, bad.cosine
     return _judged(window, name, truth, sine, cosine)
 
 
 def _motion(window: SampleWindow, total: int, rng: Rng) -> Floats:
-    """True positions, cycles: any phase and speed; from the fault on a constant acceleration (order 3: jerk).
+    """True positions, cycles: any phase and speed; from the fault on a constant acceleration.
 
     Whole cycles per interval make no difference to eq. 9, so the speed is within half a cycle.
     """
-    k = np.maximum(np.arange(total) - window.order + 1.0, 0.0)
+    k = np.maximum(np.arange(total) - ORDER + 1.0, 0.0)
     high = float(rng.uniform(-1.0, 1.0)) * window.motion_cycles
-    bend = k * (k + 1.0) / 2.0 if window.order == 2 else k * (k + 1.0) * (k + 2.0) / 6.0
-    k = np.arange(total) - window.order + 1.0
+    bend = k * (k + 1.0) / 2.0
+    k = np.arange(total) - ORDER + 1.0
     moved: Floats = float(rng.uniform()) + float(rng.uniform(-0.5, 0.5)) * k + high * bend
     return moved
 
 
 def _judged(window: SampleWindow, name: str, truth: Floats, sine: Floats, cosine: Floats) -> FaultCoverage:
-    order, full = window.order, window.full_scale_counts
+    full = window.full_scale_counts
     amplitude = np.hypot(sine, cosine)
     refused = (amplitude < window.low_counts) | (amplitude > window.high_counts)
     for track in (sine, cosine):
         refused |= (track <= -full) | (track >= full - 1)
     phase = np.arctan2(sine, cosine) / (2.0 * np.pi)
-    change = np.diff(phase, order, axis=1)
+    change = np.diff(phase, ORDER, axis=1)
     residual = change - np.rint(change)
-    error: Floats = residual - np.diff(truth, order, axis=1)
-    for _ in range(order):
+    error: Floats = residual - np.diff(truth, ORDER, axis=1)
+    for _ in range(ORDER):
         error = np.cumsum(error, axis=1)
-    by_amplitude = refused[:, order:]
+    by_amplitude = refused[:, ORDER:]
     by_residual: Any = by_amplitude | (np.abs(residual) > window.limit_cycles)
     moved = phase - truth
     moved -= np.rint(moved)
-    harmful: Any = ((np.abs(moved[:, order:]) > HARM_CYCLES) | (np.abs(error) > HARM_CYCLES)).any(axis=1)
+    harmful: Any = ((np.abs(moved[:, ORDER:]) > HARM_CYCLES) | (np.abs(error) > HARM_CYCLES)).any(axis=1)
     tolerance = window.tolerance_cycles
     second = None if tolerance is None else by_residual | (np.abs(error) > tolerance)
     shares = Shares(

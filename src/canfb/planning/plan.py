@@ -2,9 +2,8 @@
 
 Detection goes by the residual limit L and what the motion uses of it. Eq. 9: the bounds of
 docs/legal-motion.md ("Effect of a glitch"), with the acceleration a in cycles per interval squared: n samples
-in a row are without harm while (n + 2) (L + a) <= 1 and floor((n + 2)^2 / 4) (L + a) <= 1. Third-order
-prediction: those of the same page, with the jerk. What is kept after missed or flagged samples follows from
-what is declared ("Missed samples").
+in a row are without harm while (n + 2) (L + a) <= 1 and floor((n + 2)^2 / 4) (L + a) <= 1. What is kept after
+missed or flagged samples follows from what is declared ("Missed samples").
 """
 
 from __future__ import annotations
@@ -16,14 +15,12 @@ from functools import cached_property
 from typing import Any
 
 from canfb.planning.budget import ResidualBudget, over
-from canfb.planning.jerk_budget import budget_of
 from canfb.planning.plan_input import PlanInput
 from canfb.planning.planned_module import PlannedModule
 from canfb.signal.declared import Declared
 from canfb.signal.limits import ROUNDING, samples_without_harm
 
 WELL = 1.0 / 6.0  # docs/faults.md: keep the limit below 1/6
-WELL_THIRD_ORDER = 0.25  # docs/legal-motion.md: a single bad sample is without harm
 
 
 @dataclass(frozen=True)
@@ -38,8 +35,6 @@ class CountDetection:
     limit_cycles: float
     motion_cycles: float
     declared: Declared
-
-    well = WELL
 
     @property
     def bad_samples(self) -> int:
@@ -73,24 +68,7 @@ class CountDetection:
     @property
     def is_sharp(self) -> bool:
         """The limit is as narrow as docs/faults.md recommends."""
-        return self.limit_cycles + self.motion_cycles <= self.well + ROUNDING
-
-
-@dataclass(frozen=True)
-class JerkDetection(CountDetection):
-    """The same with third-order prediction: the motion is the jerk, cycles per interval cubed."""
-
-    well = WELL_THIRD_ORDER
-
-    @property
-    def bad_samples(self) -> int:
-        """1 or 0: two in succession nearly always lose the position."""
-        return int(self.is_sharp)
-
-    @property
-    def unseen_jump_cycles(self) -> float:
-        """The sample after a jump counts twice: a third difference is 1, -2, 1 times the jump."""
-        return self.limit_cycles / 2.0 if self.limit_cycles <= 1.0 / 3.0 else self.limit_cycles
+        return self.limit_cycles + self.motion_cycles <= WELL + ROUNDING
 
 
 class Limited(StrEnum):
@@ -99,7 +77,6 @@ class Limited(StrEnum):
     BUS = "bus load"
     SPEED = "speed"
     ACCELERATION = "acceleration"
-    JERK = "jerk"
     RESIDUAL = "residual"
 
 
@@ -130,7 +107,7 @@ class Plan:
     @cached_property
     def budgets(self) -> tuple[ResidualBudget, ...]:
         """One for each module."""
-        return tuple(budget_of(self.plan_input, module) for module in self.plan_input.modules)
+        return tuple(ResidualBudget(self.plan_input, module) for module in self.plan_input.modules)
 
     @cached_property
     def margins(self) -> tuple[Margin, ...]:
@@ -150,11 +127,10 @@ class Plan:
     def detection(self, budget: ResidualBudget, limit_cycles: float | None = None) -> CountDetection:
         """Detection with this residual limit; None: the one in force."""
         limit = budget.limit_cycles if limit_cycles is None else limit_cycles
-        kind = JerkDetection if budget.module.is_third_order else CountDetection
         declared = budget.declared
         if limit != budget.limit_cycles:
             declared = replace(declared, residual_limit=limit)
-        return kind(limit, budget.motion_part.cycles, declared)
+        return CountDetection(limit, budget.motion_part.cycles, declared)
 
     def _margins(self) -> Iterator[Margin]:
         load, motion = self.plan_input.bus.load, self.plan_input.motion
@@ -166,7 +142,4 @@ class Plan:
             if budget.asked_rad_s2 is not None:
                 limit = budget.largest_acceleration_rad_s2
                 yield Margin(Limited.ACCELERATION, module, over(limit, budget.asked_rad_s2))
-            if module.is_third_order and budget.asked_rad_s3 is not None:
-                jerk = budget.asked_rad_s3
-                yield Margin(Limited.JERK, module, over(budget.largest_jerk_rad_s3, jerk))
             yield Margin(Limited.RESIDUAL, module, budget.margin)

@@ -12,7 +12,7 @@ from canfb.planning.change_table import (
     SHARPER,
     ChangeCase,
     ChangeRow,
-    asked_motion,
+    asked_acceleration,
     is_sharp,
     motion_holds,
     widest_limit,
@@ -64,11 +64,8 @@ def _for(plan: Plan, margin: Margin) -> PlanChange | None:
 
 
 def _sharper(plan: Plan) -> Iterator[PlanChange]:
-    """What narrows the residual limit of a plan that holds, so that the count is guarded well.
-
-    Nothing for modules that predict by different orders.
-    """
-    if len({module.is_third_order for module in plan.plan_input.modules}) > 1 or not asked_motion(plan):
+    """What narrows the residual limit of a plan that holds, so that the count is guarded well."""
+    if not asked_acceleration(plan):
         return
     for text, after in _tried(NARROWER, ChangeCase(plan, plan.budgets[0])):
         if after.holds and widest_limit(after) < NARROWED * widest_limit(plan):

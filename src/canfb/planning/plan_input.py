@@ -32,7 +32,6 @@ from canfb.planning.traffic import (
     sync_message,
 )
 from canfb.signal.sample import MOST_PER_SYNC
-from canfb.signal.third_order import check_order
 from canfb.signal.tracker import check_residual_limit
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.demand import MotionDemand, of_motion
@@ -49,14 +48,12 @@ class MotionInput:
 
     speed_rad_s            largest speed
     acceleration_rad_s2    largest acceleration
-    jerk_rad_s3            largest jerk; None: the acceleration steps from 0 to its largest value
     is_final               no module has to follow more, whatever its 2010:02 says
     where                  who says so, for people
     """
 
     speed_rad_s: float | None = None
     acceleration_rad_s2: float | None = None
-    jerk_rad_s3: float | None = None
     is_final: bool = False
     where: str = ""
 
@@ -66,10 +63,6 @@ class MotionInput:
         if self.is_final or not known:
             return self.acceleration_rad_s2
         return max(known, self.acceleration_rad_s2 or 0.0)
-
-    def jerk_of(self, module: PlannedModule) -> float | None:
-        """The largest jerk of the machine of this module; None: neither given nor in 2010:08."""
-        return self.jerk_rad_s3 if self.jerk_rad_s3 is not None else module.known_jerk_rad_s3 or None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,12 +139,10 @@ class PlanOptions:
     heartbeat_ms               of each node that has none yet, 1..65535 ms
     rpm                        largest speed, 0..1e6 rpm
     acceleration_rad_s2        largest acceleration, 0..1e9 rad/s^2
-    jerk_rad_s3                largest jerk, 0..1e12 rad/s^3
     noise_counts               rms noise of a track, 0..1000 counts
     phase_error_cycles         largest error of a phase, 0..0.25 cycle
     cycles_per_revolution      2001:01 of every module
     residual_limit             2010:01 of every module, cycles
-    prediction_order           2010:07 of every module, 2 or 3
     samples_per_sync           1..4 pairs that the interface of every module sends for each SYNC
     noise_margin               2010:09 of every module, 0..255
     times                      True: the ADC PDOs carry sample times
@@ -167,12 +158,10 @@ class PlanOptions:
     heartbeat_ms: float | None = None
     rpm: float | None = None
     acceleration_rad_s2: float | None = None
-    jerk_rad_s3: float | None = None
     noise_counts: float | None = None
     phase_error_cycles: float | None = None
     cycles_per_revolution: int | None = None
     residual_limit: float | None = None
-    prediction_order: int | None = None
     samples_per_sync: int | None = None
     noise_margin: int | None = None
     times: bool = False
@@ -186,7 +175,6 @@ class PlanOptions:
             ("heartbeat_ms", 1.0, 65_535.0),
             ("rpm", 0.0, 1e6),
             ("acceleration_rad_s2", 0.0, LARGEST_ACCELERATION),
-            ("jerk_rad_s3", 0.0, 1e12),
             ("noise_counts", 0.0, 1000.0),
             ("phase_error_cycles", 0.0, 0.25),
         ):
@@ -198,8 +186,6 @@ class PlanOptions:
             integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1_048_576)
         if self.residual_limit is not None:
             check_residual_limit(self.residual_limit)
-        if self.prediction_order is not None:
-            check_order("prediction_order", self.prediction_order)
         if self.samples_per_sync is not None:
             integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
         if self.noise_margin is not None:
@@ -249,8 +235,6 @@ def _planned(config: ModuleConfig, found: DeviceConfiguration, options: PlanOpti
     if options.residual_limit is not None:
         limit = int(options.residual_limit * LIMIT_UNITS)
         module = module.with_values({od.SUPERVISION_RESIDUAL_LIMIT: limit})
-    if options.prediction_order is not None:
-        module = module.with_values({od.SUPERVISION_ORDER: options.prediction_order})
     if options.noise_margin is not None:
         module = module.with_values({od.SUPERVISION_NOISE_MARGIN: options.noise_margin})
     if options.samples_per_sync is not None:
@@ -273,7 +257,6 @@ def _motion(
     return MotionInput(
         speed_rad_s=speed,
         acceleration_rad_s2=options.acceleration_rad_s2 if is_final else acceleration,
-        jerk_rad_s3=options.jerk_rad_s3,
         is_final=is_final,
         where="" if is_final and options.rpm is not None else where,
     )

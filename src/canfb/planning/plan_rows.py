@@ -166,7 +166,7 @@ def _alike(plan: Plan) -> list[tuple[str, ResidualBudget]]:
         module = budget.module
         low_high, frozen = module.amplitude_limits_counts, module.frozen_samples
         key = (module.cycles_per_revolution, module.times, module.has_table, module.samples_itself, low_high,
-               frozen, module.is_third_order, module.samples_per_sync, budget.limit_cycles,
+               frozen, module.samples_per_sync, budget.limit_cycles,
                budget.needed_cycles, module.full_scale_counts)  # fmt: skip
         found.setdefault(key, ([], budget))[0].append(f"{module.node_id:02X}h")
     return [(", ".join(names), budget) for names, budget in found.values()]
@@ -174,15 +174,13 @@ def _alike(plan: Plan) -> list[tuple[str, ResidualBudget]]:
 
 def _heading(names: str, budget: ResidualBudget) -> list[str]:
     module, where = budget.module, budget.plan_input.motion.where
-    order = "third-order prediction, " if module.is_third_order else ""
     several = f"{module.samples_per_sync} samples per SYNC, " if module.samples_per_sync > 1 else ""
     narrowed = ""
     if budget.is_narrowed:
-        known = "2010:08" if module.is_third_order else "2010:02"
-        narrowed = f", narrowed by {known}{' and 2010:09' if budget.has_noise_margin else ''}"
+        narrowed = f", narrowed by 2010:02{' and 2010:09' if budget.has_noise_margin else ''}"
     return [
         f"node{'s' if ',' in names else ''} {names}: {module.cycles_per_revolution} cycles per revolution, "
-        f"{several}{order}residual limit {budget.limit_cycles:.3f} cycle{narrowed}",
+        f"{several}residual limit {budget.limit_cycles:.3f} cycle{narrowed}",
         *([f"  {where}"] if where else []),
     ]
 
@@ -193,7 +191,6 @@ def _module_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
         Row(
             node_id=module.node_id,
             cycles_per_revolution=module.cycles_per_revolution,
-            prediction_order=budget.weights.order,
             samples_per_sync=module.samples_per_sync,
             sample_bytes=module.sample_bytes,
             times=module.times,
@@ -273,9 +270,8 @@ def _instants(budget: ResidualBudget) -> str:
 
 
 def _motion_rows(budget: ResidualBudget) -> list[Row]:
-    """Acceleration and jerk: eq. 9 limits the one, third-order prediction the other."""
-    third, asked, jerk = budget.module.is_third_order, budget.asked_rad_s2, budget.asked_rad_s3
-    largest, least, changed = budget.largest_acceleration_rad_s2, budget.least_sync_hz, budget.jerk_rad_s2
+    """The acceleration, which eq. 12 limits."""
+    asked, largest, least = budget.asked_rad_s2, budget.largest_acceleration_rad_s2, budget.least_sync_hz
     needs = "no SYNC rate is enough" if math.isinf(least) else f"a SYNC of {least:.4g} Hz or more is needed"
     acceleration = {
         "stated_rad_s2": asked,
@@ -285,15 +281,6 @@ def _motion_rows(budget: ResidualBudget) -> list[Row]:
         "least_sync_hz": _finite(least),
         "margin": _margin(largest, asked),
     }
-    cycles = None if changed is None else budget.acceleration_cycles(changed)
-    jerks = {
-        "stated_rad_s3": jerk,
-        "largest_rad_s3": _finite(budget.largest_jerk_rad_s3),
-        "equation_rad_s3": _finite(budget.equation_rad_s3),
-        "margin": _margin(budget.largest_jerk_rad_s3, jerk),
-        "within_one_interval_rad_s2": changed,
-        "within_one_interval_cycles": cycles,
-    }
     allowed = "no limit" if math.isinf(largest) else f"{largest:.4g} rad/s^2"
     if asked is None:
         rows = [Row("acceleration", allowed, acceleration=acceleration)]
@@ -302,22 +289,8 @@ def _motion_rows(budget: ResidualBudget) -> list[Row]:
     else:
         words = f"{asked:.4g} of {allowed}"
         rows = [_margin_row("acceleration", words, over(largest, asked), acceleration=acceleration)]
-    if not third:
-        equations = f"eq. 12 alone allows {budget.equation_rad_s2:.4g}, eq. 10 {budget.paper_rad_s2:.4g}"
-        rows.append(Row("", f"{equations}; {needs}" if asked else equations))
-        said = None
-        if changed is not None:
-            said = f"{jerk:.4g} rad/s^3, in one interval {changed:.4g} rad/s^2 or {cycles:.3f} cycle"
-        return [*rows, Row("jerk", said and f"{said} (eq. 9 does not use it)", jerk=jerks)]
-    most = f"{budget.largest_jerk_rad_s3:.6g} rad/s^3"
-    equation = f"third-order prediction alone allows {budget.equation_rad_s3:.6g}"
-    if jerk is None:
-        step = "no jerk is given: the acceleration steps from 0 in one interval"
-        rows.append(Row("", f"{step}; {needs}" if asked else step))
-        return [*rows, Row("jerk", most, jerk=jerks), Row("", equation)]
-    factor = over(budget.largest_jerk_rad_s3, jerk)
-    rows.append(_margin_row("jerk", f"{jerk:.6g} of {most}", factor, jerk=jerks))
-    return [*rows, Row("", f"{equation}; {needs}" if jerk else equation)]
+    equations = f"eq. 12 alone allows {budget.equation_rad_s2:.4g}, eq. 10 {budget.paper_rad_s2:.4g}"
+    return [*rows, Row("", f"{equations}; {needs}" if asked else equations)]
 
 
 # What is detected.
@@ -328,7 +301,6 @@ def _detection_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
     needed = plan.detection(budget, min(budget.needed_cycles, 0.5))
     frozen = f"after {module.frozen_samples} equal samples" if module.frozen_samples else "not looked for"
     half = "always" if found.half_cycle else "not always"
-    motion, well = ("j", "1/4") if module.is_third_order else ("a", "1/6")
     low, high = module.amplitude_limits_counts
     nominal = budget.plan_input.errors.amplitude * module.full_scale_counts
     amplitude = f"{low} to {high} counts"
@@ -338,8 +310,8 @@ def _detection_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
     return [
         Row(
             "detection (docs/faults.md)",
-            f"L + {motion} = {found.limit_cycles + found.motion_cycles:.3f} cycle, "
-            + (f"at most {well}: sharp" if found.is_sharp else f"above {well}: weak"),
+            f"L + a = {found.limit_cycles + found.motion_cycles:.3f} cycle, "
+            + ("at most 1/6: sharp" if found.is_sharp else "above 1/6: weak"),
             detection=_detection(found),
             detection_at_needed_limit=_detection(needed),
         ),
@@ -379,13 +351,12 @@ def _detection(found: CountDetection) -> dict[str, Any]:
 
 def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
     """What is bridged for certain with what is declared, and what other declarations would bridge."""
-    declared, third = found.declared, budget.module.is_third_order
-    known = declared.jerk if third else declared.acceleration
-    power, place = ("³", "2010:08") if third else ("²", "2010:02")
-    followed = f"{place} {declared.followed:.3g} cycle per interval{power}"
+    declared = found.declared
+    known = declared.acceleration
+    followed = f"2010:02 {declared.followed:.3g} cycle per interval²"
     if known is None:
-        source = "by the residual limit" if third or not declared.assumes else "2010:0B"
-        followed = f"{place} not set, {declared.followed:.3g} cycle per interval{power} assumed, {source}"
+        source = "2010:0B" if declared.assumes else "by the residual limit"
+        followed = f"2010:02 not set, {declared.followed:.3g} cycle per interval² assumed, {source}"
     kept = found.missed_samples
     lines = [
         "missed or flagged samples in a row after which the position is certain: "
@@ -394,10 +365,9 @@ def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
         f"up to {declared.bad_samples} bad unnoticed (2010:0A)",
     ]
     if not found.is_declared:
-        lines.append(f"  the motion is larger: after a gap a position can be valid and wrong; set {place}")
-    motion = "jerk" if third else "acceleration"
+        lines.append("  the motion is larger: after a gap a position can be valid and wrong; set 2010:02")
     choices: dict[str, dict[str, float]] = {
-        f"{place} for the motion of this plan": {motion: found.motion_cycles} if known is None else {},
+        "2010:02 for the motion of this plan": {"acceleration": found.motion_cycles} if known is None else {},
         f"a phase error of {CALIBRATED_PHASE_ERROR_CYCLES:g}, as after canfb calibrate": {
             "phase_error": min(declared.phase_error, CALIBRATED_PHASE_ERROR_CYCLES)
         },

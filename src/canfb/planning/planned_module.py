@@ -15,7 +15,6 @@ from canfb.cia301 import cob
 from canfb.cia301.frame import mapping_values
 from canfb.device.od.dcf import Place
 from canfb.planning.traffic import Values
-from canfb.signal.third_order import THIRD
 from canfb.view.limits_in_force import LimitSettings, MotionBounds, limit_settings
 from canfb.view.pdo_map import Pdo, valid_pdos
 
@@ -122,16 +121,6 @@ class PlannedModule:
     def known_acceleration_rad_s2(self) -> float:
         """2010:02, 0.0: not known."""
         return self.settings.acceleration_rad_s2
-
-    @property
-    def known_jerk_rad_s3(self) -> float:
-        """2010:08, 0.0: not known."""
-        return self.settings.jerk_rad_s3
-
-    @property
-    def is_third_order(self) -> bool:
-        """2010:07: the prediction has constant acceleration."""
-        return self.settings.prediction_order == THIRD
 
     @property
     def noise_margin(self) -> int:

@@ -27,7 +27,6 @@ from canfb.signal.tracks import check_counts, pair_of_tracks
 FIRST_RUN = 64
 DECLARED = (
     "max_acceleration_cycles",
-    "max_jerk_cycles",
     "phase_error_cycles",
     "bad_samples",
     "doubt_acceleration_cycles",
@@ -45,7 +44,6 @@ def process(
     residual_limit: float = RESIDUAL_LIMIT,
     conditioning: Conditioning | None = None,
     speed_cycles: float = 0.0,
-    prediction_order: int = 2,
     **declared: Any,
 ) -> TrackResult:
     """Tracks to positions: conditioning, Table 1, correction table, eq. 9 and eq. 12.
@@ -53,9 +51,8 @@ def process(
     ``sine`` and ``cosine`` have shape (n,), ADC counts, zero at mid-scale. ``table`` None
     and ``conditioning`` None are the identity. ``speed_cycles`` is the speed at the first
     sample, cycles per sample, with an error of less than half a cycle; default: standstill.
-    ``prediction_order`` 3 predicts with constant acceleration; ``residual_limit`` then limits the jerk.
-    ``declared``: any of max_acceleration_cycles, max_jerk_cycles, phase_error_cycles, bad_samples,
-    doubt_acceleration_cycles, coast_samples, interval_s and adapt, as in :class:`canfb.ChainConfig`. A
+    ``declared``: any of max_acceleration_cycles, phase_error_cycles, bad_samples, doubt_acceleration_cycles,
+    coast_samples, interval_s and adapt, as in :class:`canfb.ChainConfig`. A
     conditioning with cosine_delay_s, and adapt, need interval_s; their samples are taken one by one.
 
     The result is bit for bit that of :class:`canfb.SignalChain` one sample after the other,
@@ -85,7 +82,6 @@ def process(
         raise TypeError(f"process() has no option {min(unknown)!r}; it takes {', '.join(DECLARED)}")
     config = ChainConfig(
         residual_limit=residual_limit,
-        prediction_order=prediction_order,
         conditioning=conditioning or IDENTITY,
         **declared,
     )
@@ -162,12 +158,12 @@ class _Follower:
 
     def _run(self, result: TrackResult, start: int, stop: int, scratch: Scratch) -> int:
         """Samples start..stop on arrays, up to the first that leaves the position in doubt, and that one."""
-        state = self._tracker.snapshot()
+        state = self._tracker.state()
         end = follow_run(self._estimator, result, slice(start, stop), scratch)
         if end > start:
             take_run(self._estimator, state, result, start, end)
         else:
-            self._tracker.restore(state)
+            self._tracker.set_state(*state)
         if self._estimator.lost:
             result.ok[start:end] = False
         if end == stop:

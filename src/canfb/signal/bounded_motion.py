@@ -1,18 +1,17 @@
 """What a machine is declared to do, and where its next sample can be then.
 
-A motion x(t), in cycles, keeps a bound B of order r if all its divided differences over r + 1 instants,
-times r!, are at most B: its acceleration (r = 2) or its jerk (r = 3), in cycles per sampling interval^r. A
-sample shows x(t) modulo one cycle, with an error of at most e = phase error + instant error x |speed|.
+A motion x(t), in cycles, keeps a bound B of order r = 2 if all its divided differences over r + 1 instants,
+times r!, are at most B: its acceleration, in cycles per sampling interval^2. A sample shows x(t) modulo one
+cycle, with an error of at most e = phase error + instant error x |speed|.
 
 Window. Newton's form of the interpolation through r samples at t_1 .. t_r misses x(t) by the divided
 difference over all r + 1 instants:
 
     |x(t) - sum w_i x_i| <= B prod |t - t_i| / r! + e (1 + sum |w_i|),
 
-w_i the weights of Lagrange. At equal intervals that is B + 4 e for eq. 9 and B + 8 e for third-order
-prediction, the residual limits. After a short interval the weights are large: from 0.1 to 0.8 intervals
-ahead they are 9 and 8. Then the windows of the newest sample with older ones are sharper, and all of them
-hold.
+w_i the weights of Lagrange. At equal intervals that is B + 4 e for eq. 9, the residual limit. After a short
+interval the weights are large: from 0.1 to 0.8 intervals ahead they are 9 and 8. Then the windows of the
+newest sample with older ones are sharper, and all of them hold.
 
 Junction. Over a hole the window of each sample alone is too wide, for the samples behind the hole belong to
 one motion. Nodes are put about one interval apart where samples are missing. Each node, and each sample
@@ -27,7 +26,6 @@ Both are necessary conditions: a motion within the bound is never outside.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -37,6 +35,7 @@ import numpy as np
 
 from canfb.signal.phase import FloatArray
 
+ORDER = 2  # r: so many samples determine the next one, as eq. 9 has it
 MOST_JOINED = (
     3  # samples behind a hole in one junction: its facets grow with the power k - 1 of the generators
 )
@@ -85,35 +84,16 @@ class Window(NamedTuple):
         return Window(self.base, max(self.low, other.low + shift), min(self.high, other.high + shift))
 
 
-class Bound(NamedTuple):
-    """Of a motion: ``largest`` acceleration (``order`` 2) or jerk (3), cycles per interval^order."""
-
-    order: int
-    largest: float
-
-
 @dataclass(frozen=True)
 class BoundedMotion:
-    """Bounds of a machine, and the errors with which samples show it.
+    """The largest acceleration of a machine, cycles per interval^2, and the errors of its samples.
 
-    ``bounds``: one or two :class:`Bound`, that of the prediction first; ``at_start`` is that of second order
-    for third-order prediction while only two samples are known. ``phase_error`` is the largest of a phase,
-    cycles; ``instant_error`` of a sampling instant, intervals.
+    ``phase_error`` is the largest of a phase, cycles; ``instant_error`` of a sampling instant, intervals.
     """
 
-    bounds: tuple[Bound, ...]
-    at_start: Bound
+    largest: float
     phase_error: float
     instant_error: float = 0.0
-
-    @property
-    def order(self) -> int:
-        """Of the prediction: so many samples determine the next one."""
-        return self.bounds[0].order
-
-    def in_force(self, spots: int) -> tuple[Bound, ...]:
-        """The bounds that so many samples can be held against; ``at_start`` while they are too few."""
-        return self.bounds if spots >= self.order else (self.at_start,)
 
     def error(self, spots: tuple[Spot, ...]) -> float:
         """The largest error of a phase at the speed of the last two samples, cycles."""
@@ -128,13 +108,11 @@ class BoundedMotion:
         error = self.error(spots)
         base = spots[-1].cycles
         low, high = -math.inf, math.inf
-        for bound in self.in_force(len(spots)):
-            short = any(
-                abs(b.time - a.time) < SHORT_INTERVAL for a, b in itertools.pairwise(spots[-bound.order :])
-            )
-            for some in _baselines(spots, bound.order) if short else (spots[-bound.order :],):
-                centre, radius = extrapolation(some, time, base, bound, error)
-                low, high = max(low, centre - radius), min(high, centre + radius)
+        last_two = spots[-ORDER:]
+        short = abs(last_two[1].time - last_two[0].time) < SHORT_INTERVAL
+        for some in _baselines(spots) if short else (last_two,):
+            centre, radius = extrapolation(some, time, base, self.largest, error)
+            low, high = max(low, centre - radius), min(high, centre + radius)
         return Window(base, low, high)
 
     def beyond(self, before: tuple[Spot, ...], run: tuple[Spot, ...], time: float) -> Window:
@@ -142,60 +120,44 @@ class BoundedMotion:
         error = self.error(before)
         base = before[-1].cycles
         zero = before[-1].time
-        low, high = -math.inf, math.inf
-        for bound in self.in_force(len(before)):
-            known = before[-bound.order :]
-            facets = junction(
-                bound,
-                tuple(round(spot.time - zero, 9) for spot in known),
-                tuple(round(one - zero, 9) for one in (*(spot.time for spot in run), time)),
-                tuple(error + spot.error for spot in known),
-                error,
-            )
-            deviations = [(spot.cycles - base) + spot.phase - _centre(known, spot.time, base) for spot in run]
-            centre = _centre(known, time, base)
-            least, most = facets.last(deviations)
-            low, high = max(low, centre + least), min(high, centre + most)
-        return Window(base, low, high)
+        known = before[-ORDER:]
+        facets = junction(
+            self.largest,
+            tuple(round(spot.time - zero, 9) for spot in known),
+            tuple(round(one - zero, 9) for one in (*(spot.time for spot in run), time)),
+            tuple(error + spot.error for spot in known),
+            error,
+        )
+        deviations = [(spot.cycles - base) + spot.phase - _centre(known, spot.time, base) for spot in run]
+        centre = _centre(known, time, base)
+        least, most = facets.last(deviations)
+        return Window(base, centre + least, centre + most)
 
 
-def _baselines(spots: tuple[Spot, ...], order: int) -> list[tuple[Spot, ...]]:
-    older = spots[-BASELINES:-1]
-    return [(*some, spots[-1]) for some in itertools.combinations(older, order - 1)]
+def _baselines(spots: tuple[Spot, ...]) -> list[tuple[Spot, ...]]:
+    return [(older, spots[-1]) for older in spots[-BASELINES:-1]]
 
 
 def weights(times: tuple[float, ...], time: float) -> tuple[float, ...]:
-    """Of Lagrange: how often the values at ``times`` count in the extrapolation to ``time``."""
-    if len(times) == 2:
-        ratio = (time - times[1]) / (times[1] - times[0])
-        return -ratio, 1.0 + ratio
-    if len(times) == 3:  # the product below, at a third of its time
-        a, b, c = times
-        return (
-            (time - b) / (a - b) * ((time - c) / (a - c)),
-            (time - a) / (b - a) * ((time - c) / (b - c)),
-            (time - a) / (c - a) * ((time - b) / (c - b)),
-        )
-    return tuple(
-        math.prod((time - other) / (one - other) for j, other in enumerate(times) if j != i)
-        for i, one in enumerate(times)
-    )
+    """Of Lagrange: how often the values at two ``times`` count in the extrapolation to ``time``."""
+    ratio = (time - times[1]) / (times[1] - times[0])
+    return -ratio, 1.0 + ratio
 
 
 def scale(times: tuple[float, ...], time: float) -> float:
-    """prod |time - t_i| / r!: how often a bound of order r = len(times) counts at ``time``."""
-    return math.prod(abs(time - one) for one in times) / math.factorial(len(times))
+    """prod |time - t_i| / r!: how often the bound counts at ``time``."""
+    return abs(time - times[0]) * abs(time - times[1]) / 2.0
 
 
 def extrapolation(
-    spots: tuple[Spot, ...], time: float, base: int, bound: Bound, error: float
+    spots: tuple[Spot, ...], time: float, base: int, largest: float, error: float
 ) -> tuple[float, float]:
     """Centre, cycles from the cycle count ``base``, and radius of the window at ``time``."""
     times = tuple(spot.time for spot in spots)
     factors = weights(times, time)
     centre = sum(w * ((spot.cycles - base) + spot.phase) for w, spot in zip(factors, spots, strict=True))
     spread = sum(abs(w) * (error + spot.error) for w, spot in zip(factors, spots, strict=True))
-    return centre, bound.largest * scale(times, time) + error + spread
+    return centre, largest * scale(times, time) + error + spread
 
 
 def _centre(spots: tuple[Spot, ...], time: float, base: int) -> float:
@@ -227,7 +189,7 @@ class Facets:
 
 @lru_cache(maxsize=512)
 def junction(
-    bound: Bound,
+    largest: float,
     before: tuple[float, ...],
     behind: tuple[float, ...],
     errors: tuple[float, ...],
@@ -238,7 +200,7 @@ def junction(
     ``before`` are the times of the samples before the hole, ``errors`` those of their phases, cycles,
     ``error`` that of each sample behind it, of which there are one to three.
     """
-    generators = _generators(bound, before, behind, errors, error)
+    generators = _generators(largest, before, behind, errors, error)
     k = len(behind)
     if k == 1:
         normals = np.ones((1, 1))
@@ -254,7 +216,7 @@ def junction(
 
 
 def _generators(
-    bound: Bound,
+    largest: float,
     before: tuple[float, ...],
     behind: tuple[float, ...],
     errors: tuple[float, ...],
@@ -272,6 +234,6 @@ def _generators(
     for n in range(order, len(times)):
         known = tuple(times[n - order : n])
         rows[n] = weights(known, times[n]) @ rows[n - order : n]
-        rows[n, n] += bound.largest * scale(known, times[n])
+        rows[n, n] += largest * scale(known, times[n])
     own = error * np.eye(len(behind))
     return np.hstack([rows[-len(behind) :], own])

@@ -12,7 +12,6 @@ from canfb.signal.harmonics import NO_LOW_PASS, Corners
 from canfb.signal.limits import PHASE_ERROR_CYCLES
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.supervision import SampleLimits
-from canfb.signal.third_order import SECOND, check_order
 from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit
 
 # Defaults as parts of the full scale: a usual encoder drives the converter to 60..95 %, and
@@ -22,7 +21,6 @@ AMPLITUDE_HIGH = 1.25
 MOST_CORNER_HZ = 1e9  # 2001:05
 LARGEST = {
     "max_acceleration_cycles": 1000.0,
-    "max_jerk_cycles": 1000.0,
     "phase_error_cycles": 1.0 / 16.0,
     "doubt_acceleration_cycles": 0.5,
     "corner_hz": MOST_CORNER_HZ,
@@ -37,15 +35,13 @@ class ChainLimits:
 
     ``sample`` are the limits of one sample, counts; ``acceleration`` is the largest acceleration of the
     machine, cycles per interval squared (2010:02), None if it is not known, or (``acceleration_waits``) the
-    interval in which it counts is not; ``jerk`` its largest jerk, cycles per interval cubed (2010:08).
-    ``start_limit``, for ``prediction_order`` 3, is the residual limit of the samples that eq. 9 predicts,
-    cycles; None: the same. ``samples_per_sync``, 1..4, is how many samples there are in an interval of SYNC:
-    all intervals above are those from sample to sample. ``coast_samples`` counts intervals of SYNC.
-    ``phase_error`` is the largest error of a phase, cycles, ``instant_error`` that of a sample time,
-    intervals: it is added at the speed of the machine, up to ``widest_limit`` (2010:01; None:
+    interval in which it counts is not. ``samples_per_sync``, 1..4, is how many samples there are in an
+    interval of SYNC: all intervals above are those from sample to sample. ``coast_samples`` counts
+    intervals of SYNC. ``phase_error`` is the largest error of a phase, cycles, ``instant_error`` that of a
+    sample time, intervals: it is added at the speed of the machine, up to ``widest_limit`` (2010:01; None:
     ``residual_limit``). ``corners`` are those of the low-passes of the tracks. The others are those of
     :class:`ChainConfig`.
-    ValueError for a bad limit or order.
+    ValueError for a bad limit.
     """
 
     sample: SampleLimits
@@ -56,9 +52,6 @@ class ChainLimits:
     coarse_limit_revolutions: float
     acceleration: float | None = None
     acceleration_waits: bool = False
-    prediction_order: int = SECOND
-    jerk: float | None = None
-    start_limit: float | None = None
     samples_per_sync: int = 1
     phase_error: float = PHASE_ERROR_CYCLES
     instant_error: float = 0.0
@@ -69,30 +62,21 @@ class ChainLimits:
 
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
-        if self.start_limit is not None:
-            check_residual_limit(self.start_limit)
-        check_order("prediction_order", self.prediction_order)
         integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
 
     @property
     def motion_residual(self) -> float:
-        """What of ``residual_limit`` the motion may use, cycles; 0.0 if that is not known.
-
-        The residual of the largest acceleration, or with ``prediction_order`` 3 of the largest jerk.
-        """
-        return (self.acceleration if self.prediction_order == SECOND else self.jerk) or 0.0
+        """What of ``residual_limit`` the motion may use, cycles; 0.0 if that is not known."""
+        return self.acceleration or 0.0
 
     @property
     def declared(self) -> Declared:
         """The same for the estimator."""
         return Declared(
-            order=self.prediction_order,
             residual_limit=self.residual_limit,
-            given_start_limit=self.start_limit,
             widest_limit=self.widest_limit,
             acceleration=self.acceleration,
             acceleration_waits=self.acceleration_waits,
-            jerk=self.jerk,
             phase_error=self.phase_error,
             instant_error=self.instant_error,
             bad=self.bad_samples,
@@ -119,11 +103,8 @@ class ChainConfig:
                             that moves whole cycles per sample (2010:04): 16 with half a count of noise.
                             0: for a converter without noise, equal samples are not a fault
     coarse_limit_revolutions  largest difference of the coarse track, above 0, at most 0.25 (2010:05)
-    prediction_order        2..3 (2010:07): 2 constant speed, eq. 9; 3 constant acceleration, so that the
-                            residual limit bounds the jerk
     conditioning            offset, gain and phase error of the tracks, and delays of the analog path (2002h)
     max_acceleration_cycles  largest acceleration of the machine, 0..1000 cycles per interval^2; 0: not known
-    max_jerk_cycles         largest jerk, 0..1000 cycles per interval^3, for prediction_order 3; 0: not known
     phase_error_cycles      largest phase error of a good sample, above 0, at most 0.0625 cycles (2010:0C):
                             of encoder, conditioning and table
     bad_samples             0..8 neighbouring samples that may be bad unnoticed (2010:0A); 0: as many as
@@ -144,10 +125,8 @@ class ChainConfig:
     coast_samples: int = COAST_SAMPLES
     frozen_samples: int = 0
     coarse_limit_revolutions: float = 1.0 / 32.0
-    prediction_order: int = SECOND
     conditioning: Conditioning = field(default=IDENTITY)
     max_acceleration_cycles: float = 0.0
-    max_jerk_cycles: float = 0.0
     phase_error_cycles: float = PHASE_ERROR_CYCLES
     bad_samples: int = 0
     doubt_acceleration_cycles: float = DOUBT_ACCELERATION
@@ -162,7 +141,6 @@ class ChainConfig:
         integer_in("coast_samples", self.coast_samples, 0, 255)
         integer_in("frozen_samples", self.frozen_samples, 0, 255)
         check_residual_limit(self.residual_limit)
-        check_order("prediction_order", self.prediction_order)
         limit = self.coarse_limit_revolutions
         if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:
             raise ValueError(f"coarse_limit_revolutions must be above 0 and at most 0.25, not {limit!r}")
@@ -204,29 +182,22 @@ class ChainConfig:
     @property
     def chain_limits(self) -> ChainLimits:
         """All limits, the residual limit narrowed by what is declared of the machine."""
-        acceleration, jerk = self.max_acceleration_cycles or None, self.max_jerk_cycles or None
-        limit = start_limit = self.residual_limit
+        acceleration = self.max_acceleration_cycles or None
+        limit = self.residual_limit
         if acceleration is not None:
-            start_limit = min(limit, acceleration + 4.0 * self.phase_error_cycles)
-        if self.prediction_order == SECOND:
-            limit = start_limit
-        elif jerk is not None:
-            limit = min(limit, jerk + 8.0 * self.phase_error_cycles)
+            limit = min(limit, acceleration + 4.0 * self.phase_error_cycles)
         return ChainLimits(
             sample=self.limits,
             cycles_per_revolution=self.cycles_per_revolution,
             residual_limit=limit,
-            start_limit=start_limit,
             widest_limit=self.residual_limit,
             acceleration=acceleration,
-            jerk=jerk,
             phase_error=self.phase_error_cycles,
             bad_samples=self.bad_samples,
             doubt_acceleration=self.doubt_acceleration_cycles,
             coast_samples=self.coast_samples,
             frozen_samples=self.frozen_samples,
             coarse_limit_revolutions=self.coarse_limit_revolutions,
-            prediction_order=self.prediction_order,
             corners=Corners(self.corner_hz, self.cosine_corner_hz),
         )
 

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-from canfb.signal.bounded_motion import Bound, BoundedMotion
+from canfb.signal.bounded_motion import ORDER, BoundedMotion
 from canfb.signal.limits import MOST_IN_A_ROW, PHASE_ERROR_CYCLES, kept_samples, samples_without_harm
-from canfb.signal.third_order import SECOND, THIRD
 from canfb.signal.tracker import RESIDUAL_LIMIT
 
 DOUBT_ACCELERATION = (
@@ -16,20 +15,17 @@ DOUBT_ACCELERATION = (
 )
 COAST_SAMPLES = 3  # default of 2010:03
 MOST_BAD_SAMPLES = 8  # 2010:0A; what the estimator remembers is enough for them
-MOST_BY_DEFAULT = {SECOND: 3, THIRD: 2}  # each one more multiplies what a contradiction costs
+MOST_BY_DEFAULT = 3  # each one more multiplies what a contradiction costs
 
 
 @dataclass(frozen=True, kw_only=True)
 class Declared:
     """Bounds while which hold a valid position is right. Intervals are those from sample to sample.
 
-    order               of the prediction, 2 or 3
     residual_limit      of usual samples, cycles; in force, so narrowed by what is declared below
-    given_start_limit   with order 3: of the samples that eq. 9 predicts, cycles; None: the same
     widest_limit        2010:01, cycles: of the first step after a start; None: ``residual_limit``
     acceleration        largest, cycles per interval^2; None: not known
     acceleration_waits  it is declared, but not yet in which interval: the second sample shows it
-    jerk                largest, cycles per interval^3; None: not known
     phase_error         largest of a good sample, cycles
     instant_error       largest of a sampling instant, intervals
     bad                 m: samples in a row that may be bad unnoticed; 0: as many as cannot do harm
@@ -37,13 +33,10 @@ class Declared:
     coast_samples       intervals without a good sample until the position is lost
     """
 
-    order: int = SECOND
     residual_limit: float = RESIDUAL_LIMIT
-    given_start_limit: float | None = None
     widest_limit: float | None = None
     acceleration: float | None = None
     acceleration_waits: bool = False
-    jerk: float | None = None
     phase_error: float = PHASE_ERROR_CYCLES
     instant_error: float = 0.0
     bad: int = 0
@@ -51,59 +44,41 @@ class Declared:
     coast_samples: int = COAST_SAMPLES
 
     @property
-    def start_limit(self) -> float:
-        """Residual limit of the samples that eq. 9 predicts, cycles."""
-        return self.residual_limit if self.given_start_limit is None else self.given_start_limit
-
-    @property
     def first_limit(self) -> float:
         """Residual limit of the second sample: how far the speed at a start may be from the one assumed."""
-        return max(self.start_limit, self.widest_limit or 0.0)
+        return max(self.residual_limit, self.widest_limit or 0.0)
 
     @property
     def start_error(self) -> float:
         """The part of :attr:`first_limit` that no acceleration and no phase error explains, cycles."""
-        return self.first_limit - self.start_limit
-
-    @property
-    def largest_second_difference(self) -> float:
-        """Of samples one interval apart: the acceleration, and the errors of three phases; inf: any."""
-        return math.inf if self.acceleration is None else self.acceleration + 4.0 * self.phase_error
+        return self.first_limit - self.residual_limit
 
     @property
     def assumes(self) -> bool:
         """In doubt an acceleration is assumed: the residual limit of usual samples is wider."""
-        return self.order == SECOND and self.acceleration is None and self.doubt_acceleration > 0.0
+        return self.acceleration is None and self.doubt_acceleration > 0.0
 
     @cached_property
     def bad_samples(self) -> int:
         """m of the estimator: as declared, or as many as cannot do harm at twice the bound; at least 1."""
         if self.bad:
             return self.bad
-        bound = self.in_doubt.bounds[0]
-        harmless = samples_without_harm(2.0 * bound.largest)
-        return max(1, min(harmless, MOST_BY_DEFAULT[self.order]))
+        return max(1, min(samples_without_harm(2.0 * self.followed), MOST_BY_DEFAULT))
 
     @property
     def followed(self) -> float:
-        """Largest acceleration or jerk of the motions followed in doubt, cycles per interval^order."""
-        return self.in_doubt.bounds[0].largest
+        """Largest acceleration of the motions followed in doubt, cycles per interval^2."""
+        return self.in_doubt.largest
 
     def kept_samples(self, motion: float | None = None) -> int:
         """Missed or flagged samples in a row after which the position is certain, 0..255.
 
-        ``motion`` is the largest acceleration or jerk of the machine, None: :attr:`followed`. More than
+        ``motion`` is the largest acceleration of the machine, None: :attr:`followed`. More than
         :attr:`coast_samples` are lost in any case.
         """
         largest = self.followed if motion is None else min(motion, self.followed)
         most = min(self.coast_samples, MOST_IN_A_ROW)
-        return kept_samples(self.order, self.followed, largest, self.phase_error, most)
-
-    @property
-    def second_order(self) -> Bound | None:
-        """The bound of second order of usual samples; None: third order, and any acceleration is possible."""
-        bounds = self.usual.bounds
-        return next((bound for bound in bounds if bound.order == SECOND), None)
+        return kept_samples(self.followed, largest, self.phase_error, most)
 
     @cached_property
     def usual(self) -> BoundedMotion:
@@ -116,16 +91,14 @@ class Declared:
         return self._motion(assumed=self.doubt_acceleration or math.inf, usual=False)
 
     def _motion(self, *, assumed: float, usual: bool) -> BoundedMotion:
-        known = self.acceleration if self.order == SECOND else self.jerk
-        errors = 2.0**self.order * self.phase_error
-        largest = max(0.0, self.residual_limit - errors) if known is None else min(known, self.residual_limit)
+        known, weights = self.acceleration, 2.0**ORDER
+        if known is None:
+            largest = max(0.0, self.residual_limit - weights * self.phase_error)
+        else:
+            largest = min(known, self.residual_limit)
         error = self.phase_error
         if usual:
-            error = max(0.0, self.residual_limit - largest) / 2.0**self.order
-        elif known is None and self.order == SECOND:
+            error = max(0.0, self.residual_limit - largest) / weights
+        elif known is None:
             largest = min(largest, assumed)
-        bounds = [Bound(self.order, largest)]
-        if self.order == THIRD and self.acceleration is not None:
-            bounds.append(Bound(SECOND, self.acceleration))
-        at_start = Bound(SECOND, max(0.0, self.start_limit - 4.0 * self.phase_error))
-        return BoundedMotion(tuple(bounds), at_start, error, self.instant_error)
+        return BoundedMotion(largest, error, self.instant_error)

@@ -41,6 +41,7 @@ from canfb.objects import LossCause
 from canfb.signal.bounded_motion import (
     HOLE_INTERVALS,
     MOST_JOINED,
+    ORDER,
     SHORT_INTERVAL,
     BoundedMotion,
     Spot,
@@ -88,9 +89,10 @@ class Candidate(NamedTuple):
         """The samples since the last hole, as far as they are kept."""
         return self.spots[-self.run :] if self.run else ()
 
-    def is_settled(self, order: int) -> bool:
+    @property
+    def is_settled(self) -> bool:
         """The run determines the next sample, and nothing is to be left out."""
-        return self.run >= order and not self.leaves
+        return self.run >= ORDER and not self.leaves
 
     @property
     def probability(self) -> float:
@@ -113,9 +115,9 @@ class Candidate(NamedTuple):
         """Where its next sample can be; and whether the hole before its run decides that."""
         run = self.run_spots
         before = self.spots[: len(self.spots) - len(run)]
-        if self.run < motion.order and before:
+        if self.run < ORDER and before:
             return motion.beyond(before, run, time), True
-        window = motion.window(run if self.run >= motion.order else self.spots, time)
+        window = motion.window(run if self.run >= ORDER else self.spots, time)
         if len(before) >= 2 and self.run < MOST_JOINED and _is_close(run):
             window = window.meet(motion.beyond(before, run, time))
         return window, False
@@ -152,11 +154,11 @@ class Candidate(NamedTuple):
             took=tuple((number, elapsed * factor) for number, elapsed in self.took),
         )
 
-    def future(self, order: int) -> tuple[object, ...]:
+    def future(self) -> tuple[object, ...]:
         """What its next windows depend on: the same for two candidates that cannot come apart."""
-        recent = self.spots[-order:] if self.run >= order else self.spots[-order - self.run :]
+        recent = self.spots[-ORDER:] if self.run >= ORDER else self.spots[-ORDER - self.run :]
         places = tuple((round(spot.time - self.time, 9), spot.cycles, spot.phase) for spot in recent)
-        return places, min(self.run, order), self.leaves
+        return places, min(self.run, ORDER), self.leaves
 
     def joined_by(self, other: Candidate) -> Candidate:
         """This one and ``other`` of the same future as one; what only one of them used is forgotten."""
@@ -193,11 +195,11 @@ def _is_close(run: tuple[Spot, ...]) -> bool:
     return any(later.time - one.time < SHORT_INTERVAL for one, later in itertools.pairwise(run))
 
 
-def merged(candidates: Iterable[Candidate], order: int) -> list[Candidate] | None:
+def merged(candidates: Iterable[Candidate]) -> list[Candidate] | None:
     """One candidate for all with the same future; None if there are too many to follow."""
     unique: dict[tuple[object, ...], Candidate] = {}
     for one in candidates:
-        key = one.future(order)
+        key = one.future()
         other = unique.get(key)
         unique[key] = one if other is None else other.joined_by(one)
         if len(unique) > MOST_CANDIDATES:
@@ -324,7 +326,7 @@ class Doubt:
 
     def _follow(self, found: Iterable[Candidate]) -> bool:
         """Go on with these; False if they are too many."""
-        candidates = merged(found, self.motion.order)
+        candidates = merged(found)
         self.candidates = candidates or []
         return candidates is not None
 
@@ -350,20 +352,19 @@ class Doubt:
                 one._replace(leaves=self.bad_samples) for one in self.log[start].before if not one.leaves
             ]
             for number in range(start, now):
-                some = merged(self._advance(some or (), number), self.motion.order)
+                some = merged(self._advance(some or (), number))
                 if some is None:
                     return False
             found += some or ()
         return self._follow(found)
 
     def _decide(self) -> Decision:
-        order = self.motion.order
         candidates = self.candidates
         if not candidates:
             return Decision(lost=LossCause.CONTRADICTED)
         one = candidates[0]
         counts = {other.last.cycles for other in candidates}
-        settled = all(other.is_settled(order) for other in candidates)
+        settled = all(other.is_settled for other in candidates)
         if self._only_missing and len(counts) == 1:
             return Decision(one, settled=settled and len(candidates) == 1)
         if len(candidates) == 1:
@@ -384,7 +385,7 @@ class Doubt:
         if any(_apart(spot.phase, phase) > band for spot in one.run_spots):
             return True
         stood = sum(_apart(spot.phase, phase) <= band for spot in self._first_spots)
-        return stood >= self.motion.order
+        return stood >= ORDER
 
     def _is_inseparable(self) -> bool:
         """No later phase tells them apart."""
@@ -431,7 +432,7 @@ class Doubt:
     @property
     def _reach(self) -> int:
         """So many samples before a contradiction may be bad."""
-        return self.bad_samples + self.motion.order - 1
+        return self.bad_samples + ORDER - 1
 
 
 def _confirmed(candidates: Sequence[Candidate], number: int, elapsed: float) -> list[Candidate]:

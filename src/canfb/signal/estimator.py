@@ -1,6 +1,6 @@
 """The position of a machine, from one phase after the other: counted, in doubt, or lost.
 
-Usually eq. 9 (or third-order prediction) counts: a residual within the limit leaves one cycle count, and
+Usually eq. 9 counts: a residual within the limit leaves one cycle count, and
 the sample costs no more than that. All else is one question, which :mod:`canfb.signal.doubt` answers: which
 motions within what is declared are left?
 
@@ -23,17 +23,16 @@ from collections.abc import Callable, Sequence
 
 from canfb.objects import LossCause
 from canfb.signal import speeds
-from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL, SHORT_INTERVAL, Spot
+from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL, ORDER, SHORT_INTERVAL, Spot
 from canfb.signal.declared import Declared
 from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
 from canfb.signal.speeds import STILL_SAMPLES, Place, StillPhase
 from canfb.signal.starts import START_SAMPLES, SpeedVerdict, Starts
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
-from canfb.signal.third_order import SECOND, ThirdOrderTracker, tracker_of
-from canfb.signal.tracker import NOT_USUAL, Track
+from canfb.signal.tracker import NOT_USUAL, Track, Tracker
 
 HALF_CYCLE = 0.5
-REMEMBERED_SAMPLES = 24  # r + 2 (m + r - 1): to go back behind m bad samples, m = 8 at order 3
+REMEMBERED_SAMPLES = 20  # r + 2 (m + r - 1): to go back behind m = 8 bad samples, r = 2
 
 
 class Estimator:
@@ -44,7 +43,6 @@ class Estimator:
 
     __slots__ = (
         "_at_start",
-        "_by_line",
         "_coasted",
         "_doubt",
         "_error",
@@ -68,7 +66,7 @@ class Estimator:
     )
 
     def __init__(self, declared: Declared) -> None:
-        self.tracker = tracker_of(declared.order, declared.residual_limit)
+        self.tracker = Tracker(declared.residual_limit)
         self.on_lost: Callable[[], None] = lambda: None
         """Called when the position is lost."""
         self.on_speed: Callable[[], None] = lambda: None
@@ -83,23 +81,13 @@ class Estimator:
         self.restart()
         self.declare(declared)
 
-    @property
-    def order(self) -> int:
-        """Of the prediction: 2 limits the acceleration, 3 the jerk."""
-        return self.declared.order
-
     def declare(self, declared: Declared) -> None:
-        """Take what the machine can do, between two samples; of the same order."""
+        """Take what the machine can do, between two samples."""
         self.declared = declared
-        tracker = self.tracker
-        tracker.residual_limit = declared.residual_limit
+        self.tracker.residual_limit = declared.residual_limit
         usual = declared.usual
-        self._by_line = declared.order == SECOND  # eq. 9: the line through two samples
-        self._largest = usual.bounds[0].largest
+        self._largest = usual.largest
         self._error, self._instant_error = usual.phase_error, usual.instant_error
-        if isinstance(tracker, ThirdOrderTracker):
-            tracker.start_limit = declared.start_limit
-            tracker.acceleration_limit = declared.largest_second_difference
         if self._doubt is not None:
             self._doubt.declare(declared.in_doubt, declared.bad_samples)
 
@@ -121,15 +109,6 @@ class Estimator:
         self._coasted = 0.0  # intervals since the last good sample
         self.places.clear()
 
-    def take_over(self, old: Estimator) -> None:
-        """Go on where ``old`` is, which predicts by another order; what is in doubt stays behind."""
-        self.on_lost, self.on_speed = old.on_lost, old.on_speed
-        self.lost, self.loss_cause = old.lost, old.loss_cause
-        self.tracker.take_over(old.tracker)
-        self.places.extend(old.places)
-        self._virtual = old._virtual
-        self._count_by(SECOND if self.lost else self.order)
-
     def resume(self) -> None:
         """Go on at standstill from the last position, also of a doubt; from cycle count 0 if it was lost."""
         if self.lost or not self.places:
@@ -149,7 +128,6 @@ class Estimator:
         self.lost = True
         self.loss_cause = cause
         self._forget()
-        self._count_by(SECOND)
         self.on_lost()
 
     def found(self, cycles: int, step_cycles: int) -> None:
@@ -157,8 +135,6 @@ class Estimator:
         self.tracker.shift(cycles, step_cycles)
         if step_cycles or self._doubt is not None or self.lost:
             self._remember_tracker()
-            if step_cycles and isinstance(self.tracker, ThirdOrderTracker):
-                self.tracker.predict_by(self.tracker.order)  # another speed may have had another acceleration
         else:
             self._change_places(lambda place: (place[0] + cycles, place[1], place[2]))
             self._past = None
@@ -167,11 +143,6 @@ class Estimator:
         """The position is not lost any more: what eq. 9 counts is right."""
         self.lost = False
         self._remember_tracker()
-        self._count_by(self.order)
-
-    def _count_by(self, order: int) -> None:
-        if isinstance(self.tracker, ThirdOrderTracker):
-            self.tracker.predict_by(order)
 
     def _begin_places(self) -> None:
         """One sample is counted, and its speed assumed."""
@@ -315,7 +286,7 @@ class Estimator:
         if self._virtual is None or samples > START_SAMPLES:
             return False
         even = all(place[2] == 1.0 for place in itertools.islice(self.places, 1, None))
-        return samples < (self.order if even else START_SAMPLES)
+        return samples < (ORDER if even else START_SAMPLES)
 
     def advance_over(self, phase: float, elapsed: float) -> float:
         """:meth:`Tracker.advance` over an interval that is not quite one, as sample times give it.
@@ -338,7 +309,7 @@ class Estimator:
         than a cycle it holds one count at most.
         """
         last = self.tracker.elapsed
-        if not self._by_line or last < SHORT_INTERVAL or elapsed >= LONG_INTERVAL or len(self.places) < 2:
+        if last < SHORT_INTERVAL or elapsed >= LONG_INTERVAL or len(self.places) < 2:
             return 1.0
         error = self._error + self._instant_error * abs(self.tracker.step_cycles)
         return self._largest * elapsed * (elapsed + last) / 2.0 + error * (2.0 + 2.0 * elapsed / last)
@@ -437,11 +408,7 @@ class Estimator:
 
     def _follow_spots(self, spots: Sequence[Spot], elapsed: Sequence[float]) -> None:
         before, last = (Track(spot.cycles, spot.phase, 0.0, True) for spot in spots[-2:])
-        if isinstance(self.tracker, ThirdOrderTracker) and len(spots) > 2:
-            third = Track(spots[-3].cycles, spots[-3].phase, 0.0, True)
-            self.tracker.set_three(third, before, last, elapsed[-2], elapsed[-1])
-        else:
-            self.tracker.set_places(before, last, elapsed[-1])
+        self.tracker.set_places(before, last, elapsed[-1])
 
     def _spots(self) -> tuple[Spot, ...]:
         """The last samples that were counted, the newest at time 0; two at least."""
@@ -469,7 +436,7 @@ class Estimator:
             self._at_start = self._start_is_assumed
             log = self._log()
             spots = self._spots()
-            start = Candidate(0.0, spots, max(self.order, len(spots)))
+            start = Candidate(0.0, spots, max(ORDER, len(spots)))
             self._doubt = Doubt(self.declared.in_doubt, self.declared.bad_samples, log, [start])
             if self.declared.assumes and not refused:  # a refused sample contradicts, and goes back itself
                 self._doubt.suspect()
@@ -477,10 +444,10 @@ class Estimator:
 
     def _log(self) -> list[LogEntry]:
         """The last samples as entries: 2 (m + r - 1) of them, those in a doubt before with its candidates."""
-        needed = 2 * (self.declared.bad_samples + self.order - 1)
+        needed = 2 * (self.declared.bad_samples + ORDER - 1)
         places = list(self.places)
         past: list[LogEntry] = []
-        first = self.order  # the first place that has what predicts it before it
+        first = ORDER  # the first place that has what predicts it before it
         if self._past is not None:
             first = self._past_places if len(places) < REMEMBERED_SAMPLES else first
             past = self._past.without_times_taken()
@@ -491,7 +458,7 @@ class Estimator:
             time += elapsed
             if number >= first:
                 before = tuple(spots[-SPOTS_KEPT:])
-                candidate = Candidate(time - elapsed, before, max(self.order, len(before)))
+                candidate = Candidate(time - elapsed, before, max(ORDER, len(before)))
                 entries.append(LogEntry(phase, (elapsed,), (candidate,)))
             error = self.declared.start_error if places[number] is self._virtual else 0.0
             spots.append(Spot(time, cycles, phase, error))

@@ -1,15 +1,11 @@
-"""An estimator on arrays, where nothing is in doubt, and what takes its place when the order changes."""
+"""An estimator on arrays, where nothing is in doubt."""
 
 from __future__ import annotations
 
-from canfb.objects import LossCause
-from canfb.signal import speeds
 from canfb.signal.blocks import Scratch
-from canfb.signal.declared import Declared
 from canfb.signal.estimator import REMEMBERED_SAMPLES, Estimator
-from canfb.signal.third_order import SECOND, ThirdOrderTracker
 from canfb.signal.tracker import TrackResult
-from canfb.signal.tracking import predicts_by_parabola, steady_run
+from canfb.signal.tracking import steady_run
 
 
 def follow_run(estimator: Estimator, tracked: TrackResult, run: slice, scratch: Scratch) -> int:
@@ -27,43 +23,20 @@ def follow_run(estimator: Estimator, tracked: TrackResult, run: slice, scratch: 
 
 
 def take_run(
-    estimator: Estimator, state: tuple[float | int, ...], tracked: TrackResult, start: int, stop: int
+    estimator: Estimator, state: tuple[float, float, int, int], tracked: TrackResult, start: int, stop: int
 ) -> None:
     """Go on after the samples start..stop of a run that :func:`follow_run` began; none are possible.
 
-    ``state`` is the tracker's snapshot before the run.
+    ``state`` is that of the tracker before the run.
     """
     tracker = estimator.tracker
-    by_parabola = predicts_by_parabola(tracker)
-    if stop - start < 1 + by_parabola:
-        tracker.restore(state)
-        for phase in tracked.phase[start:stop].tolist():
-            tracker.advance(phase)
+    if stop == start:
+        tracker.set_state(*state)
     else:
-        counts = tracked.cycles[stop - 2 - by_parabola : stop].tolist()
-        *before, phase_before, phase = tracked.phase[stop - 2 - by_parabola : stop].tolist()
-        step = counts[-1] - counts[-2]
-        if isinstance(tracker, ThirdOrderTracker) and by_parabola:
-            bend = step - (counts[-2] - counts[-3])
-            tracker.set_full_state(before[0], phase_before, phase, counts[-1], step, bend)
-        else:
-            tracker.set_state(phase_before, phase, counts[-1], step)
+        before, last = tracked.cycles[stop - 2 : stop].tolist()
+        phase_before, phase = tracked.phase[stop - 2 : stop].tolist()
+        tracker.set_state(phase_before, phase, last, last - before)
     if stop > start and not estimator.lost:
         new = slice(max(start, stop - REMEMBERED_SAMPLES), stop)
         counts, phases = tracked.cycles[new].tolist(), tracked.phase[new].tolist()
         estimator.places.extend((count, phase, 1.0) for count, phase in zip(counts, phases, strict=True))
-
-
-def successor(old: Estimator, declared: Declared) -> Estimator:
-    """An estimator of another order that goes on where ``old`` is.
-
-    The position is lost if it was in doubt, or if eq. 9 is to follow an acceleration that is not below its
-    limit: phases show accelerations up to whole cycles per interval squared only.
-    """
-    new = Estimator(declared)
-    new.take_over(old)
-    bend = abs(speeds.acceleration(old.places))
-    too_fast = declared.order == SECOND and bend >= declared.residual_limit
-    if not new.lost and (old.in_doubt or too_fast):
-        new.lose(LossCause.CONFIGURATION)
-    return new

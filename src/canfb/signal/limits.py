@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from canfb.signal.third_order import SECOND, check_order
 from canfb.signal.tracker import check_residual_limit
 
 
@@ -25,38 +24,23 @@ def max_acceleration(
     return 2.0 * math.pi / cycles_per_revolution * limit * sample_rate_hz**2
 
 
-def max_jerk(cycles_per_revolution: float, sample_rate_hz: float, residual_limit: float = 0.5) -> float:
-    """Largest jerk in rad/s^3 that third-order prediction follows: a jerk j leaves j N/(2 pi) T^3.
-
-    Arguments and errors are those of :func:`max_acceleration`, of which there is no limit then.
-    """
-    return max_acceleration(cycles_per_revolution, sample_rate_hz, residual_limit) * sample_rate_hz
-
-
-def max_speed(
-    cycles_per_revolution: float,
-    jitter_s: float,
-    residual_limit: float = 1.0 / 3.0,
-    prediction_order: int = 2,
-) -> float:
+def max_speed(cycles_per_revolution: float, jitter_s: float, residual_limit: float = 1.0 / 3.0) -> float:
     """Largest speed in rad/s that is followed without sample times if SYNC jitters by ``jitter_s``.
 
     An error j of the sampling instant is an error v j of the position, which the second difference of
     eq. 9 multiplies by up to four: 4 v j < ``residual_limit`` (cycles, 0 < limit <= 0.5; minus the
-    acceleration in cycles per interval squared). With ``prediction_order`` 3 it is the third difference:
-    8 v j, and minus the jerk. ``cycles_per_revolution`` and ``jitter_s`` are positive. ValueError otherwise.
+    acceleration in cycles per interval squared). ``cycles_per_revolution`` and ``jitter_s`` are positive.
+    ValueError otherwise.
     """
     if not 0.0 < cycles_per_revolution < math.inf:
         raise ValueError(f"cycles_per_revolution must be positive, not {cycles_per_revolution!r}")
     if not 0.0 < jitter_s < math.inf:
         raise ValueError(f"jitter_s must be positive, not {jitter_s!r}")
-    weights = 2.0 ** check_order("prediction_order", prediction_order)
-    return 2.0 * math.pi / cycles_per_revolution * check_residual_limit(residual_limit) / (weights * jitter_s)
+    return 2.0 * math.pi / cycles_per_revolution * check_residual_limit(residual_limit) / (4.0 * jitter_s)
 
 
-# The default of 2010:0C: the error of the raw phase without a table. Eq. 9 weighs three phases with 1, 2, 1,
-# third-order prediction four with 1, 3, 3, 1: with a margin of four or eight times this error a narrowed
-# limit holds before the reference measurement as well.
+# The default of 2010:0C: the error of the raw phase without a table. Eq. 9 weighs three phases with 1, 2, 1:
+# with a margin of four times this error a narrowed limit holds before the reference measurement as well.
 PHASE_ERROR_CYCLES = 0.0125
 MOST_PHASE_ERROR_CYCLES = 0.0625  # of 2010:0C: a sixteenth of a cycle, more is no encoder
 # The least that is written after a measurement: temperature and age take half of what a table has removed.
@@ -83,34 +67,11 @@ def narrowed_residual_limit(
     return min(residual_limit, expected + min(margin_cycles, 4.0 * phase_error_cycles))
 
 
-def limit_narrowed_by_jerk(
-    residual_limit: float,
-    max_jerk_rad_s3: float,
-    cycles_per_revolution: float,
-    interval_s: float,
-    margin_cycles: float = math.inf,
-    phase_error_cycles: float = PHASE_ERROR_CYCLES,
-) -> float:
-    """Residual limit of third-order prediction in cycles when the machine's largest jerk is known (2010:08).
-
-    As :func:`narrowed_residual_limit`, with j N/(2 pi) T^3 and twice the margin.
-    """
-    if max_jerk_rad_s3 <= 0.0:
-        return residual_limit
-    expected = cycles_per_interval_cubed(max_jerk_rad_s3, cycles_per_revolution, interval_s)
-    return min(residual_limit, expected + min(margin_cycles, 8.0 * phase_error_cycles))
-
-
 def cycles_per_interval_squared(
     acceleration_rad_s2: float, cycles_per_revolution: float, interval_s: float
 ) -> float:
     """An acceleration in rad/s^2 as cycles per sampling interval squared."""
     return acceleration_rad_s2 * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
-
-
-def cycles_per_interval_cubed(jerk_rad_s3: float, cycles_per_revolution: float, interval_s: float) -> float:
-    """A jerk in rad/s^3 as cycles per sampling interval cubed."""
-    return jerk_rad_s3 * cycles_per_revolution / (2.0 * math.pi) * interval_s**3
 
 
 MOST_IN_A_ROW = 255
@@ -136,7 +97,6 @@ def samples_without_harm(cycles: float) -> int:
 
 
 def kept_samples(
-    order: int,
     accepted_cycles: float,
     motion_cycles: float,
     phase_error_cycles: float,
@@ -144,23 +104,19 @@ def kept_samples(
 ) -> int:
     """Missed samples in a row, 0..``most``, after which one motion is left, whatever the phases are.
 
-    ``accepted_cycles`` is the largest acceleration (``order`` 2) or jerk (3) of a motion that the estimator
-    follows, ``motion_cycles`` that of the machine, cycles per interval^order; errors of phases are at most
-    ``phase_error_cycles`` (docs/legal-motion.md, "Missed samples", "Third order"). The same holds for
-    samples that are flagged.
+    ``accepted_cycles`` is the largest acceleration of a motion that the estimator follows,
+    ``motion_cycles`` that of the machine, cycles per interval^2; errors of phases are at most
+    ``phase_error_cycles`` (docs/legal-motion.md, "Missed samples"). The same holds for samples that are
+    flagged.
     """
     total = accepted_cycles + motion_cycles
     count = 0
-    while count < most and _between_motions(order, count + 1, total, phase_error_cycles) <= 1.0 + ROUNDING:
+    while count < most and _between_motions(count + 1, total, phase_error_cycles) <= 1.0 + ROUNDING:
         count += 1
     return count
 
 
-def _between_motions(order: int, missed: int, total_cycles: float, phase_error_cycles: float) -> float:
+def _between_motions(missed: int, total_cycles: float, phase_error_cycles: float) -> float:
     """How far two motions can be apart behind the gap, cycles; one is left if it is less than a cycle."""
     changes = missed + 2
-    if order == SECOND:
-        return max(changes, changes * changes // 4) * total_cycles + 4.0 * phase_error_cycles * changes
-    intervals = missed + 1
-    third = intervals * (intervals + 1) * (intervals + 2) / 6.0  # of a jerk over so many intervals
-    return third * total_cycles + 4.0 * (intervals + 1) ** 2 * phase_error_cycles
+    return max(changes, changes * changes // 4) * total_cycles + 4.0 * phase_error_cycles * changes

@@ -2,7 +2,7 @@
 
 The residual holds motion and noise. The motion changes slowly, so the difference of two successive residuals
 holds little of it, and more of the noise: the weights of the phases are 1, 3, 3, 1 in place of 1, 2, 1
-(eq. 9), or 1, 4, 6, 4, 1 in place of 1, 3, 3, 1 (third order). If the errors of the phases are independent,
+(eq. 9). If the errors of the phases are independent,
 the rms of the residual follows. The median of a block stands for its rms: single jerks count for nothing.
 """
 
@@ -15,13 +15,11 @@ from collections import deque
 
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, COASTING, FROZEN, LOST, MISSED, RESIDUAL, VALID
-from canfb.signal.third_order import SECOND
 
 BLOCK_SAMPLES = 64
 MEDIAN_OF_RMS = 0.6745  # of the size of a normal deviate
 # Sums of the squared weights: of the residual, and of the difference of two residuals.
-RESIDUAL_WEIGHTS = {2: 6.0, 3: 20.0}
-DIFFERENCE_WEIGHTS = {2: 20.0, 3: 70.0}
+RESIDUAL_WEIGHTS, DIFFERENCE_WEIGHTS = 6.0, 20.0
 # The errors of all phases show in a block that has phases in so many eighths of the cycle, and such steps.
 EIGHTHS = 5
 LEAST_STEP = 0.1
@@ -34,7 +32,7 @@ BAD = AMPLITUDE | CLIPPED | COASTING | FROZEN | LOST | MISSED | RESIDUAL
 class ResidualNoise:
     """Measures in blocks of 64 successive valid samples, 1 of each 4 blocks, of a machine that moves.
 
-    ``order`` is that of the prediction, 2 or 3. ``rms_cycles`` is the rms of the residual by the last block,
+    ``rms_cycles`` is the rms of the residual by the last block,
     cycles, NaN before the first one. ``usable_cycles`` is what a limit may take for it, NaN before four
     blocks: the largest of the last 32 blocks, at most twice that of the first 32. So a fault that
     grows from sample to sample, each within the limit, moves a limit by a factor of two at most.
@@ -43,7 +41,6 @@ class ResidualNoise:
     __slots__ = (
         "_accelerations",
         "_eighths",
-        "_order",
         "_recent",
         "_reference",
         "_speed_cycles",
@@ -51,23 +48,11 @@ class ResidualNoise:
         "rms_cycles",
     )
 
-    def __init__(self, order: int = SECOND) -> None:
-        self._order = order
+    def __init__(self) -> None:
         self.forget()
 
-    @property
-    def order(self) -> int:
-        """Of the prediction. Another one has another noise, which is not known yet."""
-        return self._order
-
-    @order.setter
-    def order(self, order: int) -> None:
-        if order != self._order:
-            self._order = order
-            self.forget()
-
     def forget(self) -> None:
-        """Another table, encoder or prediction: the noise is another one."""
+        """Another table or encoder: the noise is another one."""
         self.rms_cycles = math.nan
         self._reference: list[float] = []
         self._recent: deque[float] = deque(maxlen=REFERENCE_BLOCKS)
@@ -94,7 +79,7 @@ class ResidualNoise:
         accelerations.append(feedback.acceleration_cycles)
         self._eighths |= 1 << int(feedback.phase * 8.0)
         self._speed_cycles = feedback.speed_cycles
-        if len(accelerations) < BLOCK_SAMPLES + self._order:
+        if len(accelerations) < BLOCK_SAMPLES + 2:
             return False
         return self._complete(feedback.samples)
 
@@ -113,11 +98,9 @@ class ResidualNoise:
         self._begin()
         if not moving:
             return False
-        for _ in range(self._order - 1):
-            residuals = [new - old for old, new in itertools.pairwise(residuals)]
-        difference = statistics.median(map(abs, residuals)) / MEDIAN_OF_RMS
-        ratio = RESIDUAL_WEIGHTS[self._order] / DIFFERENCE_WEIGHTS[self._order]
-        self.rms_cycles = rms = difference * math.sqrt(ratio)
+        differences = [abs(new - old) for old, new in itertools.pairwise(residuals)]
+        difference = statistics.median(differences) / MEDIAN_OF_RMS
+        self.rms_cycles = rms = difference * math.sqrt(RESIDUAL_WEIGHTS / DIFFERENCE_WEIGHTS)
         self._recent.append(rms)
         if len(self._reference) < REFERENCE_BLOCKS:
             self._reference.append(rms)

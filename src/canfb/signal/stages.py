@@ -25,9 +25,8 @@ from canfb.signal.bounded_motion import HOLE_INTERVALS
 from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.conditioner import Conditioner
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.signal.declared import Declared
 from canfb.signal.estimator import Estimator
-from canfb.signal.estimator_runs import follow_run, successor, take_run
+from canfb.signal.estimator_runs import follow_run, take_run
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import AHEAD_INTERVALS
 from canfb.signal.frozen import FrozenInput, repeats
@@ -81,7 +80,7 @@ class Stages:
     A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
     cycle count; see :mod:`canfb.signal.estimator` for what happens then.
 
-    estimator   of the cycle count; another one with another order of prediction
+    estimator   of the cycle count
     tracks      what makes a phase of counts
     reference   the state of coarse track and zero pulse; another one for another encoder
     second      comparison with another sensor, None without one
@@ -120,7 +119,7 @@ class Stages:
 
     def set_limits(self, limits: ChainLimits) -> None:
         """Take new limits. Another encoder resets coarse track and zero pulse."""
-        self._declare(limits.declared)
+        self.estimator.declare(limits.declared)
         self._supervision.set_limits(limits.sample)
         self._frozen.residual_limit_cycles = limits.residual_limit
         self._frozen.frozen_samples = limits.frozen_samples
@@ -132,15 +131,6 @@ class Stages:
         self.reference.coarse.full_scale_counts = limits.sample.full_scale_counts
         self.tracks.use_corners(limits.corners)
         self._tracks_changed()
-
-    def _declare(self, declared: Declared) -> None:
-        """Hold the next samples against this; with another order a position in doubt is lost."""
-        if declared.order == self.estimator.order:
-            self.estimator.declare(declared)
-            return
-        self.estimator = successor(self.estimator, declared)
-        self._tracker = self.estimator.tracker
-        self.reference.follow(self.estimator)
 
     def _make_reference(self, limits: ChainLimits) -> None:
         n = limits.cycles_per_revolution
@@ -436,7 +426,7 @@ class Stages:
     # Runs on arrays (:mod:`canfb.signal.stream`).
 
     def write_places_before(self, tracked: TrackResult, at: int) -> None:
-        """Write what the prediction needs into ``tracked``, three places before ``at``."""
+        """Write what the prediction needs into ``tracked``, two places before ``at``."""
         if self._tracker.is_steady:
             write_places_before(self._tracker, tracked, at)
 
@@ -468,7 +458,7 @@ class Stages:
         start: int = run.start
         cycles, phase = tracked.cycles, tracked.phase
         estimator, tracker = self.estimator, self._tracker
-        state = tracker.snapshot()
+        state = tracker.state()
         stop = follow_run(estimator, tracked, run, scratch)
         if stop > start:
             before = self._sine, self._cosine
@@ -483,7 +473,7 @@ class Stages:
                 least = speeds.least_speeds(places, cycles[start:stop], phase[start:stop], doubtful)
                 stop = start + self._frozen.take_run(equal, least)
         if stop == start:
-            tracker.restore(state)
+            tracker.set_state(*state)
             return 0
         last = stop - 1
         self.place = Track(int(cycles[last]), float(phase[last]), float(tracked.residual[last]), True)

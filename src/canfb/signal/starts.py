@@ -71,13 +71,12 @@ class Starts:
         may be the unit of all others, and even by definition: it shows nothing then. The limits of a search
         follow ``declared``.
         """
-        bound = declared.second_order
-        if self.active is not None:
-            if bound is not None:  # which is in the unit of now, and the search in that of its begin
-                unit = self._unit
-                self.active.limit(bound.largest * unit * unit, declared.instant_error / unit)
-                if self._acceleration_waits and self.active.samples == 1:
-                    self.active.expect_bad(_row(declared, bound.largest))
+        largest = declared.usual.largest
+        if self.active is not None:  # the limit is in the unit of now, and the search in that of its begin
+            unit = self._unit
+            self.active.limit(largest * unit * unit, declared.instant_error / unit)
+            if self._acceleration_waits and self.active.samples == 1:
+                self.active.expect_bad(_row(declared, largest))
             return True
         if self._tried:
             return False
@@ -87,10 +86,10 @@ class Starts:
         even = abs(options[0] - 1.0) <= EVEN + 4.0 * declared.instant_error
         if self.origin is None and even and (lost or not self._may_be_uneven):
             return False
-        if bound is None or len(options) > 1 or not (lost or places):
+        if len(options) > 1 or not (lost or places):
             return False
         self.active = speeds = SpeedHypotheses(
-            bound.largest, declared.phase_error, declared.instant_error, _row(declared, bound.largest)
+            largest, declared.phase_error, declared.instant_error, _row(declared, largest)
         )
         self._unit = 1.0
         if places:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -89,13 +89,6 @@ class Tracker:
         self.step_cycles = 0.0
         """Speed between the last two samples, in cycles per sampling interval."""
 
-    def take_over(self, old: Tracker) -> None:
-        """Go on where ``old`` is, which predicts by another order."""
-        self.restart(old.cycles, old._start_speed)
-        self._step, self._phase, self._phase_before = old._step, old._phase, old._phase_before
-        self._elapsed, self._gap, self._started = old._elapsed, old._gap, old._started
-        self.step_cycles = old.step_cycles
-
     def halt(self) -> None:
         """Keep the position and forget the speed: the next phase is less than half a cycle away."""
         self._step, self._phase_before = 0, self._phase
@@ -107,11 +100,6 @@ class Tracker:
         self._elapsed *= factor
         self._gap *= factor
         self._find_speed()
-
-    @property
-    def speed_limit(self) -> float:
-        """Residual limit of a sample that eq. 9 predicts, cycles."""
-        return self.residual_limit
 
     @property
     def started(self) -> bool:
@@ -147,14 +135,6 @@ class Tracker:
         self._started, self._elapsed, self._gap = True, 1.0, 0.0
         self._phase_before, self._phase, self.cycles, self._step = phase_before, phase, cycles, step
         self._find_speed()
-
-    def snapshot(self) -> tuple[float | int, ...]:
-        """What :meth:`restore` needs to make a steady tracker again what it is now."""
-        return self.state()
-
-    def restore(self, snapshot: tuple[Any, ...]) -> None:
-        """Set what :meth:`snapshot` gave."""
-        self.set_state(*snapshot)
 
     def set_places(self, before: Track, last: Track, elapsed: float) -> None:
         """Go on from two samples, ``before`` and ``last``, ``elapsed`` intervals apart."""

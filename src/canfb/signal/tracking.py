@@ -1,7 +1,7 @@
 """Eq. 9 and eq. 12 over arrays: bit for bit as one sample after the other.
 
-Turns between the samples are computed at once; the cycle count is their double cumulative sum, with
-third-order prediction their triple one, in integers.
+Turns between the samples are computed at once; the cycle count is their double cumulative sum, in
+integers.
 
 numpy takes a running sum one sample after the other, each waiting for the one before, and two of them took a
 third of the time of the whole array path. Here a matrix product adds up rows of 16 samples side by side, and
@@ -11,16 +11,15 @@ running sums are left from row to row only.
 from __future__ import annotations
 
 import math
-from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import Scratch, blocks
 from canfb.signal.phase import FloatArray, real_array
-from canfb.signal.third_order import THIRD, ThirdOrderTracker, tracker_of
 from canfb.signal.tracker import RESIDUAL_LIMIT, Tracker, TrackResult
 
+PLACES_BEFORE = 2  # a run starts from the samples that eq. 9 predicts by
 ROW = 16
 _PLACES = np.arange(1.0, ROW + 1.0)
 # A turn at one place of a row is in the step, and so in each later count once more: at a later
@@ -34,11 +33,9 @@ MOST_IN_PRODUCT = (1 << 18) // ROW
 
 
 def track(
-    phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0, order: int = 2
+    phase: npt.ArrayLike, residual_limit: float = RESIDUAL_LIMIT, speed_cycles: float = 0.0
 ) -> TrackResult:
     """:class:`Tracker` over an array of phases, vectorised; bit for bit the same result.
-
-    ``order`` 3 is :class:`canfb.ThirdOrderTracker`: constant acceleration is predicted, not constant speed.
 
     ``phase`` has shape (n,), cycles, 0 <= phase < 1, NaN where a sample has no phase.
     ``speed_cycles`` is the speed at the first phase, cycles per sample. As with
@@ -55,7 +52,7 @@ def track(
         raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phases[wrong[0]]!r} at {wrong[0]}")
     result = TrackResult.empty(len(phases))
     result.phase[:] = phases
-    tracker = tracker_of(order, residual_limit, speed_cycles)
+    tracker = Tracker(residual_limit, speed_cycles)
     for part, scratch in blocks(len(phases)):
         track_block(tracker, result, part, scratch)
     return result
@@ -76,9 +73,9 @@ def track_block(tracker: Tracker, result: TrackResult, part: slice, scratch: Scr
 
 
 def _step_over(tracker: Tracker, result: TrackResult, at: int, stop: int) -> int:
-    """Samples without a phase, and the two or three after them, one by one; where to go on."""
+    """Samples without a phase, and the two after them, one by one; where to go on."""
     usable = 0
-    while at < stop and usable < places_before(tracker):
+    while at < stop and usable < PLACES_BEFORE:
         usable = 0 if math.isnan(result.phase[at]) else usable + 1
         _take_one(tracker, result, at)
         at += 1
@@ -90,24 +87,11 @@ def _take_one(tracker: Tracker, result: TrackResult, at: int) -> None:
     result.cycles[at], result.phase[at], result.residual[at], result.ok[at] = one
 
 
-def predicts_by_parabola(tracker: Tracker) -> TypeGuard[ThirdOrderTracker]:
-    """True if three samples predict the next one, not two."""
-    return isinstance(tracker, ThirdOrderTracker) and tracker.order == THIRD
-
-
-def places_before(tracker: Tracker) -> int:
-    """So many places before a run are those that its prediction starts from."""
-    return 3 if predicts_by_parabola(tracker) else 2
-
-
 def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
     """True if what the prediction needs stands in the result just before ``at``."""
-    places = places_before(tracker)
-    if at < places or not tracker.is_steady:
+    if at < PLACES_BEFORE or not tracker.is_steady:
         return False
-    before = (*result.phase[at - places : at].tolist(), int(result.cycles[at - 1]))
-    if predicts_by_parabola(tracker):
-        return tracker.full_state()[:4] == before
+    before = (*result.phase[at - PLACES_BEFORE : at].tolist(), int(result.cycles[at - 1]))
     return tracker.state()[:3] == before
 
 
@@ -116,9 +100,6 @@ def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
     cycles, phase = result.cycles, result.phase
     phase[at - 2], phase[at - 1], last, step = tracker.state()
     cycles[at - 1], cycles[at - 2] = last, last - step
-    if predicts_by_parabola(tracker):
-        phase[at - 3], *_, bend = tracker.full_state()
-        cycles[at - 3] = last - 2 * step + bend
 
 
 def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
@@ -131,13 +112,6 @@ def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scr
         start += 1
     if start == stop:
         return
-    if predicts_by_parabola(tracker):
-        _third_order_run(tracker, result, start, stop, scratch)
-    else:
-        _second_order_run(tracker, result, start, stop, scratch)
-
-
-def _second_order_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scratch: Scratch) -> None:
     _, _, cycles, step = tracker.state()
     phase, run = result.phase, slice(start, stop)
     residual = result.residual[run]
@@ -146,44 +120,9 @@ def _second_order_run(tracker: Tracker, result: TrackResult, start: int, stop: i
     c -= phase[start - 2 : stop - 2]
     c -= phase[run]
     _round(c, turns, residual)
-    np.less(residual, tracker.speed_limit, out=result.ok[run])
+    np.less(residual, tracker.residual_limit, out=result.ok[run])
     last_step = cycle_counts(turns, cycles, step, result.cycles[run], scratch)
     tracker.set_state(float(phase[stop - 2]), float(phase[stop - 1]), int(result.cycles[stop - 1]), last_step)
-
-
-def _third_order_run(
-    tracker: ThirdOrderTracker, result: TrackResult, start: int, stop: int, scratch: Scratch
-) -> None:
-    _, _, _, cycles, step, bend = tracker.full_state()
-    phase, run = result.phase, slice(start, stop)
-    residual, ok = result.residual[run], result.ok[run]
-    c, turns, sums = scratch.a[: stop - start], scratch.b[: stop - start], scratch.index[: stop - start]
-    np.subtract(phase[start - 1 : stop - 1], phase[start - 2 : stop - 2], out=c)
-    c *= 3.0
-    c += phase[start - 3 : stop - 3]
-    c -= phase[run]
-    _round(c, turns, residual)
-    np.less(residual, tracker.residual_limit, out=ok)
-    sums[:] = turns
-    sums[0] += bend
-    np.add.accumulate(sums, out=sums)
-    bend = int(sums[-1])
-    sums[0] += step
-    np.add.accumulate(sums, out=sums)
-    step = int(sums[-1])
-    if tracker.acceleration_limit < math.inf:
-        ok &= _within_acceleration(tracker, phase[start - 1 : stop], sums)
-    sums[0] += cycles
-    np.add.accumulate(sums, out=result.cycles[run])
-    third, before, last = phase[stop - 3 : stop].tolist()
-    tracker.set_full_state(third, before, last, int(result.cycles[stop - 1]), step, bend)
-
-
-def _within_acceleration(
-    tracker: ThirdOrderTracker, phase: FloatArray, steps: npt.NDArray[np.intp]
-) -> npt.NDArray[np.bool_]:
-    speeds: FloatArray = np.concatenate([[tracker.step_cycles], steps + np.diff(phase)])
-    return np.abs(np.diff(speeds)) < tracker.acceleration_limit
 
 
 def _round(c: FloatArray, turns: FloatArray, residual: FloatArray) -> None:

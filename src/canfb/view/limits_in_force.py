@@ -12,14 +12,11 @@ from canfb.signal.declared import DOUBT_ACCELERATION
 from canfb.signal.harmonics import NO_LOW_PASS, Corners
 from canfb.signal.limits import (
     PHASE_ERROR_CYCLES,
-    cycles_per_interval_cubed,
     cycles_per_interval_squared,
-    limit_narrowed_by_jerk,
     narrowed_residual_limit,
 )
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 from canfb.signal.sample import TICK_S
-from canfb.signal.third_order import SECOND, THIRD
 from canfb.view.pdo_map import Read, valid_pdos
 
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
@@ -28,9 +25,8 @@ LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 class MotionBounds(NamedTuple):
     """What the chain is given at one sampling interval; cycles and intervals from sample to sample.
 
-    residual       limit of the prediction in use
-    start          limit of the samples that eq. 9 predicts
-    acceleration, jerk   of the machine, None: not known
+    residual       limit
+    acceleration   of the machine, None: not known
     acceleration_waits   2010:02 is set, and the interval in which it counts is not known yet
     phase_error    largest error of a phase
     instant_error  largest error of a sampling instant, intervals
@@ -38,25 +34,20 @@ class MotionBounds(NamedTuple):
     """
 
     residual: float
-    start: float
     acceleration: float | None
-    jerk: float | None
     phase_error: float
     instant_error: float
     bad_samples: int
     doubt_acceleration: float
     acceleration_waits: bool = False
 
-    def chain_limits(self, order: int, widest: float, **others: Any) -> ChainLimits:
-        """All limits of a chain: these, its order, 2010:01 in cycles, and ``others``."""
+    def chain_limits(self, widest: float, **others: Any) -> ChainLimits:
+        """All limits of a chain: these, 2010:01 in cycles, and ``others``."""
         return ChainLimits(
-            prediction_order=order,
             widest_limit=widest,
             residual_limit=self.residual,
-            start_limit=self.start,
             acceleration=self.acceleration,
             acceleration_waits=self.acceleration_waits,
-            jerk=self.jerk,
             phase_error=self.phase_error,
             instant_error=self.instant_error,
             bad_samples=self.bad_samples,
@@ -70,8 +61,7 @@ class LimitSettings:
     """What the limit depends on; 0 for what is not set, or not known.
 
     widest_cycles          2010:01
-    prediction_order       2010:07
-    acceleration_rad_s2, jerk_rad_s3   2010:02 and 2010:08
+    acceleration_rad_s2    2010:02
     noise_margin           2010:09
     bad_samples            2010:0A
     doubt_acceleration     2010:0B, cycles per interval^2
@@ -83,9 +73,7 @@ class LimitSettings:
     """
 
     widest_cycles: float = 0.5
-    prediction_order: int = 2
     acceleration_rad_s2: float = 0.0
-    jerk_rad_s3: float = 0.0
     noise_margin: int = 0
     bad_samples: int = 0
     doubt_acceleration: float = DOUBT_ACCELERATION
@@ -112,10 +100,9 @@ class LimitSettings:
         limit = self.bounds(cycles_per_revolution, interval_s, noise_cycles).residual
         if not interval_s:
             return limit
-        third = self.prediction_order == THIRD
         if self.timed and velocity_rad_s:
             cycles_per_s = abs(velocity_rad_s) * cycles_per_revolution / (2.0 * math.pi)
-            limit += (8.0 if third else 4.0) * cycles_per_s * (TICK_S / 2.0)  # all phases off by half a tick
+            limit += 4.0 * cycles_per_s * (TICK_S / 2.0)  # all phases off by half a tick
         return min(limit, self.widest_cycles)
 
     def bounds(
@@ -125,26 +112,19 @@ class LimitSettings:
 
         ``noise_cycles`` as for :meth:`limit_cycles`.
         """
-        n, widest, order = cycles_per_revolution, self.widest_cycles, self.prediction_order
+        n, widest = cycles_per_revolution, self.widest_cycles
         margin = math.inf
         if self.noise_margin and noise_cycles is not None:
             margin = self.noise_margin * noise_cycles
         declared = self.phase_error_cycles
-        phase_error = min(declared, margin / math.sqrt(RESIDUAL_WEIGHTS[order]))
+        phase_error = min(declared, margin / math.sqrt(RESIDUAL_WEIGHTS))
         doubt = self.bad_samples, self.doubt_acceleration
         if not interval_s:
             waits = self.acceleration_rad_s2 > 0.0
-            return MotionBounds(widest, widest, None, None, phase_error, 0.0, *doubt, waits)
-        of_eq9 = margin if order == SECOND else math.inf
-        start = narrowed_residual_limit(widest, self.acceleration_rad_s2, n, interval_s, of_eq9, declared)
-        limit = start
-        if order == THIRD:
-            limit = limit_narrowed_by_jerk(widest, self.jerk_rad_s3, n, interval_s, margin, declared)
+            return MotionBounds(widest, None, phase_error, 0.0, *doubt, waits)
         return MotionBounds(
-            limit,
-            start,
+            narrowed_residual_limit(widest, self.acceleration_rad_s2, n, interval_s, margin, declared),
             cycles_per_interval_squared(self.acceleration_rad_s2, n, interval_s) or None,
-            cycles_per_interval_cubed(self.jerk_rad_s3, n, interval_s) or None,
             phase_error,
             TICK_S / 2.0 / interval_s if self.timed else 0.0,
             *doubt,
@@ -154,12 +134,10 @@ class LimitSettings:
 def limit_settings(read: Read) -> LimitSettings:
     """Those of the module whose objects ``read`` gives; defaults for what it does not."""
     mapped = [pdo.entries for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING)]
-    residual, order = read(od.SUPERVISION_RESIDUAL_LIMIT), read(od.SUPERVISION_ORDER)
+    residual = read(od.SUPERVISION_RESIDUAL_LIMIT)
     return LimitSettings(
         widest_cycles=0.5 if residual is None else residual / LIMIT_UNITS,
-        prediction_order=THIRD if order == THIRD else SECOND,
         acceleration_rad_s2=float(read(od.SUPERVISION_ACCELERATION) or 0.0),
-        jerk_rad_s3=float(read(od.SUPERVISION_JERK) or 0.0),
         noise_margin=int(read(od.SUPERVISION_NOISE_MARGIN) or 0),
         bad_samples=int(read(od.SUPERVISION_BAD_SAMPLES) or 0),
         doubt_acceleration=_in_cycles(read(od.SUPERVISION_DOUBT_ACCELERATION), DOUBT_ACCELERATION),

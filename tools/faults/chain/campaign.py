@@ -23,7 +23,7 @@ import numpy as np
 from tools.faults.chain.classes import CLASSES
 from tools.faults.chain.clean import CHUNK_SAMPLES, CleanResult, run_clean
 from tools.faults.chain.judge import judge, play
-from tools.faults.chain.plant import ALL_SETTINGS, SETTINGS, Setting, Turning, speed_of_group
+from tools.faults.chain.plant import SETTINGS, Setting, Turning, speed_of_group
 from tools.faults.chain.tally import IN_SHORT, Tally
 from tools.faults.side_by_side import side_by_side
 from tools.site.markdown import table
@@ -58,7 +58,7 @@ class Campaign(NamedTuple):
     def misses(self) -> list[str]:
         """Every goal that was missed."""
         missed = [
-            f"{ALL_SETTINGS[setting].name}, {CLASSES[fault_class].name}: {miss}"
+            f"{SETTINGS[setting].name}, {CLASSES[fault_class].name}: {miss}"
             for (setting, fault_class), tally in self.tallies.items()
             for miss in tally.misses
         ]
@@ -81,7 +81,7 @@ def groups(seed: int, episodes: int, settings: Sequence[int] = USUAL, adapt: boo
 
 @cache
 def _setting(number: int, adapt: bool) -> Setting:
-    return replace(ALL_SETTINGS[number], adapt=adapt)
+    return replace(SETTINGS[number], adapt=adapt)
 
 
 def run_group(group: Group) -> tuple[Group, Tally]:
@@ -131,7 +131,7 @@ def clean_line(clean: CleanResult) -> str:
 
 def as_text(result: Campaign) -> str:
     """The settings side by side, and what was missed."""
-    names = [f"{ALL_SETTINGS[n].name}: {head}" for n in result.settings for head in IN_SHORT]
+    names = [f"{SETTINGS[n].name}: {head}" for n in result.settings for head in IN_SHORT]
     rows = []
     total = {n: Tally() for n in result.settings}
     for number, fault_class in enumerate(CLASSES):
@@ -157,7 +157,7 @@ def as_text(result: Campaign) -> str:
 def as_json(result: Campaign) -> str:
     """All sums, for a program."""
     settings = {
-        ALL_SETTINGS[n].name: {fc.name: result.tallies[n, m].record() for m, fc in enumerate(CLASSES)}
+        SETTINGS[n].name: {fc.name: result.tallies[n, m].record() for m, fc in enumerate(CLASSES)}
         for n in result.settings
     }
     sums = {"faulty": result.faulty, "settings": settings, "clean": asdict(result.clean)}
@@ -172,8 +172,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--clean", type=int, default=10_000_000, metavar="N", help="clean samples")
     parser.add_argument("--seed", type=int, default=1997)
     parser.add_argument("--processes", type=int, default=2, metavar="N")
-    names = [one.name for one in ALL_SETTINGS]
-    parser.add_argument("--setting", choices=names, help="only this one (default: all without third order)")
+    names = [one.name for one in SETTINGS]
+    parser.add_argument("--setting", choices=names, help="only this one (default: all)")
     parser.add_argument(
         "--adapt", action="store_true", help="with the drift of the tracks followed (2002:08)"
     )

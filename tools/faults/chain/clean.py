@@ -20,7 +20,6 @@ from tools.faults.chain.plant import (
     Counts,
     FloatArray,
     Setting,
-    servo_moves,
 )
 
 CHUNK_SAMPLES = 1_000_000
@@ -65,14 +64,7 @@ def run_clean(seed: int, chunk: int, samples: int, settings: Sequence[Setting] =
 
 
 def clean_motion(setting: Setting, samples: int, rng: np.random.Generator) -> FloatArray:
-    """Positions from standstill: ramps and constant speeds up to the top speed, with a ripple on them.
-
-    With third-order prediction the moves of a servo, one after the other.
-    """
-    if setting.jerk is not None:
-        moves = np.concatenate([np.zeros(REST), servo_moves(setting, 0.0, samples - REST, rng)])
-        moving: FloatArray = float(rng.uniform()) + np.cumsum(np.cumsum(moves))
-        return moving
+    """Positions from standstill: ramps and constant speeds up to the top speed, with a ripple on them."""
     acceleration, accelerations = setting.acceleration, np.zeros(samples)
     at, speed = 0, 0.0
     while at < samples:

@@ -106,11 +106,10 @@ def follow(chain: SignalChain, samples: Samples) -> tuple[FloatArray, npt.NDArra
 def first_illegal(setting: Setting, samples: Samples, start: int, phases_only: bool = False) -> int | None:
     """The first sample from ``start`` on that no legal motion can have led to; None: there is none.
 
-    A motion is legal if it changes its speed (with third-order prediction: its acceleration) by less
-    than the residual limit from sample to sample, and the tracks keep the accepted amplitude and the
-    converter's range. The phases p(k) are those of one exactly if every second (third) difference is less
-    than the limit away from a whole number: the positions of the prediction are it. ``phases_only``:
-    amplitude and converter are not looked at.
+    A motion is legal if it changes its speed by less than the residual limit from sample to sample, and the
+    tracks keep the accepted amplitude and the converter's range. The phases p(k) are those of one exactly if
+    every second difference is less than the limit away from a whole number: the positions of the
+    prediction are it. ``phases_only``: amplitude and converter are not looked at.
     """
     phase, amplitude = setting.phases(samples.sine, samples.cosine)
     limits = setting.config.limits
@@ -120,9 +119,9 @@ def first_illegal(setting: Setting, samples: Samples, start: int, phases_only: b
         for track in (samples.sine, samples.cosine):
             inside &= (track > -full) & (track < full - 1)
         inside &= (amplitude >= limits.amplitude_low_counts) & (amplitude <= limits.amplitude_high_counts)
-    c = np.diff(phase, setting.order)
+    c = np.diff(phase, 2)
     with np.errstate(invalid="ignore"):
-        inside[setting.order :] &= np.abs(np.rint(c) - c) < setting.residual_limit + setting.slack
+        inside[2:] &= np.abs(np.rint(c) - c) < setting.residual_limit + setting.slack
     illegal = np.flatnonzero(~inside[start:])
     return start + int(illegal[0]) if len(illegal) else None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,6 @@ from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.declared import DOUBT_ACCELERATION
 from canfb.signal.sample import Sample
-from canfb.signal.third_order import THIRD
 from canfb.simulation.encoder import Encoder, demo_encoder
 
 FloatArray = npt.NDArray[np.float64]
@@ -51,8 +50,6 @@ class Setting:
     frozen_samples           repeats in a row that are taken for a dead converter; 0: none
     conditioned              offsets, gains and phase error of the tracks are known to the chain
     acceleration             largest of the machine, cycles per interval squared
-    jerk                     None: eq. 9 predicts; else third-order prediction, and the largest jerk of the
-                             machine, cycles per interval cubed
     adapt                    drift is followed, and half of what is allowed was already
     """
 
@@ -62,13 +59,7 @@ class Setting:
     frozen_samples: int
     conditioned: bool
     acceleration: float
-    jerk: float | None = None
     adapt: bool = False
-
-    @property
-    def order(self) -> int:
-        """Of the prediction."""
-        return 2 if self.jerk is None else 3
 
     @property
     def slack(self) -> float:
@@ -78,7 +69,7 @@ class Setting:
     @property
     def chain_limits(self) -> ChainLimits:
         """The limits in force during an episode."""
-        return replace(self.config.chain_limits, jerk=self.jerk)
+        return self.config.chain_limits
 
     @cached_property
     def conditioning(self) -> Conditioning:
@@ -123,11 +114,10 @@ class Setting:
             amplitude_high_counts=high,
             residual_limit=self.residual_limit,
             frozen_samples=self.frozen_samples,
-            prediction_order=self.order,
             conditioning=with_track_harmonics(self.conditioning, tracks) if self.adapt else self.conditioning,
             adapt=ADAPT if self.adapt else False,
             interval_s=ADAPT_INTERVAL_S if self.adapt else 0.0,
-            bad_samples=0 if self.order == THIRD else LONGEST_GLITCH,
+            bad_samples=LONGEST_GLITCH,
             # It is not known, but what is assumed while in doubt has to hold for the machine.
             doubt_acceleration_cycles=max(DOUBT_ACCELERATION, min(self.acceleration, 0.5)),
         )
@@ -141,10 +131,7 @@ class Setting:
 DEFAULT = Setting("default", 1.0 / 3.0, None, 0, False, 0.01)
 HARD = Setting("accelerating", 1.0 / 3.0, None, 0, False, 0.2)
 COMMISSIONED = Setting("commissioned", 0.06, (0.8, 1.2), 16, True, 0.01)
-# 7850 rad/s^2 and 785 000 rad/s^3, 0..3000 rpm in 50 ms, at 2 kHz and 2500 cycles.
-SERVO = Setting("servo", 0.14, (0.8, 1.2), 16, True, 0.78, 0.04)
 SETTINGS = (DEFAULT, HARD, COMMISSIONED)  # of the tables of docs/fault-campaign.md
-ALL_SETTINGS = (*SETTINGS, SERVO)
 
 
 class Turning:
@@ -205,9 +192,6 @@ def motion(turning: Turning, samples: int, rng: np.random.Generator) -> FloatArr
 
     The others change their acceleration every 20..120 samples; they brake near the top speed.
     """
-    if turning.setting.jerk is not None:
-        accelerations = servo_moves(turning.setting, turning.speed, samples, rng)
-        return turning.position + np.cumsum(turning.speed + np.cumsum(accelerations))
     acceleration = np.zeros(samples)
     if rng.uniform() > 1.0 / 3.0:
         at, speed = 0, turning.speed
@@ -221,27 +205,3 @@ def motion(turning: Turning, samples: int, rng: np.random.Generator) -> FloatArr
             at += stretch
     speeds = turning.speed + np.cumsum(acceleration)
     return turning.position + np.cumsum(speeds)
-
-
-def servo_moves(setting: Setting, speed: float, samples: int, rng: np.random.Generator) -> FloatArray:
-    """Accelerations of moves from speed to speed, limited in jerk; on some a vibration of 10..200 Hz.
-
-    The vibration begins at no acceleration.
-    """
-    jerk = setting.jerk or 0.0
-    size = float(rng.choice((0.0, 0.3)))
-    frequency, at = float(rng.uniform(0.063, 1.26)), 0
-    accelerations: FloatArray = size * jerk / frequency * np.sin(frequency * np.arange(samples))
-    while at < samples:
-        target = float(rng.choice((0.0, -speed, rng.uniform(-TOP_CYCLES, TOP_CYCLES))))
-        way = target - speed
-        steepest = min(setting.acceleration, math.sqrt(abs(way) * jerk)) * rng.uniform(0.3, 1.0)
-        rise = max(1, math.ceil(steepest / ((1.0 - size) * jerk)))
-        flat = max(0, round(abs(way) / max(steepest, 1e-9)) - rise)
-        shape = np.convolve(np.full(flat + 1, 1.0), np.full(rise, 1.0 / rise))
-        move = math.copysign(steepest, way) * shape
-        part = move[: samples - at]
-        accelerations[at : at + len(part)] += part
-        speed += float(move.sum())
-        at += len(move) + int(rng.integers(1, 60))
-    return accelerations

@@ -1,6 +1,6 @@
 """Campaign of the cycle count: every kind of fault on motions that keep what is declared.
 
-    python -m tools.faults.estimator.campaign [--episodes N] [--seed S ...] [--bound B ...] [--order 3]
+    python -m tools.faults.estimator.campaign [--episodes N] [--seed S ...] [--bound B ...]
     python -m tools.faults.estimator.campaign --show "KIND:BOUND:SEED:NUMBER"
 
 Each cell of the table has silent errors, the part that is kept (valid and right at the end), and the samples
@@ -30,7 +30,7 @@ from tools.faults.side_by_side import side_by_side
 from tools.site.markdown import table
 
 CHUNK = 100
-BOUNDS = {2: (0.01, 0.05, 0.1, 0.2), 3: (0.02, 0.05)}
+BOUNDS = (0.01, 0.05, 0.1, 0.2)
 EXAMPLES = 5
 Player = Callable[[Episode], Published]
 
@@ -111,11 +111,9 @@ class Tally:
 def rng_of(chunk: Chunk) -> np.random.Generator:
     """Draws of one chunk, whatever else is run."""
     declared = chunk.cell.declared
-    words = [round(1e6 * one) for one in (declared.acceleration, declared.jerk, declared.phase_error)]
+    words = [round(1e6 * one) for one in (declared.acceleration, declared.phase_error)]
     name = chunk.cell.kind.encode()
-    return np.random.default_rng(
-        [chunk.seed, chunk.number, declared.order, declared.samples_per_sync, *words, *name]
-    )
+    return np.random.default_rng([chunk.seed, chunk.number, declared.samples_per_sync, *words, *name])
 
 
 def kind_of(name: str) -> Kind:
@@ -123,7 +121,7 @@ def kind_of(name: str) -> Kind:
 
 
 def episodes_of(chunk: Chunk) -> list[Episode]:
-    machine = _with_bound(chunk.cell.declared, chunk.exceed * chunk.cell.declared.bound)
+    machine = _with_bound(chunk.cell.declared, chunk.exceed * chunk.cell.declared.acceleration)
     return draw(kind_of(chunk.cell.kind), machine, chunk.episodes, rng_of(chunk))
 
 
@@ -139,7 +137,7 @@ def run_chunk(chunk: Chunk) -> tuple[Chunk, Tally]:
         player = partial(_play_as, chunk.cell.declared)
     tally = Tally()
     for n, episode in enumerate(episodes_of(chunk)):
-        bound = chunk.cell.declared.bound
+        bound = chunk.cell.declared.acceleration
         name = f"{chunk.cell.kind}:{bound}:{chunk.seed}:{chunk.number * CHUNK + n}"
         tally.add(judge(episode, player(episode)), name)
     return chunk, tally
@@ -183,7 +181,7 @@ def as_text(tallies: dict[Cell, Tally], kinds: Sequence[str], machines: Sequence
     """Kinds below each other, machines side by side."""
     head = [
         "fault",
-        *(f"{'A' if one.order == 2 else 'J'} = {one.bound:g}, m = {one.bad}" for one in machines),
+        *(f"A = {one.acceleration:g}, m = {one.bad}" for one in machines),
     ]
     rows = [[kind, *(text_of(Cell(kind, one), tallies) for one in machines)] for kind in kinds]
     sums = []
@@ -229,7 +227,7 @@ def show(name: str, machine: Declared, on_module: bool = False) -> str:
 
 
 def _with_bound(machine: Declared, bound: float) -> Declared:
-    return replace(machine, acceleration=bound) if machine.order == 2 else replace(machine, jerk=bound)
+    return replace(machine, acceleration=bound)
 
 
 def as_json(tallies: dict[Cell, Tally]) -> str:
@@ -249,10 +247,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--episodes", type=int, default=1500, metavar="N", help="of each cell and seed")
     parser.add_argument("--seed", type=int, nargs="+", default=[24], metavar="S")
-    parser.add_argument("--bound", type=float, nargs="+", metavar="B", help="acceleration, or jerk (order 3)")
+    parser.add_argument("--bound", type=float, nargs="+", metavar="B", help="acceleration")
     parser.add_argument("--phase-error", type=float, default=0.0125, metavar="CYCLES")
     parser.add_argument("--bad-samples", type=int, metavar="M", help="default: by the acceleration")
-    parser.add_argument("--order", type=int, choices=(2, 3), default=2)
     parser.add_argument("--samples-per-sync", type=int, choices=(1, 2, 3, 4), default=1)
     parser.add_argument("--kind", nargs="+", choices=NAMES, metavar="KIND", help="default: all")
     parser.add_argument("--module", action="store_true", help="as frames through the whole module")
@@ -273,14 +270,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         0.0,
         options.phase_error,
         options.bad_samples,
-        options.order,
-        0.0,
         options.samples_per_sync,
     )
     if options.show:
         print(show(options.show, machine, options.module))
         return 0
-    machines = [_with_bound(machine, bound) for bound in options.bound or BOUNDS[options.order]]
+    machines = [_with_bound(machine, bound) for bound in options.bound or BOUNDS]
     kinds = [one for one in options.kind or NAMES if _can_run(kind_of(one), machine, options.module)]
     cells = [Cell(kind, one) for kind in kinds for one in machines]
     work = list(chunks(cells, options.seed, options.episodes, options.module, options.exceed))

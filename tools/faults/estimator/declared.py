@@ -14,12 +14,11 @@ from canfb.signal.limits import PHASE_ERROR_CYCLES, samples_without_harm
 RESIDUAL_LIMIT = 1.0 / 3.0
 COAST_SAMPLES = 8
 MOST_BAD = 3
-MOST_BAD_THIRD_ORDER = 2
 
 
 @dataclass(frozen=True)
 class Declared:
-    """The largest acceleration (cycles per interval^2), and with order 3 the largest jerk (per interval^3).
+    """The largest acceleration, cycles per interval^2.
 
     phase_error     largest error of the phase of a good sample, cycles
     bad_samples     how many neighbouring samples may be bad without a sign of it; None: see ``bad``
@@ -29,37 +28,26 @@ class Declared:
     acceleration: float
     phase_error: float = PHASE_ERROR_CYCLES
     bad_samples: int | None = None
-    order: int = 2
-    jerk: float = 0.0
     samples_per_sync: int = 1
-
-    @property
-    def bound(self) -> float:
-        """Of the derivative of this order."""
-        return self.acceleration if self.order == 2 else self.jerk
 
     @property
     def bad(self) -> int:
         """``bad_samples``, by default as many as cannot do harm at twice the acceleration, 1 to 3."""
         if self.bad_samples is not None:
             return self.bad_samples
-        if self.order != 2:
-            return MOST_BAD_THIRD_ORDER
         return max(1, min(MOST_BAD, samples_without_harm(2.0 * self.acceleration)))
 
     @property
     def residual_limit(self) -> float:
-        """Of eq. 9 and its third-order form: the motion and the errors of all phases in it."""
-        return min(RESIDUAL_LIMIT, self.bound + 2.0**self.order * self.phase_error)
+        """Of eq. 9: the motion and the errors of all phases in it."""
+        return min(RESIDUAL_LIMIT, self.acceleration + 4.0 * self.phase_error)
 
 
 def config_of(declared: Declared) -> ChainConfig:
     """As far as a :class:`ChainConfig` can say it: the rest is in :func:`limits_of`."""
     return ChainConfig(
-        prediction_order=declared.order,
         coast_samples=COAST_SAMPLES,
-        max_acceleration_cycles=declared.acceleration if declared.order == 2 else 0.0,
-        max_jerk_cycles=declared.jerk if declared.order == 3 else 0.0,
+        max_acceleration_cycles=declared.acceleration,
         phase_error_cycles=declared.phase_error,
         bad_samples=declared.bad,
     )

@@ -85,9 +85,8 @@ def draw(kind: Kind, declared: Declared, episodes: int, rng: Rng) -> list[Episod
         instants += pause[:, None] * (np.arange(samples)[None, :] >= at[:, None])
     uneven = bool(kind.jitter) or kind.stall is not None
     u = derivatives(declared, rng, at, samples + (10 if uneven else 0))
-    reserve = declared.bound * samples if declared.order == 2 else 0.4 * samples
-    speed = start_speeds(rng, episodes, reserve)
-    truth = positions(declared, u, speed, rng, instants if uneven else None)
+    speed = start_speeds(rng, episodes, declared.acceleration * samples)
+    truth = positions(u, speed, rng, instants if uneven else None)
     sine, cosine = _faulty(state, *counts(truth, rng), rng)
     phase = phases(sine, cosine, table_of(declared.phase_error))
     return [

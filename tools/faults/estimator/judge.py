@@ -81,12 +81,12 @@ def judge(episode: Episode, published: Published) -> Verdict:
 
 def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[int, Cause]:
     """The cause of each wrong position."""
-    declared, order = episode.declared, episode.declared.order
+    declared = episode.declared
     right = episode.phase + np.rint(episode.truth - episode.phase)
-    motions = LegalMotions(declared.phase_error, order, declared.bound)
+    motions = LegalMotions(declared.phase_error, 2, declared.acceleration)
     begin = slice(episode.fault - LEAD, episode.fault)
     motions.begin(episode.instants[begin].tolist(), right[begin].tolist())
-    truth = LegalMotions(declared.phase_error, order, declared.bound)
+    truth = LegalMotions(declared.phase_error, 2, declared.acceleration)
     truth.begin(episode.instants[begin].tolist(), right[begin].tolist())
     received = ~np.isin(episode.state, (State.MISSING, State.FLAGGED))
     said = dict.fromkeys(wrong.tolist(), Cause.ILLEGAL)
@@ -111,7 +111,7 @@ def proof(episode: Episode, published: Published, wrong: int) -> str:
     """The motions that fit all samples up to ``wrong`` that nothing flagged, and the least bound of each."""
     declared = episode.declared
     right = episode.phase + np.rint(episode.truth - episode.phase)
-    motions = LegalMotions(declared.phase_error, declared.order, declared.bound)
+    motions = LegalMotions(declared.phase_error, 2, declared.acceleration)
     begin = slice(episode.fault - LEAD, episode.fault)
     motions.begin(episode.instants[begin].tolist(), right[begin].tolist())
     for k in range(episode.fault, wrong + 1):
@@ -120,7 +120,7 @@ def proof(episode: Episode, published: Published, wrong: int) -> str:
     lines = [f"{len(motions.paths)} legal motions through all samples up to {wrong} that nothing flagged"]
     instants = np.array(motions.instants)
     for path in motions.paths[:10]:
-        bound = least_bound(instants, np.array(path), declared.phase_error, declared.order)
+        bound = least_bound(instants, np.array(path), declared.phase_error, 2)
         end = path[-1] - float(episode.truth[wrong])
         lines.append(
             f"  ends {end:+.3f} cycles from the truth; least bound of a motion through it {bound:.4f}"

@@ -1,6 +1,6 @@
 """Machines that keep what is declared, whatever they do within it, and their encoder: arrays of episodes.
 
-A motion of order r is given by its r-th derivative u, never above the bound B. On an even grid u is the r-th
+A motion is given by its acceleration u, never above the declared one. On an even grid u is the second
 difference itself: the widest set of motions that the declaration admits. At other instants u is constant from
 one nominal instant to the next, so that every divided difference keeps the bound.
 """
@@ -27,8 +27,6 @@ MOST_NOISE = 3.0  # standard deviations; the phase error that is declared bounds
 UNCORRECTED = 0.0125  # a smaller phase error than this one needs a table
 TABLE_ENTRIES = 1024
 SHARP = (0.0, 1.0 / 3.0, 0.5)  # parts of a cycle per sample at which the phases of a machine repeat
-# The acceleration that a machine of third order does not exceed, cycles per interval^2.
-MOST_ACCELERATION = 0.4
 
 
 def _constant(rng: Rng, samples: int, _: int) -> Array:
@@ -90,7 +88,6 @@ MOTIONS: dict[str, Callable[[Rng, int, int], Array]] = {
     "reversal at the fault": _reversal,
 }
 KINDS = tuple(MOTIONS)
-BEGIN_SAMPLES = 6  # at constant speed, from which a prediction of third order starts
 
 
 def start_speeds(rng: Rng, episodes: int, reserve: float) -> Array:
@@ -102,49 +99,34 @@ def start_speeds(rng: Rng, episodes: int, reserve: float) -> Array:
 
 
 def derivatives(declared: Declared, rng: Rng, at: npt.NDArray[np.int64], samples: int) -> Array:
-    """The derivative that is bounded, shape (episodes, samples); half of the episodes use all of the bound.
+    """The acceleration, shape (episodes, samples); half of the episodes use all of the bound.
 
     ``at`` is the sample at which the fault begins.
     """
     rows = [MOTIONS[KINDS[int(rng.integers(len(KINDS)))]](rng, samples, int(one)) for one in at]
     u = np.stack(rows)
     part = np.where(rng.uniform(size=len(at)) < 0.5, 1.0, rng.uniform(size=len(at)))
-    u *= (declared.bound * part)[:, None]
-    if declared.order == 3:
-        u[:, :BEGIN_SAMPLES] = 0.0
-        acceleration = np.zeros(len(at))
-        for k in range(samples):  # the acceleration stays where it is when it would get too large
-            u[np.abs(acceleration + u[:, k]) > MOST_ACCELERATION, k] *= -1.0
-            acceleration += u[:, k]
+    u *= (declared.acceleration * part)[:, None]
     return u
 
 
-def positions(declared: Declared, u: Array, speed: Array, rng: Rng, instants: Array | None = None) -> Array:
+def positions(u: Array, speed: Array, rng: Rng, instants: Array | None = None) -> Array:
     """Positions in cycles, of the shape of ``u``, on the even grid or at ``instants`` (intervals)."""
     start = rng.uniform(0.0, 1.0, len(u))
     if instants is None:
-        first = np.cumsum(u, axis=1)
-        if declared.order == 3:
-            first = np.cumsum(first, axis=1)
-        x: Array = start[:, None] + np.cumsum(speed[:, None] + first, axis=1)
+        x: Array = start[:, None] + np.cumsum(speed[:, None] + np.cumsum(u, axis=1), axis=1)
         return x
     length = int(np.max(instants)) + 2
     u = np.pad(u, ((0, 0), (0, max(0, length - u.shape[1]))), mode="edge")
     zero = np.zeros((len(u), 1))
-    if declared.order == 2:
-        v = speed[:, None] + np.hstack((zero, np.cumsum(u, axis=1)))
-        a, j = np.hstack((u, zero)), np.zeros((len(u), u.shape[1] + 1))
-    else:
-        a = np.hstack((zero, np.cumsum(u, axis=1)))
-        j = np.hstack((u, zero))
-        v = speed[:, None] + np.hstack((zero, np.cumsum(a[:, :-1] + u / 2.0, axis=1)))
-    steps = v[:, :-1] + a[:, :-1] / 2.0 + j[:, :-1] / 6.0
+    v = speed[:, None] + np.hstack((zero, np.cumsum(u, axis=1)))
+    a = np.hstack((u, zero))
+    steps = v[:, :-1] + a[:, :-1] / 2.0
     x = start[:, None] + np.hstack((zero, np.cumsum(steps, axis=1)))
     whole = np.floor(instants).astype(np.int64)
     s = instants - whole
     rows = np.arange(len(u))[:, None]
-    at: Array = x[rows, whole] + v[rows, whole] * s
-    at += a[rows, whole] * s**2 / 2.0 + j[rows, whole] * s**3 / 6.0
+    at: Array = x[rows, whole] + v[rows, whole] * s + a[rows, whole] * s**2 / 2.0
     return at
 
 

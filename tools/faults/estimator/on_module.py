@@ -76,11 +76,7 @@ class _Line(Bench):
         ):
             if f"[2010sub{subindex:x}]" in _EDS:
                 self._write(0x2010, subindex, kind, value)
-        if declared.order == 2:
-            self._write(0x2010, 2, "f", declared.acceleration * per_cycle / INTERVAL_S**2)
-        else:
-            self._write(0x2010, 8, "f", declared.jerk * per_cycle / INTERVAL_S**3)
-            self._write(0x2010, 7, "B", 3)
+        self._write(0x2010, 2, "f", declared.acceleration * per_cycle / INTERVAL_S**2)
         self.now = now
 
     def _write(self, index: int, subindex: int, kind: str, value: float) -> None:

@@ -175,8 +175,8 @@ class Judge:
 
     def _is_p9(self) -> bool:
         """Sample times are off by no more than the wire can be, and a machine moves as was shown at them."""
-        line, options = self._line, self._plan.options
-        if not self._plan.setup.times or options.jerk is not None:
+        line = self._line
+        if not self._plan.setup.times or self._plan.setup.servo:
             return False
         off = [abs(named - time) for named, time in zip(line.named, line.sample_times, strict=True)]
         if not 0.0 < max(off, default=0.0) <= self._tolerance:

@@ -24,7 +24,7 @@ class Setup:
 
     counter: the SYNC has one; times: the ADC PDO holds the sample time; period: 1006h is written (None:
     in half of the episodes); stamps: frames carry their receive time; servo: two pairs of tracks for
-    each SYNC, third-order prediction, and the motion of a servo.
+    each SYNC, and the motion of a servo.
     """
 
     name: str
@@ -63,7 +63,6 @@ class Options:
     interval_s: float = 1e-3
     coast: int | None = None  # 2010:03; None: as delivered
     limit: float | None = None  # 2010:02 in cycles/T^2; None: not known
-    jerk: float | None = None  # 2010:08 in cycles/T^3
     margin: int = 0  # 2010:09
     exact: bool = False  # tracks without errors of the cycle, as with a correction table
     overflow: int = 10
@@ -148,11 +147,7 @@ class Configuration:
 
     def _be_servo(self, options: Options) -> None:
         write = self._write
-        write(0x2010, 7, "B", 3)
         write(0x2010, 9, "B", options.margin)
-        if options.jerk is not None:
-            per_cycle = TWO_PI / CYCLES_PER_REVOLUTION
-            write(0x2010, 8, "f", options.jerk * per_cycle / options.interval_s**3)
         tracks = (0x20000110, 0x20000210, 0x20000810, 0x20000910)
         self._map(0x1400, 0x1600, ADC_ID, tracks, options.rpdo_type)
         self._map(0x1402, 0x1602, TIMES_ID, (0x20000520,), options.rpdo_type)

@@ -12,7 +12,6 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICK_S
 from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
-from canfb.signal.third_order import THIRD
 
 OFF, CONSTANT_SPEED, CONSTANT_ACCELERATION = 0, 1, 2
 """What 2013:01 may be."""
@@ -31,9 +30,7 @@ class Prediction:
     With m samples in an interval of SYNC, v and a are those of its samples: x(k) + m v, and
     x(k) + m v + a m (m + 1)/2.
 
-    v is the speed of half an interval ago, so a counts whole, not half. docs/latency.md has more. With
-    third-order prediction (2010:07) of the cycle count the acceleration may be large: 1 is then as 2, and
-    the extrapolated position is not valid before the third successive valid sample.
+    v is the speed of half an interval ago, so a counts whole, not half. docs/latency.md has more.
 
     :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it: whoever
     else reads the objects finds the measured position. Bit 12 of the status word stands for as long as
@@ -56,7 +53,6 @@ class Prediction:
         entry = dictionary.entry
         self._kind, self._nominal = entry(*od.PREDICTION_POSITION), entry(*od.PREDICTION_NOMINAL_SYNC)
         self._kind.on_written = self._nominal.on_written = self.forget
-        self._order = entry(*od.SUPERVISION_ORDER)
         self._chain, self._lock = chain, chain.nominal_sync
         self._interval = interval
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
@@ -112,19 +108,12 @@ class Prediction:
         self.measured = self._position.value, self._fine.value, self._status.value
         self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
         self._status.value |= EXTRAPOLATED
-        if self._may_bend(last):
-            self._status.value = self._status.value & ~VALID | COASTING
 
     def withdraw(self) -> None:
         """The TPDOs of the SYNC are sampled: the measured position again."""
         if self.measured is not None:
             self._position.value, self._fine.value, self._status.value = self.measured
             self.measured = None
-
-    def _may_bend(self, last: Feedback) -> bool:
-        """With third-order prediction the acceleration may be whole cycles, and it is not known yet."""
-        unknown = 0 < self._valid_samples < KNOWN_ACCELERATION
-        return bool(last.status & VALID) and unknown and self._order.value == THIRD
 
     def _displacement(self, last: Feedback) -> float | None:
         """Cycles from the last sample to this SYNC; None without a position to go on from."""
@@ -138,7 +127,7 @@ class Prediction:
             after = self._intervals(lock.lead_ticks + lock.period_ticks)
         after += self._chain.tracks.lag_intervals
         self._speed_cycles = displacement = last.speed_cycles * after
-        curved = self._kind.value == CONSTANT_ACCELERATION or self._order.value == THIRD
+        curved = self._kind.value == CONSTANT_ACCELERATION
         if curved and self._valid_samples >= KNOWN_ACCELERATION:
             displacement += last.acceleration_cycles * after * (after + 1.0) / 2.0
         return displacement

@@ -16,7 +16,6 @@ from canfb.signal.recovery.reference import Reference
 from canfb.signal.recovery.speed_search import PHASE_CYCLES, SpeedSearch
 from canfb.signal.second_position import Pair, SecondScale, SecondSensor, only_count
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, SECOND_POSITION, VALID
-from canfb.signal.third_order import THIRD
 from canfb.signal.tracker import Track
 
 DISAGREEING_VALUES = 3  # this many in a row are a disagreement: a single one may be a fault of the bus
@@ -60,7 +59,6 @@ class AuxiliaryEncoder:
         self._proven = False  # the speed is known to be right
         self._waited = self._samples_since_start = 0
         self._time = 0.0
-        self._searches = 0  # in a row that found the speed right
         self.disagrees = False
         """The last values contradict the position."""
         self.difference_cycles: float | None = None
@@ -88,7 +86,6 @@ class AuxiliaryEncoder:
         self._first = None
         self._standstill.restart()
         self._count.restart()
-        self._searches = 0
 
     def hear(self, values: int, increments: int) -> None:
         """An interval is over in which so many ``values`` came, the last one ``increments``.
@@ -226,15 +223,13 @@ class AuxiliaryEncoder:
         if missing is None:
             return
         recovery, reference = self._reference.recovery, self._reference
-        searches = self._searches
         self._restart_search()
         if missing:
             if self._paused:
                 recovery.lose(LossCause.PAUSE)  # it did not stand still in the pause
             recovery.found(0, missing)
             reference.recovered += 1
-        self._searches = self._searches_after(missing, searches)
-        self._proven = not recovery.lost and self._searches >= self._enough_searches
+        self._proven = not recovery.lost
 
     def _missing(self, pair: Pair) -> int | None:
         """What the counted speed lacks, cycles per interval; None as long as that is not certain."""
@@ -243,15 +238,6 @@ class AuxiliaryEncoder:
         first, scale = self._first, self._scale
         moved, ahead = scale.moved_cycles(first, pair), scale.difference_cycles(first, pair)
         return self._search.feed(pair.time, ahead, moved)
-
-    def _searches_after(self, missing: int, searches: int) -> int:
-        """Those in a row that count, with one more; with third-order prediction only without a correction."""
-        return 0 if missing and self._enough_searches > 1 else searches + 1
-
-    @property
-    def _enough_searches(self) -> int:
-        """With third-order prediction the speed may also be wrong by ever more (:mod:`.reference`)."""
-        return 2 if self._reference.recovery.order == THIRD else 1
 
     def _compare(self, pair: Pair) -> None:
         if self._origin is None:
@@ -296,13 +282,9 @@ class AuxiliaryEncoder:
             missing = self._missing(pair)
             if missing is None:
                 return 0
-            searches = self._searches
             self._restart_search()
             if missing:
                 recovery.found(0, missing)
-            self._searches = self._searches_after(missing, searches)
-            if self._searches < self._enough_searches:
-                return 0
             reference.range_known = True
             reference.recovered += 1
             if missing:

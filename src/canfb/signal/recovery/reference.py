@@ -21,11 +21,9 @@ from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.zero_pulse import PulseVerdict, ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
-from canfb.signal.third_order import THIRD
 from canfb.signal.tracker import Track
 
 DISAGREEING_SAMPLES = 3  # this many in a row, and the position is lost
-AGREEING_SEARCHES = 2  # with third-order prediction
 EXACT_CYCLES = 0.5  # a coarse track better than that needs no zero pulse
 
 
@@ -41,7 +39,9 @@ class Reference:
     """Joins coarse track and zero pulse to a :class:`Estimator`."""
 
     def __init__(self, recovery: Estimator, coarse: CoarseTrack, zero: ZeroPulse) -> None:
-        self.follow(recovery)
+        self._estimator = recovery
+        recovery.on_lost = self.position_lost
+        recovery.on_speed = self.speed_known
         self._passed = 0.0  # since the last coarse track, before this sample; below 0: not all were taken
         self.coarse = coarse
         self.zero = zero
@@ -52,12 +52,6 @@ class Reference:
         self.had_position = False
         """There was a valid position since the start: its count is not that of the next one found."""
         self.restart()
-
-    def follow(self, recovery: Estimator) -> None:
-        """Join them to another recovery, which goes on where the one before was."""
-        self._estimator = recovery
-        recovery.on_lost = self.position_lost
-        recovery.on_speed = self.speed_known
 
     @property
     def recovery(self) -> Estimator:
@@ -131,7 +125,6 @@ class Reference:
 
     def missed(self) -> None:
         """A sample did not come."""
-        self._agreeing = 0
         self.slipped() if self._estimator.lost else self.coarse.restart_search()
 
     def slipped(self) -> None:
@@ -140,7 +133,6 @@ class Reference:
 
     def _begin_search(self) -> None:
         self._range_known = self._range_from_zero = self._speed_known = False
-        self._agreeing = 0
         self._disagreeing = 0
         self._first_pulse: Pulse | None = None
         self._passed = 0.0
@@ -151,9 +143,7 @@ class Reference:
         if self._proven and not lost:
             return self._check(angle, track, bits), 0
         jump = 0
-        by_jerk = self._estimator.order == THIRD
-        if elapsed == 0.0 or (by_jerk and self._estimator.in_doubt):  # this sample was not taken
-            self._agreeing = 0
+        if elapsed == 0.0:  # this sample was not taken
             self.coarse.restart_search()
         elif not (lost and self._range_known):
             missing = self.coarse.search(angle, track.cycles, track.phase, elapsed)
@@ -164,22 +154,9 @@ class Reference:
                     and self.coarse.disagrees(angle, track.cycles, track.phase)
                 ):
                     return self._contradicted(bits), 0  # it did not stand still in the pause
-                if not by_jerk or self._is_confirmed(missing):
-                    jump = self._range_found(missing, angle, track)
+                jump = self._range_found(missing, angle, track)
         # Before the coarse track has confirmed the speed, a turning machine looks like one at rest.
         return (bits if self._proven else bits & ~VALID), jump
-
-    def _is_confirmed(self, missing: int) -> bool:
-        """The coarse track agrees with the speed twice in a row.
-
-        Without a limit of the acceleration this may be wrong by whole cycles per interval squared. Then the
-        speed is wrong by ever more, and not zero both times.
-        """
-        self.coarse.restart_search()
-        if missing:
-            self._estimator.found(0, missing)
-        self._agreeing = 0 if missing else self._agreeing + 1
-        return self._agreeing >= AGREEING_SEARCHES
 
     def _range_found(self, missing: int, angle: float, track: Track) -> int:
         coarse = self.coarse
@@ -272,12 +249,7 @@ class Reference:
         return abs(away) > self.coarse.limit_revolutions * self.coarse.cycles_per_revolution
 
     def _range_from_pulses(self, time: float, cycles: int, phase: float) -> None:
-        """Two pulses are -1, 0 or 1 revolution apart; what the count lacks to that is the missing speed.
-
-        That determines a speed, but not an acceleration.
-        """
-        if self._estimator.order == THIRD:
-            return
+        """Two pulses are -1, 0 or 1 revolution apart; what the count lacks to that is the missing speed."""
         first, self._first_pulse = self._first_pulse, Pulse(time, cycles, phase)
         if first is None or time - first[0] < 1.0:
             return
