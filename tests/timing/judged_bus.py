@@ -83,7 +83,7 @@ class Bus:
                 at_s += slot.again * (again > 0)
                 in_time_for_next = n < newest and judge.delay.is_usual(time_s - judge.syncs.synced_s)
                 passed = judge.answer(time_s, self.stamped)
-                if in_time_for_next and not isinstance(passed, Refusal):  # docs/wire-faults.md, P7
+                if in_time_for_next and not isinstance(passed, Refusal):  # tools/faults/wire/README.md, P7
                     result.begin_again()
                 else:
                     result.sample(passed, n, at_s)

@@ -76,7 +76,7 @@ def another_rate(bus: Bus, rng: np.random.Generator) -> None:
 
 
 def pdo_late(bus: Bus, rng: np.random.Generator) -> None:
-    """Where that is the usual delay of the next SYNC, it is P7 of docs/wire-faults.md."""
+    """Where that is the usual delay of the next SYNC, it is P7 of tools/faults/wire/README.md."""
     bus.slots[FAULT].pdo_late = float(rng.choice((0.3, 0.5, 0.7, 0.9, 1.15, 1.3, 1.4)))
 
 
@@ -115,7 +115,7 @@ def test_the_true_intervals_are_among_those_given(change: Change, stamped: bool,
     if change is second_producer and not stamped:
         return  # another rate
     if change is all_together and not (stamped or overflow):
-        return  # nothing shows a SYNC that was not received (docs/wire-faults.md, P1)
+        return  # nothing shows a SYNC that was not received (tools/faults/wire/README.md, P1)
     for seed in range(60 if change is all_together else 6):
         result = played(change, stamped, overflow, seed)
         assert result.wrong == [], f"seed {seed}"

@@ -15,7 +15,7 @@ sleeps, without SCHED_FIFO (not `stock`).
 
 All combinations are measured in turns, in --rounds parts. Printed are the processor time of the node for one
 cycle (user and system, of all its threads), its ratio to that of the first row, both as medians of the
-rounds, and percentiles of the times. docs/benchmarks.md and docs/latency.md say how to read the figures.
+rounds, and percentiles of the times. docs/evidence.md and docs/latency.md say how to read the figures.
 """
 
 from __future__ import annotations

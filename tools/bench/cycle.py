@@ -5,7 +5,7 @@
 pyperf runs each piece of work in processes of its own, and says mean and standard deviation; `-o FILE` keeps
 all values, and `python -m pyperf compare_to BEFORE AFTER` compares two versions. Times are those of the
 process, not of the clock on the wall. Printed at the end are the ratios of the medians. --check: exit status
-1 when a goal is missed. docs/benchmarks.md says more.
+1 when a goal is missed. docs/evidence.md says more.
 """
 
 from __future__ import annotations

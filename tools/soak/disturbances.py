@@ -161,7 +161,7 @@ def extra_syncs(world: World) -> None:
     """A second producer: SYNCs in between, for each of which the interface sends a sample.
 
     Not beyond the middle of the interval, where nothing but receive times would show that they are extra
-    (docs/wire-faults.md).
+    (docs/evidence.md).
     """
     if world.rng.random() < 0.5:
         world.before_a_pause()

@@ -29,7 +29,7 @@ from canfb.simulation.faults import Fault, Samples, Signal
 from canfb.view.pdo_map import valid_pdos
 
 CASES = 400  # of each fault
-FAULTY_SAMPLES = 200  # as in docs/fault-campaign.md
+FAULTY_SAMPLES = 200  # as in docs/evidence.md
 HARM_CYCLES = 0.25
 LONGEST_RAMP = 200
 SEED = 61800

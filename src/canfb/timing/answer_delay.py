@@ -10,8 +10,8 @@ The PDO carries no mark of its SYNC. What its delay proves:
   before, while that has no answer; and, from the time on at which the next SYNC can have come and been
   answered, one that was not received.
 
-Where more than one is left, all of them are the result, and the phases decide. (A PDO that is late by one
-period exactly, while the next one is lost, is within the usual delay: docs/wire-faults.md, P3 and P7.)
+Where more than one is left, all of them are the result, and the phases decide. (A PDO late by one period,
+while the next one is lost, is within the usual delay: P3 and P7 of tools/faults/wire/README.md.)
 
 | bound | value | reason |
 |---|---|---|

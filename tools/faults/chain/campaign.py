@@ -4,7 +4,7 @@
 
 Each episode is a machine turning at up to 3000 rpm with 2500 cycles per revolution, sampled at
 1 kHz with 12 bits, and a fault at a random instant. The result depends on --seed only. Exit status
-1 when a goal is missed. docs/fault-campaign.md says what the columns mean and what the goals are,
+1 when a goal is missed. docs/evidence.md says what the columns mean and what the goals are,
 docs/legal-motion.md what no supervision can detect.
 """
 

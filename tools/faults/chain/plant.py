@@ -131,7 +131,7 @@ class Setting:
 DEFAULT = Setting("default", 1.0 / 3.0, None, 0, False, 0.01)
 HARD = Setting("accelerating", 1.0 / 3.0, None, 0, False, 0.2)
 COMMISSIONED = Setting("commissioned", 0.06, (0.8, 1.2), 16, True, 0.01)
-SETTINGS = (DEFAULT, HARD, COMMISSIONED)  # of the tables of docs/fault-campaign.md
+SETTINGS = (DEFAULT, HARD, COMMISSIONED)  # of the tables of docs/evidence.md
 
 
 class Turning:

@@ -9,7 +9,7 @@ from tools.faults.chain.judge import Verdict
 DETECTION_GOAL = 0.99
 SOON_SAMPLES = 3
 
-IN_SHORT = ("soon", "detected", "lost")  # %, see docs/fault-campaign.md
+IN_SHORT = ("soon", "detected", "lost")  # %, see docs/evidence.md
 
 
 @dataclass

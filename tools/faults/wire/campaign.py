@@ -5,7 +5,7 @@
 
 Own motion, own wire, own judge: only canfb.FeedbackModule and canfb.Frame are used. The result depends on
 --seed only. Exit status 1 when a valid position was wrong, or a healthy machine was not kept after its start.
-docs/wire-faults.md says what the classes and columns mean.
+docs/evidence.md says what the classes and columns mean.
 """
 
 from __future__ import annotations

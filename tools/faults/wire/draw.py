@@ -80,7 +80,7 @@ def _draw_wire(plan: Plan, speed: float, limit: float) -> None:
         plan.jitter_us, plan.gaussian, plan.busy = plan.jitter_us * 0.25, False, 0.0
     if setup.times:
         return
-    # Without sample times the sampling instants must be regular (docs/wire-faults.md): a locked timer, or
+    # Without sample times the sampling instants must be regular (docs/evidence.md): a locked timer, or
     # no jitter at all, but for slow machines.
     plan.locked = bool(rng.uniform() < 0.7)
     if not plan.locked:

@@ -4,7 +4,7 @@
 
 Prints each class and set-up in which a sample was given intervals, certain and within its error, that are
 not those of the wire; with the first of them. No position is computed: a wrong interval is a fault whether or
-not the phases would show it. Cases of docs/wire-faults.md (P1, P3, P4, P7) are not taken out.
+not the phases would show it. Cases of tools/faults/wire/README.md (P1, P3, P4, P7) are not taken out.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ class Plan:
     accelerating: bool = False  # at the fault, by as much as its limit allows
     bad_rx: float = 0.0  # part of the receive times that are off
     tolerance: float = 0.5  # cycles that a right position may be off
-    note: str = ""  # P1, P2, ...: why a wrong position cannot be seen here (docs/wire-faults.md)
+    note: str = ""  # P1, P2, ...: why a wrong position cannot be seen here (tools/faults/wire/README.md)
 
     @property
     def us(self) -> float:
