@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
+from eds_text import EdsText
 
 from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.od.dictionary import Dictionary, Entry
@@ -15,7 +16,6 @@ from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
-from tools.eds.model import Eds, read
 
 MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 NODE_ID = 32
@@ -112,8 +112,8 @@ def name(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def eds(name: str) -> Eds:
-    return read(eds_path(name).read_text(encoding="ascii"), name, NODE_ID)
+def eds(name: str) -> EdsText:
+    return EdsText(eds_path(name).read_text(encoding="ascii"), NODE_ID)
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def spy(name: str, monkeypatch: pytest.MonkeyPatch) -> Spy:
     return spy
 
 
-def test_every_entry_of_the_eds_is_served(name: str, spy: Spy, eds: Eds) -> None:
+def test_every_entry_of_the_eds_is_served(name: str, spy: Spy, eds: EdsText) -> None:
     not_served = {
         (index, sub)
         for index, sub in eds.entries
@@ -156,7 +156,7 @@ def test_every_object_that_the_code_serves_is_in_the_eds(name: str, spy: Spy) ->
     assert texts(spy.missed) == texts(NOT_OFFERED.get(name, {}))
 
 
-def test_a_constant_is_really_one(spy: Spy, eds: Eds) -> None:
+def test_a_constant_is_really_one(spy: Spy, eds: EdsText) -> None:
     """The two lists above are not longer than they must be."""
     written = {place for place in spy.touched if place in CONSTANT_ENTRIES or place[0] in CONSTANTS}
     # LSS and stored parameters look at the identity, and 650Bh repeats the serial number.
@@ -166,24 +166,24 @@ def test_a_constant_is_really_one(spy: Spy, eds: Eds) -> None:
 # [DeviceInfo] says what a master may expect.
 
 
-def test_lss_is_supported_as_the_eds_says(name: str, eds: Eds) -> None:
+def test_lss_is_supported_as_the_eds_says(name: str, eds: EdsText) -> None:
     device = DEVICES[name]()
     device.start(0.0)
     device.receive(Frame(0x000, b"\x80\x00"), 0.0)
     device.receive(Frame(MASTER_LSS, bytes([0x04, 0x01, 0, 0, 0, 0, 0, 0])), 0.0)
     answers = device.receive(Frame(MASTER_LSS, bytes([0x5E, 0, 0, 0, 0, 0, 0, 0])), 0.0)
     supported = [frame.can_id for frame in answers] == [SLAVE_LSS]
-    assert eds.section("DeviceInfo").number("LSS_Supported") == int(supported)
+    assert eds.number("DeviceInfo", "LSS_Supported") == int(supported)
 
 
-def test_the_boot_up_is_that_of_the_eds(name: str, eds: Eds) -> None:
+def test_the_boot_up_is_that_of_the_eds(name: str, eds: EdsText) -> None:
     frames = DEVICES[name]().start(0.0)
     boots = (0x700 + NODE_ID, b"\x00") in [(frame.can_id, frame.data) for frame in frames]
-    assert eds.section("DeviceInfo").number("SimpleBootUpSlave") == int(boots)
+    assert eds.number("DeviceInfo", "SimpleBootUpSlave") == int(boots)
 
 
 @pytest.mark.parametrize("count", [0xFE, 0xFF])
-def test_multiplexed_pdos_are_refused_as_the_eds_says(name: str, eds: Eds, count: int) -> None:
+def test_multiplexed_pdos_are_refused_as_the_eds_says(name: str, eds: EdsText, count: int) -> None:
     device = DEVICES[name]()
     device.start(0.0)
     device.receive(Frame(0x000, b"\x80\x00"), 0.0)
@@ -191,4 +191,4 @@ def test_multiplexed_pdos_are_refused_as_the_eds_says(name: str, eds: Eds, count
     device.receive(Frame(0x600 + NODE_ID, b"\x23\x00\x18\x01" + cob_id), 0.0)
     device.receive(Frame(0x600 + NODE_ID, bytes([0x2F, 0x00, 0x1A, 0, 0, 0, 0, 0])), 0.0)
     (answer,) = device.receive(Frame(0x600 + NODE_ID, bytes([0x2F, 0x00, 0x1A, 0, count, 0, 0, 0])), 0.0)
-    assert eds.section("DeviceInfo").number("GroupMessaging") == int(answer.data[0] == 0x60)
+    assert eds.number("DeviceInfo", "GroupMessaging") == int(answer.data[0] == 0x60)

@@ -6,19 +6,19 @@ from pathlib import Path
 
 import canopen
 import pytest
+from eds_text import EdsText
 
 from canfb import eds_files
+from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import EdsNotFoundError, eds_path
 from canfb.errors import CanfbError
 from folding import each
-from tools.eds import check
-from tools.eds.model import BITS, number, number_of_type, read
 
 ROOT = Path(__file__).parents[2]
 MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 NAMES = (MODULE, INTERFACE, DRIVE)
 TEXTS = {name: eds_path(name).read_text(encoding="ascii") for name in NAMES}
-FILES = {name: read(text, name, 32) for name, text in TEXTS.items()}
+FILES = {name: EdsText(text, 32) for name, text in TEXTS.items()}
 TYPES = {
     "U8": 0x05,
     "U16": 0x06,
@@ -229,11 +229,14 @@ def test_the_contract_is_kept(name: str, line: str) -> None:
     limits = [word for word in rest if ".." in word]
     defaults = [word for word in rest if word not in ("pdo", *limits)]
     assert entry.data_type == TYPES[data_type]
-    assert entry.access == access
-    assert entry.mappable == ("pdo" in rest)
-    assert entry.default(32) == (number(defaults[0], 32) if defaults else None)
+    assert entry.access_type == access
+    assert entry.pdo_mappable == ("pdo" in rest)
+    if defaults or entry.default is not None:
+        assert entry.default == sum(
+            32 if part == "$NODEID" else int(part, 0) for part in defaults[0].split("+")
+        )
     for limit in limits:
-        assert f"{entry.section.number('LowLimit')}..{entry.section.number('HighLimit')}" == limit
+        assert f"{entry.min}..{entry.max}" == limit
 
 
 def test_the_counters_are_in_the_order_of_the_contract_and_ours_follow() -> None:
@@ -267,44 +270,33 @@ def test_versions_agree_with_the_package() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_objects_are_in_order(name: str) -> None:
-    eds = FILES[name]
-    for listed in check.LISTS:
-        section = eds.section(listed)
-        numbers = [section.number(key) for key in section.values if key != "supportedobjects"]
-        places = [index for index in eds.objects if index in numbers]
-        assert places == sorted(places) == numbers
+    places = [(index, -1 if sub is None else sub) for index, sub, _ in FILES[name].listed()]
+    lists = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
+    indices = {index for index, _ in places}
+    for listed in lists:
+        section = FILES[name].sections[listed]
+        wanted = [int(section[key], 0) for key in section if key != "SupportedObjects"]
+        assert [index for index, sub in places if sub == -1 and index in wanted] == wanted
+        indices -= set(wanted)
+    assert not indices
     assert TEXTS[name].endswith("\n")
     assert not re.search(r"[ \t]\n|\n\n\n|\r", TEXTS[name])
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("node_id", [1, 32, 127])
-def test_our_check_finds_nothing(name: str, node_id: int) -> None:
-    assert check.check_text(TEXTS[name], name, node_id) == []
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("node_id", [1, 32, 127])
-def test_canopen_reads_what_we_wrote(name: str, node_id: int, caplog: pytest.LogCaptureFixture) -> None:
-    dictionary = canopen.import_od(str(eds_path(name)), node_id)
-    eds = read(TEXTS[name], name, node_id)
+def test_canopen_and_the_device_read_the_same(
+    name: str, node_id: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    theirs, ours = EdsText(TEXTS[name], node_id), Dictionary.load(eds_path(name), node_id)
     assert caplog.text == ""
-    assert {index for index in dictionary if index >= 0x1000} == set(eds.objects)
-    for (index, sub), entry in eds.entries.items():
-        variable = dictionary.get_variable(index, sub)
-        assert variable is not None
-        assert variable.data_type == entry.data_type
-        assert variable.access_type == entry.access
-        assert variable.pdo_mappable == entry.mappable
-        default = entry.section.text("DefaultValue")
-        if default is not None and entry.data_type in BITS:
-            assert variable.default == number_of_type(default, entry.data_type, node_id)
-        else:
-            assert variable.default == default
-        assert (variable.min, variable.max) == (
-            entry.section.number("LowLimit"),
-            entry.section.number("HighLimit"),
-        )
+    assert theirs.entries.keys() == {(entry.index, entry.subindex) for entry in ours}
+    for entry in ours:
+        variable = theirs.entries[entry.index, entry.subindex]
+        assert (variable.data_type, variable.access_type) == (entry.data_type, entry.access)
+        assert variable.pdo_mappable == entry.pdo_mappable
+        if variable.default is not None and variable.data_type not in (0x09, 0x0F):
+            assert variable.default == entry.default
 
 
 @pytest.mark.parametrize("name", NAMES)

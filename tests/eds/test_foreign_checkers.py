@@ -90,7 +90,7 @@ def test_eds_validate_would_say_it(tmp_path: Path) -> None:
     ],
 )
 def test_eds_validate_has_these_rules(ours: str, theirs: str, said: str, tmp_path: Path) -> None:
-    """tools.eds.check leaves them to it."""
+    """test_cia301 leaves them to it."""
     path = translated(NAMES[0], tmp_path)
     head, found, rest = path.read_text().partition(ours)
     assert found

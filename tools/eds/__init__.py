@@ -1,1 +1,0 @@
-"""EDS files against CiA 306 and CiA 301."""
