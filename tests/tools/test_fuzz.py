@@ -337,7 +337,7 @@ def test_without_atheris_it_says_what_to_do(tmp_path: Path) -> None:
 
 def test_it_runs_with_atheris(tmp_path: Path) -> None:
     pytest.importorskip("atheris", reason="pip install 'atheris>=3.0'")
-    done = fuzz("concise", "-runs=100", cwd=tmp_path)
+    done = fuzz("files", "-runs=100", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Done 100 runs" in done.stderr
-    assert list((tmp_path / "build" / "fuzz" / "concise").iterdir())
+    assert list((tmp_path / "build" / "fuzz" / "files").iterdir())

@@ -4,9 +4,10 @@
     python -m tools.fuzz TARGET --blind [OPTIONS]            without tracing: ten times as many inputs
     python -m tools.fuzz TARGET --play FILE...               inputs again, with the traceback
 
-Inputs that reach new code are kept in build/fuzz/TARGET, where the next run begins; the small files of
-seeds.py are the first. Useful options: -max_total_time=600 (seconds), -runs=100000, -seed=1. The first input
-that breaks a rule ends the run and is left in build/fuzz-TARGET-crash-...
+TARGET is `frames` (anything on the bus), `sdo` (transfers only), or `files`. Inputs that reach new code are
+kept in build/fuzz/TARGET, where the next run begins. Useful options: -max_total_time=600 (seconds),
+-runs=100000, -seed=1. The first input that breaks a rule ends the run and is left in
+build/fuzz-TARGET-crash-...
 """
 
 from __future__ import annotations
@@ -19,37 +20,37 @@ import sys
 import tempfile
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from tools.fuzz.targets import Target
-
+TARGETS = ("frames", "sdo", "files")
+LONGEST = {"frames": 400, "sdo": 400, "files": 1 << 15}
+"""Bytes of an input."""
+CORPUS_OF_FRAMES = Path(__file__).parents[2] / "tests" / "tools" / "fuzz_corpus.txt"
 MEGABYTES = 1024
-"""Of the whole process; bounds.py limits what one input takes."""
+"""Of the whole process; bounds.py limits what one file takes."""
 SECONDS = 60
 """For one input, of the clock; bounds.py limits the time of the processor."""
 BUILD = Path("build")
-UNTRACED = ("signal", "calibration")
-"""Rooms of canfb that read nothing from outside: an input runs faster when they are not traced."""
+UNTRACED = ["canfb.signal.*", "canfb.calibration.*"]
+"""Read nothing from outside: an input runs faster when they are not traced."""
 
 
-def modules_of(room: str) -> list[str]:
-    """All modules of a room of canfb."""
-    source = Path(__file__).resolve().parents[2] / "src"
-    files = (source / "canfb" / room).rglob("*.py")
-    return [".".join(path.relative_to(source).with_suffix("").parts) for path in files]
+def kept_frames() -> list[bytes]:
+    """The inputs of the frames that are kept in the repository."""
+    lines = CORPUS_OF_FRAMES.read_text(encoding="ascii").splitlines()
+    return [bytes.fromhex(line.split()[0]) for line in lines if line and not line.startswith("#")]
 
 
-def target_of(name: str) -> Target:
-    """The target of this name; loads what it fuzzes."""
-    from tools.fuzz.targets import TARGETS
+def play(target: str, data: bytes, folder: Path) -> bool:
+    """One input; False for a file that is refused. Raises what is found."""
+    from tools.fuzz import body, files  # what it fuzzes, traced by then
 
-    if name not in TARGETS:
-        sys.exit(f"no target {name}; there are {', '.join(TARGETS)}")
-    return TARGETS[name]
+    if target == "files":
+        return files.play(data, folder)
+    body.play(data, transfers_only=target == "sdo")
+    return True
 
 
-def fuzz(name: str, arguments: list[str], *, blind: bool) -> None:
+def fuzz(target: str, arguments: list[str], *, blind: bool) -> None:
     """Run until a find, or as long as the options of libFuzzer say. Does not return."""
     try:
         import atheris
@@ -57,48 +58,38 @@ def fuzz(name: str, arguments: list[str], *, blind: bool) -> None:
         sys.exit("atheris is missing: python -m pip install 'atheris>=3.0'")
     import numpy as np  # noqa: F401  what is loaded before is not traced
 
-    exclude = [module for room in UNTRACED for module in modules_of(room)]
-    traced = atheris.instrument_imports(include=["canfb", "can", "canopen"], exclude=exclude)
+    traced = atheris.instrument_imports(include=["canfb", "can", "canopen"], exclude=UNTRACED)
     with contextlib.nullcontext() if blind else traced:
-        target = target_of(name)
-    corpus = BUILD / "fuzz" / name
+        from tools.fuzz import files
+    corpus = BUILD / "fuzz" / target
     corpus.mkdir(parents=True, exist_ok=True)
-    seeds = target.seeds()
+    seeds = files.seeds() if target == "files" else kept_frames()
     for seed in seeds:
         (corpus / hashlib.sha1(seed).hexdigest()).write_bytes(seed)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, f"input{target.suffix}")
-        target.accepts(path, seeds[0])  # what is loaded with the first input is none of its doing
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for seed in seeds:  # what is loaded with the first input is none of its doing
+            play(target, seed, folder)
 
         def one(data: bytes) -> None:
-            target.accepts(path, data)
+            play(target, data, folder)
 
-        limits = [f"-rss_limit_mb={MEGABYTES}", f"-timeout={SECONDS}", f"-max_len={target.longest}"]
-        finds = f"-artifact_prefix={BUILD}/fuzz-{name}-"
-        options: dict[str, Any] = {} if target.sealed is None else {"custom_mutator": _sealing(target.sealed)}
-        atheris.Setup([sys.argv[0], *limits, finds, *arguments, str(corpus)], one, **options)
+        limits = [f"-rss_limit_mb={MEGABYTES}", f"-timeout={SECONDS}", f"-max_len={LONGEST[target]}"]
+        finds = f"-artifact_prefix={BUILD}/fuzz-{target}-"
+        atheris.Setup([sys.argv[0], *limits, finds, *arguments, str(corpus)], one)
         atheris.Fuzz()
 
 
-def _sealing(sealed: Any) -> Any:
-    """A mutator that leaves the checksums right in most inputs."""
-    import atheris
-
-    def mutate(data: bytes, longest: int, seed: int) -> bytes:
-        changed: bytes = atheris.Mutate(data, longest)
-        return sealed(changed) if seed % 5 else changed
-
-    return mutate
-
-
-def play(name: str, path: Path) -> int:
+def again(target: str, path: Path) -> int:
     """Play an input again; exit code 1 for a find, whose traceback is printed."""
-    target, data = target_of(name), path.read_bytes()
-    if target.story is not None:
-        print("\n".join(target.story(data)))
+    from tools.fuzz import body
+
+    data = path.read_bytes()
+    if target != "files":
+        print("\n".join(body.story(data, transfers_only=target == "sdo")))
     with tempfile.TemporaryDirectory() as folder:
         try:
-            accepted = target.accepts(Path(folder, f"input{target.suffix}"), data)
+            accepted = play(target, data, Path(folder))
         except BaseException:
             traceback.print_exc()
             return 1
@@ -111,12 +102,12 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(
         "python -m tools.fuzz", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("target", metavar="TARGET", help="as in TARGETS of tools/fuzz/targets.py")
+    parser.add_argument("target", metavar="TARGET", choices=TARGETS)
     parser.add_argument("--blind", action="store_true", help="trace nothing")
     parser.add_argument("--play", type=Path, nargs="+", default=[], metavar="FILE", help="only these inputs")
     options, more = parser.parse_known_args(arguments)
     if options.play:
-        return max(play(options.target, path) for path in options.play)
+        return max(again(options.target, path) for path in options.play)
     fuzz(options.target, more, blind=options.blind)
     return 0
 

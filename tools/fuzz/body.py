@@ -9,6 +9,7 @@ serves the next client.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from typing import NamedTuple
@@ -261,7 +262,21 @@ class Play:
         demand(answers == [b"\x43\x00\x10\x00"], f"1000h is answered by {answers}")
 
 
-def play(data: bytes) -> int:
+def story(data: bytes, *, transfers_only: bool = False) -> Iterator[str]:
+    """What an input means, in lines."""
+    reader = Reader(data)
+    yield f"device {reader.byte()}"
+    for step in steps(reader, transfers_only=transfers_only):
+        for frame in step.frames:
+            remote = " remote" if frame.rtr else ""
+            yield f"  {frame.can_id:03X}#{frame.data.hex().upper()}{remote}"
+        if step.follow:
+            yield f"  a client goes on, {step.follow} rounds, and writes {len(step.content)} bytes"
+        if step.pause_s:
+            yield f"  {step.pause_s} s{' with ticks when they are due' if step.punctual else ''}"
+
+
+def play(data: bytes, *, transfers_only: bool = False) -> int:
     """One input, from power-on to the last check: how many frames came. Raises when something is wrong."""
     reader = Reader(data)
     choice = reader.byte()
@@ -269,7 +284,7 @@ def play(data: bytes) -> int:
     run = Play(make(choice, store))
     if not choice & UNSTARTED:
         run.start()
-    for step in steps(reader):
+    for step in steps(reader, transfers_only=transfers_only):
         run.do(step)
     if choice & UNSTARTED:
         run.start()

@@ -82,12 +82,13 @@ class Reader:
         return choices[self.byte() % len(choices)]
 
 
-def steps(reader: Reader) -> Iterator[Step]:
-    """The steps of an input, at most MOST_STEPS."""
+def steps(reader: Reader, *, transfers_only: bool = False) -> Iterator[Step]:
+    """The steps of an input, at most MOST_STEPS; only those of TRANSFERS if asked."""
+    kinds = TRANSFERS if transfers_only else KINDS
     for _ in range(MOST_STEPS):
         if reader.is_empty:
             return
-        yield KINDS[reader.byte() % len(KINDS)](reader)
+        yield kinds[reader.byte() % len(kinds)](reader)
 
 
 def _any_frame(reader: Reader) -> Step:
@@ -290,3 +291,6 @@ KINDS: tuple[Callable[[Reader], Step], ...] = (
     *(_sample_layout, _long_sample, _follow, _activate, _producer, _heard, _timing, _storage),
     *(_lss, _lss_node_id),
 )
+
+TRANSFERS = (_request, _write, _write_bytes, _read, _begin, _segments, _transfer_command, _follow, _activate)
+"""Kinds of step of an SDO client, good and bad."""

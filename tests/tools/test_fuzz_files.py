@@ -1,4 +1,4 @@
-"""The targets of tools/fuzz: a few inputs of each, and each bound does find what breaks it."""
+"""The target `files` of tools/fuzz: a few inputs of each reader, and each bound does find what breaks it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from random import Random
 import pytest
 
 from canfb.errors import CanfbError
+from tools.fuzz import files
 from tools.fuzz.__main__ import main
 from tools.fuzz.bounds import BeyondBoundsError, bounded
-from tools.fuzz.targets import TARGETS, NotOneLineError, Target
+from tools.fuzz.files import READERS, NotOneLineError, Reader
 
 INPUTS = 25
 """Some seconds for all; atheris plays thousands of each."""
-PLAYED_ELSEWHERE = {"frames"}  # test_fuzz.py
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numpy, from files with NaN
 
@@ -32,40 +32,50 @@ def changed(random: Random, data: bytes, other: bytes) -> bytes:
     return data
 
 
-@pytest.mark.parametrize("name", sorted(set(TARGETS) - PLAYED_ELSEWHERE))
-def test_inputs_that_were_changed_find_nothing(name: str, tmp_path: Path) -> None:
-    target, random = TARGETS[name], Random(28)
-    path, seeds = tmp_path / f"input{target.suffix}", target.seeds()
-    assert sum(target.accepts(path, seed) for seed in seeds) > 0
+@pytest.mark.parametrize("number", range(len(READERS)))
+def test_inputs_that_were_changed_find_nothing(number: int, tmp_path: Path) -> None:
+    random, kind = Random(28), bytes([number])
+    seeds = READERS[number].begin()
+    assert sum(files.play(kind + seed, tmp_path) for seed in seeds) > 0
     for _ in range(INPUTS):
-        data = changed(random, *(random.choice(seeds) for _ in range(2)))[: target.longest]
-        target.accepts(path, data if target.sealed is None else target.sealed(data))
+        data = changed(random, *(random.choice(seeds) for _ in range(2)))
+        files.play(kind + data, tmp_path)
 
 
-def played(tmp_path: Path, play: Callable[[Path, bytes], None], data: bytes = b"") -> bool:
-    return Target("own", list, play).accepts(tmp_path / "input", data)
-
-
-def refuse(text: str) -> Callable[[Path, bytes], None]:
-    def play(path: Path, data: bytes) -> None:
+def refuse(text: str) -> Callable[[Path], None]:
+    def read(path: Path) -> None:
         raise CanfbError(text)
 
-    return play
+    return read
 
 
-def test_what_is_refused_in_one_line_is_no_find(tmp_path: Path) -> None:
-    assert played(tmp_path, refuse("a.yaml:1: this is not YAML")) is False
+def fail(path: Path) -> None:
+    raise KeyError("other")
 
 
-@pytest.mark.parametrize("text", ["two\nlines", "", "x" * 2000, "MemoryError: 9 GB"])
-def test_a_refusal_that_is_no_line_is_found(tmp_path: Path, text: str) -> None:
-    with pytest.raises(NotOneLineError):
-        played(tmp_path, refuse(text))
-
-
-def test_any_other_exception_is_found(tmp_path: Path) -> None:
-    with pytest.raises(KeyError):
-        played(tmp_path, lambda path, data: {b"other": None}[data], b"key")
+@pytest.mark.parametrize(
+    ("read", "found"),
+    [
+        (refuse("a.yaml:1: this is not YAML"), None),
+        (refuse("two\nlines"), NotOneLineError),
+        (refuse(""), NotOneLineError),
+        (refuse("x" * 2000), NotOneLineError),
+        (refuse("MemoryError: 9 GB"), NotOneLineError),
+        (fail, KeyError),
+    ],
+)
+def test_what_is_found(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    read: Callable[[Path], None],
+    found: type[Exception] | None,
+) -> None:
+    monkeypatch.setattr(files, "READERS", (Reader("", read, list),))
+    if found is None:
+        assert files.play(b"\0", tmp_path) is False
+    else:
+        with pytest.raises(found):
+            files.play(b"\0", tmp_path)
 
 
 def test_an_input_that_takes_too_long_is_found(tmp_path: Path) -> None:
@@ -111,15 +121,6 @@ def test_an_input_that_writes_elsewhere_is_found(tmp_path: Path, act: Callable[[
 
 
 def test_an_input_is_played_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "input").write_bytes(b"\0\0\0\0")
-    assert main(["concise", "--play", str(tmp_path / "input")]) == 0
+    (tmp_path / "input").write_bytes(b"\1\0\0\0\0")
+    assert main(["files", "--play", str(tmp_path / "input")]) == 0
     assert capsys.readouterr().out.endswith("input: accepted\n")
-
-
-def test_a_find_is_played_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "input").write_bytes(b"")
-    monkeypatch.setitem(TARGETS, "own", Target("own", list, refuse("two\nlines")))
-    assert main(["own", "--play", str(tmp_path / "input")]) == 1
-    assert "NotOneLineError: 9 characters" in capsys.readouterr().err
