@@ -159,7 +159,8 @@ def pdos(eds: EdsText) -> Iterator[object]:
 
 def _mapping(eds: EdsText, kind: str, index: int) -> Iterator[object]:
     slots = {sub: slot for sub, slot in eds.subs(index).items() if sub}
-    count = eds.entries[index, 0].default if (index, 0) in eds.entries else -1
+    head = eds.entries.get((index, 0))
+    count = -1 if head is None or head.default is None else int(head.default)
     if not 0 <= count <= len(slots):
         yield f"{index:04X}", "count"
         return

@@ -7,13 +7,7 @@ constant, a condition, a returned value, a statement left out) is made in memory
 pytest with PYTEST_ARGS up to the first failure. A change that no test notices is a survivor, and is printed.
 LIST names survivors that are known to change nothing, one per line, with the reason after two spaces and a #.
 The exit status is 1 if there are others, 2 if the tests fail unchanged. Nothing is written to the disk.
-
-Why not a mutation tester of others? mutmut (3.8) changes the bodies of functions alone: no constant of a
-module or a class, no status bit, no property, a seventh of the changes here. It numbers its changes, so a
-list of those that are known to change nothing ends with the next edit, and its exit status ignores survivors.
-For code in functions it is the quicker one: it runs only the tests that reach a change. cosmic-ray (8.7)
-writes each change into the source file, leaves it there when it is interrupted, and starts pytest again for
-each: 249 changes of zero_pulse.py, 22 s each.
+docs/testing.md compares it with the mutation testers of others.
 """
 
 from __future__ import annotations
