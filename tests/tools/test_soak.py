@@ -5,25 +5,15 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import Any
 
 import pytest
 
-from canfb.device.storage.storage import BackgroundStore
 from canfb.errors import CanfbError
 from canfb.signal.feedback import Feedback
-from tools.soak.__main__ import LOOKS, WARM, Resources, as_figures, main, slope
+from tools.soak.__main__ import Resources, as_figures, main
 from tools.soak.disturbances import disturbances_of, world_of
 from tools.soak.hosted import SOCKET_FRAMES, Hosted
-from tools.soak.machine import (
-    MAX_ACCELERATION_CYCLES_S2,
-    MOVE_S,
-    REST_S,
-    position_cycles,
-    rests,
-)
-from tools.soak.parts import SlowStore, Truths
 from tools.soak.setups import SETUPS
 from tools.soak.world import Findings, World
 
@@ -62,30 +52,6 @@ def test_after_each_disturbance_the_position_is_right_again(name: str) -> None:
         world.pass_(0.1)
         assert world.found.bad == 0, (world.found.first_wrong, world.found.first_uncounted)
         assert world.found.valid > before
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_a_clock_of_receive_times_that_is_behind(seed: int) -> None:
-    with soaked("receive times", seed) as world:
-        world.run(3000, {"clock_behind": disturbances_of(world.setup)["clock_behind"]})
-        assert world.found.bad == 0
-
-
-def test_the_slope_of_the_memory() -> None:
-    looks = [Resources(1_000_000 + 100 * n, 0, 0) for n in range(LOOKS)]
-    assert slope(looks, 1_000_000) == pytest.approx(100 * LOOKS / (1.0 - WARM))
-    assert slope(looks[:1], 1_000_000) == 0.0
-
-
-def test_the_machine_keeps_what_is_declared() -> None:
-    step = 1e-3
-    places = [position_cycles(n * step) for n in range(8000)]
-    speeds = [(b - a) / step for a, b in pairwise(places)]
-    changes = [(b - a) / step for a, b in pairwise(speeds)]
-    assert max(map(abs, changes)) <= MAX_ACCELERATION_CYCLES_S2
-    assert not rests(0.5 * MOVE_S)
-    assert rests(MOVE_S + 0.1, REST_S - 0.2)
-    assert position_cycles(MOVE_S + 0.1) == position_cycles(MOVE_S + REST_S - 0.1)
 
 
 def test_a_wrong_position_is_seen() -> None:
@@ -141,15 +107,6 @@ def test_what_the_runner_raises_ends_the_soak() -> None:
             world.pass_(0.1)
 
 
-def test_truths_are_found_by_the_bytes_themselves_and_are_bounded() -> None:
-    truths, sent = Truths(), [bytes([n % 256, n // 256]) for n in range(5000)]
-    for n, data in enumerate(sent):
-        truths.note(data, float(n))
-    assert truths.of(sent[-1]) == 4999.0
-    assert truths.of(bytes(bytearray(sent[-1]))) is None
-    assert truths.of(sent[0]) is None
-
-
 def figures(*looks: Resources, **found: Any) -> dict[str, Any]:
     return as_figures(BY_NAME["plain"], Findings(cycles=1000, **found), looks)
 
@@ -170,7 +127,3 @@ def test_what_grows_is_seen() -> None:
     for bad in ("wrong", "uncounted", "not_recovered"):
         assert not figures(first, first, **{bad: 1})["good"]
     assert not figures(first, first, log_lines=1000)["good"]
-
-
-def test_the_store_is_one_that_writes_in_the_background() -> None:
-    assert isinstance(SlowStore(), BackgroundStore)
