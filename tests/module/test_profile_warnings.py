@@ -93,11 +93,11 @@ def test_no_zero_pulse_yet(bench: Bench) -> None:
         flagged(bench, 0)
     assert told(bench) == [(REFERENCE, 0x21)]
     bench.sdo[0x2001][1].raw = 10
-    for n in range(50):
-        flagged(bench, n == 0, 0.2 * n)
+    for n in range(55):
+        flagged(bench, n == 5, 0.2 * n)
     assert told(bench) == [(REFERENCE, 0x21)], "a single one may be false"
-    flagged(bench, 1, 10.0)
-    flagged(bench, 0, 10.2)
+    flagged(bench, 1, 11.0)
+    flagged(bench, 0, 11.2)
     assert bench.sdo[0x6505].raw == 0
     assert told(bench) == [(REFERENCE, 0x21), (0, 0)]
 

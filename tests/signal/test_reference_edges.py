@@ -14,7 +14,7 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.recovery.reference import Reference, pulse_between
-from canfb.signal.recovery.zero_pulse import ZeroPulse
+from canfb.signal.recovery.zero_pulse import Edge, ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
@@ -434,7 +434,7 @@ def test_a_loss_forgets_what_pulses_have_said() -> None:
 def test_a_pulse_far_from_where_the_coarse_track_is_was_false(away: float, refuted: bool) -> None:
     made = reference(Noted(lost=False))
     made._proven = True
-    made.zero.set_place(70, 0.5)
+    made.zero.set_place(Edge(70, 0.5))
     place = 70.5 + round(away * N)
     angle = 2 * math.pi * (place + 0.1) / N
     made.coarse.align((place + 0.1) / N % 1.0, *track(place + 0.1)[:2])
@@ -446,7 +446,7 @@ def test_a_pulse_far_from_where_the_coarse_track_is_was_false(away: float, refut
 @pytest.mark.parametrize("off", [0, 5, -8])
 def test_lost_with_a_known_speed_the_pulse_sets_the_count_right(off: int) -> None:
     seen = Seen(lost=True, aligned=False)
-    seen.made.zero.set_place(1000, 0.25)
+    seen.made.zero.set_place(Edge(1000, 0.25))
     seen.until_told(0.0, 0)
     assert not seen.made.coarse.aligned
     seen.counted += off
@@ -473,8 +473,8 @@ def test_a_pulse_without_an_angle_does_not_align_the_coarse_track(coarse: dict[s
     assert not made.coarse.aligned
     assert not made.zero.referenced
     assert pulse_at(made, 70.5 + N, VALID) == (VALID, 0)
-    assert made.zero.error_cycles(70, 0.5) == 0
-    assert made.zero.error_cycles(72, 0.5) == 2
+    assert made.zero.error_cycles(Edge(70, 0.5)) == 0
+    assert made.zero.error_cycles(Edge(72, 0.5)) == 2
 
 
 def test_a_pulse_that_cannot_tell_the_speed_yet_changes_nothing() -> None:
@@ -495,7 +495,7 @@ def test_the_place_of_a_pulse_is_on_the_way_between_two_samples(
         applied(made, sample, track(turn + begin + way), VALID, track(turn + begin), 1.0, 1.0)
     for off, wrong in ((0.49, 0), (-0.49, 0), (0.51, 1), (-0.51, -1)):
         cycles, phase = track(begin + place * way + off)[:2]
-        assert made.zero.error_cycles(cycles, phase) == wrong
+        assert made.zero.error_cycles(Edge(cycles, phase, way > 0.0)) == wrong
 
 
 def test_what_a_pulse_has_set_right_needs_no_proof_of_the_coarse_track() -> None:

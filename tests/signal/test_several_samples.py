@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
-from canfb.signal.recovery.zero_pulse import PulseVerdict
+from canfb.signal.recovery.zero_pulse import Edge, PulseVerdict
 from canfb.signal.sample import LEAST_APART, Sample, in_order
 from canfb.signal.supervision import LOST, MISSED, REFERENCED, VALID
 from folding import each
@@ -201,9 +201,9 @@ def test_a_zero_pulse_under_acceleration_is_where_it_was() -> None:
     acceleration, made, seen = 4.0, chain(4), []
     weigh = made.reference.zero.weigh
 
-    def spy(cycles: int, phase: float) -> PulseVerdict:
-        seen.append(cycles + phase)
-        return weigh(cycles, phase)
+    def spy(edge: Edge) -> PulseVerdict:
+        seen.append(edge.cycles + edge.phase)
+        return weigh(edge)
 
     made.reference.zero.weigh = spy  # type: ignore[method-assign, assignment]
     for sync in range(-3, 30):

@@ -12,27 +12,30 @@ from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
-from canfb.signal.recovery.zero_pulse import ZeroPulse
+from canfb.signal.recovery.zero_pulse import Edge, PulseVerdict, ZeroPulse
 from canfb.signal.sample import Sample
 from folding import each
+
+NOTHING, AGREES = PulseVerdict.NOTHING, PulseVerdict.AGREES
+CONTRADICTS, WRONG = PulseVerdict.CONTRADICTS, PulseVerdict.WRONG
 
 
 def pulse_at(n: int, cycles: int, phase: float) -> ZeroPulse:
     zero = ZeroPulse(n)
-    zero.set_place(cycles, phase)
+    zero.set_place(Edge(cycles, phase))
     return zero
 
 
 def test_before_the_first_pulse_nothing_is_wrong() -> None:
     zero = ZeroPulse(2500)
     assert not zero.referenced
-    assert zero.error_cycles(1234, 0.5) == 0
-    zero.set_place(0, 0.0)
+    assert zero.error_cycles(Edge(1234, 0.5)) == 0
+    zero.set_place(Edge(0, 0.0))
     assert zero.referenced
-    assert zero.error_cycles(1, 0.0) == 1
+    assert zero.error_cycles(Edge(1, 0.0)) == 1
     zero.forget()
     assert not zero.referenced
-    assert zero.error_cycles(1, 0.0) == 0
+    assert zero.error_cycles(Edge(1, 0.0)) == 0
 
 
 @each("place", [(0, 0.0), (0, 0.25), (7, 0.75), (2499, 0.75), (-1, 0.75), (-2501, 0.5)])
@@ -51,7 +54,7 @@ def test_the_error_is_the_nearest_whole_number_of_cycles(
     cycles, phase = place
     whole = int(np.floor(phase + away))
     seen = cycles + turns * 2500 + whole, phase + away - whole
-    assert pulse_at(2500, cycles, phase).error_cycles(*seen) == error
+    assert pulse_at(2500, cycles, phase).error_cycles(Edge(*seen)) == error
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 1048575, 1048576])
@@ -59,25 +62,25 @@ def test_a_revolution_of_few_cycles_even_or_odd(n: int) -> None:
     zero = pulse_at(n, 5 * n, 0.25)
     for error in range(-(n - 1) // 2 if n < 9 else -4, min(n // 2, 4) + 1):
         wanted = error if error > -n / 2 else error + n
-        assert zero.error_cycles(error, 0.25) == wanted, error
-        assert zero.error_cycles(error - 3 * n, 0.25) == wanted
-    assert zero.error_cycles(n // 2, 0.25) == n // 2
-    assert zero.error_cycles(n // 2 + 1, 0.25) == n // 2 + 1 - n
+        assert zero.error_cycles(Edge(error, 0.25)) == wanted, error
+        assert zero.error_cycles(Edge(error - 3 * n, 0.25)) == wanted
+    assert zero.error_cycles(Edge(n // 2, 0.25)) == n // 2
+    assert zero.error_cycles(Edge(n // 2 + 1, 0.25)) == n // 2 + 1 - n
 
 
 def test_half_a_cycle_at_its_edge() -> None:
     zero = pulse_at(4, 0, 0.0)
-    assert zero.error_cycles(0, below(0.5)) == 0
-    assert zero.error_cycles(0, above(0.5)) == 1
-    assert zero.error_cycles(3, 0.5 + 1e-9) == 0
-    assert zero.error_cycles(3, 0.5 - 1e-9) == -1
+    assert zero.error_cycles(Edge(0, below(0.5))) == 0
+    assert zero.error_cycles(Edge(0, above(0.5))) == 1
+    assert zero.error_cycles(Edge(3, 0.5 + 1e-9)) == 0
+    assert zero.error_cycles(Edge(3, 0.5 - 1e-9)) == -1
 
 
 @given(
     st.integers(1, 1048576), st.integers(-(2**50), 2**50), st.floats(0, 0.999), st.integers(-(2**40), 2**40)
 )
 def test_whole_revolutions_are_no_error(n: int, cycles: int, phase: float, turns: int) -> None:
-    assert pulse_at(n, cycles, phase).error_cycles(cycles + turns * n, phase) == 0
+    assert pulse_at(n, cycles, phase).error_cycles(Edge(cycles + turns * n, phase)) == 0
 
 
 @given(st.integers(1, 100_000), st.integers(-200_000, 200_000), st.floats(-0.49, 0.49), st.integers(-9, 9))
@@ -86,10 +89,10 @@ def test_the_error_put_right_leaves_less_than_half_a_cycle(
 ) -> None:
     zero = pulse_at(n, 17, 0.5)
     cycles, phase = 17 + wrong + turns * n, 0.5 + jitter
-    error = zero.error_cycles(cycles, phase)
+    error = zero.error_cycles(Edge(cycles, phase))
     assert -n / 2 < error <= n / 2
     assert (wrong - error) % n == 0
-    assert zero.error_cycles(cycles - error, phase) == 0
+    assert zero.error_cycles(Edge(cycles - error, phase)) == 0
 
 
 class Turning:
@@ -226,6 +229,55 @@ def test_a_pulse_just_after_a_bad_sample_is_not_believed() -> None:
     for k, sample in enumerate(samples[: at_pulse + 1]):
         got = made.chain.step(sample._replace(sine=0.0, cosine=0.0) if k == at_pulse - 1 else sample)
         assert got.jump_cycles == 0
+
+
+class Wandering(Turning):
+    """A machine that turns to and fro, with a pulse whose edges are ``width`` cycles apart by direction."""
+
+    def __init__(self, n: int, width: float, mark: float) -> None:
+        super().__init__(0.0, n)
+        self.width, self.mark = width, mark
+
+    def sample(self) -> Sample:
+        before = self.position
+        self.position += self.speed
+        edge = self.mark + (self.width if self.speed < 0.0 else 0.0)
+        low, high = sorted((before, self.position))
+        pulse = edge + np.floor((high - edge) / self.n) * self.n
+        place = (pulse - before) / self.speed if low < pulse <= high else None
+        return at(self.position, zero_pulse=place)
+
+
+@given(
+    st.sampled_from([20, 50, 100]), st.floats(0.0, 1.0), st.floats(0.0, 20.0),
+    st.lists(st.tuples(st.floats(-0.45, 0.45), st.integers(30, 400)), min_size=3, max_size=9),
+    st.integers(-3, 3),
+)  # fmt: skip
+def test_a_wide_pulse_never_moves_a_right_count_whichever_way_the_machine_turns(
+    n: int, width: float, mark: float, legs: list[tuple[float, int]], slip: int
+) -> None:
+    """And one that has slipped is never set to another wrong one."""
+    made = Wandering(n, width, mark)
+    for number, (speed, samples) in enumerate(legs):
+        if number == 2 and made.chain.reference.zero.referenced:
+            made.chain.stages.estimator.found(slip, 0)
+        for _ in range(samples):
+            made.speed += max(-0.01, min(0.01, speed - made.speed))
+            got = made.step()
+            assert got.jump_cycles in (0, -slip)
+
+
+def test_each_direction_has_a_place_of_its_own() -> None:
+    zero = ZeroPulse(100)
+    assert [zero.weigh(Edge(turn * 100, 0.5)) for turn in range(2)] == [NOTHING, AGREES]
+    assert zero.weigh(Edge(101, 0.5, False)) is NOTHING
+    assert not zero.knows(Edge(101, 0.5, False)), "a lost count is not set by it"
+    assert zero.weigh(Edge(203, 0.5, False)) is CONTRADICTS
+    assert zero.weigh(Edge(303, 0.5, False)) is CONTRADICTS, "twice, and yet it is not known by how many"
+    assert zero.weigh(Edge(300, 0.6)) is AGREES
+    assert [zero.weigh(Edge(turn * 100 + 1, 0.5, False)) for turn in (3, 2)] == [NOTHING, AGREES]
+    assert zero.weigh(Edge(102, 0.5, False)) is CONTRADICTS
+    assert zero.weigh(Edge(2, 0.5, False)) is WRONG
 
 
 @pytest.mark.parametrize("place", [0.0, 0.25, 0.5, 0.75, 0.99])

@@ -10,7 +10,9 @@ another pulse settles it: by agreeing with the position, or with the first one.
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from canfb.objects import LossCause
@@ -18,21 +20,26 @@ from canfb.signal import speeds
 from canfb.signal.estimator import Estimator
 from canfb.signal.feedback import Feedback
 from canfb.signal.recovery.coarse import CoarseTrack
-from canfb.signal.recovery.zero_pulse import PulseVerdict, ZeroPulse
+from canfb.signal.recovery.zero_pulse import Edge, PulseVerdict, ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
 
 DISAGREEING_SAMPLES = 3  # this many in a row, and the position is lost
 EXACT_CYCLES = 0.5  # a coarse track better than that needs no zero pulse
+MOVED_CYCLES = 0.05  # what the errors of two phases do not show: twice the largest one, and once more as much
 
 
 class Pulse(NamedTuple):
-    """A zero pulse: time in sampling intervals since the start, and the position at which it came."""
+    """A zero pulse: time in sampling intervals since the start, and the position at which it came.
+
+    ``direction`` of the machine there: 1, -1, or 0: not known.
+    """
 
     time: float
     cycles: int
     phase: float
+    direction: int = 1
 
 
 class Reference:
@@ -99,7 +106,7 @@ class Reference:
             angle = self.coarse.angle(sample.coarse_sine, sample.coarse_cosine)
             bits, jump = self._compare(angle, track, bits, elapsed)
         if pulse is not None and jump == 0:
-            bits, jump = self._pulse(*pulse, track, bits, angle)
+            bits, jump = self._pulse(pulse, track, bits, angle)
         if self._estimator.lost and not was_lost:
             self.position_lost()
         if self.in_doubt and bits & VALID:
@@ -109,9 +116,15 @@ class Reference:
     def pulse(
         self, before: Track | Feedback, after: Track | Feedback, place: float, time: float, elapsed: float
     ) -> Pulse:
-        """:func:`pulse_between` the last two samples, with the acceleration by the last three."""
-        acceleration = speeds.acceleration(self._estimator.places)
-        return pulse_between(before, after, place, time, elapsed, acceleration)
+        """:func:`pulse_between` the last two samples, with the acceleration by the last three.
+
+        Of a machine that creeps, samples further back show the direction.
+        """
+        places = self._estimator.places
+        pulse = pulse_between(before, after, place, time, elapsed, speeds.acceleration(places))
+        if pulse.direction or self._estimator.lost:
+            return pulse
+        return pulse._replace(direction=_creeping(places))
 
     def position_lost(self) -> None:
         """The position has been lost: what pulses said of its count does not matter any more."""
@@ -194,25 +207,26 @@ class Reference:
         self._estimator.lose(LossCause.REFERENCE)
         return bits & ~(VALID | COASTING) | COARSE | LOST
 
-    def _pulse(
-        self, time: float, cycles: int, phase: float, track: Track, bits: int, angle: float | None
-    ) -> tuple[int, int]:
-        """A zero pulse at this time and position."""
+    def _pulse(self, pulse: Pulse, track: Track, bits: int, angle: float | None) -> tuple[int, int]:
+        lost = self._estimator.lost
+        if lost and not (self._range_known or self._speed_known):
+            self._range_from_pulses(pulse)
+            return bits, 0
+        if not pulse.direction:
+            return bits, 0
+        edge = Edge(pulse.cycles, pulse.phase, pulse.direction > 0)
         if bits & VALID:
-            return self._pulse_of_valid(cycles, phase, track, bits, angle)
-        if not self._estimator.lost:
+            return self._pulse_of_valid(edge, track, bits, angle)
+        if not lost or not self.zero.knows(edge):
             return bits, 0
-        if not (self._range_known or self._speed_known):
-            self._range_from_pulses(time, cycles, phase)
-            return bits, 0
-        jump = -self.zero.error_cycles(cycles, phase)
+        jump = -self.zero.error_cycles(edge)
         if self._refutes(angle, track, jump):
             return bits, 0
         if not self.zero.referenced:
             if self._range_from_zero:  # two pulses before were whole revolutions from this one
-                self.zero.set_place(cycles, phase)
+                self.zero.set_place(edge)
             else:
-                self.zero.weigh(cycles, phase)
+                self.zero.weigh(edge)
         self.set_right += jump != 0
         self._estimator.found(jump, 0)
         self._estimator.confirm_count()
@@ -221,14 +235,13 @@ class Reference:
         self._proven = True
         return bits, jump
 
-    def _pulse_of_valid(
-        self, cycles: int, phase: float, track: Track, bits: int, angle: float | None
-    ) -> tuple[int, int]:
-        error = self.zero.error_cycles(cycles, phase)
+    def _pulse_of_valid(self, edge: Edge, track: Track, bits: int, angle: float | None) -> tuple[int, int]:
+        error = self.zero.error_cycles(edge)
         if self._refutes(angle, track, -error):
             return bits, 0
-        verdict = self.zero.weigh(cycles, phase)
-        self.in_doubt = verdict is PulseVerdict.CONTRADICTS
+        verdict = self.zero.weigh(edge)
+        if verdict is not PulseVerdict.NOTHING:
+            self.in_doubt = verdict is PulseVerdict.CONTRADICTS
         if verdict is PulseVerdict.WRONG:
             self.set_right += 1
             self._estimator.found(-error, 0)
@@ -248,13 +261,13 @@ class Reference:
         away = self.coarse.nearest_cycles(angle, cycles, track.phase) - cycles
         return abs(away) > self.coarse.limit_revolutions * self.coarse.cycles_per_revolution
 
-    def _range_from_pulses(self, time: float, cycles: int, phase: float) -> None:
+    def _range_from_pulses(self, pulse: Pulse) -> None:
         """Two pulses are -1, 0 or 1 revolution apart; what the count lacks to that is the missing speed."""
-        first, self._first_pulse = self._first_pulse, Pulse(time, cycles, phase)
-        if first is None or time - first[0] < 1.0:
+        first, self._first_pulse = self._first_pulse, pulse
+        if first is None or pulse.time - first.time < 1.0:
             return
-        intervals = time - first[0]
-        counted = (cycles - first[1]) + (phase - first[2])
+        intervals = pulse.time - first.time
+        counted = (pulse.cycles - first.cycles) + (pulse.phase - first.phase)
         found = set()
         for turns in (-1, 0, 1):
             missing = (turns * self.zero.cycles_per_revolution - counted) / intervals
@@ -278,6 +291,21 @@ def pulse_between(
     ``acceleration`` in cycles per interval^2: a straight line would be up to 1/8 of it off, in one interval.
     """
     way = (track.cycles - before.cycles) + (track.phase - before.phase)
-    position = before.phase + place * way - acceleration * elapsed * elapsed * place * (1.0 - place) / 2.0
+    bend = acceleration * elapsed * elapsed / 2.0
+    position = before.phase + place * way - bend * place * (1.0 - place)
     turns = math.floor(position)
-    return Pulse(time - (1.0 - place) * elapsed, before.cycles + turns, position - turns)
+    turned_back = abs(way) <= abs(bend) + MOVED_CYCLES  # between the two, perhaps
+    direction = 0 if turned_back else (1 if way > 0.0 else -1)
+    return Pulse(time - (1.0 - place) * elapsed, before.cycles + turns, position - turns, direction)
+
+
+def _creeping(places: Sequence[speeds.Place]) -> int:
+    """The direction of a machine that takes several samples for :data:`MOVED_CYCLES`; 0: it may turn back."""
+    moved = time = step = 0.0
+    for later, before in itertools.pairwise(reversed(places)):
+        moved += (later[0] - before[0]) + (later[1] - before[1])
+        time += later[2]
+        step = step or moved / time
+        if abs(moved) > MOVED_CYCLES:
+            return int(math.copysign(step * moved * time >= moved * moved / 2.0, moved))
+    return 0

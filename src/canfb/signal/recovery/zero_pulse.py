@@ -2,19 +2,34 @@
 
 One pulse may be false. So nothing depends on a single one: two of them, whole revolutions apart,
 say where the pulse is, and two agree on how many cycles the count is wrong.
+
+A pulse is about a cycle wide, and an edge is latched where the machine enters it: forwards at one end,
+backwards at the other. So each direction has a place of its own, which only pulses of that direction tell
+and which only they are held against. A pulse of a direction whose place is not known agrees with a place of
+the other one up to :data:`WIDEST_CYCLES`; it says no more than that.
 """
 
 from __future__ import annotations
 
 from enum import Enum
+from typing import NamedTuple
 
 REMEMBERED = 3  # pulses that nothing has confirmed
+WIDEST_CYCLES = 1  # of a pulse: the edges of the two directions are up to so many whole cycles apart, rounded
+
+
+class Edge(NamedTuple):
+    """Where a pulse came: cycle count, phase, and whether the machine moved forwards."""
+
+    cycles: int
+    phase: float
+    forwards: bool = True
 
 
 class PulseVerdict(Enum):
     """Check of a valid position against the zero pulse."""
 
-    NOTHING = "there is no other pulse to compare it with"
+    NOTHING = "there is no other pulse of this direction to compare it with"
     AGREES = "the count is right: the pulse is at its place, or where the first one was"
     CONTRADICTS = "the count is wrong, or this pulse is false, or one before it was"
     WRONG = "the count is wrong: an earlier pulse showed the same error"
@@ -31,69 +46,84 @@ class ZeroPulse:
 
     def forget(self) -> None:
         """Forget where the zero pulse is."""
-        self._place: float | None = None  # cycles from cycle count 0, modulo a revolution
+        self._places: dict[bool, Edge] = {}  # by direction, once two pulses have told it
         self.forget_doubts()
 
     def forget_doubts(self) -> None:
         """Forget the pulses that nothing has confirmed."""
-        self._seen: list[tuple[int, float]] = []
+        self._seen: list[Edge] = []
         self._has_first = True  # the first of them is still there
 
     @property
     def referenced(self) -> bool:
-        """True once the place of the zero pulse is known."""
-        return self._place is not None
+        """True once the place of the zero pulse is known, in a direction at least."""
+        return bool(self._places)
 
-    def set_place(self, pulse_cycles: int, pulse_phase: float) -> None:
+    def set_place(self, edge: Edge) -> None:
         """Take the pulse at this position for where it is."""
-        self._place = pulse_cycles % self.cycles_per_revolution + pulse_phase
+        self._places[edge.forwards] = edge
         self.forget_doubts()
 
-    def weigh(self, pulse_cycles: int, pulse_phase: float) -> PulseVerdict:
+    def weigh(self, here: Edge) -> PulseVerdict:
         """Take a pulse of a position that was valid up to here, seen at this count."""
-        if self.referenced and self.error_cycles(pulse_cycles, pulse_phase) == 0:
+        if here.forwards in self._places and self.error_cycles(here) == 0:
             self.forget_doubts()
             return PulseVerdict.AGREES
-        here = pulse_cycles, pulse_phase
         for number, seen in enumerate(self._seen):
-            if self._is_turns_from(seen, here):
+            if seen.forwards == here.forwards and self._is_turns_from(seen, here):
                 return self._confirmed(number, here)
-        if not any(self._is_again(seen, here) for seen in self._seen):
+        others = [*self._places.values(), *self._seen]
+        agrees = here.forwards not in self._places and all(self._is_near(one, here) for one in others)
+        if not any(seen.forwards == here.forwards and self._is_again(seen, here) for seen in self._seen):
             self._seen.append(here)
             if len(self._seen) > REMEMBERED:
                 del self._seen[0]
                 self._has_first = False
-        is_first = not self.referenced and self._has_first and len(self._seen) == 1
-        return PulseVerdict.NOTHING if is_first else PulseVerdict.CONTRADICTS
+        return PulseVerdict.NOTHING if agrees and self._has_first else PulseVerdict.CONTRADICTS
 
-    def _confirmed(self, number: int, here: tuple[int, float]) -> PulseVerdict:
-        is_first = number == 0 and self._has_first
-        if self.referenced:
+    def _confirmed(self, number: int, here: Edge) -> PulseVerdict:
+        """The pulse is whole revolutions from one of the same direction."""
+        if here.forwards in self._places:
             self.forget_doubts()
             return PulseVerdict.WRONG
-        self.set_place(*here)
-        return PulseVerdict.AGREES if is_first else PulseVerdict.SLIPPED
+        if self._places:  # of the other direction: it may say how wrong the count is, this one does not
+            if not all(self._is_near(one, here) for one in self._places.values()):
+                return PulseVerdict.CONTRADICTS
+            self.set_place(here)
+            return PulseVerdict.AGREES
+        agrees = self._has_first and (number == 0 or self._is_near(self._seen[0], here))
+        self.set_place(here)
+        return PulseVerdict.AGREES if agrees else PulseVerdict.SLIPPED
 
-    def error_cycles(self, pulse_cycles: int, pulse_phase: float) -> int:
-        """How many cycles the count is too high at a pulse seen at this position: 0 if all is well.
+    def knows(self, here: Edge) -> bool:
+        """The place of pulses of this direction is known, or none is."""
+        return not self._places or here.forwards in self._places
 
-        A pulse is as wide as a cycle, so less than half a cycle is not an error.
+    def error_cycles(self, here: Edge) -> int:
+        """How many cycles the count is too high at this pulse: 0 if all is well.
+
+        Less than half a cycle is not an error; of a direction whose place is not known, less than the widest
+        pulse and half a cycle.
         """
-        return 0 if self._place is None else self._away(pulse_cycles, pulse_phase, self._place)
+        if here.forwards in self._places:
+            return self._away(self._places[here.forwards], here)
+        away = [self._away(place, here) for place in self._places.values()]
+        return away[0] if away and abs(away[0]) > WIDEST_CYCLES else 0
 
-    def _away(self, cycles: int, phase: float, place: float) -> int:
+    def _away(self, place: Edge, here: Edge) -> int:
         n = self.cycles_per_revolution
-        away = (cycles % n + phase - place) % n
+        away = (here.cycles % n + here.phase - (place.cycles % n + place.phase)) % n
         error = round(away)
         return error - n if error > n // 2 else error
 
-    def _is_same(self, seen: tuple[int, float], here: tuple[int, float]) -> bool:
-        return self._away(*here, seen[0] % self.cycles_per_revolution + seen[1]) == 0
+    def _is_near(self, place: Edge, here: Edge) -> bool:
+        widest = 0 if place.forwards == here.forwards else WIDEST_CYCLES
+        return abs(self._away(place, here)) <= widest
 
-    def _is_again(self, seen: tuple[int, float], here: tuple[int, float]) -> bool:
-        away = (here[0] - seen[0]) + (here[1] - seen[1])
-        return abs(away) <= self.cycles_per_revolution / 2.0 and self._is_same(seen, here)
+    def _is_again(self, seen: Edge, here: Edge) -> bool:
+        away = (here.cycles - seen.cycles) + (here.phase - seen.phase)
+        return abs(away) <= self.cycles_per_revolution / 2.0 and self._is_near(seen, here)
 
-    def _is_turns_from(self, seen: tuple[int, float], here: tuple[int, float]) -> bool:
+    def _is_turns_from(self, seen: Edge, here: Edge) -> bool:
         """Whole revolutions away, at least one: a false pulse may come again and again while it rests."""
-        return self._is_same(seen, here) and not self._is_again(seen, here)
+        return self._is_near(seen, here) and not self._is_again(seen, here)
