@@ -19,7 +19,7 @@ INSTALLED := $(VENV)/.installed
 INSTALLED_TEST := $(VENV)/.installed-test
 LOWEST := .venv-lowest
 MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py \
-	recovery/coarse.py recovery/zero_pulse.py recovery/reference.py)
+	witness/witness.py witness/coarse.py witness/zero_pulse.py witness/reference.py)
 
 PARTS ?= unit lint types socketcan site package $(MORE)
 VERDICTS := build/verdicts.txt

@@ -103,7 +103,7 @@ def test_a_residual_limit_that_follows_the_acceleration_follows_the_encoder_too(
 
 def test_the_coarse_track_follows_the_encoder(bench: Bench) -> None:
     bench.sdo[0x2001][1].raw = 1000
-    assert bench.module.chain.reference.coarse.cycles_per_revolution == 1000
+    assert bench.module.chain.reference.coarse.scale.period_cycles == 1000
 
 
 @given(

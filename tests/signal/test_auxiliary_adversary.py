@@ -18,9 +18,9 @@ from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
-from canfb.signal.recovery.auxiliary_encoder import DISAGREEING_VALUES
 from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondSensor
+from canfb.signal.witness.witness import DISAGREEING
 from folding import each
 
 Rng = np.random.Generator
@@ -157,7 +157,7 @@ def test_what_the_tracks_cannot_show_is_reported(kind: str) -> None:
                 apart = (other + slip) - (got.cycles + got.phase) - start
             beyond = abs(apart) > TOLERANCE_CYCLES + 3.0 * INCREMENT_CYCLES
             over = over + 1 if beyond and got.status & VALID else 0  # coasting is a report of its own
-            assert over <= DISAGREEING_VALUES, (seed, k)
+            assert over <= DISAGREEING, (seed, k)
     assert reported >= 38  # the others turn on at the one speed at which dead tracks look alive
 
 

@@ -13,8 +13,8 @@ from test_auxiliary_adversary import motion
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.recovery.auxiliary_encoder import LONGEST_GAP, START_SAMPLES
 from canfb.signal.second_position import SecondSensor
+from canfb.signal.witness.second import LONGEST_GAP, START_SAMPLES
 from folding import each
 
 DISAGREES, VALID, LOST = StatusBit.SECOND_POSITION, StatusBit.VALID, StatusBit.LOST
@@ -253,12 +253,12 @@ def test_a_sensor_that_may_have_turned_half_its_range_is_learned_again() -> None
     machine = standing(0.0001, increments=1 << 30)
     machine.ramp(0.0, 90.0)
     assert machine.chain.second is not None
-    firm = machine.chain.second._origin
+    firm = machine.chain.second.witness.origin
     machine.on_bus = lambda value: []
     machine.run(60, 90.0)
     machine.on_bus = lambda value: [value]
     assert machine.run(20, 90.0)[-1].status == VALID
-    assert machine.chain.second._origin is not firm
+    assert machine.chain.second.witness.origin is not firm
 
 
 def test_it_must_be_a_sensor() -> None:

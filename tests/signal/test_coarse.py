@@ -12,8 +12,9 @@ from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
-from canfb.signal.recovery.coarse import CoarseTrack
 from canfb.signal.sample import Sample
+from canfb.signal.witness.coarse import CoarseTrack
+from canfb.signal.witness.witness import Pair
 from folding import each
 
 N = 4096  # with powers of two the limits are exact
@@ -24,18 +25,33 @@ def coarse(limit: float = 0.125, n: int = N, full: int = FULL) -> CoarseTrack:
     return CoarseTrack(n, full, limit)
 
 
+def pair(track: CoarseTrack, angle: float | None, position: float = 0.0, time: float = 0.0) -> Pair | None:
+    cycles = math.floor(position)
+    return track.pair(angle, cycles, position - cycles, time)
+
+
+def aligned(limit: float = 0.125, angle: float = 0.0, position: float = 0.0) -> CoarseTrack:
+    track = coarse(limit)
+    track.origin = pair(track, angle, position)
+    return track
+
+
+def fits(track: CoarseTrack, angle: float, position: float = 0.0) -> bool:
+    here = pair(track, angle, position)
+    assert here is not None
+    return track.fits(here)
+
+
 def test_the_amplitude_below_which_it_tells_nothing_is_a_tenth_of_the_full_scale() -> None:
     track = coarse(full=1000)
     for sine, cosine in ((100.0, 0.0), (-100.0, 0.0), (0.0, 100.0), (0.0, -100.0), (60.0, 80.0)):
         assert track.angle(sine, cosine) is None
         assert track.angle(below(sine) if sine <= 0 else above(sine), cosine * 1.001 or 1.0) is not None
-    assert track.angle(0.0, 0.0) is None
-    assert track.angle(math.nan, 1000.0) is None
-    assert track.angle(1000.0, math.nan) is None
+    for sine, cosine in ((0.0, 0.0), (math.nan, 1000.0), (1000.0, math.nan)):
+        assert track.angle(sine, cosine) is None
 
 
-@pytest.mark.parametrize(
-    ("sine", "cosine", "angle"),
+@each("sine, cosine, angle",
     [
         (0.0, 1.0, 0.0), (1.0, 1.0, 0.125), (1.0, 0.0, 0.25), (1.0, -1.0, 0.375), (0.0, -1.0, 0.5),
         (-1.0, -1.0, 0.625), (-1.0, 0.0, 0.75), (-1.0, 1.0, 0.875), (-1e-300, 1.0, 0.0),
@@ -48,88 +64,27 @@ def test_the_angle_is_in_revolutions(sine: float, cosine: float, angle: float) -
     assert 0.0 <= got < 1.0
 
 
-def aligned(limit: float = 0.125, angle: float = 0.0, cycles: int = 0, phase: float = 0.0) -> CoarseTrack:
-    track = coarse(limit)
-    assert not track.aligned
-    track.align(angle, cycles, phase)
-    assert track.aligned
-    return track
+@each("turned", [0.0, 0.25, 0.5, 0.9])
+@each("turns", [0, -7, 12])
+@each("disagreeing, limit", [(0, 0.125), (1, 0.09375), (2, 0.09375)])
+@each("away", [0.0, 0.05, 0.093, 0.0945, 0.124, 0.126, 0.3, 0.5, 0.7, 0.874, 0.876, 0.9999])
+def test_a_disagreement_is_more_than_the_limit_and_ends_below_three_quarters_of_it(
+    turned: float, turns: int, disagreeing: int, limit: float, away: float
+) -> None:
+    """From anywhere on the revolution, and any number of revolutions away."""
+    track = aligned(angle=turned, position=N * turned)
+    track.disagreeing = disagreeing
+    assert fits(track, (turned + away) % 1.0, N * (turned + turns)) == (min(away, 1.0 - away) <= limit)
+    assert fits(track, turned, N * (turned + turns) + N * away) == (min(away, 1.0 - away) <= limit)
 
 
-@pytest.mark.parametrize(
-    ("angle", "disagrees"),
-    [
-        (0.0, False), (0.125, False), (above(0.125), True), (below(0.125), False), (0.25, True), (0.5, True),
-        (0.75, True), (below(0.875), True), (0.875, False), (above(0.875), False), (0.9999, False),
-    ],
-)  # fmt: skip
-def test_a_disagreement_is_more_than_the_limit(angle: float, disagrees: bool) -> None:
-    assert aligned().disagrees(angle, 0, 0.0) == disagrees
-    # the same from anywhere else on the revolution, and any number of revolutions away
-    there = aligned(angle=0.25, cycles=512, phase=0.0)
-    turned = (angle + 0.25) % 1.0
-    if (turned - 0.25) % 1.0 == angle:
-        assert there.disagrees(turned, 512 - 7 * N, 0.0) == disagrees
-
-
-@pytest.mark.parametrize(
-    ("angle", "disagrees"),
-    [
-        (0.0, False), (below(0.09375), False), (0.09375, False), (above(0.09375), True), (0.125, True),
-        (0.90625, False), (below(0.90625), True), (0.875, True),
-    ],
-)  # fmt: skip
-def test_a_disagreement_ends_below_three_quarters_of_the_limit(angle: float, disagrees: bool) -> None:
+def test_the_limit_itself_fits_and_before_it_is_aligned_any_angle() -> None:
     track = aligned()
-    assert track.disagrees(0.25, 0, 0.0)
-    assert track.disagrees(angle, 0, 0.0) == disagrees
-    assert track.disagrees(0.125, 0, 0.0) == disagrees, "agreed once, the whole limit holds again"
-
-
-def test_where_the_fine_track_stands_counts_cycle_and_phase() -> None:
-    track = aligned()
-    assert not track.disagrees(0.0, N // 8 - 1, 0.9)
-    assert not track.disagrees(0.0, N // 8, 0.0)
-    assert track.disagrees(0.0, N // 8, 0.001)
-    assert track.disagrees(0.0, N // 2, 0.0)
-    assert not track.disagrees(0.0, N - 1, 0.0)
-    assert not track.disagrees(0.5, 10 * N + N // 2, 0.0)
-
-
-def test_a_dead_coarse_track_disagrees_always() -> None:
-    assert coarse().disagrees(None, 0, 0.0)
-    track = aligned()
-    assert track.disagrees(None, 0, 0.0)
-    assert not track.disagrees(0.125, 0, 0.0), "and leaves no hysteresis behind"
-
-
-def test_before_it_is_aligned_any_angle_will_do() -> None:
-    track = coarse()
-    assert not any(track.disagrees(angle, 17, 0.3) for angle in (0.0, 0.3, 0.5, 0.9))
-
-
-def test_aligned_anew_it_starts_without_hysteresis() -> None:
-    track = aligned()
-    assert track.disagrees(0.25, 0, 0.0)
-    track.align(0.25, 0, 0.0)
-    assert not track.disagrees(0.375, 0, 0.0)
-    assert track.disagrees(0.0, 0, 0.0)
-    track.forget()
-    assert not track.aligned
-    assert not track.disagrees(0.6, 0, 0.0)
-    track.align(0.0, 0, 0.0)
-    assert not track.disagrees(0.125, 0, 0.0)
-
-
-@each("count", [0, 100, -5000, 123456])
-@each("off", [0, 1, -1, 7, N // 2 - 1, 1 - N // 2])
-def test_the_nearest_count_at_an_angle(count: int, off: int) -> None:
-    track = aligned(angle=0.125, cycles=100, phase=0.25)
-    angle = (0.125 + (count + off - 100) / N) % 1.0
-    assert track.nearest_cycles(angle, count, 0.25) == count + off
-    assert track.nearest_cycles(angle + 0.3 / N, count, 0.25) == count + off
-    assert track.nearest_cycles(angle - 0.3 / N, count, 0.25) == count + off
-    assert coarse().nearest_cycles(0.25, 0, 0.0) == N // 4
+    assert fits(track, 0.125)
+    assert not fits(track, above(0.125))
+    assert fits(track, 0.0, N / 8)
+    assert not fits(track, 0.0, N / 8 + 0.001)
+    assert all(fits(coarse(), angle, 17.3) for angle in (0.0, 0.3, 0.5, 0.9))
 
 
 def search(
@@ -141,15 +96,14 @@ def search(
     samples: int = 3000,
 ) -> tuple[int, int] | None:
     """Samples until the answer, and the answer; ``error`` (revolutions) has one and two waves."""
-    n = track.cycles_per_revolution
+    n = track.scale.period_cycles
     for k in range(samples):
         true = 0.37 * n + speed * k * elapsed
-        counted = 5.25 + (speed - missing) * k * elapsed
         turn = true / n
         angle = (turn + error * (math.sin(2 * math.pi * turn) + math.cos(4 * math.pi * turn)) / 2) % 1.0
-        cycles = math.floor(counted)
-        found = track.search(angle, cycles, counted - cycles, elapsed)
-        if found is not None:
+        here = pair(track, angle, 5.25 + (speed - missing) * k * elapsed, k * elapsed)
+        assert here is not None
+        if (found := track.missing_speed(here)) is not None:
             return k + 1, found
     return None
 
@@ -161,13 +115,12 @@ def search(
 def test_the_range_of_speed_is_found_and_never_a_wrong_one(
     missing: int, speed: float, direction: int, error: float
 ) -> None:
-    found = search(CoarseTrack(2500, FULL, 1 / 32), direction * speed, missing, error)
+    found = search(coarse(1 / 32, 2500), direction * speed, missing, error)
     assert found is not None
     assert found[1] == missing
 
 
-@pytest.mark.parametrize(
-    ("n", "full", "limit", "speed", "elapsed", "samples"),
+@each("n, full, limit, speed, elapsed, samples",
     [
         # at standstill noise alone decides, twice the error of a pair: 8 n/(pi full) intervals
         (2500, 2048, 1 / 32, 0.0, 1.0, 6),
@@ -183,7 +136,7 @@ def test_the_range_of_speed_is_found_and_never_a_wrong_one(
         (2500, 2048, 1 / 128, 1.0, 1.0, 7),
         (2500, 2048, 1 / 64, -1.0, 1.0, 8),
     ],
-)
+)  # fmt: skip
 def test_how_long_the_search_takes(
     n: int, full: int, limit: float, speed: float, elapsed: float, samples: int
 ) -> None:
@@ -192,49 +145,38 @@ def test_how_long_the_search_takes(
         assert got == (samples, missing)
 
 
-@pytest.mark.parametrize(
-    ("slope", "found"),
-    [
-        (0.2, 0), (-0.2, 0), (0.45, None), (-0.45, None), (0.5, None), (0.55, None), (0.8, 1), (-0.8, -1)
-    ],
-)  # fmt: skip
+@each("slope, found", [(0.2, 0), (-0.2, 0), (0.45, None), (-0.45, None), (0.5, None), (0.8, 1), (-0.8, -1)])
 def test_a_slope_between_two_whole_numbers_is_no_answer(slope: float, found: int | None) -> None:
-    got = search(CoarseTrack(2500, 32768, 1 / 1024), 83.0, slope, samples=60)
+    got = search(coarse(1 / 1024, 2500, 32768), 83.0, slope, samples=60)
     assert (got and got[1]) == found
 
 
-@pytest.mark.parametrize("speed", [0.3, -0.3, 0.45, -0.45])
+@each("speed", [0.3, -0.3, 0.45, -0.45])
 def test_the_phase_counts_as_well_as_the_cycles(speed: float) -> None:
-    assert search(CoarseTrack(100, 32768, 1 / 1024), speed, 0) == (3, 0)
+    assert search(coarse(1 / 1024, 100, 32768), speed, 0) == (3, 0)
 
 
-def test_exactly_a_quarter_is_no_answer() -> None:
-    track = CoarseTrack(N, 32768, 1 / 1024)
-    for k in range(100):
-        cycles, phase = divmod(0.25 * k, 1.0)
-        assert track.search(0.0, int(cycles), phase, 1.0) is None
-
-
-def test_after_a_slope_that_is_no_answer_the_search_begins_anew() -> None:
-    track = CoarseTrack(100, 32768, 1 / 1024)
-    got = [track.search(0.0, 0, phase, 1.0) for phase in (0.0, 0.4, 0.8, 0.8, 0.8)]
+def test_after_a_slope_that_is_no_answer_or_without_an_angle_the_search_begins_anew() -> None:
+    track = coarse(1 / 1024, 100, 32768)
+    got = [track.missing_speed(Pair(0, phase, 0.0, k)) for k, phase in enumerate((0.0, 0.4, 0.8, 0.8, 0.8))]
     assert got == [None, None, None, None, 0]
-
-
-def test_a_sample_without_an_angle_begins_the_search_anew() -> None:
-    track = CoarseTrack(2500, FULL, 1 / 32)
+    track = coarse(1 / 32, 2500)
     for k in range(5):
-        assert track.search(0.0, 3 * k, 0.0, 1.0) is None
-    assert track.search(None, 15, 0.0, 1.0) is None
-    for k in range(5):
-        assert track.search(0.0, 100 + 3 * k, 0.0, 1.0) is None
-    assert track.search(0.0, 100 + 15, 0.0, 1.0) == -3
+        assert track.missing_speed(Pair(3 * k, 0.0, 0.0, k)) is None
+    assert pair(track, None) is None
+    got = [track.missing_speed(Pair(100 + 3 * k, 0.0, 0.0, 9.0 + k)) for k in range(6)]
+    assert got == [None] * 5 + [-3]
 
 
-def test_the_angle_may_pass_nought_in_both_directions() -> None:
-    forward = search(CoarseTrack(2500, FULL, 1 / 32), 80.0, 5)
-    assert forward == (318, 5)
-    assert search(CoarseTrack(2500, FULL, 1 / 32), -80.0, 5) == forward
+def test_other_limits_begin_the_search_anew_and_the_same_ones_do_not() -> None:
+    track = aligned(1 / 32)
+    first = track.missing_speed(Pair(0, 0.0, 0.0, 0.0)), track._first
+    track.limit(FULL, 1 / 32)
+    assert (None, track._first) == first
+    track.limit(FULL, 1 / 16)
+    assert track._first is None
+    assert track.limit_cycles == N / 16
+    assert track.origin is not None
 
 
 class Coarse:
@@ -310,10 +252,8 @@ def test_disagreements_are_not_judged_while_the_fine_track_is_in_doubt() -> None
     assert flags(dead) == StatusBit.AMPLITUDE | StatusBit.COASTING
 
 
-@pytest.mark.parametrize(
-    ("n", "exact"), [(8, True), (15, True), (16, False), (17, False), (32, False), (2500, False)]
-)
-def test_better_than_half_a_cycle_it_sets_the_count_right_alone(n: int, exact: bool) -> None:
+@pytest.mark.parametrize(("n", "exact"), [(8, True), (15, True), (17, True), (32, False), (2500, False)])
+def test_where_just_one_count_is_within_its_limit_it_sets_the_count_right_alone(n: int, exact: bool) -> None:
     machine = Starting(0.0, error=0.0, cycles_per_revolution=n, coarse_limit_revolutions=1 / 32)
     machine.run(60)
     assert machine.chain.reference.recovered == 0, "at rest it was not wrong"
@@ -368,7 +308,7 @@ class Starting:
         self.speed, self.error = speed, error
         self.position = 1000.5
         self.chain = SignalChain(ChainConfig(**config))
-        self.n = self.chain.reference.coarse.cycles_per_revolution
+        self.n = self.chain.reference.zero.cycles_per_revolution
         self.valid: list[float] = []
 
     def sample(self) -> Sample:

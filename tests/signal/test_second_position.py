@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.signal.second_position import Pair, SecondScale, SecondSensor, only_count, step_increments
+from canfb.signal.second_position import SecondScale, SecondSensor, step_increments
+from canfb.signal.witness.witness import Pair, only_count
 from folding import each
 
 U32 = st.integers(1, 2**32 - 1)
@@ -27,7 +28,7 @@ def test_a_difference_is_the_nearest_float(
     whole = float((other - 3) * per_increment - (cycles + 7))
     assert scale.difference_cycles(since, now) == whole - (q - p)
     assert scale.moved_cycles(since, now) == float((other - 3) * per_increment)
-    assert scale.increment_cycles == float(abs(per_increment))
+    assert scale.step_cycles == float(abs(per_increment))
 
 
 def test_days_at_full_speed_leave_no_error() -> None:
@@ -38,7 +39,7 @@ def test_days_at_full_speed_leave_no_error() -> None:
         revolutions = 7 * (turns // 7) + extra
         increments = math.floor(Fraction(revolutions * 4096 * 22, 7))
         found = scale.difference_cycles(Pair(0, 0.0, 0, 0.0), Pair(revolutions * n, 0.0, increments, 1.0))
-        assert -scale.increment_cycles < found <= 0.0
+        assert -scale.step_cycles < found <= 0.0
 
 
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(-(2**31), 2**31 - 1))

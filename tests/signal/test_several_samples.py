@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
-from canfb.signal.recovery.zero_pulse import Edge, PulseVerdict
 from canfb.signal.sample import LEAST_APART, Sample, in_order
 from canfb.signal.supervision import LOST, MISSED, REFERENCED, VALID
+from canfb.signal.witness.zero_pulse import Edge, PulseVerdict
 from folding import each
 from servo_kit import IDEAL_TABLE, RATE_HZ, cycles_of, s_curve
 

@@ -12,8 +12,8 @@ from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
-from canfb.signal.recovery.zero_pulse import Edge, PulseVerdict, ZeroPulse
 from canfb.signal.sample import Sample
+from canfb.signal.witness.zero_pulse import Edge, PulseVerdict, ZeroPulse
 from folding import each
 
 NOTHING, AGREES = PulseVerdict.NOTHING, PulseVerdict.AGREES

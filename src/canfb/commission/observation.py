@@ -32,7 +32,7 @@ from canfb.master.samples import TrackSamples
 from canfb.master.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray, raw_phases
-from canfb.signal.recovery.coarse import CoarseTrack
+from canfb.signal.witness.coarse import CoarseTrack
 
 LEAST_SAMPLES = 2000
 MOST_FLAGGED = 0.01

@@ -55,17 +55,9 @@ def process(
     coast_samples, interval_s and adapt, as in :class:`canfb.ChainConfig`. A
     conditioning with cosine_delay_s, and adapt, need interval_s; their samples are taken one by one.
 
-    The result is bit for bit that of :class:`canfb.SignalChain` one sample after the other,
-    without limits on amplitude and converter, which depend on the individual encoder
-    (:func:`canfb.process_stream` has them). ``ok`` is its status bit 0, position valid:
-
-    - after a start at a speed other than ``speed_cycles`` the position is lost from the second
-      sample on, if the residual of that sample is over the limit. If it is below, no method that
-      sees only phases can detect it: speeds of 0.2 and 83.2 cycles per sample look alike. Pass
-      the speed.
-    - after a sample over the residual limit, or without a phase (both tracks zero), positions are
-      not ok until the samples determine the count; it is corrected at the first that is ok
-      again. If they do not, the position is lost: not ok to the end.
+    The result is bit for bit that of :class:`canfb.SignalChain` without limits on amplitude and converter
+    (:func:`canfb.process_stream` has them). ``ok`` is its status bit 0, position valid. Phases do not tell a
+    start at 0.2 cycles per sample from one at 83.2: pass the speed.
 
     ValueError for arrays that are not such tracks (wrong shape, complex, unsigned or never
     centred, in -1..1) and for a bad limit or speed; TypeError for a table or a conditioning of

@@ -18,13 +18,13 @@ from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import SAME_INTERVAL
 from canfb.signal.pauses import Pauses
-from canfb.signal.recovery.auxiliary_encoder import AuxiliaryEncoder
-from canfb.signal.recovery.reference import Reference
 from canfb.signal.sample import Sample, in_order
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Extras, Stages
 from canfb.signal.supervision import COASTING, LOST, MISSED, VALID
+from canfb.signal.witness.reference import Reference
+from canfb.signal.witness.second import SecondPosition
 
 
 class SignalChain:
@@ -116,7 +116,7 @@ class SignalChain:
         return self.stages.reference
 
     @property
-    def second(self) -> AuxiliaryEncoder | None:
+    def second(self) -> SecondPosition | None:
         """Comparison with another sensor, None without one."""
         return self.stages.second
 

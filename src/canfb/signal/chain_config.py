@@ -33,15 +33,9 @@ LARGEST = {
 class ChainLimits:
     """What a sample is held against; it may change between two samples (2001h, 2010h).
 
-    ``sample`` are the limits of one sample, counts; ``acceleration`` is the largest acceleration of the
-    machine, cycles per interval squared (2010:02), None if it is not known, or (``acceleration_waits``) the
-    interval in which it counts is not. ``samples_per_sync``, 1..4, is how many samples there are in an
-    interval of SYNC: all intervals above are those from sample to sample. ``coast_samples`` counts
-    intervals of SYNC. ``phase_error`` is the largest error of a phase, cycles, ``instant_error`` that of a
-    sample time, intervals: it is added at the speed of the machine, up to ``widest_limit`` (2010:01; None:
-    ``residual_limit``). ``corners`` are those of the low-passes of the tracks. The others are those of
-    :class:`ChainConfig`.
-    ValueError for a bad limit.
+    As in :class:`ChainConfig` and :class:`Declared`. Intervals are those from sample to sample, of which
+    there are ``samples_per_sync`` in one of SYNC; ``coast_samples`` counts those of SYNC. ValueError for a
+    bad limit.
     """
 
     sample: SampleLimits

@@ -11,7 +11,7 @@ motions within what is declared are left?
 
 While samples were only missing, the position may be valid in doubt: all motions that are left agree on it.
 While it is lost, eq. 9 runs on: its speed is then wrong by whole cycles per interval, which absolute values
-can show (:mod:`canfb.signal.recovery.reference`).
+can show (:mod:`canfb.signal.witness.reference`).
 """
 
 from __future__ import annotations

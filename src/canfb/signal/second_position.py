@@ -7,15 +7,20 @@ counted in 1/n cycle. Nothing is rounded but the last result, however far the ma
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 from canfb.checks import flag, integer_in, number_in
+
+if TYPE_CHECKING:
+    from canfb.signal.witness.witness import Pair
 
 RANGE = 1 << 32  # increments after which a value wraps
 U32 = 0xFFFFFFFF
 MOST_TOLERANCE_REVOLUTIONS = 0.25
+STEADY_CYCLES = 0.1  # values that agree on a count differ by no more
 UNIT_INCREMENTS = 1 << 20  # default per revolution
 
 
@@ -45,29 +50,19 @@ class SecondSensor:
         flag("invalidates", self.invalidates)
 
 
-class Pair(NamedTuple):
-    """What both sensors say of one SYNC.
-
-    cycles, phase   the position of the encoder, cycles
-    increments      of the other sensor, unwrapped
-    time            sampling intervals since the start
-    """
-
-    cycles: int
-    phase: float
-    increments: int
-    time: float
-
-
 class SecondScale:
     """Distances of the two sensors in cycles, for an encoder with so many cycles per revolution."""
+
+    slope = 1.0  # the other sensor drives the machine
+    period_cycles = math.inf
 
     def __init__(self, sensor: SecondSensor, cycles_per_revolution: int) -> None:
         cycles = Fraction(cycles_per_revolution * sensor.revolutions, sensor.increments)
         self._cycles = -cycles.numerator if sensor.reversed else cycles.numerator
         self._per = cycles.denominator
-        self.increment_cycles = float(cycles)
+        self.step_cycles = self.noise_cycles = float(cycles)
         """One increment in cycles: how far the truth may be from a value."""
+        self.steady_cycles = STEADY_CYCLES + 2.0 * self.step_cycles
         self.tolerance_cycles = sensor.tolerance_revolutions * cycles_per_revolution
 
     def difference_cycles(self, since: Pair, now: Pair) -> float:
@@ -76,16 +71,10 @@ class SecondScale:
 
     def moved_cycles(self, since: Pair, now: Pair, less_cycles: int = 0) -> float:
         """How far the other sensor has moved, cycles, less so many: the nearest float of the exact result."""
-        moved = (now.increments - since.increments) * self._cycles
+        moved = (int(now.value) - int(since.value)) * self._cycles
         return (moved - less_cycles * self._per) / self._per
 
 
 def step_increments(before: int, value: int) -> int:
     """From one value to another, over the wrap of 32 bits, at most half the range."""
     return (value - before + RANGE // 2) % RANGE - RANGE // 2
-
-
-def only_count(difference_cycles: float, limit_cycles: float) -> int | None:
-    """Whole cycles to add to the count for the difference to be within the limit; None unless just one."""
-    low, high = -(-(difference_cycles - limit_cycles) // 1), (difference_cycles + limit_cycles) // 1
-    return int(low) if low == high else None

@@ -1,9 +1,5 @@
 """The stages of one sample: conditioning, Table 1, correction, eq. 9, supervision, comparisons.
 
-Samples come one after the other, and the interval between two of them is known, or several that are possible
-are: that is the work of :class:`canfb.signal.chain.SignalChain`. Each stage is a field of the
-:class:`Feedback`.
-
 Nearly each sample is usual: two counts and no more, one interval after the one before (or within 5 % of it,
 as its own time says), within all limits, and nothing is in doubt before it or after it. Then eq. 9 counts,
 and :meth:`Stages.take` is done. Whatever differs is left to :meth:`Stages._resolve`, with the phase that was
@@ -32,10 +28,6 @@ from canfb.signal.front_end import AHEAD_INTERVALS
 from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.harmonics import corrected
 from canfb.signal.phase import AnyArray, raw_phase
-from canfb.signal.recovery.auxiliary_encoder import AuxiliaryEncoder
-from canfb.signal.recovery.coarse import CoarseTrack
-from canfb.signal.recovery.reference import Pulse, Reference
-from canfb.signal.recovery.zero_pulse import ZeroPulse
 from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.supervision import (
@@ -50,6 +42,10 @@ from canfb.signal.supervision import (
 )
 from canfb.signal.tracker import Track, TrackResult
 from canfb.signal.tracking import continues, write_places_before
+from canfb.signal.witness.coarse import CoarseTrack
+from canfb.signal.witness.reference import Pulse, Reference
+from canfb.signal.witness.second import SecondPosition
+from canfb.signal.witness.zero_pulse import ZeroPulse
 
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
@@ -99,7 +95,7 @@ class Stages:
         self._supervision = Supervision(limits.sample)
         self._frozen = FrozenInput(limits.frozen_samples, limits.residual_limit)
         self.tracks = Conditioner(config.interval_s)
-        self.second: AuxiliaryEncoder | None = None
+        self.second: SecondPosition | None = None
         self.samples = 0
         self.last: Feedback | None = None
         self.place: Track | Feedback | None = None
@@ -123,12 +119,11 @@ class Stages:
         self._supervision.set_limits(limits.sample)
         self._frozen.residual_limit_cycles = limits.residual_limit
         self._frozen.frozen_samples = limits.frozen_samples
-        if limits.cycles_per_revolution != self.reference.coarse.cycles_per_revolution:
+        if limits.cycles_per_revolution != self.reference.zero.cycles_per_revolution:
             had_position = self.reference.had_position
             self._make_reference(limits)
             self.reference.had_position = had_position
-        self.reference.coarse.limit_revolutions = limits.coarse_limit_revolutions
-        self.reference.coarse.full_scale_counts = limits.sample.full_scale_counts
+        self.reference.coarse.limit(limits.sample.full_scale_counts, limits.coarse_limit_revolutions)
         self.tracks.use_corners(limits.corners)
         self._tracks_changed()
 
@@ -142,8 +137,7 @@ class Stages:
     def use_second(self, sensor: SecondSensor | None) -> None:
         """Compare with another sensor from now on, or with none; nothing is known of it."""
         self._nothing_in_doubt = False
-        begun = self._tracker.started
-        self.second = None if sensor is None else AuxiliaryEncoder(sensor, self.reference, begun)
+        self.second = None if sensor is None else SecondPosition(sensor, self.reference)
 
     def activate(self, correction: Correction) -> None:
         """Take another ``correction``. TypeError if its table is none."""
@@ -190,7 +184,7 @@ class Stages:
         """Go on after a pause, lost if the machine may have ``moved``; the references stay aligned."""
         self.reference.restart(keep=True)
         if self.second is not None:
-            self.second.restart(keep=not moved, known=self.reference.had_position)
+            self.second.restart(keep=not moved)
         self.estimator.resume()
         self._forget_sample()
         if moved:

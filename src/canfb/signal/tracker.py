@@ -41,18 +41,11 @@ class Track(NamedTuple):
 class Tracker:
     """The recursion of eq. 9, one sample at a time.
 
-    It starts at cycle count 0 with the first phase and ``speed_cycles``, the speed there in
-    cycles per sample (default: standstill). The first step must differ from that speed by less
-    than half a cycle. From then on only the change of speed is limited (eq. 10), not the speed.
-
-    A start at any other speed gives a count that is wrong by whole cycles per sample, and eq. 12
-    detects it at most at the second sample: if the speeds differ by s cycles per sample, its
-    residual is |s - round(s)|, and all later samples are ``ok``. :func:`canfb.process` and
-    :class:`canfb.SignalChain` declare the position lost if that residual is over the limit;
-    below it no method that sees only phases can detect the error.
-
-    ``residual_limit`` in cycles, 0 < limit <= 0.5: eq. 12, the paper's choice is 1/3.
-    ``speed_cycles`` at most 2**31 in size. ValueError otherwise.
+    It starts at cycle count 0 with the first phase and ``speed_cycles``, cycles per sample, at most 2**31 in
+    size. The first step differs from that by less than half a cycle; a start at another speed is wrong by
+    whole cycles per sample, and eq. 12 shows it at the second sample at most. From then on only the change of
+    speed is limited (eq. 10). ``residual_limit`` in cycles, 0 < limit <= 0.5 (eq. 12; the paper: 1/3).
+    ValueError otherwise.
     """
 
     __slots__ = (

@@ -1,0 +1,1 @@
+"""What absolute sensors say of the counted position: coarse track, zero pulse, second position."""

@@ -1,0 +1,299 @@
+"""What witnesses do to the position (paper, section 4): take its validity, give its speed and its count.
+
+Eq. 9 started on a turning machine, or after a fault, counts with a speed that lacks whole cycles per
+interval. A witness, or two zero pulses, determine how many; then the count is set right. Every jump of the
+position is reported.
+
+A pulse that contradicts a valid position may be false. The position is not valid then until
+another pulse settles it: by agreeing with the position, or with the first one.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from canfb.objects import LossCause
+from canfb.signal import speeds
+from canfb.signal.estimator import Estimator
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
+from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
+from canfb.signal.tracker import Track
+from canfb.signal.witness.coarse import CoarseTrack
+from canfb.signal.witness.witness import Pair, Witness
+from canfb.signal.witness.zero_pulse import Edge, PulseVerdict, ZeroPulse
+
+MOVED_CYCLES = 0.05  # what the errors of two phases do not show: twice the largest one, and once more as much
+
+
+class Pulse(NamedTuple):
+    """A zero pulse: time in sampling intervals since the start, and the position at which it came.
+
+    ``direction`` of the machine there: 1, -1, or 0: not known.
+    """
+
+    time: float
+    cycles: int
+    phase: float
+    direction: int = 1
+
+
+class Reference:
+    """Joins coarse track and zero pulse to an estimator; the second position brings its own :class:`Witness`.
+
+    had_position  there was a valid one since the start: the count of the next one found is not any
+    range_known   since the position was lost, its speed was found: a witness or a pulse may set the count
+    recovered     number of speeds that witnesses have found
+    set_right     how often a zero pulse found the count wrong and set it right
+    in_doubt      zero pulses contradict the position, or each other: :meth:`apply` is to see every sample
+    """
+
+    def __init__(self, estimator: Estimator, coarse: CoarseTrack, zero: ZeroPulse) -> None:
+        self.estimator = estimator
+        estimator.on_lost = self.position_lost
+        estimator.on_speed = self.speed_known
+        self.coarse, self.zero = coarse, zero
+        self.recovered = self.set_right = 0
+        self.had_position = False
+        self._time = 0.0
+        self.restart()
+
+    def restart(self, keep: bool = False) -> None:
+        """After a start: the machine may be turning. ``keep``: the position goes on from before."""
+        if not keep:
+            self.zero.forget()
+            self.had_position = self.in_doubt = False
+        self.coarse.restart(keep)
+        self.slipped()
+
+    def position_lost(self) -> None:
+        """The position has been lost: what pulses said of its count does not matter any more."""
+        self.in_doubt = False
+        self.zero.forget_doubts()
+        self.slipped()
+
+    def speed_known(self) -> None:
+        """A lost position is counted at the speed of the machine: a zero pulse may set the count."""
+        self._speed_known = True
+
+    def missed(self) -> None:
+        """A sample did not come."""
+        self.slipped() if self.estimator.lost else self.coarse.restart_search()
+
+    def slipped(self) -> None:
+        """A sample of a lost position was not taken, or over the limit: its speed is not known any more."""
+        self.range_known = self._range_from_zero = self._speed_known = False
+        self.coarse.disagreeing = 0
+        self._first_pulse: Pulse | None = None
+        self._passed = 0.0  # since the last coarse track, before this sample; below 0: not all were taken
+        self.coarse.restart_search()
+
+    def passed(self, elapsed: float, taken: bool) -> None:
+        """A sample without a coarse track of its own, ``elapsed`` after the one before."""
+        self._passed = self._passed + elapsed if taken and self._passed >= 0.0 else -1.0
+
+    def apply(
+        self, sample: Sample, track: Track, bits: int, pulse: Pulse | None, elapsed: float
+    ) -> tuple[int, int]:
+        """Status bits and jump in cycles after this sample; the jump shows in the next position.
+
+        ``track`` and ``bits`` are what the chain made of ``sample``, ``elapsed`` intervals after the one
+        before; 0.0 if either of the two was not taken. ``pulse`` came since then, or shortly before.
+        """
+        elapsed = elapsed + self._passed if elapsed and self._passed >= 0.0 else 0.0
+        self._passed = 0.0
+        jump, pair = 0, None
+        if sample.coarse_sine is not None and sample.coarse_cosine is not None:
+            self._time += elapsed
+            angle = self.coarse.angle(sample.coarse_sine, sample.coarse_cosine)
+            pair = self.coarse.pair(angle, track.cycles, track.phase, self._time)
+            bits, jump = self._hear_coarse(pair, bits, elapsed > 0.0)
+        if pulse is not None and jump == 0:
+            bits, jump = self._pulse(pulse, bits, pair)
+        if self.in_doubt and bits & VALID:
+            bits = bits & ~VALID | COASTING
+        return bits, jump
+
+    def _hear_coarse(self, pair: Pair | None, bits: int, taken: bool) -> tuple[int, int]:
+        coarse, jump = self.coarse, 0
+        if self.estimator.lost or not coarse.proven:
+            if pair is None or not taken:
+                coarse.restart_search()
+            else:
+                jump = self.find(coarse, pair)
+            if not coarse.proven:  # a turning machine looks like one at rest
+                return bits & ~VALID, jump
+        if self.estimator.lost:
+            return lost_bits(bits), jump
+        if not bits & VALID:
+            return bits, jump
+        if coarse.origin is None and not self.in_doubt:
+            coarse.origin = pair
+        if pair is not None and coarse.fits(pair):
+            coarse.disagreeing = 0
+            return bits, 0
+        coarse.disagreeing += 1
+        if not coarse.disagrees:
+            return bits & ~VALID | COARSE | COASTING, 0
+        self.estimator.lose(LossCause.REFERENCE)
+        return lost_bits(bits) | COARSE, 0
+
+    def find(self, witness: Witness, pair: Pair) -> int:
+        """What speed and count lack, by a witness; the jump of the count with the next sample.
+
+        After a pause in which the machine did not stand still the position is lost.
+        """
+        estimator = self.estimator
+        if not (estimator.lost and self.range_known) or self._range_from_zero:
+            missing = witness.missing_speed(pair)
+            if missing is None:
+                return 0
+            witness.restart_search()
+            if missing:
+                if self.had_position and not estimator.lost:
+                    estimator.lose(LossCause.PAUSE)
+                estimator.found(0, missing)
+            self.recovered += bool(missing or estimator.lost)
+            witness.proven = self.range_known = True
+            self._range_from_zero = False
+            if missing or not estimator.lost:
+                return 0
+        if not self.had_position:  # there was none yet that could be lost
+            witness.origin, witness.proven = pair, True
+            estimator.confirm_count()
+            return 0
+        if witness.origin is None or not witness.firm:
+            return 0
+        shift, certain = witness.missing_count(pair)
+        if shift:
+            estimator.found(shift, 0)
+        if certain:
+            witness.restart_search()
+            witness.proven = True
+            estimator.confirm_count()
+        return shift
+
+    # Zero pulses.
+
+    def pulse(
+        self, before: Track | Feedback, after: Track | Feedback, place: float, time: float, elapsed: float
+    ) -> Pulse:
+        """:func:`pulse_between` the last two samples, with the acceleration by the last three.
+
+        Of a machine that creeps, samples further back show the direction.
+        """
+        places = self.estimator.places
+        pulse = pulse_between(before, after, place, time, elapsed, speeds.acceleration(places))
+        if pulse.direction or self.estimator.lost:
+            return pulse
+        return pulse._replace(direction=_creeping(places))
+
+    def _pulse(self, pulse: Pulse, bits: int, pair: Pair | None) -> tuple[int, int]:
+        lost = self.estimator.lost
+        if lost and not (self.range_known or self._speed_known):
+            self._range_from_pulses(pulse)
+            return bits, 0
+        if not pulse.direction:
+            return bits, 0
+        edge = Edge(pulse.cycles, pulse.phase, pulse.direction > 0)
+        if bits & VALID:
+            return self._pulse_of_valid(edge, bits, pair)
+        if not lost or not self.zero.knows(edge):
+            return bits, 0
+        jump = -self.zero.error_cycles(edge)
+        if self._refutes(pair, jump):
+            return bits, 0
+        if not self.zero.referenced:
+            if self._range_from_zero:  # two pulses before were whole revolutions from this one
+                self.zero.set_place(edge)
+            else:
+                self.zero.weigh(edge)
+        self.set_right += jump != 0
+        self.estimator.found(jump, 0)
+        self.estimator.confirm_count()
+        if pair is not None:
+            self.coarse.origin = pair._replace(cycles=pair.cycles + jump)
+        self.coarse.proven = True
+        return bits, jump
+
+    def _pulse_of_valid(self, edge: Edge, bits: int, pair: Pair | None) -> tuple[int, int]:
+        error = self.zero.error_cycles(edge)
+        if self._refutes(pair, -error):
+            return bits, 0
+        verdict = self.zero.weigh(edge)
+        if verdict is not PulseVerdict.NOTHING:
+            self.in_doubt = verdict is PulseVerdict.CONTRADICTS
+        if verdict is PulseVerdict.WRONG:
+            self.set_right += 1
+            self.estimator.found(-error, 0)
+            return bits & ~VALID | COASTING, -error
+        if verdict is PulseVerdict.SLIPPED:  # what is counted from here is certain again
+            self.position_lost()
+            if pair is not None:
+                self.coarse.origin = pair
+            return lost_bits(bits), 0
+        return bits, 0
+
+    def _refutes(self, pair: Pair | None, jump: int) -> bool:
+        """True if the coarse track shows that the pulse that asks for this jump is false."""
+        if not jump or pair is None:
+            return False
+        away = self.coarse.away_cycles(pair._replace(cycles=pair.cycles + jump))
+        return abs(away) > self.coarse.limit_cycles
+
+    def _range_from_pulses(self, pulse: Pulse) -> None:
+        """Two pulses are -1, 0 or 1 revolution apart; what the count lacks to that is the missing speed."""
+        first, self._first_pulse = self._first_pulse, pulse
+        if first is None or pulse.time - first.time < 1.0:
+            return
+        intervals = pulse.time - first.time
+        counted = (pulse.cycles - first.cycles) + (pulse.phase - first.phase)
+        found = set()
+        for turns in (-1, 0, 1):
+            missing = (turns * self.zero.cycles_per_revolution - counted) / intervals
+            if abs(missing - round(missing)) * intervals < 1.0:
+                found.add(round(missing))
+        if len(found) == 1:
+            self.estimator.found(0, found.pop())
+            self.range_known = self._range_from_zero = True
+
+
+def lost_bits(bits: int) -> int:
+    """The status of a position that is lost in this sample."""
+    return bits & ~(VALID | COASTING) | LOST
+
+
+def pulse_between(
+    before: Track | Feedback,
+    track: Track | Feedback,
+    place: float,
+    time: float,
+    elapsed: float,
+    acceleration: float,
+) -> Pulse:
+    """The zero pulse at the fraction ``place`` (0..1) of the time between two samples, the later at ``time``.
+
+    ``acceleration`` in cycles per interval^2: a straight line would be up to 1/8 of it off, in one interval.
+    """
+    way = (track.cycles - before.cycles) + (track.phase - before.phase)
+    bend = acceleration * elapsed * elapsed / 2.0
+    position = before.phase + place * way - bend * place * (1.0 - place)
+    turns = math.floor(position)
+    turned_back = abs(way) <= abs(bend) + MOVED_CYCLES  # between the two, perhaps
+    direction = 0 if turned_back else (1 if way > 0.0 else -1)
+    return Pulse(time - (1.0 - place) * elapsed, before.cycles + turns, position - turns, direction)
+
+
+def _creeping(places: Sequence[speeds.Place]) -> int:
+    """The direction of a machine that takes several samples for :data:`MOVED_CYCLES`; 0: it may turn back."""
+    moved = time = step = 0.0
+    for later, before in itertools.pairwise(reversed(places)):
+        moved += (later[0] - before[0]) + (later[1] - before[1])
+        time += later[2]
+        step = step or moved / time
+        if abs(moved) > MOVED_CYCLES:
+            return int(math.copysign(step * moved * time >= moved * moved / 2.0, moved))
+    return 0

@@ -1,0 +1,209 @@
+"""Another sensor of the machine as a witness; the rules are in docs/homing.md.
+
+It is heard one SYNC later than the sample, when the interval is over and the value is certain. It gives
+speed and count as the coarse track does, and it contradicts a valid position, which is reported, but does
+not move it: it is not known which of the two is wrong.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from canfb.signal.second_position import SecondScale, SecondSensor
+from canfb.signal.supervision import COASTING, LOST, RESIDUAL, SECOND_POSITION, VALID
+from canfb.signal.tracker import Track
+from canfb.signal.witness.reference import Reference, lost_bits
+from canfb.signal.witness.second_values import MOST_LATE, SecondValues
+from canfb.signal.witness.witness import Pair, Witness
+
+START_SAMPLES = 4  # after a start a position without a value waits so long for one
+LONGEST_GAP = 100  # intervals without a value: after that the sensor may count from elsewhere
+
+
+class SecondPosition:
+    """Joins another sensor to the position of a chain.
+
+    For each sample the chain calls :meth:`apply`, and whoever hears the sensor calls :meth:`hear` between
+    that of one sample and that of the next.
+    """
+
+    def __init__(self, sensor: SecondSensor, reference: Reference) -> None:
+        self.sensor = sensor
+        self._reference = reference
+        scale = SecondScale(sensor, reference.zero.cycles_per_revolution)
+        self.witness, self._values = Witness(scale), SecondValues(scale)
+        self.restart()
+        self.witness.proven = reference.estimator.tracker.started  # the position there is is believed
+
+    def restart(self, keep: bool = False) -> None:
+        """After a start. ``keep``: the position goes on from before."""
+        self.witness.restart(keep)
+        self._values.restart(keep)
+        self._waited = self._samples_since_start = 0
+        self._time = 0.0
+        self.difference_cycles: float | None = None
+        """How much further the other sensor stands than the position; None while that is not known."""
+        self._forget_sample()
+
+    def _forget_sample(self) -> None:
+        """What was counted since the last sample is unknown."""
+        self._place: tuple[Track, int, float] | None = None  # the last sample: place, status bits, time
+        self._before: deque[Track] = deque(maxlen=MOST_LATE)  # places of the samples before it
+        self._samples = 0  # since a value was heard
+        self._passed, self._all_taken = 0.0, True  # of the earlier samples of the same SYNC
+        self._heard: int | None = None
+        self._restart_search()
+
+    @property
+    def is_waiting(self) -> bool:
+        """Since the start there were too few samples yet to know whether the machine turns."""
+        return not self.witness.proven and self._samples_since_start <= 2 * START_SAMPLES
+
+    @property
+    def disagrees(self) -> bool:
+        """The last values contradict the position."""
+        return self.witness.disagrees
+
+    def _restart_search(self) -> None:
+        self.witness.restart_search()
+        self._values.restart_standstill()
+
+    def hear(self, values: int, increments: int) -> None:
+        """An interval is over in which so many ``values`` came, the last one ``increments``.
+
+        With just one it belongs to the last sample. ``values`` -1: it is not certain which ones they were.
+        """
+        heard = self._values.take(values, increments)
+        if self._values.missing > LONGEST_GAP or self._values.is_ambiguous:
+            self._forget_origin()
+        if self._values.is_ambiguous:
+            self._restart_search()
+        self._heard = heard if self._samples == 1 else None
+        self._samples = 0
+
+    def _forget_origin(self) -> None:
+        self.witness.forget()
+        self.difference_cycles = None
+
+    def apply(
+        self,
+        track: Track,
+        bits: int,
+        jump: int,
+        elapsed: float,
+        taken: bool,
+        alone: bool,
+        newest: bool = True,
+    ) -> tuple[int, int]:
+        """Status bits and jump in cycles after a sample, ``elapsed`` intervals after the one before.
+
+        ``track``, ``bits`` and ``jump`` are what the chain and its references made of it; ``taken``: it was
+        there and good. ``alone``: no coarse track determines the speed. ``newest``: of the samples of a SYNC.
+        """
+        elapsed += self._passed
+        taken = taken and self._all_taken and not bits & (RESIDUAL | COASTING)
+        if not newest:  # no value belongs to it
+            self._passed, self._all_taken = elapsed, taken
+            self._shift(jump)
+            return self._bits(bits), jump
+        self._passed, self._all_taken = 0.0, True
+        lost = self._reference.estimator.lost
+        was_lost = self._place is not None and bool(self._place[1] & LOST)
+        if not taken or lost != was_lost:
+            self._restart_search()
+        self._samples += 1
+        if not bits & COASTING:  # sample times have yet to confirm the start: no value can before
+            self._samples_since_start += 1
+        heard, self._heard = self._heard, None
+        if heard is not None and self._place is not None:
+            place, place_bits, time = self._place
+            pair = Pair(place.cycles, place.phase, heard, time)
+            if lost:
+                if (
+                    alone
+                    and jump == 0
+                    and taken
+                    and was_lost
+                    and not self._values.is_stale(pair, moving=False)
+                ):
+                    jump = self._reference.find(self.witness, pair)
+            elif place_bits & VALID or not self.witness.proven:
+                self._judge(pair, taken and not self._reference.in_doubt, alone)
+        elif not lost:
+            self._wait()
+        self._time += elapsed
+        if self._place is not None:
+            self._before.append(self._place[0])
+        self._place = track, bits, self._time
+        self._shift(jump)
+        return self._bits(bits), jump
+
+    def _shift(self, jump: int) -> None:
+        """The count was corrected: the places of earlier samples go along."""
+        if jump:
+            self._before = deque((_shifted(one, jump) for one in self._before), maxlen=MOST_LATE)
+            if self._place is not None:
+                track, bits, time = self._place
+                self._place = _shifted(track, jump), bits, time
+
+    def _wait(self) -> None:
+        """A sample without a value that says something."""
+        if not self.witness.proven:
+            self._waited += 1
+            self.witness.proven = self._waited > START_SAMPLES
+
+    def missed(self, bits: int) -> int:
+        """Status bits of a sampling interval without a sample."""
+        self._forget_sample()
+        return self._bits(bits)
+
+    def _bits(self, bits: int) -> int:
+        witness = self.witness
+        if bits & LOST or self._reference.estimator.lost:
+            if witness.disagrees:
+                self._forget_origin()  # it may be wrong itself, and does not set a count right
+            witness.disagreeing = 0
+            return bits if bits & LOST else lost_bits(bits)
+        if not witness.proven:
+            return bits & ~VALID
+        if not witness.disagrees:
+            return bits
+        if self.sensor.invalidates and bits & VALID:
+            bits = bits & ~VALID | COASTING
+        return bits | SECOND_POSITION
+
+    def _judge(self, pair: Pair, taken: bool, alone: bool) -> None:
+        """A value to a position that is not lost."""
+        witness, values = self.witness, self._values
+        if witness.proven:
+            if values.is_stale(pair, moving=True):
+                values.restart_standstill()
+            else:
+                self._compare(pair)
+        elif not taken or not alone:
+            witness.proven = not alone  # the coarse track proves it
+        elif values.is_stale(pair, moving=False):
+            self._wait()
+        else:
+            self._waited = 0
+            self._reference.find(witness, pair)
+
+    def _compare(self, pair: Pair) -> None:
+        witness, values = self.witness, self._values
+        witness.origin = witness.origin or pair
+        # The offset is that at the first standstill, or where the zero pulse is known.
+        may_learn = not (witness.firm or witness.disagrees)
+        if may_learn and (values.stands_still(pair) or self._reference.zero.referenced):
+            witness.origin, witness.firm = pair, True
+        self.difference_cycles = witness.away_cycles(pair)
+        earlier = list(self._before)[-values.late :] if values.late else []
+        fits_earlier = any(witness.fits(pair._replace(cycles=c, phase=p)) for c, p, _, _ in earlier)
+        if witness.fits(pair):
+            witness.disagreeing = 0
+            values.fits(fits_earlier)
+        elif not fits_earlier:
+            witness.disagreeing += 1
+
+
+def _shifted(track: Track, cycles: int) -> Track:
+    return track._replace(cycles=track.cycles + cycles)
