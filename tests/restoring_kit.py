@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from canfb.backup.backup_file import Backup
-from canfb.backup.backup_restoring import Restored, RestoreOptions, Restoring
 from canfb.master.access import ModuleObjects
 from canfb.master.all_or_nothing import Guard
 from canfb.module.device_configuration import read_configuration, restored_configuration
+from canfb.sdo.backup_file import Backup
+from canfb.sdo.backup_tasks import Restored, RestoreOptions, Restoring
 from commissioning_kit import MODULE_ID, Bench
 
 

@@ -12,7 +12,6 @@ import can
 import numpy as np
 import pytest
 
-from canfb.backup.backup_file import read_backup
 from canfb.configuration import changed_module, parse_config
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
@@ -23,12 +22,13 @@ from canfb.logs.log_reader import BusLogFile
 from canfb.logs.log_replay import COLUMNS, ReplayOptions, job_of
 from canfb.master.samples import read_npz, read_speed
 from canfb.module.module_config import ModuleConfig
+from canfb.sdo.backup_file import read_backup
 from canfb.sdo.object_description import ObjectDescriptions
+from canfb.sdo.table_file import as_yaml, read_table
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.sources import tracks_file
 from canfb.sources.recording_source import RecordingLayout, RecordingSource
-from canfb.tables.table_file import as_yaml, read_table
 
 LISTS = [f"&b{n} [{', '.join([f'*b{n - 1}' if n else '0.5'] * 9)}]" for n in range(9)]
 BOMB = "x:\n" + "".join(f"- {one}\n" for one in LISTS)

@@ -49,16 +49,15 @@ ALLOWED: dict[str, set[str]] = {
     "view": {"signal"} | WORDS,
     # What all tools share that are the master of a bus: objects by SDO, samples, changes that are undone.
     "master": {"signal", "calibration", "sources", "view"} | WORDS,
-    "tables": {"marked_yaml", "signal", "calibration", "master"} | WORDS - {"checks", "cia301"},
-    "sdo": {"marked_yaml", "calibration", "device", "master"} | WORDS - {"checks", "rows"},
-    "backup": {"marked_yaml", "signal", "master", "sdo"} | WORDS - {"checks", "errors"},
+    # Objects by name, correction tables, backups.
+    "sdo": {"marked_yaml", "signal", "calibration", "device", "master"} | WORDS,
     "diagnosis": {"signal", "view", "master", "sdo"} | WORDS - {"checks"},
-    "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "tables"} | WORDS,
+    "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "sdo"} | WORDS,
     "commission": {"signal", "calibration", "report", "view", "master", "calibrate"} | WORDS,
     # What others tell of themselves on the bus; so it may watch modules that are not ours.
     "monitoring": {"signal", "timing", "module", "configuration", "bus", "view"} | WORDS - {"checks", "rows"},
     # What a page shows and lets do, and its server.
-    "scope": {"signal", "calibration", "monitoring", "master", "tables", "calibrate", "bus", "view"}
+    "scope": {"signal", "calibration", "monitoring", "master", "sdo", "calibrate", "bus", "view"}
              | WORDS - {"checks", "rows"},
     # The clock, frames and the runner of any device: it knows nothing of encoders.
     "bus": {"device"} | WORDS - {"checks", "objects", "rows"},
@@ -71,7 +70,7 @@ ALLOWED: dict[str, set[str]] = {
     # motion, none of which may know the others. It needs no bus, so it is not in one that has.
     "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files", "view"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
-            "eds_files", "bus", "hosting", "demo", "master", "tables", "sdo", "backup", "diagnosis",
+            "eds_files", "bus", "hosting", "demo", "master", "sdo", "diagnosis",
             "calibrate", "commission", "report", "monitoring", "replay", "logs", "planning", "scope",
             "marked_yaml", "view"} | WORDS,
     # StateFiles of hosting, when it is asked for.
@@ -101,8 +100,7 @@ FOREIGN: dict[str, set[str]] = {
     "marked_yaml": {"yaml"},
     "report": {"numpy"},
     "master": {"numpy", "canopen", "can"},
-    "tables": {"numpy", "yaml"},
-    "backup": {"yaml"},
+    "sdo": {"numpy", "yaml"},
     "calibrate": {"numpy"},
     "commission": {"numpy"},
     "scope": {"numpy", "can", "bokeh", "jinja2", "tornado"},

@@ -18,8 +18,7 @@ from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
-from canfb.master.active_table import read_active
-from canfb.master.all_or_nothing import Guard
+from canfb.master.all_or_nothing import Guard, read_active
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.supervision import TABLE_ACTIVE
 from canfb.simulation.motion import Motion, Ramp, Ripple

@@ -24,9 +24,8 @@ from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError, ConfigError
 from canfb.master.access import CommissioningError
-from canfb.master.active_table import read_active
-from canfb.master.all_or_nothing import Guard
-from canfb.master.provenance import Provenance
+from canfb.master.all_or_nothing import Guard, read_active
+from canfb.master.machine_watch import Provenance
 from canfb.master.session import read_corners
 from canfb.master.supervision_limits import SupervisionLimits
 from canfb.signal.correction import NO_CORRECTION

@@ -20,7 +20,7 @@ from canfb.calibrate.measurement import Measurement
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.deviation import Deviation
 from canfb.errors import CalibrationError
-from canfb.master.provenance import Provenance
+from canfb.master.machine_watch import Provenance
 from commissioning_kit import Bench
 
 WHERE = Provenance(

@@ -16,12 +16,12 @@ from canfb.calibrate.procedure import Installation
 from canfb.calibration.deviation import deviation
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
-from canfb.master.provenance import Provenance
+from canfb.master.machine_watch import Provenance
 from canfb.master.samples import TrackSamples, read_npz
+from canfb.sdo.table_file import read_table
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.supervision import SampleLimits
-from canfb.tables.table_file import read_table
 from html_page import Page
 
 WHERE = Provenance("2026-03-01", 32, 16, "ROD <486> & co", 2500)

@@ -16,13 +16,13 @@ from canfb.calibration.path_correction import sampled_together, speeds
 from canfb.calibration.recording import recording
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError
-from canfb.master.active_table import put_in_force, read_active, read_conditioning
+from canfb.master.all_or_nothing import put_in_force, read_active, read_conditioning
 from canfb.master.samples import TrackSamples
+from canfb.sdo.table_file import as_yaml, read_table_file
 from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.tables.table_file import as_yaml, read_table_file
 from commissioning_kit import MODULE_ID, Bench, recorded
 from folding import each
 from node_commands import Commands

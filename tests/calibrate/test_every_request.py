@@ -13,20 +13,19 @@ import numpy as np
 import pytest
 from adversary import Adversary, Held, Task, requests
 
-from canfb.backup.backup_file import Backup
 from canfb.calibrate.measurement import Measurement, Settings
 from canfb.calibrate.procedure import install
 from canfb.cli.backup_command import backup_of
 from canfb.commission.commission_run import set_limits
 from canfb.device.storage.storage import MemoryStore
-from canfb.master.active_table import put_in_force, save
-from canfb.master.all_or_nothing import Guard
+from canfb.master.all_or_nothing import Guard, put_in_force, save
 from canfb.master.samples import TrackSamples
 from canfb.objects import Multiplexer
+from canfb.sdo.backup_file import Backup
+from canfb.sdo.table_file import TableFile
+from canfb.sdo.table_tasks import TableTasks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.tables.table_file import TableFile
-from canfb.tables.table_tasks import TableTasks
 from commissioning_kit import MODULE_ID, Bench
 from restoring_kit import restore_from
 

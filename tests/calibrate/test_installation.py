@@ -14,8 +14,7 @@ from canfb.calibrate.procedure import Installation, install
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError
-from canfb.master.active_table import put_in_force, put_in_force_again, read_active, save
-from canfb.master.all_or_nothing import Guard
+from canfb.master.all_or_nothing import Guard, put_in_force, put_in_force_again, read_active, save
 from canfb.master.samples import TrackSamples
 from canfb.signal.correction import NO_CORRECTION, Correction
 from commissioning_kit import Bench

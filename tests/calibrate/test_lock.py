@@ -15,8 +15,7 @@ from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
-from canfb.master.active_table import read_active
-from canfb.master.all_or_nothing import Guard
+from canfb.master.all_or_nothing import Guard, read_active
 from canfb.master.samples import TrackSamples
 from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.motion import Motion, Ramp, Ripple

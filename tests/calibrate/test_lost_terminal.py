@@ -16,8 +16,7 @@ from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.configuration import Config
-from canfb.master.active_table import read_active
-from canfb.master.all_or_nothing import Guard
+from canfb.master.all_or_nothing import Guard, read_active
 from canfb.signal.correction import NO_CORRECTION
 from commissioning_kit import Bench
 

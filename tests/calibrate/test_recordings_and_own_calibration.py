@@ -16,7 +16,7 @@ from canfb.calibrate.procedure import verify
 from canfb.cia301.frame import Frame
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, ObjectAbsentError
-from canfb.master.active_table import read_active
+from canfb.master.all_or_nothing import read_active
 from canfb.master.listening import record
 from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.motion import Motion

@@ -10,6 +10,7 @@ import canopen
 import numpy as np
 import pytest
 
+from canfb.bus.sdo_channel import SharedClient
 from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.demo.demo_network import EmbeddedNetwork
@@ -46,7 +47,7 @@ class Peer:
         bus.attach(self.module)
 
     def sdo(self, node_id: int) -> Any:
-        return self.remote.sdo
+        return SharedClient(self.network, node_id, 1.0)
 
     def wait(self, duration_s: float) -> None:
         """Nothing happens meanwhile."""

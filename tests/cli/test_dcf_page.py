@@ -10,6 +10,7 @@ from typing import Any
 import canopen
 import pytest
 
+from canfb.bus.sdo_channel import SharedClient
 from canfb.cia301.frame import Frame
 from canfb.cli import config_file
 from canfb.cli.main import main
@@ -114,7 +115,7 @@ class _Reading:
         """There is nothing to close."""
 
     def sdo(self, node_id: int) -> Any:
-        return self._network[node_id].sdo
+        return SharedClient(self._network, node_id, 1.0)
 
     def wait(self, seconds: float) -> None:
         """The bus has not failed."""

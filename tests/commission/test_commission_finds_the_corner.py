@@ -10,7 +10,7 @@ from test_commission_on_a_bus import commission
 
 from canfb.calibration.path_fit import LowPass
 from canfb.commission.limit_choice import corner_choice
-from canfb.master.active_table import put_in_force
+from canfb.master.all_or_nothing import put_in_force
 from canfb.master.session import read_corners
 from canfb.master.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits, write_limits
 from canfb.signal.harmonics import Corners

@@ -20,8 +20,7 @@ from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import BusError
 from canfb.master.access import CommissioningError
-from canfb.master.active_table import put_in_force
-from canfb.master.all_or_nothing import Guard
+from canfb.master.all_or_nothing import Guard, put_in_force
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
 from commissioning_kit import Bench

@@ -61,16 +61,6 @@ def test_a_frame_that_only_this_node_may_send(shipped: Shipped, can_id: int, com
     assert shipped.count == 1
 
 
-def test_it_is_reported_once_and_counted_always(shipped: Shipped) -> None:
-    shipped.operational()
-    assert shipped.send(0x720, "00") == emergency(0x720)
-    for can_id in sorted(OWN) * 3:
-        assert shipped.send(can_id, bytes(8)) == []
-    assert shipped.count == 16
-    assert shipped.noticed == [(0x720, 0.0)]
-    assert shipped.node.counters.unknown_cob_ids == 0
-
-
 @pytest.mark.parametrize("command", [129, 130])
 def test_a_reset_forgets_it_and_the_next_frame_tells_it_again(shipped: Shipped, command: int) -> None:
     shipped.send(0x720, "05")
@@ -88,27 +78,6 @@ def test_in_stopped_it_waits_for_emcy(shipped: Shipped) -> None:
     assert shipped.nmt(128) == emergency(0x1A0)
 
 
-@pytest.mark.parametrize("can_id", sorted(OWN))
-def test_a_remote_frame_is_a_question(shipped: Shipped, can_id: int) -> None:
-    shipped.operational()
-    shipped.send(can_id, rtr=True)
-    assert shipped.count == 0
-    assert shipped.noticed == []
-
-
-def test_frames_of_others_are_none(shipped: Shipped) -> None:
-    shipped.operational()
-    for can_id in range(0x800):
-        if can_id not in OWN | {0x000}:
-            shipped.send(can_id, bytes(8))
-    assert shipped.count == 0
-
-
-def test_a_frame_longer_than_any_is_malformed_and_no_more(shipped: Shipped) -> None:
-    shipped.send(0x720, bytes(9))
-    assert (shipped.count, shipped.node.counters.malformed_frames) == (0, 1)
-
-
 def test_without_an_application() -> None:
     node = Node(deepcopy(PRISTINE), ID)
     node.start(0.0)
@@ -121,47 +90,6 @@ def set_cob_id(bench: Bench, index: int, subindex: int, value: int) -> None:
     assert bench.write(index, subindex, off, 4) is OK
     assert bench.write(index, subindex, value | 0x80000000, 4) is OK
     assert bench.write(index, subindex, value, 4) is OK
-
-
-@pytest.mark.parametrize("operational", [False, True])
-def test_a_tpdo_with_another_can_id(shipped: Shipped, operational: bool) -> None:
-    if operational:
-        shipped.operational()
-    set_cob_id(shipped, 0x1800, 1, 0x40000333)
-    shipped.send(0x1A0, bytes(8))
-    assert shipped.count == 0
-    assert shipped.send(0x333, bytes(8)) == emergency(0x333)
-
-
-def test_a_tpdo_that_is_switched_off_or_on(shipped: Shipped) -> None:
-    assert shipped.write(0x1801, 1, 0x800002A0, 4) is OK
-    assert shipped.write(0x1802, 1, 0x400003A0, 4) is OK
-    shipped.send(0x2A0, bytes(8))
-    assert shipped.count == 0
-    shipped.send(0x3A0, bytes(8))
-    assert shipped.count == 1
-
-
-def test_emcy_with_another_can_id_or_none(shipped: Shipped) -> None:
-    set_cob_id(shipped, 0x1014, 0, 0x345)
-    shipped.send(0x0A0, bytes(8))
-    assert shipped.count == 0
-    assert shipped.send(0x345, bytes(8)) == emergency(0x345, at=0x345)
-    assert shipped.write(0x1014, 0, 0x80000345, 4) is OK
-    shipped.send(0x345, bytes(8))
-    assert shipped.count == 1
-
-
-def test_a_second_sdo_server(shipped: Shipped) -> None:
-    assert shipped.write(0x1201, 1, 0x6C0, 4) is OK
-    shipped.send(0x6C1, bytes(8))
-    assert shipped.count == 0, "one of the two is not enough"
-    assert shipped.write(0x1201, 2, 0x6C1, 4) is OK
-    shipped.send(0x6C1, bytes(8))
-    assert shipped.count == 1
-    assert shipped.write(0x1201, 1, 0x800006C0, 4) is OK
-    shipped.send(0x6C1, bytes(8))
-    assert shipped.count == 1
 
 
 def test_an_rpdo_on_the_can_id_of_a_tpdo_works_and_gives_no_alarm(shipped: Shipped) -> None:
@@ -177,15 +105,6 @@ def test_an_rpdo_on_the_can_id_of_a_tpdo_works_and_gives_no_alarm(shipped: Shipp
     shipped.nmt(128)
     assert shipped.write(0x1400, 1, 0x80000190, 4) is OK
     assert shipped.send(0x190, "05000600") == emergency(0x190), "nobody listens there any more"
-
-
-def test_emcy_on_the_can_id_of_sync(shipped: Shipped) -> None:
-    set_cob_id(shipped, 0x1014, 0, 0x080)
-    shipped.operational()
-    assert shipped.sync() != []
-    shipped.nmt(2)
-    shipped.sync()
-    assert shipped.count == 0
 
 
 def test_a_node_that_watches_itself_hears_both(shipped: Shipped) -> None:

@@ -39,34 +39,6 @@ def test_both_devices_have_it_switched_off(name: str) -> None:
     assert bench.node.state is NmtState.PRE_OPERATIONAL
 
 
-def test_the_toggle_bit_alternates_from_0(bench: Bench) -> None:
-    for _ in range(3):
-        assert guard(bench) == ["720#7F"]
-        assert guard(bench) == ["720#FF"]
-
-
-def test_in_every_state_with_one_toggle_bit(bench: Bench) -> None:
-    assert guard(bench) == ["720#7F"]
-    for command, answers in ((1, ("85", "05")), (2, ("84", "04")), (128, ("FF", "7F")), (1, ("85", "05"))):
-        bench.nmt(command)
-        assert guard(bench) == [f"720#{answers[0]}"]
-        assert guard(bench) == [f"720#{answers[1]}"]
-
-
-@pytest.mark.parametrize("command", [129, 130])
-def test_a_reset_begins_with_0(bench: Bench, command: int) -> None:
-    guard(bench)
-    bench.nmt(command)
-    assert guard(bench) == ["720#7F"]
-
-
-def test_only_the_own_id_is_answered(bench: Bench) -> None:
-    for node_id in set(range(1, 128)) - {ID}:
-        assert bench.send(0x700 + node_id, rtr=True) == []
-    assert bench.node.counters.remote_frames == 126
-    assert guard(bench) == ["720#7F"]
-
-
 def test_not_before_the_start(silent: Bench) -> None:
     assert guard(silent) == []
 
@@ -98,23 +70,6 @@ def test_without_100d_there_is_no_life_guarding(tmp_path: Path) -> None:
 
 
 # Life guarding
-
-
-def test_it_starts_with_the_first_remote_frame(bench: Bench) -> None:
-    set_up(bench)
-    bench.operational()
-    assert bench.run(100.0) == []
-    assert bench.node.state is NmtState.OPERATIONAL
-
-
-def test_a_guarded_node_is_quiet(bench: Bench) -> None:
-    set_up(bench)
-    bench.operational()
-    for _ in range(20):
-        assert len(guard(bench)) == 1
-        assert bench.run(0.299) == []
-    assert bench.node.state is NmtState.OPERATIONAL
-    assert bench.read(0x1001) == 0
 
 
 def test_a_silent_master(bench: Bench) -> None:
@@ -233,15 +188,6 @@ def test_a_lost_heartbeat_and_a_silent_master_are_two_errors(bench: Bench) -> No
 
 
 # With a heartbeat
-
-
-def test_a_heartbeat_takes_the_place_of_guarding(bench: Bench) -> None:
-    set_up(bench)
-    bench.write(0x1017, 0, 100, 2)
-    bench.run(0.0)
-    assert guard(bench) == []
-    assert bench.node.counters.remote_frames == 1
-    assert {text for _, text in bench.run(1.0)} == {"720#7F"}
 
 
 def test_it_ends_a_running_life_time(bench: Bench) -> None:

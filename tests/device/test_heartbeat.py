@@ -11,29 +11,12 @@ def watch(node_id: int, milliseconds: int) -> int:
     return node_id << 16 | milliseconds
 
 
-def test_the_producer_counts_about_100_in_10_seconds(bench: Bench) -> None:
-    bench.write(0x1017, 0, 100, 2)
-    seen = bench.run(10.0)
-    assert {text for _, text in seen} == {"720#7F"}
-    assert len(seen) == 101
-    assert seen[0][0] == 0.0
-    assert seen[50][0] == pytest.approx(5.0)
-
-
 def test_the_producer_shows_the_state(bench: Bench) -> None:
     bench.write(0x1017, 0, 100, 2)
     bench.run(0.0)
     for command, beat in ((1, "720#05"), (2, "720#04"), (128, "720#7F")):
         bench.nmt(command)
         assert [text for _, text in bench.run(0.1)] == [beat]
-
-
-def test_zero_stops_the_producer(bench: Bench) -> None:
-    bench.write(0x1017, 0, 100, 2)
-    bench.run(0.5)
-    bench.write(0x1017, 0, 0, 2)
-    assert bench.node.deadline() is None
-    assert bench.run(10.0) == []
 
 
 def test_a_stored_period_starts_with_the_boot_up(silent: Bench) -> None:
@@ -61,13 +44,6 @@ def test_the_period_does_not_drift(bench: Bench) -> None:
         bench.now = number * 0.1 + 0.03
         assert bench.tick() == ["720#7F"]
     assert bench.node.deadline() == pytest.approx(2.0)
-
-
-def test_the_consumer_waits_for_the_first_heartbeat(bench: Bench) -> None:
-    assert bench.write(0x1016, 1, watch(0x47, 1000), 4) == OK
-    bench.operational()
-    assert bench.run(10.0) == []
-    assert bench.node.state is NmtState.OPERATIONAL
 
 
 def test_a_lost_heartbeat(bench: Bench) -> None:
@@ -99,29 +75,6 @@ def test_the_program_hears_of_the_loss_before_the_state_changes(bench: Bench) ->
     assert heard[1:] == [(bench.now, NmtState.PRE_OPERATIONAL)]
 
 
-def test_good_heartbeats_keep_it_quiet(bench: Bench) -> None:
-    bench.write(0x1016, 2, watch(0x47, 1000), 4)
-    bench.operational()
-    for _ in range(12):
-        assert bench.send(0x747, "05") == []
-        assert bench.run(0.9) == []
-    assert bench.node.state is NmtState.OPERATIONAL
-
-
-@pytest.mark.parametrize(
-    ("behaviour", "state"),
-    [(0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)],
-)
-def test_the_error_behaviour(bench: Bench, behaviour: int, state: NmtState) -> None:
-    assert bench.write(0x1029, 1, behaviour, 1) == OK
-    bench.write(0x1016, 1, watch(0x47, 100), 4)
-    bench.operational()
-    bench.send(0x747, "05")
-    sent = bench.run(1.0)
-    assert bench.node.state is state
-    assert [text for _, text in sent] == ["0A0#3081114700000000"]
-
-
 @pytest.mark.parametrize(("command", "state"), [(2, NmtState.STOPPED), (128, NmtState.PRE_OPERATIONAL)])
 def test_default_behaviour_only_leaves_operational(bench: Bench, command: int, state: NmtState) -> None:
     bench.write(0x1016, 1, watch(0x47, 100), 4)
@@ -142,16 +95,6 @@ def test_the_same_node_twice_is_refused(bench: Bench) -> None:
     assert bench.read(0x1016, 2) == 0
     assert bench.write(0x1016, 1, 0x00050010, 4) == OK
     assert bench.write(0x1016, 2, 0x00050000, 4) == OK
-
-
-@pytest.mark.parametrize("value", [0, watch(0, 100), watch(128, 100), watch(255, 100), watch(5, 0)])
-def test_unused_entries(bench: Bench, value: int) -> None:
-    for subindex in (1, 2):
-        assert bench.write(0x1016, subindex, value, 4) == OK
-    before = bench.node.counters.unknown_cob_ids
-    bench.send(0x705, "05")
-    assert bench.node.counters.unknown_cob_ids == before + 1
-    assert bench.node.deadline() is None
 
 
 def test_reserved_bits_are_refused(bench: Bench) -> None:

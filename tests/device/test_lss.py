@@ -9,7 +9,7 @@ import pytest
 from device_kit import hexes
 from hypothesis import given
 from hypothesis import strategies as st
-from storing_bench import RESET_COMMUNICATION, RESET_NODE, StoringBench, write_eds
+from storing_bench import RESET_COMMUNICATION, StoringBench, write_eds
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
@@ -162,12 +162,6 @@ def test_a_node_id_is_in_force_after_reset_communication(bench: LssBench) -> Non
     assert bench.send(0x728, rtr=True) == ["728#7F"]
     assert bench.nmt(1, 40) == []
     assert bench.node.state is NmtState.OPERATIONAL
-
-
-def test_reset_node_takes_it_over_as_well(bench: LssBench) -> None:
-    bench.configure().lss(0x11, 40)
-    assert bench.nmt(RESET_NODE) == ["728#00"]
-    assert bench.lss(0x5E) == []  # in the waiting state again
 
 
 def test_every_service_has_the_new_node_id(bench: LssBench) -> None:

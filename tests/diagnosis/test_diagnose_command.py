@@ -99,12 +99,13 @@ def test_a_refused_object_has_the_reason_in_its_place(canfb: Commands, tmp_path:
 
 
 def test_a_node_that_is_silent_is_told_and_the_others_are_read(canfb: Commands, tmp_path: Path) -> None:
-    out = canfb(Bench(sync=False), "diagnose", 5, MODULE_ID, SECONDS, "-i", "virtual", "-c", "x")[0]
+    out, err = canfb(Bench(sync=False), "diagnose", 5, MODULE_ID, SECONDS, "-i", "virtual", "-c", "x", code=1)
+    assert ".json is incomplete: node 5 (05h): " in err
     silent, module = written(tmp_path)["nodes"]
     assert silent["node_id"] == 5
     assert "no answer" in silent["error"]
     assert module["objects"]
-    assert "node 5 (05h): 0 objects; " in out
+    assert "node 5 (05h): 0 objects\n" in out
 
 
 def test_a_bus_that_is_down_and_a_wrong_configuration_are_in_the_file(
@@ -120,12 +121,12 @@ def test_a_bus_that_is_down_and_a_wrong_configuration_are_in_the_file(
     monkeypatch.setattr(node_options, "master_of", master_of)
     path = tmp_path / "wrong.yaml"
     path.write_text("modules: [{node_id: 300}]\n")
-    assert main(["diagnose", str(path)]) == 0
+    assert main(["diagnose", str(path)]) == 1
     found = written(tmp_path)
     assert "node_id must be a whole number 1..127, not 300" in found["configuration_error"]
     assert found["bus"]["error"] == "cannot open the bus virtual x: gone"
     assert "nodes" not in found
-    assert capsys.readouterr().out.count("not read: ") == 2
+    assert capsys.readouterr().err.count(" is incomplete: ") == 1
 
 
 def test_the_journal_is_that_of_the_services_of_the_configuration(

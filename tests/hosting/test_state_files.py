@@ -238,7 +238,7 @@ def test_after_a_power_failure_at_any_call_the_old_or_the_new_set_is_there(
 ) -> None:
     after = changed(OLD, CHANGES[name])
     seen = []
-    monkeypatch.setattr(state_files, "_lock", lambda handle: None)
+    monkeypatch.setattr(state_files, "lock_file", lambda handle: None)
 
     def run(trouble: Trouble) -> None:
         disk = FakeDisk(tmp_path)
@@ -270,7 +270,7 @@ def test_an_error_of_the_disk_at_any_call_leaves_the_old_or_the_new_set(
 ) -> None:
     after = changed(OLD, CHANGES[name])
     outcomes = []
-    monkeypatch.setattr(state_files, "_lock", lambda handle: None)
+    monkeypatch.setattr(state_files, "lock_file", lambda handle: None)
 
     def run(trouble: Trouble) -> None:
         disk = FakeDisk(tmp_path)

@@ -18,9 +18,9 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.hosting.state_files import StateFiles
 from canfb.objects import StatusBit
 from canfb.replay.sample_columns import COLUMNS
+from canfb.sdo.table_file import as_yaml
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.tables.table_file import as_yaml
 from html_page import Page
 from replay_kit import NODE_ID, POSITION_ID, adc, as_message, contents, live, session, write_log
 

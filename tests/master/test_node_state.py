@@ -9,7 +9,7 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.master.access import CommissioningError
-from canfb.master.active_table import check_unlocked
+from canfb.master.all_or_nothing import check_unlocked
 from canfb.master.node_state import nmt_state, state_in, without_restart
 from commissioning_kit import MODULE_ID, Bench
 

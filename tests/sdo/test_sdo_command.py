@@ -23,7 +23,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.objects import StatusBit
 from canfb.sdo.object_description import ObjectDescriptions, numbered
-from canfb.sdo.object_values import MODULE, abort_words, in_words, parse_value, short_real, value_range
+from canfb.sdo.sdo_tasks import MODULE, abort_words, in_words, parse_value, short_real, value_range
 from canfb.signal.correction import CorrectionTable
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
 from node_commands import Commands, abort, between, drop_answer, is_write

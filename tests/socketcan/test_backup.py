@@ -10,9 +10,9 @@ import numpy as np
 from network import NODE_ID, Master, wait_for_boot_up, write_config
 from pace import Pace
 
+from canfb.sdo.table_file import as_yaml
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.tables.table_file import as_yaml
 from processes import Process
 
 NODE = str(NODE_ID)

@@ -20,7 +20,6 @@ from typing import Any
 import can
 import numpy as np
 
-from canfb.backup.backup_file import Backup, NodeIdentity, backup_text, read_backup
 from canfb.cia301.frame import Frame
 from canfb.configuration import ANY_NODES, changed_module, load_config
 from canfb.device.od.dictionary import Dictionary
@@ -34,11 +33,12 @@ from canfb.master.samples import read_npz, read_speed
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.sdo.backup_file import Backup, NodeIdentity, backup_text, read_backup
 from canfb.sdo.object_description import ObjectDescriptions
+from canfb.sdo.table_file import as_yaml, read_table_file
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.sources.recording_source import RecordingLayout, RecordingSource
-from canfb.tables.table_file import as_yaml, read_table_file
 from tools.fuzz import body
 from tools.fuzz.bounds import bounded
 from tools.fuzz.inputs import NODE_ID

@@ -9,7 +9,7 @@ from pathlib import Path
 from canfb.device.od import eds
 from canfb.eds_files import eds_path
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions
-from canfb.sdo.object_values import in_words, type_name, words_of
+from canfb.sdo.sdo_tasks import in_words, type_name, words_of
 from tools.site.markdown import plain, table
 
 DEVICES = (

@@ -1,14 +1,11 @@
-"""A master on an embedded bus, in simulated time: python canopen's SDO client behind it."""
+"""A master on an embedded bus, in simulated time: the SDO client of the tools behind it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import queue
 from typing import Any
 
-import canopen
-from canopen.sdo.client import SdoClient
-from canopen.sdo.exceptions import SdoCommunicationError
-
+from canfb.bus.sdo_channel import SharedClient
 from canfb.cia301.frame import Frame
 from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.simulation.embedded_bus import EmbeddedBus
@@ -16,21 +13,24 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 STEP_S = 0.001
 
 
-class EmbeddedClient(SdoClient):
-    """python canopen's SDO client; simulated time passes while it waits."""
+class EmbeddedClient(SharedClient):
+    """Simulated time passes while it waits."""
 
-    wait: Callable[[float], None]
+    def __init__(self, master: EmbeddedMaster, node_id: int, answer_s: float) -> None:
+        super().__init__(master.network, node_id, answer_s)
+        self._master = master
 
-    def read_response(self) -> bytes:
-        left = self.RESPONSE_TIMEOUT
+    def frame(self, within_s: float) -> bytes:
         while self.responses.empty():
-            if left <= 0.0:
-                raise SdoCommunicationError("No SDO response received")
-            self.wait(STEP_S)
-            left -= STEP_S
-        inherited: Any = super()
-        answer: bytes = inherited.read_response()
-        return answer
+            if within_s <= 0.0:
+                raise queue.Empty
+            self._master.wait(STEP_S)
+            within_s -= STEP_S
+        data: bytes = self.responses.get()
+        return data
+
+    def now(self) -> float:
+        return self._master.now()
 
 
 class EmbeddedMaster:
@@ -43,16 +43,9 @@ class EmbeddedMaster:
         self.clients: dict[int, EmbeddedClient] = {}
         self._answer_s = answer_s
 
-    def sdo(self, node_id: int) -> Any:
+    def sdo(self, node_id: int) -> EmbeddedClient:
         if node_id not in self.clients:
-            make: Any = EmbeddedClient
-            dictionary: Any = canopen.ObjectDictionary
-            client: EmbeddedClient = make(0x600 + node_id, 0x580 + node_id, dictionary())
-            client.RESPONSE_TIMEOUT = self._answer_s
-            client.network = self.network
-            client.wait = self.wait
-            self.network.subscribe(client.tx_cobid, client.on_response)
-            self.clients[node_id] = client
+            self.clients[node_id] = EmbeddedClient(self, node_id, self._answer_s)
         return self.clients[node_id]
 
     def subscribe(self, can_id: int, hear: Any) -> None:

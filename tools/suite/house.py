@@ -34,7 +34,6 @@ class Room(NamedTuple):
 ROOMS = {
     "cli": Room(375, 205, 0, "a command: parse, call, print"),
     "commission": Room(130, 230, 1, "limits from a machine in its duty"),
-    "backup": Room(420, 200, 1, "a module as a file, and back"),
     "diagnosis": Room(680, 155, 1, "nodes, frames, losses"),
     "logs": Room(20, 210, 2, "a bus log, or a folder of them"),
     "planning": Room(290, 150, 2, "limits, before a bus"),
@@ -46,8 +45,7 @@ ROOMS = {
     "calibrate": Room(740, 185, 3, "a measurement over the bus"),
     "configuration": Room(120, 140, 4, "the YAML, validated"),
     "report": Room(325, 135, 4, "pictures and pages"),
-    "tables": Room(520, 130, 4, "tables, files"),
-    "sdo": Room(710, 130, 4, "objects by name"),
+    "sdo": Room(560, 215, 4, "objects by name, tables, backups"),
     "simulation": Room(100, 220, 5, "a machine, its encoder, a drive"),
     "module": Room(375, 200, 5, "samples in, position PDO out", "join"),
     "master": Room(635, 225, 5, "objects by SDO, samples, undoing"),

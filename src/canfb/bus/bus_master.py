@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import can
 import canopen
 from canopen.network import MessageListener
-from canopen.sdo.client import SdoClient
 
+from canfb.bus.sdo_channel import SharedClient, sdo_turn
 from canfb.cia301 import cob
 from canfb.errors import BusError, reason
 
 OnFrame = Callable[[int, bytes, float], None]
-Client = Any  # canopen.sdo.SdoClient, which has no types
 LOOK_S = 0.05  # how late a bus that has failed may be noticed
 STOP_S = 1.0  # for the receiving thread to end
 
@@ -31,7 +31,7 @@ class BusMaster:
         self._bus = bus
         self._answer_within_s = answer_within_s
         self._network = _Network(bus)
-        self._clients: dict[int, Client] = {}
+        self._clients: dict[int, SharedClient] = {}
         self._syncs: list[Any] = []
 
     def __enter__(self) -> BusMaster:
@@ -45,16 +45,11 @@ class BusMaster:
             self._network.notifier.stop(STOP_S)
         self._bus.shutdown()
 
-    def sdo(self, node_id: int) -> Client:
+    def sdo(self, node_id: int) -> SharedClient:
         """The SDO client for a node (1..127), without an object dictionary: bytes in, bytes out."""
         if node_id not in self._clients:
-            make: Any = SdoClient
-            dictionary: Any = canopen.ObjectDictionary
-            client = make(cob.SDO_REQUEST + node_id, cob.SDO_RESPONSE + node_id, dictionary())
-            client.RESPONSE_TIMEOUT = self._answer_within_s
-            client.network = self._network
-            self._network.subscribe(client.tx_cobid, client.on_response)
-            self._clients[node_id] = client
+            turn = partial(sdo_turn, str(self._bus.channel_info), node_id)
+            self._clients[node_id] = SharedClient(self._network, node_id, self._answer_within_s, turn)
         return self._clients[node_id]
 
     def subscribe(self, can_id: int, on_frame: OnFrame) -> None:

@@ -56,6 +56,8 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
     words = {key: value for key, value in options.items() if key != FORCE_PYTHON_CAN}
     with _failing_in_one_line(options):
         bus = can.Bus(**(words | _port_of(words)))
+    if bus.channel_info == can.BusABC.channel_info:  # some have none
+        bus.channel_info = f"{type(bus).__name__} {getattr(bus, 'channel', '')}"
     enlarge_queue_of(bus)
     return bus
 

@@ -1,6 +1,6 @@
 """``canfb calibrate``: reference measurement, upload of its table, proof, report.
 
-From ``canfb.master`` come samples and objects of a node, from ``canfb.tables`` the files of tables::
+From ``canfb.master`` come samples and objects of a node, from ``canfb.sdo`` the files of tables::
 
     choices              what it is asked to do; options that exclude each other
     calibration_run      from the first sample to the last file

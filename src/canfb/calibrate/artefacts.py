@@ -12,10 +12,10 @@ from canfb.calibrate.measurement import Measurement
 from canfb.calibrate.procedure import Installation
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
-from canfb.master.provenance import Provenance
+from canfb.master.machine_watch import Provenance
 from canfb.master.samples import TrackSamples, write_npz
+from canfb.sdo.table_file import as_yaml
 from canfb.signal.supervision import SampleLimits
-from canfb.tables.table_file import as_yaml
 
 TABLE_YAML, TABLE_BIN, SAMPLES, REPORT = "table.yaml", "table.bin", "samples.npz", "report.html"
 SPEEDS = "speeds"

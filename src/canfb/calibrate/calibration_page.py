@@ -11,7 +11,7 @@ from canfb.calibrate.measurement import Measurement, SpeedMeasurement
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.figures import BINS
 from canfb.errors import CalibrationError
-from canfb.master.provenance import Provenance, origins
+from canfb.master.machine_watch import Provenance, origins
 from canfb.master.samples import TrackSamples
 from canfb.report import pictures
 from canfb.report.page import beside, figure, gallery, page, table

@@ -19,15 +19,21 @@ from canfb.calibrate.procedure import Installation, install
 from canfb.calibrate.samples_through_chain import InForce, SpeedSamples
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, Master
-from canfb.master.active_table import check_unlocked
-from canfb.master.all_or_nothing import Guard
-from canfb.master.machine_watch import LockWatch, Look, Meanwhile, SpeedReadings, look_at, lost_words
-from canfb.master.provenance import Provenance
+from canfb.master.all_or_nothing import Guard, check_unlocked
+from canfb.master.machine_watch import (
+    LockWatch,
+    Look,
+    Meanwhile,
+    Provenance,
+    SpeedReadings,
+    look_at,
+    lost_words,
+)
 from canfb.master.samples import TrackSamples
 from canfb.master.session import Session, Source
+from canfb.sdo.table_file import read_table
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits
-from canfb.tables.table_file import read_table
 
 LEAST_FRESH = 1500
 

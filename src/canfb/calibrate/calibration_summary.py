@@ -16,10 +16,10 @@ from canfb.calibrate.procedure import Installation
 from canfb.calibrate.samples_through_chain import ErrorAtSpeed
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.result import Calibration
-from canfb.master.provenance import PERCENT, Provenance, percent, where_words
+from canfb.master.machine_watch import PERCENT, Provenance, percent, where_words
 from canfb.master.samples import TrackSamples
 from canfb.rows import NAME_WIDTH, Result, Row, as_columns, as_figures, as_lines
-from canfb.tables.table_file import conditioning_in_words, conditioning_words, table_words
+from canfb.sdo.table_file import conditioning_in_words, conditioning_words, table_words
 
 SAME_DELAY = 1e-3  # relative: REAL32
 LOST = "position lost"

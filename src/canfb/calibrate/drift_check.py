@@ -15,12 +15,12 @@ from canfb.calibration.over_speeds import measured_at_standstill
 from canfb.calibration.path_fit import NO_PATH
 from canfb.calibration.result import Calibration
 from canfb.master.access import Progress
-from canfb.master.provenance import PERCENT, Provenance, percent, where_words
+from canfb.master.machine_watch import PERCENT, Provenance, percent, where_words
 from canfb.master.samples import TrackSamples
 from canfb.rows import Row, as_figures, as_lines
+from canfb.sdo.table_file import table_words
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
-from canfb.tables.table_file import table_words
 
 
 class EllipseChange(NamedTuple):

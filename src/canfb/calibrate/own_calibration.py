@@ -12,7 +12,7 @@ from canfb.calibration.deviation import best_deviation
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError, CanfbError
 from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress
-from canfb.master.active_table import read_active
+from canfb.master.all_or_nothing import read_active
 from canfb.master.listening import Listener
 from canfb.master.samples import TrackSamples
 from canfb.objects import MeasurementCommand as Command

@@ -12,8 +12,14 @@ from canfb.calibrate.measurement import Measurement, Settings, block_of
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
-from canfb.master.active_table import put_in_force, put_in_force_again, save
-from canfb.master.all_or_nothing import Guard, all_or_nothing, put_back
+from canfb.master.all_or_nothing import (
+    Guard,
+    all_or_nothing,
+    put_back,
+    put_in_force,
+    put_in_force_again,
+    save,
+)
 from canfb.master.samples import TrackSamples
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES
 from canfb.view.limits_in_force import LIMIT_UNITS

@@ -24,16 +24,15 @@ from canfb.calibration.deviation import Deviation
 from canfb.calibration.path_fit import check_apart
 from canfb.errors import ConfigError
 from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
-from canfb.master.active_table import put_in_force
-from canfb.master.all_or_nothing import Guard
+from canfb.master.all_or_nothing import Guard, put_in_force
 from canfb.master.machine_watch import SpeedReadings, check_valid
 from canfb.master.samples import TrackSamples, read_speed
 from canfb.master.session import CORNERS, Session, read_corners
 from canfb.master.supervision_limits import as_real32
+from canfb.sdo.table_file import read_table
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
-from canfb.tables.table_file import read_table
 
 NEAR_PART = 0.1  # of a speed: it is this one
 STEADY_PART = 0.01  # of it, from the lowest to the highest of the last readings

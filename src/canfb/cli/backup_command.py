@@ -8,9 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from canfb import objects as od
-from canfb.backup.backup_file import Backup, NodeIdentity, backup_text, read_backup
-from canfb.backup.backup_restoring import RestoreOptions, Restoring
-from canfb.backup.backup_words import backup_result, restored_result
 from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command, node_number
@@ -24,6 +21,8 @@ from canfb.module.device_configuration import (
     restored_configuration,
 )
 from canfb.module.parameters import EDS
+from canfb.sdo.backup_file import Backup, NodeIdentity, backup_text, read_backup
+from canfb.sdo.backup_tasks import RestoreOptions, Restoring, backup_result, restored_result
 from canfb.sdo.object_description import ObjectDescriptions
 
 

@@ -26,7 +26,7 @@ from canfb.diagnosis.lost import read_lost_position
 from canfb.diagnosis.nodes_on_bus import FrameCounts, node_facts, scan
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import CanfbError
-from canfb.master.access import NodeAccess
+from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
 
 LISTEN_S = 2.0
@@ -105,15 +105,16 @@ def _configured(config: Config) -> list[int]:
 
 
 def _say(path: Path, parts: dict[str, Any]) -> None:
-    for place in (parts, parts["bus"]):
-        for name in ("configuration_error", "error"):
-            if name in place:
-                print(f"not read: {place[name]}")
+    """CommissioningError if something that was asked for is not in the file."""
+    missing = [parts["configuration_error"]] if "configuration_error" in parts else []
+    missing += [parts["bus"]["error"]] if "error" in parts["bus"] else []
     for node in parts.get("nodes", []):
         name = f"node {node['node_id']} ({node['node_id']:02X}h)"
-        error = f"; {node['error']}" if "error" in node else ""
-        print(f"{name}: {len(node.get('objects', {}))} objects{error}")
+        print(f"{name}: {len(node.get('objects', {}))} objects")
+        missing += [node["error"]] if "error" in node else []
     print(f"written  {path}")
+    if missing:
+        raise CommissioningError(f"{path} is incomplete: {'; '.join(missing)}")
 
 
 def why(options: argparse.Namespace) -> int:

@@ -23,7 +23,7 @@ from canfb.replay.findings import KINDS, Overview
 from canfb.replay.module_replay import Begin
 from canfb.replay.summary_of_replay import log_facts
 from canfb.rows import Result, as_figures, as_lines
-from canfb.tables.table_file import read_table
+from canfb.sdo.table_file import read_table
 
 DEFAULT_MODULE = 0x20
 OF_A_FILE = ("frames", "report", "json")

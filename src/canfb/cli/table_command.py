@@ -13,9 +13,8 @@ from canfb.errors import ConfigError
 from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import check_writable
 from canfb.rows import Result
-from canfb.tables.table_file import read_table_file
-from canfb.tables.table_state import TableState
-from canfb.tables.table_tasks import TableTasks
+from canfb.sdo.table_file import TableState, read_table_file
+from canfb.sdo.table_tasks import TableTasks
 
 FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
 

@@ -20,7 +20,7 @@ from canfb.commission.commission_summary import (
 )
 from canfb.commission.machine_figures import smooth_acceleration
 from canfb.master.all_or_nothing import write_whole
-from canfb.master.provenance import origins
+from canfb.master.machine_watch import origins
 from canfb.report import pictures
 from canfb.report.page import figure, gallery, page, table
 from canfb.report.pictures import lissajous

@@ -20,10 +20,10 @@ from canfb.commission.limit_choice import choose
 from canfb.commission.observation import LEAST_SAMPLES, Observation, observe
 from canfb.errors import CanfbError, ConfigError
 from canfb.master.access import CommissioningError, Master, NodeAccess
-from canfb.master.active_table import check_can_save, check_unlocked
-from canfb.master.all_or_nothing import Guard, change
+from canfb.master.all_or_nothing import Guard, change, check_can_save, check_unlocked
 from canfb.master.listening import UPLOAD_PART, listen, record
 from canfb.master.machine_watch import (
+    Provenance,
     SpeedReading,
     SpeedReadings,
     check_valid,
@@ -32,7 +32,6 @@ from canfb.master.machine_watch import (
     read_counters,
     watch,
 )
-from canfb.master.provenance import Provenance
 from canfb.master.samples import TrackSamples
 from canfb.master.session import Session
 from canfb.master.supervision_limits import SupervisionLimits, write_limits

@@ -13,8 +13,7 @@ from canfb.calibrate.calibration_summary import delay_words
 from canfb.commission.limit_choice import Choice
 from canfb.commission.machine_figures import MachineFigures
 from canfb.commission.observation import Observation
-from canfb.master.machine_watch import in_words
-from canfb.master.provenance import Provenance, where_words
+from canfb.master.machine_watch import Provenance, in_words, where_words
 from canfb.master.supervision_limits import (
     KINDS,
     SupervisionLimits,

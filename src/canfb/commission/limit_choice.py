@@ -13,7 +13,7 @@ from canfb.commission.machine_figures import (
     TrackFigures,
     repeats_of_frozen_input,
 )
-from canfb.master.provenance import PERCENT
+from canfb.master.machine_watch import PERCENT
 from canfb.master.supervision_limits import CORNER, KINDS, SupervisionLimits, as_real32
 from canfb.objects import Multiplexer
 from canfb.signal.limits import (

@@ -38,9 +38,6 @@ Emit = Callable[[Frame], None]
 class CallContext:
     """The `now` of the running call, and the time at which its frame was received, seconds.
 
-    The hooks of an SDO write carry no time, yet a timer that such a write starts needs one. The
-    node sets it at each call from its arguments; nothing here reads a clock.
-
     `received` is the time stamp of the frame if `is_stamped`, else the latest time at which it may have
     been received: that of the call. `stamp` is the last time stamp that was taken.
     """
@@ -65,11 +62,7 @@ class CallContext:
 
 
 class Agenda:
-    """The services with a timer, in the order in which they are called when several are due.
-
-    A host asks for the deadline at every frame, and few frames move one: so the earliest is kept
-    until a service says that its own has moved.
-    """
+    """The services with a timer, in the order in which they are called when several are due."""
 
     __slots__ = ("_services", "earliest", "moved")
 
@@ -102,7 +95,7 @@ class Agenda:
 
 
 class Timed(ABC):
-    """A service with a timer: `deadline` is when `tick` is due, seconds, NEVER for not at all."""
+    """A service with a timer, due at `deadline`, seconds."""
 
     agenda = Agenda()
     """Where the service is listed; as long as it is nowhere, one that is never asked."""

@@ -128,9 +128,9 @@ class NodeDevice(Node, Application):
         )
         self.observer = Application()
         """Gets the NMT state, EMCY and saved parameters as well."""
-        self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None = None
-        self.on_duplicate: Callable[[int, float], None] | None = None
-        self.on_bit_rate: Callable[[int, float, float], None] | None = None
+        self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] = lambda faults: None
+        self.on_duplicate: Callable[[int, float], None] = lambda can_id, now: None
+        self.on_bit_rate: Callable[[int, float, float], None] = lambda kbit_s, delay_s, now: None
 
     @property
     def node(self) -> Node:
@@ -140,19 +140,19 @@ class NodeDevice(Node, Application):
     # Application: called by the node.
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """To the observer."""
+        """As in Application."""
         self.observer.state_changed(old, new, now, why)
 
     def emergency_sent(self, code: int, register: int, detail: bytes, now: float) -> None:
-        """To the observer."""
+        """As in Application."""
         self.observer.emergency_sent(code, register, detail, now)
 
     def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
-        """To the observer."""
+        """As in Application."""
         self.observer.parameters_saved(saved, forgotten, now)
 
     def saving_failed(self, groups: Groups, reason: str, now: float) -> None:
-        """To the observer."""
+        """As in Application."""
         self.observer.saving_failed(groups, reason, now)
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
@@ -162,15 +162,12 @@ class NodeDevice(Node, Application):
             self.emergency(EmergencyCode.DATA_SET, self.register_bits, groups, now)
         else:
             self.clear_emergency(EmergencyCode.DATA_SET, now)
-        if self.on_parameter_faults is not None:
-            self.on_parameter_faults(faults)
+        self.on_parameter_faults(faults)
 
     def duplicate_received(self, can_id: int, now: float) -> None:
-        """To the program."""
-        if self.on_duplicate is not None:
-            self.on_duplicate(can_id, now)
+        """As in Application."""
+        self.on_duplicate(can_id, now)
 
     def bit_rate_activated(self, kbit_s: int, delay_s: float, now: float) -> None:
-        """To the program."""
-        if self.on_bit_rate is not None:
-            self.on_bit_rate(kbit_s, delay_s, now)
+        """As in Application."""
+        self.on_bit_rate(kbit_s, delay_s, now)

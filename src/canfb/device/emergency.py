@@ -33,12 +33,11 @@ class Emergency(Timed):
         self._application = core.application
         self._counters = core.counters
         self._changed = core.reactions.routes_changed
-        self._register = dictionary.find(0x1001)
-        self._history_count = dictionary.find(0x1003)
+        self._register = dictionary.assumed(0x1001)
+        self._history_count = dictionary.assumed(0x1003)
         self._history = [entry for entry in dictionary if entry.index == 0x1003 and entry.subindex]
-        self._cob_id = dictionary.find(0x1014)
-        self._default_cob_id = cob.EMERGENCY + core.node_id
-        self._inhibit = dictionary.find(0x1015)
+        self._cob_id = dictionary.assumed(0x1014, value=cob.EMERGENCY + core.node_id)
+        self._inhibit = dictionary.assumed(0x1015)
         self._active: dict[tuple[int, Hashable], int] = {}
         self._waiting: deque[bytes] = deque()
         self._allowed = False
@@ -57,8 +56,7 @@ class Emergency(Timed):
         self._not_before = -NEVER
         self.deadline = NEVER
         self._set_register()
-        if self._history_count is not None:
-            self._history_count.value = 0
+        self._history_count.value = 0
 
     def enable(self, allowed: bool, now: float) -> None:
         """Whether the NMT state allows EMCY; what waited goes out."""
@@ -128,11 +126,10 @@ class Emergency(Timed):
         return int(bits)
 
     def _set_register(self) -> None:
-        if self._register is not None:
-            self._register.value = self._bits()
+        self._register.value = self._bits()
 
     def _remember(self, code: int, manufacturer: bytes) -> None:
-        if self._history_count is None or not self._history:
+        if not self._history:
             return
         for newer, older in zip(self._history[-2::-1], self._history[:0:-1], strict=True):
             older.value = newer.value
@@ -140,27 +137,24 @@ class Emergency(Timed):
         self._history_count.value = min(self._history_count.value + 1, len(self._history))
 
     def _is_valid(self) -> bool:
-        return self._cob_id is None or cob.is_valid(self._cob_id.value)
+        return cob.is_valid(self._cob_id.value)
 
     def _can_id(self) -> int:
-        return self._default_cob_id if self._cob_id is None else self._cob_id.value & cob.CAN_ID
+        return int(self._cob_id.value & cob.CAN_ID)
 
     def _inhibit_s(self) -> float:
-        return 0.0 if self._inhibit is None else self._inhibit.value / 10_000
+        return float(self._inhibit.value / 10_000)
 
     def _install(self) -> None:
-        if self._cob_id is not None:
-            self._cob_id.on_check = self._check_cob_id
-            self._cob_id.on_written = self._changed
-        if self._history_count is not None:
-            self._history_count.on_check = _check_clear
+        self._cob_id.on_check = self._check_cob_id
+        self._cob_id.on_written = self._changed
+        self._history_count.on_check = _check_clear
         for entry in self._history:
             self._install_history(entry)
 
     def _install_history(self, entry: Entry) -> None:
         def read() -> int:
-            count = 0 if self._history_count is None else self._history_count.value
-            if entry.subindex > count:
+            if entry.subindex > self._history_count.value:
                 raise SdoAbort(AbortCode.NO_DATA)
             return int(entry.value)
 
@@ -169,7 +163,7 @@ class Emergency(Timed):
     def _check_cob_id(self, value: int) -> None:
         if value & cob.NO_RTR:
             raise SdoAbort(AbortCode.INVALID_VALUE)
-        old = 0 if self._cob_id is None else self._cob_id.value
+        old = self._cob_id.value
         cob.check(value, old, uses_new=cob.is_valid(value), uses_old=cob.is_valid(old))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
@@ -21,9 +21,8 @@ class HeartbeatProducer(Timed):
         self.deadline = NEVER
         self._core = core
         self._can_id = ERROR_CONTROL + core.node_id
-        self._entry = core.dictionary.find(0x1017)
-        if self._entry is not None:
-            self._entry.on_written = self._written
+        self._entry = core.dictionary.assumed(0x1017)
+        self._entry.on_written = self._written
 
     @property
     def is_active(self) -> bool:
@@ -32,7 +31,7 @@ class HeartbeatProducer(Timed):
 
     @property
     def _period_s(self) -> float:
-        return 0.0 if self._entry is None else self._entry.value / 1000
+        return float(self._entry.value / 1000)
 
     def boot_up(self, now: float) -> None:
         """Send the boot-up message and begin the period."""
@@ -58,15 +57,18 @@ class HeartbeatProducer(Timed):
         self._core.reactions.heartbeat_changed()
 
 
-class HeartbeatMonitor:
+class HeartbeatMonitor(Timed):
     """One sub-index of 1016h: watches one node from its first heartbeat on."""
 
-    def __init__(self, core: Core, entry: Entry) -> None:
+    def __init__(self, core: Core, entry: Entry, watched: Callable[[], Iterable[HeartbeatMonitor]]) -> None:
         self.entry = entry
         self.deadline = NEVER
-        self._counters = core.counters
+        self._core = core
         self._emergency = core.emergency
-        self._lost = core.reactions.communication_error
+        self._source = entry.index, entry.subindex
+        self._watched = watched
+        entry.on_check = self._check
+        entry.on_written = self._written
 
     @property
     def node_id(self) -> int:
@@ -81,87 +83,45 @@ class HeartbeatMonitor:
     def handle(self, data: bytes, now: float) -> None:
         """A heartbeat or boot-up of the node."""
         if len(data) != 1:
-            self._counters.malformed_frames += 1
+            self._core.counters.malformed_frames += 1
             return
         self.deadline = now + (self.entry.value & 0xFFFF) / 1000
         self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
 
     def tick(self, now: float) -> None:
         """Report a heartbeat that did not come in time, once."""
-        if now < self.deadline:
-            return
         self.deadline = NEVER
-        self._emergency.report(
-            EmergencyCode.HEARTBEAT,
-            ErrorRegister.COMMUNICATION,
-            bytes([self.node_id]),
-            now,
-            self._source,
-        )
-        self._lost(f"no heartbeat of node {self.node_id}", now)
+        lost = bytes([self.node_id])
+        self._emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, lost, now, self._source)
+        self._core.reactions.communication_error(f"no heartbeat of node {self.node_id}", now)
 
-    @property
-    def _source(self) -> tuple[int, int]:
-        return self.entry.index, self.entry.subindex
+    def _check(self, value: int) -> None:
+        if value >> 24:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        others = [other.node_id for other in self._watched() if other is not self]
+        if watched_node(value) and watched_node(value) in others:
+            raise SdoAbort(AbortCode.PARAMETER_INCOMPATIBLE)
+
+    def _written(self) -> None:
+        self.forget(self._core.call.now)
+        self._core.reactions.routes_changed()
 
 
-class HeartbeatConsumer(Timed):
+class HeartbeatConsumer:
     """Object 1016h: watches the heartbeats of other nodes."""
 
     def __init__(self, core: Core) -> None:
-        self.deadline = NEVER
-        self._core = core
         entries = [entry for entry in core.dictionary if entry.index == 0x1016 and entry.subindex]
-        self._monitors = [HeartbeatMonitor(core, entry) for entry in entries]
-        for monitor in self._monitors:
-            self._install(monitor)
+        self.monitors = [HeartbeatMonitor(core, entry, lambda: self.monitors) for entry in entries]
 
     def configure(self, now: float) -> None:
         """Read 1016h again and wait for each first heartbeat."""
-        for monitor in self._monitors:
+        for monitor in self.monitors:
             monitor.forget(now)
-        self.deadline = NEVER
 
     def routes(self) -> dict[int, Callable[[bytes, float], None]]:
         """Who listens to which CAN-ID."""
-        return {
-            ERROR_CONTROL + monitor.node_id: self._handler(monitor)
-            for monitor in self._monitors
-            if monitor.node_id
-        }
-
-    def tick(self, now: float) -> None:
-        """Report the heartbeats that did not come."""
-        for monitor in self._monitors:
-            monitor.tick(now)
-        self._schedule()
-
-    def _handler(self, monitor: HeartbeatMonitor) -> Callable[[bytes, float], None]:
-        def handle(data: bytes, now: float) -> None:
-            monitor.handle(data, now)
-            self._schedule()
-
-        return handle
-
-    def _schedule(self) -> None:
-        self.deadline = min((monitor.deadline for monitor in self._monitors), default=NEVER)
-
-    def _install(self, monitor: HeartbeatMonitor) -> None:
-        def check(value: int) -> None:
-            if value >> 24:
-                raise SdoAbort(AbortCode.INVALID_VALUE)
-            node_id = watched_node(value)
-            others = [other for other in self._monitors if other is not monitor]
-            if node_id and any(other.node_id == node_id for other in others):
-                raise SdoAbort(AbortCode.PARAMETER_INCOMPATIBLE)
-
-        def written() -> None:
-            monitor.forget(self._core.call.now)
-            self._schedule()
-            self._core.reactions.routes_changed()
-
-        monitor.entry.on_check = check
-        monitor.entry.on_written = written
+        return {ERROR_CONTROL + one.node_id: one.handle for one in self.monitors if one.node_id}
 
 
 def watched_node(value: int) -> int:
@@ -189,24 +149,22 @@ class NodeGuarding(Timed):
         self._can_id = ERROR_CONTROL + core.node_id
         self._emergency = core.emergency
         self._heartbeat = heartbeat
-        self._guard_time = core.dictionary.find(0x100C)
-        self._factor = core.dictionary.find(0x100D)
+        self._can_guard = (0x100C, 0) in core.dictionary
+        self._guard_time = core.dictionary.assumed(0x100C)
+        self._factor = core.dictionary.assumed(0x100D)
         self._toggle = 0
         self._guarded = False
         for entry in (self._guard_time, self._factor):
-            if entry is not None:
-                entry.on_written = self._written
+            entry.on_written = self._written
 
     @property
     def can_id(self) -> int | None:
         """The CAN-ID on which it answers remote frames now, None when it does not."""
-        return None if self._guard_time is None or self._heartbeat.is_active else self._can_id
+        return self._can_id if self._can_guard and not self._heartbeat.is_active else None
 
     @property
     def life_time_s(self) -> float:
         """How long a master may be silent, seconds; 0 for any time."""
-        if self._guard_time is None or self._factor is None:
-            return 0.0
         return int(self._guard_time.value) * int(self._factor.value) / 1000
 
     def configure(self, now: float) -> None:

@@ -135,7 +135,7 @@ class Services:
             *self.pdos.tpdos.values(),
             self.producer,
             self.guarding,
-            self.consumer,
+            *self.consumer.monitors,
             self.emergency,
             *(channel.server for channel in self.channels),
         ]
@@ -249,10 +249,7 @@ LAST_COMMUNICATION_INDEX = 0x1FFF
 
 
 class LifeCycle(Reactions):
-    """Makes the core and all services of a node, and reacts to what they notice.
-
-    LSS, storage and silence are there from the beginning; `services` are others with each node-ID.
-    """
+    """Makes the core and all services of a node, and reacts to what they notice."""
 
     def __init__(
         self,
@@ -269,7 +266,7 @@ class LifeCycle(Reactions):
         self._application = application
         self._reason = ""  # why the NMT state changes in the running call; "" for a command or a start
         self.storage = Storage(core, store)
-        self.startup = Startup(dictionary.find(0x1F80), autostart=autostart)
+        self.startup = Startup(dictionary, autostart=autostart)
         self.silence = Silence(core)
         self.lss = LssSlave(core, self.storage, bit_rates_kbit_s)
         self._make_services()

@@ -53,7 +53,7 @@ class Identification:
     """The services that look for devices. What they ask over several frames is kept between them."""
 
     def __init__(self, dictionary: Dictionary) -> None:
-        self._entries = [dictionary.find(0x1018, subindex) for subindex in range(1, _PARTS + 1)]
+        self._entries = [dictionary.assumed(0x1018, subindex) for subindex in range(1, _PARTS + 1)]
         self.reset()
 
     def reset(self) -> None:
@@ -65,9 +65,7 @@ class Identification:
     @property
     def address(self) -> Address:
         """The LSS address of the device; parts that 1018h does not have are 0."""
-        vendor, product, revision, serial = (
-            0 if entry is None else int(entry.value) for entry in self._entries
-        )
+        vendor, product, revision, serial = (int(entry.value) for entry in self._entries)
         return vendor, product, revision, serial
 
     def handle(self, data: bytes, *, unconfigured: bool, waiting: bool) -> LssReply | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.device.core import Core
-from canfb.device.od.dictionary import Dictionary, Entry
+from canfb.device.od.dictionary import Dictionary
 
 COMMUNICATING = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 """The states with SDO, SYNC and EMCY."""
@@ -67,20 +67,16 @@ class Startup:
     out of the default value, so that a stored value, or one written before, comes first.
     """
 
-    def __init__(self, entry: Entry | None, *, autostart: bool) -> None:
-        self._entry = entry
-        self._autostart = autostart
-        if entry is not None:
-            entry.on_check = _check_startup
-            if autostart:
-                entry.default = (entry.default or 0) & ~WAIT_FOR_MASTER
-                entry.value &= ~WAIT_FOR_MASTER
+    def __init__(self, dictionary: Dictionary, *, autostart: bool) -> None:
+        self._entry = entry = dictionary.assumed(0x1F80, value=WAIT_FOR_MASTER)
+        entry.on_check = _check_startup
+        if autostart:
+            entry.default = (entry.default or 0) & ~WAIT_FOR_MASTER
+            entry.value &= ~WAIT_FOR_MASTER
 
     @property
     def autostart(self) -> bool:
         """Whether the next boot-up leads to OPERATIONAL."""
-        if self._entry is None:
-            return self._autostart
         return not self._entry.value & WAIT_FOR_MASTER
 
 
@@ -94,15 +90,14 @@ class ErrorBehaviour:
     """Object 1029h: the NMT state that an error leads to; sub-index 1 is for communication errors."""
 
     def __init__(self, dictionary: Dictionary) -> None:
-        self._entry = dictionary.find(0x1029, 1)
+        self._entry = dictionary.assumed(0x1029, 1)
         for entry in dictionary:
             if entry.index == 0x1029 and entry.subindex:
                 entry.on_check = _check_behaviour
 
     def reaction(self, state: NmtState) -> NmtState:
         """The state to enter from `state`; 0 of 1029h, also its absence, is Pre-operational."""
-        behaviour = 0 if self._entry is None else self._entry.value
-        return REACTION.get(behaviour, REACTION[0]).get(state, state)
+        return REACTION.get(self._entry.value, REACTION[0]).get(state, state)
 
 
 def _check_behaviour(value: int) -> None:

@@ -51,14 +51,7 @@ class _NeverExpires:
 
 
 class Node:
-    """A CiA 301 slave without I/O.
-
-    Frames and times go in, frames and the next deadline come out: `start`, `receive` and `tick`
-    return what is to be sent, in order, and `deadline` says when `tick` is due next. `now` is
-    seconds (monotonic) and must not go back. The node is given its object dictionary and takes its
-    communication parameters from it; write those by SDO, or before `start`.
-
-    It tells the `application` what happens. No frame from the bus raises by itself.
+    """A CiA 301 slave without I/O, which tells its `application` what happens.
 
     With the node-ID 255 the device has none yet: it stays in INITIALISING and answers LSS only, until
     a master has given it one. A node-ID from LSS is in force from the next reset on; one that was

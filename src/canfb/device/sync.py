@@ -31,8 +31,6 @@ TIME has six bytes: milliseconds since midnight (28 bits), and days since 1984-0
 
 from __future__ import annotations
 
-from typing import Any
-
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
@@ -42,7 +40,6 @@ from canfb.device.pdo.rpdo import Rpdo
 from canfb.device.pdo.tpdo import Tpdo
 
 _SYNC_OBJECT = 0x1005
-_DEFAULT_COB_ID = 0x080
 _LONGEST_COUNTER = 240
 
 
@@ -113,16 +110,16 @@ class Sync(Timed):
     def __init__(self, core: Core, pdos: Pdos) -> None:
         dictionary = core.dictionary
         self.deadline = NEVER
-        self.can_id = _DEFAULT_COB_ID
+        self.can_id = cob.SYNC
         self._core = core
         self._emit = core.emit
         self._counters = core.counters
         self._emergency = core.emergency
         self._pdos = pdos
-        self._cob_id = dictionary.find(0x1005)
-        self._period = dictionary.find(0x1006)
-        self._window = dictionary.find(0x1007)
-        self._overflow = dictionary.find(0x1019)
+        self._cob_id = dictionary.assumed(0x1005, value=cob.SYNC)
+        self._period = dictionary.assumed(0x1006)
+        self._window = dictionary.assumed(0x1007)
+        self._overflow = dictionary.assumed(0x1019)
         self._enabled = False
         self._generates = False
         self._length = 0
@@ -171,7 +168,7 @@ class Sync(Timed):
         following = self.deadline + period
         self.deadline = following if following > now else now + period
         if self._length:
-            self._counter = self._counter % self._value(self._overflow) + 1
+            self._counter = self._counter % self._overflow.value + 1
             self._emit(Frame(self.can_id, bytes([self._counter])))
             self._pdos.synchronise(self._counter, now)
         else:
@@ -184,17 +181,13 @@ class Sync(Timed):
 
     @property
     def _period_s(self) -> float:
-        return self._value(self._period) / 1e6
-
-    def _value(self, entry: Any) -> int:
-        return 0 if entry is None else int(entry.value)
+        return float(self._period.value / 1e6)
 
     def _read(self) -> None:
-        cob_id = _DEFAULT_COB_ID if self._cob_id is None else self._cob_id.value
-        self.can_id = cob_id & cob.CAN_ID
-        self._generates = bool(cob_id & cob.GENERATE) and self._period_s > 0
-        self._length = 1 if self._value(self._overflow) > 1 else 0
-        self._core.window_s = self._value(self._window) / 1e6
+        self.can_id = int(self._cob_id.value & cob.CAN_ID)
+        self._generates = bool(self._cob_id.value & cob.GENERATE) and self._period_s > 0
+        self._length = 1 if self._overflow.value > 1 else 0
+        self._core.window_s = self._window.value / 1e6
         if not self._core.window_s:
             self._core.window_end = NEVER
 
@@ -204,16 +197,10 @@ class Sync(Timed):
         self.deadline = now + self._period_s if running else NEVER
 
     def _install(self) -> None:
-        if self._cob_id is not None:
-            self._cob_id.on_check = self._check_cob_id
-        if self._overflow is not None:
-            self._overflow.on_check = self._check_overflow
-        for entry in (self._cob_id, self._period):
-            if entry is not None:
-                entry.on_written = self._restart
-        for entry in (self._window, self._overflow):
-            if entry is not None:
-                entry.on_written = self._read
+        self._cob_id.on_check = self._check_cob_id
+        self._overflow.on_check = self._check_overflow
+        self._cob_id.on_written = self._period.on_written = self._restart
+        self._window.on_written = self._overflow.on_written = self._read
 
     def _restart(self) -> None:
         self._read()
@@ -221,7 +208,7 @@ class Sync(Timed):
         self._core.reactions.routes_changed()
 
     def _check_cob_id(self, value: int) -> None:
-        old = _DEFAULT_COB_ID if self._cob_id is None else self._cob_id.value
+        old = self._cob_id.value
         if cob.is_restricted(value & cob.CAN_ID):
             raise SdoAbort(AbortCode.INVALID_VALUE)
         cob.check(
@@ -234,7 +221,7 @@ class Sync(Timed):
     def _check_overflow(self, value: int) -> None:
         if value == 1 or value > _LONGEST_COUNTER:
             raise SdoAbort(AbortCode.INVALID_VALUE)
-        if self._value(self._period) and value != self._value(self._overflow):
+        if self._period.value and value != self._overflow.value:
             raise SdoAbort(AbortCode.DEVICE_STATE)
 
 
@@ -256,19 +243,17 @@ class TimeStamp:
     """
 
     def __init__(self, core: Core) -> None:
-        self._entry = entry = core.dictionary.find(0x1012)
+        self._entry = entry = core.dictionary.assumed(0x1012)
         self._counters = core.counters
         self._application = core.application
-        if entry is not None:
-            entry.on_check = lambda value: _check_time_cob_id(value, entry.value)
-            entry.on_written = core.reactions.routes_changed
+        entry.on_check = lambda value: _check_time_cob_id(value, entry.value)
+        entry.on_written = core.reactions.routes_changed
 
     @property
     def can_id(self) -> int | None:
         """The CAN-ID that it listens to now, None when it does not."""
-        if self._entry is None or not self._entry.value & CONSUME:
-            return None
-        return int(self._entry.value & cob.CAN_ID)
+        value: int = self._entry.value
+        return value & cob.CAN_ID if value & CONSUME else None
 
     def handle(self, data: bytes, now: float) -> None:
         """A TIME from the bus."""

@@ -138,8 +138,8 @@ def bit_rates_of(bus_words: Mapping[str, Any]) -> list[int]:
 
 
 class _Warning(Served, Protocol):
-    on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] | None
-    on_duplicate: Callable[[int, float], None] | None
+    on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None]
+    on_duplicate: Callable[[int, float], None]
     on_source: Callable[[str], None] | None
 
 

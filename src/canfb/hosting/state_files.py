@@ -24,6 +24,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Self
 
+from canfb.bus.sdo_channel import lock_file
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import PARAMETERS, Changes, Store
 from canfb.errors import CanfbError
@@ -75,7 +76,7 @@ class StateFiles(Closing):
         except OSError as error:
             raise StateDirError(f"state_dir {self.folder} cannot be used: {error.strerror}") from None
         try:
-            _lock(self._lock)
+            lock_file(self._lock)
         except OSError as error:
             os.close(self._lock)
             in_use = error.errno in (errno.EWOULDBLOCK, errno.EACCES)
@@ -228,18 +229,6 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _lock(handle: int) -> None:
-    """Take the lock, or raise OSError when someone has it; it ends with the process, however that ends."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 SWITCH_S = 2e-4

@@ -5,12 +5,10 @@
 
     access              objects of a node by SDO
     node_state          NMT state, boot-up, restart at standstill
-    all_or_nothing      a change as a whole or not at all; the same for files; Ctrl-C
+    all_or_nothing      table and conditioning; a change as a whole or not at all
     listening           samples of the ADC PDO, SYNC by SYNC, and of object 2050h of either node
     samples             what was recorded, also as NPZ and CSV
     session             both nodes on a bus, read once, and the PDO on which both agree
-    active_table        table and conditioning: read, activate, restore, save
     supervision_limits  2001h and 2010h: read, written
-    machine_watch       speed, status and counters of the module during a measurement
-    provenance          of a measurement: nodes, date, command
+    machine_watch       speed, status and counters during a measurement; its provenance
 """

@@ -6,6 +6,7 @@ Long objects go through the streams of python canopen, which are aborted when an
 from __future__ import annotations
 
 import io
+import itertools
 import struct
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -17,7 +18,8 @@ from canfb import objects as od
 from canfb.cia301.codes import AbortCode
 from canfb.errors import CanfbError
 
-Client = Any  # canopen.sdo.SdoClient, which has no types
+Client = Any
+""":class:`canfb.bus.sdo_channel.SharedClient`: canopen's client, with its turn and what disturbed it."""
 SEGMENT = 7
 
 
@@ -71,6 +73,9 @@ OnFrame = Callable[[int, bytes, float], None]
 Progress = Callable[[float], None]
 """Gets the part that is done, 0..1."""
 ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
+BROKEN = (AbortCode.TOGGLE, AbortCode.COMMAND, AbortCode.SEQUENCE_NUMBER, AbortCode.TIMEOUT)
+"""What a server says of a transfer that another client has ended by a request of its own."""
+ATTEMPTS = 6
 REALS = frozenset(
     {
         od.SUPERVISION_ACCELERATION,
@@ -218,14 +223,25 @@ class NodeAccess:
         return self._transfer(doing, index, subindex, lambda client: act(client, False))
 
     def _transfer(self, doing: str, index: int, subindex: int, act: Callable[[Client], bytes]) -> bytes:
+        """One transfer, again if another master on the SDO channel has broken it."""
         what = f"{self.name}: {doing} {index:04X}:{subindex:02X}"
-        try:
-            return act(self.master.sdo(self.node_id))
-        except SdoAbortedError as error:
-            text = f"{what} is refused: {error}"
+        for attempt in itertools.count(1):
+            client = self.master.sdo(self.node_id)
+            try:
+                with client.turn():
+                    client.disturbed = False
+                    return act(client)
+            except (SdoError, can.CanError, OSError, AttributeError, RuntimeError, struct.error) as error:
+                if attempt == ATTEMPTS or not client.disturbed or _is_final(error):
+                    raise self._failed(what, error) from error
+            self.master.wait(SETTLE_S * attempt)
+        raise AssertionError("unreachable")
+
+    def _failed(self, what: str, error: Exception) -> CommissioningError:
+        if isinstance(error, SdoAbortedError):
             kind = ObjectAbsentError if error.code in ABSENT else RefusedError
-            raise kind(text, error.code) from None
-        except SdoError as error:
+            return kind(f"{what} is refused: {error}", error.code)
+        if isinstance(error, SdoError):
             self.master.wait(0.0)  # says so if it is the bus that has failed
             said = str(error).rstrip(".")
             if said == "No SDO response received":
@@ -233,12 +249,16 @@ class NodeAccess:
                     "no answer; is the node on the bus, and is the bit rate right? A STOPPED node answers no "
                     f"SDO: canfb nmt preop {self.node_id:#04x} (canfb bus scan shows who is there)"
                 )
-            raise CommissioningError(f"{what}: {said}") from None
-        except (can.CanError, OSError) as error:
-            raise CommissioningError(f"{what}: {' '.join(str(error).split())}") from error
-        except (AttributeError, RuntimeError, struct.error) as error:
-            # What canopen's streams come to on answers that they did not expect.
-            raise CommissioningError(f"{what}: the response is invalid ({error})") from error
+            return CommissioningError(f"{what}: {said}")
+        if isinstance(error, (can.CanError, OSError)):
+            return CommissioningError(f"{what}: {' '.join(str(error).split())}")
+        # What canopen's streams come to on answers that they did not expect.
+        return CommissioningError(f"{what}: the response is invalid ({error})")
+
+
+def _is_final(error: Exception) -> bool:
+    """A refusal that another master has not caused."""
+    return isinstance(error, SdoAbortedError) and error.code not in BROKEN
 
 
 class ModuleObjects:

@@ -10,7 +10,7 @@ from canfb import objects as od
 from canfb.calibration.path_correction import counts_at
 from canfb.cia301 import cob
 from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
-from canfb.master.active_table import read_active
+from canfb.master.all_or_nothing import read_active
 from canfb.master.listening import Listener, listen, record
 from canfb.master.machine_watch import check_valid
 from canfb.master.samples import TrackSamples

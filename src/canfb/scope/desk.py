@@ -12,14 +12,12 @@ from canfb.calibrate.choices import LEAST_SAMPLES, CalibrateOptions
 from canfb.calibrate.measurement import Measurement
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, Master, NodeAccess
-from canfb.master.active_table import save
-from canfb.master.all_or_nothing import Guard
+from canfb.master.all_or_nothing import Guard, save
 from canfb.scope.gate import WriteCode
+from canfb.sdo.table_file import TableState, table_of_bytes
+from canfb.sdo.table_tasks import Advice, TableTasks
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray
-from canfb.tables.table_file import table_of_bytes
-from canfb.tables.table_state import TableState
-from canfb.tables.table_tasks import Advice, TableTasks
 
 
 class ScopeRefusal(CanfbError):

@@ -4,33 +4,228 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+import struct
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from enum import IntEnum, IntFlag
 from pathlib import Path
 from typing import Any
 
 from canfb import objects as od
+from canfb.calibration.result import Reason
 from canfb.cia301 import datatypes
+from canfb.cia301.codes import AbortCode, ErrorRegister
 from canfb.cia301.datatypes import DataType
 from canfb.errors import ConfigError
 from canfb.marked_yaml import read_bytes
 from canfb.master.access import CommissioningError, NodeAccess, RefusedError
-from canfb.master.active_table import SAVE_WITHIN_S
-from canfb.sdo.object_description import (
-    ObjectDescription,
-    ObjectDescriptions,
-    numbered,
-)
-from canfb.sdo.object_values import (
-    MODULE,
-    abort_words,
-    from_words,
-    in_words,
-    parse_value,
-    short_real,
-    type_name,
-    words_of,
-)
+from canfb.master.all_or_nothing import SAVE_WITHIN_S
+from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, numbered
+
+OCTETS = frozenset({DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.FIXED_BYTES})
+"""Types whose values are bytes, written in hexadecimal."""
+_TRUE, _FALSE = ("1", "true", "on"), ("0", "false", "off")
+
+
+def type_name(data_type: int) -> str:
+    """UNSIGNED16."""
+    return DataType(data_type).name if data_type in datatypes.KNOWN else f"type {data_type:04X}h"
+
+
+def value_range(data_type: int) -> tuple[int, int]:
+    """Lowest and highest value of an integer type."""
+    bits = datatypes.bit_length(data_type)
+    if data_type in datatypes.SIGNED_BITS:
+        return -(1 << bits - 1), (1 << bits - 1) - 1
+    return 0, (1 << bits) - 1
+
+
+def check_value(data_type: int, value: Any, low: float | None = None, high: float | None = None) -> Any:
+    """``value`` as its type has it, a REAL32 rounded to one. ValueError for one of another type or size."""
+    if data_type in datatypes.FLOATS:
+        checked: Any = _real(data_type, value)
+    elif data_type in datatypes.STRINGS:
+        checked = value
+        if not isinstance(value, str):
+            raise ValueError(f"must be a text, not {value!r}")
+    elif data_type in OCTETS or data_type not in datatypes.KNOWN:
+        checked = value
+        if not isinstance(value, bytes):
+            raise ValueError(f"must be bytes, not {value!r}")
+    elif data_type == DataType.BOOLEAN:
+        if value not in (0, 1):
+            raise ValueError(f"must be true or false, not {value!r}")
+        checked = bool(value)
+    else:
+        checked = _integer(data_type, value, low, high)
+    datatypes.encode(data_type, checked)  # says what the type cannot hold: a text beyond Latin-1
+    return checked
+
+
+def _integer(data_type: int, value: Any, low: float | None, high: float | None) -> int:
+    lowest, highest = value_range(data_type)
+    lowest = lowest if low is None else max(lowest, int(low))
+    highest = highest if high is None else min(highest, int(high))
+    if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
+        raise ValueError(f"must be a whole number {lowest}..{highest}, not {value!r}")
+    return value
+
+
+def _real(data_type: int, value: Any) -> float:
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        raise ValueError(f"must be a number, not {value!r}")
+    try:
+        return float(datatypes.decode(data_type, datatypes.encode(data_type, float(value))))
+    except (ValueError, OverflowError):
+        raise ValueError(f"{value!r} is beyond what a {type_name(data_type)} holds") from None
+
+
+def parse_value(data_type: int, text: str, low: float | None = None, high: float | None = None) -> Any:
+    """The value of a text: 12, 0x1F, -3.5, on, DE AD BE EF. ValueError for what the type cannot hold."""
+    if data_type in datatypes.STRINGS:
+        return check_value(data_type, text)
+    if data_type in OCTETS or data_type not in datatypes.KNOWN:
+        try:
+            return bytes.fromhex(text)
+        except ValueError:
+            raise ValueError(f"must be bytes in hexadecimal such as 01FF, not {text!r}") from None
+    if data_type == DataType.BOOLEAN:
+        if text.lower() not in _TRUE + _FALSE:
+            raise ValueError(f"must be 1 or 0, not {text!r}")
+        return text.lower() in _TRUE
+    try:
+        value = float(text) if data_type in datatypes.FLOATS else int(text, 0)
+    except ValueError:
+        what = "a number" if data_type in datatypes.FLOATS else "a whole number"
+        raise ValueError(f"must be {what}, not {text!r}") from None
+    return check_value(data_type, value, low, high)
+
+
+def short_real(value: float, data_type: int = DataType.REAL32) -> float:
+    """The float with the fewest digits that is the same REAL32: 0.1 in place of 0.10000000149011612."""
+    if data_type != DataType.REAL32 or not math.isfinite(value):
+        return value
+    data = struct.pack("<f", value)
+    short = (float(f"{value:.{digits}g}") for digits in range(1, 10))
+    return next((one for one in short if _packed(one) == data), value)
+
+
+def _packed(value: float) -> bytes | None:
+    try:
+        return struct.pack("<f", value)
+    except OverflowError:  # rounded up beyond the largest number
+        return None
+
+
+MODULE, INTERFACE = "canfb drive feedback module", "canfb encoder interface"  # ProductName of the EDS
+SAVE_SIGNATURE = {"save": int.from_bytes(b"save", "little")}
+LOAD_SIGNATURE = {"load": int.from_bytes(b"load", "little")}
+
+_ANY: dict[Place, type[IntFlag | IntEnum]] = {(0x1001, 0): ErrorRegister}
+_OF: dict[str, dict[Place, type[IntFlag | IntEnum]]] = {
+    MODULE: {
+        od.SAMPLE_FLAGS: od.SampleFlag,
+        od.FEEDBACK_STATUS: od.StatusBit,
+        od.COUNTER_LOSS_CAUSE: od.LossCause,
+        od.COUNTER_LOSS_FAULTS: od.StatusBit,
+        od.MEASUREMENT_COMMAND: od.MeasurementCommand,
+        od.MEASUREMENT_STATE: od.MeasurementState,
+        od.RECORDING_COMMAND: od.RecordingCommand,
+    },
+    INTERFACE: {
+        od.INTERFACE_FLAGS: od.SampleFlag,
+        od.INTERFACE_MACHINE: od.MachineCommand,
+        od.RECORDING_COMMAND: od.RecordingCommand,
+    },
+}
+
+_TO_DO: dict[int, str] = {
+    AbortCode.NO_OBJECT: "the node has no such object: is it this node, and the EDS of its version?",
+    AbortCode.NO_SUBINDEX: "the node has no such sub-index: is it the EDS of its version?",
+    AbortCode.LENGTH: "the type in the EDS is not that of the node: give its own with --eds",
+    AbortCode.TOO_LONG: "the type in the EDS is not that of the node: give its own with --eds",
+    AbortCode.TOO_SHORT: "the type in the EDS is not that of the node: give its own with --eds",
+    AbortCode.VALUE_TOO_HIGH: "write a lower value",
+    AbortCode.VALUE_TOO_LOW: "write a higher value",
+    AbortCode.INVALID_VALUE: "the node does not take this value; its manual says which ones it takes",
+    AbortCode.DEVICE_STATE: "not in this state of the node: try canfb nmt preop, or switch its PDO off first",
+    AbortCode.LOCAL_CONTROL: "the node is under local control: release it there",
+    AbortCode.NOT_STORED: "the node cannot keep it (canfb run: state_dir), or wants the word save or load",
+    AbortCode.HARDWARE: "its memory or its disk fails",
+    AbortCode.UNSUPPORTED_ACCESS: "not now: a PDO that is valid cannot be changed; set bit 31 of its COB-ID",
+    AbortCode.NOT_MAPPABLE: "no PDO carries this object",
+    AbortCode.PDO_LENGTH: "more than 8 bytes are mapped",
+    AbortCode.NO_DATA: "there is nothing to read yet",
+    AbortCode.TIMEOUT: "the node was too slow; try again",
+}
+
+_NO_PRESET = "a preset needs a valid position at standstill: stop the machine (canfb why, if it is not valid)"
+_OF_PLACE: dict[str, dict[Place, str]] = {
+    MODULE: {
+        od.PRESET_VALUE: _NO_PRESET,
+        od.HIGH_PRECISION_PRESET: _NO_PRESET,
+        od.MEASUREMENT_COMMAND: "not in this state of the calibration: read 2030:02",
+    },
+    INTERFACE: {
+        od.INTERFACE_MACHINE: "only a simulated motion stops here: no drive, recording or real converter",
+        od.RECORDING_COMMAND: "what is sampled is a file: it has no samples between two SYNCs",
+    },
+}
+"""What to do where an object of ours is refused in this state of the node (08000022h)."""
+
+
+def in_words(product: str, place: Place, value: object) -> str:
+    """An enumeration or bits in words; "" where there are none. Bits without a name are numbered."""
+    kind = _kind(product, place)
+    if not isinstance(value, int):
+        return ""
+    if product == MODULE and place == od.MEASUREMENT_REASON:
+        return str(Reason.of_number(value).text) if value else ""
+    if kind is None:
+        return ""
+    if kind is od.LossCause:
+        return next((one.text for one in od.LossCause if one == value), "")
+    if issubclass(kind, IntEnum):
+        return next((_spoken(one.name) for one in kind if one == value), "")
+    names = {one.value: _spoken(str(one.name)) for one in kind}
+    bits = [bit for bit in range(value.bit_length()) if value >> bit & 1]
+    return ", ".join(names.get(1 << bit, f"bit {bit}") for bit in bits) or "nothing set"
+
+
+def from_words(product: str, place: Place, text: str) -> int | None:
+    """The number of a word such as start, or save for 1010h; None where it is none."""
+    return words_of(product, place).get(text.strip().lower().replace("_", " "))
+
+
+def words_of(product: str, place: Place) -> Mapping[str, int]:
+    """The words that can be written to an object."""
+    signatures = {0x1010: SAVE_SIGNATURE, 0x1011: LOAD_SIGNATURE}
+    if place[0] in signatures and place[1]:
+        return signatures[place[0]]
+    kind = _kind(product, place)
+    return {_spoken(str(one.name)): int(one.value) for one in kind} if kind else {}
+
+
+def abort_words(code: int, entry: ObjectDescription | None, product: str = "") -> str:
+    """What an abort code means, and what to do; ``product`` is the name of it in the EDS."""
+    meaning = next((one.text for one in AbortCode if one == code), "a code of the manufacturer")
+    advice = _TO_DO.get(code, "")
+    if code == AbortCode.DEVICE_STATE and entry is not None:
+        advice = _OF_PLACE.get(product, {}).get(entry.place, advice)
+    is_range = code in (AbortCode.VALUE_TOO_HIGH, AbortCode.VALUE_TOO_LOW, AbortCode.INVALID_VALUE)
+    if is_range and entry is not None and (entry.low is not None or entry.high is not None):
+        low, high = ("" if limit is None else f"{limit:g}" for limit in (entry.low, entry.high))
+        advice = f"the EDS allows {low}..{high}"
+    return f"{meaning} ({code:08X}h){'; ' * bool(advice)}{advice}"
+
+
+def _kind(product: str, place: Place) -> type[IntFlag | IntEnum] | None:
+    return _OF.get(product, {}).get(place) or _ANY.get(place)
+
+
+def _spoken(name: str) -> str:
+    return name.lower().replace("_", " ")
+
 
 MOST_BYTES = 32
 _PART = re.compile(r"1/(\d+|2\^\d+) (\D.*)")

@@ -261,6 +261,11 @@ class Dictionary:
         """The entry, or None when the device does not have it."""
         return self._entries.get((index, subindex))
 
+    def assumed(self, index: int, subindex: int = 0, value: int = 0) -> Entry:
+        """The entry; where the device does not have it one that nobody can reach, with this value."""
+        found = self.find(index, subindex)
+        return Entry(index, subindex, DataType.UNSIGNED32, default=value) if found is None else found
+
     def lookup(self, index: int, subindex: int) -> Entry:
         """The entry, for a request from the bus. SdoAbort when there is none."""
         found = self._entries.get((index, subindex))

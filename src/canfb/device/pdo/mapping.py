@@ -145,9 +145,9 @@ class PdoParameters:
         """Whether a remote frame asks for the TPDO: bit 30 of its COB-ID is 0."""
         return not self.cob_id.value & cob.NO_RTR
 
-    def find(self, subindex: int) -> Entry | None:
-        """A further communication parameter, None when the device does not have it."""
-        return self._dictionary.find(self._communication, subindex)
+    def further(self, subindex: int) -> Entry:
+        """A further communication parameter, 0 when the device does not have it."""
+        return self._dictionary.assumed(self._communication, subindex)
 
     def active_slots(self) -> list[Slot]:
         """The mapped objects; none while the PDO is not valid.

@@ -46,9 +46,8 @@ class Rpdo(Timed):
         self._counters = core.counters
         self._emergency = core.emergency
         self._parameters = PdoParameters(core.dictionary, number, Direction.RECEIVE, self._written)
-        self._timeout = self._parameters.find(5)
-        if self._timeout is not None:
-            self._timeout.on_written = self._written
+        self._timeout = self._parameters.further(5)
+        self._timeout.on_written = self._written
         self._operational = False
         self._length = 0
         self._unpack: Unpack | None = None  # while it is active
@@ -76,7 +75,7 @@ class Rpdo(Timed):
         slots = self._parameters.active_slots() if operational else []
         self._length, self._unpack = length_of(slots), unpacker(slots) if slots else None
         self.is_synchronous = self._parameters.type.value in SYNCHRONOUS
-        self._timeout_s = 0.0 if self._timeout is None else self._timeout.value / 1000
+        self._timeout_s = self._timeout.value / 1000
         self._pending, self.waiting = None, 0
         self.deadline = NEVER
         self._supervised = self._failed or self._timeout_s > 0

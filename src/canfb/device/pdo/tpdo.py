@@ -54,9 +54,9 @@ class Tpdo(Timed):
         self._core = core
         self._emit = core.emit
         self._parameters = PdoParameters(core.dictionary, number, Direction.TRANSMIT, self._written)
-        self._inhibit = self._parameters.find(3)
-        self._event_timer = self._parameters.find(5)
-        self._start_value = self._parameters.find(6)
+        self._inhibit = self._parameters.further(3)
+        self._event_timer = self._parameters.further(5)
+        self._start_value = self._parameters.further(6)
         self._install()
         self._operational = False
         self._pack: Pack | None = None  # while it is active
@@ -100,15 +100,15 @@ class Tpdo(Timed):
         self._can_id = self._parameters.can_id
         self._type = self._parameters.type.value
         self._event_driven = self._pack is not None and self._type in EVENT_DRIVEN
-        self._inhibit_s = _value(self._inhibit) / 10_000
-        self._timer_s = _value(self._event_timer) / 1000 if self._event_driven else 0.0
+        self._inhibit_s = self._inhibit.value / 10_000
+        self._timer_s = self._event_timer.value / 1000 if self._event_driven else 0.0
         self._limited = self._inhibit_s > 0 or self._timer_s > 0
         self._pack_at_once = self._pack if self._event_driven and not self._limited else None
         if not self._inhibit_s:
             self._not_before = -NEVER
         self._timer_end = now + self._timer_s if self._timer_s else NEVER
         self._event = False
-        self._waits_for_start = _value(self._start_value) > 0
+        self._waits_for_start = self._start_value.value > 0
         self._pack_each_sync = (
             self._pack if self._type == 1 and not (self._waits_for_start or self._limited) else None
         )
@@ -180,7 +180,7 @@ class Tpdo(Timed):
 
     def _is_turn(self, counter: int | None) -> bool:
         if self._waits_for_start and counter is not None:
-            if counter != _value(self._start_value):
+            if counter != self._start_value.value:
                 return False
             self._waits_for_start = False
             self._syncs = 0
@@ -212,12 +212,9 @@ class Tpdo(Timed):
         self.deadline = min(self._not_before if waits else NEVER, self._timer_end)
 
     def _install(self) -> None:
-        if self._inhibit is not None:
-            self._inhibit.on_check = self._parameters.refuse_while_valid
-        if self._start_value is not None:
-            self._start_value.on_check = self._check_start_value
-        if self._event_timer is not None:
-            self._event_timer.on_written = self._written
+        self._inhibit.on_check = self._parameters.refuse_while_valid
+        self._start_value.on_check = self._check_start_value
+        self._event_timer.on_written = self._written
 
     def _check_start_value(self, value: int) -> None:
         self._parameters.refuse_while_valid(value)
@@ -297,7 +294,3 @@ def bit_packer(slots: Sequence[Slot]) -> Pack:
         return word.to_bytes(length, "little")
 
     return pack
-
-
-def _value(entry: Entry | None) -> int:
-    return 0 if entry is None else int(entry.value)

@@ -196,13 +196,12 @@ class SdoChannel:
     def __init__(self, core: Core, index: int) -> None:
         self._core = core
         self._index = index
-        self._request = core.dictionary.find(index, 1)
-        self._response = core.dictionary.find(index, 2)
+        self._request = core.dictionary.assumed(index, 1, cob.NOT_VALID)
+        self._response = core.dictionary.assumed(index, 2, cob.NOT_VALID)
         self.server = SdoServer(core)
         if index != FIRST_INDEX:
             for entry in (self._request, self._response):
-                if entry is not None:
-                    self._install(entry)
+                self._install(entry)
             self.configure()
 
     @property
@@ -210,8 +209,6 @@ class SdoChannel:
         """The CAN-ID that the server listens to, None while the channel does not exist."""
         if self._index == FIRST_INDEX:
             return cob.SDO_REQUEST + self._core.node_id
-        if self._request is None or self._response is None:
-            return None
         if not (cob.is_valid(self._request.value) and cob.is_valid(self._response.value)):
             return None
         return int(self._request.value & cob.CAN_ID)
@@ -224,7 +221,7 @@ class SdoChannel:
     def configure(self) -> None:
         """Read the parameters again; a running transfer is given up."""
         self.server.drop()
-        if self._index != FIRST_INDEX and self._response is not None:
+        if self._index != FIRST_INDEX:
             self.server.response_id = self._response.value & cob.CAN_ID
 
     def _install(self, entry: Entry) -> None:

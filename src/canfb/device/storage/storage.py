@@ -157,8 +157,7 @@ class Storage:
         self._store = store
         self.writing = None if store is None else Writing(store, lambda: core.call.now)
         self._images: dict[ParameterGroup, bytes] = {}
-        found = (dictionary.find(VERIFY, subindex) for subindex in (1, 2))
-        self._verify = [entry for entry in found if entry is not None]
+        self._verify = [dictionary.assumed(VERIFY, subindex) for subindex in (1, 2)]
         self._install(SAVE, SAVES_ON_COMMAND if store is not None else 0, self._check_save, self._save)
         self._install(LOAD, RESTORES, _check_load, self._load)
         for entry in self._verify:
@@ -226,18 +225,16 @@ class Storage:
         self._core.application.parameters_refused(dict(self.faults), self._core.call.now)
 
     def _identity(self) -> Identity:
-        found = (self._dictionary.find(0x1018, subindex) for subindex in (1, 2, 3))
-        return Identity(*(0 if entry is None else int(entry.value) for entry in found))
+        return Identity(*(int(self._dictionary.assumed(0x1018, part).value) for part in (1, 2, 3)))
 
     def _install(
         self, index: int, ability: int, check: Callable[[int], None], command: Callable[[int], None]
     ) -> None:
         for subindex in (ALL_PARAMETERS, *PARAMETERS):
-            if (index, subindex) in self._dictionary:
-                entry = self._dictionary.entry(index, subindex)
-                entry.on_read = lambda: ability
-                entry.on_check = check
-                entry.on_written = partial(command, subindex)
+            entry = self._dictionary.assumed(index, subindex)
+            entry.on_read = lambda: ability
+            entry.on_check = check
+            entry.on_written = partial(command, subindex)
 
     def _check_save(self, value: int) -> None:
         if value != SAVE_SIGNATURE or self._store is None:

@@ -14,13 +14,8 @@ from canfb import objects as od
 from canfb.cia301.datatypes import DataType
 from canfb.marked_yaml import MarkedYaml, read_bytes
 from canfb.master.access import CommissioningError
-from canfb.sdo.object_description import (
-    ObjectDescription,
-    ObjectDescriptions,
-    Place,
-    numbered,
-)
-from canfb.sdo.object_values import check_value, short_real
+from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, numbered
+from canfb.sdo.sdo_tasks import check_value, short_real
 from canfb.signal.correction import CorrectionTable
 
 FORMAT = 1

@@ -10,14 +10,14 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canfb.backup.backup_file import Backup
-from canfb.backup.backup_restoring import Restored
 from canfb.cia301.frame import Frame
 from canfb.cli.backup_command import backup_of
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CanfbError
-from canfb.master.active_table import put_in_force
+from canfb.master.all_or_nothing import put_in_force
 from canfb.module.device_configuration import configuration_of
+from canfb.sdo.backup_file import Backup
+from canfb.sdo.backup_tasks import Restored
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, Bench

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from canfb.backup.backup_file import read_backup
 from canfb.cia301.nmt import NmtState
 from canfb.cli import nmt_command
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
+from canfb.sdo.backup_file import read_backup
 from canfb.sdo.object_description import ObjectDescriptions
 from commissioning_kit import Bench
 from node_commands import Commands

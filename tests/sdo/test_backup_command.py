@@ -15,7 +15,7 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
-from canfb.master.active_table import put_in_force
+from canfb.master.all_or_nothing import put_in_force
 from canfb.module.device_configuration import configuration_of
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from canfb.device.storage.storage import MemoryStore
+from canfb.sdo.table_file import as_yaml
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.tables.table_file import as_yaml
 from commissioning_kit import Bench
 from node_commands import Commands
 

@@ -16,11 +16,10 @@ from hypothesis import strategies as st
 from canfb.cli.main import main
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
-from canfb.master.active_table import put_in_force, read_active
+from canfb.master.all_or_nothing import put_in_force, read_active
+from canfb.sdo.table_file import as_yaml, difference, read_table_file
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
-from canfb.tables.table_file import as_yaml, read_table_file
-from canfb.tables.table_state import difference
 from commissioning_kit import MODULE_ID, Bench
 from node_commands import Commands, drop_answer, refuse_once
 

@@ -11,8 +11,10 @@ from typing import Any
 from canfb import objects as od
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, NodeAccess
-from canfb.master.active_table import (
+from canfb.master.all_or_nothing import (
+    Guard,
     activate,
+    change,
     check_can_save,
     put_in_force,
     put_in_force_again,
@@ -20,14 +22,13 @@ from canfb.master.active_table import (
     read_conditioning,
     stage,
     write_conditioning,
+    write_whole,
 )
-from canfb.master.all_or_nothing import Guard, change, write_whole
 from canfb.master.supervision_limits import as_real32
 from canfb.rows import Result, as_figures
+from canfb.sdo.table_file import TableFile, TableState, as_yaml, difference, is_yaml
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.tables.table_file import TableFile, as_yaml, is_yaml
-from canfb.tables.table_state import TableState, difference
 
 AS_IT_WAS = "the previous table and conditioning"
 

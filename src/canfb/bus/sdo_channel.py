@@ -1,0 +1,161 @@
+"""The SDO client of a tool beside other clients of one node.
+
+A node has one SDO channel (CiA 301, 7.2.4.1), and all hear its answers. Programs of ours on one computer take
+turns: a locked file for each bus and node. An answer to a master elsewhere is ignored, and a transfer that it
+has broken is begun again by :class:`canfb.master.access.NodeAccess`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import sys
+import tempfile
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import canopen
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from canfb.cia301 import cob
+from canfb.errors import BusError
+
+POLL_S = 0.001
+LONGEST_TURN_S = 30.0
+"""A transfer of the longest recording (64 KiB in segments at 125 kbit/s) takes about 20 s."""
+
+
+@contextlib.contextmanager
+def sdo_turn(bus: str, node_id: int, longest_s: float = LONGEST_TURN_S) -> Iterator[None]:
+    """Hold the SDO channel of a node against other programs of this computer; it ends with the process.
+
+    ``bus`` is the ``channel_info`` of a bus of :func:`canfb.bus.opening.open_bus`. BusError if another one
+    has the channel for longer than ``longest_s``; 0.0: if it is not free. Where no file can be made nobody
+    waits.
+    """
+    file = _opened(os.path.join(tempfile.gettempdir(), f"canfb-sdo-{zlib.crc32(bus.encode()):08x}-{node_id}"))
+    try:
+        end = time.monotonic() + longest_s
+        while file is not None and not _is_locked(file):
+            if time.monotonic() >= end:
+                raise BusError(
+                    f"another canfb program on this computer uses the SDO channel of node {node_id} for more "
+                    f"than {longest_s:g} s: end it"
+                )
+            time.sleep(POLL_S)
+        yield
+    finally:
+        if file is not None:
+            os.close(file)
+
+
+def _opened(path: str) -> int | None:
+    """The file, made if it is missing; None where that fails. To lock a file it need not be writable."""
+    wanted = os.O_RDWR if sys.platform == "win32" else os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+    for flags in (wanted, wanted | os.O_CREAT | os.O_EXCL, wanted):
+        with contextlib.suppress(OSError):
+            return os.open(path, flags, 0o644)
+    return None
+
+
+def _is_locked(file: int) -> bool:
+    try:
+        lock_file(file)
+    except OSError:
+        return False
+    return True
+
+
+def lock_file(file: int) -> None:
+    """Lock an open file until it is closed, or the process ends. OSError if another has it."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+ABORT = 0x80
+# The command of the answer (scs) to each command of a request (ccs), and whether it names the object
+# (CiA 301, 7.2.4.3). Block transfers name it when they begin only, with subcommand 0.
+_ANSWERS = {0: (1, False), 1: (3, True), 2: (2, True), 3: (0, False), 5: (6, True), 6: (5, True)}
+
+
+class SharedClient(SdoClient):
+    """python canopen's client for one node, which ignores answers to requests of others.
+
+    ``turn`` holds the channel for one transfer. ``disturbed`` is True once an answer was ignored.
+    """
+
+    def __init__(
+        self,
+        network: canopen.Network,
+        node_id: int,
+        answer_within_s: float,
+        turn: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
+    ) -> None:
+        inherited: Any = super()
+        dictionary: Any = canopen.ObjectDictionary
+        inherited.__init__(cob.SDO_REQUEST + node_id, cob.SDO_RESPONSE + node_id, dictionary())
+        self.RESPONSE_TIMEOUT = answer_within_s
+        self.network = network
+        self.turn = turn
+        self.disturbed = False
+        self._place = bytes(3)
+        self._send: Callable[[bytes], None] = self.send_request
+        network.subscribe(self.tx_cobid, self.on_response)
+
+    def frame(self, within_s: float) -> bytes:
+        """The next frame of the node. queue.Empty if none comes."""
+        data: bytes = self.responses.get(timeout=max(0.0, within_s))
+        return data
+
+    def now(self) -> float:
+        """Seconds, monotonic."""
+        return time.monotonic()
+
+    def read_response(self, fits: Callable[[bytes], bool] = lambda data: True) -> bytes:
+        """As in canopen; an abort of another transfer, and what does not fit, is ignored."""
+        end = self.now() + self.RESPONSE_TIMEOUT
+        said = "No SDO response received"
+        while True:
+            try:
+                data = (self.frame(end - self.now()) + bytes(8))[:8]
+            except queue.Empty:
+                raise SdoCommunicationError(said) from None
+            if data[0] != ABORT and fits(data):
+                return data
+            if data[0] == ABORT and data[1:4] in (self._place, bytes(3)):
+                raise SdoAbortedError(int.from_bytes(data[4:], "little"))
+            self.disturbed = True
+            said = f"only answers to others come (the last: {data.hex()}): another master uses this node"
+
+    def request_response(self, sdo_request: bytes) -> bytes:
+        """As in canopen; an answer to another request is ignored."""
+        command, place = sdo_request[0], bytes(sdo_request[1:4])
+        expected, names = _ANSWERS[command >> 5]
+        begins = names and (command >> 5 < 5 or not command & 0x01)
+        if begins:
+            self._place = place
+        elif not self.responses.empty():
+            self.disturbed = True
+        self.responses = queue.Queue()
+        self._send(sdo_request)
+        try:
+            return self.read_response(
+                lambda data: data[0] >> 5 == expected and (not begins or data[1:4] == place)
+            )
+        except SdoCommunicationError:
+            self.abort(0x05040000)
+            raise
+
+    def abort(self, abort_code: int = 0x08000000) -> None:
+        """Abort the current transfer (CiA 301, 7.2.4.3.17)."""
+        self._send(bytes((ABORT,)) + self._place + abort_code.to_bytes(4, "little"))
