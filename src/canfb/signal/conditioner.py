@@ -9,10 +9,10 @@ one, and where a drift is followed (:mod:`canfb.signal.adaptation`), now and the
 from __future__ import annotations
 
 from canfb.signal.adaptation import Adaptation, AdaptConfig, FollowedDrift
-from canfb.signal.correction import NO_CORRECTION, Correction, Lines, check_table
+from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable, check_table
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import FrontEnd
-from canfb.signal.harmonics import NO_LOW_PASS, Corners, Row
+from canfb.signal.harmonics import NO_LOW_PASS, Corners, Row, corrected
 
 
 class Conditioner:
@@ -20,7 +20,7 @@ class Conditioner:
 
     correction      the active one
     coefficients    of the conditioning of the next sample
-    entries, lines  of the table; 0 and none for the identity
+    table           for the phases; None: the identity
     row             of the harmonics at the next sample; () for none
     front           what depends on the speed; None: nothing
     adaptation      what follows the drift of the tracks; :meth:`adapt` turns it on
@@ -33,18 +33,16 @@ class Conditioner:
         "coefficients",
         "corners",
         "correction",
-        "entries",
         "front",
         "lag_intervals",
-        "lines",
         "row",
+        "table",
         "unit_s",
     )
 
     def __init__(self, unit_s: float) -> None:
         self.correction, self.corners = NO_CORRECTION, NO_LOW_PASS
-        self.entries = 0
-        self.lines: Lines = ()
+        self.table: CorrectionTable | None = None
         self.row: Row = ()
         self.unit_s = unit_s
         self.adaptation = Adaptation()
@@ -52,10 +50,8 @@ class Conditioner:
 
     def activate(self, correction: Correction) -> None:
         """Take another ``correction``. TypeError if its table is none."""
-        table = correction.table
-        check_table(table)
-        self.correction = correction
-        self.entries, self.lines = (0, ()) if table is None else (len(table), table.lines())
+        check_table(correction.table)
+        self.correction, self.table = correction, correction.table
         self.adaptation.use(correction)
         self._renew()
 
@@ -88,6 +84,13 @@ class Conditioner:
             self.coefficients = front.coefficients(speed_cycles, amplitude_known)
             if front.varies:
                 self.row, self.lag_intervals = front.row(speed_cycles), front.lag_intervals(speed_cycles)
+
+    def corrected(self, raw: float) -> float:
+        """The phase at a raw phase, NaN where there is none."""
+        if raw != raw:
+            return raw
+        phase = raw if self.table is None else self.table.correct(raw)
+        return corrected(self.row, phase) if self.row else phase
 
     def learn(self, feedback: Feedback) -> bool:
         """A sample for the adaptation; True if the drift has changed from the next one on."""

@@ -1,11 +1,8 @@
 """The stages of one sample: conditioning, Table 1, correction, eq. 9, supervision, comparisons.
 
-Nearly each sample is usual: two counts and no more, one interval after the one before (or within 5 % of it,
-as its own time says), within all limits, and nothing is in doubt before it or after it. Then eq. 9 counts,
-and :meth:`Stages.take` is done. Whatever differs is left to :meth:`Stages._resolve`, with the phase that was
-computed; afterwards :meth:`Stages._look_again` says whether the next sample may be usual. Table 1 and the
-correction stand in `take` line by line, bit for bit as :func:`raw_phase` and :meth:`CorrectionTable.correct`:
-two calls more would cost 4 % of a cycle. tests/signal/test_usual_step.py compares both ways, bit for bit.
+Nearly each sample is usual: two counts and no more, one interval after the one before (or nearly so, as its
+own time says), within all limits, and nothing is in doubt. Then eq. 9 counts, and :meth:`Stages.take` is
+done; whatever differs is left to :meth:`Stages._resolve`. tests/signal/test_usual_step.py compares both ways.
 """
 
 from __future__ import annotations
@@ -26,7 +23,6 @@ from canfb.signal.estimator_runs import follow_run, take_run
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import AHEAD_INTERVALS
 from canfb.signal.frozen import FrozenInput, repeats
-from canfb.signal.harmonics import corrected
 from canfb.signal.phase import AnyArray, raw_phase
 from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondSensor
@@ -40,7 +36,7 @@ from canfb.signal.supervision import (
     VALID,
     Supervision,
 )
-from canfb.signal.tracker import Track, TrackResult
+from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
 from canfb.signal.tracking import continues, write_places_before
 from canfb.signal.witness.coarse import CoarseTrack
 from canfb.signal.witness.reference import Pulse, Reference
@@ -227,47 +223,15 @@ class Stages:
         s = (sine - offset_s) * gain_s
         c = (cosine - offset_c) * factor_c - s * skew
         amplitude = sqrt(s * s + c * c)
-        if not (  # a chained comparison takes longer
-            lowest < sine
-            and sine < highest
-            and lowest < cosine
-            and cosine < highest
-            and smallest <= amplitude
-            and amplitude <= largest
-        ):
-            stages = s, c, amplitude, raw_phase(s, c), nan
-            return self._resolve(sine, cosine, stages, elapsed, timed, extras)
-        if c > 0.0 and -c <= s <= c:
-            raw = 0.125 * (s / c)
-            if raw < 0.0:
-                raw += 1.0
-            raw = raw + 0.0 if raw != 1.0 else 0.0
-        elif c < 0.0 and c <= s <= -c:
-            raw = 0.5 + 0.125 * (s / c)
-        elif s > 0.0:
-            raw = 0.25 - 0.125 * (c / s)
-        elif s < 0.0:
-            raw = 0.75 - 0.125 * (c / s)
-        else:
-            return self._resolve(sine, cosine, (s, c, amplitude, nan, nan), elapsed, timed, extras)
-        phase = raw
-        entries = tracks.entries
-        if entries:
-            place = raw * entries
-            index = int(place)
-            first, slope = tracks.lines[index]
-            phase = first + (place - index) * slope
-            if phase < 0.0:
-                phase += 1.0
-            if phase >= 1.0:
-                phase -= 1.0
-        if tracks.row:
-            phase = corrected(tracks.row, phase)
+        raw = raw_phase(s, c)
+        phase = nan
+        if lowest < sine < highest and lowest < cosine < highest and smallest <= amplitude <= largest:
+            phase = tracks.corrected(raw)
         repeated = sine == self._sine and cosine == self._cosine
-        if not usual or (repeated and not self._stands):
-            return self._resolve(sine, cosine, (s, c, amplitude, raw, phase), elapsed, timed, extras)
+        residual = NOT_USUAL
         tracker, estimator = self._tracker, self.estimator
-        residual = tracker.advance(phase) if elapsed == 1.0 else estimator.advance_over(phase, elapsed)
+        if usual and phase == phase and not (repeated and not self._stands):
+            residual = tracker.advance(phase) if elapsed == 1.0 else estimator.advance_over(phase, elapsed)
         if residual < 0.0:
             return self._resolve(sine, cosine, (s, c, amplitude, raw, phase), elapsed, timed, extras)
         if self._stands:
