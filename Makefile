@@ -100,7 +100,7 @@ $(PY):
 
 $(INSTALLED): pyproject.toml | $(PY)
 	@echo "installing canfb into $(VENV)"
-	@$(PIP) --editable '.[monitor,scope]'
+	@$(PIP) --editable '.[monitor]'
 	@touch $@
 
 $(INSTALLED_TEST): pyproject.toml | $(PY)

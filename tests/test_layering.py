@@ -55,10 +55,10 @@ ALLOWED: dict[str, set[str]] = {
     "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "sdo"} | WORDS,
     "commission": {"signal", "calibration", "report", "view", "master", "calibrate"} | WORDS,
     # What others tell of themselves on the bus; so it may watch modules that are not ours.
-    "monitoring": {"signal", "timing", "module", "configuration", "bus", "view"} | WORDS - {"checks", "rows"},
-    # What a page shows and lets do, and its server.
-    "scope": {"signal", "calibration", "monitoring", "master", "sdo", "calibrate", "bus", "view"}
-             | WORDS - {"checks", "rows"},
+    "monitoring": {"signal", "timing", "module", "configuration", "bus", "view", "master"}
+                  | WORDS - {"checks", "rows"},
+    # What a page in a browser shows, and its server.
+    "scope": {"signal", "calibration", "monitoring", "errors", "objects"},
     # The clock, frames and the runner of any device: it knows nothing of encoders.
     "bus": {"device"} | WORDS - {"checks", "objects", "rows"},
     "hosting": {"signal", "sources", "module", "device", "interface", "simulation", "configuration", "bus"}
@@ -86,8 +86,7 @@ MAY_NAME_A_KIND = {"simulation", "demo", "calibrate", "cli"}
 
 # What each part may import of other packages. canopen reads the EDS for the device, and is the master of
 # the demo and of the tools; python-can has the words of the command line, and argcomplete completes them;
-# libiio has the converter of a source, which a thread of bus waits for; rich draws the page of the monitor,
-# Bokeh that of the scope, with Tornado for its server.
+# libiio has the converter of a source, which a thread of bus waits for; rich draws the page of the monitor.
 FOREIGN: dict[str, set[str]] = {
     "signal": {"numpy"},
     "calibration": {"numpy"},
@@ -103,7 +102,7 @@ FOREIGN: dict[str, set[str]] = {
     "sdo": {"numpy", "yaml"},
     "calibrate": {"numpy"},
     "commission": {"numpy"},
-    "scope": {"numpy", "can", "bokeh", "jinja2", "tornado"},
+    "scope": {"numpy"},
     "bus": {"can", "canopen"},
     "hosting": {"can"},
     "logs": {"numpy", "can", "pyarrow", "distributed"},
@@ -112,8 +111,8 @@ FOREIGN: dict[str, set[str]] = {
     "cli": {"can", "argcomplete", "rich"},
 }
 # Clocks, threads and sockets have two places, and the files beyond them that wait for a bus or a browser.
-WITH_A_CLOCK = {"logs/bus_log.py", "monitoring/watching.py",
-                "scope/scope_server.py", "scope/scoping.py"}  # fmt: skip
+WITH_A_CLOCK = {"logs/bus_log.py", "monitoring/watching.py", "monitoring/sdo_reading.py",
+                "scope/page_server.py", "scope/live_page.py"}  # fmt: skip
 OUTSIDE_WORLD = {"time", "threading", "socket", "select", "selectors", "asyncio", "datetime", "signal",
                  "multiprocessing", "concurrent", "sched", "queue", "subprocess"}  # fmt: skip
 

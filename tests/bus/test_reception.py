@@ -14,7 +14,7 @@ from can.interfaces.socketcan import SocketcanBus
 from canfb.bus.frame_bus import NamedInterface, PythonCanBus, Reception, enlarge_queue_of
 from canfb.bus.shared_bus import SharedBus
 from canfb.errors import BusError
-from canfb.monitoring.watching import Dumping
+from canfb.monitoring.watching import MessageReader, classic
 from fake_bus import FakeBus, FakeClock, message
 
 CHANNEL = "can7"
@@ -128,8 +128,8 @@ def test_frames_go_on_after_a_link_was_down(caplog: pytest.LogCaptureFixture) ->
     clock = FakeClock()
     down = can.CanOperationError("Error receiving: Network is down", errno.ENETDOWN)
     plan = [(0.1, message(1, timestamp=1000.1)), (0.5, down), (2.0, message(2, timestamp=1002.0))]
-    dumping = Dumping(3.0, clock, clock.sleep)
-    frames = [(at, one.can_id) for at, one in dumping.bus(FakeBus(clock, plan))]  # type: ignore[arg-type]
+    reader = MessageReader(3.0, clock, clock, clock.sleep)
+    frames = [(at, one.can_id) for at, one in classic(reader.bus(FakeBus(clock, plan)))]  # type: ignore[arg-type]
     assert frames == [(0.0, 1), (pytest.approx(1.9), 2)]
     assert caplog.messages == [f"the bus fails: {down}", WORKS]
 

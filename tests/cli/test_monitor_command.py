@@ -47,7 +47,7 @@ def test_json_has_an_object_per_update(log: Path, capsys: pytest.CaptureFixture[
 def test_without_a_terminal_there_are_lines(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["monitor", "0x20", "--log", str(log), "--speed", "1e5"]) == 0
     first, *_, last = capsys.readouterr().out.splitlines()
-    assert first.startswith("1.000 node 32 (20h): OPERATIONAL (by PDO), valid, ")
+    assert first.startswith("1.000 node 32 (20h): OPERATIONAL (by PDO), status valid, ")
     assert "lost, sample missed" in last
     assert "\x1b" not in first + last
 
@@ -87,9 +87,9 @@ def test_a_signal_ends_it_with_exit_code_0(
 ) -> None:
     opened = Watching.opened
 
-    def interrupted(watching: Watching, bus: can.BusABC, seconds: float | None = None) -> None:
+    def interrupted(watching: Watching, bus: can.BusABC) -> None:
         signal.raise_signal(number)
-        opened(watching, bus, seconds)
+        opened(watching, bus)
 
     monkeypatch.setattr(Watching, "opened", interrupted)
     assert main(["monitor", "-i", "virtual", "-c", "canfb-monitor", "--json"]) == 0

@@ -1,4 +1,4 @@
-"""``canfb scope``: wrong use is one line, before anything is opened."""
+"""``canfb scope``: wrong use is one line, before anything is opened; a log is shown without a bus."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import pytest
 
 from canfb.cli.main import main
 from canfb.monitoring.snapshot import BusSnapshot
+from canfb.scope.live_page import LivePage
 from monitored_network import MonitoredNetwork
 
 
@@ -22,12 +23,11 @@ from monitored_network import MonitoredNetwork
     [
         ("--port 70000", "must be 0 to 65535"),
         ("--speed 2", "goes with --log"),
-        ("--log x.log --write", "answers no SDO"),
+        ("--log x.log --sdo", "answers no SDO"),
         ("--demo 32", "module of its own"),
-        ("-i virtual -c scope-test --write", "name the nodes"),
+        ("-i virtual -c scope-test --sdo", "name the nodes"),
         ("-i nonsense", "nonsense"),
         ("--port web", "invalid int value"),
-        ("--sdo -i virtual -c scope-test", "name the nodes"),
         ("200", "not a node-ID"),
     ],
 )
@@ -38,76 +38,55 @@ def test_wrong_use(options: str, said: str, capsys: pytest.CaptureFixture[str]) 
     assert error.count("\n") == 1
 
 
-def test_a_missing_library_is_one_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_what_cannot_be_opened_is_one_line_and_no_address(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    for name in [name for name in sys.modules if name.startswith(("bokeh", "canfb.scope.scope_server"))]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "bokeh", None)
-    monkeypatch.delitem(sys.modules, "canfb.scope.scope_page", raising=False)
-    assert main(["scope", "--demo"]) == 1
-    assert "pip install 'canfb[scope]'" in capsys.readouterr().err
-
-
-def test_a_port_that_is_taken_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        assert main(["scope", "--demo", "--port", str(taken.getsockname()[1])]) == 1
-    error = capsys.readouterr().err
-    assert "cannot listen at 127.0.0.1" in error
-    assert error.count("\n") == 1
-
-
-def test_a_bus_that_cannot_be_opened_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scope", "-i", "slcan", "-c", "/dev/there-is-none"]) == 1
-    out, error = capsys.readouterr()
-    assert "cannot open the bus slcan /dev/there-is-none" in error
-    assert error.count("\n") == 1
-    assert out == ""  # no address of a page that will not be there
-
-
-def test_a_log_that_cannot_be_read_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["scope", "--log", str(tmp_path / "none.log")]) == 1
-    error = capsys.readouterr().err
-    assert "none.log: No such file" in error
-    assert error.count("\n") == 1
+        port = str(taken.getsockname()[1])
+        for options, said in (
+            (["--demo", "--port", port], "cannot listen at 127.0.0.1"),
+            (["-i", "slcan", "-c", "/dev/there-is-none"], "cannot open the bus slcan /dev/there-is-none"),
+            (["--log", str(tmp_path / "none.log")], "none.log: No such file"),
+        ):
+            assert main(["scope", *options]) == 1
+            out, error = capsys.readouterr()
+            assert said in error
+            assert error.count("\n") == 1
+            assert out == "" or "--log" in options
 
 
 def test_a_log_is_shown_without_a_bus(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Until it is stopped, after the end of the log too; the page has what the log had."""
-    from canfb.cli import scope_parts
-
+    """Until it is stopped, after the end of the log too; --write of earlier versions is named."""
     network, path = MonitoredNetwork(), tmp_path / "drive.log"
     network.run(1.0)
     with can.Logger(path) as writer:
         for frame, now in network.frames:
             writer(can.Message(1e6 + now, arbitration_id=frame.can_id, data=frame.data, is_extended_id=False))
     seen: list[BusSnapshot] = []
+    show = LivePage.show
 
-    class Traces(scope_parts.BusTraces):
-        def take(self, snapshot: BusSnapshot) -> None:
-            super().take(snapshot)
-            late = snapshot.time_s > 0.9
-            if late and not any(one.time_s > 0.9 for one in seen):  # once: later, nobody takes it
-                os.kill(os.getpid(), signal.SIGTERM)
-            seen.append(snapshot)
+    def shown(page: LivePage, snapshot: BusSnapshot) -> None:
+        show(page, snapshot)
+        seen.append(snapshot)
+        if len(seen) == 5:
+            os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr(scope_parts, "BusTraces", Traces)
-    assert main(["scope", "--log", str(path), "--speed", "100"]) == 0
+    monkeypatch.setattr(LivePage, "show", shown)
+    assert main(["scope", "--log", str(path), "--speed", "100", "--write"]) == 0
     out, error = capsys.readouterr()
     assert out.startswith("open http://127.0.0.1:")
-    assert error == ""
-    assert dict(seen[-1].modules[0][1].seen)["residual"] == 0
+    assert error == "canfb: --write: the page only shows; canfb calibrate and canfb table change a module\n"
     assert seen[-1].modules[0][1].position_state == "valid"
 
 
-def test_the_help_loads_no_library_of_the_page() -> None:
+def test_the_help_loads_no_server() -> None:
     code = (
         "from canfb.cli.main import build_parser; build_parser('scope').format_help(); import sys\n"
-        "print(sorted({'bokeh', 'tornado', 'jinja2'} & set(sys.modules)))"
+        "print(sorted({'http.server', 'canfb.scope.live_page', 'canopen'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"

@@ -18,7 +18,6 @@ import pytest
 
 from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS
 from canfb.cli.main import main
-from canfb.hosting.trying import NetworkOnBus
 from processes import Process
 
 PATIENCE_S = 120.0
@@ -111,18 +110,3 @@ def test_its_page_is_served(trying: list[Process], own_folder: Path) -> None:
     process.send(signal.SIGTERM)
     assert process.wait() == 0
     assert list(own_folder.iterdir()) == []
-
-
-def test_without_bokeh_there_is_no_page(
-    own_folder: Path,
-    multicast_bus: can.BusABC,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr("canfb.cli.try_command.find_spec", lambda name: None)
-    monkeypatch.setattr(NetworkOnBus, "wait", lambda network: None)
-    assert main(["try"]) == 0
-    out = capsys.readouterr().out
-    assert "no page: it needs Bokeh, pip install 'canfb[scope]'" in out
-    assert "open http" not in out
-    assert "canfb monitor 0x20" in out

@@ -16,8 +16,9 @@ from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.layout import NEEDED, SETTINGS, Origin, assumed_layout, known_layouts, layout_of
+from canfb.monitoring.layout import NEEDED, Origin, assumed_layout, known_layouts, layout_of
 from canfb.monitoring.snapshot import NodeSnapshot
+from canfb.view.pdo_map import Read
 from monitored_network import INTERFACE, NODE, RPM, MonitoredNetwork
 
 
@@ -26,6 +27,16 @@ def turning() -> MonitoredNetwork:
     network = MonitoredNetwork()
     network.run(2.0)
     return network
+
+
+def reader_of(dictionary: Any, missing: od.Multiplexer | None = None) -> Read:
+    """Gives what the dictionary holds, but for one object."""
+
+    def read(place: od.Multiplexer) -> Any:
+        entry = dictionary.find(*place)
+        return None if entry is None or place == missing else entry.value
+
+    return read
 
 
 def nodes(network: MonitoredNetwork) -> dict[int, NodeSnapshot]:
@@ -153,11 +164,7 @@ def test_a_mapping_of_the_module_is_followed() -> None:
     ):
         dictionary.entry(*place).download(struct.pack(f"<{layout}", value))
 
-    def read(place: od.Multiplexer) -> Any:
-        entry = dictionary.find(*place)
-        return None if entry is None else entry.value
-
-    network.model.learn(layout_of(NODE, read, Origin.MODULE))
+    network.model.learn(layout_of(NODE, reader_of(dictionary), Origin.MODULE))
     network.run(1.5)
     shown = network.module()
     assert 0x3F5 in {frame.can_id for frame, _ in network.frames}
@@ -172,24 +179,18 @@ def test_a_mapping_of_the_module_is_followed() -> None:
 def test_what_could_not_be_read_is_assumed(missing: od.Multiplexer | None) -> None:
     dictionary = MonitoredNetwork().modules[0].dictionary
 
-    def read(place: od.Multiplexer) -> Any:
-        return None if place == missing else dictionary.entry(*place).value
-
-    def complete(place: od.Multiplexer) -> Any:
-        return read(place) if dictionary.find(*place) is not None else None
-
-    layout = layout_of(NODE, complete, Origin.MODULE)
+    read = reader_of(dictionary, missing)
+    layout = layout_of(NODE, read, Origin.MODULE)
     assert layout.assumed == {name for name, places in NEEDED.items() if missing in places}
     for origin in (Origin.DEFAULT, Origin.CONFIGURATION, Origin.ASSUMED):
-        assert layout_of(NODE, complete, origin).assumed == set(NEEDED)
+        assert layout_of(NODE, read, origin).assumed == set(NEEDED)
 
 
 def test_a_limit_by_noise_that_was_not_read_is_assumed() -> None:
     network = MonitoredNetwork()
     network.modules[0].dictionary.entry(*od.SUPERVISION_NOISE_MARGIN).download(b"\x06")
     dictionary = network.modules[0].dictionary
-    read = {place: dictionary.entry(*place).value for place in SETTINGS if dictionary.find(*place)}
-    network.model.learn(layout_of(NODE, read.get, Origin.MODULE))
+    network.model.learn(layout_of(NODE, reader_of(dictionary), Origin.MODULE))
     network.run(0.2)
     assert network.module().assumed == ["residual_limit_cycles"]
     network.model.put(NODE, od.FEEDBACK_NOISE, 100, network.bus.now)

@@ -1,102 +1,211 @@
-"""Reading by SDO against the server of a real module: requests out, answers in, nobody waits."""
+"""Reading by SDO against a real module: what no PDO carries, no more often than something changes."""
 
 from __future__ import annotations
 
-import struct
-from itertools import pairwise
+import math
+from typing import Any
 
+import can
+import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import canfb
 from canfb import objects as od
+from canfb.bus.shared_bus import ListeningThread, SharedBus
 from canfb.cia301.frame import Frame
-from canfb.monitoring.layout import SETTINGS, Origin, layout_of
-from canfb.monitoring.sdo_reading import ANSWER_S, MOST_UNANSWERED, QUIET_S, REPEATED, SdoReading
-from canfb.objects import Multiplexer
-from canfb.view.pdo_map import Number
+from canfb.configuration import Config
+from canfb.errors import CanfbError
+from canfb.master.access import NodeAccess
+from canfb.master.all_or_nothing import put_in_force
+from canfb.monitoring.bus_model import BusModel
+from canfb.monitoring.layout import known_layouts
+from canfb.monitoring.sdo_reading import (
+    CYCLE_S,
+    LAYOUT_S,
+    QUIET_S,
+    REPEATED,
+    ModuleReader,
+    ModuleReading,
+    SdoThread,
+    only_reads,
+)
+from canfb.monitoring.snapshot import NodeSnapshot
+from canfb.monitoring.watching import MessageReader, Watching
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
+from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
+from fake_bus import message
 
-NODE = 0x20
-
-
-def exchange(
-    reading: SdoReading, module: canfb.FeedbackModule, begin: float, seconds: float
-) -> dict[Multiplexer, Number]:
-    """So long with the module at the other end."""
-    values: dict[Multiplexer, Number] = {}
-    for k in range(round(seconds * 1000)):
-        now = begin + k * 1e-3
-        request = reading.next(now)
-        if request is not None:
-            for answer in module.receive(request, now):
-                values.update(reading.receive(answer))
-    return values
-
-
-def test_mapping_and_counters_are_those_of_the_module() -> None:
-    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE, cycles_per_revolution=1024, adc_bits=14))
-    module.start(0.0)
-    module.dictionary.entry(*od.COUNTER_MISSED).value = 7
-    reading = SdoReading(NODE)
-    assert not reading.complete
-    values = exchange(reading, module, 0.0, 0.5)
-    assert reading.complete
-    assert set(reading.settings) == set(SETTINGS)
-    assert values[od.COUNTER_MISSED] == 7
-    assert set(values) == set(REPEATED)
-    layout = layout_of(NODE, reading.settings.get, Origin.MODULE)
-    assert layout.cycles_per_revolution == 1024
-    assert layout.full_scale_counts == 8192
-    assert [pdo.can_id for pdo in layout.tpdos] == [0x180 + NODE]
-    assert [place for place, _, _ in layout.tpdos[0].places] == [
-        od.POSITION_VALUE,
-        od.FEEDBACK_STATUS,
-        od.FEEDBACK_RESIDUAL,
-    ]
-    assert [pdo.can_id for pdo in layout.inputs] == [0x190]
-    module.dictionary.entry(*od.COUNTER_MISSED).value = 9
-    assert exchange(reading, module, 1.0, 1.5)[od.COUNTER_MISSED] == 9, "and again every second"
+ENTRIES = np.arange(64) / 64
+TABLE = CorrectionTable(ENTRIES + 0.01 * np.sin(2 * np.pi * ENTRIES))
 
 
-def test_a_node_that_does_not_answer_is_left_alone() -> None:
-    reading = SdoReading(NODE)
-    sent = [now for k in range(20_000) if reading.next(now := k * 1e-3) is not None]
-    assert len(sent) <= 20.0 / (QUIET_S + MOST_UNANSWERED * ANSWER_S) * MOST_UNANSWERED + MOST_UNANSWERED
-    assert min(after - before for before, after in pairwise(sent)) >= ANSWER_S
-    assert not reading.complete
-    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE))
-    module.start(0.0)
-    exchange(reading, module, 20.0, QUIET_S + 1.0)
-    assert reading.complete, "it is asked again"
+class Watched:
+    """A module on a bench whose frames a model takes, and a reader beside it."""
+
+    def __init__(self, **config: Any) -> None:
+        self.bench = Bench(config=config)
+        self.model = BusModel(known_layouts(Config(modules=[self.bench.module.config])))
+        self.bench.bus.observers.append(self.model.receive)
+        self.reader = ModuleReader(MODULE_ID, with_table=True)
+        self.passed_s = 0.0
+
+    @property
+    def node(self) -> NodeSnapshot:
+        ((node, _),) = self.model.snapshot(self.bench.bus.now).modules
+        return node
+
+    def read(self) -> ModuleReading | None:
+        """If it is due; the model takes it."""
+        now, node = self.bench.bus.now + self.passed_s, self.node
+        self.bench.master.sent.clear()
+        if not self.reader.due(now, node):
+            return None
+        reading = self.reader.read(self.bench.access, now, node)
+        self.model.learn(reading.layout)
+        for place, value in reading.values.items():
+            self.model.put(MODULE_ID, place, value, now)
+        return reading
+
+    def asked(self) -> list[tuple[int, int]]:
+        """Objects that the last reading asked for."""
+        starts = [frame.data for frame in self.bench.master.sent if frame.data[0] >> 5 in (2, 5)]
+        return [(int.from_bytes(data[1:3], "little"), data[3]) for data in starts if data[1:3] != b"\0\0"]
+
+    def run(self, seconds: float) -> None:
+        self.bench.bus.run_until(self.bench.bus.now + seconds)
 
 
-def test_only_uploads_are_sent() -> None:
-    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE))
-    module.start(0.0)
-    reading = SdoReading(NODE)
-    for k in range(400):
-        request = reading.next(k * 1e-3)
-        if request is not None:
-            assert request.can_id == 0x600 + NODE
-            assert request.data[0] == 0x40
-            for answer in module.receive(request, k * 1e-3):
-                reading.receive(answer)
+def test_mapping_counters_and_table_are_those_of_the_module() -> None:
+    watched = Watched(adc_bits=14)
+    watched.bench.module.dictionary.entry(*od.COUNTER_MISSED).value = 7
+    reading = watched.read()
+    assert reading is not None
+    assert (reading.layout.origin, reading.layout.full_scale_counts) == ("module", 8192)
+    assert reading.layout.assumed == frozenset()
+    assert reading.values[od.COUNTER_MISSED] == 7
+    assert reading.correction == NO_CORRECTION
+    assert set(reading.values) == set(REPEATED) - {od.FEEDBACK_STATUS}, "the PDOs carry that"
+    assert {frame.can_id for frame in watched.bench.master.sent} == {0x600 + MODULE_ID}
 
 
-@given(st.lists(st.tuples(st.sampled_from([0x580 + NODE, 0x581, 0x1A0]), st.binary(max_size=8))))
-def test_no_answer_raises(frames: list[tuple[int, bytes]]) -> None:
-    reading = SdoReading(NODE)
-    for k, (can_id, data) in enumerate(frames):
-        request = reading.next(k * 1e-3)
-        reading.receive(Frame(can_id, data))
-        if request is not None:  # the right place, with whatever is in it
-            reading.receive(
-                Frame(0x580 + NODE, data[:1].ljust(1, b"\x43") + request.data[1:4] + data[:4].ljust(4))
-            )
+def test_without_a_change_little_is_read_and_seldom() -> None:
+    watched = Watched()
+    assert watched.read()
+    first = len(watched.asked())
+    watched.passed_s += 0.9 * CYCLE_S
+    assert watched.read() is None
+    watched.passed_s += 0.2 * CYCLE_S
+    assert watched.read()
+    again = watched.asked()
+    assert len(again) == len(REPEATED), "the conditioning in place of the status word; no mapping"
+    assert len(again) < 0.5 * first
+    watched.passed_s += LAYOUT_S
+    assert watched.read()
+    assert len(watched.asked()) > 0.5 * first, "limits may have been changed"
 
 
-def test_the_answer_to_another_master_is_not_taken() -> None:
-    reading = SdoReading(NODE)
-    assert reading.next(0.0) is not None
-    assert reading.receive(Frame(0x580 + NODE, struct.pack("<BHBI", 0x43, 0x2012, 1, 5))) == {}
-    assert reading.next(ANSWER_S / 2) is None, "its own request still waits"
+@pytest.mark.parametrize("active", [Correction(TABLE), Correction(TABLE, Conditioning(3.0)), NO_CORRECTION])
+def test_a_table_that_others_activate_is_read_at_once(active: Correction) -> None:
+    """By bit 7 of the status word; from table to table by the CRC, within CYCLE_S."""
+    watched = Watched()
+    before = Correction(CorrectionTable(ENTRIES)) if active == NO_CORRECTION else NO_CORRECTION
+    put_in_force(watched.bench.access, before)
+    watched.run(0.05)
+    assert watched.read()
+    put_in_force(watched.bench.access, active)
+    watched.run(0.05)
+    reading = watched.read()
+    assert reading is not None
+    assert reading.correction == active
+    put_in_force(watched.bench.access, Correction(TABLE, Conditioning(0.0, 5.0)))
+    watched.passed_s += 1.1 * CYCLE_S
+    reading = watched.read()
+    assert reading is not None
+    assert reading.correction == Correction(TABLE, Conditioning(0.0, 5.0))
+
+
+def test_a_node_that_does_not_answer_is_left_alone_and_asked_again() -> None:
+    watched = Watched()
+    access, watched.bench.access = watched.bench.access, NodeAccess(watched.bench.master, 99, "module")
+    with pytest.raises(CanfbError, match="no answer"):
+        watched.read()
+    watched.bench.access = access
+    watched.passed_s += 0.9 * QUIET_S
+    assert watched.read() is None
+    watched.passed_s += 0.2 * QUIET_S
+    assert watched.read()
+
+
+def test_of_a_node_that_is_no_module_nothing_is_taken() -> None:
+    bench = Bench()
+    reader = ModuleReader(INTERFACE_ID)
+    reading = reader.read(bench.interface_access, 0.0, None)
+    assert reading.values == {}
+    assert reading.layout.assumed
+
+
+FRAMES = st.builds(
+    can.Message,
+    arbitration_id=st.one_of(st.integers(0, 0x7FF), st.integers(0x600, 0x680)),
+    data=st.binary(max_size=8),
+    is_extended_id=st.booleans(),
+    is_remote_frame=st.booleans(),
+)
+
+
+@given(FRAMES)
+def test_only_uploads_may_be_sent(sent: can.Message) -> None:
+    upload = (
+        0x601 <= sent.arbitration_id <= 0x67F
+        and len(sent.data) == 8
+        and sent.data[0] >> 5 in (2, 3, 4, 5)
+        and not sent.is_extended_id
+        and not sent.is_remote_frame
+    )
+    assert (only_reads(sent) == "") is upload
+
+
+def test_beside_the_reception_of_a_bus_and_only_while_wanted() -> None:
+    """With threads: the module answers in one, the monitor receives in another, and a third one reads."""
+    bench = Bench(sync=False)
+    channel = "canfb sdo reading"
+    with (
+        can.Bus(interface="virtual", channel=channel) as wire,
+        SharedBus(can.Bus(interface="virtual", channel=channel), only_reads) as shared,
+    ):
+        asked: list[int] = []
+        running = True
+
+        def answer() -> None:
+            while running:
+                if (request := wire.recv(0.01)) is not None:
+                    asked.append(request.arbitration_id)
+                    for one in bench.module.receive(Frame(request.arbitration_id, bytes(request.data)), 1.0):
+                        wire.send(message(one.can_id, one.data))
+
+        wanted = False
+        model = BusModel(known_layouts(Config(), [MODULE_ID]))
+        watching = Watching(model, lambda snapshot: None, 50.0, MessageReader())
+        taken: list[ModuleReading] = []
+        reading = SdoThread(
+            shared, [ModuleReader(MODULE_ID)], lambda: watching.latest, taken.append, lambda: wanted
+        )
+        threads = [
+            ListeningThread(answer, lambda: None),
+            ListeningThread(lambda: watching.opened(shared), watching.stop),
+        ]
+        for one in threads:
+            one.begin(lambda: None)
+        try:
+            with reading.running(lambda: None):
+                pass
+            assert asked == []
+            reading.look(math.inf)
+            assert [one.node_id for one in taken] == [MODULE_ID]
+            assert set(asked) == {0x600 + MODULE_ID}
+        finally:
+            running = False
+            for one in reversed(threads):
+                one.end()

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import errno
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import can
 import pytest
 
 import canfb
-from canfb.cia301.frame import Frame
+from canfb import objects as od
 from canfb.configuration import Config
 from canfb.errors import BusError, CanfbError
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.layout import known_layouts
-from canfb.monitoring.sdo_reading import SdoReading
+from canfb.monitoring.layout import Origin, known_layouts
+from canfb.monitoring.sdo_reading import ModuleReading
 from canfb.monitoring.snapshot import BusSnapshot
-from canfb.monitoring.watching import Watching
+from canfb.monitoring.watching import MessageReader, Watching
 from fake_bus import FakeBus, FakeClock, message
 
 NODE = 0x20
@@ -35,8 +36,8 @@ def watched(
     bus = FakeBus(clock, plan)
     shown: list[BusSnapshot] = []
     model = BusModel(known_layouts(Config(), [NODE]))
-    watching = Watching(model, shown.append, rate_hz, clock=clock, wall=clock, sleep=clock.sleep)
-    watching.opened(bus, seconds)  # type: ignore[arg-type]
+    reader = MessageReader(seconds, clock, clock, clock.sleep)
+    Watching(model, shown.append, rate_hz, reader).opened(bus)  # type: ignore[arg-type]
     return shown, bus
 
 
@@ -86,8 +87,8 @@ def test_an_interface_that_is_down_is_waited_for() -> None:
     plan += [(1.0 + n * 0.1, message(0x1A0, position(n), timestamp=1001.0 + n * 0.1)) for n in range(20)]
     shown: list[BusSnapshot] = []
     model = BusModel(known_layouts(Config(), [NODE]))
-    watching = Watching(model, shown.append, 5.0, (), clock, clock, clock.sleep, said.append)
-    watching.opened(FakeBus(clock, plan), 3.0)  # type: ignore[arg-type]
+    reader = MessageReader(3.3, clock, clock, clock.sleep, said.append)
+    Watching(model, shown.append, 5.0, reader).opened(FakeBus(clock, plan))  # type: ignore[arg-type]
     assert said == [f"the bus fails: {down}", "the bus works again"]
     assert clock.slept == [pytest.approx(0.2)]
     assert shown[-1].modules[0][1].position_units == 19_000
@@ -98,29 +99,17 @@ def test_an_interface_that_is_removed_ends_it() -> None:
         watched([(0.1, OSError(errno.ENODEV, "No such device"))], 1.0)
 
 
-def test_by_sdo_mapping_and_counters_come_from_the_module() -> None:
-    clock = FakeClock()
-    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE, cycles_per_revolution=512))
-    module.start(0.0)
-    module.dictionary.entry(0x2012, 1).value = 3
-
-    class AnsweringBus(FakeBus):
-        def send(self, sent: can.Message) -> None:
-            super().send(sent)
-            frame = Frame(sent.arbitration_id, bytes(sent.data))
-            for answer in module.receive(frame, clock.now):
-                self.plan.append((self.at + 1e-3, message(answer.can_id, answer.data)))
-
+def test_what_was_read_by_sdo_counts_from_the_next_snapshot_on() -> None:
+    module = canfb.ModuleConfig(node_id=NODE, cycles_per_revolution=512)
+    (layout,) = known_layouts(Config(modules=[module]))
     shown: list[BusSnapshot] = []
-    model = BusModel(known_layouts(Config(), [NODE]))
-    bus = AnsweringBus(clock)
-    watching = Watching(model, shown.append, 5.0, [SdoReading(NODE)], clock, clock, clock.sleep)
-    watching.opened(bus, 3.0)  # type: ignore[arg-type]
-    ((_, last),) = shown[-1].modules
-    assert last.layout == "module", "at first it was the EDS"
-    assert last.counters["missed"] == 3
-    assert set(bus.sent_ids()) == {0x600 + NODE}
-    assert {sent.data[0] for _, sent in bus.sent} == {0x40}, "nothing is written"
+    clock = FakeClock()
+    reader = MessageReader(1.0, clock, clock, clock.sleep)
+    watching = Watching(BusModel(known_layouts(Config(), [NODE])), shown.append, 5.0, reader)
+    watching.put(ModuleReading(NODE, {od.COUNTER_MISSED: 3}, replace(layout, origin=Origin.MODULE)))
+    watching.opened(FakeBus(clock))  # type: ignore[arg-type]
+    ((_, first),) = shown[0].modules
+    assert (first.layout, first.counters) == ("module", {"missed": 3})
 
 
 @pytest.mark.parametrize("ending", FORMATS)
@@ -134,7 +123,7 @@ def test_a_log_of_any_format_in_its_own_time(ending: str, tmp_path: Path) -> Non
     shown: list[BusSnapshot] = []
     clock = FakeClock()
     model = BusModel(known_layouts(Config(), [NODE]))
-    Watching(model, shown.append, 5.0, clock=clock, wall=clock, sleep=clock.sleep).log(path)
+    Watching(model, shown.append, 5.0, MessageReader(None, clock, clock, clock.sleep)).log(path)
     assert clock.slept == [], "as fast as it can be read"
     assert [one.time_s for one in shown[:-1]] == pytest.approx([0.2 * n for n in range(1, 15)])
     assert shown[-1].time_s == pytest.approx(2.992, abs=2e-3)
@@ -149,7 +138,9 @@ def test_a_log_can_be_played_at_a_speed_and_pauses_are_passed_over(tmp_path: Pat
             writer(message(0x1A0, position(1), timestamp=at))
     clock = FakeClock()
     shown: list[BusSnapshot] = []
-    Watching(BusModel(), shown.append, 5.0, clock=clock, wall=clock, sleep=clock.sleep).log(path, speed=2.0)
+    Watching(BusModel(), shown.append, 5.0, MessageReader(None, clock, clock, clock.sleep)).log(
+        path, speed=2.0
+    )
     assert len(shown) < 12
     assert set(clock.slept) == {0.1}
 

@@ -38,7 +38,7 @@ ROOMS = {
     "logs": Room(20, 210, 2, "a bus log, or a folder of them"),
     "planning": Room(290, 150, 2, "limits, before a bus"),
     "demo": Room(490, 220, 2, "the whole story, in one process"),
-    "scope": Room(765, 175, 2, "a page for commissioning"),
+    "scope": Room(765, 175, 2, "a page with pictures"),
     "hosting": Room(35, 175, 3, "a configuration on a bus", "world"),
     "replay": Room(265, 225, 3, "recorded frames through a module"),
     "monitoring": Room(550, 130, 3, "what the bus says"),

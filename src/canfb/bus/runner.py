@@ -437,7 +437,7 @@ def outside_collections() -> Iterator[None]:
     """What there is when this is entered is left out of garbage collections, until the end.
 
     With canopen and the dictionaries that is some 50 000 objects: a full collection takes 40 ms, in which
-    no frame is served, and 5 µs without them. With Bokeh it is half a million.
+    no frame is served, and 5 µs without them.
     """
     gc.freeze()
     try:

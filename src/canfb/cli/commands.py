@@ -37,7 +37,7 @@ COMMANDS = tuple(
         ("interface", "run", "run the encoder interface of a configuration, with an ADC, on a bus"),
         ("monitor", "monitor", "watch modules live, on a bus or in a log"),
         ("dump", "dump_command", "show frames, PDOs of modules and interfaces decoded"),
-        ("scope", "scope", "watch and commission modules on a local web page"),
+        ("scope", "scope", "watch modules on a local web page"),
         (
             "simulate",
             "simulate",

@@ -10,6 +10,7 @@ from typing import Any
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
+from canfb.cia301.frame import Frame
 from canfb.cli.options import (
     Commands,
     add_bus_options,
@@ -26,7 +27,7 @@ from canfb.diagnosis.frame_words import FrameWords, read_by_sdo
 from canfb.eds_files import eds_path
 from canfb.master.access import NodeAccess
 from canfb.monitoring.layout import known_objects
-from canfb.monitoring.watching import Dumping, TimedFrame
+from canfb.monitoring.watching import MessageReader, classic
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.view.pdo_map import Read
 
@@ -53,16 +54,16 @@ def dump(options: argparse.Namespace) -> int:
     if options.log is not None:
         refuse_idle(options, ["listen"], "a log answers no SDO anyway")
     modules = known_objects(config, options.nodes)
-    dumping = Dumping(options.seconds)
-    with ending_on_signals(dumping.stop):
+    reader = MessageReader(options.seconds)
+    with ending_on_signals(reader.stop):
         if options.log is not None:
-            _show(options, modules, dumping.log(options.log))
+            _show(options, modules, classic(reader.log(options.log)))
             return 0
         words = bus_options(options, config.bus)
         if not options.listen and modules:
             modules |= _read_now(words, list(modules))
         with open_bus(words) as bus:
-            _show(options, modules, dumping.bus(bus))
+            _show(options, modules, classic(reader.bus(bus)))
     return 0
 
 
@@ -77,7 +78,9 @@ def _read_now(words: dict[str, Any], nodes: list[int]) -> dict[int, Read]:
     return found
 
 
-def _show(options: argparse.Namespace, modules: dict[int, Read], frames: Iterator[TimedFrame]) -> None:
+def _show(
+    options: argparse.Namespace, modules: dict[int, Read], frames: Iterator[tuple[float, Frame]]
+) -> None:
     described = ObjectDescriptions(eds_path("canfb-module"), 1)
     decode = FrameWords(described, modules.items()).decode
     for time_s, frame in frames:

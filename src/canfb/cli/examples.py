@@ -58,9 +58,9 @@ _EXAMPLES = {
   canfb sdo write 0x20 1010:01 save --config feedback.yaml
   canfb sdo write 5 6083 1000 --eds drive.eds --config feedback.yaml""",
     "canfb scope": """
-  canfb scope --demo --write
+  canfb scope --demo
   canfb scope -i socketcan -c can0 -b 1000000
-  canfb scope --config feedback.yaml --write""",
+  canfb scope --config feedback.yaml --sdo""",
     "canfb calibrate": """
   canfb calibrate -i socketcan -c can0 --module 0x20 --out measured
   canfb calibrate feedback.yaml --dry-run --json

@@ -7,9 +7,12 @@ import contextlib
 import io
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
+from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
+from canfb.bus.shared_bus import SharedBus
 from canfb.cli.options import (
     Commands,
     add_bus_options,
@@ -24,11 +27,10 @@ from canfb.cli.printing import say
 from canfb.cli.watch_options import add_machine_unit, add_watched, bit_rate_of
 from canfb.errors import CanfbError, ConfigError
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.layout import assumed_layout, known_layouts
+from canfb.monitoring.layout import NodeLayout, assumed_layout, known_layouts
 from canfb.monitoring.lines import plain_lines
-from canfb.monitoring.sdo_reading import SdoReading
 from canfb.monitoring.snapshot import BusSnapshot
-from canfb.monitoring.watching import Watching
+from canfb.monitoring.watching import MessageReader, Watching
 
 FASTEST_HZ, RATE_HZ, LINES_RATE_HZ = 50.0, 5.0, 1.0
 Show = Callable[[BusSnapshot], None]
@@ -62,16 +64,27 @@ def monitor(options: argparse.Namespace) -> int:
     if options.sdo and not layouts:
         raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
     model = BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes))
-    readings = [SdoReading(layout.node_id) for layout in layouts] if options.sdo else []
     with output(options, "canfb monitor") as (show, rate_hz):
-        watching = Watching(model, show, min(options.rate or rate_hz, FASTEST_HZ), readings)
+        reader = MessageReader(options.seconds)
+        watching = Watching(model, show, min(options.rate or rate_hz, FASTEST_HZ), reader)
         with ending_on_signals(watching.stop):
             if options.log is not None:
                 own_time = None if options.json or options.plain else 1.0
-                watching.log(options.log, options.speed or own_time, options.seconds)
+                watching.log(options.log, options.speed or own_time)
+            elif not options.sdo:
+                watching.bus(words)
             else:
-                watching.bus(words, options.seconds)
+                _with_sdo(words, layouts, watching)
     return 0
+
+
+def _with_sdo(words: dict[str, Any], layouts: Sequence[NodeLayout], watching: Watching) -> None:
+    from canfb.monitoring.sdo_reading import ModuleReader, SdoThread, only_reads  # here: canopen is for this
+
+    with SharedBus(open_bus(words), only_reads) as bus:
+        readers = [ModuleReader(layout.node_id) for layout in layouts]
+        with SdoThread(bus, readers, lambda: watching.latest, watching.put).running(watching.stop):
+            watching.opened(bus)
 
 
 @contextlib.contextmanager

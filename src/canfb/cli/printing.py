@@ -44,13 +44,6 @@ def reader_may_go(stream: TextIO) -> Iterator[None]:
         os.close(nowhere)
 
 
-def announce_page(address: str, code: str | None) -> None:
-    """Say the address of the page, and the code of the tasks that write."""
-    say(f"open {address}")
-    if code is not None:
-        say(f"to change a module, type this code on the page: {code}")
-
-
 PATIENCE_S = 0.5  # at the end, for a reader
 
 

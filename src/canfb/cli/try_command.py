@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import json
 import tempfile
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from canfb.bus.opening import describe, group_port
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.commands import build_parser
 from canfb.cli.options import Commands, add_command, add_jitter, add_ready_file, jittered
-from canfb.cli.printing import announce_page, printed_as_json, say
+from canfb.cli.printing import printed_as_json, say
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
 from canfb.hosting.event_log import EventLog, summary_of
@@ -22,9 +21,7 @@ from canfb.hosting.readiness import Readiness
 from canfb.hosting.trying import START_ALL, NetworkOnBus, end_main, private_bus
 
 ANY_PORT = 0
-LIBRARIES = ("bokeh", "tornado", "jinja2")  # of the page
 LEAST_HZ, MOST_HZ = 50.0, 1000.0  # below, the machine of the example accelerates too much from SYNC to SYNC
-NO_PAGE = "no page: it needs Bokeh, pip install 'canfb[scope]'"
 
 
 def register(commands: Commands) -> None:
@@ -62,10 +59,7 @@ def try_it(options: argparse.Namespace) -> int:
 
 def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> None:
     """Say what there is; then the page, or nothing more, until a signal."""
-    page = not options.no_scope and all(find_spec(name) for name in LIBRARIES)
-    if not (page or options.no_scope or options.json):
-        say(NO_PAGE)
-    if not page:
+    if options.no_scope:
         with Readiness(options.ready_file) as readiness, ending_on_signals(network.stop):
             readiness.ready()
             _tell(options, network, None)
@@ -74,18 +68,16 @@ def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> No
     from canfb.cli.scope import scope  # here: for this, no other command is imported
 
     network.on_end = end_main
-    words = ["scope", "--config", str(path), "--write", "--port", str(options.port)]
+    words = ["scope", "--config", str(path), "--sdo", "--port", str(options.port)]
     if options.ready_file is not None:
         words += ["--ready-file", options.ready_file]
     page_options = build_parser("scope").parse_args(words)
-    page_options.opened = lambda address, code: _tell(options, network, address, code)
+    page_options.opened = lambda address: _tell(options, network, address)
     scope(page_options)
 
 
-def _tell(
-    options: argparse.Namespace, network: NetworkOnBus, address: str | None, code: str | None = None
-) -> None:
-    """The address of the page and the code to change the module with it, the bus, and what to type next."""
+def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | None) -> None:
+    """The address of the page, the bus, and what to type next."""
     (module,) = network.config.modules
     group = str(network.words["channel"])
     bus = f"-i {network.words['interface']} -c {group}"
@@ -98,7 +90,6 @@ def _tell(
         said: dict[str, Any] = {
             "event": "ready",
             "page": address,
-            "code": code,
             "interface": network.words["interface"],
         }
         said |= {"channel": group, "port": group_port(group), "rate_hz": options.rate}
@@ -108,7 +99,7 @@ def _tell(
     nodes = f"node {module.node_id} ({module.node_id:02X}h), its encoder interface and SYNC"
     say(f"running {nodes} at {options.rate:g} Hz on {describe(network.words)}; end with Ctrl-C")
     if address is not None:
-        announce_page(address, code)
+        say(f"open {address}")
     say("next, in another terminal:")
     for line in following:
         say(f"  {line}")

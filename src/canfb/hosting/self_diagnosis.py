@@ -39,7 +39,7 @@ from canfb.errors import reason
 from canfb.hosting.event_log import Served, title_of
 from canfb.hosting.state_files import SWITCH_S, small_stack
 
-PACKAGES = ("canfb", "python-can", "canopen", "numpy", "PyYAML", "bokeh", "rich", "pylibiio", "uvloop")
+PACKAGES = ("canfb", "python-can", "canopen", "numpy", "PyYAML", "rich", "pylibiio", "uvloop")
 MOST_LINES = 500
 COMMAND_S = 5.0
 UNITS = ("canfb", "canfb-interface")  # tools/systemd

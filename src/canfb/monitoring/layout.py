@@ -6,6 +6,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from canfb import objects as od
 from canfb.cia301 import cob
@@ -14,9 +15,11 @@ from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.module.parameters import factory_dictionary
 from canfb.objects import Multiplexer
 from canfb.view.limits_in_force import NOTHING_NARROWS, LimitSettings, limit_settings
-from canfb.view.pdo_map import PDOS, Number, Pdo, Read, valid_pdos
+from canfb.view.pdo_map import Number, Pdo, Read, valid_pdos
 
-MOST_MAPPED = 8
+if TYPE_CHECKING:
+    from canfb.signal.correction import Correction
+
 EMCY_COB_ID = Multiplexer(0x1014)
 
 COUNTERS: dict[Multiplexer, str] = {
@@ -54,33 +57,6 @@ VALUES: dict[Multiplexer, str] = {
 
 INPUTS: dict[Multiplexer, str] = {od.SAMPLE_SINE: "h", od.SAMPLE_COSINE: "h"}
 """The same, of the PDOs that it receives."""
-
-SETTINGS: dict[Multiplexer, str] = {
-    od.SYNC_COB_ID: "I",
-    EMCY_COB_ID: "I",
-    od.ENCODER_CYCLES_PER_REVOLUTION: "I",
-    od.ENCODER_FULL_SCALE: "H",
-    od.ENCODER_LOWEST_AMPLITUDE: "H",
-    od.ENCODER_HIGHEST_AMPLITUDE: "H",
-    od.SUPERVISION_RESIDUAL_LIMIT: "H",
-    od.SUPERVISION_ACCELERATION: "f",
-    od.SUPERVISION_NOISE_MARGIN: "B",
-    od.SUPERVISION_BAD_SAMPLES: "B",
-    od.SUPERVISION_DOUBT_ACCELERATION: "H",
-    od.SUPERVISION_PHASE_ERROR: "H",
-    od.CYCLE_PERIOD: "I",
-    od.UNITS_PER_REVOLUTION: "I",
-    od.TOTAL_RANGE: "I",
-    **{Multiplexer(base + n, 1): "I" for base in (od.TPDO, od.RPDO) for n in range(PDOS)},
-    **{
-        Multiplexer(base + n, sub): "I" if sub else "B"
-        for base in (od.TPDO_MAPPING, od.RPDO_MAPPING)
-        for n in range(PDOS)
-        for sub in range(MOST_MAPPED + 1)
-    },
-}
-"""What is read of a module to know the rest."""
-
 
 NEEDED: dict[str, tuple[Multiplexer, ...]] = {
     "position_revolutions": (od.UNITS_PER_REVOLUTION,),
@@ -147,6 +123,16 @@ class NodeLayout:
     amplitude_high_counts: int = 0
     supervision: LimitSettings = NOTHING_NARROWS
     assumed: frozenset[str] = frozenset(NEEDED)
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleReading:
+    """What was read of a module. ``correction``: the active one; None where it was not asked for."""
+
+    node_id: int
+    values: Mapping[Multiplexer, Number]
+    layout: NodeLayout
+    correction: Correction | None = None
 
 
 def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:

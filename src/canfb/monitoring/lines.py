@@ -1,12 +1,22 @@
-"""A snapshot in words, with the units of the machine: what page, panels and lines are made of."""
+"""A snapshot in words, with the units of the machine.
+
+One list of rows for each module, which lines, the page in a terminal and that of a browser show.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot, SyncSnapshot
+from canfb.monitoring.snapshot import (
+    BusSnapshot,
+    EmergencySnapshot,
+    ModuleSnapshot,
+    NodeSnapshot,
+    SyncSnapshot,
+)
 from canfb.objects import PositionState
 
 RPM = 60.0 / (2.0 * math.pi)
@@ -33,17 +43,115 @@ class MachineUnits:
         """In words, with the unit."""
         return "-" if revolutions is None else f"{revolutions * self.per_revolution:.5f} {self.name}"
 
+    @property
+    def speed_name(self) -> str:
+        """The unit of :meth:`speed`."""
+        return "rpm" if self.name == "rev" else f"{self.name}/s"
+
+    def speed(self, rad_s: float) -> float:
+        """In the unit of the machine per second, or in rpm."""
+        return rad_s * RPM if self.name == "rev" else rad_s / (2.0 * math.pi) * self.per_revolution
+
     def velocity(self, rad_s: float | None) -> str:
         """In words, with the unit."""
         if rad_s is None:
             return "-"
-        if self.name == "rev":
-            return f"{rad_s * RPM:.2f} rpm"
-        return f"{rad_s / (2.0 * math.pi) * self.per_revolution:.3f} {self.name}/s"
+        return f"{self.speed(rad_s):.{2 if self.name == 'rev' else 3}f} {self.speed_name}"
 
 
 STALE_S = 1.0
+NEAR = 0.8  # of the residual limit: shown as doubtful
 ASSUMED = "assumed"
+Tone = str
+"""How a text is shown: good, doubtful, bad, faint, or "" as usual."""
+TONES = {PositionState.VALID: "good", PositionState.COASTING: "doubtful"}
+Parts = tuple[tuple[str, Tone], ...]
+
+
+class Line(NamedTuple):
+    """One row of a module: its label, and texts that follow each other, each with its tone."""
+
+    label: str
+    parts: Parts
+
+    @property
+    def text(self) -> str:
+        """All of it."""
+        return "".join(text for text, _ in self.parts)
+
+
+def module_lines(node: NodeSnapshot, module: ModuleSnapshot, units: MachineUnits) -> list[Line]:
+    """What there is to say of a module."""
+    stale = is_stale(module)
+    tone = "faint" if stale else ""
+    since, lost = module.since_fault_s, lost_words(node, module)
+    words = ", ".join((position_words(module), *([] if stale else module.faults)))
+    marks = " ".join(["referenced"] * module.referenced + ["table active"] * module.table_active)
+    own = f"  {module.position_units} units" if module.position_units is not None else ""
+    counted = {name: count for name, count in module.seen.items() if count}
+    near = residual_tone(module, module.residual_cycles)
+    return [
+        Line("status", ((words, tone_of(module)), (f"  {marks}" if marks else "", "faint"))),
+        _scaled("position", units.position(module.position_revolutions), own, module, tone),
+        _scaled("velocity", units.velocity(module.velocity_rad_s), "", module, tone),
+        Line("residual", ((residual_words(module), near or tone),)),
+        *([Line("why", ((lost, "bad"),))] if lost else []),
+        Line("amplitude", ((amplitude_words(module), tone),)),
+        Line(
+            "2012h" if module.counters else "faults",
+            (
+                ("" if since is None else f"{age(since)} ago: ", "faint"),
+                (counter_words(module.counters or counted), ""),
+                ("" if module.counters or counted else " seen", "faint"),
+            ),
+        ),
+        Line("EMCY", _emergency(node)),
+    ]
+
+
+def _scaled(name: str, words: str, behind: str, module: ModuleSnapshot, tone: Tone) -> Line:
+    """A value in the unit of the machine, which may be assumed."""
+    field = "position_revolutions" if name == "position" else "velocity_rad_s"
+    assumed = field in module.assumed and words != "-"
+    return Line(name, ((words, tone), (behind, "faint"), (f" (scale {ASSUMED})" if assumed else "", "faint")))
+
+
+def _emergency(node: NodeSnapshot) -> Parts:
+    if not node.emergencies:
+        return (("none", "faint"),)
+    return (emergency_part(node.emergencies[0]), (f"  ({node.emergency_count})", "faint"))
+
+
+def emergency_part(one: EmergencySnapshot) -> tuple[str, Tone]:
+    """Code, meaning and age."""
+    return f"{one.code:04X}h {one.text}, {age(one.age_s)} ago", "bad" if one.code else ""
+
+
+def tone_of(module: ModuleSnapshot) -> Tone:
+    """Of the state of its position."""
+    if is_stale(module):
+        return "faint"
+    return "bad" if module.position_state is None else TONES.get(PositionState(module.position_state), "bad")
+
+
+def residual_tone(module: ModuleSnapshot, residual: float | None) -> Tone:
+    """Of a residual that is near its limit, or over it."""
+    limit = module.residual_limit_cycles
+    if is_stale(module) or not limit or residual is None or residual <= NEAR * limit:
+        return ""
+    return "bad" if residual > limit else "doubtful"
+
+
+def bus_lines(snapshot: BusSnapshot) -> list[Line]:
+    """SYNC and load."""
+    sync = sync_words(snapshot.sync), "" if snapshot.sync.rate_hz else "bad"
+    errors = f", {snapshot.error_frames} error frames" if snapshot.error_frames else ""
+    return [Line("SYNC", (sync,)), Line("bus", ((load_words(snapshot), ""), (errors, "bad")))]
+
+
+def other_nodes(snapshot: BusSnapshot) -> str:
+    """Nodes that are not modules, with their NMT state."""
+    return ", ".join(f"{node.node_id} {node.state or '-'}" for node in snapshot.nodes if node.module is None)
 
 
 def sync_words(sync: SyncSnapshot) -> str:
@@ -101,38 +209,22 @@ def residual_words(module: ModuleSnapshot) -> str:
         return "-"
     noise = module.residual_noise_cycles
     said = "" if noise is None else f", noise {noise:.4f}"
-    limit = f"{mark(module, 'residual_limit_cycles')}{module.residual_limit_cycles:.3f}"
+    limit = f"{_mark(module, 'residual_limit_cycles')}{module.residual_limit_cycles:.3f}"
     return f"{module.residual_cycles:.3f} of {limit} cycle{said}"
 
 
 def amplitude_words(module: ModuleSnapshot) -> str:
-    """Amplitude."""
+    """Amplitude and its limits."""
     if module.amplitude_counts is None:
         return "-"
-    return f"{module.amplitude_counts:.0f} counts{' (raw)' if module.amplitude_is_raw else ''}"
-
-
-def amplitude_limits_words(module: ModuleSnapshot) -> str:
-    """Its limits; empty where there are none."""
     low, high = module.amplitude_limits_counts
-    return f"{mark(module, 'amplitude_limits_counts')}{low} to {high}" if high else ""
+    limits = f", limits {_mark(module, 'amplitude_limits_counts')}{low} to {high}" if high else ""
+    return f"{module.amplitude_counts:.0f} counts{' (raw)' if module.amplitude_is_raw else ''}{limits}"
 
 
-def amplitude_line(module: ModuleSnapshot) -> str:
-    """Amplitude and its limits."""
-    limits = amplitude_limits_words(module) if module.amplitude_counts is not None else ""
-    return f"{amplitude_words(module)}{', limits ' if limits else ''}{limits}"
-
-
-def mark(module: ModuleSnapshot, name: str) -> str:
-    """What stands before a value of the snapshot: "assumed " if a setting behind it was not read."""
+def _mark(module: ModuleSnapshot, name: str) -> str:
+    """What stands before a value: "assumed " if a setting behind it was not read."""
     return f"{ASSUMED} " if name in module.assumed else ""
-
-
-def scale_note(module: ModuleSnapshot, name: str) -> str:
-    """What stands behind a position or velocity in units of the machine, a space before it."""
-    value = module.position_revolutions if name == "position_revolutions" else module.velocity_rad_s
-    return f" (scale {ASSUMED})" if name in module.assumed and value is not None else ""
 
 
 def mapping_words(module: ModuleSnapshot) -> str:
@@ -155,24 +247,11 @@ def age(seconds: float) -> str:
 
 def plain_lines(snapshot: BusSnapshot, units: MachineUnits) -> list[str]:
     """One line for each module, without any control characters; one for the bus where there is none."""
-    bus = f"SYNC {sync_words(snapshot.sync)}; {load_words(snapshot)}"
+    bus = ", ".join(f"{line.label} {line.text}" for line in bus_lines(snapshot))
     head = f"{snapshot.time_s:.3f}"
     modules = []
     for node, module in snapshot.modules:
-        modules.append(f"{head} {name_of(node)}: {_line(node, module, units)}; {bus}")
+        rows = module_lines(node, module, units)
+        said = ", ".join(f"{row.label} {row.text}" for row in (rows[:1] if is_stale(module) else rows))
+        modules.append(f"{head} {name_of(node)}: {state_words(node)}, {said}; {bus}")
     return modules or [f"{head} no module heard; {bus}"]
-
-
-def _line(node: NodeSnapshot, module: ModuleSnapshot, units: MachineUnits) -> str:
-    pieces = [state_words(node), position_words(module)]
-    if not is_stale(module):
-        lost = lost_words(node, module)
-        scale = [scale_note(module, name) for name in ("position_revolutions", "velocity_rad_s")]
-        pieces += [*module.faults, *[lost] * bool(lost)]
-        pieces.append(f"{units.position(module.position_revolutions)}{scale[0]}")
-        pieces += [f"{units.velocity(module.velocity_rad_s)}{scale[1]}", f"residual {residual_words(module)}"]
-        pieces.append(f"amplitude {amplitude_line(module)}")
-    if node.emergencies:
-        last = node.emergencies[0]
-        pieces.append(f"EMCY {last.code:04X}h {last.text}, {age(last.age_s)} ago")
-    return ", ".join(pieces)

@@ -62,9 +62,8 @@ LABEL = 10
 LEAST_TABLE = 4  # lines: below, there is no room for notes
 NOT_READ = "scales and limits are assumed where they were not read: --sdo reads them"
 BAR = 60  # characters, of the residual: 30 s of it
-NEAR = 0.8  # of the residual limit: shown in yellow
-GOOD, DOUBTFUL, BAD, FAINT = "green", "yellow", "bold red", "dim"
-STYLES = {"valid": GOOD, "coasting": DOUBTFUL}
+STYLES = {"good": "green", "doubtful": "yellow", "bad": "bold red", "faint": "dim", "": ""}
+GOOD, DOUBTFUL, BAD, FAINT = (STYLES[tone] for tone in ("good", "doubtful", "bad", "faint"))
 
 
 class Page:
@@ -89,7 +88,7 @@ class Page:
         snapshot = self._snapshot
         head = self._head(width)
         modules = snapshot.modules
-        others = [node for node in snapshot.nodes if node.module is None]
+        others = lines.other_nodes(snapshot)
         left = height - len(head) - bool(others)
         parts: list[RenderableType] = list(head)
         if not modules:
@@ -119,15 +118,9 @@ class Page:
         return text
 
     def _head(self, width: int) -> list[Text]:
-        snapshot = self._snapshot
-        title = Text(f"{self._title}  {snapshot.time_s:.1f} s", style="bold")
-        sync = Text.assemble(("SYNC  ", FAINT), lines.sync_words(snapshot.sync))
-        if snapshot.sync.rate_hz is None:
-            sync.stylize(BAD, 6)
-        load = Text.assemble(("bus   ", FAINT), lines.load_words(snapshot))
-        if snapshot.error_frames:
-            load.append(f", {snapshot.error_frames} error frames", BAD)
-        return [self._cut(one, width) for one in (title, sync, load)]
+        title = Text(f"{self._title}  {self._snapshot.time_s:.1f} s", style="bold")
+        rows = [_row(line, 6) for line in lines.bus_lines(self._snapshot)]
+        return [self._cut(one, width) for one in (title, *rows)]
 
     def _nothing(self) -> Text:
         frames_come = self._snapshot.load.frames_per_s > 0.0
@@ -152,55 +145,25 @@ class Page:
             cells.append(self._lissajous(module, wide, wide // 2))
         table.add_row(*cells)
         rows = min(rows, max(len(texts), wide // 2 if with_tracks else 0) + 2)
-        style = FAINT if lines.is_stale(module) else STYLES.get(module.position_state or "", BAD)
         return Panel(
             table,
             title=f"{lines.name_of(node)}  {lines.state_words(node)}",
             title_align="left",
             subtitle=f"PDO mapping: {lines.mapping_words(module)}",
             subtitle_align="right",
-            border_style=style,
+            border_style=STYLES[lines.tone_of(module)],
             box=box.ASCII if self._plain else box.ROUNDED,
             height=rows,
         )
 
     def _figures(self, node: NodeSnapshot, module: ModuleSnapshot, width: int) -> list[Text]:
-        units, stale = self._units, lines.is_stale(module)
-        figures = FAINT if stale else ""
-        state = FAINT if stale else STYLES.get(module.position_state or "", BAD)
-        words = ", ".join((lines.position_words(module), *([] if stale else module.faults)))
-        marks = ["referenced"] * module.referenced + ["table active"] * module.table_active
-        near, since = _near(module, module.residual_cycles), module.since_fault_s
-        lost = lines.lost_words(node, module)
-        counted = {name: count for name, count in module.seen.items() if count}
-        return [
-            Text.assemble(_label("status"), (words, state), (f"  {' '.join(marks)}" if marks else "", FAINT)),
-            Text.assemble(
-                _label("position"),
-                (units.position(module.position_revolutions), f"bold {figures}".strip()),
-                (f"  {module.position_units} units" if module.position_units is not None else "", FAINT),
-                (lines.scale_note(module, "position_revolutions"), FAINT),
-            ),
-            Text.assemble(
-                _label("velocity"),
-                (units.velocity(module.velocity_rad_s), figures),
-                (lines.scale_note(module, "velocity_rad_s"), FAINT),
-            ),
-            Text.assemble(
-                _label("residual"),
-                (lines.residual_words(module), near or figures),
-            ),
-            Text.assemble(_label("why"), (lost, BAD)) if lost else self._residual_bar(module, width - LABEL),
-            self._residual_history(module, width - LABEL),
-            Text.assemble(_label("amplitude"), (lines.amplitude_line(module), figures)),
-            Text.assemble(
-                _label("2012h" if module.counters else "faults"),
-                ("" if since is None else f"{lines.age(since)} ago: ", FAINT),
-                lines.counter_words(module.counters or counted),
-                ("" if module.counters or counted else " seen", FAINT),
-            ),
-            self._emergency(node),
-        ]
+        """The rows, and the residual as pictures; without the peak where a loss needs the room."""
+        rows = lines.module_lines(node, module, self._units)
+        texts = {row.label: _row(row, LABEL) for row in rows}
+        drawn = self._residual_history(module, width - LABEL)
+        if "why" not in texts:
+            return _behind(texts, "residual", self._residual_bar(module, width - LABEL), drawn)
+        return _behind(texts, "why", drawn)
 
     def _residual_bar(self, module: ModuleSnapshot, width: int) -> Text:
         """The peak of the last second: single samples change faster than anybody reads."""
@@ -208,16 +171,20 @@ class Page:
         if not limit or peak is None:
             return Text("")
         full = bar(peak / limit, max(10, min(width - 12, BAR)), plain=self._plain)
-        return Text.assemble(_label(""), (full, _near(module, peak) or GOOD), (f" peak {peak:.3f}", FAINT))
+        return Text.assemble(
+            (" " * LABEL, FAINT), (full, _style(module, peak) or GOOD), (f" peak {peak:.3f}", FAINT)
+        )
 
     def _residual_history(self, module: ModuleSnapshot, width: int) -> Text:
         limit, values = module.residual_limit_cycles or 0.5, module.residual_history_cycles
         room = max(10, min(width - 12, BAR))
         seconds = min(room, len(values)) * module.history_bin_s
         drawn = history(values, limit, room, plain=self._plain)
-        text = Text.assemble(_label("history"), drawn, (f" last {seconds:.0f} s" if values else "", FAINT))
+        text = Text.assemble(
+            (f"{'history':<{LABEL}}", FAINT), drawn, (f" last {seconds:.0f} s" if values else "", FAINT)
+        )
         for place, value in enumerate(values[-room:], start=LABEL + room - len(values[-room:])):
-            if value is not None and value > limit * NEAR:
+            if value is not None and value > limit * lines.NEAR:
                 text.stylize(BAD if value > limit else DOUBTFUL, place, place + 1)
         return text
 
@@ -228,21 +195,10 @@ class Page:
         drawn = dots(points, limit, width, height, plain=self._plain)
         return Group(*(Text(line, style="cyan") for line in drawn))
 
-    def _emergency(self, node: NodeSnapshot) -> Text:
-        if not node.emergencies:
-            return Text.assemble(_label("EMCY"), ("none", FAINT))
-        last = node.emergencies[0]
-        words = f"{last.code:04X}h {last.text}, {lines.age(last.age_s)} ago"
-        style = "" if last.code == 0 else BAD
-        return Text.assemble(_label("EMCY"), (words, style), (f"  ({node.emergency_count})", FAINT))
-
     def _more_errors(self, node: NodeSnapshot, room: int) -> list[Text]:
         """The EMCYs before the last one, where there is room for them."""
-        texts = []
-        for one in node.emergencies[1 : 1 + max(0, room)]:
-            words = f"{one.code:04X}h {one.text}, {lines.age(one.age_s)} ago"
-            texts.append(Text.assemble(_label(""), (words, FAINT if one.code == 0 else "")))
-        return texts
+        rest = node.emergencies[1 : 1 + max(0, room)]
+        return [_row(lines.Line("", (lines.emergency_part(one),)), LABEL) for one in rest]
 
     def _table(self, modules: Sequence[tuple[NodeSnapshot, ModuleSnapshot]], width: int) -> Table:
         """A line for each module."""
@@ -254,7 +210,6 @@ class Page:
         table.add_column("counts", no_wrap=True, width=6, justify="right")
         for node, module in modules:
             stale = lines.is_stale(module)
-            style = FAINT if stale else STYLES.get(module.position_state or "", BAD)
             words = lines.position_words(module)
             if module.faults and not stale:
                 words += f": {', '.join(module.faults)}"
@@ -262,7 +217,7 @@ class Page:
             table.add_row(
                 str(node.node_id),
                 node.state or ("not heard" if node.heard_s is None else "-"),
-                Text(words, style),
+                Text(words, STYLES[lines.tone_of(module)]),
                 self._units.position(module.position_revolutions),
                 self._units.velocity(module.velocity_rad_s),
                 self._short_residual(module),
@@ -275,7 +230,7 @@ class Page:
         if not limit or peak is None:
             return Text("-")
         full = bar(peak / limit, 9, plain=self._plain)
-        return Text.assemble(f"{peak:.3f} ", (full, _near(module, peak) or GOOD))
+        return Text.assemble(f"{peak:.3f} ", (full, _style(module, peak) or GOOD))
 
     def _errors(
         self, modules: Sequence[tuple[NodeSnapshot, ModuleSnapshot]], room: int, width: int
@@ -291,18 +246,20 @@ class Page:
             texts.append(self._cut(Text(text, "" if one.code == 0 else BAD), width))
         return texts
 
-    def _others(self, nodes: Sequence[NodeSnapshot], width: int) -> Text:
-        texts = ", ".join(f"{node.node_id} {node.state or '-'}" for node in nodes)
+    def _others(self, texts: str, width: int) -> Text:
         return self._cut(Text.assemble(("other nodes  ", FAINT), texts), width)
 
 
-def _label(text: str) -> tuple[str, str]:
-    return f"{text:<{LABEL}}", FAINT
+def _row(line: lines.Line, width: int) -> Text:
+    return Text.assemble(
+        (f"{line.label:<{width}}", FAINT), *((text, STYLES[tone]) for text, tone in line.parts)
+    )
 
 
-def _near(module: ModuleSnapshot, residual: float | None) -> str:
-    """The style of a residual that is near its limit, or over it; empty otherwise."""
-    limit = module.residual_limit_cycles
-    if lines.is_stale(module) or not limit or residual is None or residual <= NEAR * limit:
-        return ""
-    return BAD if residual > limit else DOUBTFUL
+def _behind(texts: dict[str, Text], label: str, *more: Text) -> list[Text]:
+    """The rows, with ``more`` behind the one of this label."""
+    return [text for name, row in texts.items() for text in ((row, *more) if name == label else (row,))]
+
+
+def _style(module: ModuleSnapshot, residual: float | None) -> str:
+    return STYLES[lines.residual_tone(module, residual)]

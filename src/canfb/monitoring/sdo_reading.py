@@ -1,24 +1,36 @@
-"""Reading small objects of a node by SDO, without waiting: requests out, answers in (CiA 301, 7.2.4.3.3)."""
+"""What no PDO carries, read by SDO beside the reception: while somebody looks, and as seldom as that allows.
+
+Values are read every CYCLE_S, mapping, limits and scales every LAYOUT_S; all at once after a boot-up and when
+bit 7 of the status word (table active) changes. The table is read again when its CRC (2020:04) or the
+conditioning in force (2020:07) is another one.
+"""
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Mapping
-from typing import NamedTuple
+import contextlib
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+import can
 
 from canfb import objects as od
+from canfb.bus.bus_master import BusMaster
+from canfb.bus.shared_bus import ListeningThread, SharedBus
 from canfb.cia301 import cob
-from canfb.cia301.frame import Frame
-from canfb.monitoring.layout import COUNTERS, SETTINGS, VALUES
+from canfb.errors import CanfbError
+from canfb.master.access import NodeAccess, RefusedError
+from canfb.master.all_or_nothing import active_conditioning, read_active
+from canfb.monitoring.layout import COUNTERS, VALUES, ModuleReading, NodeLayout, Origin, layout_of
+from canfb.monitoring.snapshot import BusSnapshot, NodeSnapshot
 from canfb.objects import Multiplexer
+from canfb.signal.correction import Correction
 from canfb.view.pdo_map import Number
 
-UPLOAD, EXPEDITED, ABORT = 0x40, 0x43, 0x80
+CYCLE_S, LAYOUT_S = 2.0, 30.0
+QUIET_S = 5.0  # after a node that does not answer
 ANSWER_S = 0.3
-CYCLE_S = 1.0
-QUIET_S = 5.0  # after several requests without an answer
-MOST_UNANSWERED = 3
-HEAD = struct.Struct("<BHB4s")
+LOOK_S = 0.1
 REPEATED = (
     od.FEEDBACK_STATUS,
     od.FEEDBACK_AMPLITUDE,
@@ -28,74 +40,127 @@ REPEATED = (
     od.COUNTER_LOSS_CAUSE,
     *COUNTERS,
 )
-"""What is read again and again: what the default PDOs do not carry."""
+"""What is read every CYCLE_S where no PDO carries it."""
+
+READING = (2, 3, 4, 5)
+"""Client command specifiers that do not download: upload, segments, abort, block (CiA 301, 7.2.4.3)."""
+SDO_BYTES = 8
 
 
-class _Request(NamedTuple):
-    place: Multiplexer
-    sent_s: float
+def only_reads(message: can.Message) -> str:
+    """Why a frame must not be sent by what only reads; empty for an SDO upload."""
+    data, node = bytes(message.data), message.arbitration_id - cob.SDO_REQUEST
+    classic = not (message.is_extended_id or message.is_remote_frame or message.is_fd)
+    if classic and 1 <= node <= 127 and len(data) == SDO_BYTES and data[0] >> 5 in READING:
+        return ""
+    return "this only reads"
 
 
-class SdoReading:
-    """Reads the :data:`.SETTINGS` of a module (1..127) once, then :data:`REPEATED` every second.
+class ModuleReader:
+    """Reads the module ``node_id`` (1..127) when it is due; with its table if asked for."""
 
-    One request at a time. A node that does not answer is left alone for QUIET_S. It is a second SDO client
-    beside a master that uses the same channel at the same time.
+    def __init__(self, node_id: int, *, with_table: bool = False) -> None:
+        self.node_id = node_id
+        self._with_table = with_table
+        self._layout: NodeLayout | None = None
+        self._correction: Correction | None = None
+        self._seen: tuple[int, bool] | None = None
+        self._due_s = self._layout_due_s = self._not_before_s = -math.inf
+
+    def due(self, now: float, node: NodeSnapshot | None) -> bool:
+        """Whether to read, seconds, by what the bus shows of the node."""
+        return now >= self._not_before_s and (now >= self._due_s or _changes(node) != self._seen)
+
+    def read(self, module: NodeAccess, now: float, node: NodeSnapshot | None) -> ModuleReading:
+        """Read what is due. CanfbError: it does not answer, and is left alone for QUIET_S."""
+        seen = _changes(node)
+        self._not_before_s = now + QUIET_S
+        if self._layout is None or seen != self._seen or now >= self._layout_due_s:
+            known: dict[Multiplexer, Number | None] = {}
+
+            def read(place: Multiplexer) -> Number | None:
+                if place not in known:
+                    known[place] = module.read_known(place)
+                return known[place]
+
+            self._layout = layout_of(self.node_id, read, Origin.MODULE)
+            self._layout_due_s = now + LAYOUT_S
+        carried = {place for pdo in self._layout.tpdos for place, _, _ in pdo.places}
+        values = {place: _value(module, place) for place in REPEATED if place not in carried}
+        found = {place: value for place, value in values.items() if value is not None}
+        if self._with_table:
+            self._correction = self._active(module, found.get(od.TABLE_ACTIVE_CRC))
+        self._seen, self._due_s, self._not_before_s = seen, now + CYCLE_S, now
+        return ModuleReading(self.node_id, found, self._layout, self._correction)
+
+    def _active(self, module: NodeAccess, crc32: Number | None) -> Correction:
+        known = self._correction
+        if known is not None and known.crc32 == crc32 and known.conditioning == active_conditioning(module):
+            return known
+        return read_active(module)
+
+
+def _changes(node: NodeSnapshot | None) -> tuple[int, bool] | None:
+    """What makes all of it worth reading again: boot-ups, and bit 7 of the status word."""
+    return None if node is None or node.module is None else (node.boot_ups, node.module.table_active)
+
+
+def _value(module: NodeAccess, place: Multiplexer) -> Number | None:
+    try:
+        return module.read(*place, VALUES[place])
+    except RefusedError:
+        return None
+
+
+Take = Callable[[ModuleReading], None]
+
+
+class SdoThread:
+    """Runs ``readers`` on a branch of ``bus``, which another thread receives from.
+
+    ``latest`` gives what the bus shows, ``take`` gets each reading, in this thread. Nothing is sent while not
+    ``wanted``.
     """
 
-    def __init__(self, node_id: int) -> None:
-        self.node_id = node_id
-        self.settings: dict[Multiplexer, Number | None] = {}
-        self._waiting: list[Multiplexer] = [*SETTINGS]
-        self._request: _Request | None = None
-        self._not_before_s = self._next_cycle_s = -float("inf")
-        self._unanswered = 0
+    def __init__(
+        self,
+        bus: SharedBus,
+        readers: Sequence[ModuleReader],
+        latest: Callable[[], BusSnapshot | None],
+        take: Take,
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> None:
+        self._bus, self._readers, self._latest, self._take, self._wanted = bus, readers, latest, take, wanted
+        self._stopped = False
 
-    @property
-    def complete(self) -> bool:
-        """All settings were asked for, and at least one was there."""
-        return len(self.settings) == len(SETTINGS) and any(one is not None for one in self.settings.values())
+    @contextlib.contextmanager
+    def running(self, failed: Callable[[], None]) -> Iterator[None]:
+        """It reads while this is entered; ``failed`` is called, from its thread, if it ends by an error."""
+        thread = ListeningThread(self._run, self._stop)
+        thread.begin(failed)
+        try:
+            yield
+        finally:
+            thread.end()
 
-    def next(self, now: float) -> Frame | None:
-        """The next request, if it is time for one."""
-        request = self._request
-        if request is not None:
-            if now - request.sent_s < ANSWER_S:
-                return None
-            self._request = None
-            self._waiting.insert(0, request.place)
-            self._unanswered += 1
-            if self._unanswered >= MOST_UNANSWERED:
-                self._unanswered, self._not_before_s = 0, now + QUIET_S
-        if now < self._not_before_s:
-            return None
-        if not self._waiting:
-            if now < self._next_cycle_s:
-                return None
-            self._waiting, self._next_cycle_s = [*REPEATED], now + CYCLE_S
-        place = self._waiting.pop(0)
-        self._request = _Request(place, now)
-        return Frame(cob.SDO_REQUEST + self.node_id, HEAD.pack(UPLOAD, *place, bytes(4)))
+    def _stop(self) -> None:
+        self._stopped = True
 
-    def receive(self, frame: Frame) -> Mapping[Multiplexer, Number]:
-        """A frame of the bus; the values that it brings."""
-        request = self._request
-        if request is None or frame.can_id != cob.SDO_RESPONSE + self.node_id or len(frame.data) != HEAD.size:
-            return {}
-        command, index, subindex, data = HEAD.unpack(frame.data)
-        if Multiplexer(index, subindex) != request.place:
-            return {}
-        self._request, self._unanswered = None, 0
-        value = _value(request.place, command, data)
-        if request.place in SETTINGS:
-            self.settings[request.place] = value
-        return {} if value is None or request.place not in VALUES else {request.place: value}
+    def _run(self) -> None:
+        while not self._stopped:
+            if self._wanted():
+                self.look(time.monotonic())
+            time.sleep(LOOK_S)
 
-
-def _value(place: Multiplexer, command: int, data: bytes) -> Number | None:
-    """What an expedited answer holds; None for an abort, or for what is not of the type."""
-    packed = struct.Struct(f"<{(SETTINGS | VALUES)[place]}")
-    if command & ~0x0C != EXPEDITED or 4 - (command >> 2 & 3) != packed.size:
-        return None
-    value: Number = packed.unpack_from(data)[0]
-    return value
+    def look(self, now: float) -> None:
+        """Read what is due ``now``, seconds."""
+        snapshot = self._latest()
+        nodes = {} if snapshot is None else {node.node_id: node for node in snapshot.nodes}
+        due = [reader for reader in self._readers if reader.due(now, nodes.get(reader.node_id))]
+        if not due:
+            return
+        with BusMaster(self._bus.branch(only_reads), ANSWER_S) as master:
+            for reader in due:
+                module = NodeAccess(master, reader.node_id, "module")
+                with contextlib.suppress(CanfbError):
+                    self._take(reader.read(module, now, nodes.get(reader.node_id)))

@@ -1,10 +1,11 @@
-"""Frames of a bus as it goes on, or of a log: for the model of a monitor, or one by one (``canfb dump``)."""
+"""Frames of a bus as it goes on, or of a log: one reader, for a monitor's model or one by one."""
 
 from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import can
@@ -15,101 +16,147 @@ from canfb.bus.opening import open_bus
 from canfb.cia301.frame import Frame
 from canfb.errors import CanfbError, reason
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.layout import Origin, layout_of
-from canfb.monitoring.sdo_reading import SdoReading
+from canfb.monitoring.layout import ModuleReading
 from canfb.monitoring.snapshot import BusSnapshot
 
 log = logging.getLogger(__name__)
 
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
-READING_WAIT_S = 0.01  # with SDO requests to send
+LEAST_WAIT_S = 1e-3  # how late a snapshot may be: rounding makes nothing spin
 LONGEST_GAP_S = 10.0  # in a log: a longer pause is passed over
 
 Show = Callable[[BusSnapshot], None]
 
 
-class Watching:
-    """Feeds ``model`` and calls ``show`` with a snapshot ``rate_hz`` times a second, until :meth:`stop`.
+class MessageReader:
+    """Reads messages of python-can until :meth:`stop`, for ``seconds``; None: without end.
 
-    Only listens, but for what ``readings`` ask by SDO. An interface that is down or gone is waited for:
-    ``report`` gets a line when it goes, and one when it is back (:class:`.Reception`). ``clock``, ``wall``
-    and ``sleep`` are those of the system, but for tests.
+    An interface that is down or gone is waited for: ``report`` gets a line when it goes, and one when it is
+    back (:class:`.Reception`). ``clock``, ``wall`` and ``sleep`` are those of the system, but for tests.
     """
 
     def __init__(
         self,
-        model: BusModel,
-        show: Show,
-        rate_hz: float,
-        readings: Sequence[SdoReading] = (),
+        seconds: float | None = None,
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
         sleep: Callable[[float], None] = time.sleep,
         report: Callable[[str], None] = log.warning,
     ) -> None:
-        self._model, self._show, self._interval_s = model, show, 1.0 / rate_hz
-        self._readings = list(readings)
-        self._clock, self._wall, self._sleep = clock, wall, sleep
+        self._seconds, self.clock, self._wall, self.sleep = seconds, clock, wall, sleep
         self._report = report
-        self._stopped = False
+        self.stopped = False
 
     def stop(self) -> None:
         """End it; may be called from a signal handler."""
-        self._stopped = True
+        self.stopped = True
 
-    def bus(self, options: dict[str, object], seconds: float | None = None) -> None:
-        """From a bus of python-can, with its own words. BusError, in one line, when it fails."""
-        with open_bus(options) as bus:
-            self.opened(bus, seconds)
+    def bus(
+        self, bus: can.BusABC, due: Callable[[], float] = lambda: float("inf")
+    ) -> Iterator[tuple[float, can.Message | None]]:
+        """Each message of an open bus and seconds since the beginning; None while none comes, and at ``due``.
 
-    def opened(self, bus: can.BusABC, seconds: float | None = None) -> None:
-        """From a bus that is open, for so many seconds."""
-        times = ReceiveTimes(self._clock, self._wall)
-        reception = Reception(bus, self._report, self._clock, self._sleep)
-        began = now = self._clock()
-        due = began + self._interval_s
-        while not self._stopped and (seconds is None or now - began < seconds):
-            wait = min(READING_WAIT_S if self._readings else LONGEST_WAIT_S, max(0.0, due - now))
-            message = reception.receive(wait)
-            now = self._clock()
+        BusError, in one line, when it fails.
+        """
+        times = ReceiveTimes(self.clock, self._wall)
+        reception = Reception(bus, self._report, self.clock, self.sleep)
+        began = now = self.clock()
+        while not self.stopped and (self._seconds is None or now - began < self._seconds):
+            message = reception.receive(min(LONGEST_WAIT_S, max(LEAST_WAIT_S, due() - (now - began))))
+            now = self.clock()
             if message is None:
                 times.emptied()
+                yield now - began, None
             else:
                 received = times.received(message.timestamp, now)
-                self._take(message, (now if received is None else received) - began)
-            try:
-                self._ask(bus, now - began)
-            except (can.CanError, OSError) as error:
-                reception.failed(error)
-                now = self._clock()
-            if now >= due:
-                self._show(self._model.snapshot(now - began))
-                due = max(due + self._interval_s, now)
+                yield (now if received is None else received) - began, message
 
-    def log(self, path: Path, speed: float | None = None, seconds: float | None = None) -> None:
-        """From a log that python-can reads, in its own time; the last snapshot is that of its end.
+    def log(self, path: Path) -> Iterator[tuple[float, can.Message]]:
+        """Each message of a log, as fast as it can be read, and seconds since the first one.
 
-        ``speed``: so many times as fast as it was; None: as fast as it can be read. ``seconds`` of the log.
-        CanfbError, in one line, for a file that cannot be read.
+        CanfbError, in one line, for a file that cannot be read or has no frame.
         """
         began: float | None = None
-        now, due = 0.0, self._interval_s
         for message in messages_of(path):
             began = message.timestamp if began is None else began
-            now = message.timestamp - began
-            if self._stopped or (seconds is not None and now > seconds):
-                break
-            if not abs(now - due) < LONGEST_GAP_S:
-                due = now + self._interval_s
-            while now >= due and not self._stopped:
-                if speed is not None:
-                    self._sleep(self._interval_s / speed)
-                self._show(self._model.snapshot(due))
-                due += self._interval_s
-            self._take(message, now)
+            passed_s = message.timestamp - began
+            if self.stopped or (self._seconds is not None and passed_s > self._seconds):
+                return
+            yield passed_s, message
         if began is None:
             raise CanfbError(f"{path}: there is no frame in it")
-        self._show(self._model.snapshot())
+
+
+def classic(messages: Iterable[tuple[float, can.Message | None]]) -> Iterator[tuple[float, Frame]]:
+    """CAN frames with 11-bit identifiers, and seconds since the first one."""
+    first_s: float | None = None
+    for time_s, message in messages:
+        if message is None or message.is_error_frame or message.is_extended_id or message.is_fd:
+            continue
+        first_s = time_s if first_s is None else first_s
+        yield time_s - first_s, _frame(message, time_s)
+
+
+class Watching:
+    """Feeds ``model`` and calls ``show`` with a snapshot ``rate_hz`` times a second, until the reader stops.
+
+    It sends nothing. :meth:`put` takes what was read by SDO, from any thread.
+    """
+
+    def __init__(
+        self, model: BusModel, show: Show, rate_hz: float, reader: MessageReader | None = None
+    ) -> None:
+        self._model, self._show, self._interval_s = model, show, 1.0 / rate_hz
+        self._reader = reader or MessageReader()
+        self._readings: deque[ModuleReading] = deque()
+        self._due_s = 0.0
+        self.latest: BusSnapshot | None = None
+        self.stop = self._reader.stop
+
+    def put(self, reading: ModuleReading) -> None:
+        """What was read of a module; it counts from the next snapshot on."""
+        self._readings.append(reading)
+
+    def bus(self, options: dict[str, object]) -> None:
+        """From a bus of python-can, with its own words. BusError, in one line, when it fails."""
+        with open_bus(options) as bus:
+            self.opened(bus)
+
+    def opened(self, bus: can.BusABC) -> None:
+        """From a bus that is open."""
+        self._due_s = self._interval_s
+        for at, message in self._reader.bus(bus, lambda: self._due_s):
+            if message is not None:
+                self._take(message, at)
+            if at >= self._due_s:
+                self._look(at)
+                self._due_s = max(self._due_s + self._interval_s, at)
+
+    def log(self, path: Path, speed: float | None = None) -> None:
+        """From a log that python-can reads, in its own time; the last snapshot is that of its end.
+
+        ``speed``: so many times as fast as it was; None: as fast as it can be read.
+        """
+        due = self._interval_s
+        for now, message in self._reader.log(path):
+            if not abs(now - due) < LONGEST_GAP_S:
+                due = now + self._interval_s
+            while now >= due and not self._reader.stopped:
+                if speed is not None:
+                    self._reader.sleep(self._interval_s / speed)
+                self._look(due)
+                due += self._interval_s
+            self._take(message, now)
+        self._look(None)
+
+    def _look(self, now: float | None) -> None:
+        while self._readings:
+            reading = self._readings.popleft()
+            self._model.learn(reading.layout)
+            for place, value in reading.values.items():
+                self._model.put(reading.node_id, place, value, self._model.now or 0.0 if now is None else now)
+        self.latest = self._model.snapshot(now)
+        self._show(self.latest)
 
     def _take(self, message: can.Message, at: float) -> None:
         if message.is_error_frame:
@@ -117,23 +164,7 @@ class Watching:
         elif message.is_extended_id or message.is_fd:
             self._model.other_frame(len(message.data), at)
         else:
-            frame = Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, at)
-            self._model.receive(frame, at)
-            for reading in self._readings:
-                self._read(reading, frame, at)
-
-    def _read(self, reading: SdoReading, frame: Frame, at: float) -> None:
-        was_complete = reading.complete
-        for place, value in reading.receive(frame).items():
-            self._model.put(reading.node_id, place, value, at)
-        if reading.complete and not was_complete:
-            self._model.learn(layout_of(reading.node_id, reading.settings.get, Origin.MODULE))
-
-    def _ask(self, bus: can.BusABC, now: float) -> None:
-        for reading in self._readings:
-            request = reading.next(now)
-            if request is not None:
-                bus.send(can.Message(arbitration_id=request.can_id, data=request.data, is_extended_id=False))
+            self._model.receive(_frame(message, at), at)
 
 
 def messages_of(path: Path) -> Iterable[can.Message]:
@@ -147,52 +178,5 @@ def messages_of(path: Path) -> Iterable[can.Message]:
         raise CanfbError(f"{path}: cannot be read as a bus log: {reason(error)}") from error
 
 
-TimedFrame = tuple[float, Frame]
-"""A frame, and seconds since the first one."""
-
-
-class Dumping:
-    """Gives frames until :meth:`stop`, for ``seconds``; None: without end. CanfbError for what fails."""
-
-    def __init__(
-        self,
-        seconds: float | None = None,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._seconds, self._clock, self._sleep = seconds, clock, sleep
-        self._stopped = False
-
-    def stop(self) -> None:
-        """End it; may be called from a signal handler."""
-        self._stopped = True
-
-    def bus(self, bus: can.BusABC) -> Iterator[TimedFrame]:
-        """The frames of an open bus as they come; see :class:`.Reception` for one that fails."""
-        reception = Reception(bus, log.warning, self._clock, self._sleep)
-        began, first_s = self._clock(), None
-        while not self._stopped and (self._seconds is None or self._clock() - began < self._seconds):
-            message = reception.receive(LONGEST_WAIT_S)
-            if message is None or not _is_classic(message):
-                continue
-            first_s = message.timestamp if first_s is None else first_s
-            yield message.timestamp - first_s, _frame(message)
-
-    def log(self, path: Path) -> Iterator[TimedFrame]:
-        """The frames of a log that python-can reads, as fast as it can be read."""
-        first_s = None
-        for message in messages_of(path):
-            first_s = message.timestamp if first_s is None else first_s
-            passed_s = message.timestamp - first_s
-            if self._stopped or (self._seconds is not None and passed_s > self._seconds):
-                return
-            if _is_classic(message):
-                yield passed_s, _frame(message)
-
-
-def _is_classic(message: can.Message) -> bool:
-    return not (message.is_error_frame or message.is_extended_id or message.is_fd)
-
-
-def _frame(message: can.Message) -> Frame:
-    return Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame)
+def _frame(message: can.Message, at: float) -> Frame:
+    return Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, at)

@@ -1,1 +1,1 @@
-"""The page of ``canfb scope``: what it shows, who may see it, its tasks, and its server."""
+"""The page of modules in a browser: what it is drawn from, and the server that shows it."""

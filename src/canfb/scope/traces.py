@@ -1,22 +1,24 @@
-"""What the pictures of one module are drawn from: snapshots in, arrays out, all of it bounded."""
+"""What the pictures of one module are drawn from: snapshots in, plain values out, all of it bounded."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from canfb.calibration.deviation import best_deviation
 from canfb.calibration.recording import recording
 from canfb.errors import CalibrationError
-from canfb.monitoring.lines import is_stale
-from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
+from canfb.monitoring.lines import MachineUnits, is_stale
+from canfb.monitoring.snapshot import ModuleSnapshot
+from canfb.objects import PositionState
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.phase import FloatArray
 
-LONGEST_S = 120.0  # of position and velocity
+LONGEST_S = 120.0
 MOST_POINTS = 1200
 SAMPLES = 4096  # of which the deviation is computed
 LEAST_SAMPLES = 512
@@ -25,6 +27,10 @@ GAP_SAMPLES = 100  # more than what can be followed
 EVERY_S = 2.0
 PERCENT = 100.0
 MOST_DOTS = 600
+SHOWN = (PositionState.VALID, None)  # positions and velocities with these states are drawn
+Point = tuple[float | None, ...]
+"""Time (s), position, velocity (units of the machine), residual and its limit (cycles), amplitude
+after and before conditioning (counts), new faults, 1 while the position is not valid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,57 +39,82 @@ class DeviationCurve:
 
     phase, deviation       single samples
     centers, before, mean  means over the phase, without any table and with that of the module
-    rms, before_rms        of all of it
-    with_table             False: the table of the module is not known, or there is none
-    note                   why there is nothing to see
+    text                   rms with and without, or why there is nothing to see
     """
 
+    text: str
     phase: FloatArray
     deviation: FloatArray
     centers: FloatArray
     before: FloatArray
     mean: FloatArray
-    rms: float = math.nan
-    before_rms: float = math.nan
-    with_table: bool = False
-    note: str = ""
 
-
-NOTHING = np.zeros(0)
+    def plain(self) -> dict[str, Any]:
+        """For JSON."""
+        names = ("phase", "deviation", "centers", "before", "mean")
+        return {"text": self.text} | {name: _plain(getattr(self, name)) for name in names}
 
 
 class ModuleTraces:
     """One module: its last minutes."""
 
-    def __init__(self) -> None:
-        self.points: deque[tuple[float, float, float]] = deque(maxlen=MOST_POINTS)
-        """Time (s), position (revolutions), velocity (rad/s); NaN where it is not known."""
-        self.node: NodeSnapshot | None = None
-        self.module: ModuleSnapshot | None = None
+    def __init__(self, units: MachineUnits) -> None:
+        self.points: deque[Point] = deque(maxlen=MOST_POINTS)
         self.correction: Correction | None = None
-        """The active one; None while it was not read."""
+        """The active one; None while it is not known."""
+        self._units = units
+        self._read: Correction | None = None
+        self._module: ModuleSnapshot | None = None
         self._samples: deque[tuple[int, int, int]] = deque(maxlen=SAMPLES)
-        self._received = self._place = 0
-        self._table_crc32: int | None = None
-        self._curve: DeviationCurve | None = None
-        self._curve_s = -math.inf
+        self._received = self._place = self._faults = 0
+        self._due_s = -math.inf
 
-    def take(self, now: float, node: NodeSnapshot, module: ModuleSnapshot) -> None:
+    def take(self, now: float, module: ModuleSnapshot) -> None:
         """What is known ``now``, seconds."""
-        self.node, self.module = node, module
-        if self.points and now < self.points[-1][0]:
+        if self.points and now < (self.points[-1][0] or 0.0):
             self.points.clear()
-        valid = not is_stale(module) and module.position_state in ("valid", None)
-        position = module.position_revolutions if valid else None
-        velocity = module.velocity_rad_s if valid else None
-        self.points.append((now, _number(position), _number(velocity)))
-        while self.points[-1][0] - self.points[0][0] > LONGEST_S:
+            self._due_s = -math.inf
+        self._module = module
+        self.points.append(self._point(now, module))
+        while now - (self.points[0][0] or 0.0) > LONGEST_S:
             self.points.popleft()
-        if module.table_crc32 != self._table_crc32:
-            self._table_crc32 = module.table_crc32
-            if self.correction is not None and self.correction.crc32 != module.table_crc32:
-                self.correction = None  # another master has activated another table
+        self._judge()
         self._follow(module)
+
+    def know(self, correction: Correction) -> None:
+        """This was read as the active table and conditioning."""
+        if correction != self._read:
+            self._read, self._due_s = correction, -math.inf
+
+    def _judge(self) -> None:
+        """What was read counts while 2020:04 and bit 7 of the status word say the same."""
+        module, read = self._module, self._read
+        assert module is not None
+        before = self.correction
+        if read and read.crc32 == module.table_crc32 and bool(read.crc32) == module.table_active:
+            self.correction = read
+        else:
+            self.correction = None if module.table_active else NO_CORRECTION
+        if self.correction != before:
+            self._due_s = -math.inf
+
+    def _point(self, now: float, module: ModuleSnapshot) -> Point:
+        state = module.position_state
+        known = not is_stale(module) and state in SHOWN
+        position, velocity = module.position_revolutions, module.velocity_rad_s
+        faults, before = sum(module.seen.values()), self._faults
+        self._faults = faults
+        return (
+            now,
+            position * self._units.per_revolution if known and position is not None else None,
+            self._units.speed(velocity) if known and velocity is not None else None,
+            None if is_stale(module) else module.residual_peak_cycles,
+            module.residual_limit_cycles,
+            None if is_stale(module) or module.amplitude_is_raw else module.amplitude_counts,
+            math.hypot(*module.tracks_counts[-1]) if module.tracks_counts else None,
+            max(0, faults - before) if self.points else 0,
+            int(not known),
+        )
 
     def _follow(self, module: ModuleSnapshot) -> None:
         """The samples that have come since; over those that were missed there is a gap."""
@@ -99,63 +130,49 @@ class ModuleTraces:
             self._place += 1
             self._samples.append((self._place, sine, cosine))
 
-    def know(self, correction: Correction) -> None:
-        """This is the active table and conditioning."""
-        self.correction, self._curve_s = correction, -math.inf
+    def deviation(self, now: float) -> DeviationCurve | None:
+        """Of the last samples; None while the one before is not EVERY_S old."""
+        if self._module is None or now < self._due_s:
+            return None
+        self._due_s = now + EVERY_S
+        return self._computed(self._module)
 
-    def deviation(self, now: float) -> DeviationCurve:
-        """Of the last samples; computed again every EVERY_S seconds."""
-        if self._curve is None or not 0.0 <= now - self._curve_s < EVERY_S:
-            self._curve, self._curve_s = self._computed(), now
-        return self._curve
-
-    def _computed(self) -> DeviationCurve:
-        if len(self._samples) < LEAST_SAMPLES or self.module is None:
+    def _computed(self, module: ModuleSnapshot) -> DeviationCurve:
+        if len(self._samples) < LEAST_SAMPLES:
             return _no_curve(f"{len(self._samples)} of {LEAST_SAMPLES} samples")
         place, sine, cosine = np.array(self._samples, np.float64).T
-        full_scale = self.module.full_scale_counts
+        full_scale = module.full_scale_counts
         bits = full_scale.bit_length() if full_scale.bit_count() == 1 else None
-        used = self.correction or NO_CORRECTION
         try:
             taken = recording(sine, cosine, place, None, bits, may_be_offset=True)
-            found = best_deviation(taken, used, NO_CORRECTION, BLOCK_SAMPLES)
+            found = best_deviation(taken, self.correction or NO_CORRECTION, NO_CORRECTION, BLOCK_SAMPLES)
         except (CalibrationError, ValueError):
             return _no_curve("only while the machine turns, not locked to the samples")
         step = max(1, len(found.phase) // MOST_DOTS)
-        bins = found.mean_over_phase()
+        mean = found.mean_over_phase()
+        without, with_it = PERCENT * found.before_rms, PERCENT * found.rms
         return DeviationCurve(
+            self._words(without, with_it),
             found.phase[::step] % 1.0,
             PERCENT * found.error[::step],
-            (np.arange(len(bins)) + 0.5) / len(bins),
+            (np.arange(len(mean)) + 0.5) / len(mean),
             PERCENT * found.mean_over_phase(before=True),
-            PERCENT * bins,
-            PERCENT * found.rms,
-            PERCENT * found.before_rms,
-            used != NO_CORRECTION,
+            PERCENT * mean if self.correction not in (None, NO_CORRECTION) else np.full(len(mean), np.nan),
         )
 
-
-class BusTraces:
-    """All modules of a bus."""
-
-    def __init__(self) -> None:
-        self.snapshot: BusSnapshot | None = None
-        self.modules: dict[int, ModuleTraces] = {}
-
-    def take(self, snapshot: BusSnapshot) -> None:
-        """A look at the bus."""
-        self.snapshot = snapshot
-        for node, module in snapshot.modules:
-            self.of(node.node_id).take(snapshot.time_s, node, module)
-
-    def of(self, node_id: int) -> ModuleTraces:
-        """Of this module (1..127)."""
-        return self.modules.setdefault(node_id, ModuleTraces())
+    def _words(self, without: float, with_it: float) -> str:
+        """What is known of the table, once."""
+        if self.correction is None:
+            return f"without a table {without:.3f} % rms; a table is active, --sdo reads it"
+        if self.correction == NO_CORRECTION:
+            return f"no table is active: {without:.3f} % rms"
+        name = f"table {self.correction.crc32:08X}h" if self.correction.table else "conditioning"
+        return f"without {without:.3f} % rms, with the active {name} {with_it:.3f} % rms"
 
 
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value
+def _no_curve(why: str) -> DeviationCurve:
+    return DeviationCurve(f"nothing to see: {why}", *[np.zeros(0)] * 5)
 
 
-def _no_curve(note: str) -> DeviationCurve:
-    return DeviationCurve(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, note=note)
+def _plain(values: FloatArray) -> list[float | None]:
+    return [round(value, 5) if math.isfinite(value) else None for value in values.tolist()]

@@ -1,0 +1,234 @@
+"""The server of the page: files and one stream of server-sent events, for this computer alone.
+
+It is that of the standard library, which leaves nothing to install: the page only shows, so there are a few
+files and a stream, each connection has a thread, and their number is bounded. What is shown needs the
+**token**, new with each start. It stands in the fragment of the address, which is in no request and no
+Referer; the script keeps it in the sessionStorage and asks for the stream with it. No cookie would do:
+browsers send those of 127.0.0.1 to every port of it, whoever listens there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import queue
+import secrets
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from urllib.parse import urlsplit
+
+from canfb.errors import CanfbError
+
+LOOPBACK = "127.0.0.1"
+HTTP_PORT = 80  # browsers leave it out
+TOKEN_BYTES = 32
+STREAM = "/events"
+MOST_CONNECTIONS = 32
+MOST_WAITING = 64  # events that a page has not taken: it is cut off, and connects again
+IDLE_S = 10.0  # for a request to come, and for a peer to take what is sent
+OPEN_ADDRESS = "open the address that canfb has printed at its last start, with all that follows the #"
+
+FILES = {
+    "/": ("page.html", "text/html"),
+    "/page.js": ("page.js", "text/javascript"),
+    "/page.css": ("page.css", "text/css"),
+    "/uPlot.js": ("uPlot.iife.min.js", "text/javascript"),
+    "/uPlot.css": ("uPlot.min.css", "text/css"),
+}
+"""What is served to anybody: nothing secret is in it."""
+
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Cache-Control": "no-store",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+"""Of every response."""
+
+Event = bytes
+Events = queue.Queue[Event | None]
+
+
+def event(name: str, data: str) -> Event:
+    """An event of the stream (HTML, server-sent events); ``data`` is one line."""
+    return f"event: {name}\ndata: {data}\n\n".encode()
+
+
+class PageServer:
+    """Serves at ``port`` of 127.0.0.1, 0: any free one. CanfbError for one that is taken.
+
+    ``first`` gives the event that a page gets at its beginning; those of :meth:`publish` follow.
+    """
+
+    def __init__(self, port: int, first: Callable[[], Event]) -> None:
+        self.token = secrets.token_urlsafe(TOKEN_BYTES)
+        self._first = first
+        self._viewers: list[Events] = []
+        self._lock = threading.Lock()
+        self._stopped = threading.Event()
+        try:
+            self._server = _Server((LOOPBACK, port), self)
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise CanfbError(f"cannot listen at {LOOPBACK}:{port}: {reason}") from None
+        bound = self._server.server_address[1]
+        self.host = LOOPBACK if bound == HTTP_PORT else f"{LOOPBACK}:{bound}"
+        self.address = f"http://{self.host}/#{self.token}"
+        self._files = {
+            path: files("canfb.scope").joinpath(name).read_bytes() for path, (name, _) in FILES.items()
+        }
+
+    def __enter__(self) -> PageServer:
+        self._thread = threading.Thread(target=self._server.serve_forever, name="canfb page")
+        self._thread.start()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.stop()
+        with self._lock:
+            for viewer in self._viewers:
+                _end(viewer)
+        self._server.shutdown()
+        self._thread.join()
+        self._server.server_close()
+
+    @property
+    def viewers(self) -> int:
+        """Pages that are open."""
+        return len(self._viewers)
+
+    def wait(self) -> None:
+        """Until :meth:`stop`."""
+        self._stopped.wait()
+
+    def stop(self) -> None:
+        """End :meth:`wait`; may be called from a signal handler."""
+        self._stopped.set()
+
+    def publish(self, one: Event) -> None:
+        """Send it to each page."""
+        with self._lock:
+            for viewer in self._viewers:
+                try:
+                    viewer.put_nowait(one)
+                except queue.Full:
+                    _end(viewer)
+
+    @contextlib.contextmanager
+    def viewer(self) -> Iterator[Events]:
+        """What one page gets; None: the end."""
+        events: Events = queue.Queue(MOST_WAITING)
+        with self._lock:
+            events.put_nowait(self._first())
+            self._viewers.append(events)
+        try:
+            yield events
+        finally:
+            with self._lock:
+                self._viewers.remove(events)
+
+    def refusal(self, hosts: list[str], origin: str | None, path: str, token: str) -> str:
+        """Why a request is not served; empty: it is. No name that is made to point here gets an answer."""
+        if hosts != [self.host]:
+            return f"another host name than {self.host}"
+        if origin not in (None, f"http://{self.host}"):
+            return "a request of another site"
+        if path == STREAM and not hmac.compare_digest(token.encode(), self.token.encode()):
+            return OPEN_ADDRESS
+        return ""
+
+    def file(self, path: str) -> bytes | None:
+        """One of FILES, None for another path."""
+        return self._files.get(path)
+
+
+def _end(viewer: Events) -> None:
+    """No more of what waits: the end."""
+    with contextlib.suppress(queue.Empty):
+        while True:
+            viewer.get_nowait()
+    viewer.put_nowait(None)
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+
+    def __init__(self, address: tuple[str, int], page: PageServer) -> None:
+        self.page = page
+        self._places = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        super().__init__(address, _Handler)
+
+    def server_bind(self) -> None:
+        """Without the look-up of a host name."""
+        self.socket.bind(self.server_address)
+        self.server_address = self.socket.getsockname()
+
+    def process_request(self, request: object, client_address: object) -> None:
+        """In a thread, if there is one left."""
+        assert isinstance(request, socket.socket)
+        if self._places.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: object, client_address: object) -> None:
+        assert isinstance(request, socket.socket)
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._places.release()
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A peer that has gone, or takes nothing, is no error."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+    timeout = IDLE_S
+    server_version, sys_version = "canfb", ""
+
+    def do_GET(self) -> None:
+        """A file, or the stream."""
+        page, parts = self.server.page, urlsplit(self.path)
+        hosts, origin = self.headers.get_all("Host") or [], self.headers.get("Origin")
+        if refusal := page.refusal(hosts, origin, parts.path, parts.query):
+            self._answer(HTTPStatus.FORBIDDEN, "text/plain", refusal.encode())
+        elif parts.path == STREAM:
+            self._stream(page)
+        elif (content := page.file(parts.path)) is not None:
+            self._answer(HTTPStatus.OK, FILES[parts.path][1], content)
+        else:
+            self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"there is no such page")
+
+    def _answer(self, status: HTTPStatus, kind: str, content: bytes) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", f"{kind}; charset=utf-8")
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def _stream(self, page: PageServer) -> None:
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", "text/event-stream")
+        self.end_headers()
+        with page.viewer() as events:
+            while (one := events.get()) is not None:
+                self.wfile.write(one)
+
+    def end_headers(self) -> None:
+        """With those of every response."""
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        super().end_headers()
+
+    def log_message(self, format: str, *arguments: object) -> None:
+        """Nothing: a token could be in it."""
