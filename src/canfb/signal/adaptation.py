@@ -1,12 +1,8 @@
 """Following offset, gain and phase of the tracks slowly in operation (``adapt``, 2002:08).
 
-Each time the samples have covered the cycle, the tracks are held against what they were at the reference
-measurement (:mod:`canfb.signal.track_sectors`), and half of the difference goes into the conditioning,
-bounded in rate and in range. So no fault hides behind it by more than :attr:`AdaptConfig.hidden_cycles`. The
-amplitude of both tracks together is not followed.
-
-Nothing is learned from a sample that is not valid, and what was taken before it is dropped. At standstill,
-and where the samples meet the same few phases, the cycle is never covered.
+Once samples have covered the cycle, half of the difference to the reference measurement
+(:mod:`canfb.signal.track_sectors`) goes into the conditioning, bounded in rate and range: no fault hides
+behind it by more than :attr:`AdaptConfig.hidden_cycles`. Only valid samples in a row count.
 """
 
 from __future__ import annotations
@@ -86,11 +82,7 @@ class FollowedDrift(NamedTuple):
     phase_rad: float = 0.0
 
     def removed_by(self, used: Conditioning) -> Conditioning:
-        """``used`` with this drift removed as well: first that of ``used``, then this one.
-
-        The tracks behind ``used`` are sine_offset + (1 + gain / 2) A sin x and cosine_offset +
-        (1 - gain / 2) A cos(x - phase).
-        """
+        """``used`` with this drift removed as well, behind it."""
         offset_s, gain_s, offset_c, factor_c, skew = used.coefficients()
         sine, cosine = 1.0 / (1.0 + 0.5 * self.gain), 1.0 / (1.0 - 0.5 * self.gain)
         factor = factor_c * cosine / math.cos(self.phase_rad)
@@ -112,9 +104,9 @@ NO_DRIFT = FollowedDrift()
 class Adaptation:
     """Follows the drift of one encoder; off until :attr:`limits` are given.
 
-    ``drift`` is what it has found, ``due`` the number of the sample from which on :meth:`take` need be called
-    with samples that are valid. ``used`` is the largest part of a limit that the drift of the last block has
-    used; 1 and more: it is at its limit, or beyond.
+    drift   what it has found
+    due     number of the sample from which on :meth:`take` need be called with valid samples
+    used    largest part of a limit that the drift of the last block has used; 1 and more: at its limit
     """
 
     __slots__ = (
@@ -152,7 +144,7 @@ class Adaptation:
 
     @limits.setter
     def limits(self, limits: AdaptConfig | None) -> None:
-        """The drift stays where the new limits allow it; it is zero from now on with None."""
+        """The drift stays where new limits allow it; None: it is zero from now on."""
         was_on, self._limits = self.is_on, limits
         if limits is None:
             self.drift, self.due = NO_DRIFT, NEVER
@@ -176,7 +168,7 @@ class Adaptation:
             self.drift = drift
 
     def is_recent(self, samples: int) -> bool:
-        """The last result is one of now, with the number of the last sample: the drift is followed."""
+        """The last result is one of now, with the number of the last sample."""
         return samples <= self._recent_until
 
     def take(self, feedback: Feedback, interval_s: float) -> bool:
@@ -228,7 +220,6 @@ class Adaptation:
             self.on_limit()
 
     def _learn_reference(self, found: CircleDeviation) -> None:
-        """The table does not tell what the tracks were at the reference measurement: as they are now."""
         offset, backward = self._sum
         self._sum = CircleDeviation(offset + found.offset, backward + found.backward)
         self._blocks += 1

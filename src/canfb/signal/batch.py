@@ -48,20 +48,16 @@ def process(
 ) -> TrackResult:
     """Tracks to positions: conditioning, Table 1, correction table, eq. 9 and eq. 12.
 
-    ``sine`` and ``cosine`` have shape (n,), ADC counts, zero at mid-scale. ``table`` None
-    and ``conditioning`` None are the identity. ``speed_cycles`` is the speed at the first
-    sample, cycles per sample, with an error of less than half a cycle; default: standstill.
-    ``declared``: any of max_acceleration_cycles, phase_error_cycles, bad_samples, doubt_acceleration_cycles,
-    coast_samples, interval_s and adapt, as in :class:`canfb.ChainConfig`. A
-    conditioning with cosine_delay_s, and adapt, need interval_s; their samples are taken one by one.
+    ``sine`` and ``cosine`` have shape (n,), ADC counts, zero at mid-scale. ``table`` None and
+    ``conditioning`` None are the identity. ``speed_cycles`` is the speed at the first sample, cycles per
+    sample, right to less than half a cycle; phases do not tell 0.2 from 83.2. ``declared``: any of
+    max_acceleration_cycles, phase_error_cycles, bad_samples, doubt_acceleration_cycles, coast_samples,
+    interval_s and adapt of :class:`canfb.ChainConfig`; cosine_delay_s and adapt need interval_s.
 
-    The result is bit for bit that of :class:`canfb.SignalChain` without limits on amplitude and converter
-    (:func:`canfb.process_stream` has them). ``ok`` is its status bit 0, position valid. Phases do not tell a
-    start at 0.2 cycles per sample from one at 83.2: pass the speed.
-
-    ValueError for arrays that are not such tracks (wrong shape, complex, unsigned or never
-    centred, in -1..1) and for a bad limit or speed; TypeError for a table or a conditioning of
-    another type.
+    Bit for bit :class:`canfb.SignalChain` without limits on amplitude and converter; ``ok`` is status bit
+    0, position valid. ValueError for arrays that are not such tracks (wrong shape, complex, unsigned or
+    never centred, in -1..1) and for a bad limit or speed; TypeError for another type of table or
+    conditioning.
     """
     check_table(table)
     if conditioning is not None and not isinstance(conditioning, Conditioning):
@@ -102,7 +98,6 @@ def _one_by_one(
     table: CorrectionTable | None,
     speed_cycles: float,
 ) -> TrackResult:
-    """Each phase depends on the speed, or on a drift, and so on the samples before it."""
     if not config.interval_s:
         what = "adapt" if config.adapt else "a conditioning with cosine_delay_s"
         raise ValueError(f"{what} needs interval_s, the sampling interval in seconds")
@@ -118,7 +113,7 @@ def _one_by_one(
 
 
 def _gaps(phase: FloatArray) -> list[int]:
-    """Where there is no phase; the largest one shows that there is one everywhere, as nearly always."""
+    """Where there is no phase."""
     return np.flatnonzero(np.isnan(phase)).tolist() if math.isnan(phase.max()) else []
 
 
@@ -149,7 +144,6 @@ class _Follower:
         return not self._estimator.in_doubt and continues(self._tracker, result, at)
 
     def _run(self, result: TrackResult, start: int, stop: int, scratch: Scratch) -> int:
-        """Samples start..stop on arrays, up to the first that leaves the position in doubt, and that one."""
         state = self._tracker.state()
         end = follow_run(self._estimator, result, slice(start, stop), scratch)
         if end > start:

@@ -1,25 +1,21 @@
 """What a machine is declared to do, and where its next sample can be then.
 
-A motion x(t), in cycles, keeps a bound B of order r = 2 if all its divided differences over r + 1 instants,
-times r!, are at most B: its acceleration, in cycles per sampling interval^2. A sample shows x(t) modulo one
-cycle, with an error of at most e = phase error + instant error x |speed|.
+A motion x(t), cycles, keeps a bound B if all its second divided differences, times 2, are at most B: its
+acceleration, cycles per interval^2. A sample shows x(t) modulo one cycle, with an error of at most e =
+phase error + instant error x |speed|.
 
-Window. Newton's form of the interpolation through r samples at t_1 .. t_r misses x(t) by the divided
-difference over all r + 1 instants:
+**Window.** The line through the samples at t_1, t_2 misses x(t) by at most
 
-    |x(t) - sum w_i x_i| <= B prod |t - t_i| / r! + e (1 + sum |w_i|),
+    |x(t) - sum w_i x_i| <= B |t - t_1| |t - t_2| / 2 + e (1 + sum |w_i|),
 
-w_i the weights of Lagrange. At equal intervals that is B + 4 e for eq. 9, the residual limit. After a short
-interval the weights are large: from 0.1 to 0.8 intervals ahead they are 9 and 8. Then the windows of the
-newest sample with older ones are sharper, and all of them hold.
+w_i the weights of Lagrange: at equal intervals B + 4 e, the residual limit of eq. 9. After a short interval
+the weights are large, and windows of the newest sample with older ones are sharper; all of them hold.
 
-Junction. Over a hole the window of each sample alone is too wide, for the samples behind the hole belong to
-one motion. Nodes are put about one interval apart where samples are missing. Each node, and each sample
-behind the hole, is the extrapolation of the r nodes before it plus a generator of size B prod / r!; each
-sample has another one of size e. So the deviations d of k samples from the extrapolation of the r samples
-before lie in a sum of segments, a zonotope, which is the intersection of |n d| <= sum |n g| over the
-normals n of its facets: for k = 2 these are perpendicular to each generator, for k = 3 the cross products
-of each pair.
+**Junction.** The samples behind a hole belong to one motion. Nodes are put about one interval apart where
+samples are missing. Each node, and each sample behind the hole, is the extrapolation of the two nodes
+before it plus a generator of size B prod / 2; each sample has another one of size e. So the deviations d of
+k samples lie in a zonotope: |n d| <= sum |n g| over the normals n of its facets, for k = 2 perpendicular to
+each generator, for k = 3 the cross products of each pair.
 
 Both are necessary conditions: a motion within the bound is never outside.
 """
@@ -86,9 +82,8 @@ class Window(NamedTuple):
 
 @dataclass(frozen=True)
 class BoundedMotion:
-    """The largest acceleration of a machine, cycles per interval^2, and the errors of its samples.
-
-    ``phase_error`` is the largest of a phase, cycles; ``instant_error`` of a sampling instant, intervals.
+    """``largest`` acceleration, cycles per interval^2; errors: of a phase, cycles, of a sampling instant,
+    intervals.
     """
 
     largest: float
@@ -195,10 +190,11 @@ def junction(
     errors: tuple[float, ...],
     error: float,
 ) -> Facets:
-    """The zonotope of the deviations of the samples at the times ``behind`` from the extrapolation.
+    """The zonotope of the deviations of one to three samples at the times ``behind`` from the
+    extrapolation.
 
-    ``before`` are the times of the samples before the hole, ``errors`` those of their phases, cycles,
-    ``error`` that of each sample behind it, of which there are one to three.
+    ``before`` are the times of the samples before the hole; ``errors`` those of their phases, ``error`` of
+    each behind it.
     """
     generators = _generators(largest, before, behind, errors, error)
     k = len(behind)
@@ -222,7 +218,7 @@ def _generators(
     errors: tuple[float, ...],
     error: float,
 ) -> FloatArray:
-    """Of the deviations of the samples behind the hole: one column each, shape (samples, generators)."""
+    """One column each, shape (samples, generators)."""
     order = len(before)
     gap = behind[0] - before[-1]
     nodes = min(max(0, round(gap) - 1), MOST_NODES)

@@ -1,9 +1,5 @@
-"""What makes a phase of the next two counts: conditioning, analog path, followed drift, correction table.
-
-The arithmetic of a sample is in :meth:`canfb.signal.stages.Stages.take`; here is what it computes with. All
-of it holds between two samples. Usually it never changes; where the analog path depends on the speed
-(:mod:`canfb.signal.front_end`) it is renewed after each sample, with the speed that is expected at the next
-one, and where a drift is followed (:mod:`canfb.signal.adaptation`), now and then.
+"""What makes a phase of the next two counts; it is renewed after a sample where the speed or a drift
+matters.
 """
 
 from __future__ import annotations
@@ -23,7 +19,6 @@ class Conditioner:
     table           for the phases; None: the identity
     row             of the harmonics at the next sample; () for none
     front           what depends on the speed; None: nothing
-    adaptation      what follows the drift of the tracks; :meth:`adapt` turns it on
     lag_intervals   2002:07 in sampling intervals: the position is that of so much earlier
     unit_s          the sampling interval, seconds; 0.0: not known
     """
@@ -61,9 +56,8 @@ class Conditioner:
         self._renew()
 
     def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
-        """Follow the drift of the tracks within these limits; None: as calibrated.
-
-        It goes on from the drift that was found, or from another one.
+        """Follow the drift of the tracks within these limits, from the drift found or from another one;
+        None: as calibrated.
         """
         self.adaptation.limits = limits
         if start_from is not None:
@@ -123,7 +117,6 @@ class Conditioner:
         return 0.0 if self.front is None else self.front.hertz(speed_cycles)
 
     def _renew(self) -> None:
-        """What is expected of the next sample is that of a machine at rest, until :meth:`expect`."""
         conditioning, corners = self.correction.conditioning, self.corners
         depends = not self.phases_keep or corners.are_there
         self.front = FrontEnd(conditioning, corners) if depends else None

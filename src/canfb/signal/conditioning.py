@@ -122,10 +122,8 @@ class Conditioning:
         return self == IDENTITY
 
     def coefficients(self) -> Coefficients:
-        """(sine offset, sine gain, cosine offset, cosine factor, skew): what :meth:`apply` computes with.
-
-        s' = (sine - offset) gain;  c' = (cosine - offset) factor - s' skew, where
-        factor = gain / cos(phase error) and skew = tan(phase error).
+        """(sine offset, sine gain, cosine offset, cosine factor, skew): s = (sine - offset) gain, c =
+        (cosine - offset) factor - s skew, factor = gain / cos(phase error), skew = tan(phase error).
         """
         return (
             float(self.sine_offset_counts),
@@ -136,7 +134,7 @@ class Conditioning:
         )
 
     def with_delays_of(self, other: Conditioning) -> Conditioning:
-        """The same with the delays of ``other``: a measurement at one speed does not show them."""
+        """The same with the delays of ``other``."""
         return replace(self, cosine_delay_s=other.cosine_delay_s, delay_s=other.delay_s)
 
     def apply(self, sine: Any, cosine: Any) -> tuple[Any, Any]:

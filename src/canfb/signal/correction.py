@@ -24,13 +24,9 @@ Lines = tuple[tuple[float, float], ...]
 class CorrectionTable:
     """Phase of one encoder as a function of its raw phase, by linear interpolation.
 
-    ``entries[n]`` is the phase, in cycles, at raw phase ``n / len(entries)``. Entries are
-    kept with the precision of the object dictionary (2020:01, REAL32), so that a table
-    computes the same before and after an upload.
-
-    Raises ValueError unless 16 <= N <= 4096, every entry is finite, the entries are
-    strictly increasing including the wrap to ``entries[0] + 1``, and none is further than
-    0.25 cycle from ``n / N``.
+    ``entries[n]`` is the phase, in cycles, at raw phase ``n / len(entries)``, with the precision of 2020:01
+    (REAL32). Raises ValueError unless 16 <= N <= 4096, every entry is finite, the entries are strictly
+    increasing including the wrap to ``entries[0] + 1``, and none is further than 0.25 cycle from ``n / N``.
     """
 
     __slots__ = ("_bytes", "_first", "_lines", "_n", "_slope")
@@ -104,10 +100,7 @@ class CorrectionTable:
             return self.correct_array(raws % 1.0 % 1.0)
 
     def lines(self) -> Lines:
-        """For one sample at a time: entry and slope from there, cycles; N + 1 of them.
-
-        Plain floats are ten times as fast as those of numpy.
-        """
+        """For one sample at a time: entry and slope from there, cycles; N + 1 of them, plain floats."""
         if not self._lines:
             self._lines = tuple(zip(self._first.tolist(), self._slope.tolist(), strict=True))
         return self._lines
@@ -151,12 +144,10 @@ class CorrectionTable:
 
 @dataclass(frozen=True)
 class Correction:
-    """What makes phase of counts: conditioning and correction table, which belong together.
+    """Conditioning and correction table of one reference measurement, which take effect together (2020:03).
 
-    They come of one reference measurement and take effect together (2020:03).
-
-    table          None: the identity
-    conditioning   2002h; default: the identity
+    table         None: the identity
+    conditioning  2002h; default: the identity
     """
 
     table: CorrectionTable | None = None

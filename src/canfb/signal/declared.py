@@ -73,8 +73,7 @@ class Declared:
     def kept_samples(self, motion: float | None = None) -> int:
         """Missed or flagged samples in a row after which the position is certain, 0..255.
 
-        ``motion`` is the largest acceleration of the machine, None: :attr:`followed`. More than
-        :attr:`coast_samples` are lost in any case.
+        ``motion`` is the largest acceleration of the machine, None: :attr:`followed`.
         """
         largest = self.followed if motion is None else min(motion, self.followed)
         most = min(self.coast_samples, MOST_IN_A_ROW)

@@ -1,33 +1,16 @@
 """Every motion that the machine can have made since a sample was missing, flagged or contradicted.
 
 The idea is that of integer ambiguity resolution (GNSS), with bounds in place of probabilities. A
-:class:`Candidate` is one sequence of cycle counts. Each sample gives it one successor for each count in its
-window (:mod:`canfb.signal.bounded_motion`), and none where there is no count. What is left is every motion
-within the declared bounds; where all that are left agree, the position is right as long as the declaration
-holds.
+:class:`Candidate` is one sequence of cycle counts; each sample gives it one successor for each count in its
+window (:mod:`canfb.signal.bounded_motion`). Where all candidates that are left agree, the position is right
+as long as the declaration holds. docs/supervision.md has the rules, and says when it is lost.
 
-- **Missing.** Over missing samples the junction decides. One count left: valid, at the first sample behind
-  the hole.
-- **An unknown number of intervals.** A sample may come with several possible elapsed times. Each is
-  followed; for all of them the sample is behind a hole. Valid as soon as all counts agree, whatever the
-  time was.
-- **Contradicted.** No candidate can take sample K. Up to m neighbouring samples may be bad unnoticed, and
-  their residuals are over the limit r samples after the last of them at the latest: from each sample K
-  - (m + r - 1) .. K on, m samples are left out, and the search starts again there.
-- **Flagged.** One bad sample is known, so the ones beside it are less certain, too.
-
-After a contradiction or a flagged sample the position is valid again when one candidate is left, r samples
-of it are settled, and three tests are passed, which can take validity away and never give it:
-
-- random phases would leave a candidate with a probability of at most 1e-5. A window of width w takes a
-  random phase with probability w, and M residuals within w by themselves with M w^(M-1);
-- about the same phase again and again, where it was another before, is an input that stands still, not a
-  motion;
-- the run does not extend backwards up to the sample that contradicted. If it does, all samples fit the
-  motion before or the motion after: a jump (tracks exchanged, a cable moved), and no glitch.
-
-It is lost when no candidate is left, or too many, or when no later phase can separate them: counts that
-differ by a polynomial of degree below r through whole numbers at whole times.
+A sample that no candidate can take contradicts: up to m neighbouring samples may be bad unnoticed, and
+their residuals are over the limit r samples after the last of them at the latest. So from each sample K -
+(m + r - 1) .. K on m are left out, and the search starts again. What is left after that, or after a flagged
+sample, has to pass three tests, which can take validity away and never give it: chance (a window of width w
+takes a random phase with probability w, M residuals within w by themselves M w^(M-1)), a standing input,
+and a jump.
 """
 
 from __future__ import annotations
@@ -229,8 +212,7 @@ UNDECIDED = Decision()
 class Doubt:
     """Candidates from the last certain samples on, until one is right or the position is lost.
 
-    ``log`` are the entries before, with the candidates at that time: a contradiction goes back into them.
-    ``start`` are the candidates now.
+    ``log`` are the entries before: a contradiction goes back into them. ``start`` are the candidates now.
     """
 
     def __init__(
@@ -268,9 +250,8 @@ class Doubt:
                 self.candidates = []
 
     def take(self, phase: float, options: tuple[float, ...], refused: bool = False) -> Decision:
-        """A good sample, after one of the elapsed times ``options``.
-
-        ``refused``: its residual was over the limit of usual samples, and so it contradicts.
+        """A good sample, after one of the elapsed times ``options``; ``refused``: over the limit of usual
+        samples.
         """
         self._followed += min(options)
         self._enter(phase, options)
@@ -417,8 +398,7 @@ class Doubt:
     def _first_misfit(self, contradicted: int) -> int:
         """The first entry that the motion before does not fit, up to the one that contradicted.
 
-        While the acceleration is not known the residual limit of usual samples is wider than the window
-        in doubt: a sample beyond that was bad, although it was counted.
+        While no acceleration is declared, usual samples may be outside the window in doubt.
         """
         for number in range(max(0, contradicted - self._reach), contradicted):
             phase, options, before = self.log[number]

@@ -1,17 +1,14 @@
 """The position of a machine, from one phase after the other: counted, in doubt, or lost.
 
-Usually eq. 9 counts: a residual within the limit leaves one cycle count, and
-the sample costs no more than that. All else is one question, which :mod:`canfb.signal.doubt` answers: which
-motions within what is declared are left?
+Usually eq. 9 counts. All else is one question, which :mod:`canfb.signal.doubt` answers: which motions
+within what is declared are left?
 
     counted --- missing, flagged, contradicted, or an interval of unknown length ---> in doubt
     in doubt --- one motion is left ---> counted
     in doubt --- none is left, or several that no sample can separate, or it takes too long ---> lost
-    lost --- a start at standstill, or an absolute value ---> counted
+    lost --- a start at standstill, or a witness ---> counted
 
-While samples were only missing, the position may be valid in doubt: all motions that are left agree on it.
-While it is lost, eq. 9 runs on: its speed is then wrong by whole cycles per interval, which absolute values
-can show (:mod:`canfb.signal.witness.reference`).
+While it is lost, eq. 9 runs on: its speed is then wrong by whole cycles per interval.
 """
 
 from __future__ import annotations

@@ -1,24 +1,10 @@
 """What the analog path does to the tracks at speed: a delay between them, and less amplitude.
 
 A converter with a multiplexer takes the cosine ``cosine_delay_s`` after the sine. At f cycles per second
-the machine turns by d = 2 pi f cosine_delay meanwhile, so the counts are those of
-
-    sine = A sin x,    cosine = A cos(x + d - phase_error),
-
-with x the angle at the instant of the sine. That is a phase error of ``phase_error - d`` in place of
-``phase_error``, and :class:`Conditioning` removes it exactly:
-
-    c = (cosine + s sin(d - phase_error)) / cos(d - phase_error)
-
-with s, cosine after offset and gain; for tracks at a right angle (cosine + s sin d) / cos d. A low-pass of
-one pole with the corner frequency fc takes the amplitude to A / sqrt(1 + (f / fc)^2). The inverse of it is
-a common gain, so that the amplitude, and its limits, are those of a slow machine. Where the corner
-frequencies differ, so do the gains, and d has arctan(f / fc of the sine) - arctan(f / fc of the cosine)
-besides.
-
-All depends on the speed alone, so it is five coefficients as at standstill, renewed after each sample
-with the speed expected at the next one. Every way of a sample then conditions as it always does. The
-harmonics are in :mod:`canfb.signal.harmonics`.
+that turns it by d = 2 pi f cosine_delay: a phase error of ``phase_error - d``, which :class:`Conditioning`
+removes exactly. A low-pass with the corner frequency fc leaves A / sqrt(1 + (f / fc)^2); its inverse is a
+common gain, so that the limits of the amplitude are those of a slow machine. Where the corner frequencies
+differ, so do the gains, and d has arctan(f / fc of the sine) - arctan(f / fc of the cosine) besides.
 """
 
 from __future__ import annotations
@@ -35,9 +21,8 @@ SAME_INTERVAL = 2e-4  # of it
 
 
 class FrontEnd:
-    """Coefficients of a conditioning at a speed, which is in cycles per sampling interval.
-
-    ``unit_s`` is the sampling interval in seconds; while it is 0.0, not known, the machine is taken to stand.
+    """Coefficients of a conditioning at a speed, cycles per sampling interval of ``unit_s`` seconds; 0.0:
+    not known, and the machine is taken to stand.
     """
 
     __slots__ = (
@@ -105,10 +90,10 @@ class FrontEnd:
         return lag
 
     def coefficients(self, speed_cycles: float, amplitude_known: bool = True) -> Coefficients:
-        """As :meth:`Conditioning.coefficients`, at this speed.
+        """As :meth:`Conditioning.coefficients`, at this speed; all zero where the delay makes both tracks
+        the same.
 
-        All zero, so that there is no phase, where the delay makes both tracks the same. With
-        ``amplitude_known`` False the attenuation is left in.
+        With ``amplitude_known`` False the attenuation is left in.
         """
         angle = self._phase_error - self._delay * speed_cycles
         (offset_s, offset_c), (gain_s, gain_c) = self._offsets, self._gains

@@ -28,11 +28,9 @@ def repeats(
 class FrozenInput:
     """Counts repeated pairs of counts.
 
-    A machine that was slower than the residual limit may have stopped: equal counts prove
-    nothing. A faster one cannot stop within one interval, but it may go on with whole cycles per
-    sample and show the same phase each time; then only the noise of the converter shows that it
-    works. So ``frozen_samples`` (2010:04) successive repeats are required; 0, for a converter
-    without noise: the check is off. ``residual_limit_cycles`` is the limit of eq. 12.
+    A machine slower than the residual limit may have stopped. A faster one cannot, but whole cycles per
+    sample show the same phase each time, and only noise shows that the converter works: ``frozen_samples``
+    (2010:04) successive repeats, 0: off.
     """
 
     __slots__ = ("_speed", "frozen_samples", "repeats", "residual_limit_cycles")
@@ -50,8 +48,7 @@ class FrozenInput:
     def repeated(self, speed_cycles: float) -> bool:
         """The counts are those of the sample before; True if the input is frozen.
 
-        ``speed_cycles`` is the speed of the samples before this one, cycles per interval; looked
-        at with the first repeat only.
+        ``speed_cycles`` before this sample, cycles per interval; looked at with the first repeat only.
         """
         if self.repeats == 0:
             self._speed = speed_cycles
@@ -77,9 +74,8 @@ class FrozenInput:
     def take_run(self, equal: npt.NDArray[np.bool_], speeds: npt.NDArray[np.float64]) -> int:
         """:meth:`repeated` where a sample is ``equal`` to the one before, :meth:`moved` where not.
 
-        ``speeds`` are those before each sample, cycles per interval; not looked at where none is
-        equal. The result is the number of samples before the first that is frozen, and only
-        these have been taken.
+        ``speeds`` before each sample, cycles per interval. The result: samples before the first frozen one;
+        only these are taken.
         """
         at = np.flatnonzero(equal)
         if not len(at):

@@ -1,21 +1,15 @@
 """What the analog path does to the harmonics of the tracks: what a correction table leaves at speed.
 
-Behind offset, gain and phase error the tracks are z(x) = c + i s = sum z_k e^ikx, z_1 = 1. A table removes
-what the others do to the phase at standstill: z_k of the harmonics, and z_-1, which gains and phase error
-have left. A low-pass takes more of a harmonic than of the fundamental and delays it by another angle; a delay
-between the tracks turns it by k d. With the spectra C_k = (z_k + z_-k*) / 2 and S_k = (z_k - z_-k*) / 2i of
-both tracks, their low-passes H and their phase error phi, at f cycles/s:
+The tracks are z(x) = c + i s = sum z_k e^ikx, z_1 = 1. A table removes what the others do to the phase at
+standstill. With the spectra C_k = (z_k + z_-k*) / 2 and S_k = (z_k - z_-k*) / 2i of both tracks, their
+low-passes H and their phase error phi, at f cycles/s:
 
-    S_k(f) = S_k Hs(k f) / |Hs(f)| e^(i k lag),                    lag = -arg Hs(f)
-    y_k(f) = (C_k cos phi + S_k sin phi) Hc(k f) / |Hc(f)| e^(i k (lag + d)),  d = 2 pi f cosine_delay
-    C_k(f) = (y_k(f) - S_k(f) sin a) / cos a,                      a the phase error at f
+    S_k(f) = S_k Hs(k f) / |Hs(f)| e^(i k lag),      lag = -arg Hs(f)
+    y_k(f) = (C_k cos phi + S_k sin phi) Hc(k f) / |Hc(f)| e^(i k (lag + d)),      d = 2 pi f cosine_delay
+    C_k(f) = (y_k(f) - S_k(f) sin a) / cos a,      a the phase error at f
 
-To first order the phase is then off by
-
-    D(x, f) = Im sum (z_k(f) - z_k) e^(i (k - 1) x) / (2 pi),
-
-a small table over phase and speed. The table of the encoder alone does not tell it: an error of order m in
-the phase comes from a harmonic m + 1 or m - 1 of the tracks, and a low-pass treats them differently.
+To first order the phase is then off by D(x, f) = Im sum (z_k(f) - z_k) e^(i (k - 1) x) / (2 pi), a small
+table over phase and speed.
 """
 
 from __future__ import annotations

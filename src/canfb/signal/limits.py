@@ -10,11 +10,10 @@ from canfb.signal.tracker import check_residual_limit
 def max_acceleration(
     cycles_per_revolution: float, sample_rate_hz: float, residual_limit: float = 0.5
 ) -> float:
-    """Largest acceleration in rad/s^2 that eq. 9 follows, pi/N fs^2 (eq. 10) at the limit 1/2.
+    """Largest acceleration in rad/s^2 that eq. 9 follows, pi/N fs^2 (eq. 10) at the limit 1/2, in
+    proportion to ``residual_limit`` (cycles, 0 < limit <= 0.5).
 
-    A smaller ``residual_limit`` (cycles, 0 < limit <= 0.5) reduces it in proportion: 1/3
-    leaves two thirds (section 4 of the paper). ``cycles_per_revolution`` and
-    ``sample_rate_hz`` are positive. ValueError otherwise.
+    ``cycles_per_revolution`` and ``sample_rate_hz`` are positive. ValueError otherwise.
     """
     if not 0.0 < cycles_per_revolution < math.inf:
         raise ValueError(f"cycles_per_revolution must be positive, not {cycles_per_revolution!r}")
@@ -27,10 +26,9 @@ def max_acceleration(
 def max_speed(cycles_per_revolution: float, jitter_s: float, residual_limit: float = 1.0 / 3.0) -> float:
     """Largest speed in rad/s that is followed without sample times if SYNC jitters by ``jitter_s``.
 
-    An error j of the sampling instant is an error v j of the position, which the second difference of
-    eq. 9 multiplies by up to four: 4 v j < ``residual_limit`` (cycles, 0 < limit <= 0.5; minus the
-    acceleration in cycles per interval squared). ``cycles_per_revolution`` and ``jitter_s`` are positive.
-    ValueError otherwise.
+    The second difference of eq. 9 multiplies an error v j by up to four: 4 v j < ``residual_limit``
+    (cycles, 0 < limit <= 0.5; minus the acceleration). ``cycles_per_revolution`` and
+    ``jitter_s`` are positive. ValueError otherwise.
     """
     if not 0.0 < cycles_per_revolution < math.inf:
         raise ValueError(f"cycles_per_revolution must be positive, not {cycles_per_revolution!r}")
@@ -55,11 +53,10 @@ def narrowed_residual_limit(
     margin_cycles: float = math.inf,
     phase_error_cycles: float = PHASE_ERROR_CYCLES,
 ) -> float:
-    """Residual limit in cycles when the machine's largest acceleration is known (2010:02).
+    """Residual limit in cycles when the machine's largest acceleration is known (2010:02): a N/(2 pi) T^2,
+    and four times the largest error of a phase (2010:0C) or ``margin_cycles``; at most ``residual_limit``.
 
-    An acceleration a leaves the residual a N/(2 pi) T^2, here with a margin of four times the largest error
-    of a phase (2010:0C); never more than ``residual_limit``. ``max_acceleration_rad_s2`` = 0 means not known.
-    ``interval_s`` is the sampling interval T. A measured ``margin_cycles`` only narrows it further.
+    ``max_acceleration_rad_s2`` = 0: not known. ``interval_s`` is the sampling interval T.
     """
     if max_acceleration_rad_s2 <= 0.0:
         return residual_limit
@@ -79,10 +76,10 @@ ROUNDING = 1e-9
 
 
 def safe_deviation(samples: int) -> float:
-    """Largest L + a, cycles, at which this many samples in a row cannot falsify the count unseen.
+    """Largest L + a, cycles, at which this many samples (1 or more) in a row cannot falsify the count
+    unseen.
 
-    L is the residual limit, a the size of the true acceleration in cycles per interval squared
-    (docs/legal-motion.md, "Effect of a glitch", "Missed samples"). ``samples`` is 1 or more.
+    L is the residual limit, a the acceleration in cycles per interval squared (docs/legal-motion.md).
     """
     changes = samples + 2
     return min(1.0 / changes, 1.0 / (changes * changes // 4))
@@ -102,12 +99,11 @@ def kept_samples(
     phase_error_cycles: float,
     most: int = MOST_IN_A_ROW,
 ) -> int:
-    """Missed samples in a row, 0..``most``, after which one motion is left, whatever the phases are.
+    """Missed or flagged samples in a row, 0..``most``, after which one motion is left, whatever the phases
+    are.
 
-    ``accepted_cycles`` is the largest acceleration of a motion that the estimator follows,
-    ``motion_cycles`` that of the machine, cycles per interval^2; errors of phases are at most
-    ``phase_error_cycles`` (docs/legal-motion.md, "Missed samples"). The same holds for samples that are
-    flagged.
+    ``accepted_cycles`` is the largest acceleration that the estimator follows, ``motion_cycles`` that of
+    the machine, cycles per interval^2 (docs/legal-motion.md, "Missed samples").
     """
     total = accepted_cycles + motion_cycles
     count = 0
@@ -117,6 +113,5 @@ def kept_samples(
 
 
 def _between_motions(missed: int, total_cycles: float, phase_error_cycles: float) -> float:
-    """How far two motions can be apart behind the gap, cycles; one is left if it is less than a cycle."""
     changes = missed + 2
     return max(changes, changes * changes // 4) * total_cycles + 4.0 * phase_error_cycles * changes

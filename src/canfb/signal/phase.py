@@ -1,11 +1,7 @@
 """Phase within the cycle by division (Hoescheler and Szamel 1997, Table 1).
 
-The smaller track is divided by the larger one, so a common amplitude error cancels. On
-ideal tracks the raw phase is off by up to 1.132 % of a cycle; the correction table takes
-that out together with the errors of the individual encoder.
-
-The last column of the printed table reads 1 + s/c; it must be 1 + s/(8c), else the curve
-would jump at 7/8.
+The raw phase of ideal tracks is off by up to 1.132 % of a cycle, which the correction table takes out. The
+last column of the printed table must be 1 + s/(8c), else the curve would jump at 7/8.
 """
 
 from __future__ import annotations
@@ -30,13 +26,12 @@ def phase_in_cycle(sine: float, cosine: float) -> float: ...
 @overload
 def phase_in_cycle(sine: npt.ArrayLike, cosine: npt.ArrayLike) -> FloatArray: ...
 def phase_in_cycle(sine: Any, cosine: Any) -> Any:
-    """Raw phase of one sample, or of arrays of samples, in cycles: 0 <= raw phase < 1 (Table 1).
+    """Raw phase of one sample, or of arrays, in cycles: 0 <= raw phase < 1 (Table 1); 0 at the positive
+    zero crossing of the sine.
 
-    ``sine`` and ``cosine`` have any common unit and any size; arrays are broadcast
-    against each other. Phase 0 is the positive zero crossing of the sine track.
-    The result is NaN where there is no phase: both tracks zero, or not a number.
-    A float for scalars, an ndarray of float64 for arrays; both give the same bits.
-    ValueError for complex numbers.
+    ``sine`` and ``cosine`` have any common unit and any size; arrays are broadcast. NaN where there is no
+    phase: both tracks zero, or not a number. A float for scalars, an ndarray of float64 for arrays, with
+    the same bits. ValueError for complex numbers.
     """
     if isinstance(sine, SCALARS) and isinstance(cosine, SCALARS):
         return raw_phase(float(sine), float(cosine))
@@ -87,11 +82,9 @@ def raw_phases(s: FloatArray, c: FloatArray) -> FloatArray:
 
 
 def raw_phase_block(s: AnyArray, c: AnyArray, out: FloatArray, scratch: Scratch) -> None:
-    """Table 1 for one block of integers or floats, into ``out``: raw phases 0..1.
+    """Table 1 for one block of integers or floats, into ``out``: raw phases 0..1, where 1.0 stands for 0.0.
 
-    1.0 stands for 0.0 here, which a correction table and :func:`wrap_block` take for the same.
-    In eighths of a cycle the raw phase is |base - ratio|: a row of Table 1 with a plus has its base
-    with a minus. That an eighth is taken at the end changes no bit: it is a power of two.
+    In eighths of a cycle the raw phase is |base - ratio|; an eighth is taken at the end, a power of two.
     """
     larger = scratch.b
     size_s, size_c = _sizes(s, c, scratch)
@@ -106,7 +99,6 @@ def raw_phase_block(s: AnyArray, c: AnyArray, out: FloatArray, scratch: Scratch)
 
 
 def _sizes(s: AnyArray, c: AnyArray, scratch: Scratch) -> tuple[AnyArray, ...]:
-    """Both tracks without their signs, as float64; counts of int16 stay short, a quarter of the memory."""
     if s.dtype == c.dtype == np.int16:
         rows = scratch.a.view(np.int16).reshape(4, -1)
         # The size of the lowest int16 is no int16, but has the right bits as a number without a sign.
@@ -120,9 +112,8 @@ def _bases(s: AnyArray, c: AnyArray, scratch: Scratch) -> npt.NDArray[np.int8]:
     cosine < 0, sine < 0, sine larger   000  001  010  011  100  101  110  111
     base, eighths of a cycle              0    2    8   -6    4   -2   -4    6
 
-    With n = sine < 0, l = sine larger and m = l xor cosine < 0 it is 8 (n - 2 n m) + 4 m - 2 l. Bytes are
-    quick to add; to choose by conditions is slow, because on a turning machine the processor guesses them
-    wrong, and a look-up takes as long as all of this.
+    With n = sine < 0, l = sine larger, m = l xor cosine < 0: 8 (n - 2 n m) + 4 m - 2 l. Conditions would be
+    slow.
     """
     sine_larger, mixed, negative, both = scratch.bits
     sine_larger_1, mixed_1, base, both_1 = scratch.digits
@@ -141,8 +132,5 @@ def _bases(s: AnyArray, c: AnyArray, scratch: Scratch) -> npt.NDArray[np.int8]:
 
 
 def wrap_block(phases: FloatArray, scratch: Scratch) -> None:
-    """Take phases of -1 <= phase < 2 into 0..1, in place; 1.0 only where a tiny negative one was.
-
-    By floor, because numpy turns the truth values of a condition into numbers one by one.
-    """
+    """Take phases of -1 <= phase < 2 into 0..1, in place; 1.0 only where a tiny negative one was."""
     phases -= np.floor(phases, out=scratch.a)

@@ -1,9 +1,7 @@
 """The noise of the residual, measured while the machine moves (2011:0B), and what of it a limit may use.
 
-The residual holds motion and noise. The motion changes slowly, so the difference of two successive residuals
-holds little of it, and more of the noise: the weights of the phases are 1, 3, 3, 1 in place of 1, 2, 1
-(eq. 9). If the errors of the phases are independent,
-the rms of the residual follows. The median of a block stands for its rms: single jerks count for nothing.
+The difference of two successive residuals holds little of the motion; its weights of the phases are 1, 3,
+3, 1. The median of a block stands for its rms: single jerks count for nothing.
 """
 
 from __future__ import annotations
@@ -32,10 +30,9 @@ BAD = AMPLITUDE | CLIPPED | COASTING | FROZEN | LOST | MISSED | RESIDUAL
 class ResidualNoise:
     """Measures in blocks of 64 successive valid samples, 1 of each 4 blocks, of a machine that moves.
 
-    ``rms_cycles`` is the rms of the residual by the last block,
-    cycles, NaN before the first one. ``usable_cycles`` is what a limit may take for it, NaN before four
-    blocks: the largest of the last 32 blocks, at most twice that of the first 32. So a fault that
-    grows from sample to sample, each within the limit, moves a limit by a factor of two at most.
+    ``rms_cycles`` is the rms of the residual by the last block, cycles, NaN before the first one.
+    ``usable_cycles``: the largest of the last 32 blocks, at most twice that of the first 32, so that a
+    fault that grows slowly moves a limit by a factor of two at most; NaN before four blocks.
     """
 
     __slots__ = (
@@ -62,7 +59,7 @@ class ResidualNoise:
 
     @property
     def usable_cycles(self) -> float:
-        """What a limit may take for the rms of the residual, cycles; NaN: too little is known."""
+        """What a limit may take for it, cycles; NaN: too little is known."""
         if len(self._recent) < FEWEST_BLOCKS:
             return math.nan
         return min(max(self._recent), MOST_GROWTH * max(self._reference))

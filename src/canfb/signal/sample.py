@@ -48,9 +48,8 @@ class Sample(NamedTuple):
 def in_order(sample: Sample, passed: float, per_sync: int) -> list[Sample]:
     """The samples of this interval, oldest first; ``elapsed`` of each is in sampling intervals, above 0.
 
-    ``passed`` are the sampling intervals since the newest sample of the interval before, ``per_sync`` how
-    many there are in an interval of SYNC. What belongs to all of them, or to the instant of the newest,
-    stays with that. The zero pulse is given to the sample before which it came.
+    ``passed`` are those since the newest sample of the interval before, ``per_sync`` how many there are in
+    one of SYNC. The zero pulse is given to the sample before which it came, the rest stays with the newest.
     """
     earlier = sample.earlier[: per_sync - 1]
     while earlier and passed - len(earlier) < LEAST_APART:

@@ -1,7 +1,5 @@
-"""A recording of both tracks in bounded memory, as object 2050h holds it.
-
-The module records the samples that come with SYNC, an encoder interface its own fast ones; both
-are uploaded in one form: sine and cosine as INTEGER16, little-endian, sample after sample.
+"""A recording of both tracks in bounded memory, as 2050h of module and interface hold it: INTEGER16,
+little-endian.
 """
 
 from __future__ import annotations
@@ -16,10 +14,7 @@ BYTES_PER_SAMPLE = 4
 
 
 class SampleRecording:
-    """Pairs of ADC counts, one for each sampling interval, up to ``capacity`` samples.
-
-    A sample that is missing keeps its place, so that no time is lost.
-    """
+    """Pairs of ADC counts, up to ``capacity`` samples; a missing one keeps its place."""
 
     __slots__ = ("_counts", "capacity")
 

@@ -1,8 +1,7 @@
 """The position of another sensor on the same machine, such as the motor encoder of a drive, in cycles.
 
-Its increments are 32 bits and wrap. All conversions are of whole numbers: one increment is N d / n cycles,
-with N cycles per revolution of the encoder and n increments in d of its revolutions, so distances are
-counted in 1/n cycle. Nothing is rounded but the last result, however far the machine has turned.
+Its increments are 32 bits and wrap. One is N d / n cycles, so distances are counted in 1/n cycle, and only
+the last result is rounded.
 """
 
 from __future__ import annotations

@@ -1,14 +1,10 @@
 """Which speed a machine has by uneven sample times, although a row of the samples may be bad.
 
-A bad sample removes the true speed from a set (:mod:`canfb.signal.speed_set`), or bends its count, and may
-leave a neighbour: where q is small no sample contradicts that one for long. So as many hypotheses are
-followed as there are places for a row of m bad samples (2010:0A): none so far, or the row began at sample j,
-and the set goes on without the m samples from there. The truth is in one of them. A speed is found where
-all that are left, in whatever set, are at the same count for two samples, and random phases would leave any
-with a probability of at most 1e-5.
-
-A set whose row is further back than its windows reach differs from the others in its motions alone, so these
-sets are one: beside the set without a bad sample there are never more than m + 5 of them.
+A bad sample removes the true speed from a set (:mod:`canfb.signal.speed_set`), or bends its count. So a
+hypothesis is followed for each place of a row of m bad samples (2010:0A), and one without: the truth is in
+one of them. A speed is found where all that are left are at the same count for two samples, and random
+phases would leave any with a probability of at most 1e-5. Sets whose row is further back than their windows
+reach are one: there are at most m + 5.
 """
 
 from __future__ import annotations
@@ -29,8 +25,8 @@ TELLING, SILENT = 0.4, 0.1
 def longest_decidable_row(largest: float, phase_error: float) -> int:
     """The longest row of bad samples behind the first sample that leaves one count; 1 at least.
 
-    The row of m is a gap of E = m + 1 intervals, and its counts give mean speeds 1 / E apart. The
-    next step is held against them within B (1 + E) / 2 + eps (2 + 2 / E): less than half of 1 / E.
+    The row of m is a gap of E = m + 1 intervals, whose counts give speeds 1 / E apart, held against the
+    next step within B (1 + E) / 2 + eps (2 + 2 / E): less than half of 1 / E.
     """
     row = 1
     while row < MOST_BAD_SAMPLES:
@@ -133,7 +129,6 @@ class SpeedHypotheses:
         return True
 
     def _unite(self) -> None:
-        """Sets that do not reach back to their row any more have the same samples."""
         past = [row for row in self._rows if row.taken > SAMPLES_BEFORE]
         for row in past[1:]:
             past[0].speeds.unite(row.speeds)

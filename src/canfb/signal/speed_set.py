@@ -1,22 +1,15 @@
 """The speeds that a machine can have at a start, or while it is lost: uneven sample times tell them apart.
 
-Phases one interval apart cannot show whole cycles per interval: the truth is y + c + s t with y as it is
-counted and whole numbers c and s. At uneven instants s t is no whole number any more, and the second
-difference of a wrong s is off by s times that of the instants. So each s is followed by itself, with the
-cycle count of each sample nearest to eq. 9 (after a gap with each that is possible), and goes where it leaves
-a window of the declared motion (:mod:`canfb.signal.bounded_motion`). From two earlier samples, f apart, to
-one that is e after the later,
+The truth is y + c + s t with y as it is counted and whole numbers c and s. At uneven instants s t is no
+whole number, and the second difference of a wrong s is off by s times that of the instants. Each s is
+followed by itself, and goes where it leaves a window of the declared motion: from two earlier samples, f
+apart, to one that is e after the later,
 
-    B e (e + f) / 2 + (eps + tau |v|) (2 + 2 e / f).
+    B e (e + f) / 2 + (eps + tau |v|) (2 + 2 e / f),
 
-Each pair of BASELINES gives such a window, a necessary condition. The last two samples are the sharpest for
-the motion; where they are close together, or where the errors of the times count, longer ones are sharper:
-with all four a speed is known after two thirds of the samples. The neighbours s +- 1 decide: with instants
-that deviate by sigma (intervals), q = sqrt(6) sigma / (B + 4 (eps + tau v)). From q = 1.5 on one speed is
-left after 5 to 8 samples, at 0.4 after 12 to 40, at 0.1 never (docs/legal-motion.md). The true speed never
-goes while what is declared holds.
-
-A bad sample can remove the truth: canfb.signal.speed_hypotheses follows what is left if a row was bad.
+for each pair of BASELINES. The neighbours s +- 1 decide: with instants that deviate by sigma (intervals), q
+= sqrt(6) sigma / (B + 4 (eps + tau v)). From q = 1.5 on one speed is left after 5 to 8 samples, at 0.4
+after 12 to 40, at 0.1 never.
 """
 
 from __future__ import annotations
@@ -159,9 +152,8 @@ class SpeedSet:
         return counts[kept]
 
     def _window(self, first: int, second: int, phase: float) -> tuple[FloatArray, FloatArray]:
-        """How far the line through two samples is ahead of this phase, and how far it may be off a count.
-
-        For each speed, in cycles from the count of sample ``first``, whose place counts from the newest.
+        """How far the line through two samples is ahead of this phase, and how far it may be off a count;
+        for each speed, in cycles from the count of sample ``first``, whose place counts from the newest.
         """
         later, earlier = first - 1, second - 1
         elapsed = self._since[later]

@@ -1,8 +1,7 @@
 """Speeds and acceleration of a machine by its last samples, cycles and intervals; whether it stands still.
 
-A machine that turns at whole cycles per interval shows phases that stand still, too. Of a drive with a clock
-of its own, 100 ppm from that of SYNC, they move by more than 0.02 cycle in 256 samples; at any other speed
-they stay so near with a chance of 1.6e-4.
+Whole cycles per interval show phases that stand still, too. With clocks 100 ppm apart they move by more
+than 0.02 cycle in 256 samples; at any other speed they stay so near with a chance of 1.6e-4.
 """
 
 from __future__ import annotations
@@ -56,9 +55,10 @@ def least_speed(places: Sequence[Place], steps: int) -> float:
 def least_speeds(
     places: Sequence[Place], cycles: npt.NDArray[np.int64], phase: FloatArray, steps: int
 ) -> FloatArray:
-    """The size of :func:`least_speed` before each of these samples, which follow ``places``; 0 without any.
+    """The size of :func:`least_speed` before each of these samples, one interval apart, which follow
+    ``places``; 0 without any.
 
-    ``cycles`` and ``phase`` have shape (n,), and so has the result; the samples are one interval apart.
+    ``cycles`` and ``phase`` have shape (n,), and so has the result.
     """
     if not places:
         return np.zeros(len(cycles))

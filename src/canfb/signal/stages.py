@@ -1,8 +1,7 @@
 """The stages of one sample: conditioning, Table 1, correction, eq. 9, supervision, comparisons.
 
-Nearly each sample is usual: two counts and no more, one interval after the one before (or nearly so, as its
-own time says), within all limits, and nothing is in doubt. Then eq. 9 counts, and :meth:`Stages.take` is
-done; whatever differs is left to :meth:`Stages._resolve`. tests/signal/test_usual_step.py compares both ways.
+Nearly each sample is usual: in turn, within all limits, nothing in doubt. Then eq. 9 counts; whatever
+differs is left to :meth:`Stages._resolve`.
 """
 
 from __future__ import annotations
@@ -67,15 +66,13 @@ class Extras(NamedTuple):
 
 
 class Stages:
-    """One encoder, sample by sample, at known intervals: those from sample to sample.
-
-    A sample that fails a check is flagged in its own :class:`Feedback` and never moves the
-    cycle count; see :mod:`canfb.signal.estimator` for what happens then.
+    """One encoder, sample by sample, at known intervals. A bad sample is flagged and never moves the cycle
+    count.
 
     estimator   of the cycle count
     tracks      what makes a phase of counts
-    reference   the state of coarse track and zero pulse; another one for another encoder
-    second      comparison with another sensor, None without one
+    reference   coarse track and zero pulse; another one for another encoder
+    second      another sensor, None without one
     samples     the number of the last sample, 0 before the first one
     last        its feedback, None after a start and after a run on arrays
     place       its place, if it was taken; ``was_valid``: not 0 if it was valid
@@ -389,10 +386,7 @@ class Stages:
             write_places_before(self._tracker, tracked, at)
 
     def continues(self, tracked: TrackResult, at: int) -> bool:
-        """True if :meth:`follow_run` may begin at ``at``: what the prediction needs stands before.
-
-        And nothing of the last samples is in doubt. A lost position is not: eq. 9 runs on with it.
-        """
+        """:meth:`follow_run` may begin at ``at``: what eq. 9 needs stands before, and nothing is in doubt."""
         doubts = (
             self.waits
             or self.estimator.in_doubt
@@ -407,11 +401,9 @@ class Stages:
     ) -> int:
         """:meth:`take` for a run of samples, one interval apart, that keep the limits of one sample.
 
-        Only where :meth:`continues`. ``sine``, ``cosine`` are its counts, ``tracked.phase[run]`` the
-        corrected phases. ``scratch`` has the length of the run. Fills the rest of ``tracked[run]``.
-        The result is the number of samples taken: those before the first with a residual
-        over the limit (unless the position is lost) or a frozen input. The stages stand
-        after these, and the rest is for :meth:`take`.
+        Only where :meth:`continues`. ``tracked.phase[run]`` are the corrected phases; the rest of
+        ``tracked[run]`` is filled. The result is the number of samples taken: those before the first with a
+        residual over the limit (unless the position is lost) or a frozen input.
         """
         start: int = run.start
         cycles, phase = tracked.cycles, tracked.phase

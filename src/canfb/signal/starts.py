@@ -65,11 +65,11 @@ class Starts:
         places: Sequence[Place],
         missed: float,
     ) -> bool:
-        """Is the next sample to be held against them? ``places`` are the samples of a start that is assumed.
+        """Is the next sample to be held against them? ``places`` are the samples of a start that is
+        assumed, ``missed`` the intervals since the last of them.
 
-        Since the last of them ``missed`` intervals have passed. Where samples are ``timed`` the first one
-        may be the unit of all others, and even by definition: it shows nothing then. The limits of a search
-        follow ``declared``.
+        The first one of ``timed`` samples may be the unit of all others, and even by definition: it shows
+        nothing then.
         """
         largest = declared.usual.largest
         if self.active is not None:  # the limit is in the unit of now, and the search in that of its begin

@@ -1,10 +1,8 @@
 """The supervised chain over a stream of arrays: bit for bit as sample by sample, faults included.
 
-Nearly all samples of a recording are good, and a good sample needs none of the decisions
-that :class:`canfb.signal.stages.Stages` are made of. So all values of single
-samples are computed at once, then eq. 9 from the state of the stages up to the first sample that
-a check rejects. This one, and those after it that decide the position, go through the
-chain one by one.
+All values of single samples are computed at once, then eq. 9 up to the first sample that a check rejects;
+this one, and those after it that decide the position, go through :class:`canfb.signal.stages.Stages` one by
+one.
 """
 
 from __future__ import annotations
@@ -86,17 +84,13 @@ def process_stream(
 ) -> Iterator[ChainResult]:
     """The supervised chain over blocks of samples that follow each other: one result for each.
 
-    A block is a pair (sine, cosine) of shape (n,), ADC counts, zero at mid-scale; n may differ
-    from block to block and may be 0. The samples are one sampling interval apart, also across
-    blocks. The results are bit for bit those of :meth:`canfb.SignalChain.step`, sample by
-    sample: a bad sample is flagged in its status, and a lost position stays lost. Memory is
-    bounded by the longest block. At a block that is not such a pair the stream ends, with the errors of
+    A block is a pair (sine, cosine) of shape (n,), ADC counts, zero at mid-scale; n may differ and may be
+    0. Samples are one sampling interval apart, also across blocks. The results are bit for bit those of
+    :meth:`canfb.SignalChain.step`. At a block that is not such a pair the stream ends, with the errors of
     :func:`canfb.process`.
 
     ``config`` None stands for the defaults of :class:`canfb.ChainConfig`, ``table`` None for the identity.
-    ``speed_cycles`` is the speed at the first sample, cycles per sample, right to less than half a
-    cycle; default: standstill. At another speed the position is lost from the second sample on, where
-    its residual shows it. TypeError or ValueError at once for a bad one of these.
+    ``speed_cycles`` as for :func:`canfb.process`. TypeError or ValueError at once for a bad one of these.
     """
     stream = _Stream(ChainConfig() if config is None else config, table, speed_cycles)
     return (stream.take(*stream.tracks(block)) for block in blocks)
@@ -184,11 +178,7 @@ class _Stream:
         return self._bad(sine, cosine, result)
 
     def _bad(self, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> list[int]:
-        """The samples that do not keep the limits.
-
-        In nearly every block the extremes show that all do: no count is larger than its amplitude, and
-        an amplitude above zero has a phase. A comparison with NaN is false.
-        """
+        """The samples that do not keep the limits; in nearly every block the extremes show that all do."""
         lowest, highest, smallest, largest = self._bounds
         amplitude = result.amplitude
         least, most = amplitude.min(), amplitude.max()
@@ -212,7 +202,6 @@ class _Stream:
         result: ChainResult,
         tracked: TrackResult,
     ) -> int:
-        """Samples k..fault or fewer on arrays, and one more if that one has a fault; where to go on."""
         length = min(fault - k, self._run_samples)
         run, scratch = slice(BEFORE + k, BEFORE + k + length), self._scratch.head(length)
         counts = sine[k : k + length], cosine[k : k + length]
@@ -241,7 +230,6 @@ class _Stream:
 
 
 def _counts(track: AnyArray) -> AnyArray:
-    """A track to compute with: float64, or int16 as converters have it, which is as exact and shorter."""
     return track if track.dtype in (np.float64, np.int16) else track.astype(np.float64)
 
 

@@ -1,15 +1,12 @@
 """What offset, gain and phase of the tracks are now, from samples over the whole cycle.
 
-Behind the conditioning the tracks are z(x) = c + i s = sum z_k e^ikx at the phase x. Offsets are z_0, gain
-and phase error z_-1 = (-gain / 2 + i phase / 2) z_1, with gain the relative difference of both gains. In the
-frame that turns with the phase, w = z e^-ix = z_1 + z_0 e^-ix + z_-1 e^-2ix + z_2 e^ix + ..., so
+Behind the conditioning the tracks are z(x) = c + i s = sum z_k e^ikx. Offsets are z_0, gain and phase error
+z_-1 = (-gain / 2 + i phase / 2) z_1. In the frame that turns with the phase, w = z e^-ix,
 
-    z_0 = mean of (w - z_1) e^ix,    z_-1 = mean of (w - z_1) e^2ix    over an even phase,
+    z_0 = mean of (w - z_1) e^ix,      z_-1 = mean of (w - z_1) e^2ix
 
-and no harmonic of the encoder has part in it: the table gives the phase without them. What changes after the
-calibration shows by half. The phase follows the tracks, and so only their radius tells it.
-
-Samples come at any phases. So the means are those of 16 sectors of the cycle, each with a few samples.
+over an even phase: the means of 16 sectors. What changes after the calibration shows by half, for the phase
+follows the tracks and only their radius tells it.
 """
 
 from __future__ import annotations
@@ -104,9 +101,8 @@ class TrackSectors:
 def deviation_of(correction: Correction) -> CircleDeviation | None:
     """Of the tracks at the reference measurement, with this correction; None: it does not tell.
 
-    Without a table the tracks are to be a circle. A table corrects what conditioning and circle have left.
-    The harmonics (2005h) say what of it is z_-1, and what is left is z_0: to first order, it and z_2 make the
-    table remove Im (z_2 e^ix + z_0 e^-ix).
+    Without a table a circle. Of what a table corrects the harmonics (2005h) say what is z_-1, the rest is
+    z_0.
     """
     table, conditioning = correction.table, correction.conditioning
     if table is None:

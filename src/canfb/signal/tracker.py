@@ -1,9 +1,7 @@
 """Cycle count by second-order prediction (paper, eq. 9) with error detection (eq. 12).
 
-The cycle count is an integer, the position is cycle count + phase and is never added up
-in a float: i(k) = 2 i(k-1) - i(k-2) + round(2 p(k-1) - p(k-2) - p(k)) is exact over any
-range. Between samples that are not one interval apart the last speed is carried over the
-elapsed intervals.
+i(k) = 2 i(k-1) - i(k-2) + round(2 p(k-1) - p(k-2) - p(k)) is exact over any range. Between samples that are
+not one interval apart the last speed is carried over the elapsed intervals.
 """
 
 from __future__ import annotations
@@ -67,8 +65,7 @@ class Tracker:
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
         """Forget the phase; the next one starts with this cycle count and speed (cycles per sample).
-
-        ValueError for a speed that is not finite or above 2**31 in size, and nothing is changed then.
+        ValueError for a speed that is not finite or above 2**31 in size.
         """
         self._start_speed = check_speed(speed_cycles)
         self.cycles = cycles
@@ -122,8 +119,8 @@ class Tracker:
     def set_state(self, phase_before: float, phase: float, cycles: int, step: int) -> None:
         """Set what :meth:`state` gives; the tracker is steady then.
 
-        ``phase_before`` and ``phase`` are those of the last two samples, ``step`` the cycles from one to
-        the other.
+        ``phase_before``, ``phase``: of the last two samples; ``step``: cycles between them; ``cycles``: the
+        count of the last.
         """
         self._started, self._elapsed, self._gap = True, 1.0, 0.0
         self._phase_before, self._phase, self.cycles, self._step = phase_before, phase, cycles, step
@@ -142,14 +139,11 @@ class Tracker:
         self._find_speed()
 
     def update(self, phase: float, elapsed: float = 1.0) -> Track:
-        """Take one phase, ``elapsed`` sampling intervals after the one before, and track it.
+        """Take one phase, ``elapsed`` > 0 sampling intervals after the one before, and track it.
 
-        ``phase`` in cycles, 0 <= phase < 1. NaN stands for a sample without a phase: the
-        position is then the predicted one, marked not ok, and the recursion steps over it.
-        ``elapsed`` > 0. Raises ValueError outside these ranges.
-
-        The count follows the phase even if the residual is over the limit, as in the
-        paper; the sample is then marked not ok.
+        ``phase`` in cycles, 0 <= phase < 1; NaN: a sample without one, the position is then the predicted
+        one, not ok. Raises ValueError outside these ranges. The count follows the phase even if the
+        residual is over the limit, as in the paper; the sample is then not ok.
         """
         if not 0.0 <= phase < 1.0 and phase == phase:
             raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phase!r}")
@@ -187,8 +181,8 @@ class Tracker:
     def advance(self, phase: float) -> float:
         """:meth:`look` and :meth:`accept` in one, for the usual sample: one interval after a steady run.
 
-        The result is its residual; :attr:`cycles` and :attr:`step_cycles` are those of the sample then.
-        NOT_USUAL, and nothing changed, where the tracker is not steady or the residual is over the limit.
+        The result is its residual; NOT_USUAL, and nothing changed, where the tracker is not steady or it is
+        over the limit.
         """
         if self._gap != 0.0 or self._elapsed != 1.0 or not self._started:
             return NOT_USUAL
@@ -242,7 +236,6 @@ class Tracker:
         self.step_cycles = (self._step + (self._phase - self._phase_before)) / self._elapsed
 
     def _carry(self, elapsed: float) -> tuple[int, float]:
-        """Displacement at the last speed over ``elapsed`` intervals: whole cycles and a small rest."""
         ratio = elapsed / self._elapsed
         displacement = self._step * ratio
         whole = math.floor(displacement)

@@ -1,11 +1,7 @@
 """Eq. 9 and eq. 12 over arrays: bit for bit as one sample after the other.
 
-Turns between the samples are computed at once; the cycle count is their double cumulative sum, in
-integers.
-
-numpy takes a running sum one sample after the other, each waiting for the one before, and two of them took a
-third of the time of the whole array path. Here a matrix product adds up rows of 16 samples side by side, and
-running sums are left from row to row only.
+The cycle count is the double cumulative sum of the turns between the samples, in integers. A matrix product
+adds up rows of 16 samples side by side, which is faster than numpy's running sums.
 """
 
 from __future__ import annotations
@@ -37,12 +33,9 @@ def track(
 ) -> TrackResult:
     """:class:`Tracker` over an array of phases, vectorised; bit for bit the same result.
 
-    ``phase`` has shape (n,), cycles, 0 <= phase < 1, NaN where a sample has no phase.
-    ``speed_cycles`` is the speed at the first phase, cycles per sample. As with
-    :class:`Tracker`, ``ok`` says no more than eq. 12: after a start at another speed, and
-    after an error, eq. 9 runs on with a wrong speed and small residuals.
-    :func:`canfb.process` and :func:`canfb.process_stream` say where the position is certain.
-    ValueError for anything else.
+    ``phase`` has shape (n,), cycles, 0 <= phase < 1, NaN where a sample has no phase. ``speed_cycles`` is
+    the speed at the first phase, cycles per sample. ``ok`` says no more than eq. 12; :func:`canfb.process`
+    says where the position is certain. ValueError for anything else.
     """
     phases = real_array("phase", phase)
     if phases.ndim != 1:
@@ -73,7 +66,6 @@ def track_block(tracker: Tracker, result: TrackResult, part: slice, scratch: Scr
 
 
 def _step_over(tracker: Tracker, result: TrackResult, at: int, stop: int) -> int:
-    """Samples without a phase, and the two after them, one by one; where to go on."""
     usable = 0
     while at < stop and usable < PLACES_BEFORE:
         usable = 0 if math.isnan(result.phase[at]) else usable + 1
@@ -137,8 +129,7 @@ def cycle_counts(
 ) -> int:
     """Add up step(k) = step(k-1) + turns(k), i(k) = i(k-1) + step(k), i into ``out``; the last step.
 
-    ``cycles`` and ``step`` are i and step before the first of ``turns``, which are whole and at
-    most 2 in size. Exact; ``turns``, ``scratch.a`` and ``scratch.index`` are overwritten.
+    ``turns`` are whole, at most 2 in size, and overwritten, as ``scratch.a`` and ``scratch.index``. Exact.
     """
     products = -(-len(turns) // MOST_IN_PRODUCT)
     head = len(turns) // (ROW * products) * (ROW * products)

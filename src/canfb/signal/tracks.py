@@ -15,10 +15,9 @@ LEAST_SPREAD = 0.25  # of counts around a centre that is not zero, against the l
 def pair_of_tracks(
     sine: npt.ArrayLike, cosine: npt.ArrayLike, *, may_be_offset: bool = False
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Both tracks as arrays of one shape (n,), integers or floats, ADC counts with zero at mid-scale.
+    """Both tracks as arrays of one shape (n,), ADC counts with zero at mid-scale; else ValueError.
 
-    ValueError unless they are. Unsigned counts are not, but where a conditioning takes an offset
-    away (``may_be_offset``).
+    Unsigned ones pass where a conditioning takes an offset away (``may_be_offset``).
     """
     kinds = "iuf" if may_be_offset else "if"
     sines, cosines = _numbers("sine", sine, kinds), _numbers("cosine", cosine, kinds)
@@ -77,10 +76,7 @@ def _is_small(track: npt.NDArray[Any]) -> bool:
 
 
 def _refuse_uncentred(sine: npt.NDArray[Any], cosine: npt.NDArray[Any]) -> None:
-    """No count below zero, and yet the tracks go round: zero is not where they go round.
-
-    A machine that stands, or moves within a quarter of a cycle, may have no count below zero.
-    """
+    """No count below zero, and yet the tracks go round; a machine that stands may have none."""
     if (sine[:FEW_SAMPLES] < 0).any() or (cosine[:FEW_SAMPLES] < 0).any():
         return  # nearly always
     if not (_is_finite_and_positive(sine) and _is_finite_and_positive(cosine)):

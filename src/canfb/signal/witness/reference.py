@@ -1,11 +1,7 @@
 """What witnesses do to the position (paper, section 4): take its validity, give its speed and its count.
 
-Eq. 9 started on a turning machine, or after a fault, counts with a speed that lacks whole cycles per
-interval. A witness, or two zero pulses, determine how many; then the count is set right. Every jump of the
-position is reported.
-
-A pulse that contradicts a valid position may be false. The position is not valid then until
-another pulse settles it: by agreeing with the position, or with the first one.
+Every jump of the position is reported. A pulse that contradicts a valid position may be false: the position
+is not valid then until another pulse settles it.
 """
 
 from __future__ import annotations
@@ -42,12 +38,13 @@ class Pulse(NamedTuple):
 
 
 class Reference:
-    """Joins coarse track and zero pulse to an estimator; the second position brings its own :class:`Witness`.
+    """Joins coarse track and zero pulse to an estimator; the second position brings its own
+    :class:`Witness`.
 
     had_position  there was a valid one since the start: the count of the next one found is not any
-    range_known   since the position was lost, its speed was found: a witness or a pulse may set the count
-    recovered     number of speeds that witnesses have found
-    set_right     how often a zero pulse found the count wrong and set it right
+    range_known   since the position was lost, its speed was found: the count may be set
+    recovered     speeds that witnesses have found
+    set_right     how often a zero pulse set the count right
     in_doubt      zero pulses contradict the position, or each other: :meth:`apply` is to see every sample
     """
 
@@ -84,7 +81,7 @@ class Reference:
         self.slipped() if self.estimator.lost else self.coarse.restart_search()
 
     def slipped(self) -> None:
-        """A sample of a lost position was not taken, or over the limit: its speed is not known any more."""
+        """The speed of a lost position is not known any more."""
         self.range_known = self._range_from_zero = self._speed_known = False
         self.coarse.disagreeing = 0
         self._first_pulse: Pulse | None = None
@@ -238,7 +235,6 @@ class Reference:
         return bits, 0
 
     def _refutes(self, pair: Pair | None, jump: int) -> bool:
-        """True if the coarse track shows that the pulse that asks for this jump is false."""
         if not jump or pair is None:
             return False
         away = self.coarse.away_cycles(pair._replace(cycles=pair.cycles + jump))

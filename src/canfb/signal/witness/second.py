@@ -1,8 +1,7 @@
 """Another sensor of the machine as a witness; the rules are in docs/homing.md.
 
-It is heard one SYNC later than the sample, when the interval is over and the value is certain. It gives
-speed and count as the coarse track does, and it contradicts a valid position, which is reported, but does
-not move it: it is not known which of the two is wrong.
+It is heard one SYNC later than the sample, when the interval is over and the value is certain. That it
+contradicts a valid position is reported: it is not known which of the two is wrong.
 """
 
 from __future__ import annotations

@@ -1,16 +1,13 @@
 """The speed of a lost position: by how many whole cycles per interval eq. 9 counts wrongly.
 
-While the position is lost, or after a start in motion, the truth is y + c + s t with y as eq. 9 counts it,
-and whole numbers c and s: phases show no more. An absolute sensor (coarse track, another encoder) shows how
+The truth is y + c + s t with y as eq. 9 counts it, and whole numbers c and s. An absolute sensor shows how
 far the machine has really moved, with an error. Each pair of its values cuts the range of s,
 
     |ahead_j - ahead_i - s (t_j - t_i)| <= error_ij,
 
-where ``ahead`` is its displacement less the counted one. It is known when one whole number is left.
-
-One value may be false, by any d. If that is beyond the error E of a pair, then a neighbour gives s >= d -
-E, and a value that is t intervals away s <= (d + E) / t: nothing is left once t >= 2 E + 1, and the search
-starts again. So the values that agree must span that long; without false ones half of it would do.
+where ``ahead`` is its displacement less the counted one. One value may be false, by any d: beyond the error
+E of a pair a neighbour gives s >= d - E, and a value t intervals away s <= (d + E) / t, so that nothing is
+left once t >= 2 E + 1. The values that agree must span that long.
 """
 
 from __future__ import annotations
@@ -27,8 +24,8 @@ PHASE_CYCLES = 0.05  # of the counted displacement: noise and an uncorrected pha
 class SpeedSearch:
     """Finds the whole cycles per interval that the counted speed lacks.
 
-    Two values differ from the truth by at most ``most_cycles``, and by ``slope`` times what the machine has
-    moved between them, whichever is less; and by ``noise_cycles``.
+    Two values differ from the truth by at most ``most_cycles``, or ``slope`` times the way between them,
+    and ``noise_cycles``.
     """
 
     def __init__(self, slope: float, most_cycles: float, noise_cycles: float) -> None:
@@ -46,10 +43,8 @@ class SpeedSearch:
         self._low, self._high = -math.inf, math.inf
 
     def feed(self, time: float, ahead_cycles: float, moved_cycles: float) -> int | None:
-        """The number, None as long as it is not certain.
-
-        ``time`` in intervals; ``moved_cycles`` is the displacement by the absolute sensor since any instant,
-        ``ahead_cycles`` that less the counted one.
+        """The number, None as long as it is not certain. ``time`` in intervals; ``moved_cycles`` by the
+        sensor since any instant, ``ahead_cycles`` that less the counted one.
         """
         known = self._known
         if known and time > self._values[0, known - 1]:

@@ -1,12 +1,9 @@
 """The zero pulse, once per revolution at the same place: it shows a wrong cycle count, and sets it right.
 
-One pulse may be false. So nothing depends on a single one: two of them, whole revolutions apart,
-say where the pulse is, and two agree on how many cycles the count is wrong.
-
-A pulse is about a cycle wide, and an edge is latched where the machine enters it: forwards at one end,
-backwards at the other. So each direction has a place of its own, which only pulses of that direction tell
-and which only they are held against. A pulse of a direction whose place is not known agrees with a place of
-the other one up to :data:`WIDEST_CYCLES`; it says no more than that.
+One pulse may be false: two, whole revolutions apart, say where it is, and two agree on how wrong the count
+is. A pulse is about a cycle wide, and its edge is latched where the machine enters it: each direction has a
+place of its own. A pulse of a direction whose place is not known only agrees with one of the other up to
+WIDEST_CYCLES.
 """
 
 from __future__ import annotations
@@ -100,11 +97,7 @@ class ZeroPulse:
         return not self._places or here.forwards in self._places
 
     def error_cycles(self, here: Edge) -> int:
-        """How many cycles the count is too high at this pulse: 0 if all is well.
-
-        Less than half a cycle is not an error; of a direction whose place is not known, less than the widest
-        pulse and half a cycle.
-        """
+        """How many cycles the count is too high at this pulse: 0 if all is well, or that is not known."""
         if here.forwards in self._places:
             return self._away(self._places[here.forwards], here)
         away = [self._away(place, here) for place in self._places.values()]
