@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from canfb.master.access import ModuleObjects
+from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import Guard
 from canfb.module.device_configuration import read_configuration, restored_configuration
 from canfb.sdo.backup_file import Backup
@@ -12,7 +12,7 @@ from commissioning_kit import MODULE_ID, Bench
 
 def restore_from(kept: Backup, bench: Bench) -> Restored:
     """The account of a restore that has succeeded."""
-    read = lambda: read_configuration(ModuleObjects(bench.master, MODULE_ID))  # noqa: E731
+    read = lambda: read_configuration(NodeAccess(bench.master, MODULE_ID, "module"))  # noqa: E731
     return Restoring(bench.access, read, Guard()).restore(
         kept,
         lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),

@@ -50,7 +50,7 @@ ALLOWED: dict[str, set[str]] = {
     # What all tools share that are the master of a bus: objects by SDO, samples, changes that are undone.
     "master": {"signal", "calibration", "sources", "view"} | WORDS,
     # Objects by name, correction tables, backups.
-    "sdo": {"marked_yaml", "signal", "calibration", "device", "master"} | WORDS,
+    "sdo": {"marked_yaml", "signal", "calibration", "device", "view", "master"} | WORDS,
     "diagnosis": {"signal", "view", "master", "sdo"} | WORDS - {"checks"},
     "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "sdo"} | WORDS,
     "commission": {"signal", "calibration", "report", "view", "master", "calibrate"} | WORDS,
@@ -77,8 +77,6 @@ ALLOWED: dict[str, set[str]] = {
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "hosting"} | WORDS,
     "__main__": {"cli"},
 }  # fmt: skip
-# Only for the type checker, never at run time.
-TYPES_ONLY = {("errors", "calibration")}
 
 # What runs a source must not care which: a new kind is one file in sources/. The machine of the simulation
 # is a source, and a recording is what calibrate and simulate play.
@@ -181,16 +179,13 @@ def test_every_part_has_its_rule_and_every_rule_its_part() -> None:
 def test_the_walk_sees_the_imports_that_are_there() -> None:
     seen = {(part_of(one.file), one.part) for one in IMPORTS if one.package == "canfb"}
     assert {("module", "signal"), ("module", "device"), ("cli", "bus"), ("__main__", "cli")} <= seen
-    assert ("errors", "calibration") in {(part_of(one.file), one.part) for one in IMPORTS if one.types_only}
 
 
 def test_imports_point_one_way() -> None:
     wrong = [
         str(one)
         for one in IMPORTS
-        if one.package == "canfb"
-        and one.part not in ALLOWED[part_of(one.file)] | {part_of(one.file)}
-        and not (one.types_only and (part_of(one.file), one.part) in TYPES_ONLY)
+        if one.package == "canfb" and one.part not in ALLOWED[part_of(one.file)] | {part_of(one.file)}
     ]
     assert wrong == []
 
@@ -226,9 +221,7 @@ def test_no_file_imports_itself_round_about() -> None:
 
 
 def _counts(one: Import) -> bool:
-    return not (
-        one.types_only and (part_of(one.file) == "__init__" or (part_of(one.file), one.part) in TYPES_ONLY)
-    )
+    return not (one.types_only and part_of(one.file) == "__init__")
 
 
 def _name(file: Path) -> str:

@@ -11,11 +11,7 @@ CanfbError
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from canfb.calibration.result import Calibration
-
+from typing import Any
 
 LONGEST_REASON = 300
 """Characters: the messages of others quote what they were given, of any length."""
@@ -33,7 +29,7 @@ class CalibrationError(CanfbError):
                   only, if there is one; else None
     """
 
-    def __init__(self, message: str, reason: str, calibration: Calibration | None = None) -> None:
+    def __init__(self, message: str, reason: str, calibration: Any = None) -> None:
         super().__init__(message)
         self.reason = reason
         self.calibration = calibration

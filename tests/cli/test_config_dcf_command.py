@@ -20,7 +20,7 @@ from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.hosting.hosting import saved_configuration
 from canfb.hosting.state_files import StateFiles
-from canfb.master.access import ModuleObjects
+from canfb.master.access import NodeAccess
 from canfb.module.device_configuration import configuration_of, read_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
@@ -227,7 +227,7 @@ def test_what_a_master_in_the_order_of_the_indices_cannot_write_is_told(
 def test_a_live_module_is_read_by_sdo() -> None:
     peer = Peer(ModuleConfig(node_id=5, adc_bits=14, serial_number=4711, conditioning=Conditioning(1.5)))
     peer.activate(TABLE)
-    read = read_configuration(ModuleObjects(peer, 5))  # type: ignore[arg-type]
+    read = read_configuration(NodeAccess(peer, 5, "node"))  # type: ignore[arg-type]
     assert read.values() == configuration_of(peer.module).values()
     assert read.writes() == configuration_of(peer.module).writes()
     assert (read.node_id, read.serial_number, read.table) == (5, 4711, TABLE.to_bytes())
@@ -239,11 +239,11 @@ def test_a_node_that_is_none_of_ours() -> None:
     with pytest.raises(
         CanfbError, match=r"node 5 \(05h\) is not a feedback module of canfb: 1000:00 is 40191h"
     ):
-        read_configuration(ModuleObjects(peer, 5))  # type: ignore[arg-type]
+        read_configuration(NodeAccess(peer, 5, "node"))  # type: ignore[arg-type]
 
 
 def test_a_module_of_another_version() -> None:
     peer = Peer(ModuleConfig(node_id=5))
     del peer.module.dictionary._entries[0x2010, 4]
-    with pytest.raises(CanfbError, match=r"2010:04 is refused: .* another version of canfb"):
-        read_configuration(ModuleObjects(peer, 5))  # type: ignore[arg-type]
+    with pytest.raises(CanfbError, match=r"2010:04 is refused: .*does not exist"):
+        read_configuration(NodeAccess(peer, 5, "node"))  # type: ignore[arg-type]

@@ -43,11 +43,6 @@ def test_not_before_the_start(silent: Bench) -> None:
     assert guard(silent) == []
 
 
-@pytest.mark.parametrize("data", [b"", b"\x00", bytes(8)])
-def test_what_the_remote_frame_holds_is_not_looked_at(bench: Bench, data: bytes) -> None:
-    assert bench.send(GUARD, data, rtr=True) == ["720#7F"]
-
-
 def test_a_data_frame_is_not_answered(bench: Bench) -> None:
     """It is the boot-up of another node with this node-ID, and shows nothing of the own state."""
     assert not [text for text in bench.send(GUARD, "00") if text.startswith("720#")]
@@ -83,19 +78,6 @@ def test_a_silent_master(bench: Bench) -> None:
     assert guard(bench) == ["720#FF", GOOD]
     assert bench.read(0x1001) == 0
     assert bench.run(10.0) == [(pytest.approx(10.3), LOST)]
-
-
-@pytest.mark.parametrize(
-    ("behaviour", "state"),
-    [(0, NmtState.PRE_OPERATIONAL), (1, NmtState.OPERATIONAL), (2, NmtState.STOPPED)],
-)
-def test_the_reaction_of_1029(bench: Bench, behaviour: int, state: NmtState) -> None:
-    bench.write(0x1029, 1, behaviour, 1)
-    set_up(bench)
-    bench.operational()
-    guard(bench)
-    assert [text for _, text in bench.run(1.0)] == [LOST]
-    assert bench.node.state is state
 
 
 def test_a_stopped_node_tells_later(bench: Bench) -> None:

@@ -11,14 +11,6 @@ def watch(node_id: int, milliseconds: int) -> int:
     return node_id << 16 | milliseconds
 
 
-def test_the_producer_shows_the_state(bench: Bench) -> None:
-    bench.write(0x1017, 0, 100, 2)
-    bench.run(0.0)
-    for command, beat in ((1, "720#05"), (2, "720#04"), (128, "720#7F")):
-        bench.nmt(command)
-        assert [text for _, text in bench.run(0.1)] == [beat]
-
-
 def test_a_stored_period_starts_with_the_boot_up(silent: Bench) -> None:
     silent.dictionary.entry(0x1017).default = 200
     silent.dictionary.entry(0x1017).value = 200

@@ -134,6 +134,8 @@ LOST = LostPosition(
     acceleration_rad_s2=0.25,
     coast_samples=8,
     residual_limit_cycles=1 / 3,
+    limit_now_cycles=1 / 3,
+    needed_cycles=0.05,
     coarse=False,
     zero_pulse=False,
     second=False,
@@ -148,6 +150,22 @@ def test_the_longest_gap_is_that_of_the_page_on_missed_samples() -> None:
         assert replace(LOST, acceleration_rad_s2=0.999 * rad_s2).longest_gap() == missed
         assert replace(LOST, acceleration_rad_s2=1.01 * rad_s2).longest_gap() == missed - 1
     assert replace(LOST, acceleration_rad_s2=0.0).longest_gap() is None
+
+
+@each("back", [True, False])
+def test_a_limit_that_was_too_narrow_is_named_also_after_it_was_set_back(canfb: Commands, back: bool) -> None:
+    bench = turning()
+    out = canfb(bench, "sdo", "write", NODE, "residual limit", "0.0001 cycle")[0]
+    assert out == (
+        "2010:01 Supervision: Residual limit: 21845 (0.333328 cycle) -> 7 (0.000106812 cycle)\n"
+        "the position is lost by it: canfb why 0x20 says what brings it back\n"
+    )
+    if back:
+        canfb(bench, "sdo", "write", NODE, "residual limit", "21845", "--raw")
+    out = canfb(bench, "why", NODE)[0]
+    assert "; limit 0.000107 cycle\n" in out
+    named = "the residual limit was 0.000107 cycle and is 0.333 cycle now: 2010:01 was written since"
+    assert (named if back else "2010:01 is 0.000107 cycle, and the declared") in out
 
 
 def test_2010_03_counts_intervals_of_sync() -> None:

@@ -349,7 +349,7 @@ def test_a_node_that_is_not_there_or_another_device(canfb: Commands, file: Path)
     _, err = canfb(bench, "restore", file, "--node", 99, code=1)
     assert "module 99 (63h): reading 1018:01: no answer" in err
     _, err = canfb(bench, "backup", "0x10", file, code=1)
-    assert "node 16 (10h) is not a feedback module of canfb" in err
+    assert "module 16 (10h) is not a feedback module of canfb" in err
     assert "2010:03" in file.read_text(), "what was there before"
 
 

@@ -99,7 +99,10 @@ def test_bits_and_states_in_words(canfb: Commands) -> None:
 
 WRITES = [
     ("samples to coast", "0x10", b"\x10"),
-    ("largest acceleration", "12.5", b"\x00\x00\x48\x41"),
+    ("largest acceleration", "12.5 rad/s^2", b"\x00\x00\x48\x41"),
+    ("residual limit", "0.25", b"\x00\x40"),
+    ("residual limit", "0.25cycle", b"\x00\x40"),
+    ("inhibit time emcy", "5 x 100 us", b"\x05\x00"),
     ("2002:01", "-3.25", b"\x00\x00\x50\xc0"),
     ("cam 1 low", "-77", b"\xb3\xff\xff\xff"),
     ("1017", "500", b"\xf4\x01"),
@@ -173,6 +176,11 @@ WRONG = [
         "2010:03 Supervision: Samples to coast must be a whole number 0..255, not 300",
     ),
     (("write", "2010:06", "1"), "must be a whole number 2..255, not 1"),
+    (("write", "2010:01", "7"), "Supervision: Residual limit must be a whole number 1..32768, not 458752"),
+    (
+        ("write", "2010:01", "7 rad"),
+        "must be a number of cycle, not '7 rad' (1/65536 cycle with --raw)",
+    ),
     (("write", "2010:03", "x"), "Samples to coast must be a whole number, not 'x'"),
     (("write", "2010:02", "1e99"), "1e+99 is beyond what a REAL32 holds"),
     (("write", "2030:01", "begin"), "or one of the words start, stop, accept, check, finish"),

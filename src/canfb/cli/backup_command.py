@@ -12,7 +12,7 @@ from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command, node_number
 from canfb.eds_files import eds_path
-from canfb.master.access import Master, ModuleObjects, NodeAccess
+from canfb.master.access import Master, NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
 from canfb.module.device_configuration import (
     OF_THE_MACHINE,
@@ -63,20 +63,20 @@ def backup(options: argparse.Namespace) -> int:
 
 def backup_of(master: Master, node_id: int, date: str) -> Backup:
     """Parameters and table of a module. Raises CanfbError if it cannot be read or is not a module."""
-    objects, module = ModuleObjects(master, node_id), NodeAccess(master, node_id, "module")
-    configuration = read_configuration(objects)
+    module = NodeAccess(master, node_id, "module")
+    configuration = read_configuration(module)
     template = ObjectDescriptions(eds_path(EDS), node_id)
     machine: dict[tuple[int, int], Any] = {}
     for place in OF_THE_MACHINE:
         entry = template.find(*place)
         if entry is not None:
-            machine[entry.place] = entry.decode(objects.data(*place))
+            machine[entry.place] = entry.decode(module.upload_domain(*place))
     return Backup(
         node_id,
         NodeIdentity(*(module.integer(*place, "I") for place in od.IDENTITY)),
         date,
         version("canfb"),
-        objects.data(0x1008, 0).decode("latin-1"),
+        module.upload_domain(0x1008, 0).decode("latin-1"),
         backup_values(configuration),
         configuration.table,
         machine,
@@ -89,9 +89,8 @@ def restore(options: argparse.Namespace) -> int:
     node = options.node or kept.node_id
     wishes = RestoreOptions(options.save, options.force, options.preop, options.dry_run)
     with node_options.guarded() as guard, node_options.master_of(options) as master:
-        restoring = Restoring(
-            NodeAccess(master, node, "module"), lambda: read_configuration(ModuleObjects(master, node)), guard
-        )
+        module = NodeAccess(master, node, "module")
+        restoring = Restoring(module, lambda: read_configuration(module), guard)
         done = restoring.restore(
             kept,
             lambda before: restored_configuration(kept.values, before, kept.table, kept.node_id, node),

@@ -26,7 +26,7 @@ from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.device.od.dcf import Reals
 from canfb.errors import ConfigError
 from canfb.hosting.hosting import check_machine, saved_configuration
-from canfb.master.access import ModuleObjects
+from canfb.master.access import NodeAccess
 from canfb.module.configuration_files import ConfigurationFiles, place_names
 from canfb.module.device_configuration import read_configuration
 from canfb.module.module_config import ModuleConfig
@@ -148,7 +148,7 @@ def write_dcf(options: argparse.Namespace) -> int:
         configuration = saved_configuration(_chosen(config, options))
     else:
         with BusMaster(open_bus(words), options.answer_within) as master:
-            configuration = read_configuration(ModuleObjects(master, options.node))
+            configuration = read_configuration(NodeAccess(master, options.node, "node"))
     inline, reals = options.table == INLINE, Reals(options.reals)
     files = ConfigurationFiles(
         configuration, options.out, options.concise, inline, reals, options.name, words

@@ -38,8 +38,10 @@ def register(commands: Commands) -> None:
         "value",
         metavar="VALUE",
         nargs="?",
-        help="12, 0x1F, -3.5, a text, bytes in hexadecimal, or a word (save, start)",
+        help="12, 0x1F, -3.5, a text, bytes in hexadecimal, or a word (save, start); in the unit that read "
+        'shows: 0.2 or "0.2 cycle"',
     )
+    part.add_argument("--raw", action="store_true", help="VALUE is the number of the object, in no unit")
     part.add_argument("--file", type=Path, metavar="FILE", help="the bytes of a file instead of a VALUE")
     _finish(part)
 
@@ -88,10 +90,5 @@ def write(options: argparse.Namespace) -> int:
         raise ConfigError("a VALUE or --file FILE is required, one of them")
     value = options.value if options.file is None else read_bytes(options.file, CommissioningError)
     with node_options.master_of(options) as master:
-        before, now, written = _tasks(master, options).write(options.object, value)
-    if before is None or now is None:
-        line = f"{written.line()}, written"
-    else:
-        line = f"{written.entry.number} {written.entry.title}: {before.text()} -> {now.text()}"
-    figures = {"before": before and before.figures(), "now": now and now.figures()}
-    return node_options.say_result(options, Result(figures | {"written": written.figures()}, [line]))
+        written = _tasks(master, options).write(options.object, value, raw=options.raw)
+    return node_options.say_result(options, Result(written.figures(), written.lines()))

@@ -13,10 +13,7 @@ Groups = list[ParameterGroup]
 
 
 class Expiry(Protocol):
-    """Until when the process data that the program has put into the dictionary holds.
-
-    `until` is seconds, infinite for no end. The program moves it on; the node looks at it with every call.
-    """
+    """Until when, seconds, the process data that the program has put into the dictionary holds."""
 
     until: float
 
@@ -57,13 +54,10 @@ class ProcessData:
 
 
 class Application(ProcessData):
-    """The program behind a :class:`canfb.device.node.Node`, which is given it once, at construction.
+    """The program behind a :class:`canfb.device.node.Node`: a subclass overrides what it needs.
 
-    A subclass overrides what it needs; the rest does nothing. The methods may write entries and call
-    `trigger_tpdo`, `emergency` and `clear_emergency` of the node, but not `receive` or `tick`. What
-    they raise comes out of the call: it is a mistake in the program. Times are seconds, monotonic.
-
-    It is its own `ProcessData`, unless the program names another object as `Node.process`.
+    The methods may write entries and call `trigger_tpdo`, `emergency` and `clear_emergency` of the node, but
+    not `receive` or `tick`. What they raise comes out of the call. Times are seconds, monotonic.
     """
 
     def expired(self, now: float) -> None:

@@ -11,120 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from enum import IntEnum
-from typing import NamedTuple
 
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.core import Core
-from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.image import ParameterGroup, Record
 from canfb.device.storage.storage import Storage
-
-Address = tuple[int, int, int, int]
-"""Vendor-ID, product code, revision number, serial number: the LSS address."""
-
-SELECT = range(0x40, 0x44)
-"""Switch state selective: one frame for each part of the address."""
-IDENTIFY = range(0x46, 0x4C)
-"""Identify remote slave: vendor-ID, product code, lowest and highest revision, and serial number."""
-IDENTIFY_NON_CONFIGURED = 0x4C
-FASTSCAN = 0x51
-
-_CONFIRM = 128  # of the fastscan: is there any device without a node-ID?
-_PARTS = 4
-
-
-class LssResponse(IntEnum):
-    """Command specifiers of the slave's answers."""
-
-    SELECTED = 0x44
-    IDENTIFIED = 0x4F
-    NON_CONFIGURED = 0x50
-
-
-class LssReply(NamedTuple):
-    """What to send, and whether the slave is selected by it: it goes to the configuration state."""
-
-    command: LssResponse
-    selected: bool = False
-
-
-class Identification:
-    """The services that look for devices. What they ask over several frames is kept between them."""
-
-    def __init__(self, dictionary: Dictionary) -> None:
-        self._entries = [dictionary.assumed(0x1018, subindex) for subindex in range(1, _PARTS + 1)]
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget what was asked so far."""
-        self._selection: list[int] = []
-        self._range: list[int] = []
-        self._scanned = 0  # the part of the address that the fastscan is at
-
-    @property
-    def address(self) -> Address:
-        """The LSS address of the device; parts that 1018h does not have are 0."""
-        vendor, product, revision, serial = (int(entry.value) for entry in self._entries)
-        return vendor, product, revision, serial
-
-    def handle(self, data: bytes, *, unconfigured: bool, waiting: bool) -> LssReply | None:
-        """A frame of 8 bytes; what to answer, if anything.
-
-        `unconfigured`: the device has no node-ID. `waiting`: it is in the waiting state.
-        """
-        command, number = data[0], int.from_bytes(data[1:5], "little")
-        if command in SELECT:
-            return self._select(command - SELECT.start, number) if waiting else None
-        if command in IDENTIFY:
-            return self._identify(command - IDENTIFY.start, number)
-        if command == IDENTIFY_NON_CONFIGURED:
-            return LssReply(LssResponse.NON_CONFIGURED) if unconfigured else None
-        if command == FASTSCAN and unconfigured and waiting:
-            return self._fastscan(number, *data[5:8])
-        return None
-
-    def _select(self, part: int, number: int) -> LssReply | None:
-        self._selection = _collected(self._selection, part, number)
-        if tuple(self._selection) != self.address:
-            return None
-        self._selection = []
-        return LssReply(LssResponse.SELECTED, selected=True)
-
-    def _identify(self, part: int, number: int) -> LssReply | None:
-        self._range = _collected(self._range, part, number)
-        if len(self._range) < len(IDENTIFY):
-            return None
-        vendor, product, revision_low, revision_high, serial_low, serial_high = self._range
-        self._range = []
-        own_vendor, own_product, revision, serial = self.address
-        found = (
-            (vendor, product) == (own_vendor, own_product)
-            and revision_low <= revision <= revision_high
-            and serial_low <= serial <= serial_high
-        )
-        return LssReply(LssResponse.IDENTIFIED) if found else None
-
-    def _fastscan(self, number: int, bit: int, part: int, following: int) -> LssReply | None:
-        """Compare the part down to `bit`; the master goes on with the part `following`."""
-        if bit == _CONFIRM:
-            self._scanned = 0
-            return LssReply(LssResponse.IDENTIFIED)
-        if bit > 31 or part >= _PARTS or following >= _PARTS or part != self._scanned:
-            return None
-        if (number ^ self.address[part]) >> bit:
-            return None
-        self._scanned = following
-        complete = bit == 0 and following < part
-        return LssReply(LssResponse.IDENTIFIED, selected=complete)
-
-
-def _collected(parts: list[int], part: int, number: int) -> list[int]:
-    """The parts so far and this one, if it is their next; the first one restarts."""
-    if part == 0:
-        return [number]
-    return [*parts, number] if len(parts) == part else []
-
 
 REQUEST_ID, RESPONSE_ID = 0x7E5, 0x7E4
 UNCONFIGURED = 255
@@ -133,6 +25,16 @@ UNCONFIGURED = 255
 BIT_RATES_KBIT_S = {0: 1000, 1: 800, 2: 500, 3: 250, 4: 125, 6: 50, 7: 20, 8: 10}
 """The standard table of bit timings; 5 is reserved."""
 
+SELECT = range(0x40, 0x44)
+"""Switch state selective: one frame for each part of the address."""
+IDENTIFY = range(0x46, 0x4C)
+"""Identify remote slave: vendor-ID, product code, lowest and highest revision, and serial number."""
+IDENTIFY_NON_CONFIGURED, FASTSCAN = 0x4C, 0x51
+SELECTED, IDENTIFIED, NON_CONFIGURED = 0x44, 0x4F, 0x50
+"""Answers to these."""
+
+_CONFIRM = 128  # of the fastscan: is there any device without a node-ID?
+_PARTS = range(4)
 _LENGTH = 8
 _NODE_ID_RECORD, _BIT_RATE_RECORD = (0, 1), (0, 2)
 _NO_BIT_RATE = 0xFF
@@ -158,16 +60,6 @@ class LssCommand(IntEnum):
     INQUIRE_NODE_ID = 0x5E
 
 
-CHANGES = frozenset(
-    {
-        LssCommand.CONFIGURE_NODE_ID,
-        LssCommand.CONFIGURE_BIT_TIMING,
-        LssCommand.ACTIVATE_BIT_TIMING,
-        LssCommand.STORE_CONFIGURATION,
-    }
-)
-
-
 class Error(IntEnum):
     """What a service answers; 1 is its own kind of refusal."""
 
@@ -181,6 +73,13 @@ def is_node_id(value: int) -> bool:
     return 1 <= value <= 127 or value == UNCONFIGURED
 
 
+def _collected(parts: list[int], part: int, number: int) -> list[int]:
+    """The parts so far and this one, if it is their next; the first one restarts."""
+    if part == 0:
+        return [number]
+    return [*parts, number] if len(parts) == part else []
+
+
 class LssSlave:
     """Answers the LSS master, in every NMT state.
 
@@ -190,22 +89,25 @@ class LssSlave:
     """
 
     def __init__(self, core: Core, storage: Storage, bit_rates_kbit_s: Collection[int]) -> None:
-        self.state = LssState.WAITING
         self.pending_node_id = self._own_node_id = core.node_id
         self.bit_rate_kbit_s: int | None = None
         """The bit rate that was configured or stored, None for none."""
         self._core = core
         self._storage = storage
         self._bit_rates_kbit_s = frozenset(bit_rates_kbit_s)
-        self._identification = Identification(core.dictionary)
+        self._identity = [core.dictionary.assumed(0x1018, part + 1) for part in _PARTS]
         self._services: dict[int, Callable[[bytes], None]] = {
             LssCommand.CONFIGURE_NODE_ID: self._configure_node_id,
             LssCommand.CONFIGURE_BIT_TIMING: self._configure_bit_timing,
             LssCommand.ACTIVATE_BIT_TIMING: self._activate_bit_timing,
             LssCommand.STORE_CONFIGURATION: self._store,
-            LssCommand.INQUIRE_NODE_ID: self._inquire_node_id,
-            **{LssCommand.INQUIRE_IDENTITY + part: self._inquire_identity for part in range(4)},
         }
+        self.reset()
+
+    @property
+    def address(self) -> list[int]:
+        """The LSS address of the device; parts that 1018h does not have are 0."""
+        return [int(entry.value) for entry in self._identity]
 
     def power_on(self) -> None:
         """Take what is stored, or else the node-ID that the program gave."""
@@ -223,36 +125,40 @@ class LssSlave:
         self.bit_rate_kbit_s = BIT_RATES_KBIT_S.get(timing)
 
     def reset(self) -> None:
-        """The state after an NMT reset."""
+        """The state after an NMT reset; what was asked so far is forgotten."""
         self.state = LssState.WAITING
-        self._identification.reset()
+        self._selection: list[int] = []
+        self._range: list[int] = []
+        self._scanned = 0  # the part of the address that the fastscan is at
 
     def handle(self, data: bytes, now: float) -> None:
         """A frame of the master; one that is not 8 bytes long is dropped."""
+        configuring = self.state is LssState.CONFIGURATION
         if len(data) != _LENGTH:
             self._core.counters.malformed_frames += 1
         elif data[0] == LssCommand.SWITCH_STATE_GLOBAL:
             self._switch_state(data[1], now)
         elif data[0] in self._services:
-            if self.state is LssState.CONFIGURATION:
-                self._serve(data)
+            if configuring:
+                self._change(data)
+        elif data[0] - LssCommand.INQUIRE_IDENTITY in _PARTS:
+            if configuring:
+                self._answer(data[0], *self.address[data[0] - 0x5A].to_bytes(4, "little"))
+        elif data[0] == LssCommand.INQUIRE_NODE_ID:
+            if configuring:
+                self._answer(data[0], self._core.node_id)
         else:
-            self._identify(data)
+            self._identify(data[0], int.from_bytes(data[1:5], "little"), data)
 
-    def _serve(self, data: bytes) -> None:
-        """A service in CONFIGURATION; one that changes something is refused while the node is locked."""
-        if data[0] in CHANGES and self._is_locked():
-            if data[0] != LssCommand.ACTIVATE_BIT_TIMING:  # which has no answer
-                self._answer(bytes([data[0], Error.NOT_POSSIBLE]))
-            return
-        self._services[data[0]](data)
-
-    def _is_locked(self) -> bool:
+    def _change(self, data: bytes) -> None:
+        """A service that changes something; it is refused while the node is locked."""
         try:
             self._core.application.check_write(None)
         except SdoAbort:
-            return True
-        return False
+            if data[0] != LssCommand.ACTIVATE_BIT_TIMING:  # which has no answer
+                self._answer(data[0], Error.NOT_POSSIBLE)
+        else:
+            self._services[data[0]](data)
 
     def _switch_state(self, mode: int, now: float) -> None:
         if mode == LssState.CONFIGURATION:
@@ -261,24 +167,56 @@ class LssSlave:
             self.state = LssState.WAITING
             self._core.reactions.lss_left(now)
 
-    def _identify(self, data: bytes) -> None:
+    def _identify(self, command: int, number: int, data: bytes) -> None:
+        """The services that look for devices; what they ask over several frames is kept between them."""
         unconfigured = self._core.node_id == self.pending_node_id == UNCONFIGURED
         waiting = self.state is LssState.WAITING
-        answer = self._identification.handle(data, unconfigured=unconfigured, waiting=waiting)
-        if answer is None:
-            return
-        if answer.selected:
-            self.state = LssState.CONFIGURATION
-        self._answer(bytes([answer.command]))
+        if command in SELECT and waiting:
+            self._selection = _collected(self._selection, command - SELECT.start, number)
+            if self._selection == self.address:
+                self._answer(SELECTED)
+                self.state = LssState.CONFIGURATION
+        elif command in IDENTIFY:
+            self._range = _collected(self._range, command - IDENTIFY.start, number)
+            if self._is_in_range():
+                self._answer(IDENTIFIED)
+        elif command == IDENTIFY_NON_CONFIGURED and unconfigured:
+            self._answer(NON_CONFIGURED)
+        elif command == FASTSCAN and unconfigured and waiting:
+            self._fastscan(number, *data[5:8])
 
-    def _answer(self, data: bytes) -> None:
-        self._core.emit(Frame(RESPONSE_ID, data.ljust(_LENGTH, b"\x00")))
+    def _is_in_range(self) -> bool:
+        if len(self._range) < len(IDENTIFY):
+            return False
+        vendor, product, low, high, serial_low, serial_high = self._range
+        own_vendor, own_product, revision, serial = self.address
+        same = (vendor, product) == (own_vendor, own_product)
+        return same and low <= revision <= high and serial_low <= serial <= serial_high
+
+    def _fastscan(self, number: int, bit: int, part: int, following: int) -> None:
+        """Compare the part down to `bit`; the master goes on with the part `following`."""
+        if bit == _CONFIRM:
+            self._scanned = 0
+            self._answer(IDENTIFIED)
+        elif (
+            bit < 32
+            and part == self._scanned
+            and following in _PARTS
+            and not (number ^ self.address[part]) >> bit
+        ):
+            self._scanned = following
+            self._answer(IDENTIFIED)
+            if bit == 0 and following < part:
+                self.state = LssState.CONFIGURATION
+
+    def _answer(self, *data: int) -> None:
+        self._core.emit(Frame(RESPONSE_ID, bytes(data).ljust(_LENGTH, b"\x00")))
 
     def _configure_node_id(self, data: bytes) -> None:
         good = is_node_id(data[1])
         if good:
             self.pending_node_id = data[1]
-        self._answer(bytes([data[0], Error.NONE if good else Error.NOT_POSSIBLE]))
+        self._answer(data[0], Error.NONE if good else Error.NOT_POSSIBLE)
 
     def _configure_bit_timing(self, data: bytes) -> None:
         table, index = data[1:3]
@@ -286,34 +224,25 @@ class LssSlave:
         good = table == 0 and kbit_s in self._bit_rates_kbit_s
         if good:
             self.bit_rate_kbit_s = kbit_s
-        self._answer(bytes([data[0], Error.NONE if good else Error.NOT_POSSIBLE]))
+        self._answer(data[0], Error.NONE if good else Error.NOT_POSSIBLE)
 
     def _activate_bit_timing(self, data: bytes) -> None:
-        """There is no answer. Nothing happens without a bit rate that was configured and is possible."""
         if self.bit_rate_kbit_s is not None and self.bit_rate_kbit_s in self._bit_rates_kbit_s:
             delay_s = int.from_bytes(data[1:3], "little") / 1000
             self._core.reactions.bit_rate_activated(self.bit_rate_kbit_s, delay_s)
 
     def _store(self, data: bytes) -> None:
-        timing = next(
-            (index for index, rate in BIT_RATES_KBIT_S.items() if rate == self.bit_rate_kbit_s), _NO_BIT_RATE
-        )
+        rates = {rate: index for index, rate in BIT_RATES_KBIT_S.items()}
+        timing = rates.get(self.bit_rate_kbit_s or 0, _NO_BIT_RATE)
         records = [
             Record(*_NODE_ID_RECORD, False, bytes([self.pending_node_id])),
             Record(*_BIT_RATE_RECORD, False, bytes([timing])),
         ]
-        if not self._storage.is_there:
-            self._answer(bytes([data[0], Error.NOT_POSSIBLE]))
-            return
 
         def done(error: OSError | None) -> None:
-            self._answer(bytes([data[0], Error.NONE if error is None else Error.STORE_FAILED]))
+            self._answer(data[0], Error.NONE if error is None else Error.STORE_FAILED)
 
-        self._storage.save_records(ParameterGroup.LSS, records, done)
-
-    def _inquire_node_id(self, data: bytes) -> None:
-        self._answer(bytes([data[0], self._core.node_id]))
-
-    def _inquire_identity(self, data: bytes) -> None:
-        number = self._identification.address[data[0] - LssCommand.INQUIRE_IDENTITY]
-        self._answer(bytes([data[0]]) + number.to_bytes(4, "little"))
+        if self._storage.is_there:
+            self._storage.save_records(ParameterGroup.LSS, records, done)
+        else:
+            self._answer(data[0], Error.NOT_POSSIBLE)

@@ -110,7 +110,6 @@ class Sync(Timed):
     def __init__(self, core: Core, pdos: Pdos) -> None:
         dictionary = core.dictionary
         self.deadline = NEVER
-        self.can_id = cob.SYNC
         self._core = core
         self._emit = core.emit
         self._counters = core.counters
@@ -121,8 +120,6 @@ class Sync(Timed):
         self._window = dictionary.assumed(0x1007)
         self._overflow = dictionary.assumed(0x1019)
         self._enabled = False
-        self._generates = False
-        self._length = 0
         self._length_error = False
         core.window_s, core.window_end = 0.0, NEVER
         self._counter = 0

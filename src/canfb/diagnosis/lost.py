@@ -24,6 +24,7 @@ MISSED = StatusBit.MISSED
 BAD_SIGNAL = StatusBit.AMPLITUDE | StatusBit.CLIPPED
 MOTION = (LossCause.CONTRADICTED, LossCause.JUMP, LossCause.UNDECIDED)
 MOST_MISSED = 255
+SAME = 0.9  # a limit of now is that of then: measured noise narrows it a little (2010:09)
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,8 @@ class LostPosition:
     acceleration_rad_s2     2010:02, 0: not declared
     coast_samples           2010:03
     residual_limit_cycles   2010:01
+    limit_now_cycles        what is in force of it
+    needed_cycles           what it must be for good samples
     coarse, zero_pulse, second, timed   which parts of a sample its RPDOs bring
     samples_per_sync        pairs that its RPDOs bring
     """
@@ -67,6 +70,8 @@ class LostPosition:
     acceleration_rad_s2: float
     coast_samples: int
     residual_limit_cycles: float
+    limit_now_cycles: float
+    needed_cycles: float
     coarse: bool
     zero_pulse: bool
     second: bool
@@ -157,9 +162,9 @@ class LostPosition:
         elif loss.faults:
             facts.append(f"faults since the last valid position: {', '.join(od.fault_words(loss.faults))}")
         compared = (
-            "nothing to compare" if loss.residual_cycles >= 0.5 else f"{loss.residual_cycles:.3f} cycle"
+            "nothing to compare" if loss.residual_cycles >= 0.5 else f"{loss.residual_cycles:.3g} cycle"
         )
-        facts.append(f"residual then: {compared}; limit {loss.limit_cycles:.3f} cycle")
+        facts.append(f"residual then: {compared}; limit {loss.limit_cycles:.3g} cycle")
         facts.append(f"speed then: {self._speed_words(loss.speed_cycles)}")
         facts.append(
             f"since the start: {_times(self.losses, 'loss', 'losses')}, {self.missed} missed samples, "
@@ -205,8 +210,10 @@ class LostPosition:
             yield from self._declared()
         if loss.faults & BAD_SIGNAL:
             yield "a signal within 2001:03 to 2001:04: watch it with canfb monitor, check the wiring"
+        if cause in MOTION or loss.faults & StatusBit.RESIDUAL:
+            yield from self._narrow(loss)
         if cause in MOTION:
-            yield from self._gentler(loss)
+            yield from self._gentler()
         if cause is LossCause.TIME:
             if self.timed:
                 yield "a clock of the encoder interface that is not restarted while the module runs"
@@ -260,13 +267,26 @@ class LostPosition:
         largest = cycles_per_interval_squared(self.acceleration_rad_s2, n, interval_s)
         return kept_samples(largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
 
-    def _gentler(self, loss: Loss) -> Iterator[str]:
-        if self.acceleration_rad_s2 and loss.limit_cycles < self.residual_limit_cycles:
+    def _narrow(self, loss: Loss) -> Iterator[str]:
+        """A residual limit that was too narrow, by the object that made it so."""
+        then, now = f"{loss.limit_cycles:.3g} cycle", f"{self.limit_now_cycles:.3g} cycle"
+        if loss.limit_cycles < SAME * self.limit_now_cycles:
+            yield (
+                f"the residual limit was {then} and is {now} now: 2010:01 was written since "
+                "(or 2010:02, 2010:0C, which narrow it); what it was then lost the position"
+            )
+        elif self.residual_limit_cycles < self.needed_cycles:
+            yield (
+                f"2010:01 is {self.residual_limit_cycles:.3g} cycle, and the declared acceleration (2010:02) "
+                f"and phase error (2010:0C) need {self.needed_cycles:.3g}"
+            )
+        elif loss.limit_cycles < self.residual_limit_cycles:
             yield (
                 f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s², which narrows the residual limit to "
-                f"{loss.limit_cycles:.3f} cycle: is it the largest acceleration, also in a jolt? "
-                "See canfb commission"
+                f"{then}: is it the largest acceleration, also in a jolt? See canfb commission"
             )
+
+    def _gentler(self) -> Iterator[str]:
         if self.sample_hz:
             largest = max_acceleration(self.cycles_per_revolution, self.sample_hz, self.residual_limit_cycles)
             yield (
@@ -294,14 +314,18 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
     limits = limit_settings(module.read_known)
     master.wait(max(0.0, began + RATE_S - master.now()))
     samples = module.integer(*od.FEEDBACK_SAMPLES, "I") - first & 0xFFFFFFFF
+    sample_hz = samples / (master.now() - began) if samples > 1 else 0.0
+    rates = settings["cycles_per_revolution"], sample_hz / limits.samples_per_sync
     return LostPosition(
         module.node_id,
         status,
         loss,
         keeps_cause,
-        sample_hz=samples / (master.now() - began) if samples > 1 else 0.0,
+        sample_hz=sample_hz,
         acceleration_rad_s2=limits.acceleration_rad_s2,
         residual_limit_cycles=limits.widest_cycles,
+        limit_now_cycles=limits.limit_cycles(*rates),
+        needed_cycles=limits.needed_cycles(*rates),
         coarse=od.SAMPLE_COARSE_SINE.mapped(16) in mapped and od.SAMPLE_COARSE_COSINE.mapped(16) in mapped,
         zero_pulse=od.SAMPLE_FLAGS.mapped(8) in mapped,
         second=od.SAMPLE_SECOND_POSITION.mapped(32) in mapped and tolerance > 0.0,

@@ -206,10 +206,10 @@ class Objects(Protocol):
     def name(self) -> str:
         """For messages."""
 
-    def number(self, index: int, subindex: int, layout: str) -> int | float:
+    def read(self, index: int, subindex: int, layout: str) -> int | float:
         """A number, ``layout`` as in struct."""
 
-    def data(self, index: int, subindex: int) -> bytes:
+    def upload_domain(self, index: int, subindex: int) -> bytes:
         """The bytes of any object."""
 
 
@@ -227,9 +227,9 @@ def read_configuration(objects: Objects) -> DeviceConfiguration:
             what = f"{place[0]:04X}:{place[1]:02X} is {found:X}h, not {entry.value:X}h"
             raise CanfbError(f"{objects.name} is not a feedback module of canfb: {what}")
     serial_number = int(_read(objects, dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)))
-    conditioning = objects.data(*od.TABLE_ACTIVE_CONDITIONING)
+    conditioning = objects.upload_domain(*od.TABLE_ACTIVE_CONDITIONING)
     table = _read_table(objects, dictionary)
-    if objects.data(*od.TABLE_ACTIVE_CONDITIONING) != conditioning:
+    if objects.upload_domain(*od.TABLE_ACTIVE_CONDITIONING) != conditioning:
         raise CanfbError(f"{objects.name}: {CHANGED}")
     if len(conditioning) != ACTIVE_CONDITIONING.size:
         raise CanfbError(f"{objects.name}: 2020:07 has {len(conditioning)} bytes: another version of canfb")
@@ -245,8 +245,8 @@ def read_configuration(objects: Objects) -> DeviceConfiguration:
 def _read(objects: Objects, entry: Entry) -> Any:
     letter = datatypes.FORMATS.get(entry.data_type)
     if letter is None:
-        return entry.decode(objects.data(entry.index, entry.subindex))
-    return objects.number(entry.index, entry.subindex, letter)
+        return entry.decode(objects.upload_domain(entry.index, entry.subindex))
+    return objects.read(entry.index, entry.subindex, letter)
 
 
 def _read_table(objects: Objects, dictionary: Dictionary) -> bytes:
@@ -254,7 +254,7 @@ def _read_table(objects: Objects, dictionary: Dictionary) -> bytes:
     crc32 = _read(objects, dictionary.entry(*od.TABLE_ACTIVE_CRC))
     if not crc32:
         return b""
-    table = objects.data(*od.TABLE_STAGED)
+    table = objects.upload_domain(*od.TABLE_STAGED)
     if zlib.crc32(table) != crc32:
         raise CanfbError(f"{objects.name}: {CHANGED}")
     return table

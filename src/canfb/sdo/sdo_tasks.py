@@ -17,10 +17,10 @@ from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, ErrorRegister
 from canfb.cia301.datatypes import DataType
 from canfb.errors import ConfigError
-from canfb.marked_yaml import read_bytes
 from canfb.master.access import CommissioningError, NodeAccess, RefusedError
 from canfb.master.all_or_nothing import SAVE_WITHIN_S
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, numbered
+from canfb.view.limits_in_force import limit_settings
 
 OCTETS = frozenset({DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.FIXED_BYTES})
 """Types whose values are bytes, written in hexadecimal."""
@@ -231,6 +231,8 @@ MOST_BYTES = 32
 _PART = re.compile(r"1/(\d+|2\^\d+) (\D.*)")
 _COMMUNICATION = range(0x1000, 0x2000)
 _SLOW = (0x1010, 0x1011)
+SUPERVISION = (0x2001, 0x2010)
+WATCH_S = 0.3  # some samples, also at 50 Hz
 
 
 @dataclass(frozen=True)
@@ -268,12 +270,10 @@ class Reading:
             shown = f"0x{value:08X}"
         if self.words:
             return f"{shown} ({self.words})"
-        part = _PART.fullmatch(entry.unit)
+        part = _part(entry.unit)
         if part is not None:
-            count = 2 ** int(part[1][2:]) if part[1].startswith("2^") else int(part[1])
-            return f"{shown} ({value / count:.6g} {part[2]})"
-        times = "x " if entry.unit[:1].isdigit() else ""
-        return f"{shown} {times}{entry.unit}".rstrip()
+            return f"{shown} ({value / part[0]:.6g} {part[1]})"
+        return f"{shown} {_times(entry.unit)}".rstrip()
 
     @property
     def _is_number_of_bits(self) -> bool:
@@ -304,6 +304,57 @@ class Reading:
         }
 
 
+def _part(unit: str) -> tuple[int, str] | None:
+    """65536 and "cycle" of the unit 1/65536 cycle; None for a whole unit."""
+    match = _PART.fullmatch(unit)
+    if match is None:
+        return None
+    return 2 ** int(match[1][2:]) if match[1].startswith("2^") else int(match[1]), match[2]
+
+
+def _times(unit: str) -> str:
+    """As it stands behind a number: 3 ms, 3 x 100 us."""
+    return f"x {unit}" if unit[:1].isdigit() else unit
+
+
+def raw_text(unit: str, text: str) -> str:
+    """A value in the unit that a reading shows, with or without it, as the number of the object.
+
+    0.2 and "0.2 cycle" are 13107 of 1/65536 cycle. ValueError for what is no such value.
+    """
+    part = _part(unit)
+    if part is None:
+        return text.removesuffix(_times(unit)).rstrip() if unit else text
+    try:
+        return str(round(float(text.removesuffix(part[1])) * part[0]))
+    except (ValueError, OverflowError):
+        raise ValueError(f"must be a number of {part[1]}, not {text!r}") from None
+
+
+@dataclass(frozen=True)
+class Written:
+    """A value that was written, what was before and is there now (None: it cannot be read), and a warning."""
+
+    before: Reading | None
+    now: Reading | None
+    value: Reading
+    warning: str = ""
+
+    def lines(self) -> list[str]:
+        """For people."""
+        line = f"{self.value.line()}, written"
+        if self.before is not None and self.now is not None:
+            entry = self.value.entry
+            line = f"{entry.number} {entry.title}: {self.before.text()} -> {self.now.text()}"
+        return [line, *([self.warning] if self.warning else [])]
+
+    def figures(self) -> dict[str, Any]:
+        """For programs."""
+        readings = {"before": self.before, "now": self.now, "written": self.value}
+        figures = {name: one and one.figures() for name, one in readings.items()}
+        return figures | {"warning": self.warning or None}
+
+
 class SdoTasks:
     """Reads and writes of one node, whose objects ``described`` names.
 
@@ -324,10 +375,12 @@ class SdoTasks:
             readable = [entry for entry in readable if entry.subindex or entry.index in _COUNTED]
         return [self._read(entry) for entry in readable]
 
-    def write(self, text: str, value: str | bytes) -> tuple[Reading | None, Reading | None, Reading]:
-        """Write a value: what was before and what is there now, None where it cannot be read; the value."""
+    def write(self, text: str, value: str | bytes, *, raw: bool = False) -> Written:
+        """Write a value, in the unit that a reading shows unless ``raw``."""
         entry = self._one(text)
-        data = value if isinstance(value, bytes) else self._encoded(entry, value)
+        data = value if isinstance(value, bytes) else self._encoded(entry, value, raw)
+        watched = self._described.product == MODULE and entry.index in SUPERVISION
+        was_valid = watched and self._is_valid()
         is_domain = entry.data_type == DataType.DOMAIN
         before = self._read(entry) if entry.readable and not is_domain else None
         try:
@@ -339,7 +392,29 @@ class SdoTasks:
         except RefusedError as error:
             raise self._refused("writing", entry, error) from None
         now = self._read(entry) if before is not None else None
-        return before, now, Reading(entry, data, self._described.product)
+        warning = self._warning() if was_valid else ""
+        return Written(before, now, Reading(entry, data, self._described.product), warning)
+
+    def _is_valid(self) -> bool:
+        return bool(int(self._node.read_known(od.FEEDBACK_STATUS) or 0) & od.StatusBit.VALID)
+
+    def _warning(self) -> str:
+        """What a new limit does, once some samples were taken with it: "" if nothing."""
+        node, master = self._node, self._node.master
+        began, first = master.now(), node.integer(*od.FEEDBACK_SAMPLES, "I")
+        master.wait(WATCH_S)
+        samples = (node.integer(*od.FEEDBACK_SAMPLES, "I") - first) % (1 << 32)
+        if not self._is_valid():
+            return f"the position is lost by it: canfb why {node.node_id:#04x} says what brings it back"
+        limits = limit_settings(node.read_known)
+        sync_hz = samples / (master.now() - began) / limits.samples_per_sync
+        needed = limits.needed_cycles(node.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"), sync_hz)
+        if limits.widest_cycles >= needed:
+            return ""
+        return (
+            f"warning: 2010:01 is {limits.widest_cycles:.3g} cycle, and the declared acceleration (2010:02) "
+            f"and phase error (2010:0C) need {needed:.3g}: good samples may lose the position"
+        )
 
     def _one(self, text: str) -> ObjectDescription:
         meant = self._described.meant(text)
@@ -351,13 +426,16 @@ class SdoTasks:
             raise ConfigError(f"{text!r} has several entries; which one: {several or 'none can be written'}")
         raise CommissioningError(f"{meant[0].number} {meant[0].title} is read only")
 
-    def _encoded(self, entry: ObjectDescription, text: str) -> bytes:
-        word = from_words(self._described.product, entry.place, text)
+    def _encoded(self, entry: ObjectDescription, text: str, raw: bool) -> bytes:
+        value: Any = from_words(self._described.product, entry.place, text)
         try:
-            value = parse_value(entry.data_type, text, entry.low, entry.high) if word is None else word
+            if value is None:
+                number = text if raw else raw_text(entry.unit, text)
+                value = parse_value(entry.data_type, number, entry.low, entry.high)
         except ValueError as error:
             words = ", ".join(words_of(self._described.product, entry.place))
             hint = f"; or one of the words {words}" if words else ""
+            hint += f" ({entry.unit} with --raw)" if _part(entry.unit) and not raw else ""
             raise ConfigError(f"{entry.number} {entry.title} {error}{hint}") from None
         return value if isinstance(value, bytes) else datatypes.encode(entry.data_type, value)
 
@@ -382,9 +460,9 @@ def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDe
     """The EDS of the product of a node (1018h), of those ``known``. ConfigError for another product."""
     vendor = node.integer(*od.IDENTITY_VENDOR_ID, "I")
     product = node.integer(*od.IDENTITY_PRODUCT_CODE, "I")
-    for path in known:
-        if _product(path) == (vendor, product):
-            return ObjectDescriptions(path, node.node_id)
+    for described in (ObjectDescriptions(path, node.node_id) for path in known):
+        if described.identity == (vendor, product):
+            return described
     place = numbered(text)
     what = text if place is None else od.place_text((place[0], place[1] or 0))
     raise ConfigError(
@@ -397,13 +475,6 @@ def is_lost(reading: Reading) -> bool:
     """It is the status word of a module, and says that the position is lost."""
     is_status = reading.product == MODULE and reading.entry.place == od.FEEDBACK_STATUS
     return is_status and isinstance(reading.value, int) and bool(reading.value & od.StatusBit.LOST)
-
-
-def _product(path: Path) -> tuple[int, ...]:
-    """VendorNumber and ProductNumber of an EDS, without reading all of it."""
-    text = read_bytes(path, CommissioningError).decode("utf-8", errors="replace")
-    keys = (re.search(rf"^{key}=(\w+)", text, re.MULTILINE) for key in ("VendorNumber", "ProductNumber"))
-    return tuple(int(found[1], 0) for found in keys if found)
 
 
 def _octets(data: bytes) -> str:

@@ -105,6 +105,12 @@ class LimitSettings:
             limit += 4.0 * cycles_per_s * (TICK_S / 2.0)  # all phases off by half a tick
         return min(limit, self.widest_cycles)
 
+    def needed_cycles(self, cycles_per_revolution: int, sync_hz: float) -> float:
+        """The least 2010:01 that good samples keep: those of 2010:02 and 2010:0C (0 Hz: of 2010:0C alone)."""
+        interval_s = 1.0 / (sync_hz * self.samples_per_sync) if sync_hz else 0.0
+        expected = cycles_per_interval_squared(self.acceleration_rad_s2, cycles_per_revolution, interval_s)
+        return expected + 4.0 * self.phase_error_cycles
+
     def bounds(
         self, cycles_per_revolution: int, interval_s: float, noise_cycles: float | None = None
     ) -> MotionBounds:

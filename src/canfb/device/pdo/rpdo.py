@@ -48,16 +48,8 @@ class Rpdo(Timed):
         self._parameters = PdoParameters(core.dictionary, number, Direction.RECEIVE, self._written)
         self._timeout = self._parameters.further(5)
         self._timeout.on_written = self._written
-        self._operational = False
-        self._length = 0
-        self._unpack: Unpack | None = None  # while it is active
-        self._timeout_s = 0.0
-        self.is_synchronous = False
         self._failed = False
-        self._supervised = False
-        self._pending: bytes | None = None
-        self.waiting = 0
-        """PDOs of a synchronous type that came since the last SYNC; the last one is taken over."""
+        self.enable(False, 0.0)
 
     @property
     def can_id(self) -> int | None:
@@ -73,10 +65,13 @@ class Rpdo(Timed):
         """Whether the NMT state allows PDOs. The mapping is compiled here."""
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
-        self._length, self._unpack = length_of(slots), unpacker(slots) if slots else None
-        self.is_synchronous = self._parameters.type.value in SYNCHRONOUS
-        self._timeout_s = self._timeout.value / 1000
-        self._pending, self.waiting = None, 0
+        self._length = length_of(slots)
+        self._unpack: Unpack | None = unpacker(slots) if slots else None  # while it is active
+        self.is_synchronous: bool = self._parameters.type.value in SYNCHRONOUS
+        self._timeout_s: float = self._timeout.value / 1000
+        self._pending: bytes | None = None
+        self.waiting = 0
+        """PDOs of a synchronous type that came since the last SYNC; the last one is taken over."""
         self.deadline = NEVER
         self._supervised = self._failed or self._timeout_s > 0
 

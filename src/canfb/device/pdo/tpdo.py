@@ -58,22 +58,8 @@ class Tpdo(Timed):
         self._event_timer = self._parameters.further(5)
         self._start_value = self._parameters.further(6)
         self._install()
-        self._operational = False
-        self._pack: Pack | None = None  # while it is active
-        self._can_id = 0
-        self._type = 0
-        self._event_driven = False
-        self._inhibit_s = 0.0
-        self._timer_s = 0.0
-        self._limited = False
-        self._pack_at_once: Pack | None = None  # at an event that nothing delays
         self._not_before = -NEVER
-        self._timer_end = NEVER
-        self._event = False
-        self._waits_for_start = False
-        self._pack_each_sync: Pack | None = None
-        self._syncs = 0
-        self._sampled: bytes | None = None
+        self.enable(False, 0.0)
 
     @property
     def remote_can_id(self) -> int | None:
@@ -96,13 +82,14 @@ class Tpdo(Timed):
         """Whether the NMT state allows PDOs. The mapping is compiled here."""
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
-        self._pack = packer(slots) if slots else None
+        self._pack: Pack | None = packer(slots) if slots else None  # while it is active
         self._can_id = self._parameters.can_id
-        self._type = self._parameters.type.value
+        self._type: int = self._parameters.type.value
         self._event_driven = self._pack is not None and self._type in EVENT_DRIVEN
-        self._inhibit_s = self._inhibit.value / 10_000
-        self._timer_s = self._event_timer.value / 1000 if self._event_driven else 0.0
+        self._inhibit_s: float = self._inhibit.value / 10_000
+        self._timer_s: float = self._event_timer.value / 1000 if self._event_driven else 0.0
         self._limited = self._inhibit_s > 0 or self._timer_s > 0
+        # At an event that nothing delays.
         self._pack_at_once = self._pack if self._event_driven and not self._limited else None
         if not self._inhibit_s:
             self._not_before = -NEVER
@@ -113,7 +100,7 @@ class Tpdo(Timed):
             self._pack if self._type == 1 and not (self._waits_for_start or self._limited) else None
         )
         self._syncs = 0
-        self._sampled = None
+        self._sampled: bytes | None = None
         self._schedule()
 
     def trigger(self, now: float) -> None:
