@@ -92,7 +92,7 @@ def replayed(
     """The replay of a log, closed, and what the module has sent."""
     sent: list[Frame] = []
     replay = ModuleReplay(config(**fields), store, sent=sent.append, **(options or {}))
-    replay.feed(frames)
+    replay.feed(list(frames))
     replay.close()
     return replay, sent
 

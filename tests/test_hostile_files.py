@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import gzip
 import io
-import json
 import zipfile
 from pathlib import Path
 
-import can
 import numpy as np
 import pytest
 
@@ -16,10 +13,6 @@ from canfb.configuration import changed_module, parse_config
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError, ConfigError
-from canfb.logs import log_reader
-from canfb.logs.folder_replay import work_of
-from canfb.logs.log_reader import BusLogFile
-from canfb.logs.log_replay import COLUMNS, ReplayOptions, job_of
 from canfb.master.samples import read_npz, read_speed
 from canfb.module.module_config import ModuleConfig
 from canfb.sdo.backup_file import read_backup
@@ -131,34 +124,6 @@ def test_a_recording_that_unpacks_to_any_size(tmp_path: Path, monkeypatch: pytes
         read_npz(path)
 
 
-def test_a_blf_object_without_a_length(tmp_path: Path) -> None:
-    """python-can reads it again and again."""
-    path = tmp_path / "a.blf"
-    with can.Logger(path, compression_level=0) as writer:
-        for n in range(5):
-            writer.on_message_received(
-                can.Message(timestamp=n, arbitration_id=n, is_extended_id=False, channel=0)
-            )
-    data = path.read_bytes()
-    places = [n for n in range(len(data)) if data.startswith(b"LOBJ", n)][1:]  # the first is the container
-    assert len(places) == 5
-    path.write_bytes(data[: places[3] + 8] + bytes(4) + data[places[3] + 12 :])
-    log = BusLogFile(path)
-    assert [frame.can_id for frame in log] == [0, 1, 2]
-    assert log.trouble == f"{path}: damaged behind frame 3: an object has no length"
-
-
-def test_a_line_of_a_log_that_does_not_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log_reader, "BLOCK_BYTES", 1000)
-    path = tmp_path / "a.log.gz"
-    path.write_bytes(gzip.compress(b"(1.0) can0 080#\n" + bytes(100_000) + b"\n(2.0) can0 081#\n"))
-    with gzip.open(path) as file:
-        assert max(map(len, log_reader._blocks(file))) <= 2002
-    log = BusLogFile(path)
-    assert [frame.can_id for frame in log] == [0x80, 0x81]
-    assert log.counters.damaged_lines == 51
-
-
 def test_an_eds_with_many_bad_lines(tmp_path: Path) -> None:
     path = tmp_path / "a.eds"
     path.write_text("[1000]\nParameterName=x\n" + "bad\n" * 500)
@@ -166,32 +131,6 @@ def test_an_eds_with_many_bad_lines(tmp_path: Path) -> None:
         Dictionary.load(path, 1)
     assert len(str(raised.value).splitlines()) == 1
     assert len(str(raised.value)) < 400
-
-
-def test_notes_of_a_replay_that_name_no_log(tmp_path: Path) -> None:
-    folder, settings = tmp_path / "logs", ReplayOptions((ModuleConfig(node_id=1),))
-    folder.mkdir()
-    log = folder / "a.log"
-    log.write_bytes(b"(1.0) can0 080#\n")
-    row = dict.fromkeys(COLUMNS) | {"log": "a.log", "module": 1}
-    row["fingerprint"] = job_of(folder, log, settings).fingerprint
-    bad = [row | {"log": ["a.log"]}, row | {"module": {}}, row | {"log": None}, row | {"module": "1"}]
-    notes = tmp_path / "out.parquet.unfinished"
-    notes.write_text("".join(f"{json.dumps(one)}\n" for one in bad) + "[" * 100_000)
-    assert work_of(folder, settings, tmp_path / "out.parquet").done == []
-    notes.write_text(json.dumps(row))
-    assert work_of(folder, settings, tmp_path / "out.parquet").done == [row]
-
-
-def test_a_log_of_long_words_is_refused_in_a_short_line(tmp_path: Path) -> None:
-    """python-can quotes the number that is none."""
-    path = tmp_path / "a.csv"
-    with can.Logger(path) as log:
-        log.on_message_received(can.Message(timestamp=1.7e9, arbitration_id=1))
-    path.write_text(path.read_text().replace("1700000000.0", "1.0" * 1000))
-    with pytest.raises(CanfbError, match=r"this is no \.csv log") as raised:
-        list(BusLogFile(path))
-    assert len(str(raised.value)) < 600
 
 
 def test_an_object_with_a_long_name_is_refused_in_a_short_line() -> None:

@@ -55,7 +55,7 @@ ALLOWED: dict[str, set[str]] = {
     "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "sdo"} | WORDS,
     "commission": {"signal", "calibration", "report", "view", "master", "calibrate"} | WORDS,
     # What others tell of themselves on the bus; so it may watch modules that are not ours.
-    "monitoring": {"signal", "timing", "module", "configuration", "bus", "view", "master"}
+    "monitoring": {"signal", "timing", "module", "configuration", "bus", "logfile", "view", "master"}
                   | WORDS - {"checks", "rows"},
     # What a page in a browser shows, and its server.
     "scope": {"signal", "calibration", "monitoring", "errors", "objects"},
@@ -63,16 +63,17 @@ ALLOWED: dict[str, set[str]] = {
     "bus": {"device"} | WORDS - {"checks", "objects", "rows"},
     "hosting": {"signal", "sources", "module", "device", "interface", "simulation", "configuration", "bus"}
                | WORDS - {"checks", "rows"},
-    "logs": {"signal", "device", "module", "report", "bus", "hosting", "replay"} | WORDS,
+    "logfile": {"bus", "cia301", "errors", "rows"},
+    "logs": {"signal", "device", "module", "report", "hosting", "logfile", "replay"} | WORDS,
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "interface", "simulation",
              "configuration", "eds_files"} | WORDS,
     # What a module and a bus allow is arithmetic over both: of the module, of the wire and of the simulated
     # motion, none of which may know the others. It needs no bus, so it is not in one that has.
     "planning": {"signal", "device", "module", "simulation", "configuration", "eds_files", "view"} | WORDS,
     "cli": {"signal", "calibration", "device", "sources", "module", "simulation", "configuration",
-            "eds_files", "bus", "hosting", "demo", "master", "sdo", "diagnosis",
-            "calibrate", "commission", "report", "monitoring", "replay", "logs", "planning", "scope",
-            "marked_yaml", "view"} | WORDS,
+            "eds_files", "bus", "hosting", "demo", "master", "sdo", "diagnosis", "calibrate", "commission",
+            "report", "monitoring", "replay", "logfile", "logs", "planning", "scope", "marked_yaml",
+            "view"} | WORDS,
     # StateFiles of hosting, when it is asked for.
     "__init__": {"signal", "calibration", "module", "configuration", "eds_files", "hosting"} | WORDS,
     "__main__": {"cli"},
@@ -103,14 +104,15 @@ FOREIGN: dict[str, set[str]] = {
     "scope": {"numpy"},
     "bus": {"can", "canopen"},
     "hosting": {"can"},
-    "logs": {"numpy", "can", "pyarrow", "distributed"},
+    "logfile": {"can"},
+    "logs": {"numpy", "pyarrow"},
     "demo": {"numpy", "canopen"},
     "monitoring": {"can", "rich"},
     "cli": {"can", "argcomplete", "rich"},
 }
 # Clocks, threads and sockets have two places, and the files beyond them that wait for a bus or a browser.
-WITH_A_CLOCK = {"logs/bus_log.py", "monitoring/watching.py", "monitoring/sdo_reading.py",
-                "scope/page_server.py", "scope/live_page.py"}  # fmt: skip
+WITH_A_CLOCK = {"logfile/bus_log.py", "logs/folder_replay.py", "monitoring/watching.py",
+                "monitoring/sdo_reading.py", "scope/page_server.py", "scope/live_page.py"}  # fmt: skip
 OUTSIDE_WORLD = {"time", "threading", "socket", "select", "selectors", "asyncio", "datetime", "signal",
                  "multiprocessing", "concurrent", "sched", "queue", "subprocess"}  # fmt: skip
 

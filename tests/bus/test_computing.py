@@ -10,11 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from computing_jobs import Crash, Forever, Processors, Raise, Sum, Where
-from hypothesis import given
-from hypothesis import strategies as st
 
-from canfb.bus.compute_process import Inbox, pack
-from canfb.bus.computing import COMMAND, Computation
+from canfb.bus.computing import Computation
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.device.device_protocol import Computing
@@ -119,11 +116,6 @@ def test_it_may_use_the_processors_that_ours_had_before_it_chose_one(host: Any) 
     assert device.results == [before]
 
 
-def test_without_a_job_there_is_no_process(host: Any) -> None:
-    one = host(FakeComputer(), command=("/nowhere/at-all",))
-    assert one.computation.poll(0.0) == []
-
-
 @pytest.mark.parametrize(
     ("job", "text"),
     [
@@ -174,18 +166,6 @@ def test_closing_kills_it_and_leaves_nothing(host: Any) -> None:
     one.computation.close()
 
 
-@given(st.lists(st.one_of(st.floats(0.0, 1.0), st.text(), st.binary())), st.data())
-def test_messages_are_put_together_from_any_pieces(messages: list[Any], data: st.DataObject) -> None:
-    stream = b"".join(pack(message) for message in messages)
-    inbox, got = Inbox(), []
-    while stream:
-        size = data.draw(st.integers(1, len(stream)))
-        inbox.add(stream[:size])
-        stream = stream[size:]
-        got += list(inbox.messages())
-    assert got == messages
-
-
 def recorded() -> CalibrationJob:
     rng = np.random.default_rng(1)
     recording = SampleRecording()
@@ -205,12 +185,6 @@ def test_the_job_of_the_module_gives_the_same_there_as_here(host: Any) -> None:
     assert there.calibration.table == here.calibration.table  # type: ignore[union-attr]
     assert device.parts == sorted(device.parts)
     assert device.parts[-1] == 1.0
-
-
-def test_a_refusal_comes_back_with_its_reason(host: Any) -> None:
-    device = FakeComputer(CalibrationJob(bytes(400), None, 12))
-    host(device).poll_until(lambda: bool(device.results))
-    assert device.results[0].reason == "samples"
 
 
 def test_the_runner_computes_for_the_module_and_ends_it() -> None:
@@ -253,7 +227,3 @@ def test_the_runner_kills_it_at_its_own_end() -> None:
 
     Runner(frame_bus(bus), [device], clock=clock).run(finished)
     assert not is_alive(int(device.parts[0]))
-
-
-def test_the_command_is_this_python() -> None:
-    assert COMMAND[1:] == ("-m", "canfb.bus.compute_process")

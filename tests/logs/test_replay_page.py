@@ -30,7 +30,7 @@ def test_its_commands_run(
     assert main(shlex.split(replay)) == 0
     Path("month").mkdir()
     Path("bus.log").rename("month/bus.log")
-    assert main(shlex.split(folder.replace("--workers 2", "--scheduler none"))) == 0
+    assert main(shlex.split(folder.replace("--workers 2", "--workers 1"))) == 0
     assert {path.name for path in Path().iterdir()} == {
         "feedback.yaml",
         "month",

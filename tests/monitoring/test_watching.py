@@ -150,8 +150,8 @@ def test_a_log_can_be_played_at_a_speed_and_pauses_are_passed_over(tmp_path: Pat
     [
         ("drive.log", b"", "no frame in it"),
         ("drive.asc", b"\0\1\2nothing\n", "drive.asc: "),
-        ("drive.odt", b"nothing", "cannot be read as a bus log"),
-        ("none.log", None, "none.log: No such file"),
+        ("drive.odt", b"nothing", "unknown suffix"),
+        ("none.log", None, "none.log: cannot be read: No such file"),
     ],
 )
 def test_what_is_no_log_is_one_line(name: str, content: bytes | None, text: str, tmp_path: Path) -> None:

@@ -52,12 +52,10 @@ class FailureWatch:
 class BusState:
     """Gone or there. The runner notes what happens; `lost` and `returned` say, once each, what that means.
 
-    Gone: an error frame of SocketCAN says bus-off, a failure says that the interface is down, or
-    reading fails for LASTING_S. A full queue and a single bad datagram are neither. There again:
-    nothing of the kind for SETTLED_S after a first sign of life. That is a frame, an error frame
-    that says "restarted" (a :class:`.RawCanBus` makes one when its interface is up again), and, unless
-    the controller was bus-off, a frame that could be sent: a driver takes some into its queue while it
-    is bus-off.
+    Gone: an error frame of SocketCAN says bus-off, a failure says that the interface is down, or reading
+    fails for LASTING_S. There again: nothing of the kind for SETTLED_S after a first sign of life. That is a
+    frame, an error frame "restarted" (also of :class:`.RawCanBus`), and, unless the controller was bus-off, a
+    frame that could be sent.
     """
 
     def __init__(self, report: Callable[[str], None]) -> None:

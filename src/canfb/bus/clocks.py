@@ -1,12 +1,10 @@
 """Clocks: of durations, of the time of day, of CAN controllers; and receive times on that of durations.
 
-A module compares receive times with ``now``, which is monotonic. The stamp of a frame is of another clock:
-the time of day where the kernel stamps, the controller's own, or that of a USB adapter. A frame that was
-received at t and taken at t + d, d >= 0, shows the difference of two clocks as offset + d. So the least of
-many differences is the offset with the least delay, which is the same for all frames and does not matter. All
-estimates here are such a least difference; as clocks drift, it may rise: in windows (:class:`HardwareTimes`),
-or by DRIFT (:class:`OtherClock`). For the time of day nothing is estimated, as that clock can be read beside
-the other one.
+The stamp of a frame is of another clock than ``now``: the time of day where the kernel stamps, the
+controller's own, or that of a USB adapter. A frame that was received at t and taken at t + d, d >= 0, shows
+the difference of two clocks as offset + d. So the least of many differences is the offset with the least
+delay, which does not matter. As clocks drift, it may rise: in windows (:class:`HardwareTimes`), or by DRIFT
+(:class:`OtherClock`). The time of day can be read beside the other clock, and is not estimated.
 """
 
 from __future__ import annotations
@@ -62,9 +60,8 @@ LONGEST_LATENCY_S = 0.01  # from the controller to the kernel; more: its clock w
 class HardwareTimes:
     """The clock of a controller counts from an arbitrary instant, and drifts against that of the computer.
 
-    The kernel sees each frame a little later than the controller: by interrupt, USB and scheduling. The least
-    difference of the two stamps within the last one to two windows is that of the clocks, with the
-    least delay, which is the same for all frames and stays in.
+    The kernel sees each frame a little later: the least difference of the two stamps within the last one to
+    two windows is that of the clocks.
     """
 
     def __init__(self) -> None:
@@ -97,11 +94,9 @@ LEARNED_FRAMES = 64
 class OtherClock:
     """A clock that counts from an arbitrary instant, as a USB adapter does, against that of the runner.
 
-    A frame is taken after it came: late by any time, but never early. So the least difference of the two
-    is that of the clocks, with the least delay, which is the same for all frames and stays in. It may rise
-    by DRIFT, and falls with the frame that was taken sooner. It is known once LEARNED_FRAMES have come
-    that do not contradict it: where one is earlier than it allows by LARGEST_STEP_S, or all of so many are
-    later, a clock was set, or the host has been late until now. Then it is learned again.
+    The least difference of the two may rise by DRIFT, and falls with the frame that was taken sooner. It is
+    known once LEARNED_FRAMES have come that do not contradict it: where one is earlier than it allows by
+    LARGEST_STEP_S, or all of so many are later, it is learned again.
     """
 
     def __init__(self) -> None:
@@ -138,10 +133,8 @@ class OtherClock:
 class ReceiveTimes:
     """What python-can stamps is the time of day, as the kernel has it; a runner counts monotonic seconds.
 
-    ``clock`` and ``wall`` are the two clocks. A stamp says how long ago a frame came, by the wall clock:
-    that is taken off ``now``. When the wall clock is set, the frames that wait may have stamps of before
-    or after: they have none until the queue was empty once. Stamps that are not of the wall clock are
-    those of an :class:`OtherClock`, or not used.
+    A stamp says how long ago a frame came, by the wall clock. When that is set, the frames that wait have no
+    time until the queue was empty once. Other stamps are those of an :class:`OtherClock`, or not used.
     """
 
     def __init__(self, clock: Callable[[], float], wall: Callable[[], float]) -> None:

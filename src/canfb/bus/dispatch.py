@@ -2,13 +2,12 @@
 
 With n modules in a process a frame must not cost n calls. A device that is :class:`.Selective` says which
 CAN-IDs it listens to, so a frame is one look-up in ``data`` or ``remote``. The bus gets the union of all as
-acceptance filter, of any NMT state: a master that starts a node need not wait before it sends PDOs. What
-passes no filter does not wake the process. CAN-IDs move with NMT state, node-ID and written COB-IDs; then the
-tables follow before anything is sent, as an answer may be what the master waits for to use the new ones.
+acceptance filter, of any NMT state: a master that starts a node need not wait before it sends PDOs. When
+CAN-IDs move, the tables follow before anything is sent: an answer may be what the master waits for to use
+them.
 
-Deadlines are kept likewise: a device is asked for its own after each call of it, not before each wait. The
-earliest of all is one number; it is looked for again only if the device that had it has moved it to later
-(``_stale``).
+Likewise a device is asked for its deadline after each call of it. The earliest of all is looked for again
+only if the device that had it has moved it to later (``_stale``).
 """
 
 from __future__ import annotations

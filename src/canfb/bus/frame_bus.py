@@ -1,12 +1,9 @@
 """What the runner asks of a bus, any bus of python-can as that, and reception that outlasts its failures.
 
-A frame is a tuple of CAN-ID, data and receive time, as there are thousands each second. There are two buses:
-:class:`.RawCanBus` for SocketCAN on Linux, :class:`PythonCanBus` for all else (canfb.bus.opening decides).
-
-A device must not get its own frames back: it would take them for a second node with its node-ID. A CAN
-controller does not receive what it sends, and SocketCAN does not hand it to the socket that sent it. Other
-interfaces do: some mark such messages (``is_rx`` is false), and udp_multicast carries a channel name that is
-made unique here.
+There are two buses: :class:`.RawCanBus` for SocketCAN on Linux, :class:`PythonCanBus` for all else. A device
+must not get its own frames back: it would take them for a second node with its node-ID. A CAN controller does
+not receive what it sends. Other interfaces do: some mark such messages (``is_rx`` is false), and
+udp_multicast carries a channel name that is made unique here.
 """
 
 from __future__ import annotations
@@ -26,12 +23,21 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 
 from canfb.bus.bus_state import BUS_FAILS, BUS_WORKS, RETRY_S, FailureWatch, code_of, is_down
 from canfb.bus.shared_bus import SharedBus
+from canfb.cia301.frame import HIGHEST_ID
 from canfb.errors import BusError, reason
 
 # Flags in the CAN-ID of a struct can_frame (linux/can.h).
 EXTENDED = 0x8000_0000
 REMOTE = 0x4000_0000
 ERROR = 0x2000_0000
+
+
+def flagged_id(message: can.Message) -> int:
+    """The CAN-ID of a message of python-can, with ERROR, or EXTENDED for all else that is not of CANopen."""
+    if message.is_error_frame:
+        return message.arbitration_id | ERROR
+    return message.arbitration_id | (EXTENDED if message.is_extended_id or message.is_fd else 0)
+
 
 Received = tuple[int, bytes, float]
 """A frame: its CAN-ID with these flags, its data, and its receive time by the time of day, seconds.
@@ -182,12 +188,8 @@ class PythonCanBus:
             return []
         if self._mark is not None and message.channel == self._mark:
             return []
-        can_id = message.arbitration_id
-        if message.is_error_frame:
-            can_id |= ERROR
-        elif message.is_extended_id:
-            can_id |= EXTENDED
-        elif message.is_remote_frame:
+        can_id = flagged_id(message)
+        if message.is_remote_frame and can_id <= HIGHEST_ID:
             can_id |= REMOTE
         return [(can_id, bytes(message.data), message.timestamp)]
 

@@ -47,42 +47,38 @@ class FrameSender:
 
     def send(self, port: Port, frame: Frame) -> None:
         """Send a frame of the device at ``port``, or put it behind those that wait."""
-        can_id, data, remote, _ = frame
         if self.owed:
             self.retry_owed()
-        try:
-            gone = not self.waiting and self._bus_send(can_id, data, remote)
-        except (can.CanError, OSError) as error:
-            self._failed(port, frame, error)
-            return
-        if not gone:
+        if self.waiting or not self._try(port, frame):
             if len(self.waiting) < LONGEST_QUEUE:
                 self.waiting.append((port, frame, self._clock()))
             else:
                 self._failed(port, frame, _no_room())
-        elif self._watch.failed_s is None and not self._bus_state.troubled and can_id not in port.inhibited:
+
+    def _try(self, port: Port, frame: Frame) -> bool:
+        """Send it, now or never; False if the bus takes none now."""
+        can_id, data, remote, _ = frame
+        try:
+            if not self._bus_send(can_id, data, remote):
+                return False
+        except (can.CanError, OSError) as error:
+            self._failed(port, frame, error)
+            return True
+        if self._watch.failed_s is None and not self._bus_state.troubled and can_id not in port.inhibited:
             self.sent += 1
         else:
             self._left(port, frame)
+        return True
 
     def retry(self, now: float) -> None:
         """Send what waits, as far as the bus takes it."""
         while self.waiting:
             port, frame, since_s = self.waiting[0]
             if now - since_s > LONGEST_DELAY_S:
-                self.waiting.popleft()
                 self._failed(port, frame, _no_room())
-                continue
-            try:
-                gone = self._bus_send(frame.can_id, frame.data, frame.rtr)
-            except (can.CanError, OSError) as error:
-                self.waiting.popleft()
-                self._failed(port, frame, error)
-                continue
-            if not gone:
+            elif not self._try(port, frame):
                 return
             self.waiting.popleft()
-            self._left(port, frame)
 
     def retry_owed(self) -> None:
         """Send the boot-ups that failed, if the bus takes them now."""

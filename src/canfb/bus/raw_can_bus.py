@@ -1,16 +1,12 @@
 """SocketCAN without python-can: a raw socket, filters of the kernel.
 
-All frames that wait are read with one system call, each with its receive time: recvmmsg(2) of Linux into one
-buffer. A process that did not run for a while has caught up after a few calls; one frame a call would cost a
-call and several objects each, at the very time when the next SYNC is near.
-
-The receive time is the kernel's, by the time of day, or the controller's where its driver has one: both come
-as control messages beside the frame. So a frame that waited is judged by when it came (canfb.bus.clocks).
+All frames that wait are read with one system call, recvmmsg(2), each with its receive time as a control
+message: the kernel's, by the time of day, or the controller's where its driver has one. A process that did
+not run for a while has caught up after a few calls.
 
 The kernel drops what no filter passes, and does not wake the process for it. An exact 11-bit filter is a
 look-up there, so there is one for each CAN-ID. Filters are exchanged as a whole, new ones before old ones go:
-no frame is lost in between. Error frames pass always: bus-off and restart are what canfb.bus.bus_state goes
-by.
+no frame is lost in between. Error frames pass always.
 """
 
 from __future__ import annotations
@@ -151,10 +147,9 @@ _CAN_RAW_ERR_FILTER = 2  # python names it on Linux only
 class RawCanBus:
     """A :class:`.FrameBus` on a SocketCAN interface. Own frames do not come back.
 
-    Sending never waits: a full queue of the interface or of the socket is a frame that is to be sent again.
-    An interface that is down or gone is an error of each :meth:`receive` until it is up, where ``channel`` is
-    known. One that was removed and made again, as by an adapter that was unplugged, is opened by its name:
-    it has another index. An error frame "restarted" is then the first that is received.
+    Sending never waits. An interface that is down or gone is an error of each :meth:`receive` until it is up,
+    where ``channel`` is known; one that was removed and made again is opened by its name, as it has another
+    index. An error frame "restarted" is then the first that is received.
     """
 
     def __init__(self, raw: socket.socket, channel: str = "") -> None:

@@ -1,27 +1,22 @@
 """Devices on a bus: frames in, frames out, deadlines kept, a clean end on a signal.
 
-A device takes frames and times, and gives frames and its next deadline; this is the one loop that waits for
-it:
+The one loop that waits for devices:
 
     keep the deadlines that are due (tick)
     wait for frames, until the next deadline, and 0.1 s at most: a signal sets a flag that is looked at here
     give each frame to the devices that listen to it (dispatch), send what they answer (frame_sender)
 
-What a module judges is time: a SYNC that is late, a sample that did not come. A process that did not run for
-a while finds deadlines in the past, and frames that came before them still in the queue. If it kept the
-deadlines first, each such pause would be a missed sample. Hence two rules. A frame has the time at which the
-bus received it (clocks), not the time at which it is read. And a deadline D is kept only if no frame received
-before D can wait: the last frame that was read was received at R >= D, or the queue was empty at D or later.
-So that a flood cannot stop heartbeats, frames put a deadline off by 1 s at most; by 0.1 s on a bus without
-receive times, where any frame may have come after D.
+A module judges time: a SYNC that is late, a sample that did not come. A process that did not run for a while
+finds deadlines in the past, and frames that came before them still in the queue. Hence two rules. A frame has
+the time at which the bus received it (clocks). And a deadline D is kept only if no frame received before D
+can wait: the last frame that was read was received at R >= D, or the queue was empty at D or later. So that a
+flood cannot stop heartbeats, frames put a deadline off by 1 s at most; by 0.1 s on a bus without receive
+times.
 
-A bus that fails is not an end either. It is read again until it works; what is lost on the way is a gap in
-the frames, which devices judge by their times. Boot-ups that could not leave are sent first when it is back,
-since a master waits for them; other frames grow old and are given up.
+A bus that fails is read again until it works; what is lost is a gap in the frames. Boot-ups that could not
+leave are sent first when it is back, since a master waits for them.
 
-A device that raises ends the run for all devices: its state is unknown, and a drive must not get a position
-from it. Long computations are done by another process (computing): the loop looks for their results now and
-then.
+A device that raises ends the run for all: its state is unknown, and a drive must not get a position from it.
 """
 
 from __future__ import annotations
@@ -86,14 +81,11 @@ class BusCounters:
 class Runner:
     """Runs devices on one bus in the calling thread until :meth:`stop`.
 
-    A frame goes to the devices that listen to it, those of this process included. A bus that fails is tried
-    again; what happened is counted and reported to ``report``, one line each time it changes, and devices
-    that watch the bus are notified when it fails and is back. Where a device raises, :meth:`run` raises
-    DeviceFailure.
+    Devices of this process hear each other. What happens to the bus is counted and given to ``report``, one
+    line each time it changes. Where a device raises, :meth:`run` raises DeviceFailure.
 
     ``meanwhile`` is called now and then with the time, some hundred times a second at most.
-    ``busy_poll``: the bus is read again and again, without a wait. Nothing is to be woken up then, and what a
-    cycle uses stays in the caches; one processor has nothing else to do.
+    ``busy_poll``: the bus is read without a wait; caches stay warm, one processor does nothing else.
     ``clock``, ``sleep`` and ``wall`` (the time of day) are those of the system, but for tests.
     """
 
@@ -326,10 +318,7 @@ class Runner:
                 self._spread(port, self._asked(port, port.device.tick, now))
 
     def _notify_bus_state(self) -> None:
-        """Notify the devices when the bus has gone, and when it is back.
-
-        A device whose boot-up has not left yet was not on the bus, and starts as usual when it is there.
-        """
+        """Notify the devices that the bus has gone, or is back; not one whose boot-up has not left."""
         self._now = now = self._clock()
         lost, returned = self._bus_state.lost(), self._bus_state.returned(now)
         starting = {port for port, _ in self._sender.owed.values()}
@@ -345,10 +334,7 @@ class Runner:
         self._dispatch.accept_all(self._bus_state.gone)  # any frame is a sign of life
 
     def _compute(self) -> None:
-        """Give what a device has to compute to another process, without waiting for it.
-
-        Few frames start or end a computation that takes seconds: it is looked for at this rate only.
-        """
+        """Look for computations, at this rate only: they take seconds."""
         self._compute_s = self._asked_s + POLL_S
         for port, computation in self._computations:
             frames = self._asked(port, computation.poll, self._clock())

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 from pathlib import Path
 
 from canfb.bus.opening import describe, open_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import Commands, add_bus_options, add_command, add_ready_file, chosen_bus
+from canfb.cli.options import Commands, add_bus_options, add_command, add_ready_file, chosen_bus, positive
 from canfb.cli.printing import say
 from canfb.hosting.readiness import Readiness
-from canfb.logs.bus_log import BusLog
+from canfb.logfile.bus_log import BusLog
 
 UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
 
@@ -27,7 +26,7 @@ def register(commands: Commands) -> None:
         help="the suffix says which format: .log (candump), .asc, .blf, ...",
     )
     parser.add_argument("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
-    parser.add_argument("--seconds", type=_seconds, metavar="S", help="how long (default: until Ctrl-C)")
+    parser.add_argument("--seconds", type=positive, metavar="S", help="how long (default: until Ctrl-C)")
     parser.add_argument(
         "--max-size",
         type=_size,
@@ -38,16 +37,6 @@ def register(commands: Commands) -> None:
     parser.add_argument("--force", action="store_true", help="overwrite a file that is there")
     add_ready_file(parser)
     add_bus_options(parser)
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = math.nan
-    if not 0.0 < seconds < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is no time in seconds above 0")
-    return seconds
 
 
 def _size(text: str) -> int:
@@ -70,7 +59,6 @@ def record(options: argparse.Namespace) -> int:
         say(f"recording {describe(words)} to {options.file}; end with Ctrl-C")
         readiness.ready()
         bus_log.record(bus, options.seconds)
-    counters = bus_log.counters
-    errors = f", {counters.error_frames} of them error frames" if counters.error_frames else ""
-    say(f"{counters.frames} frames{errors}")
+    errors = f", {bus_log.error_frames} of them error frames" if bus_log.error_frames else ""
+    say(f"{bus_log.frames} frames{errors}")
     return 0

@@ -1,9 +1,10 @@
-"""``canfb replay LOG|FOLDER``: recorded frames through the same module; a folder of logs on Dask."""
+"""``canfb replay LOG|FOLDER``: recorded frames through the same module."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,23 +13,21 @@ from canfb.cli.options import Commands, add_command, chosen_module, refuse_idle,
 from canfb.cli.progress import Progress, shown_progress
 from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
-from canfb.logs.bus_log import SentLog
-from canfb.logs.folder_replay import LOCAL, DaskPool, InThisProcess, Pool, check_table, do_work, work_of
+from canfb.logfile.bus_log import SentLog
+from canfb.logs.folder_replay import check_table, do_work, work_of
 from canfb.logs.log_replay import LogReplayed, ReplayOptions, replay_log
-from canfb.logs.published_files import PublishedFile, check_place
+from canfb.logs.published_files import check_place, published
 from canfb.logs.replay_page import write_page
 from canfb.module.module_config import ModuleConfig
-from canfb.replay import summary_of_replay as summary
 from canfb.replay.findings import KINDS, Overview
 from canfb.replay.module_replay import Begin
-from canfb.replay.summary_of_replay import log_facts
+from canfb.replay.sample_columns import Block
 from canfb.rows import Result, as_figures, as_lines
 from canfb.sdo.table_file import read_table
 
 DEFAULT_MODULE = 0x20
 OF_A_FILE = ("frames", "report", "json")
-OF_A_FOLDER = ("scheduler", "workers")
-NONE = "none"
+OF_A_FOLDER = ("workers",)
 
 
 def register(commands: Commands) -> None:
@@ -37,7 +36,7 @@ def register(commands: Commands) -> None:
 
 
 def replay(options: argparse.Namespace) -> int:
-    """Replay a log, or a folder of them; 0 also if there were faults."""
+    """Replay a log, or a folder of them; 0 also if there were faults, 1 for a log without its end."""
     settings = settings_of(options)
     if len(settings.modules) > 1 and (options.out or options.report) and not options.log.is_dir():
         raise ConfigError("--out, --report: are for one module; choose it by --module")
@@ -51,8 +50,8 @@ def replay(options: argparse.Namespace) -> int:
 def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
     with contextlib.ExitStack() as files:
         overview = Overview()
-        takers = [] if options.report is None else [overview.take]
-        takers += [] if options.out is None else [files.enter_context(PublishedFile(options.out)).take]
+        takers: list[Callable[[Block], None]] = [] if options.report is None else [overview.take]
+        takers += [] if options.out is None else [files.enter_context(published(options.out))]
         sent = None if options.frames is None else files.enter_context(SentLog(options.frames)).take
         progress.step(f"replaying {options.log}")
         replayed = replay_log(options.log, settings, takers, sent, progress.part)
@@ -60,20 +59,19 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
             write_page(options.report, replayed, overview)
     progress.clear()
     written = [path for path in (options.out, options.frames, options.report) if path is not None]
-    return say_result(options, _result(replayed, written))
+    code = say_result(options, _result(replayed, written))
+    return code if replayed.log.trouble is None else 1
 
 
 def _result(replayed: LogReplayed, written: list[Path]) -> Result:
     log = replayed.log
-    about, modules = log_facts(log.counters, log.trouble), []
-    lines = as_lines(about)
-    for one, drift in zip(replayed.replays, replayed.drifts, strict=True):
-        node_id, seconds = one.module.node.node_id, one.counters.last_s - one.counters.first_s
-        left_out = replayed.left_out(one)
-        modules.append(summary.figures(one, drift, left_out))
-        lines.append(f"module {node_id} ({node_id:02X}h): {one.counters.frames} frames, {seconds:.3f} s")
-        lines += summary.lines(one, drift, left_out)
-    figures = {"log": str(log.path), **as_figures(about), "modules": modules}
+    about = log.counters.facts(log.trouble)
+    figures = {
+        "log": str(log.path),
+        **as_figures(about),
+        "modules": [one.figures() for one in replayed.results],
+    }
+    lines = [*as_lines(about), *(line for one in replayed.results for line in one.lines())]
     return Result(figures, [*lines, *(f"written  {path}" for path in written)])
 
 
@@ -110,11 +108,11 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
     folder = parser.add_argument_group("folder of logs")
     folder.add_argument(
-        "--scheduler",
-        metavar="local|ADDRESS|none",
-        help="Dask: processes of this machine (default), or a cluster; none: this process alone",
+        "--workers",
+        type=whole_number,
+        metavar="N",
+        help="processes (default: one per processor; 1: this one)",
     )
-    folder.add_argument("--workers", type=int, metavar="N", help="processes of this machine (one per CPU)")
 
 
 def settings_of(options: argparse.Namespace) -> ReplayOptions:
@@ -136,20 +134,14 @@ def settings_of(options: argparse.Namespace) -> ReplayOptions:
 
 
 def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
-    interface = options.encoder_interface
     try:
         if options.config:
             config = load_config(options.config)
             modules = config.modules if options.module is None else [chosen_module(options, config)]
         else:
-            node_id = DEFAULT_MODULE if options.module is None else options.module
-            modules = [
-                ModuleConfig(
-                    node_id=node_id, **({} if interface is None else {"encoder_interface": interface})
-                )
-            ]
-        if interface is not None:
-            modules = [replace(module, encoder_interface=interface) for module in modules]
+            modules = [ModuleConfig(node_id=DEFAULT_MODULE if options.module is None else options.module)]
+        given = {} if options.encoder_interface is None else {"encoder_interface": options.encoder_interface}
+        modules = [replace(module, **given) for module in modules]
     except ValueError as error:
         raise ConfigError(f"--module, --encoder-interface: {error}") from None
     return [changed_module(module, options.set) for module in modules]
@@ -158,35 +150,29 @@ def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
 def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
     """Do what is not done yet; 0 when it is: table and lines say which logs could not be done, and why.
 
-    In this process (``--scheduler none``) a table is not required: each log is a line then.
+    Without ``--out`` each log is a line.
     """
-    in_this_process = options.scheduler == NONE
-    out = None if in_this_process and options.out is None else check_table(options.out)
-    if in_this_process and options.workers is not None:
-        raise ConfigError("--workers: there are none with --scheduler none")
-    dask = None if in_this_process else DaskPool(options.scheduler or LOCAL, options.workers)
+    out = None if options.out is None else check_table(options.out)
+    if options.workers is not None and options.workers < 1:
+        raise ConfigError(f"--workers {options.workers}: must be 1 at least")
     work = work_of(options.log, settings, out)
-    progress.step(f"{len(work.jobs)} logs to replay, {work.skipped} are done")
-    with contextlib.ExitStack() as opened:
-        pool: Pool = InThisProcess() if dask is None or not work.jobs else opened.enter_context(dask)
-        rows = do_work(work, settings, out, pool, progress.part)
+    progress.step(f"{len(work.jobs)} logs to replay, {len({row['log'] for row in work.done})} are done")
+    rows = do_work(work, settings, out, options.workers, progress=progress.part)
     progress.clear()
     bad = [row for row in rows if row["error"] is not None]
-    for row in bad:
-        print(f"not done  {row['log']}, module {row['module']}: {row['error']}")
     for row in rows:
-        if row.get("left_out"):
-            print(
-                f"left out  {row['log']}, module {row['module']}: {row['left_out']} frames with its CAN-IDs "
-                "(--channel)"
-            )
-    if out is None:
-        for row in rows:
-            if row["error"] is None:
-                faults = ", ".join(f"{kind} {row[kind]}" for kind in KINDS if row[kind]) or "no faults"
-                print(f"{row['log']}, module {row['module']}: {row['samples']} samples, {faults}")
+        name = f"{row['log']}, module {row['module']}"
+        if row["error"] is not None:
+            print(f"not done  {name}: {row['error']}")
+        elif out is None:
+            faults = ", ".join(f"{kind} {row[kind]}" for kind in KINDS if row[kind]) or "no faults"
+            print(f"{name}: {row['samples']} samples, {faults}")
+        if row["trouble"]:
+            print(f"damaged   {row['trouble']}")
+        if row["left_out"]:
+            print(f"left out  {name}: {row['left_out']} frames with its CAN-IDs (--channel)")
     samples = sum(row["samples"] or 0 for row in rows)
     print(f"{len(rows)} rows, {samples} samples; {len(bad)} not done")
     if out is not None:
         print(f"written  {out}")
-    return 0
+    return int(any(row["trouble"] for row in rows))

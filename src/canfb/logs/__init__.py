@@ -1,1 +1,1 @@
-"""Bus logs as files: one of them or a folder through replayed modules, and what came out as files."""
+"""What the replay of bus logs gives: one log or a folder of them, and files."""

@@ -7,21 +7,22 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
-from canfb.errors import CanfbError, ConfigError
+from canfb.errors import CanfbError, ConfigError, reason
 from canfb.hosting.state_files import SavedParameters
-from canfb.logs.log_reader import BusLogFile, LogError
+from canfb.logfile.log_files import LogError
+from canfb.logfile.log_reader import BusLogFile
 from canfb.module.module_config import ModuleConfig
-from canfb.replay.findings import KINDS, DriftTracks, LogDrift
+from canfb.replay.findings import KINDS, DriftTracks
 from canfb.replay.module_replay import Begin, ModuleReplay
+from canfb.replay.replay_result import ReplayResult
 from canfb.replay.sample_columns import Block
-from canfb.replay.summary_of_replay import figures as figures_of
 from canfb.signal.correction import Correction
 
 
@@ -58,17 +59,10 @@ class ReplayOptions:
 
 @dataclass(frozen=True)
 class LogReplayed:
-    """The modules of a log, with what the log was like, and the drift of each encoder."""
+    """What the log was like, and its modules."""
 
     log: BusLogFile
-    replays: list[ModuleReplay]
-    drifts: list[LogDrift | None]
-
-    def left_out(self, replay: ModuleReplay) -> int:
-        """Frames with CAN-IDs of this module, without those that all nodes receive, on channels not taken."""
-        mine = replay.own_can_ids
-        counted = self.log.counters.left_out.values()
-        return sum(number for one in counted for can_id, number in one.items() if can_id in mine)
+    results: list[ReplayResult]
 
 
 def replay_log(
@@ -99,11 +93,12 @@ def replay_log(
     _feed(log, replays, progress)
     for replay in replays:
         replay.close()
-    drifts = [
-        track.drift(replay.module.chain.correction, module.adc_bits) if settings.drift else None
-        for module, replay, track in zip(settings.modules, replays, tracks, strict=True)
-    ]
-    return LogReplayed(log, replays, drifts)
+    results = []
+    for replay, track, module in zip(replays, tracks, settings.modules, strict=True):
+        active = replay.module.chain.correction
+        drift = track.drift(active, module.adc_bits) if settings.drift else None
+        results.append(ReplayResult(replay, drift, log.counters.left_out_of(replay.own_can_ids)))
+    return LogReplayed(log, results)
 
 
 def _feed(log: BusLogFile, replays: list[ModuleReplay], progress: Callable[[float], None]) -> None:
@@ -195,40 +190,26 @@ def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
     Its fingerprint is of size and time of change of the file, the settings, what is saved in their
     state_dir, the columns, and the version of canfb: another one, and the log is done again.
     """
-    status = path.stat()
+    status, used = path.stat(), settings.correction
     saved = [
         (one.name, one.read_bytes())
         for one in sorted(settings.state_dir.glob("*.bin") if settings.state_dir else [])
     ]
-    parts = (version("canfb"), tuple(COLUMNS), status.st_size, status.st_mtime_ns, _in_words(settings), saved)
+    correction = None if used is None else (used.crc32, repr(used.conditioning))
+    words = repr(replace(settings, correction=None))
+    parts = (version("canfb"), tuple(COLUMNS), status.st_size, status.st_mtime_ns, words, correction, saved)
     digest = hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
     return LogJob(str(path.relative_to(folder)), path, status.st_size, digest)
-
-
-def _in_words(settings: ReplayOptions) -> tuple[str, ...]:
-    used = settings.correction
-    table = "" if used is None or used.table is None else used.table.to_bytes().hex()
-    conditioning = "" if used is None else repr(used.conditioning)
-    return (
-        repr(settings.modules),
-        table,
-        conditioning,
-        repr(used is None),
-        settings.begin.value,
-        repr(settings.channel),
-        repr(settings.drift),
-    )
 
 
 def rows_of(job: LogJob, settings: ReplayOptions) -> list[Row]:
     """Its rows, whatever is the matter with it."""
     try:
         replayed = replay_log(job.path, settings)
-    except CanfbError as error:
-        return failed_rows(job, settings, str(error))
     except Exception as error:  # one log must not cost the others
-        return failed_rows(job, settings, f"{type(error).__name__}: {' '.join(str(error).split())}")
-    return [_row(job, replayed, place) for place in range(len(replayed.replays))]
+        kind = "" if isinstance(error, CanfbError) else f"{type(error).__name__}: "
+        return failed_rows(job, settings, f"{kind}{reason(error)}")
+    return [_row(job, replayed.log, one.figures()) for one in replayed.results]
 
 
 def failed_rows(job: LogJob, settings: ReplayOptions, why: str) -> list[Row]:
@@ -240,18 +221,16 @@ def failed_rows(job: LogJob, settings: ReplayOptions, why: str) -> list[Row]:
     ]
 
 
-def _row(job: LogJob, replayed: LogReplayed, place: int) -> Row:
-    replay, counters = replayed.replays[place], replayed.log.counters
-    figures = figures_of(replay, replayed.drifts[place], replayed.left_out(replay))
+def _row(job: LogJob, log: BusLogFile, figures: dict[str, Any]) -> Row:
     faults, margins, drift = figures["faults"], figures["margins"], figures["drift"] or {}
     pairs = figures["compared"].values()
     row: Row = {
         "log": job.name,
         "module": figures["node_id"],
         "error": None,
-        "frames": counters.frames,
-        "damaged_lines": counters.damaged_lines,
-        "trouble": replayed.log.trouble,
+        "frames": log.counters.frames,
+        "damaged_lines": log.counters.damaged_lines,
+        "trouble": log.trouble,
         **{kind: faults[kind]["samples"] for kind in KINDS},
         **{f"{kind}_times": faults[kind]["times"] for kind in KINDS},
         "drift_rms_cycles": drift.get("rms_cycles"),

@@ -10,15 +10,7 @@ from canfb.errors import CanfbError, reason
 from canfb.logs.log_replay import LogReplayed
 from canfb.replay.findings import Overview
 from canfb.replay.module_replay import ModuleReplay
-from canfb.replay.summary_of_replay import (
-    RPM,
-    comparison_facts,
-    fault_words,
-    log_facts,
-    margin_facts,
-    other_facts,
-    verdict,
-)
+from canfb.replay.replay_result import RPM, ReplayResult
 from canfb.report.page import beside, figure, gallery, page, table
 from canfb.report.pictures import Curve, lissajous, over_time
 from canfb.rows import Row
@@ -29,30 +21,21 @@ MOST_FAULTS = 40
 
 def replay_html(replayed: LogReplayed, overview: Overview) -> str:
     """The page of the one module that was replayed. It refers to nothing outside of itself."""
-    (replay,), (drift,) = replayed.replays, replayed.drifts
-    node_id, counters = replay.module.node.node_id, replay.counters
-    place = (
-        f"module {node_id} ({node_id:02X}h) · {counters.frames} frames · "
-        f"{counters.last_s - counters.first_s:.3f} s"
-    )
-    left_out, log = replayed.left_out(replay), replayed.log
-    whole = not (left_out or log.counters.damaged_lines or log.trouble)
-    faultless = not any(replay.faults.times.values())
-    good = whole and faultless and all(one.all_equal for one in replay.compared.values())
-    facts = [*margin_facts(replay), *other_facts(replay, drift)]
-    facts += log_facts(log.counters, log.trouble)
-    tables = table("Margins", facts)
-    compared = comparison_facts(replay)
+    (result,), log = replayed.results, replayed.log
+    replay = result.replay
+    whole = not (result.left_out or log.counters.damaged_lines or log.trouble)
+    tables = table("Margins", [*result.facts(), *log.counters.facts(log.trouble)])
+    compared = result.comparison()
     if compared:
         tables += table("The recorded module and the replay", compared)
     body = beside(tables, _lissajous(replay, overview)) + gallery("Over time", _pictures(replay, overview))
-    words = fault_words(replay)
-    if words:
-        rows = [Row(f"{n}", text) for n, text in enumerate(words[:MOST_FAULTS], 1)]
-        if sum(replay.faults.times.values()) > MOST_FAULTS:
-            rows.append(Row("", f"and {sum(replay.faults.times.values()) - MOST_FAULTS} more"))
-        body += table("Faults", rows)
-    return page(f"Replay of {log.path.name}", place, _said(replay, left_out), body, FOOTER, good)
+    faults = result.faults()
+    if faults:
+        rows = [Row(f"{n}", text) for n, text in enumerate(faults[:MOST_FAULTS], 1)]
+        more = sum(replay.faults.times.values()) - MOST_FAULTS
+        body += table("Faults", [*rows, Row("", f"and {more} more" if more > 0 else None)])
+    good = whole and result.is_faultless
+    return page(f"Replay of {log.path.name}", result.head(), _said(result), body, FOOTER, good)
 
 
 def write_page(path: Path, replayed: LogReplayed, overview: Overview) -> None:
@@ -63,10 +46,10 @@ def write_page(path: Path, replayed: LogReplayed, overview: Overview) -> None:
         raise CanfbError(f"--report {path}: cannot be written: {reason(error)}") from error
 
 
-def _said(replay: ModuleReplay, left_out: int) -> list[str]:
-    text = verdict(replay, left_out)
+def _said(result: ReplayResult) -> list[str]:
+    text = result.verdict()
     said = [f"{text[:1].upper()}{text[1:]}."]
-    compared = replay.compared.values()
+    compared = result.replay.compared.values()
     if compared:
         equal, all_of = sum(one.equal for one in compared), sum(one.equal + one.different for one in compared)
         said.append(f"{equal} of {all_of} frames of the recorded module are the same, byte for byte.")

@@ -11,10 +11,11 @@ from pathlib import Path
 import can
 
 from canfb.bus.clocks import ReceiveTimes
-from canfb.bus.frame_bus import Reception
+from canfb.bus.frame_bus import ERROR, Reception, flagged_id
 from canfb.bus.opening import open_bus
-from canfb.cia301.frame import Frame
-from canfb.errors import CanfbError, reason
+from canfb.cia301.frame import HIGHEST_ID, Frame
+from canfb.logfile.log_files import LogError
+from canfb.logfile.log_reader import BusLogFile
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import ModuleReading
 from canfb.monitoring.snapshot import BusSnapshot
@@ -29,7 +30,7 @@ Show = Callable[[BusSnapshot], None]
 
 
 class MessageReader:
-    """Reads messages of python-can until :meth:`stop`, for ``seconds``; None: without end.
+    """Reads frames, of any kind by :func:`.flagged_id`, until :meth:`stop`, for ``seconds``; None: no end.
 
     An interface that is down or gone is waited for: ``report`` gets a line when it goes, and one when it is
     back (:class:`.Reception`). ``clock``, ``wall`` and ``sleep`` are those of the system, but for tests.
@@ -53,8 +54,8 @@ class MessageReader:
 
     def bus(
         self, bus: can.BusABC, due: Callable[[], float] = lambda: float("inf")
-    ) -> Iterator[tuple[float, can.Message | None]]:
-        """Each message of an open bus and seconds since the beginning; None while none comes, and at ``due``.
+    ) -> Iterator[tuple[float, Frame | None]]:
+        """Each frame of an open bus and seconds since the beginning; None while none comes, and at ``due``.
 
         BusError, in one line, when it fails.
         """
@@ -69,32 +70,34 @@ class MessageReader:
                 yield now - began, None
             else:
                 received = times.received(message.timestamp, now)
-                yield (now if received is None else received) - began, message
+                at = (now if received is None else received) - began
+                yield at, Frame(flagged_id(message), bytes(message.data), message.is_remote_frame, at)
 
-    def log(self, path: Path) -> Iterator[tuple[float, can.Message]]:
-        """Each message of a log, as fast as it can be read, and seconds since the first one.
+    def log(self, path: Path) -> Iterator[tuple[float, Frame]]:
+        """Each frame of a log, as fast as it can be read, and seconds since the first one.
 
-        CanfbError, in one line, for a file that cannot be read or has no frame.
+        CanfbError, in one line, for a file that cannot be read (to its end) or has no frame.
         """
         began: float | None = None
-        for message in messages_of(path):
-            began = message.timestamp if began is None else began
-            passed_s = message.timestamp - began
-            if self.stopped or (self._seconds is not None and passed_s > self._seconds):
+        log_file = BusLogFile(path, others=True)
+        for frame in log_file:
+            stamp = frame.timestamp or 0.0
+            began = stamp if began is None else began
+            if self.stopped or (self._seconds is not None and stamp - began > self._seconds):
                 return
-            yield passed_s, message
+            yield stamp - began, frame
         if began is None:
-            raise CanfbError(f"{path}: there is no frame in it")
+            raise LogError(f"{path}: there is no frame in it")
+        log_file.check_end(self._report)
 
 
-def classic(messages: Iterable[tuple[float, can.Message | None]]) -> Iterator[tuple[float, Frame]]:
+def classic(frames: Iterable[tuple[float, Frame | None]]) -> Iterator[tuple[float, Frame]]:
     """CAN frames with 11-bit identifiers, and seconds since the first one."""
     first_s: float | None = None
-    for time_s, message in messages:
-        if message is None or message.is_error_frame or message.is_extended_id or message.is_fd:
-            continue
-        first_s = time_s if first_s is None else first_s
-        yield time_s - first_s, _frame(message, time_s)
+    for time_s, frame in frames:
+        if frame is not None and frame.can_id <= HIGHEST_ID:
+            first_s = time_s if first_s is None else first_s
+            yield time_s - first_s, frame
 
 
 class Watching:
@@ -125,9 +128,9 @@ class Watching:
     def opened(self, bus: can.BusABC) -> None:
         """From a bus that is open."""
         self._due_s = self._interval_s
-        for at, message in self._reader.bus(bus, lambda: self._due_s):
-            if message is not None:
-                self._take(message, at)
+        for at, frame in self._reader.bus(bus, lambda: self._due_s):
+            if frame is not None:
+                self._take(frame, at)
             if at >= self._due_s:
                 self._look(at)
                 self._due_s = max(self._due_s + self._interval_s, at)
@@ -138,7 +141,7 @@ class Watching:
         ``speed``: so many times as fast as it was; None: as fast as it can be read.
         """
         due = self._interval_s
-        for now, message in self._reader.log(path):
+        for now, frame in self._reader.log(path):
             if not abs(now - due) < LONGEST_GAP_S:
                 due = now + self._interval_s
             while now >= due and not self._reader.stopped:
@@ -146,7 +149,7 @@ class Watching:
                     self._reader.sleep(self._interval_s / speed)
                 self._look(due)
                 due += self._interval_s
-            self._take(message, now)
+            self._take(frame, now)
         self._look(None)
 
     def _look(self, now: float | None) -> None:
@@ -158,25 +161,10 @@ class Watching:
         self.latest = self._model.snapshot(now)
         self._show(self.latest)
 
-    def _take(self, message: can.Message, at: float) -> None:
-        if message.is_error_frame:
+    def _take(self, frame: Frame, at: float) -> None:
+        if frame.can_id & ERROR:
             self._model.error_frame()
-        elif message.is_extended_id or message.is_fd:
-            self._model.other_frame(len(message.data), at)
+        elif frame.can_id > HIGHEST_ID:
+            self._model.other_frame(len(frame.data), at)
         else:
-            self._model.receive(_frame(message, at), at)
-
-
-def messages_of(path: Path) -> Iterable[can.Message]:
-    """What is in a log. What its reader raises has no common root."""
-    try:
-        with can.LogReader(path) as reader:
-            yield from reader
-    except OSError as error:
-        raise CanfbError(f"{path}: {error.strerror or error}") from error
-    except Exception as error:
-        raise CanfbError(f"{path}: cannot be read as a bus log: {reason(error)}") from error
-
-
-def _frame(message: can.Message, at: float) -> Frame:
-    return Frame(message.arbitration_id, bytes(message.data), message.is_remote_frame, at)
+            self._model.receive(frame, at)

@@ -9,9 +9,8 @@ there are too many.
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +21,7 @@ from canfb.calibration.path_correction import sampled_together
 from canfb.calibration.recording import recording
 from canfb.errors import CalibrationError
 from canfb.objects import StatusBit
-from canfb.replay.sample_columns import Block
+from canfb.replay.sample_columns import BLOCK_ROWS, COLUMNS, Block
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray
 
@@ -40,27 +39,15 @@ KINDS = {
 """Kinds of faults, and the bit of the status word that shows each."""
 MOST_LISTED = 1000
 """Of each kind; all are counted."""
-EMERGENCY = struct.Struct("<HB")
 
 
 @dataclass
 class LoggedFault:
-    """One that lasted for so many intervals: when it began and when it was last there (stamps, seconds)."""
+    """When it began (stamp, seconds), and how many intervals it lasted."""
 
     kind: str
     begin_s: float
-    end_s: float
     samples: int
-
-
-@dataclass(frozen=True)
-class SentEmergency:
-    """An EMCY of the replay: stamp of the log (seconds), error code, 1001h, and the manufacturer's bytes."""
-
-    time_s: float
-    code: int
-    register: int
-    manufacturer: bytes
 
 
 @dataclass
@@ -69,50 +56,31 @@ class FaultList:
 
     samples   intervals with this fault, by kind
     times     how often it began
-    listed    the first :data:`MOST_LISTED` of each kind, in the order in which they begin
+    listed    the first :data:`MOST_LISTED` of each kind
     """
 
     samples: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
     times: dict[str, int] = field(default_factory=lambda: dict.fromkeys(KINDS, 0))
     listed: list[LoggedFault] = field(default_factory=list)
-    emergencies: list[SentEmergency] = field(default_factory=list)
-    emergencies_sent: int = 0
     _open: dict[str, LoggedFault] = field(default_factory=dict)
 
     def take(self, block: Block) -> None:
         """More intervals."""
-        status, times = block["status"], block["time_s"]
-        present = int(np.bitwise_or.reduce(status))
         for kind, bit in KINDS.items():
-            if present & bit:
-                self._take_kind(kind, status & bit != 0, times)
-            else:
-                self._open.pop(kind, None)
-
-    def _take_kind(self, kind: str, there: np.ndarray, times: np.ndarray) -> None:
-        self.samples[kind] += int(there.sum())
-        steps = np.diff(there.astype(np.int8), prepend=0, append=0)
-        begins, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
-        carried = self._open.pop(kind, None)
-        for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-            last_s = float(times[end - 1])
-            if carried is not None and begin == 0:
-                fault, fault_samples = carried, carried.samples
-                fault.end_s, fault.samples = last_s, fault_samples + end
-            else:
-                fault = LoggedFault(kind, float(times[begin]), last_s, end - begin)
-                self.times[kind] += 1
-                if self.times[kind] <= MOST_LISTED:
-                    self.listed.append(fault)
-            if end == len(there):
-                self._open[kind] = fault
-
-    def emergency(self, data: bytes, time_s: float) -> None:
-        """The module has sent an EMCY."""
-        self.emergencies_sent += 1
-        if len(data) == 8 and len(self.emergencies) < MOST_LISTED:
-            code, register = EMERGENCY.unpack_from(data)
-            self.emergencies.append(SentEmergency(time_s, code, register, data[3:]))
+            there = block["status"] & bit != 0
+            steps = np.flatnonzero(np.diff(there, prepend=False, append=False)).reshape(-1, 2)
+            self.samples[kind] += int(there.sum())
+            goes_on = self._open.pop(kind, None)
+            for begin, end in steps.tolist():
+                if begin == 0 and goes_on is not None:
+                    fault = goes_on
+                    fault.samples += end
+                else:
+                    fault = LoggedFault(kind, float(block["time_s"][begin]), end - begin)
+                    self.times[kind] += 1
+                    self.listed += [fault] * (self.times[kind] <= MOST_LISTED)
+                if end == len(there):
+                    self._open[kind] = fault
 
     def in_order(self) -> list[LoggedFault]:
         """The faults listed, as they began."""
@@ -120,104 +88,79 @@ class FaultList:
 
 
 BoolArray = npt.NDArray[np.bool_]
+NAN = float("nan")
 
 
-@dataclass
-class Extreme:
+class Extreme(NamedTuple):
     """The value that came nearest to its limit: when (stamp of the log, seconds), and the limit then.
 
     ``margin`` is the part of the limit that was left, 1 - value/limit (limit/value for a lower limit);
     below 0 it was passed. NaN before there was any value.
     """
 
-    value: float = math.nan
-    limit: float = math.nan
-    time_s: float = math.nan
-    margin: float = math.nan
-
-    def look(
-        self,
-        block: Block,
-        value: npt.NDArray[np.float64],
-        limit: npt.NDArray[np.float64],
-        *,
-        lower: bool = False,
-    ) -> None:
-        """At more values with their limits, which are ``lower`` ones or not; NaN is none."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            margins = 1.0 - (limit / value if lower else value / limit)
-        margins = np.where(np.isfinite(value) & np.isfinite(limit), margins, np.nan)
-        if np.isnan(margins).all():
-            return
-        place = int(np.nanargmin(margins))
-        if not self.margin <= margins[place]:
-            self.value, self.limit = float(value[place]), float(limit[place])
-            self.time_s, self.margin = float(block["time_s"][place]), float(margins[place])
+    value: float = NAN
+    limit: float = NAN
+    time_s: float = NAN
+    margin: float = NAN
 
 
-@dataclass
 class Margins:
-    """Of all samples that came, also of those before the newest of a SYNC.
+    """Of all samples that came, also of those before the newest of a SYNC: an :class:`Extreme` for each of
 
-    residual          cycles, against the residual limit; while the position was followed
+    residual            cycles, against the residual limit; while the position was followed
     amplitude_low, amplitude_high   counts, after conditioning
-    acceleration      cycles per interval squared, against the residual limit: what eq. 9 leaves of an
-                      acceleration is the residual (eq. 10)
-    machine_acceleration   the same against 2010:02, if that is set
-    speed_rad_s       the largest; its limit is what the SYNC jitter allows, inf with sample times
-    acceleration_rad_s2    the largest
+    acceleration_cycles cycles per interval squared, against the residual limit: what eq. 9 leaves of an
+                        acceleration is the residual (eq. 10)
+    machine_acceleration_cycles   the same against 2010:02, if that is set
+    speed_rad_s         the largest; its limit is what the SYNC jitter allows, inf with sample times
     """
 
-    residual: Extreme = field(default_factory=Extreme)
-    amplitude_low: Extreme = field(default_factory=Extreme)
-    amplitude_high: Extreme = field(default_factory=Extreme)
-    acceleration: Extreme = field(default_factory=Extreme)
-    machine_acceleration: Extreme = field(default_factory=Extreme)
-    speed_rad_s: Extreme = field(default_factory=Extreme)
-    acceleration_rad_s2: float = 0.0
-    max_speed_rad_s: float = math.inf
-    """What the jitter allows, as the module last knew it; set by the replay."""
+    def __init__(self) -> None:
+        names = ("residual", "amplitude_low", "amplitude_high", "acceleration_cycles")
+        self.nearest = dict.fromkeys((*names, "machine_acceleration_cycles", "speed_rad_s"), Extreme())
+        self.acceleration_rad_s2 = 0.0
+        """The largest."""
+        self.max_speed_rad_s = math.inf
+        """What the jitter allows, as the module last knew it; set by the replay."""
 
     def take(self, block: Block) -> None:
         """More samples."""
         status = block["status"]
         came = status & StatusBit.MISSED == 0
-        followed = came & (status & (StatusBit.COASTING | StatusBit.LOST) == 0)
-        limit = block["residual_limit"]
         # A residual over its limit is coasted over: it counts as well. Samples coasted for another reason
         # have none.
-        compared = came & (status & StatusBit.LOST == 0) & ((followed) | (status & StatusBit.RESIDUAL != 0))
-        residual = _where(compared & (block["samples"] > 2), block["residual"])
-        self.residual.look(block, residual, limit)
+        coasted = (status & StatusBit.COASTING != 0) & (status & StatusBit.RESIDUAL == 0)
+        compared = came & (status & StatusBit.LOST == 0) & ~coasted & (block["samples"] > 2)
+        self._look("residual", block, _where(compared, block["residual"]), block["residual_limit"])
         amplitude = _where(came, block["amplitude_counts"])
-        low = block["amplitude_low_counts"].astype(np.float64)
-        self.amplitude_low.look(block, amplitude, low, lower=True)
-        self.amplitude_high.look(block, amplitude, block["amplitude_high_counts"].astype(np.float64))
+        self._look("amplitude_low", block, amplitude, block["amplitude_low_counts"])
+        self._look("amplitude_high", block, amplitude, block["amplitude_high_counts"])
+        followed = came & (status & (StatusBit.COASTING | StatusBit.LOST) == 0)
         self._take_motion(block, followed & (status & StatusBit.VALID != 0))
 
     def _take_motion(self, block: Block, valid: BoolArray) -> None:
         acceleration = _where(valid, np.abs(block["acceleration_cycles"]))
-        self.acceleration.look(block, acceleration, block["residual_limit"])
+        self._look("acceleration_cycles", block, acceleration, block["residual_limit"])
         known = block["acceleration_limit_cycles"]
-        self.machine_acceleration.look(block, acceleration, _where(known > 0.0, known))
-        interval_s = _where(valid & (block["interval_s"] > 0.0), block["interval_s"])
+        self._look("machine_acceleration_cycles", block, acceleration, _where(known > 0.0, known))
+        interval_s = _where(block["interval_s"] > 0.0, block["interval_s"])
         rad = 2.0 * math.pi / block["cycles_per_revolution"]
-        speed = np.abs(block["speed_cycles"]) * rad / interval_s
-        fastest = np.full(len(speed), self.max_speed_rad_s)
-        if math.isinf(self.max_speed_rad_s):
-            self._note_speed(block, speed)
-        else:
-            self.speed_rad_s.look(block, speed, fastest)
+        speed = _where(valid, np.abs(block["speed_cycles"])) * rad / interval_s
+        self._look("speed_rad_s", block, speed, np.full(len(speed), self.max_speed_rad_s))
         squared = acceleration * rad / interval_s**2
-        if not np.isnan(squared).all():
-            self.acceleration_rad_s2 = max(self.acceleration_rad_s2, float(np.nanmax(squared)))
+        self.acceleration_rad_s2 = float(np.fmax.reduce(squared, initial=self.acceleration_rad_s2))
 
-    def _note_speed(self, block: Block, speed: npt.NDArray[np.float64]) -> None:
-        if np.isnan(speed).all():
-            return
-        place = int(np.nanargmax(speed))
-        if not self.speed_rad_s.value >= speed[place]:
-            self.speed_rad_s = Extreme(float(speed[place]), math.inf, float(block["time_s"][place]), 1.0)
+    def _look(self, name: str, block: Block, value: FloatArray, limit: npt.NDArray[Any]) -> None:
+        """At more values with their limits; NaN is none. Without a limit the largest counts."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            margins = 1.0 - (limit / value if name == "amplitude_low" else value / limit)
+        usable = np.flatnonzero(np.isfinite(value) & ~np.isnan(limit))
+        if len(usable):
+            place = usable[np.lexsort((-value[usable], margins[usable]))[0]]
+            found = Extreme(*(float(one[place]) for one in (value, limit, block["time_s"], margins)))
+            before = self.nearest[name]
+            if not (before.margin, -before.value) <= (found.margin, -found.value):
+                self.nearest[name] = found
 
 
 def _where(chosen: BoolArray, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -243,32 +186,28 @@ class DriftTracks:
     """Keeps the first samples from the first motion on, as they came; give it blocks."""
 
     def __init__(self) -> None:
-        self._sine: list[FloatArray] = []
-        self._cosine: list[FloatArray] = []
-        self._hertz: list[FloatArray] = []
-        self._samples = 0
+        self._blocks: list[Block] = []
         self._moved = False
 
     def take(self, block: Block) -> None:
         """More samples."""
-        cycles = block["cycles"]
-        self._moved = self._moved or int(cycles.max()) - int(cycles.min()) > 1
-        if not self._moved or self._samples >= MOST_MEASURED:
-            return
-        missed = block["status"] & StatusBit.MISSED != 0
-        for kept, name in ((self._sine, "sine_counts"), (self._cosine, "cosine_counts")):
-            kept.append(np.where(missed, np.nan, block[name].astype(np.float64)))
-        interval_s = np.where(block["interval_s"] > 0.0, block["interval_s"], np.inf)
-        self._hertz.append(block["speed_cycles"] / interval_s)
-        self._samples += len(missed)
+        self._moved = self._moved or bool(np.ptp(block["cycles"]) > 1)
+        if self._moved and len(self._blocks) * BLOCK_ROWS < MOST_MEASURED:
+            self._blocks.append(block)
 
     def drift(self, active: Correction, adc_bits: int) -> LogDrift:
         """Against the ``active`` table and conditioning."""
-        if self._samples < LEAST_SAMPLES:
+        if sum(map(len, self._blocks)) < LEAST_SAMPLES:
             return LogDrift(reason="no motion" if not self._moved else "few samples")
-        sine, cosine = np.concatenate(self._sine), np.concatenate(self._cosine)
+        block = np.concatenate(self._blocks)
+        came = block["status"] & StatusBit.MISSED == 0
+        sine, cosine = (_where(came, block[name]) for name in ("sine_counts", "cosine_counts"))
+        hertz = block["speed_cycles"] / np.where(block["interval_s"] > 0.0, block["interval_s"], np.inf)
+        delay_s = active.conditioning.cosine_delay_s
         try:
-            cosine = self._together(sine, cosine, active.conditioning.cosine_delay_s, adc_bits)
+            if delay_s:  # the cosine at the instant of the sine
+                record = recording(sine, cosine, None, None, adc_bits, may_be_offset=True)
+                cosine = _where(came, sampled_together(record, 2.0 * np.pi * delay_s * hertz))
             fresh = calibrate_from_motion(sine, cosine, active.conditioning, adc_bits=adc_bits)
             found = drift(fresh, active.table, active.conditioning)
         except CalibrationError as error:
@@ -276,16 +215,6 @@ class DriftTracks:
         except ValueError as error:
             return LogDrift(reason=" ".join(str(error).split()))
         return LogDrift(found.rms, found.peak, fresh.uncertainty_rms)
-
-    def _together(
-        self, sine: FloatArray, cosine: FloatArray, cosine_delay_s: float, adc_bits: int
-    ) -> FloatArray:
-        """The cosine at the instant of the sine."""
-        if not cosine_delay_s:
-            return cosine
-        record = recording(sine, cosine, None, None, adc_bits, may_be_offset=True)
-        turned = 2.0 * np.pi * cosine_delay_s * np.concatenate(self._hertz)
-        return np.where(np.isnan(cosine), np.nan, sampled_together(record, turned))
 
 
 MOST_STRETCHES = 2048
@@ -323,7 +252,7 @@ class Overview:
 
     def take(self, block: Block) -> None:
         """More samples."""
-        columns = dict(block)
+        columns = {name: block[name] for name in COLUMNS}
         came = block["status"] & StatusBit.MISSED == 0
         columns["faulty"] = (block["status"] & FAULTY != 0).astype(np.float64)
         columns["residual"] = np.where(came, block["residual"], np.nan)
@@ -333,15 +262,11 @@ class Overview:
         for name, (column, how) in _KEPT.items():
             reduced = how.reduceat(columns[column].astype(np.float64), begins)
             self.stretches[name] = np.concatenate([self.stretches[name], reduced])
-        while len(self.stretches["begin_s"]) > MOST_STRETCHES:
-            self._merge()
+        while len(self.stretches["begin_s"]) > MOST_STRETCHES:  # two of them each become one
+            pairs = np.arange(0, len(self.stretches["begin_s"]), 2)
+            for name, (_, how) in _KEPT.items():
+                self.stretches[name] = how.reduceat(self.stretches[name], pairs)
         self._take_samples(block, came)
-
-    def _merge(self) -> None:
-        """Two stretches each become one."""
-        pairs = np.arange(0, len(self.stretches["begin_s"]), 2)
-        for name, (_, how) in _KEPT.items():
-            self.stretches[name] = how.reduceat(self.stretches[name], pairs)
 
     def _take_samples(self, block: Block, came: npt.NDArray[np.bool_]) -> None:
         chosen = np.flatnonzero(came)[:: self._stride]

@@ -1,22 +1,17 @@
 """A module on the frames of a log, in the time of the log.
 
-The module is the one that ``canfb run`` serves, and it lives as in the runner: it gets each frame at the time
-of its stamp, deadlines that are due before it come first, and jobs are done between frames. Only the clock is
-another: the stamps. They are made to seconds since the first frame that never go back; a clock that was set,
-or a pause of more than a minute, changes the offset between the two and is counted (:class:`LogTime`).
-
-What the recorded module had sent is in the log, too. It does not come back to the module, which would take it
-for another node with its node-ID; it is compared with what is sent now. The NMT state at the beginning of the
-log is taken from the first frame that shows it (:func:`found_in`).
+It lives as in the runner: it gets each frame at the time of its stamp, deadlines that are due before it come
+first, and jobs are done between frames. What the recorded module had sent does not come back to it, but is
+compared with what is sent now.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from enum import Enum
-from itertools import chain, islice
+from itertools import islice
 
 from canfb import objects as od
 from canfb.cia301 import cob
@@ -29,14 +24,12 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import Outcome
 from canfb.replay.findings import FaultList, Margins
-from canfb.replay.own_frames import Compared, OwnFrames, PdoFields
+from canfb.replay.own_frames import Compared, FieldDifference, OwnFrames, pdo_fields
 from canfb.replay.sample_columns import Block, SampleColumns
 from canfb.signal.correction import Correction
 
 LONGEST_GAP_S = 60.0
 """A longer silence is cut to this: the module has lost everything by then that it can lose."""
-REORDERED_S = 1e-3
-"""A frame so much earlier than the one before was written down late; more is a clock that was set."""
 
 
 class LogTime:
@@ -47,28 +40,19 @@ class LogTime:
     stamp was not a number.
     """
 
-    __slots__ = ("bad", "begun", "gaps", "origin_s", "steps_back")
-
     def __init__(self) -> None:
         self.origin_s = 0.0
-        self.begun = False
         self.steps_back = self.gaps = self.bad = 0
 
     def judged(self, stamp_s: float, now: float) -> float:
         """When a frame came of which ``now <= stamp_s - origin_s <= now + LONGEST_GAP_S`` does not hold.
 
-        Seconds of ``now``; up to a millisecond before it for a frame that was written down late.
+        Seconds of ``now``. A step back is a clock that was set: the reader puts late frames in their places.
         """
         if not math.isfinite(stamp_s):
             self.bad += 1
             return now
-        if not self.begun:
-            self.begun = True
-            self.origin_s = stamp_s
-            return now
         received = stamp_s - self.origin_s
-        if now - REORDERED_S <= received < now:
-            return received
         if received < now:
             self.steps_back += 1
         else:
@@ -117,7 +101,6 @@ def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) 
 
 
 POLL_S = 0.01  # from one look at the computations to the next, as the runner has it
-BATCH_FRAMES = 4096
 EVERYBODY = frozenset({0x000, 0x100, 0x7E4, 0x7E5})  # NMT, TIME, LSS
 RESET_ANSWER_S = 1.0  # a boot-up so long after that of the replay is its counterpart
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
@@ -125,11 +108,12 @@ _new = tuple.__new__  # makes a named tuple in half the time that its own constr
 
 @dataclass
 class ReplayCounters:
-    """Frames of the log, of the module in it, of the replay; and power-ups that nobody had asked for."""
+    """Frames of the log, of the module in it, of the replay, its EMCYs; and power-ups without a reset."""
 
     frames: int = 0
     recorded_own: int = 0
     sent: int = 0
+    emergencies: int = 0
     restarts: int = 0
     first_s: float = 0.0
     last_s: float = 0.0
@@ -138,14 +122,9 @@ class ReplayCounters:
 class ModuleReplay:
     """One module of a log. :meth:`feed` it the frames, in any pieces, and :meth:`close` it.
 
-    The module is made of ``config`` and ``store``, as ``canfb run`` does it. It receives each frame at the
-    time of its stamp, and is ticked at its deadlines. What it sent itself when the log was recorded does
-    not come back to it, but is compared with what it sends now.
-
     ``correction`` is put in force at each start in place of what is stored. ``begin`` says in which NMT
     state the log begins; AUTO finds it in the first frames. ``takers`` get the samples in blocks,
-    ``sent`` each frame that the module sends, its stamp on the clock of the log. ValueError for a
-    ``config`` with a source: its samples never were on the bus.
+    ``sent`` each frame that the module sends, its stamp on the clock of the log.
     """
 
     def __init__(
@@ -158,30 +137,25 @@ class ModuleReplay:
         takers: Iterable[Callable[[Block], None]] = (),
         sent: Callable[[Frame], None] | None = None,
     ) -> None:
-        if config.source is not None:
-            raise ValueError("the module has a source of its own: its samples are not on the bus")
         self.module = FeedbackModule(config, store)
         self.counters = ReplayCounters()
         self.faults, self.margins, self.times = FaultList(), Margins(), LogTime()
         self._correction, self._begin, self._sent = correction, begin, sent
         self.samples = SampleColumns(
             self.module,
-            [self._before_block, self.faults.take, self.margins.take, *takers],
+            [self.faults.take, self._note_speed_limit, self.margins.take, *takers],
             [self.margins.take],
         )
         self.module.on_feedback = self.samples.take
         self._left = self.module.node.sent
         self._own_frames: dict[int, OwnFrames] = {}
-        self._fields: dict[int, PdoFields] = {}
         self._head: list[Frame] | None = []
         self._on = False
-        self._now = 0.0
-        self._poll_s = 0.0
+        self._now = self._poll_s = 0.0
         self._boot_up_s = -RESET_ANSWER_S
         self._routes_known = -1
-        self._own: frozenset[int] = frozenset()
-        self._received_ids: frozenset[int] = frozenset()
-        self._emergency_id: int | None = None
+        self._own = self._received_ids = frozenset[int]()
+        self._emergency = self.module.dictionary.entry(*od.EMCY_COB_ID)
 
     @property
     def compared(self) -> dict[int, Compared]:
@@ -197,29 +171,23 @@ class ModuleReplay:
         sync = self.module.dictionary.entry(*od.SYNC_COB_ID).value & cob.CAN_ID
         return (node.own_can_ids | node.can_ids().any_state) - EVERYBODY - {sync}
 
-    def fields(self, can_id: int) -> PdoFields | None:
-        """By how much the PDOs with this CAN-ID differ; None if they do not."""
-        return self._fields.get(can_id)
+    def differences(self, can_id: int) -> list[FieldDifference]:
+        """By how much the objects in the PDOs with this CAN-ID differ; none if all are equal."""
+        return self._own_frames[can_id].differences
 
-    def feed(self, frames: Iterable[Frame]) -> None:
+    def feed(self, frames: list[Frame]) -> None:
         """The next frames of the log: ``timestamp`` in seconds, of any clock. No frame raises."""
-        if self._head is None and isinstance(frames, list):
+        if self._head is None:
             self._take(frames)
-            return
-        source = iter(frames)
-        if self._head is not None:
-            head = self._head
-            head += islice(source, HEAD_FRAMES - len(head))
-            if len(head) < HEAD_FRAMES:
-                return
-            source = chain(self._opened(), source)
-        while batch := list(islice(source, BATCH_FRAMES)):
-            self._take(batch)
+        else:
+            self._head += frames
+            if len(self._head) >= HEAD_FRAMES:
+                self._take(self._opened())
 
     def close(self) -> None:
         """The log ends."""
         if self._head is not None:
-            self._take(list(self._opened()))
+            self._take(self._opened())
         if self._on:
             self._tick(self._now)
         self.samples.flush()
@@ -227,16 +195,13 @@ class ModuleReplay:
             one.close(self._now)
         self.module.end(self._now)
 
-    def _opened(self) -> Iterator[Frame]:
+    def _opened(self) -> list[Frame]:
         """The first frames, once they have shown how the log begins."""
         head, self._head = self._head or [], None
-        if head:
-            stamp = head[0].timestamp
-            self._now = self.times.judged(0.0 if stamp is None else stamp, 0.0)
-            self.counters.first_s = self.times.origin_s
-            self._follow_origin()
+        known = (one.timestamp for one in head if one.timestamp is not None and math.isfinite(one.timestamp))
+        self.times.origin_s = self.samples.origin_s = self.counters.first_s = next(known, 0.0)
         self._power_on_first(head)
-        return iter(head)
+        return head
 
     def _power_on_first(self, head: list[Frame]) -> None:
         node = self.module.node
@@ -245,7 +210,7 @@ class ModuleReplay:
         node_id = node.lss.pending_node_id
         begin = self._begin
         if begin is Begin.AUTO:
-            begin = found_in(head, node_id, node.own_can_ids)
+            begin = found_in(islice(head, HEAD_FRAMES), node_id, node.own_can_ids)
         if begin is Begin.BOOT_UP:
             self._own = frozenset({cob.ERROR_CONTROL + node_id})
             return
@@ -275,11 +240,10 @@ class ModuleReplay:
                 now = received
             else:
                 self._now = now
-                received = times.judged(origin + now if stamp is None else stamp, now)
-                now = max(now, received)
+                received = now = times.judged(origin + now if stamp is None else stamp, now)
                 if origin != times.origin_s:
                     origin = times.origin_s
-                    self._follow_origin()
+                    self.samples.origin_s = self.times.origin_s
             if can_id in received_ids and not rtr:
                 due = deadline()
                 if due is not None and due < now:
@@ -304,9 +268,6 @@ class ModuleReplay:
         self.counters.frames += len(batch)
         self.counters.last_s = now + origin
 
-    def _follow_origin(self) -> None:
-        self.samples.origin_s = self.times.origin_s
-
     def _tick(self, now: float) -> None:
         """What is due before ``now``, each at its time: as the runner has it, a frame comes first."""
         while (due := self.module.deadline()) is not None and due < now:
@@ -329,7 +290,6 @@ class ModuleReplay:
             return
         module = self.module
         node = module.node
-        self._emergency_id = module.dictionary.entry(*od.EMCY_COB_ID).value & cob.CAN_ID
         self._routes_known = node.route_changes
         self._own, self._received_ids = node.own_can_ids, node.received_can_ids
         sync = module.dictionary.entry(*od.SYNC_COB_ID).value
@@ -357,13 +317,8 @@ class ModuleReplay:
     def _pairs(self, can_id: int) -> OwnFrames:
         found = self._own_frames.get(can_id)
         if found is None:
-
-            def differs(recorded: bytes, replayed: bytes) -> None:
-                if can_id not in self._fields:
-                    self._fields[can_id] = PdoFields(self.module.dictionary, can_id)
-                self._fields[can_id].note(recorded, replayed)
-
-            found = self._own_frames[can_id] = OwnFrames(differs)
+            found = OwnFrames(lambda: pdo_fields(self.module.dictionary, can_id))
+            self._own_frames[can_id] = found
         return found
 
     def _give_out(self, frames: list[Frame], now: float, pair: bool = True) -> None:
@@ -372,8 +327,8 @@ class ModuleReplay:
             self._left(can_id, now)
             if pair:
                 (self._own_frames.get(can_id) or self._pairs(can_id)).replayed(data, now)
-            if can_id == self._emergency_id:
-                self.faults.emergency(data, now + self.times.origin_s)
+            if can_id == self._emergency.value & cob.CAN_ID:
+                self.counters.emergencies += 1
             elif data == BOOT_UP and can_id > cob.ERROR_CONTROL:
                 self._rebooted(now)
             if self._sent is not None:
@@ -382,9 +337,8 @@ class ModuleReplay:
     def _rebooted(self, now: float) -> None:
         """The replayed module has started: with the table that is to be tried."""
         self._boot_up_s = now
-        self._emergency_id = self.module.dictionary.entry(*od.EMCY_COB_ID).value & cob.CAN_ID
         if self._correction is not None:
             self.module.use_correction(self._correction)
 
-    def _before_block(self, block: Block) -> None:
+    def _note_speed_limit(self, block: Block) -> None:
         self.margins.max_speed_rad_s = self.module.max_speed_rad_s

@@ -6,7 +6,6 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
@@ -53,12 +52,13 @@ class OwnFrames:
     """Pairs the frames of one CAN-ID, in their order.
 
     A frame that is missing on one side does not shift the pairs behind it: an equal one among those that
-    wait is preferred. ``differs(recorded, replayed)`` is called with each pair that is not equal.
+    wait is preferred. ``fields`` gives what the frame is made of, for the first pair that is not equal.
     """
 
-    def __init__(self, differs: Callable[[bytes, bytes], None]) -> None:
+    def __init__(self, fields: Callable[[], list[FieldDifference]]) -> None:
         self.compared = Compared()
-        self._differs = differs
+        self.differences: list[FieldDifference] = []
+        self._fields = fields
         self._replayed: Waiting = deque()
         self._recorded: Waiting = deque()
 
@@ -93,7 +93,9 @@ class OwnFrames:
             compared.different += 1
             if compared.first is None:
                 compared.first = Difference(stamp_s, data, replayed)
-            self._differs(data, replayed)
+                self.differences = self._fields()
+            for field in self.differences:
+                field.note(int.from_bytes(data, "little"), int.from_bytes(replayed, "little"))
         else:
             compared.only_recorded += _drop_late(self._recorded, now)
             self._recorded.append((now, data))
@@ -130,6 +132,9 @@ class FieldDifference:
     """Replayed less recorded value of one object, over the pairs that differ; integers modulo their width."""
 
     name: str
+    data_type: int
+    first_bit: int
+    bits: int
     pairs: int = 0
     least: float = math.inf
     most: float = -math.inf
@@ -139,57 +144,36 @@ class FieldDifference:
         """Every pair differs by the same amount."""
         return self.pairs > 0 and self.least == self.most
 
-
-@dataclass(frozen=True)
-class _Field:
-    name: str
-    data_type: int
-    first_bit: int
-    bits: int
-
-    def value(self, whole: int) -> Any:
-        raw = whole >> self.first_bit & (1 << self.bits) - 1
+    def note(self, recorded: int, replayed: int) -> None:
+        """The data of one more pair, as whole numbers."""
+        one, other = (whole >> self.first_bit & (1 << self.bits) - 1 for whole in (recorded, replayed))
         if self.data_type in datatypes.FLOATS:
-            return datatypes.decode(self.data_type, raw.to_bytes(self.bits // 8, "little"))
-        return raw
+            values = [
+                datatypes.decode(self.data_type, raw.to_bytes(self.bits // 8, "little"))
+                for raw in (one, other)
+            ]
+            apart = 0.0 if one == other else float(values[1]) - float(values[0])
+        else:
+            half = 1 << (self.bits - 1)
+            apart = float((other - one + half) % (2 * half) - half)
+        self.pairs += bool(apart)
+        self.least, self.most = min(self.least, apart), max(self.most, apart)
 
-    def difference(self, recorded: int, replayed: int) -> float:
-        one, other = self.value(recorded), self.value(replayed)
-        if self.data_type in datatypes.FLOATS:
-            apart = float(other) - float(one)
-            return 0.0 if math.isnan(apart) and math.isnan(one) and math.isnan(other) else apart
-        turn = 1 << self.bits
-        apart = (other - one) % turn
-        return float(apart - turn if apart >= turn // 2 else apart)
 
-
-class PdoFields:
+def pdo_fields(dictionary: Dictionary, can_id: int) -> list[FieldDifference]:
     """The fields of the TPDO with a CAN-ID as it is mapped now; none for other frames."""
 
-    def __init__(self, dictionary: Dictionary, can_id: int) -> None:
-        self.differences: list[FieldDifference] = []
-        self._fields: list[_Field] = []
-        pdos = valid_pdos(lambda place: _value(dictionary, place), od.TPDO, od.TPDO_MAPPING)
-        first_bit = 0
-        for entry in next((pdo.entries for pdo in pdos if pdo.can_id == can_id), ()):
-            index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
-            mapped = dictionary.find(index, subindex)
-            name = f"{index:04X}h:{subindex:02X}"
-            data_type = datatypes.DataType.UNSIGNED64 if mapped is None else mapped.data_type
-            self._fields.append(_Field(name, data_type, first_bit, bits))
-            self.differences.append(FieldDifference(name))
-            first_bit += bits
+    def read(place: od.Multiplexer) -> int | None:
+        entry = dictionary.find(*place)
+        return None if entry is None else int(entry.value)
 
-    def note(self, recorded: bytes, replayed: bytes) -> None:
-        """A pair that differs."""
-        one, other = int.from_bytes(recorded, "little"), int.from_bytes(replayed, "little")
-        for field, found in zip(self._fields, self.differences, strict=True):
-            apart = field.difference(one, other)
-            if apart:
-                found.pairs += 1
-            found.least, found.most = min(found.least, apart), max(found.most, apart)
-
-
-def _value(dictionary: Dictionary, place: od.Multiplexer) -> int | None:
-    entry = dictionary.find(*place)
-    return None if entry is None else int(entry.value)
+    fields: list[FieldDifference] = []
+    pdos = valid_pdos(read, od.TPDO, od.TPDO_MAPPING)
+    first_bit = 0
+    for entry in next((pdo.entries for pdo in pdos if pdo.can_id == can_id), ()):
+        index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+        mapped = dictionary.find(index, subindex)
+        data_type = datatypes.DataType.UNSIGNED64 if mapped is None else mapped.data_type
+        fields.append(FieldDifference(f"{index:04X}h:{subindex:02X}", data_type, first_bit, bits))
+        first_bit += bits
+    return fields

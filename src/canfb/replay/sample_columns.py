@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,8 @@ from canfb.signal.feedback import Feedback
 
 BLOCK_ROWS = 1 << 12
 
-Block = Mapping[str, npt.NDArray[Any]]
-"""Columns of equal length, by name."""
+Block = npt.NDArray[np.void]
+"""A structured array: a column by its name, ``block["status"]``."""
 
 COLUMNS: dict[str, Any] = {
     "time_s": np.float64,
@@ -50,24 +50,9 @@ amplitude_counts to samples   the fields of :class:`canfb.signal.feedback.Feedba
 residual_limit to cycles_per_revolution   the limits in force
 """
 
-_LARGEST_COUNT = (1 << 63) - 1
-# In the order in which they are collected: with Feedback and ChainLimits after them.
-_TAKEN = ("time_s", "position", "sine_counts", "cosine_counts", "interval_s")
-_FEEDBACK = dict(
-    zip(
-        ("amplitude_counts", "raw_phase", "cycles", "phase", "residual", "status", "speed_cycles",
-         "acceleration_cycles", "jump_cycles", "samples"),
-        Feedback._fields[2:],
-        strict=True,
-    )
-)  # fmt: skip
-_LIMITS = (
-    "residual_limit",
-    "amplitude_low_counts",
-    "amplitude_high_counts",
-    "acceleration_limit_cycles",
-    "cycles_per_revolution",
-)
+_DTYPE = np.dtype(list(COLUMNS.items()))
+_CYCLES = Feedback._fields.index("cycles") - 2
+_LARGEST_COUNT = (1 << 63) - 1  # 2011:04 is INTEGER64 as well
 
 
 class SampleColumns:
@@ -89,62 +74,42 @@ class SampleColumns:
         self._module = module
         self._takers, self._earlier_takers = takers, earlier_takers
         entry = module.dictionary.entry
-        self._position = entry(*od.POSITION_VALUE)
-        self._sine, self._cosine = entry(*od.SAMPLE_SINE), entry(*od.SAMPLE_COSINE)
+        self._entries = [entry(*place) for place in (od.POSITION_VALUE, od.SAMPLE_SINE, od.SAMPLE_COSINE)]
+        self._limits: ChainLimits | None = None
         self._collected: list[tuple[Any, ...]] = []
         self._earlier: list[tuple[Any, ...]] = []
 
     def take(self, feedback: Feedback, now: float) -> None:
         """A feedback of the module."""
-        module, collected = self._module, self._collected
-        collected.append(
-            (
-                now + self.origin_s,
-                self._position.value,
-                self._sine.value,
-                self._cosine.value,
-                module.interval_s,
-                feedback,
-                module.limits,
-            )
-        )
-        if module.chain.between:
-            *before, _, limits = collected[-1]
-            self._earlier += [(*before, one, limits) for one in module.chain.between]
-        if len(collected) == BLOCK_ROWS:
+        module = self._module
+        if module.limits is not self._limits:
+            self._limits = module.limits
+            self._limit_values = _limit_values(module.limits)
+        position, sine, cosine = self._entries
+        before = (now + self.origin_s, position.value, sine.value, cosine.value, module.interval_s)
+        self._collected.append((*before, *_stages(feedback), *self._limit_values))
+        for one in module.chain.between:
+            self._earlier.append((*before, *_stages(one), *self._limit_values))
+        if len(self._collected) == BLOCK_ROWS:
             self.flush()
 
     def flush(self) -> None:
         """Hand on what was collected."""
-        collected = self._collected
-        if not collected:
-            return
-        block = _block(collected)
-        self.rows += len(collected)
-        collected.clear()
-        for take in self._takers:
-            take(block)
-        if self._earlier:
-            earlier = _block(self._earlier)
-            self._earlier.clear()
-            for take in self._earlier_takers:
-                take(earlier)
+        self.rows += len(self._collected)
+        for collected, takers in ((self._collected, self._takers), (self._earlier, self._earlier_takers)):
+            block = np.array(collected, _DTYPE)
+            collected.clear()
+            for take in takers if len(block) else ():
+                take(block)
 
 
-def _block(rows: list[tuple[Any, ...]]) -> Block:
-    *taken, feedbacks, limits = zip(*rows, strict=True)
-    fields = dict(zip(Feedback._fields, zip(*feedbacks, strict=True), strict=True))
-    columns: dict[str, Any] = dict(zip(_TAKEN, taken, strict=True))
-    columns |= {name: fields[field] for name, field in _FEEDBACK.items()}
-    columns["cycles"] = _within_64_bits(columns["cycles"])
-    if limits.count(limits[0]) == len(limits):
-        same = dict(zip(_LIMITS, _limit_values(limits[0]), strict=True))
-        constant = {name: np.full(len(limits), value, COLUMNS[name]) for name, value in same.items()}
-        return {
-            name: np.array(columns[name], COLUMNS[name]) for name in COLUMNS if name in columns
-        } | constant
-    columns |= dict(zip(_LIMITS, zip(*map(_limit_values, limits), strict=True), strict=True))
-    return {name: np.array(columns[name], kind) for name, kind in COLUMNS.items()}
+def _stages(feedback: Feedback) -> tuple[Any, ...]:
+    """In the order of their columns; cycles within 64 bits."""
+    stages = feedback[2:]
+    if -_LARGEST_COUNT <= feedback.cycles <= _LARGEST_COUNT:
+        return stages
+    cycles = _LARGEST_COUNT if feedback.cycles > 0 else -_LARGEST_COUNT
+    return (*stages[:_CYCLES], cycles, *stages[_CYCLES + 1 :])
 
 
 def _limit_values(limits: ChainLimits) -> tuple[float, ...]:
@@ -157,10 +122,3 @@ def _limit_values(limits: ChainLimits) -> tuple[float, ...]:
         limits.acceleration or 0.0,
         limits.cycles_per_revolution,
     )
-
-
-def _within_64_bits(counts: tuple[int, ...]) -> Sequence[int]:
-    """2011:04 is INTEGER64 as well."""
-    if max(counts) <= _LARGEST_COUNT and min(counts) >= -_LARGEST_COUNT:
-        return counts
-    return [max(-_LARGEST_COUNT, min(one, _LARGEST_COUNT)) for one in counts]

@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import can
@@ -17,22 +15,13 @@ from can.io.generic import MessageWriter
 from canfb.bus.frame_bus import Reception, brings_own_frames_back
 from canfb.cia301.frame import Frame
 from canfb.errors import CanfbError, ConfigError, reason
-from canfb.logs.log_reader import NEEDS_PACKAGE, check_writable
+from canfb.logfile.log_files import NEEDS_PACKAGE, check_writable
 
 log = logging.getLogger(__name__)
 
 LONGEST_WAIT_S = 0.1  # how late a signal or the end may be noticed
 UDP_MULTICAST = "udp_multicast"
 ROTATED = frozenset({".asc", ".blf", ".log"})  # python-can's SizedRotatingLogger
-
-
-@dataclass
-class RecordCounters:
-    """What was written."""
-
-    frames: int = 0
-    error_frames: int = 0
-    bus_failures: int = 0
 
 
 class BusLog:
@@ -57,7 +46,7 @@ class BusLog:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.path = path
-        self.counters = RecordCounters()
+        self.frames = self.error_frames = self.bus_failures = 0
         self._max_bytes = max_bytes
         self._clock, self._sleep = clock, sleep
         self._stopped = False
@@ -81,17 +70,24 @@ class BusLog:
             raise CanfbError(f"{self.path}: cannot be written: {reason(error)}") from error
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        writer, self._writer = self._writer, None
-        if writer is None:
-            return
+    def __exit__(self, *raised: object) -> None:
+        with self._writing(suppress=raised[0] is not None):
+            writer, self._writer = self._writer, None
+            if writer is not None:
+                writer.stop()
+
+    @contextlib.contextmanager
+    def _writing(self, *, suppress: bool = False) -> Iterator[None]:
         try:
-            writer.stop()
-        except OSError as failure:
-            if error is None:
-                raise CanfbError(f"{self.path}: cannot be written: {reason(failure)}") from failure
+            yield
+        except OSError as error:
+            # What is in its buffer cannot be written either.
+            writer, self._writer = self._writer, None
+            with contextlib.suppress(OSError):
+                if writer is not None:
+                    writer.stop()
+            if not suppress:
+                raise CanfbError(f"{self.path}: cannot be written: {reason(error)}") from error
 
     def stop(self) -> None:
         """End :meth:`record`; may be called from a signal handler or another thread."""
@@ -112,7 +108,7 @@ class BusLog:
             if left <= 0.0:
                 return
             message = reception.receive(min(left, LONGEST_WAIT_S))
-            self.counters.bus_failures = reception.failures
+            self.bus_failures = reception.failures
             if message is not None:
                 if name is not None:
                     message.channel = name
@@ -120,19 +116,11 @@ class BusLog:
 
     def write(self, message: can.Message) -> None:
         """One frame."""
-        writer = self._writer
-        assert writer is not None
-        try:
-            writer.on_message_received(message)
-        except OSError as error:
-            # What is in its buffer cannot be written either.
-            with contextlib.suppress(OSError):
-                writer.stop()
-            self._writer = None
-            raise CanfbError(f"{self.path}: cannot be written: {reason(error)}") from error
-        self.counters.frames += 1
-        if message.is_error_frame:
-            self.counters.error_frames += 1
+        assert self._writer is not None
+        with self._writing():
+            self._writer.on_message_received(message)
+        self.frames += 1
+        self.error_frames += message.is_error_frame
 
 
 class SentLog(BusLog):
@@ -143,13 +131,5 @@ class SentLog(BusLog):
 
     def take(self, frame: Frame) -> None:
         """One more frame."""
-        self.write(
-            can.Message(
-                timestamp=frame.timestamp or 0.0,
-                arbitration_id=frame.can_id,
-                data=frame.data,
-                is_remote_frame=frame.rtr,
-                is_extended_id=False,
-                channel=0,
-            )
-        )
+        can_id, data, rtr, stamp = frame
+        self.write(can.Message(stamp or 0.0, can_id, False, rtr, channel=0, data=data))

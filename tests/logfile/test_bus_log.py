@@ -13,8 +13,8 @@ import pytest
 from canfb.cli.main import main
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
-from canfb.logs.bus_log import BusLog
-from canfb.logs.log_reader import is_log, readable, writable
+from canfb.logfile.bus_log import BusLog
+from canfb.logfile.log_files import is_log, readable, writable
 from fake_bus import FakeBus, FakeClock, message
 
 EPOCH_S = 1_700_000_000.0
@@ -44,7 +44,7 @@ def test_python_can_reads_what_was_recorded(tmp_path: Path, suffix: str) -> None
         pytest.importorskip("asammdf")
     path = tmp_path / f"bus{suffix}"
     sent = frames(20)
-    assert recorded(path, sent).counters.frames == 20
+    assert recorded(path, sent).frames == 20
     with can.LogReader(path) as reader:
         read = list(reader)
     assert [(one.arbitration_id, bytes(one.data)) for one in read] == [
@@ -65,15 +65,15 @@ def test_a_full_file_is_renamed_and_nothing_is_lost(tmp_path: Path) -> None:
 
 def test_a_bus_that_fails_is_tried_again(tmp_path: Path) -> None:
     plan = [*frames(3), can.CanOperationError("gone"), *frames(2)]
-    counters = recorded(tmp_path / "bus.log", plan).counters
-    assert (counters.frames, counters.bus_failures) == (5, 1)
+    bus_log = recorded(tmp_path / "bus.log", plan)
+    assert (bus_log.frames, bus_log.bus_failures) == (5, 1)
 
 
 @pytest.mark.parametrize("of_udp", [True, False])
 def test_senders_of_udp_multicast_are_one_channel(
     tmp_path: Path, of_udp: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("canfb.logs.bus_log.brings_own_frames_back", lambda bus: of_udp)
+    monkeypatch.setattr("canfb.logfile.bus_log.brings_own_frames_back", lambda bus: of_udp)
     plan = [message(0x180 + n, channel=f"sender{n % 3}") for n in range(6)]
     recorded(tmp_path / "bus.log", plan)
     channels = {one.channel for one in can.LogReader(tmp_path / "bus.log")}
@@ -107,11 +107,6 @@ def test_what_cannot_be_is_one_line(tmp_path: Path, name: str, options: dict[str
         BusLog(tmp_path / name, **options)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["there.log"]
     assert (tmp_path / "there.log").read_text() == "mine"
-
-
-def test_it_is_used_as_a_context_manager(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match="context manager"):
-        BusLog(tmp_path / "bus.log").record(None)  # type: ignore[arg-type]
 
 
 def test_what_is_written_is_read() -> None:

@@ -1,0 +1,1 @@
+"""Bus logs as files: written, and read in any format."""

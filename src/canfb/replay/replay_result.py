@@ -1,0 +1,203 @@
+"""What a replay found, as rows: for people, for programs (:mod:`canfb.rows`)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from canfb.replay.findings import KINDS, Extreme, LogDrift
+from canfb.replay.module_replay import ModuleReplay
+from canfb.replay.own_frames import Compared
+from canfb.rows import Row, as_figures, as_lines
+
+RPM = 60.0 / (2.0 * math.pi)
+SHOWN_FAULTS = 10
+PERCENT = 100.0
+PER_INTERVAL = "cycles per interval²"
+# Of each margin: name, unit, factor to it, format.
+MARGINS = {
+    "residual": ("residual", "cycles", 1.0, ".4f"),
+    "amplitude_low": ("lowest amplitude", "counts", 1.0, ".0f"),
+    "amplitude_high": ("highest amplitude", "counts", 1.0, ".0f"),
+    "acceleration_cycles": ("acceleration", PER_INTERVAL, 1.0, ".4f"),
+    "machine_acceleration_cycles": ("acceleration (2010:02)", PER_INTERVAL, 1.0, ".4f"),
+    "speed_rad_s": ("speed", "rpm", RPM, ".1f"),
+}
+COUNTED = {
+    "equal": "equal",
+    "different": "different",
+    "only_recorded": "only in the log",
+    "only_replayed": "only in the replay",
+}
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """One module of a log. Times are stamps of the log in figures, seconds from its beginning in words.
+
+    drift      None if it was not measured
+    left_out   frames of this module on channels of the log that were not taken
+    """
+
+    replay: ModuleReplay
+    drift: LogDrift | None
+    left_out: int
+
+    @property
+    def is_faultless(self) -> bool:
+        """No fault, and every frame that the recorded module sent is the same."""
+        compared = self.replay.compared.values()
+        return not any(self.replay.faults.times.values()) and all(one.all_equal for one in compared)
+
+    def head(self) -> str:
+        """Module, frames and seconds."""
+        node_id, counters = self.replay.module.node.node_id, self.replay.counters
+        seconds = counters.last_s - counters.first_s
+        return f"module {node_id} ({node_id:02X}h): {counters.frames} frames, {seconds:.3f} s"
+
+    def figures(self) -> dict[str, Any]:
+        """All figures; None for what is not known."""
+        return as_figures([self._verdict()], self.facts())
+
+    def lines(self) -> list[str]:
+        """For the terminal."""
+        faults = self.faults()
+        rows = [self._verdict(), *self.facts(), *(Row("fault", text) for text in faults[:SHOWN_FAULTS])]
+        if len(faults) > SHOWN_FAULTS:
+            rows.append(Row("", f"... and {sum(self.replay.faults.times.values()) - SHOWN_FAULTS} more"))
+        return [self.head(), *as_lines([*rows, *self.comparison()])]
+
+    def verdict(self) -> str:
+        """One line: were there samples, and faults, as far as that is known with frames ``left_out``?"""
+        faults = self.replay.faults
+        missing = ""
+        if self.left_out:
+            missing = f"; {self.left_out} frames with CAN-IDs of this module were left out (--channel)"
+        samples = self.replay.samples.rows - faults.samples["missed"]
+        if not samples:
+            return (
+                f"no sample came to the module: look at --encoder-interface, --begin and --channel{missing}"
+            )
+        bad = [f"{times} × {kind}" for kind, times in faults.times.items() if times]
+        found = ", ".join(bad) if bad else "none in what was taken" if missing else "none"
+        return f"{samples} samples; faults: {found}{missing}"
+
+    def _verdict(self) -> Row:
+        replay, counters, faults = self.replay, self.replay.counters, self.replay.faults
+        return Row(
+            "samples",
+            self.verdict(),
+            node_id=replay.module.node.node_id,
+            first_s=counters.first_s,
+            last_s=counters.last_s,
+            left_out=self.left_out,
+            samples=replay.samples.rows - faults.samples["missed"],
+            faults={kind: {"times": faults.times[kind], "samples": faults.samples[kind]} for kind in KINDS},
+            table_crc32=f"{replay.module.chain.correction.crc32:08X}",
+            sent=counters.sent,
+            compared={
+                f"{can_id:03X}h": self._compared(can_id, one) for can_id, one in replay.compared.items()
+            },
+            acceleration_rad_s2=replay.margins.acceleration_rad_s2,
+            margins={
+                name: {key: _known(value) for key, value in one._asdict().items()}
+                for name, one in replay.margins.nearest.items()
+            },
+        )
+
+    def faults(self) -> list[str]:
+        """The faults that are listed, one line each."""
+        return [
+            f"{fault.begin_s - self.replay.counters.first_s:.6f} s: {fault.kind}, {fault.samples} "
+            f"{'interval' if fault.samples == 1 else 'intervals'}"
+            for fault in self.replay.faults.in_order()
+        ]
+
+    def facts(self) -> list[Row]:
+        """How near it came to each limit, and when; drift, and what was odd about the log."""
+        times, counters, drift = self.replay.times, self.replay.counters, self.drift
+        rows = [
+            Row(MARGINS[name][0], self._margin(one, *MARGINS[name][1:]))
+            for name, one in self.replay.margins.nearest.items()
+        ]
+        known = (
+            {f"{key}_cycles": _known(getattr(drift, key)) for key in ("rms", "peak", "uncertainty_rms")}
+            if drift
+            else {}
+        )
+        rows.append(
+            Row(
+                "drift from the table",
+                None if drift is None else _drift_words(drift),
+                drift=drift and known | {"reason": drift.reason},
+            )
+        )
+        odd = (
+            ("restarts", "restarts", counters.restarts, "power-ups of the recorded module within the log"),
+            ("clock", "steps_back", times.steps_back, "times the clock of the log was set back"),
+            ("gaps", "gaps", times.gaps, "silences of more than a minute, each replayed as one of a minute"),
+            ("time stamps", None, times.bad, "that are no numbers"),
+            ("EMCY", "emergencies", counters.emergencies, "sent"),
+        )
+        return rows + [
+            Row(name, f"{count} {text}" if count else None, **({key: count} if key else {}))
+            for name, key, count, text in odd
+        ]
+
+    def _margin(self, found: Extreme, unit: str, factor: float, form: str) -> str | None:
+        if math.isnan(found.value):
+            return None
+        value = f"{found.value * factor:{form}}"
+        when = f"at {found.time_s - self.replay.counters.first_s:.3f} s"
+        if not math.isfinite(found.limit):
+            return f"{value} {unit} {when}"
+        return (
+            f"{value} of {found.limit * factor:{form}} {unit} {when}; margin {PERCENT * found.margin:.0f} %"
+        )
+
+    def _compared(self, can_id: int, found: Compared) -> dict[str, Any]:
+        words: dict[str, Any] = {name: getattr(found, name) for name in COUNTED}
+        if found.first is not None:
+            one = found.first
+            words["first_different"] = asdict(one) | {
+                "recorded": one.recorded.hex(),
+                "replayed": one.replayed.hex(),
+            }
+        differences = self.replay.differences(can_id)
+        if differences:
+            words["objects"] = {
+                one.name: {"pairs": one.pairs, "least": _known(one.least), "most": _known(one.most)}
+                for one in differences
+            }
+        return words
+
+    def comparison(self) -> list[Row]:
+        """What the recorded module sent against the replay, by CAN-ID."""
+        rows: list[Row] = []
+        for can_id, found in self.replay.compared.items():
+            counts = {words: getattr(found, name) for name, words in COUNTED.items()}
+            said = [f"{count} {words}" for words, count in counts.items() if count or words == "equal"]
+            rows.append(Row(f"recorded {can_id:03X}h", ", ".join(said)))
+            if found.first is not None:
+                at = found.first.time_s - self.replay.counters.first_s
+                first = f"{found.first.recorded.hex()} recorded, {found.first.replayed.hex()} replayed"
+                rows.append(Row("", f"first at {at:.6f} s: {first}"))
+            for one in self.replay.differences(can_id):
+                if one.pairs:
+                    how = f"{one.least:g}" if one.is_constant else f"{one.least:g} to {one.most:g}"
+                    rows.append(Row("", f"{one.name} differs by {how}"))
+        return rows
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _drift_words(drift: LogDrift) -> str:
+    if drift.reason is not None:
+        return f"not seen: {drift.reason}"
+    return (
+        f"{PERCENT * drift.rms:.3f} % rms, {PERCENT * drift.peak:.3f} % peak of a cycle, known to "
+        f"{PERCENT * drift.uncertainty_rms:.3f} %"
+    )
