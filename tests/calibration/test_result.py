@@ -22,6 +22,7 @@ def test_reasons_keep_their_numbers():
         "speed",
         "interrupted",
         "failed",
+        "changed",
     ]
     assert [Reason.of_number(n) for n in range(len(Reason))] == list(Reason)
     assert [reason.number for reason in Reason] == list(range(len(Reason)))

@@ -25,6 +25,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from canfb.calibration.changes import FINE, THIRDS, Change, largest_change, lasting
 from canfb.calibration.figures import (
     ErrorCurve,
     ErrorHarmonic,
@@ -41,7 +42,7 @@ from canfb.calibration.motion_blocks import Blocks
 from canfb.calibration.path_correction import with_track_harmonics
 from canfb.calibration.recording import Recording, prepared
 from canfb.calibration.result import TRACK_POINTS, Calibration, Method, judge
-from canfb.calibration.solver import Progress, Solution, Solver, no_progress
+from canfb.calibration.solver import MIN_BLOCKS, Progress, Solution, Solver, no_progress, reject
 from canfb.calibration.waveform import (
     Waveform,
     grid_phases,
@@ -105,7 +106,7 @@ MIN_BLOCKS_OF_PART = 24
 
 def finish(record: Recording, solution: Solution, conditioning: Conditioning, entries: int) -> Calibration:
     """Table, figures and verdict. CalibrationError if the measurement cannot be used."""
-    fit, blocks, loss, undetermined = solution
+    fit, blocks, whole, loss, undetermined = solution
     use = blocks.used
     position = blocks.evaluate(fit.motion)
     cycles = float(np.abs(np.diff(position, axis=1))[use[:, 1:] & use[:, :-1]].sum())
@@ -125,6 +126,7 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         if enough
         else [table.entries for table in tables]
     )
+    change = _change(record, blocks, whole, fit, sensitivity, max(1.0, measured / expected))
     covariance = bound_covariance(blocks, record.sine, record.cosine, fit, fit.noise_counts)
     bound = float(np.sqrt(_variance(sensitivity, covariance).mean()))
     before, after = _deviations(record, blocks, position, conditioning, tables)
@@ -145,12 +147,15 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         residual_peak=peak(after[moving]),
         before_rms=root_mean(before[moving]) * correct,
         before_peak=peak(before[moving]),
-        uncertainty_rms=max(expected, measured, systematic, undetermined),
-        uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured, systematic, undetermined),
+        uncertainty_rms=max(expected, measured, systematic, undetermined, change.rms),
+        uncertainty_peak=max(
+            PEAK_SIGMAS * max(float(spread.max()), measured, systematic, undetermined), change.peak
+        ),
+        change_rms=change.rms,
         noise_counts=fit.noise_counts,
         noise_cycles=fit.noise_cycles,
         bound_rms=bound,
-        cramer_rao_ratio=measured / bound,
+        cramer_rao_ratio=max(measured, change.rms) / bound,
         cramer_rao_scatter=SCATTER if enough else SCATTER_OF_TWO,
         track_orders=fit.waveform.orders,
         harmonics=_harmonics(fit.waveform, conditioning, origin_of(curve), expected),
@@ -192,6 +197,38 @@ def _parts(record: Recording, blocks: Blocks, fit: JointFit, count: int) -> list
         )
         waveforms.append(one.waveform)
     return waveforms
+
+
+def _change(
+    record: Recording, blocks: Blocks, whole: Blocks, fit: JointFit, sensitivity: FloatArray, doubt: float
+) -> Change:
+    """Of the tracks in the course of the measurement; ``doubt``: noise over what the covariance expects."""
+    largest, every = Change(), np.arange(len(blocks))
+    left_out = lasting(2 * blocks.used.sum(axis=1) < whole.used.sum(axis=1))
+    for count in (THIRDS, FINE):
+        if len(blocks) < count * MIN_BLOCKS:
+            break
+        divided = np.array_split(every, count) + left_out
+        parts = [_fit_of_part(record, blocks.take(rows), whole.take(rows), fit, rows) for rows in divided]
+        tables = np.array([sensitivity @ _coefficients(part.waveform) for part in parts])
+        noise = np.array([doubt * root_mean(np.sqrt(_variance(sensitivity, p.covariance))) for p in parts])
+        largest = max(largest, largest_change(tables, noise))
+    return largest
+
+
+def _fit_of_part(
+    record: Recording, kept: Blocks, whole: Blocks, fit: JointFit, rows: npt.NDArray[np.int64]
+) -> JointFit:
+    """The fit to these blocks alone. Where most samples had been left out, it is they that count here."""
+    noise, motion = fit.noise, fit.motion[rows]
+    if 2 * kept.samples < whole.samples:
+        coarse = fit_jointly(whole, record.sine, record.cosine, fit.waveform, motion, noise=noise)
+        kept, noise, motion = reject(whole, coarse), coarse.noise, coarse.motion
+    return fit_jointly(kept, record.sine, record.cosine, fit.waveform, motion, rounds=6, noise=noise)
+
+
+def _coefficients(waveform: Waveform) -> FloatArray:
+    return np.concatenate([waveform.sine, waveform.cosine])
 
 
 def _measured_error(tables: list[FloatArray]) -> float:

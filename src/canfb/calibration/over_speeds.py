@@ -23,11 +23,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from canfb.calibration.changes import SIGNIFICANT, Change
+from canfb.calibration.deviation import drift
 from canfb.calibration.ellipse import fit_ellipse
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.path_correction import mean_speed, sampled_together, speeds, with_track_harmonics
 from canfb.calibration.path_fit import (
     ANGLE_REPEATS_RAD,
+    MOST_OFF_CYCLES,
     NO_PATH,
     RATIO_REPEATS,
     Fundamental,
@@ -37,7 +40,7 @@ from canfb.calibration.path_fit import (
     response,
 )
 from canfb.calibration.recording import Recording, recording
-from canfb.calibration.result import TRACK_POINTS, Calibration, Reason, naming_speed
+from canfb.calibration.result import TRACK_POINTS, Calibration, Reason, changed, naming_speed
 from canfb.calibration.solver import Progress, no_progress
 from canfb.calibration.waveform import Waveform, grid_phases, origin_of, raw_phase_curve, table_of
 from canfb.errors import CalibrationError
@@ -121,8 +124,29 @@ def calibrate_over_speeds(
     report(0.95)
     lowest = found[int(np.argmin(np.abs(hertz)))]
     calibration = at_standstill(lowest.calibration, lowest.hertz, path, entries)
+    calibration = _judged(calibration, [at_standstill(o.calibration, o.hertz, path, entries) for o in found])
     report(1.0)
     return SpeedCalibration(calibration, path, tuple(one.fundamental for one in found))
+
+
+def _judged(calibration: Calibration, each: Sequence[Calibration]) -> Calibration:
+    """The calibration with what those of the speeds, all as at standstill, differ from it by.
+
+    CalibrationError where that is more than the path may leave unexplained: the tracks have changed.
+    """
+    found = Change()
+    for one in each:
+        off = Change(*drift(one, calibration.table, calibration.conditioning))
+        if off.rms > SIGNIFICANT * np.hypot(one.uncertainty_rms, calibration.uncertainty_rms):
+            found = max(found, off)
+    if found.rms > MOST_OFF_CYCLES:
+        raise changed(f"the tables of the speeds differ by {found.rms:.1e} cycle rms")
+    return replace(
+        calibration,
+        uncertainty_rms=max(calibration.uncertainty_rms, found.rms),
+        uncertainty_peak=max(calibration.uncertainty_peak, found.peak),
+        change_rms=max(calibration.change_rms, found.rms),
+    )
 
 
 def measured_at_standstill(

@@ -41,6 +41,7 @@ class Reason(StrEnum):
         "the samples ended before there were enough: the module left OPERATIONAL",
     )
     FAILED = "failed", "the computation itself failed"
+    CHANGED = "changed", "the tracks change during the measurement"
 
     @property
     def number(self) -> int:
@@ -91,6 +92,8 @@ class Calibration:
     before_peak
     uncertainty_rms  expected error of the table itself, rms over the cycle, cycles
     uncertainty_peak expected largest error of the table
+    change_rms       by how much tables of parts of the time differ, cycles; 0: no more than by noise.
+                     Both uncertainties are no less
     noise_counts     rms noise of a track, counts (converter, quantisation)
     noise_cycles     rms of the deviation from the smooth motion, as a phase
     bound_rms        Cramer-Rao bound of the table's rms error with noise_counts, cycles; None
@@ -123,6 +126,7 @@ class Calibration:
     uncertainty_peak: float
     noise_counts: float
     noise_cycles: float
+    change_rms: float = 0.0
     bound_rms: float | None = None
     cramer_rao_ratio: float | None = None
     cramer_rao_scatter: float | None = None
@@ -206,10 +210,21 @@ def no_fit(what: str, loss: float) -> CalibrationError:
     )
 
 
+def changed(what: str) -> CalibrationError:
+    """The error for tracks that do not stay the same."""
+    return CalibrationError(
+        f"the tracks change during the measurement, {what}: let the electronics warm up, check plugs and "
+        "mounting, and measure again",
+        Reason.CHANGED,
+    )
+
+
 def judge(found: Calibration, loss: float = 1.0) -> Calibration:
     """The calibration if it can be used, else CalibrationError with it and the reason."""
     try:
         check_distance(found.coverage, found.cycles_used)
+        if found.change_rms > MAX_UNCERTAINTY_CYCLES:
+            raise changed(f"tables of parts of the time differ by {found.change_rms:.1e} cycle rms")
         if found.uncertainty_rms > MAX_UNCERTAINTY_CYCLES:
             raise no_fit(f"the table would be uncertain by {found.uncertainty_rms:.1e} cycle rms", loss)
     except CalibrationError as error:

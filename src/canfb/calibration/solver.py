@@ -71,6 +71,7 @@ class Start(NamedTuple):
 class Solution(NamedTuple):
     """What was found.
 
+    whole  the same blocks with the samples that were left out
     loss   how many times the unknown motion made the uncertainty larger
     undetermined  uncertainty of the table, cycles, where the samples cannot rule out orders that do not
            show: positions are unsteady, or determine some orders only together. Else 0
@@ -78,6 +79,7 @@ class Solution(NamedTuple):
 
     fit: JointFit
     blocks: Blocks
+    whole: Blocks
     loss: float
     undetermined: float
 
@@ -130,7 +132,7 @@ class Solver:
         telling = blocks.used[blocks.informative(blocks.evaluate(fit.motion))].sum()
         if self._curve(fit.waveform) is None or off > MAX_OFF_CYCLES or telling < MIN_SAMPLES:
             raise no_fit("tracks and motion cannot be separated", loss)
-        return Solution(fit, blocks, loss, undetermined)
+        return Solution(fit, blocks, self._cut(shape), loss, undetermined)
 
     def _off_cycles(self, fit: JointFit) -> float:
         return fit.noise.along / (2.0 * np.pi * self.amplitude_counts)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from canfb.calibration.changes import THIRDS, Change, largest_change, lasting
 from canfb.calibration.figures import (
     ErrorHarmonic,
     about_mean,
@@ -67,11 +68,12 @@ def calibrate_from_zero_crossings(
     report(0.4)
     nodes = _ideal_phase(np.arange(entries) / entries)
     curves = _resample(passage, cycles, nodes)
+    change = _change(curves, _backwards(passage, nodes))
     good = _agreeing(curves)
     if good.sum() < MIN_CYCLES:
         raise CalibrationError(f"{good.sum()} cycles agree: at least {MIN_CYCLES} are needed", Reason.CYCLES)
     report(0.9)
-    found = _finish(passage, cycles.take(good), nodes, curves[good], chosen, record)
+    found = _finish(passage, cycles.take(good), nodes, curves[good], chosen, record, change)
     report(1.0)
     return found
 
@@ -103,17 +105,19 @@ class _Passage:
         angle = np.unwrap(_ideal_phase(raw[last]), period=1.0)
         amplitude = root_mean(np.hypot(s[usable], c[usable]))
         counts = np.array((record.sine, record.cosine))
-        if angle[-1] >= angle[0]:
-            return cls(record.time, s, counts, usable, angle, raw, amplitude)
-        # Backwards: read the recording from its end.
-        return cls(
-            -record.time[::-1],
-            s[::-1],
-            counts[:, ::-1],
-            usable[::-1],
-            angle[::-1],
-            raw[::-1],
-            amplitude,
+        forward = cls(record.time, s, counts, usable, angle, raw, amplitude)
+        return forward if angle[-1] >= angle[0] else forward.reversed()
+
+    def reversed(self) -> _Passage:
+        """The same read from its end."""
+        return _Passage(
+            -self.time[::-1],
+            self.sine[::-1],
+            self.counts[:, ::-1],
+            self.usable[::-1],
+            self.angle[::-1],
+            self.raw[::-1],
+            self.amplitude,
         )
 
 
@@ -228,6 +232,26 @@ def _agreeing(curves: FloatArray) -> BoolArray:
     return good
 
 
+def _backwards(passage: _Passage, nodes: FloatArray) -> FloatArray | None:
+    """Curves of the cycles in the other direction, None for too few. Real tracks have the same shape there;
+    where one is inverted or both are exchanged, the motion seems to turn."""
+    turned = passage.reversed()
+    try:
+        return _resample(turned, _find_cycles(turned), nodes)
+    except CalibrationError:
+        return None
+
+
+def _change(curves: FloatArray, backwards: FloatArray | None) -> Change:
+    """Of the curves (cycles, nodes) in the course of the recording."""
+    parts = np.array_split(curves, THIRDS) + [curves[rows] for rows in lasting(~_agreeing(curves))]
+    parts += [] if backwards is None else [backwards]
+    parts = [part[_agreeing(part)] for part in parts]
+    tables = np.array([part.mean(axis=0) for part in parts])
+    scatter = root_mean(np.array([np.sqrt(np.mean(np.var(part, axis=0, ddof=1))) for part in parts]))
+    return largest_change(tables, np.array([scatter / np.sqrt(len(part)) for part in parts]))
+
+
 def _finish(
     passage: _Passage,
     cycles: _Cycles,
@@ -235,6 +259,7 @@ def _finish(
     curves: FloatArray,
     conditioning: Conditioning,
     record: Recording,
+    change: Change,
 ) -> Calibration:
     mean = curves.mean(axis=0)
     tables = [
@@ -260,8 +285,9 @@ def _finish(
         residual_peak=peak(after),
         before_rms=root_mean(before),
         before_peak=peak(before),
-        uncertainty_rms=max(root_mean(spread), measured),
-        uncertainty_peak=PEAK_SIGMAS * max(float(spread.max()), measured),
+        uncertainty_rms=max(root_mean(spread), measured, change.rms),
+        uncertainty_peak=max(PEAK_SIGMAS * max(float(spread.max()), measured), change.peak),
+        change_rms=change.rms,
         noise_counts=noise * 2.0 * np.pi * passage.amplitude,
         noise_cycles=noise,
         harmonics=_harmonics(nodes, mean, max(root_mean(spread), measured)),
