@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canfb.calibrate.artefacts import prepare, write, write_refusal
-from canfb.calibrate.calibration_page import refusal_html, report_html
+from canfb.calibrate.artefacts import prepare, refusal_html, report_html, write, write_refusal
 from canfb.calibrate.calibration_summary import comparison
 from canfb.calibrate.measurement import Measurement, Settings, block_of
 from canfb.calibrate.procedure import Installation
-from canfb.calibration.deviation import deviation
+from canfb.calibration.deviation import best_deviation
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import Provenance
@@ -30,7 +29,9 @@ LIMITS = SampleLimits(2048, 600.0, 2300.0)
 
 @pytest.fixture(scope="module")
 def done(measured: Measurement, fresh: TrackSamples, settings: Settings) -> Installation:
-    found = deviation(fresh.recording(12), measured.found, measured.before, block_of(measured.calibration))
+    found = best_deviation(
+        fresh.recording(12), measured.found, measured.before, block_of(measured.calibration)
+    )
     return Installation(found, True, "1010:04")
 
 

@@ -39,7 +39,6 @@ METHODS = {
     canfb.calibrate_from_zero_crossings: (slow_motion, 9000),
 }
 CHANGES: dict[str, Changed] = {
-    "drift of 0.2 counts": lambda s, c, u: (s + 0.2 * u, c),
     "drift of 2 counts": lambda s, c, u: (s + 2.0 * u, c),
     "drift of 2 %": lambda s, c, u: (s + 30.0 * u, c),
     "gain drifts by 3 %": lambda s, c, u: (s * (1.0 + 0.03 * u), c),

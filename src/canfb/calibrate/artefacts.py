@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from canfb.calibrate.calibration_page import refusal_html, report_html
+import numpy as np
+
+from canfb.calibrate.calibration_summary import comparison, coverage_warning, facts, outcome, verdict
 from canfb.calibrate.calibration_summary import figures as figures_of
-from canfb.calibrate.measurement import Measurement
+from canfb.calibrate.measurement import Measurement, SpeedMeasurement
 from canfb.calibrate.procedure import Installation
+from canfb.calibration.figures import BINS
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
-from canfb.master.machine_watch import Provenance
+from canfb.master.machine_watch import Provenance, origins
 from canfb.master.samples import TrackSamples, write_npz
+from canfb.report import pictures
+from canfb.report.page import beside, figure, gallery, page, table
+from canfb.report.pictures import is_dense, lissajous
+from canfb.rows import Row
 from canfb.sdo.table_file import as_yaml
+from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits
 
 TABLE_YAML, TABLE_BIN, SAMPLES, REPORT = "table.yaml", "table.bin", "samples.npz", "report.html"
@@ -118,3 +127,135 @@ def write_refusal(
         write_npz(folder / SAMPLES, samples)
         (folder / REPORT).write_text(refusal_html(samples, refused, where, limits), encoding="utf-8")
     return [folder / name for name in (SAMPLES, REPORT)]
+
+
+FOOTER = (
+    "Made by canfb calibrate. Deviation: difference of single samples from smooth motion, noise included. "
+    "No table is judged by the samples from which it was calculated."
+)
+MEASUREMENT = "Measurement"
+ANGLES = " Angles (″) are those of the shaft."
+
+
+def report_html(
+    measured: Measurement, done: Installation, where: Provenance, limits: SampleLimits | None = None
+) -> str:
+    """The page. It refers to nothing outside of itself and runs no script."""
+    said = [verdict(measured, where), _sentence(outcome(measured, done, where))]
+    tables = table("Before and after", comparison(measured, done, where), ("before", "after"))
+    tables += table(MEASUREMENT, facts(measured, done, where))
+    return _page(
+        where,
+        said,
+        beside(tables, _lissajous(measured.samples, measured.found, limits))
+        + _over_speed(measured, where)
+        + gallery("Pictures", _pictures(measured, done))
+        + _origins(where),
+    )
+
+
+def refusal_html(
+    samples: TrackSamples, refused: CalibrationError, where: Provenance, limits: SampleLimits | None = None
+) -> str:
+    """The page of a measurement that was refused: why, and what the tracks look like."""
+    said = [f"Refused: {refused}.", "Nothing was written to the module."]
+    rows = [Row("samples", f"{len(samples)}; {samples.origin}"), Row("missed", str(samples.missed))]
+    tables = table(MEASUREMENT, rows)
+    body = beside(tables, _lissajous(samples, NO_CORRECTION, limits)) + _origins(where)
+    return _page(where, said, body, good=False)
+
+
+def _page(where: Provenance, said: list[str], body: str, good: bool = True) -> str:
+    title = f"Reference measurement{f', encoder {where.encoder}' if where.encoder else ''}"
+    footer = f"{FOOTER}{ANGLES if where.cycles_per_revolution else ''}"
+    return page(title, place_line(where), said, body, footer, good)
+
+
+def place_line(where: Provenance) -> str:
+    """Date, nodes and cycles per revolution, in one line."""
+    words = [f"{where.date} {where.time}".strip()]
+    if where.module is not None:
+        words.append(f"module {where.module} ({where.module:02X}h)")
+    if where.encoder_interface is not None:
+        words.append(f"encoder interface {where.encoder_interface} ({where.encoder_interface:02X}h)")
+    if where.cycles_per_revolution is not None:
+        words.append(f"{where.cycles_per_revolution} cycles per revolution")
+    return " · ".join(words)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _origins(where: Provenance) -> str:
+    return table("Origin", origins(where), style="origin") if origins(where) else ""
+
+
+def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | None) -> str:
+    picture = lissajous(samples.sine, samples.cosine, used.conditioning, limits)
+    seen = len(samples) - samples.missed
+    shown = f"all {seen} samples, shown by their density" if is_dense(samples.sine) else f"{seen} samples"
+    return figure("Lissajous figure", f"should be a circle within the limits; {shown}", picture)
+
+
+def _over_speed(measured: Measurement, where: Provenance) -> str:
+    """Both curves over the speed; nothing for one speed."""
+    if not isinstance(measured, SpeedMeasurement):
+        return ""
+    errors = measured.over_speeds.errors
+    per_turn = where.cycles_per_revolution
+    unit = "rpm" if per_turn else "cycles/s"
+    speed = np.array([one.hertz * (60.0 / per_turn if per_turn else 1.0) for one in errors])
+    nan = float("nan")
+    before = np.array([nan if one.before is None else one.before for one in errors])
+    mean = np.array([nan if one.mean_before is None else one.mean_before for one in errors])
+    after = np.array([one.after for one in errors])
+    late = np.array([one.mean_after for one in errors])
+    return gallery(
+        "Error over the speed",
+        [
+            figure(
+                "Error within a cycle",
+                "rms at each speed, on samples that were held out",
+                pictures.rms_over_speed(speed, before, after, unit),
+            ),
+            figure(
+                "Mean error",
+                "by the delay that the amplitude tells; a delay of the converter is not in it",
+                pictures.mean_over_speed(speed, mean, late, unit),
+            ),
+        ],
+    )
+
+
+def _pictures(measured: Measurement, done: Installation) -> list[str]:
+    calibration, on_samples = measured.calibration, measured.on_samples
+    before, after = on_samples.mean_over_phase(before=True), calibration.curve.after
+    noise = 100.0 * calibration.residual_rms * math.sqrt(BINS / max(1, calibration.samples_used))
+    shown, which = (
+        (on_samples, "of the measurement") if done.fresh is None else (done.fresh, "taken after it")
+    )
+    curves = pictures.error_over_phase(before, after, "Mean error over the phase, before and after")
+    left = pictures.remaining_error(after, calibration.uncertainty_peak)
+    orders = pictures.harmonics(before, after, calibration.residual_rms, calibration.samples_used)
+    listed = [
+        (
+            "Correction table",
+            "phase minus raw phase; Table 1 alone needs four waves of 1.1 %",
+            pictures.table_curve(calibration.table, measured.before.table),
+        ),
+        (
+            "Coverage",
+            f"every phase must be covered{coverage_warning(measured)}",
+            pictures.coverage(on_samples.samples_over_phase()),
+        ),
+        ("Error over the phase", "mean in each 1/64 cycle, before and after", curves),
+        ("Remaining error", f"on its own scale; noise alone gives {noise:.2g} % rms", left),
+        ("Harmonics of the error", "1: offset; 2: gain and phase error; 4, 8, 12: Table 1 itself", orders),
+        (
+            "Deviation of single samples",
+            f"{len(shown.error)} samples {which}",
+            pictures.histogram(shown.error, shown.rms, calibration.noise_cycles),
+        ),
+    ]
+    return [figure(name, text, svg) for name, text, svg in listed]

@@ -3,36 +3,51 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from canfb.calibrate import own_calibration
-from canfb.calibrate.artefacts import keep_samples, write, write_refusal
-from canfb.calibrate.calibration_summary import CalibrateResult, result
-from canfb.calibrate.choices import MODULE, PDO, CalibrateOptions
-from canfb.calibrate.drift_check import check, check_at_speed, drift_result, module_drift_result
-from canfb.calibrate.measurement import Measurement, Settings, measure
-from canfb.calibrate.procedure import Installation, install
-from canfb.calibrate.samples_through_chain import InForce, SpeedSamples
-from canfb.errors import CalibrationError
-from canfb.master.access import CommissioningError, Master
-from canfb.master.all_or_nothing import Guard, check_unlocked
+from canfb.calibrate.artefacts import keep_samples, keep_speeds, write, write_refusal
+from canfb.calibrate.calibration_summary import drift_result, module_drift_result, result
+from canfb.calibrate.choices import MODULE, PDO, RECORDED, CalibrateOptions
+from canfb.calibrate.measurement import (
+    Measurement,
+    Settings,
+    SpeedMeasurement,
+    check,
+    check_at_speed,
+    measure,
+    measure_speeds,
+)
+from canfb.calibrate.procedure import Installation, check_as_predicted, install
+from canfb.calibrate.samples_through_chain import InForce, SpeedSamples, errors_at
+from canfb.calibration.deviation import Deviation
+from canfb.calibration.path_fit import check_apart
+from canfb.errors import CalibrationError, ConfigError
+from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
+from canfb.master.all_or_nothing import Guard, check_unlocked, put_in_force
 from canfb.master.machine_watch import (
     LockWatch,
     Look,
     Meanwhile,
     Provenance,
     SpeedReadings,
+    check_valid,
     look_at,
     lost_words,
 )
-from canfb.master.samples import TrackSamples
-from canfb.master.session import Session, Source
+from canfb.master.samples import TrackSamples, read_speed
+from canfb.master.session import CORNERS, Session, Source, read_corners
+from canfb.master.supervision_limits import as_real32
+from canfb.rows import Result
 from canfb.sdo.table_file import read_table
 from canfb.signal.correction import NO_CORRECTION, Correction
+from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
 
 LEAST_FRESH = 1500
@@ -79,7 +94,7 @@ class CalibrationRun:
         self._steps = steps
         self._refused = refused
 
-    def from_file(self, path: Path) -> CalibrateResult:
+    def from_file(self, path: Path) -> Result:
         """Samples of a file: nothing but files can come of it."""
         choices = self._choices
         samples = choices.samples_of_file(path)
@@ -89,7 +104,7 @@ class CalibrationRun:
             return self._drift(samples, before, settings)
         return self._report(self._measured(samples, before, settings), Installation())
 
-    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> CalibrateResult:
+    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
         """With the nodes of a bus; ``interface`` None if the module is to say it."""
         choices = self._choices
         session = self._begin(master, module, interface)
@@ -150,7 +165,7 @@ class CalibrationRun:
 
     def _by_module(
         self, session: Session, source: Source, settings: Settings, guard: Guard, before: Look | None
-    ) -> CalibrateResult:
+    ) -> Result:
         """The module measures; its samples on the bus are measured here as well, for figures and pictures."""
         self._steps.step("the module measures")
         if self._choices.check:
@@ -229,7 +244,7 @@ class CalibrationRun:
         rad_s = math.fsum(one.rad_per_s for one in readings.found) / len(readings.found)
         return SpeedSamples(samples, rad_s * session.cycles_per_revolution / (2.0 * math.pi))
 
-    def _check_at_speed(self, session: Session) -> CalibrateResult:
+    def _check_at_speed(self, session: Session) -> Result:
         """How far the encoder has moved away, whatever the analog path does at this speed."""
         choices = self._choices
         self._look(session, None)
@@ -243,14 +258,14 @@ class CalibrationRun:
             keep_samples(choices.out, measured.samples)
         return drift_result(found, self._where)
 
-    def _drift(self, samples: TrackSamples, active: Correction, settings: Settings) -> CalibrateResult:
+    def _drift(self, samples: TrackSamples, active: Correction, settings: Settings) -> Result:
         """How far the encoder has moved away from its table."""
         found = self._judged(samples, lambda: check(samples, active, settings, self._steps.part))
         if self._choices.out:
             keep_samples(self._choices.out, samples)
         return drift_result(found, self._where)
 
-    def _report(self, measured: Measurement, done: Installation) -> CalibrateResult:
+    def _report(self, measured: Measurement, done: Installation) -> Result:
         """What came out; the files are written."""
         out = self._choices.out
         paths = write(out, measured, done, self._where, self._limits) if out else []
@@ -270,3 +285,208 @@ class CalibrationRun:
         finally:
             self._steps.clear()
         return found
+
+
+NEAR_PART = 0.1  # of a speed: it is this one
+STEADY_PART = 0.01  # of it, from the lowest to the highest of the last readings
+STEADY_RPM = 0.5
+READINGS, EVERY_S = 5, 0.3
+
+
+def wait_for_speed(
+    master: Master,
+    read_rpm: Callable[[], float],
+    speeds_rpm: Sequence[float],
+    longest_s: float,
+    progress: Progress,
+) -> float:
+    """The one of ``speeds_rpm``, rpm, at which the machine turns steadily now.
+
+    Where none of them is negative, it may turn either way. ``progress`` gets the part of the time that has
+    passed. CommissioningError, with the speed that it has, after ``longest_s`` seconds.
+    """
+    began, last = master.now(), list[float]()
+    while True:
+        last = [*last[1 - READINGS :], read_rpm()]
+        found = _steady_at(last, speeds_rpm)
+        if found is not None:
+            return found
+        passed_s = master.now() - began
+        if passed_s > longest_s:
+            raise CommissioningError(
+                f"the machine did not turn steadily at {listed(speeds_rpm)} rpm within {longest_s:g} s; it "
+                f"turns at {last[-1]:.4g} rpm: --wait, or other --speeds"
+            )
+        progress(passed_s / longest_s)
+        master.wait(EVERY_S)
+
+
+def _steady_at(last: Sequence[float], speeds_rpm: Sequence[float]) -> float | None:
+    if len(last) < READINGS:
+        return None
+    mean = math.fsum(last) / len(last)
+    if max(last) - min(last) > max(STEADY_PART * abs(mean), STEADY_RPM):
+        return None
+    if min(speeds_rpm) > 0.0:
+        mean = abs(mean)
+    near = min(speeds_rpm, key=lambda rpm: abs(rpm - mean))
+    return near if abs(near - mean) <= NEAR_PART * abs(near) else None
+
+
+def listed(speeds_rpm: Sequence[float]) -> str:
+    """Speeds in words."""
+    words = [f"{rpm:g}" for rpm in speeds_rpm]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+SPARE_AMPLITUDE = 0.05  # within the limits of the amplitude
+RPM_PER_RAD_S = 60.0 / (2.0 * math.pi)
+
+
+class SpeedRun(CalibrationRun):
+    """One run of the command with ``--speeds``."""
+
+    def from_file(self, path: Path) -> Result:
+        """A folder with the samples of each speed: nothing but files can come of it."""
+        choices = self._choices
+        samples = self._of_folder(path)
+        before = read_table(choices.table) if choices.table else NO_CORRECTION
+        measured = self._measured_speeds(samples, choices.settings(None), InForce(before))
+        return self._report(measured, Installation())
+
+    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
+        """With the nodes of a bus; ``interface`` None if the module is to say it."""
+        choices, steps = self._choices, self._steps
+        session = self._begin(master, module, interface)
+        node, settings = session.module, choices.settings(session.limits)
+        per_rpm = session.cycles_per_revolution / 60.0
+        check_apart(per_rpm * np.array(choices.speeds_rpm))
+        check_valid(node)
+        before = InForce(session.active, session.corners)
+        look = self._look(session, None)
+        samples: list[SpeedSamples] = []
+        left = list(choices.speeds_rpm)
+        while left:
+            steps.step(f"waiting for the machine to turn steadily at {listed(left)} rpm")
+            rpm = wait_for_speed(
+                master,
+                lambda: SpeedReadings(node).read() * RPM_PER_RAD_S,
+                left,
+                choices.wait,
+                steps.part,
+            )
+            left.remove(rpm)
+            steps.step(f"collecting samples at {rpm:g} rpm for {choices.collect_s:g} s")
+            samples.append(self._collect(session, choices.collect_s, choices.least_samples))
+        self._look(session, look)
+        measured, done = self._measured_speeds(samples, settings, before), Installation()
+        if not choices.dry_run:
+            check_amplitude(measured, session.limits)
+            done = self._install_speeds(session, measured, settings, guard)
+        return self._report(measured, done)
+
+    def _measured_speeds(
+        self, samples: Sequence[SpeedSamples], settings: Settings, before: InForce
+    ) -> SpeedMeasurement:
+        """What they give; what is refused leaves its samples and a report."""
+        lowest = min(samples, key=lambda one: abs(one.hertz)).samples
+        delay = self._choices.delay_to_set
+        out = self._choices.out
+        if out is not None:
+            keep_speeds(out, [(one.samples, one.hertz) for one in samples])
+        found: SpeedMeasurement = self._judged(
+            lowest, lambda: measure_speeds(samples, settings, before, self._steps.part, delay)
+        )
+        return found
+
+    def _install_speeds(
+        self, session: Session, measured: SpeedMeasurement, settings: Settings, guard: Guard
+    ) -> Installation:
+        """Activate, verify at the speed that the machine has, save."""
+        choices, over, node = self._choices, measured.over_speeds, session.module
+        fresh: list[SpeedSamples] = []
+
+        def collect() -> TrackSamples:
+            fresh.append(self._collect(session, choices.verify_s, min(choices.least_samples, LEAST_FRESH)))
+            return fresh[-1].samples
+
+        def put() -> Measurement:
+            write_corners(node, over.after.corners)
+            put_in_force(node, over.after.correction)
+            return measured
+
+        def prove(_: TrackSamples) -> Deviation:
+            calibration = measured.calibration
+            found = errors_at(
+                fresh[-1], over.before, over.after, over.path, calibration.block_samples, settings.adc_bits
+            )
+            check_as_predicted(found.after, over.near(found.hertz).after, calibration.uncertainty_rms)
+            return found.deviation
+
+        return install(
+            node,
+            measured,
+            collect,
+            settings,
+            guard,
+            put=put,
+            back=lambda: write_corners(node, over.before.corners),
+            prove=prove,
+            peak_cycles=over.peak_cycles,
+            keep=not choices.no_save,
+            step=self._steps.step,
+        )[1]
+
+    def _of_folder(self, folder: Path) -> list[SpeedSamples]:
+        """The files of a folder in the order of their names, with the speeds that are given or in them."""
+        choices = self._choices
+        files = sorted(one for one in folder.glob("*") if one.suffix in (".npz", ".csv"))
+        if not folder.is_dir() or len(files) < 2:
+            raise ConfigError(f"--samples {folder}: with --speeds a folder with a file for each speed")
+        rpm, per_turn = choices.speeds_rpm, choices.cycles_per_revolution
+        if choices.speeds == RECORDED:
+            known = [read_speed(one) if one.suffix == ".npz" else None for one in files]
+        elif len(rpm) != len(files) or per_turn is None:
+            raise ConfigError(
+                f"--speeds {choices.speeds}: {len(files)} speeds are required, one for each file of {folder} "
+                "in the order of their names, and --cycles-per-revolution"
+            )
+        else:
+            known = [one / 60.0 * per_turn for one in rpm]
+        found = []
+        for path, hertz in zip(files, known, strict=True):
+            if hertz is None:
+                raise ConfigError(f"{path}: no speed is recorded (cycles_per_s): --speeds RPM,RPM,...")
+            found.append(SpeedSamples(choices.samples_of_file(path), hertz))
+        return found
+
+
+def write_corners(module: NodeAccess, corners: Corners) -> None:
+    """Write 2001:05 and 2001:06. CommissioningError if they read otherwise then."""
+    if read_corners(module) == corners:
+        return
+    values = (corners.corner_hz, corners.cosine_corner_hz)
+    for place, value in zip(CORNERS, values, strict=True):
+        module.write(*place, "f", value)
+    if read_corners(module) != Corners(*map(as_real32, values)):
+        raise CommissioningError(
+            f"{module.name}: the corners read back (2001:05, 2001:06) differ from what was written"
+        )
+
+
+def check_amplitude(measured: SpeedMeasurement, limits: SampleLimits) -> None:
+    """CommissioningError if the amplitude without the low-pass, which counts then, is out of limits."""
+    if not measured.over_speeds.after.corners.are_there:
+        return
+    tracks = measured.calibration.tracks
+    assert tracks is not None
+    s, c = measured.calibration.conditioning.apply(*tracks)
+    sizes = (s * s + c * c) ** 0.5
+    low, high = float(sizes.min()), float(sizes.max())
+    spare = SPARE_AMPLITUDE * (low + high) / 2.0
+    if low - spare < limits.amplitude_low_counts or high + spare > limits.amplitude_high_counts:
+        least, most = limits.amplitude_low_counts, limits.amplitude_high_counts
+        raise CommissioningError(
+            f"with the low-pass taken out the amplitude is {low:.0f} to {high:.0f} counts at every speed, "
+            f"and the limits are {least:.0f} to {most:.0f} (2001:03, 2001:04): set them for standstill first"
+        )

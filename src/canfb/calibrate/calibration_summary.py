@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from canfb.calibrate.measurement import Measurement, OverSpeeds, SpeedMeasurement
+from canfb.calibrate.measurement import DriftCheck, Measurement, OverSpeeds, SpeedMeasurement
+from canfb.calibrate.own_calibration import ModuleDrift
 from canfb.calibrate.procedure import Installation
 from canfb.calibrate.samples_through_chain import ErrorAtSpeed
 from canfb.calibration.path_fit import LowPass
@@ -20,16 +20,10 @@ from canfb.master.machine_watch import PERCENT, Provenance, percent, where_words
 from canfb.master.samples import TrackSamples
 from canfb.rows import NAME_WIDTH, Result, Row, as_columns, as_figures, as_lines
 from canfb.sdo.table_file import conditioning_in_words, conditioning_words, table_words
+from canfb.signal.correction import Correction
 
 SAME_DELAY = 1e-3  # relative: REAL32
 LOST = "position lost"
-
-
-@dataclass(frozen=True)
-class CalibrateResult(Result):
-    """With the measurement, if there was one."""
-
-    measured: Measurement | None = None
 
 
 def speed_words(hertz: float, where: Provenance) -> str:
@@ -368,9 +362,7 @@ def figures(measured: Measurement, done: Installation, where: Provenance) -> dic
     return as_figures([judged], comparison(measured, done, where), facts(measured, done, where), [state])
 
 
-def result(
-    measured: Measurement, done: Installation, where: Provenance, paths: Sequence[Path]
-) -> CalibrateResult:
+def result(measured: Measurement, done: Installation, where: Provenance, paths: Sequence[Path]) -> Result:
     """What ``canfb calibrate`` says; ``paths`` are the files that it has written."""
     lines = [
         *as_columns(comparison(measured, done, where), ("", "before", "after"), (NAME_WIDTH - 2,)),
@@ -382,4 +374,57 @@ def result(
         *(f"written  {path}" for path in paths),
     ]
     files = {"files": [str(path) for path in paths]}
-    return CalibrateResult(figures(measured, done, where) | files, lines, measured)
+    return Result(figures(measured, done, where) | files, lines)
+
+
+def module_drift_result(found: ModuleDrift, active: Correction, where: Provenance) -> Result:
+    """The check by the module itself; cycles."""
+    rows = [
+        Row(**where_words(where)),
+        *_error_rows(found.rms, found.peak, active, where),
+        Row(
+            "noise of a sample",
+            f"{percent(found.residual_rms, where)} rms",
+            new_table_rms_cycles=found.residual_rms,
+        ),
+        Row("coverage", f"{PERCENT * found.coverage:.0f} %", coverage=found.coverage),
+    ]
+    return Result(as_figures(rows), as_lines(rows))
+
+
+def drift_result(found: DriftCheck, where: Provenance) -> Result:
+    """The check from samples; cycles."""
+    fresh, change = found.calibration, found.change
+    now_rms, new_rms = found.on_samples.before_rms, fresh.residual_rms
+    changed = change and (
+        f"offset {PERCENT * change.sine_offset:+.2g} / {PERCENT * change.cosine_offset:+.2g} % of the "
+        f"amplitude, gain of the cosine {PERCENT * change.gain:+.2g} %, phase {change.phase_rad:+.2g} rad"
+    )
+    rows = [
+        Row(**where_words(where)),
+        *_error_rows(found.rms, found.peak, found.active, where),
+        Row(
+            "uncertainty, peak",
+            f"{percent(fresh.uncertainty_peak, where)} of a cycle",
+            uncertainty_rms_cycles=fresh.uncertainty_rms,
+            uncertainty_peak_cycles=fresh.uncertainty_peak,
+        ),
+        Row(
+            "deviation of samples",
+            f"{percent(now_rms, where)} rms now, {percent(new_rms, where)} with a new table",
+            active_rms_cycles=now_rms,
+            new_table_rms_cycles=new_rms,
+        ),
+        Row("changed since", changed, changed=change and change._asdict()),
+        Row(drift_seen=found.is_significant, coverage=fresh.coverage, samples=fresh.samples_used),
+    ]
+    nothing = [] if found.is_significant else ["no drift within the uncertainty of this measurement"]
+    return Result(as_figures(rows), [*as_lines(rows), *nothing])
+
+
+def _error_rows(rms: float, peak: float, active: Correction, where: Provenance) -> list[Row]:
+    return [
+        Row("active table", table_words(active), crc32=f"{active.crc32:08X}"),
+        Row("its error now, rms", f"{percent(rms, where)} of a cycle", drift_rms_cycles=rms),
+        Row("its error now, peak", f"{percent(peak, where)} of a cycle", drift_peak_cycles=peak),
+    ]

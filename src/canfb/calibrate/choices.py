@@ -75,8 +75,7 @@ class CalibrateOptions:
     speeds: str | None = None
     delay: str | None = None
     wait: float = 120.0
-    line: str = ""
-    """The command, for the report."""
+    line: str = ""  # the command, for the report
 
     @property
     def samples_from(self) -> str:
@@ -191,8 +190,8 @@ def check_mid_scale(mid_scale: float) -> None:
         raise ConfigError(f"--mid-scale {mid_scale:g}: must be a number of counts")
 
 
+# Raises ConfigError if one of these options is given: names, and why it would do nothing.
 Refuse = Callable[[Iterable[str], str], None]
-"""Raises ConfigError if one of these options is given: names, and why it would do nothing."""
 
 _OF_THE_BUS = (
     "config",

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from canfb.calibrate.samples_through_chain import ErrorAtSpeed, InForce, SpeedSamples, errors_at
-from canfb.calibration.deviation import Deviation, best_deviation
+from canfb.calibration.deviation import Deviation, best_deviation, drift
+from canfb.calibration.ellipse import fit_ellipse
 from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.over_speeds import SpeedCalibration, calibrate_over_speeds
+from canfb.calibration.over_speeds import SpeedCalibration, calibrate_over_speeds, measured_at_standstill
 from canfb.calibration.path_correction import without_harmonics
-from canfb.calibration.path_fit import LowPass, PathFit
+from canfb.calibration.path_fit import NO_PATH, LowPass, PathFit
 from canfb.calibration.result import Calibration, Method, Reason
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.errors import CalibrationError
@@ -220,3 +222,84 @@ def _check_better(errors: Sequence[ErrorAtSpeed]) -> None:
                 "cycle rms: the analog path is not the one of this model",
                 Reason.SPEED,
             )
+
+
+class EllipseChange(NamedTuple):
+    """How the ellipse of the tracks has changed since the active conditioning was measured, at standstill.
+
+    sine_offset, cosine_offset   relative to the amplitude
+    gain                         amplitude of the cosine to that of the sine, relative
+    phase_rad                    deviation of the tracks from a right angle
+    """
+
+    sine_offset: float
+    cosine_offset: float
+    gain: float
+    phase_rad: float
+
+
+@dataclass(frozen=True, eq=False)
+class DriftCheck:
+    """What the active table gets wrong now, cycles.
+
+    rms, peak     of the error over the cycle, its constant part taken off
+    on_samples    deviation of the samples; its ``before`` is that with the active table
+    change        None where the active conditioning is none
+    """
+
+    rms: float
+    peak: float
+    active: Correction
+    calibration: Calibration
+    on_samples: Deviation
+    change: EllipseChange | None = None
+
+    @property
+    def is_significant(self) -> bool:
+        """False if it is no more than the uncertainty of the measurement."""
+        return self.rms > 2.0 * self.calibration.uncertainty_rms
+
+
+def check(samples: TrackSamples, active: Correction, settings: Settings, progress: Progress) -> DriftCheck:
+    """Measure again, with the active conditioning, and compare. Errors as for a calibration."""
+    measured = measure(samples, settings, active, progress, active.conditioning)
+    return _compared(measured.calibration, active, measured.on_samples)
+
+
+def check_at_speed(
+    measured: SpeedSamples, active: InForce, settings: Settings, progress: Progress
+) -> DriftCheck:
+    """:func:`check` of samples as they came, at any speed: the analog path that is active is taken out."""
+    used = active.correction
+    progress(0.1)
+    found = measured_at_standstill(
+        measured.tracks,
+        used.conditioning.cosine_delay_s,
+        active.corners,
+        adc_bits=settings.adc_bits,
+        entries=settings.entries,
+    )
+    progress(0.8)
+    now = InForce(found.correction, active.corners)
+    errors = errors_at(measured, active, now, NO_PATH, found.block_samples, settings.adc_bits)
+    before = errors.after if errors.before is None else errors.before
+    return _compared(found, used, replace(errors.deviation, before_rms=before))
+
+
+def _compared(fresh: Calibration, active: Correction, on_samples: Deviation) -> DriftCheck:
+    found = drift(fresh, active.table, active.conditioning)
+    return DriftCheck(found.rms, found.peak, active, fresh, on_samples, _change(fresh, active.conditioning))
+
+
+def _change(fresh: Calibration, active: Conditioning) -> EllipseChange | None:
+    if fresh.tracks is None or (active.sine_gain == active.cosine_gain == 1.0 and not active.phase_error_rad):
+        return None
+    now = fit_ellipse(*fresh.tracks)
+    s, c = now.apply(*fresh.tracks)
+    amplitude = float((s * s + c * c).mean() ** 0.5)
+    return EllipseChange(
+        (now.sine_offset_counts - active.sine_offset_counts) * now.sine_gain / amplitude,
+        (now.cosine_offset_counts - active.cosine_offset_counts) * now.cosine_gain / amplitude,
+        (now.sine_gain / now.cosine_gain) / (active.sine_gain / active.cosine_gain) - 1.0,
+        now.phase_error_rad - active.phase_error_rad,
+    )

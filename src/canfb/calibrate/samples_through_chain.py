@@ -33,8 +33,8 @@ from canfb.signal.phase import FloatArray, wrap
 from canfb.signal.sample import TICK_S, TICKS, Sample
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL, VALID
 
+# What a sample may be flagged with by its own counts, and its bit of the status word.
 FLAGS = {"residual": RESIDUAL, "amplitude": AMPLITUDE, "clipped": CLIPPED, "frozen": FROZEN, "lost": LOST}
-"""What a sample may be flagged with by its own counts, and its bit of the status word."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,14 +92,15 @@ class Deviation:
 
 
 def best_deviation(record: Recording, used: Correction, before: Correction, block_samples: int) -> Deviation:
-    """:func:`deviation`, also with shorter blocks: the motion may be less smooth than it was before."""
+    """:func:`deviation_of_phases` of the samples with these sets, also with shorter blocks: the motion may be
+    less smooth than it was before."""
     return best_of_phases(record, _phases(record, used), _phases(record, before), block_samples)
 
 
 def best_of_phases(
     record: Recording, phase: FloatArray, phase_before: FloatArray, block_samples: int
 ) -> Deviation:
-    """:func:`best_deviation` of phases, as :func:`deviation_of_phases`."""
+    """:func:`best_deviation` of phases, as :func:`deviation_of_phases` has them."""
     lengths = sorted(
         {block_samples, max(LEAST_BLOCK, block_samples // 2), max(LEAST_BLOCK, block_samples // 4)}
     )
@@ -108,20 +109,15 @@ def best_of_phases(
     )
 
 
-def deviation(record: Recording, used: Correction, before: Correction, block_samples: int) -> Deviation:
-    """Deviation of the samples of ``record`` from a cubic in each block of ``block_samples``.
-
-    ``used`` decides the positions; ``before`` is compared on the same samples. Blocks in which the
-    machine stands still or is locked to the samples say nothing and are left out. CalibrationError
-    when too little is left.
-    """
-    return deviation_of_phases(record, _phases(record, used), _phases(record, before), block_samples)
-
-
 def deviation_of_phases(
     record: Recording, phase: FloatArray, phase_before: FloatArray, block_samples: int
 ) -> Deviation:
-    """:func:`deviation` of phases (cycles, NaN where there is none) that were made of the samples."""
+    """Deviation of the samples of ``record`` from a cubic in each block of ``block_samples``.
+
+    ``phase`` decides the positions, cycles, NaN where there is none; ``phase_before`` is compared on the
+    same samples. Blocks in which the machine stands still or is locked to the samples say nothing and are
+    left out. CalibrationError when too little is left.
+    """
     check_clipped(record, np.where(np.isnan(phase), 0.0, phase))
     position = record.positions(np.where(record.valid, phase, np.nan))
     valid = record.valid & np.isfinite(position)
@@ -150,11 +146,10 @@ def deviation_of_phases(
     old = np.where(use, phase_before[blocks.index], 0.0) - smooth
     old = about_mean(old, of=old[use])
     old = old - blocks.evaluate(blocks.smooth(old))
-    correct = float(np.sqrt(blocks.samples / max(1, blocks.freedom)))
     return Deviation(
-        rms=root_mean(error[use]) * correct,
+        rms=root_mean(error[use]) * blocks.correct,
         peak=peak(error[use]),
-        before_rms=root_mean(old[use]) * correct,
+        before_rms=root_mean(old[use]) * blocks.correct,
         before_peak=peak(old[use]),
         phase=np.asarray(phase[blocks.index][use], np.float64),
         error=error[use],

@@ -114,18 +114,13 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     sensitivity = table_sensitivity(fit.waveform, conditioning)
     spread = np.sqrt(_variance(sensitivity, fit.covariance))
     expected = root_mean(spread)
-    tables = [
-        table_of(raw_phase_curve(half, conditioning), entries) for half in _parts(record, blocks, fit, 2)
+    count = PARTS if len(blocks) >= PARTS * MIN_BLOCKS_OF_PART else 2
+    parts = [
+        table_of(raw_phase_curve(part, conditioning), entries).entries
+        for part in _parts(record, blocks, fit, count)
     ]
-    enough = len(blocks) >= PARTS * MIN_BLOCKS_OF_PART
-    measured = _measured_error(
-        [
-            table_of(raw_phase_curve(part, conditioning), entries).entries
-            for part in _parts(record, blocks, fit, PARTS)
-        ]
-        if enough
-        else [table.entries for table in tables]
-    )
+    measured = _measured_error(parts)
+    tables = [CorrectionTable(np.mean(parts[odd::2], axis=0)) for odd in (0, 1)]
     change = _change(record, blocks, whole, fit, sensitivity, max(1.0, measured / expected))
     covariance = bound_covariance(blocks, record.sine, record.cosine, fit, fit.noise_counts)
     bound = float(np.sqrt(_variance(sensitivity, covariance).mean()))
@@ -134,7 +129,6 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     phase = position - origin_of(curve)
     curve_of_errors = error_curve(phase[moving], before[moving], after[moving])
     systematic = _systematic(curve_of_errors, phase[moving], root_mean(after[moving]))
-    correct = float(np.sqrt(blocks.samples / max(1, blocks.freedom)))
     found = Calibration(
         table=table_of(curve, entries),
         conditioning=conditioning,
@@ -143,9 +137,9 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         cycles_used=cycles,
         samples_used=blocks.samples,
         samples_rejected=int(record.valid.sum()) - blocks.samples,
-        residual_rms=root_mean(after[moving]) * correct,
+        residual_rms=root_mean(after[moving]) * blocks.correct,
         residual_peak=peak(after[moving]),
-        before_rms=root_mean(before[moving]) * correct,
+        before_rms=root_mean(before[moving]) * blocks.correct,
         before_peak=peak(before[moving]),
         uncertainty_rms=max(expected, measured, systematic, undetermined, change.rms),
         uncertainty_peak=max(
@@ -156,7 +150,7 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         noise_cycles=fit.noise_cycles,
         bound_rms=bound,
         cramer_rao_ratio=max(measured, change.rms) / bound,
-        cramer_rao_scatter=SCATTER if enough else SCATTER_OF_TWO,
+        cramer_rao_scatter=SCATTER if count == PARTS else SCATTER_OF_TWO,
         track_orders=fit.waveform.orders,
         harmonics=_harmonics(fit.waveform, conditioning, origin_of(curve), expected),
         curve=curve_of_errors,
@@ -203,14 +197,14 @@ def _change(
     record: Recording, blocks: Blocks, whole: Blocks, fit: JointFit, sensitivity: FloatArray, doubt: float
 ) -> Change:
     """Of the tracks in the course of the measurement; ``doubt``: noise over what the covariance expects."""
-    largest, every = Change(), np.arange(len(blocks))
+    largest = Change()
     left_out = lasting(2 * blocks.used.sum(axis=1) < whole.used.sum(axis=1))
     for count in (THIRDS, FINE):
         if len(blocks) < count * MIN_BLOCKS:
             break
-        divided = np.array_split(every, count) + left_out
+        divided = np.array_split(np.arange(len(blocks)), count) + left_out
         parts = [_fit_of_part(record, blocks.take(rows), whole.take(rows), fit, rows) for rows in divided]
-        tables = np.array([sensitivity @ _coefficients(part.waveform) for part in parts])
+        tables = np.array([sensitivity @ np.append(p.waveform.sine, p.waveform.cosine) for p in parts])
         noise = np.array([doubt * root_mean(np.sqrt(_variance(sensitivity, p.covariance))) for p in parts])
         largest = max(largest, largest_change(tables, noise))
     return largest
@@ -225,10 +219,6 @@ def _fit_of_part(
         coarse = fit_jointly(whole, record.sine, record.cosine, fit.waveform, motion, noise=noise)
         kept, noise, motion = reject(whole, coarse), coarse.noise, coarse.motion
     return fit_jointly(kept, record.sine, record.cosine, fit.waveform, motion, rounds=6, noise=noise)
-
-
-def _coefficients(waveform: Waveform) -> FloatArray:
-    return np.concatenate([waveform.sine, waveform.cosine])
 
 
 def _measured_error(tables: list[FloatArray]) -> float:

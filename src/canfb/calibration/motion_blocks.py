@@ -57,6 +57,11 @@ class Blocks:
         """Samples used less the polynomials' coefficients."""
         return self.samples - self.coefficients * int(self.used.any(axis=1).sum())
 
+    @property
+    def correct(self) -> float:
+        """Rms of deviations from the polynomials: times this for that of the samples themselves."""
+        return float(np.sqrt(self.samples / max(1, self.freedom)))
+
     def informative(self, position: FloatArray) -> BoolArray:
         """Blocks whose samples meet at least four eighths of the cycle.
 

@@ -344,5 +344,4 @@ def _sigma(values: FloatArray) -> float:
 
 def rows_used(blocks: Blocks) -> BoolArray:
     """Blocks with samples used, as a column."""
-    rows: BoolArray = np.any(blocks.used, axis=1, keepdims=True)
-    return rows
+    return np.asarray(np.any(blocks.used, axis=1, keepdims=True), np.bool_)

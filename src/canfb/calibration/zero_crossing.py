@@ -137,8 +137,9 @@ class _Cycles:
         return _Cycles(self.first[rows], self.last[rows], self.count[rows], self.times[rows])
 
     def position(self, time: FloatArray) -> FloatArray:
-        """Cubic through the crossings, 0..1 between the inner two; time has shape (cycles, n)."""
-        return _interpolate(self.times[:, None, :], np.arange(-1.0, 3.0), time)
+        """Cubic through the crossings, 0..1 between the inner two; time has shape (cycles, ...)."""
+        times = self.times.reshape(len(self), *(1,) * (time.ndim - 1), 4)
+        return _interpolate(times, np.arange(-1.0, 3.0), time)
 
 
 def _ideal_phase(raw: FloatArray) -> FloatArray:
@@ -162,10 +163,11 @@ def _find_cycles(passage: _Passage) -> _Cycles:
     clean &= upward[:-3] & upward[1:-2] & upward[2:-1] & upward[3:]
     rows = np.flatnonzero(clean)
     if len(rows) < MIN_CYCLES:
+        is_slow = np.median(np.abs(step)) < 1.0 / MIN_SAMPLES_PER_CYCLE
         raise CalibrationError(
             f"{len(rows)} whole cycles without a fault: at least {MIN_CYCLES} are needed. "
             "Record longer, at a steady slow speed",
-            Reason.CYCLES if _is_slow(passage) else Reason.SPEED,
+            Reason.CYCLES if is_slow else Reason.SPEED,
         )
     samples = np.diff(at)[rows + 1]
     if np.sum(samples >= MIN_SAMPLES_PER_CYCLE) < MIN_CYCLES:
@@ -179,10 +181,6 @@ def _find_cycles(passage: _Passage) -> _Cycles:
     crossing = _crossing_times(passage, at)
     times = crossing[rows[:, None] + np.arange(4)]
     return _Cycles(at[rows + 1] + 1, at[rows + 2], whole[at[rows + 1] + 1], times)
-
-
-def _is_slow(passage: _Passage) -> bool:
-    return float(np.median(np.abs(np.diff(passage.angle)))) < 1.0 / MIN_SAMPLES_PER_CYCLE
 
 
 def _crossing_times(passage: _Passage, at: IntArray) -> FloatArray:
@@ -206,8 +204,7 @@ def _resample(passage: _Passage, cycles: _Cycles, nodes: FloatArray) -> FloatArr
         around = before[..., None] + np.arange(-2, 4)
         angle = passage.angle[around]
         time = passage.time[around]
-        position = some.position(time.reshape(len(some), -1)).reshape(time.shape)
-        difference = position - (angle - some.count[:, None, None])
+        difference = some.position(time) - (angle - some.count[:, None, None])
         curves[part] = nodes + _interpolate(angle, difference, target)
     return curves
 
@@ -228,8 +225,7 @@ def _interpolate(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
 def _agreeing(curves: FloatArray) -> BoolArray:
     """Cycles that are like the others."""
     off = np.sqrt(np.mean((curves - np.median(curves, axis=0)) ** 2, axis=1))
-    good: BoolArray = off <= REJECT_CYCLE * np.median(off) + 1e-9
-    return good
+    return np.asarray(off <= REJECT_CYCLE * np.median(off) + 1e-9, np.bool_)
 
 
 def _backwards(passage: _Passage, nodes: FloatArray) -> FloatArray | None:
@@ -268,7 +264,7 @@ def _finish(
     measured = float(np.std(tables[0].entries - tables[1].entries)) / 2.0
     spread = np.std(curves, axis=0) / np.sqrt(len(curves))
     inside, owner = _members(cycles)
-    position = _positions(passage, cycles, inside, owner)
+    position = cycles.take(owner).position(passage.time[inside])
     raw = passage.raw[inside]
     after = np.where(owner % 2 == 0, tables[1].correct_array(raw), tables[0].correct_array(raw))
     before, after = about_mean(raw - position), about_mean(after - position)
@@ -304,16 +300,6 @@ def _members(cycles: _Cycles) -> tuple[IntArray, IntArray]:
     owner = np.repeat(np.arange(len(cycles)), length)
     begin = np.repeat(np.cumsum(length) - length, length)
     return cycles.first[owner] + np.arange(len(owner)) - begin, owner
-
-
-def _positions(passage: _Passage, cycles: _Cycles, inside: IntArray, owner: IntArray) -> FloatArray:
-    positions = np.empty(len(inside))
-    edges = np.flatnonzero(np.diff(owner, prepend=-1))
-    stops = np.append(edges[1:], len(owner))
-    for row, (start, stop) in enumerate(zip(edges.tolist(), stops.tolist(), strict=True)):
-        one = cycles.take(np.array([row]))
-        positions[start:stop] = one.position(passage.time[inside[start:stop]][None])[0]
-    return positions
 
 
 def _mean_tracks(counts: FloatArray, phase: FloatArray) -> FloatArray:

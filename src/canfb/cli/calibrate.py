@@ -10,7 +10,7 @@ from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
 from canfb.calibrate.artefacts import prepare
-from canfb.calibrate.calibration_run import CalibrationRun
+from canfb.calibrate.calibration_run import CalibrationRun, SpeedRun
 from canfb.calibrate.choices import (
     LEAST_SAMPLES,
     MODULE,
@@ -20,7 +20,6 @@ from canfb.calibrate.choices import (
     refuse_combinations,
 )
 from canfb.calibrate.measurement import MOTION, ZERO_CROSSINGS
-from canfb.calibrate.speed_run import SpeedRun
 from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
     BUS_WORDS,

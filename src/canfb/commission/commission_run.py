@@ -14,8 +14,7 @@ from canfb import objects as od
 from canfb.calibrate.artefacts import keep_samples
 from canfb.calibrate.calibration_run import Steps
 from canfb.calibrate.samples_through_chain import supervise
-from canfb.commission.commission_page import write_page
-from canfb.commission.commission_summary import Commissioned, result
+from canfb.commission.commission_summary import Commissioned, result, write_page
 from canfb.commission.limit_choice import choose
 from canfb.commission.observation import LEAST_SAMPLES, Observation, observe
 from canfb.errors import CanfbError, ConfigError

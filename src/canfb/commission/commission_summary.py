@@ -9,25 +9,26 @@ from pathlib import Path
 from typing import Any
 
 from canfb import objects as od
+from canfb.calibrate.artefacts import REPORT, place_line
 from canfb.calibrate.calibration_summary import delay_words
 from canfb.commission.limit_choice import Choice
-from canfb.commission.machine_figures import MachineFigures
+from canfb.commission.machine_figures import MachineFigures, smooth_acceleration
 from canfb.commission.observation import Observation
-from canfb.master.machine_watch import Provenance, in_words, where_words
+from canfb.master.all_or_nothing import write_whole
+from canfb.master.machine_watch import Provenance, in_words, origins, where_words
 from canfb.master.supervision_limits import (
     KINDS,
     SupervisionLimits,
 )
+from canfb.report import pictures
+from canfb.report.page import figure, gallery, page, table
+from canfb.report.pictures import lissajous
 from canfb.rows import Result, Row, as_columns, as_figures, as_lines
-from canfb.signal.limits import safe_deviation, samples_without_harm
+from canfb.signal.limits import samples_without_harm
 from canfb.view.limits_in_force import LIMIT_UNITS
-
-ROWS = 3  # of the table of detection, at least
-MOST_ROWS = 12
 
 LEAST_JITTER_S = 1e-8
 WIDTH = 21  # of the names, characters
-LEAST_WIDTHS = (11, 13, 12)  # of the columns of detection
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,25 +223,6 @@ def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revo
     return f"{value:.0f} {KINDS[choice.place].unit}"
 
 
-def detection_rows(done: Commissioned) -> list[Row]:
-    """Bad samples in a row: at most so much L + a, whether it holds before and with the new limits."""
-    last = min(MOST_ROWS, max(ROWS, done.without_harm(done.new) + 1))
-    words = {True: "detected", False: "not for sure"}
-    return [
-        Row(
-            str(count),
-            f"{safe_deviation(count):.3g}",
-            words[done.deviation(done.before) <= safe_deviation(count)],
-            words[done.deviation(done.new) <= safe_deviation(count)],
-        )
-        for count in range(1, last + 1)
-    ]
-
-
-SUM_WORDS = "L + a at most"
-"""What the bad samples are held against."""
-
-
 def detection_words(done: Commissioned) -> str:
     """One sentence."""
     before, new = (done.without_harm(one) for one in (done.before, done.new))
@@ -281,15 +263,12 @@ def outcome(done: Commissioned) -> str:
 def lines(done: Commissioned) -> list[str]:
     """For people."""
     head, *limits = as_columns(limit_rows(done), ("", "before", "proposed"))
-    heads = ("bad samples", SUM_WORDS, "before", "proposed")
     return [
         *as_lines(machine_facts(done), WIDTH),
         *(f"note: {text}" for text in notes(done)),
         "",
         head,
         *(text for line, one in zip(limits, done.choices, strict=True) for text in (line, f"    {one.why}")),
-        "",
-        *as_columns(detection_rows(done), heads, LEAST_WIDTHS),
         "",
         detection_words(done),
         kept_words(done),
@@ -321,3 +300,74 @@ def result(done: Commissioned, paths: Sequence[Path]) -> Result:
     """What ``canfb commission`` says; ``paths`` are the files that it has written, if it was to."""
     files = {"files": [str(path) for path in paths]} if paths else {}
     return Result(figures(done) | files, [*lines(done), *(f"written  {path}" for path in paths)])
+
+
+FOOTER = (
+    "Made by canfb commission. L is the residual limit in force, a the largest acceleration, in "
+    "cycles and sampling intervals. The limits hold for the motion that was seen, times the margin."
+)
+
+
+def write_page(folder: Path, done: Commissioned) -> Path:
+    """Write the page into a folder; its path. CommissioningError if that does not work."""
+    path = folder / REPORT
+    write_whole(path, commission_html(done).encode())
+    return path
+
+
+def commission_html(done: Commissioned) -> str:
+    """The page. It refers to nothing outside of itself and runs no script."""
+    said = [
+        f"{detection_words(done)}.",
+        f"{kept_words(done)}.",
+        f"{outcome(done)[:1].upper()}{outcome(done)[1:]}.",
+        *notes(done),
+    ]
+    body = (
+        table("Limits", limit_rows(done), ("before", "proposed", "why"), style="listed")
+        + table("The machine", machine_facts(done))
+        + gallery("Pictures", _pictures(done))
+        + table("Origin", origins(done.where), style="origin")
+    )
+    return page("Limits of the supervision", place_line(done.where), said, body, FOOTER)
+
+
+def _pictures(done: Commissioned) -> list[str]:
+    machine, interval_s = done.machine, done.machine.interval_s
+    old, new = (limits.residual_limit(interval_s) for limits in (done.before, done.new))
+    low, high = (
+        done.new.values[place] for place in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
+    )
+    largest = done.new.acceleration_cycles(interval_s)
+    samples, noise = done.observed.samples, machine.motion.noise
+    to_rad = machine.rad(1.0, 2, done.new.cycles_per_revolution)
+    listed = [
+        (
+            "Residual",
+            "of each sample, eq. 12, with the residual limit in force",
+            pictures.residual_histogram(machine.motion.residual, old, new),
+        ),
+        (
+            "Amplitude over the phase",
+            "lowest, mean and highest of the samples in each 1/64 cycle, with its limits",
+            pictures.amplitude_over_phase(machine.tracks.over_phase, low, high),
+        ),
+        (
+            "Acceleration over time",
+            "averaged as far as the noise demands, with the limit 2010:02",
+            pictures.acceleration_over_time(
+                to_rad * smooth_acceleration(machine.motion.residual, noise), interval_s, to_rad * largest
+            ),
+        ),
+        (
+            "Lissajous figure",
+            "all samples within the new limits of the amplitude",
+            lissajous(
+                samples.sine,
+                samples.cosine,
+                done.observed.used.conditioning,
+                done.new.chain_limits(interval_s).sample,
+            ),
+        ),
+    ]
+    return [figure(name, text, svg) for name, text, svg in listed]
