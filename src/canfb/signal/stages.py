@@ -412,7 +412,9 @@ class Stages:
         stop = follow_run(estimator, tracked, run, scratch)
         if stop > start:
             before = self._sine, self._cosine
-            equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
+            equal = None
+            if self._frozen.frozen_samples:
+                equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
             if equal is None:
                 self._frozen.moved()
             else:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import AnyArray, FloatArray, raw_phase_block, wrap_block
 from canfb.signal.stages import Stages
-from canfb.signal.supervision import LOST, RESIDUAL, TABLE_ACTIVE, VALID
+from canfb.signal.supervision import LOST, RESIDUAL, TABLE_ACTIVE, VALID, SampleLimits
 from canfb.signal.tracker import TrackResult
 from canfb.signal.tracks import check_counts, pair_of_tracks
 
@@ -32,6 +32,10 @@ SHORTEST_RUN = 10
 # After a fault that only eq. 9 shows: the next one may be near, and what lies behind it is computed
 # in vain. The run is twice as long each time it ends well, so that this is never the larger part.
 FIRST_RUN = 32
+
+
+BIG = 1e150  # no count of any converter, and its square is a float
+NO_LIMITS = SampleLimits(int(BIG), 0.0, 10.0 * BIG)
 
 
 @dataclass(frozen=True)
@@ -92,15 +96,27 @@ def process_stream(
     ``config`` None stands for the defaults of :class:`canfb.ChainConfig`, ``table`` None for the identity.
     ``speed_cycles`` as for :func:`canfb.process`. TypeError or ValueError at once for a bad one of these.
     """
-    stream = _Stream(ChainConfig() if config is None else config, table, speed_cycles)
+    stream = Stream(ChainConfig() if config is None else config, table, speed_cycles)
     return (stream.take(*stream.tracks(block)) for block in blocks)
 
 
-class _Stream:
-    """:class:`Stages`, which are all that is carried from block to block, and memory to compute in."""
+class Stream:
+    """:class:`Stages`, which are all that is carried from block to block, and memory to compute in.
 
-    def __init__(self, config: ChainConfig, table: CorrectionTable | None, speed_cycles: float) -> None:
+    ``supervised`` False: without the limits of one sample; amplitude and raw phase are not computed then.
+    """
+
+    def __init__(
+        self,
+        config: ChainConfig,
+        table: CorrectionTable | None,
+        speed_cycles: float,
+        supervised: bool = True,
+    ) -> None:
         self._stages = Stages(config, table)
+        self._supervised = supervised
+        if not supervised:
+            self._stages.set_limits(replace(config.chain_limits, sample=NO_LIMITS))
         self._stages.restart(0, speed_cycles)
         self._table = table
         self._conditioning = None if config.conditioning.is_identity else config.conditioning
@@ -162,20 +178,27 @@ class _Stream:
         """All that depends on one sample alone; the samples that do not keep the limits."""
         scratch = self._scratch.head(len(sine))
         amplitude, raw = result.amplitude, result.raw_phase
+        if not self._supervised:
+            raw = result.phase if self._table is None else scratch.raw
         with np.errstate(over="ignore", invalid="ignore"):
             if self._conditioning is None:
                 s, c = sine, cosine
             else:
                 s, c = self._conditioning.apply_block(sine, cosine, scratch)
-            _amplitudes(s, c, amplitude, scratch)
+            if self._supervised:
+                _amplitudes(s, c, amplitude, scratch)
             raw_phase_block(s, c, raw, scratch)
             if not raw.max() < 1.0:
                 wrap_block(raw, scratch)
-            if self._table is None:
-                result.phase[:] = raw
-            else:
+            if self._table is not None:
                 self._table.correct_block(raw, result.phase, scratch)
-        return self._bad(sine, cosine, result)
+            elif self._supervised:
+                result.phase[:] = raw
+        if self._supervised:
+            return self._bad(sine, cosine, result)
+        if raw.max() < math.inf and all(track.min() > -BIG and track.max() < BIG for track in (sine, cosine)):
+            return []
+        return np.flatnonzero(~(np.isfinite(raw) & (np.abs(sine) < BIG) & (np.abs(cosine) < BIG))).tolist()
 
     def _bad(self, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> list[int]:
         """The samples that do not keep the limits; in nearly every block the extremes show that all do."""
