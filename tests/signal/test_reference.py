@@ -83,14 +83,6 @@ def test_started_on_a_turning_machine_no_wrong_speed_is_called_valid(speed: floa
     assert np.ptp(moved) < 0.04
 
 
-def test_started_at_rest_it_is_valid_soon() -> None:
-    chain, machine = SignalChain(ChainConfig()), Machine(0.0)
-    got = run(chain, machine, 40)
-    first = next(k for k, (feedback, _) in enumerate(got) if feedback.valid)
-    assert 2 < first < 30
-    assert all(feedback.valid for feedback, _ in got[first:])
-
-
 @pytest.mark.parametrize("outage", [4, 30, 500])
 def test_a_lost_position_is_set_right_by_coarse_track_and_zero_pulse(outage: int) -> None:
     chain, machine = starts_at_rest(coarse=True, pulse=True)
@@ -123,48 +115,6 @@ def test_without_either_a_lost_position_stays_lost() -> None:
     chain, machine = starts_at_rest(coarse=False, pulse=False)
     spoil(chain, machine, 10)
     assert not errors(run(chain, machine, 3000)).size
-
-
-def test_a_count_that_is_wrong_by_cycles_is_set_right_at_the_zero_pulse_and_not_in_silence() -> None:
-    chain, machine = starts_at_rest(coarse=False, pulse=True)
-    reference = np.median(errors(run(chain, machine, 100)))
-    chain.stages.estimator.found(7, 0)
-    after = run(chain, machine, 100)
-    set_right = [feedback for feedback, _ in after if feedback.jump_cycles]
-    assert [feedback.jump_cycles for feedback in set_right] == [-7]
-    assert not set_right[0].valid
-    assert np.abs(errors(after[-20:]) - reference).max() < 0.04
-
-
-def shift_coarse(sample: Sample, revolutions: float) -> Sample:
-    assert sample.coarse_sine is not None
-    assert sample.coarse_cosine is not None
-    angle = math.atan2(sample.coarse_sine, sample.coarse_cosine) + 2 * math.pi * revolutions
-    return sample._replace(coarse_sine=AMPLITUDE * math.sin(angle), coarse_cosine=AMPLITUDE * math.cos(angle))
-
-
-def test_a_coarse_track_that_disagrees_is_flagged_at_once_and_loses_the_position() -> None:
-    chain, machine = starts_at_rest(coarse=True, pulse=False)
-    got = [chain.step(shift_coarse(machine.sample(), 0.06)) for _ in range(4)]
-    assert all(feedback.status & StatusBit.COARSE and not feedback.valid for feedback in got[:3])
-    assert got[3].status & StatusBit.LOST
-
-
-@pytest.mark.parametrize(("difference", "disagrees"), [(0.0299, False), (0.0326, True), (-0.0326, True)])
-def test_the_limit_of_the_coarse_track(difference: float, disagrees: bool) -> None:
-    chain, machine = SignalChain(ChainConfig()), Machine(0.0)
-    run(chain, machine, 60)
-    got = chain.step(shift_coarse(machine.sample(), difference))
-    assert bool(got.status & StatusBit.COARSE) == disagrees
-
-
-def test_a_dead_coarse_track_is_flagged() -> None:
-    chain, machine = SignalChain(ChainConfig()), Machine(0.0)
-    run(chain, machine, 60)
-    got = chain.step(machine.sample()._replace(coarse_sine=0.0, coarse_cosine=10.0))
-    assert got.status & StatusBit.COARSE
-    assert not got.valid
-    assert run(chain, machine, 2)[-1][0].valid
 
 
 @pytest.fixture
