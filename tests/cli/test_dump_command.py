@@ -10,6 +10,11 @@ import can
 import pytest
 
 from canfb.cli.main import main
+from canfb.hosting.trying import ScopeDemo
+from fake_bus import message
+from monitored_network import MonitoredNetwork
+
+PDOS = (0x190, 0x1A0, 0x1B1, 0x2A0, 0x2B1)
 
 
 @pytest.fixture
@@ -50,6 +55,22 @@ def test_a_log_for_programs(log: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert figures[-1]["time_s"] == pytest.approx(0.022)
 
 
+def test_modules_that_nobody_names_are_known_by_what_they_send(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a log from its first frame on; of other nodes nothing is taken for a PDO of a module."""
+    network, path = MonitoredNetwork((0x20, 0x31), known=()), tmp_path / "drive.log"
+    network.run(0.2)
+    with can.Logger(path) as writer:
+        for frame, now in network.frames:
+            writer(message(frame.can_id, frame.data, timestamp=1e6 + now))
+    assert main(["dump", "--log", str(path), "--json", "--pdo"]) == 0
+    figures = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    sent = [frame.can_id for frame, _ in network.frames if frame.can_id in PDOS]
+    assert [one["can_id"] for one in figures] == sent
+    assert {one["node"] for one in figures if one["kind"] == "tpdo"} == {0x20, 0x31}
+
+
 def test_seconds_end_a_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dump", "--log", str(log), "--seconds", "0.009"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 3
@@ -69,3 +90,13 @@ def test_a_file_that_is_no_log_is_an_error_in_one_line(
 ) -> None:
     assert main(["dump", "--log", str(tmp_path / "none.asc")]) == 1
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_on_a_bus_the_modules_are_asked_for_their_mapping(capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a node and a configuration, all that answer; the velocity is not in the mapping of the EDS."""
+    with ScopeDemo() as demo:
+        words = ["-i", "virtual", "-c", demo.words["channel"], "--seconds", "0.3"]
+        assert main(["dump", *words]) == 0
+    out = capsys.readouterr().out
+    assert "TPDO3 of 32: velocity " in out
+    assert "RPDO1 of 32: sine " in out

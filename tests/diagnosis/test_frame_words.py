@@ -11,16 +11,26 @@ from hypothesis import strategies as st
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
-from canfb.diagnosis.frame_words import FrameWords, read_by_sdo
+from canfb.diagnosis.frame_words import FrameWords, learn_by_sdo
 from canfb.eds_files import eds_path
 from canfb.monitoring.layout import known_objects
 from canfb.objects import LossCause
 from canfb.sdo.object_description import ObjectDescriptions
+from canfb.view.pdo_map import Read
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
 from folding import each
 
 EDS = ObjectDescriptions(eds_path("canfb-module"), 1)
-WORDS = FrameWords(EDS, known_objects(Config(), [MODULE_ID]).items())
+
+
+def words_of(read: Read) -> FrameWords:
+    """Of the module, whose objects ``read`` gives."""
+    words = FrameWords(EDS)
+    words.learn(MODULE_ID, read)
+    return words
+
+
+WORDS = words_of(known_objects(Config(), [MODULE_ID])[MODULE_ID])
 
 
 def test_the_position_pdo_has_its_objects_by_name_with_units() -> None:
@@ -85,24 +95,17 @@ def test_the_mapping_of_a_module_that_answers_is_read_from_it() -> None:
     bench = Bench(sync=False)
     entry = bench.module.dictionary.entry
     entry(od.TPDO_MAPPING, 3).value = od.FEEDBACK_AMPLITUDE.mapped(16)
-    read = read_by_sdo(bench.access)
-    assert read is not None
-    words = FrameWords(EDS, [(MODULE_ID, read)])
+    words = FrameWords(EDS)
+    assert learn_by_sdo(words, bench.master, [MODULE_ID, INTERFACE_ID, 99]) == {MODULE_ID}
     decoded = words.decode(Frame(0x1A0, struct.pack("<IHH", 0, 0, 1400)))
     assert decoded.values["2011:05"] == 1400
     assert words.decode(Frame(0x180 + INTERFACE_ID, bytes(4))).kind == "rpdo"
 
 
-def test_a_node_that_does_not_answer_has_none() -> None:
-    bench = Bench(sync=False)
-    bench.module.receive = lambda frame, now: []  # type: ignore[method-assign]
-    assert read_by_sdo(bench.access) is None
-
-
 def test_real_values_and_bits() -> None:
     mapped = od.FEEDBACK_VELOCITY.mapped(32)
     values = {(od.TPDO, 1): 0x1A0, (od.TPDO_MAPPING, 0): 1, (od.TPDO_MAPPING, 1): mapped}
-    words = FrameWords(EDS, [(MODULE_ID, lambda place: values.get((place[0], place[1])))])
+    words = words_of(lambda place: values.get((place[0], place[1])))
     decoded = words.decode(Frame(0x1A0, struct.pack("<f", 6.5)))
     assert decoded.values["2011:07"] == pytest.approx(6.5)
     assert "velocity 6.5 rad/s" in decoded.text

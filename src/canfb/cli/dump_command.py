@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 from collections.abc import Iterator
-from typing import Any
 
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus
@@ -23,13 +23,11 @@ from canfb.cli.options import (
 )
 from canfb.cli.printing import say
 from canfb.cli.watch_options import add_watched
-from canfb.diagnosis.frame_words import FrameWords, read_by_sdo
+from canfb.diagnosis.frame_words import FrameWords, learn_by_sdo
 from canfb.eds_files import eds_path
-from canfb.master.access import NodeAccess
-from canfb.monitoring.layout import known_objects
-from canfb.monitoring.watching import MessageReader, classic
+from canfb.monitoring.layout import Recognition, assumed_objects, known_objects
+from canfb.monitoring.watching import MessageReader, classic, recognised
 from canfb.sdo.object_description import ObjectDescriptions
-from canfb.view.pdo_map import Read
 
 ANSWER_S = 0.2
 
@@ -53,38 +51,34 @@ def dump(options: argparse.Namespace) -> int:
     config = named_config(options)
     if options.log is not None:
         refuse_idle(options, ["listen"], "a log answers no SDO anyway")
-    modules = known_objects(config, options.nodes)
+    words = FrameWords(ObjectDescriptions(eds_path("canfb-module"), 1))
+    modules, read = known_objects(config, options.nodes), set[int]()
     reader = MessageReader(options.seconds)
-    with ending_on_signals(reader.stop):
+    with contextlib.ExitStack() as held:
+        held.enter_context(ending_on_signals(reader.stop))
         if options.log is not None:
-            _show(options, modules, classic(reader.log(options.log)))
-            return 0
-        words = bus_options(options, config.bus)
-        if not options.listen and modules:
-            modules |= _read_now(words, list(modules))
-        with open_bus(words) as bus:
-            _show(options, modules, classic(reader.bus(bus)))
+            frames = classic(reader.log(options.log))
+            modules = modules if options.nodes else recognised(options.log) | modules
+        else:
+            bus = bus_options(options, config.bus)
+            if not options.listen:
+                with BusMaster(open_bus(bus), ANSWER_S) as master:
+                    read = learn_by_sdo(words, master, modules)
+            frames = classic(reader.bus(held.enter_context(open_bus(bus))))
+        for node in modules.keys() - read:
+            words.learn(node, modules[node])
+        _show(options, words, frames)
     return 0
 
 
-def _read_now(words: dict[str, Any], nodes: list[int]) -> dict[int, Read]:
-    """What the modules that answer hold: their mapping is read at once, before frames are shown."""
-    found = {}
-    with BusMaster(open_bus(words), ANSWER_S) as master:
-        for node in nodes:
-            read = read_by_sdo(NodeAccess(master, node, "module"))
-            if read is not None:
-                found[node] = read
-    return found
-
-
-def _show(
-    options: argparse.Namespace, modules: dict[int, Read], frames: Iterator[tuple[float, Frame]]
-) -> None:
-    described = ObjectDescriptions(eds_path("canfb-module"), 1)
-    decode = FrameWords(described, modules.items()).decode
+def _show(options: argparse.Namespace, words: FrameWords, frames: Iterator[tuple[float, Frame]]) -> None:
+    recognition = Recognition()
     for time_s, frame in frames:
-        decoded = decode(frame)
+        decoded = words.decode(frame)
+        if not options.nodes and not decoded.is_pdo:
+            node = recognition.found(frame.can_id, frame.data)
+            if node is not None:
+                words.learn(node, assumed_objects(node))
         if options.pdo and not decoded.is_pdo:
             continue
         say(json.dumps(decoded.figures(time_s)) if options.json else decoded.line(time_s))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from canfb import objects as od
@@ -13,23 +13,18 @@ from canfb.cia301.codes import EmergencyCode, emergency_text
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.master.access import CommissioningError, NodeAccess
-from canfb.objects import Multiplexer
-from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions
+from canfb.diagnosis.nodes_on_bus import scan
+from canfb.master.access import CommissioningError, Master, NodeAccess
+from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import Reading
-from canfb.view.pdo_map import Number, Pdo, Read, valid_pdos
+from canfb.view.pdo_map import Pdo, Read, valid_pdos
 
 PARAMETERS = (("TPDO", od.TPDO, od.TPDO_MAPPING), ("RPDO", od.RPDO, od.RPDO_MAPPING))
+SCAN_S = 0.2
 TIME, LSS_MASTER, LSS_SLAVE = 0x100, 0x7E5, 0x7E4
 EMERGENCY = struct.Struct("<HB5s")
 COMMANDS = {int(one): one.name.lower().replace("_", " ") for one in NmtCommand}
 STATES = {int(one): one.name.replace("_", "-") for one in NmtState}
-
-
-class _Field(NamedTuple):
-    entry: ObjectDescription
-    first_bit: int
-    bits: int
 
 
 class DecodedFrame(NamedTuple):
@@ -72,79 +67,53 @@ class DecodedFrame(NamedTuple):
         }
 
 
-@dataclass(frozen=True)
-class _Pdo:
-    """A PDO of a module; ``name`` is TPDO1 or RPDO1."""
-
-    name: str
-    node: int
-    fields: tuple[_Field, ...]
-    length_bytes: int
-    product: str
-
-    def decoded(self, frame: Frame) -> DecodedFrame:
-        kind = self.name[:4].lower()
-        if len(frame.data) < self.length_bytes:
-            text = f"{self.name} of {self.node}: {len(frame.data)} bytes, {self.length_bytes} are mapped"
-            return DecodedFrame(frame, kind, self.node, text, {})
-        whole = int.from_bytes(frame.data, "little")
-        words, values = [], {}
-        for entry, first_bit, bits in self.fields:
-            data = (whole >> first_bit & (1 << bits) - 1).to_bytes((bits + 7) // 8, "little")
-            reading = Reading(entry, data, self.product)
-            values[entry.number] = reading.figures()["value"]
-            words.append(f"{entry.name[:1].lower()}{entry.name[1:]} {reading.text()}")
-        return DecodedFrame(frame, kind, self.node, f"{self.name} of {self.node}: {', '.join(words)}", values)
-
-
 class FrameWords:
-    """Says what each frame of a bus is. ``modules`` gives for each module what its objects hold."""
+    """Says what each frame of a bus is, with PDOs of the modules that it has learned."""
 
-    def __init__(self, described: ObjectDescriptions, modules: Iterable[tuple[int, Read]]) -> None:
+    def __init__(self, described: ObjectDescriptions) -> None:
         self._described = described
-        self._pdos: dict[int, _Pdo] = {}
-        for node, read in modules:
-            for name, parameters, mapping in PARAMETERS:
-                for pdo in valid_pdos(read, parameters, mapping):
-                    self._learn(f"{name}{pdo.number}", node, pdo)
+        self._pdos: dict[int, tuple[str, int, Pdo]] = {}
 
-    def _learn(self, name: str, node: int, pdo: Pdo) -> None:
-        if not pdo.entries:
-            return
-        fields, bit = [], 0
-        for mapped in pdo.entries:
-            entry, bits = self._described.find(mapped >> 16, mapped >> 8 & 0xFF), mapped & 0xFF
-            if entry is not None and entry.data_type != DataType.DOMAIN:
-                fields.append(_Field(entry, bit, bits))
-            bit += bits
-        decoded = _Pdo(name, node, tuple(fields), pdo.length_bytes, self._described.product)
-        self._pdos.setdefault(pdo.can_id, decoded)  # several modules may take the same samples
+    def learn(self, node: int, read: Read) -> None:
+        """Take the mapping of a module; several may take the same samples."""
+        for name, parameters, mapping in PARAMETERS:
+            for pdo in valid_pdos(read, parameters, mapping):
+                if pdo.entries:
+                    self._pdos.setdefault(pdo.can_id, (f"{name}{pdo.number}", node, pdo))
 
     def decode(self, frame: Frame) -> DecodedFrame:
         """What a frame is; never raises."""
-        pdo = self._pdos.get(frame.can_id)
-        if pdo is not None and not frame.rtr:
-            return pdo.decoded(frame)
+        known = self._pdos.get(frame.can_id)
+        if known is not None and not frame.rtr:
+            return self._decoded(frame, *known)
         kind, node, text = _service(frame)
         return DecodedFrame(frame, kind, node, text, {})
 
+    def _decoded(self, frame: Frame, name: str, node: int, pdo: Pdo) -> DecodedFrame:
+        kind = name[:4].lower()
+        if len(frame.data) < pdo.length_bytes:
+            text = f"{name} of {node}: {len(frame.data)} bytes, {pdo.length_bytes} are mapped"
+            return DecodedFrame(frame, kind, node, text, {})
+        words, values = [], {}
+        for place, data in pdo.values(frame.data).items():
+            entry = self._described.find(*place)
+            if entry is not None and entry.data_type != DataType.DOMAIN:
+                reading = Reading(entry, data, self._described.product)
+                values[entry.number] = reading.figures()["value"]
+                words.append(f"{entry.name[:1].lower()}{entry.name[1:]} {reading.text()}")
+        return DecodedFrame(frame, kind, node, f"{name} of {node}: {', '.join(words)}", values)
 
-def read_by_sdo(node: NodeAccess) -> Read | None:
-    """The PDO mapping of a node as it is now, all of it read here; None if the node does not answer."""
-    if not node.answers():
-        return None
-    values: dict[Multiplexer, Number | None] = {}
 
-    def keep(place: Multiplexer) -> Number | None:
-        try:
-            values[place] = node.read_known(place)
-        except CommissioningError:
-            values[place] = None
-        return values[place]
-
-    for _, parameters, mapping in PARAMETERS:
-        list(valid_pdos(keep, parameters, mapping))  # reads as it goes
-    return values.get
+def learn_by_sdo(words: FrameWords, master: Master, nodes: Iterable[int]) -> set[int]:
+    """Read the mapping of these modules, or without any of all on the bus; the nodes that have answered."""
+    known = set()
+    for node in nodes or [one.node_id for one in scan(master, SCAN_S) if one.device_type]:
+        read = NodeAccess(master, node, "module").read_known
+        with contextlib.suppress(CommissioningError):
+            if read(od.TABLE_ACTIVE_CRC) is not None:
+                words.learn(node, read)
+                known.add(node)
+    return known
 
 
 def _service(frame: Frame) -> tuple[str, int | None, str]:

@@ -1,10 +1,8 @@
 """What is received of a bus: frames and times in, a snapshot out; and each of its nodes: NMT state, errors.
 
-What is known of a node comes from the bus alone. Its NMT state is that of its heartbeat or boot-up; without
-one, that of the last NMT command, or OPERATIONAL while it sends PDOs. A module is known by its configuration,
-by its objects, or because it sends what a module sends: 16 PDOs in a row of 8 bytes, with a status word and a
-residual that can be. Memory is bounded by 127 nodes, with some EMCYs, a minute of residuals and some hundred
-samples each.
+The NMT state of a node is that of its heartbeat or boot-up; without one, that of the last NMT command, or
+OPERATIONAL while it sends PDOs. Memory is bounded: 127 nodes with some EMCYs, a minute of residuals, some
+hundred samples each.
 """
 
 from __future__ import annotations
@@ -20,19 +18,15 @@ from canfb.cia301 import cob
 from canfb.cia301.codes import EmergencyCode, emergency_text
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame, frame_bits
 from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.monitoring.layout import NodeLayout, PdoMap
+from canfb.monitoring.layout import NodeLayout, Recognition
 from canfb.monitoring.module_model import LoadMeter, ModuleModel, SyncMeter
 from canfb.monitoring.snapshot import BusSnapshot, EmergencySnapshot, NodeSnapshot
 from canfb.objects import Multiplexer
-from canfb.view.pdo_map import Number
+from canfb.view.pdo_map import Number, Pdo
 
 EMERGENCIES = 8  # that are remembered
 EMERGENCY = struct.Struct("<HB5s")
 CAUSE_BYTE = 2  # of the five of EMCY 7300h: as 2012:10, 0 while it is not lost
-POSITION_PDO = struct.Struct("<IHH")
-ALIKE = 16  # PDOs in a row that look like those of a module
-LARGEST_RESIDUAL = 0x8000
-NO_STATUS = 0xC000  # bits that no status word has
 HEARD_STATES = {int(state): state for state in NmtState}
 COMMANDED = {
     NmtCommand.START: NmtState.OPERATIONAL,
@@ -62,7 +56,6 @@ class NodeModel:
         self._boot_ups = 0
         self._emergencies: deque[_Emergency] = deque(maxlen=EMERGENCIES)
         self._emergency_count = 0
-        self._alike = 0
 
     def received(self, now: float) -> None:
         """A frame of its own."""
@@ -95,17 +88,6 @@ class NodeModel:
             code, _, detail = EMERGENCY.unpack(data)
             if self.module is not None and code == EmergencyCode.SENSOR and od.loss_cause(detail[CAUSE_BYTE]):
                 self.module.put(od.COUNTER_LOSS_CAUSE, detail[CAUSE_BYTE], now)
-
-    def is_like_a_module(self, data: bytes) -> bool:
-        """Whether its TPDO1 was that of a module ALIKE times: position, status word, residual."""
-        if len(data) == POSITION_PDO.size:
-            _, status, residual = POSITION_PDO.unpack(data)
-            self._alike += 1
-            if status & NO_STATUS or residual > LARGEST_RESIDUAL:
-                self._alike = 0
-        else:
-            self._alike = 0
-        return self._alike >= ALIKE
 
     def snapshot(self, now: float, sync_hz: float | None = None) -> NodeSnapshot:
         """What is known by ``now``."""
@@ -155,7 +137,7 @@ class BusModel:
         *,
         only_known: bool = False,
     ) -> None:
-        self._assume = assume
+        self._assume, self._recognition = assume, Recognition()
         self._only_known = only_known
         self._bit_rate = bit_rate
         self._nodes: dict[int, NodeModel] = {}
@@ -277,21 +259,18 @@ class BusModel:
             node.emergency(data, now)
         elif function in TPDOS:
             node.sends_pdos()
-            if function == cob.TPDO1 and node.module is None and can_id not in self._routes:
-                self._look_at(node, data)
+            if self._assume is not None and node.module is None and can_id not in self._routes:
+                found = self._recognition.found(can_id, data)
+                if found is not None:
+                    self.learn(self._assume(found))
 
     def _command(self, command: int, node_id: int) -> None:
         for node in self._nodes.values():
             if node_id in (0, node.node_id):
                 node.commanded(command)
 
-    def _look_at(self, node: NodeModel, data: bytes) -> None:
-        """A node that sends what a module sends is taken for one."""
-        if self._assume is not None and node.is_like_a_module(data):
-            self.learn(self._assume(node.node_id))
 
-
-def _sent(node: NodeModel, module: ModuleModel, pdo: PdoMap, data: bytes, now: float) -> None:
+def _sent(node: NodeModel, module: ModuleModel, pdo: Pdo, data: bytes, now: float) -> None:
     """A PDO of a module, under whichever CAN-ID."""
     node.received(now)
     if module.sent(pdo, data, now):

@@ -82,19 +82,13 @@ class Origin(StrEnum):
     ASSUMED = "assumed"
 
 
-@dataclass(frozen=True)
-class PdoMap:
-    """One PDO: its CAN-ID, its least length, and where in it which value begins."""
-
-    can_id: int
-    length_bytes: int
-    places: tuple[tuple[Multiplexer, int, struct.Struct], ...]
-
-    def decode(self, data: bytes) -> Mapping[Multiplexer, Number]:
-        """The values that it carries; none of a PDO that is too short."""
-        if len(data) < self.length_bytes:
-            return {}
-        return {place: packed.unpack_from(data, byte)[0] for place, byte, packed in self.places}
+def known_values(pdo: Pdo, data: bytes, kinds: Mapping[Multiplexer, str]) -> dict[Multiplexer, Number]:
+    """Those objects of ``kinds`` (as struct has their types) that a PDO with this ``data`` carries."""
+    return {
+        place: struct.unpack(f"<{kinds[place]}", part)[0]
+        for place, part in pdo.values(data).items()
+        if place in kinds and struct.calcsize(f"<{kinds[place]}") == len(part)
+    }
 
 
 @dataclass(frozen=True)
@@ -111,8 +105,8 @@ class NodeLayout:
 
     node_id: int
     origin: Origin
-    tpdos: tuple[PdoMap, ...]
-    inputs: tuple[PdoMap, ...]
+    tpdos: tuple[Pdo, ...]
+    inputs: tuple[Pdo, ...]
     sync_id: int = cob.SYNC
     emcy_id: int = 0
     cycles_per_revolution: int = 2500
@@ -164,22 +158,10 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
     )
 
 
-def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[Multiplexer, str]) -> tuple[PdoMap, ...]:
+def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[Multiplexer, str]) -> tuple[Pdo, ...]:
     """The PDOs that exist and carry something known."""
-    found = (_pdo_map(pdo, known) for pdo in valid_pdos(read, parameters, mapping))
-    return tuple(one for one in found if one.places)
-
-
-def _pdo_map(pdo: Pdo, known: Mapping[Multiplexer, str]) -> PdoMap:
-    places = []
-    for entry, byte in pdo.bytes_of().items():
-        place, bits = Multiplexer(entry >> 16, entry >> 8 & 0xFF), entry & 0xFF
-        kind = known.get(place)
-        if kind is not None:
-            packed = struct.Struct(f"<{kind}")
-            if packed.size * 8 == bits:
-                places.append((place, byte, packed))
-    return PdoMap(pdo.can_id, pdo.length_bytes, tuple(places))
+    found = valid_pdos(read, parameters, mapping)
+    return tuple(pdo for pdo in found if known.keys() & pdo.values(bytes(pdo.length_bytes)).keys())
 
 
 def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]:
@@ -190,6 +172,11 @@ def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]
 def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, Read]:
     """Objects of the same modules by node-ID, as configured or by default."""
     return {module.node_id: _reader(module) for module, _ in _known(config, nodes)}
+
+
+def assumed_objects(node_id: int) -> Read:
+    """Objects of a node (1..127) that looks like a module: as the EDS has them."""
+    return _reader(_by_default(node_id))
 
 
 def _known(config: Config, nodes: Sequence[int]) -> list[tuple[ModuleConfig, Origin]]:
@@ -205,6 +192,31 @@ def _known(config: Config, nodes: Sequence[int]) -> list[tuple[ModuleConfig, Ori
 def assumed_layout(node_id: int) -> NodeLayout:
     """Of a node (1..127) that looks like a module: as the EDS has it."""
     return _layout(_by_default(node_id), Origin.ASSUMED)
+
+
+ALIKE = 16  # PDOs in a row that look like those of a module
+POSITION_PDO = struct.Struct("<IHH")
+LARGEST_RESIDUAL = 0x8000
+NO_STATUS = 0xC000  # bits that no status word has
+
+
+class Recognition:
+    """Knows a module by what it sends: ALIKE TPDO1 in a row with a position, a status word and a residual."""
+
+    def __init__(self) -> None:
+        self._alike: dict[int, int] = {}
+
+    def found(self, can_id: int, data: bytes) -> int | None:
+        """The node-ID of a frame that shows that its sender is a module; None for all others."""
+        node_id = can_id - cob.TPDO1
+        if not 1 <= node_id <= 127:
+            return None
+        alike = False
+        if len(data) == POSITION_PDO.size:
+            _, status, residual = POSITION_PDO.unpack(data)
+            alike = not status & NO_STATUS and residual <= LARGEST_RESIDUAL
+        self._alike[node_id] = self._alike.get(node_id, 0) + 1 if alike else 0
+        return node_id if self._alike[node_id] >= ALIKE else None
 
 
 def _by_default(node_id: int) -> ModuleConfig:

@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from itertools import pairwise
 
 from canfb import objects as od
-from canfb.monitoring.layout import COUNTERS, NodeLayout, PdoMap
+from canfb.monitoring.layout import COUNTERS, INPUTS, VALUES, NodeLayout, known_values
 from canfb.monitoring.snapshot import LoadSnapshot, ModuleSnapshot, SyncSnapshot
 from canfb.objects import Multiplexer, PositionState, StatusBit
 from canfb.timing.sync_judge import SyncJudge
 from canfb.view.limits_in_force import LIMIT_UNITS
-from canfb.view.pdo_map import Number
+from canfb.view.pdo_map import Number, Pdo
 
 SYNCS = 512  # that are looked at
 LEAST_SYNCS = 4
@@ -175,9 +175,9 @@ class ModuleModel:
         self._came_s: float | None = None
         self._fault_s: float | None = None
 
-    def sent(self, pdo: PdoMap, data: bytes, now: float) -> bool:
+    def sent(self, pdo: Pdo, data: bytes, now: float) -> bool:
         """A PDO of the module; False if it is too short to be one."""
-        values = pdo.decode(data)
+        values = known_values(pdo, data, VALUES)
         for place, value in values.items():
             self.put(place, value, now)
         if (status := values.get(od.FEEDBACK_STATUS)) is not None:
@@ -189,9 +189,9 @@ class ModuleModel:
             self._follow(int(position), now)
         return bool(values)
 
-    def sampled(self, pdo: PdoMap, data: bytes, now: float) -> None:
+    def sampled(self, pdo: Pdo, data: bytes, now: float) -> None:
         """A PDO that brings it samples."""
-        values = pdo.decode(data)
+        values = known_values(pdo, data, INPUTS)
         if od.SAMPLE_SINE in values and od.SAMPLE_COSINE in values:
             self._tracks.append((int(values[od.SAMPLE_SINE]), int(values[od.SAMPLE_COSINE])))
             self._tracks_received += 1

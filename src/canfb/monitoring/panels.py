@@ -61,6 +61,7 @@ LEAST_FIGURES, LEAST_TRACKS = 56, 12  # characters
 LABEL = 10
 LEAST_TABLE = 4  # lines: below, there is no room for notes
 NOT_READ = "scales and limits are assumed where they were not read: --sdo reads them"
+NO_MODULE = "frames come, but none of a module: name it (canfb monitor NODE)"
 BAR = 60  # characters, of the residual: 30 s of it
 STYLES = {"good": "green", "doubtful": "yellow", "bad": "bold red", "faint": "dim", "": ""}
 GOOD, DOUBTFUL, BAD, FAINT = (STYLES[tone] for tone in ("good", "doubtful", "bad", "faint"))
@@ -92,7 +93,7 @@ class Page:
         left = height - len(head) - bool(others)
         parts: list[RenderableType] = list(head)
         if not modules:
-            parts.append(self._nothing())
+            parts.append(Text(f"\n{NO_MODULE if snapshot.load.frames_per_s > 0.0 else 'no frame'}", DOUBTFUL))
         elif len(modules) * PANEL_LINES <= left:
             rows = min(HIGHEST_PANEL, left // len(modules))
             parts += [self._panel(node, module, width, rows) for node, module in modules]
@@ -108,7 +109,7 @@ class Page:
                 left -= 1
             parts += self._errors(modules, left, width)
         if others:
-            parts.append(self._others(others, width))
+            parts.append(self._cut(Text.assemble(("other nodes  ", FAINT), others), width))
         return Group(*parts)
 
     def _cut(self, text: Text, width: int) -> Text:
@@ -121,13 +122,6 @@ class Page:
         title = Text(f"{self._title}  {self._snapshot.time_s:.1f} s", style="bold")
         rows = [_row(line, 6) for line in lines.bus_lines(self._snapshot)]
         return [self._cut(one, width) for one in (title, *rows)]
-
-    def _nothing(self) -> Text:
-        frames_come = self._snapshot.load.frames_per_s > 0.0
-        text = (
-            "frames come, but none of a module: name it (canfb monitor NODE)" if frames_come else "no frame"
-        )
-        return Text(f"\n{text}", DOUBTFUL)
 
     def _panel(self, node: NodeSnapshot, module: ModuleSnapshot, width: int, rows: int) -> Panel:
         """A frame of ``rows`` lines with the figures, and the tracks where there is room for them."""
@@ -160,24 +154,23 @@ class Page:
         """The rows, and the residual as pictures; without the peak where a loss needs the room."""
         rows = lines.module_lines(node, module, self._units)
         texts = {row.label: _row(row, LABEL) for row in rows}
-        drawn = self._residual_history(module, width - LABEL)
-        if "why" not in texts:
-            return _behind(texts, "residual", self._residual_bar(module, width - LABEL), drawn)
-        return _behind(texts, "why", drawn)
+        room = _bar_width(width)
+        drawn = self._residual_history(module, room)
+        if "why" in texts:
+            return _behind(texts, "why", drawn)
+        return _behind(texts, "residual", self._peak(module, room, " " * LABEL, " peak {:.3f}"), drawn)
 
-    def _residual_bar(self, module: ModuleSnapshot, width: int) -> Text:
-        """The peak of the last second: single samples change faster than anybody reads."""
+    def _peak(self, module: ModuleSnapshot, width: int, head: str = "", behind: str = "") -> Text:
+        """The peak residual of the last second: single samples change faster than anybody reads."""
         limit, peak = module.residual_limit_cycles, module.residual_peak_cycles
         if not limit or peak is None:
-            return Text("")
-        full = bar(peak / limit, max(10, min(width - 12, BAR)), plain=self._plain)
-        return Text.assemble(
-            (" " * LABEL, FAINT), (full, _style(module, peak) or GOOD), (f" peak {peak:.3f}", FAINT)
-        )
+            return Text("" if behind else "-")
+        full = bar(peak / limit, width, plain=self._plain)
+        style = STYLES[lines.residual_tone(module, peak)] or GOOD
+        return Text.assemble(head.format(peak), (full, style), (behind.format(peak), FAINT))
 
-    def _residual_history(self, module: ModuleSnapshot, width: int) -> Text:
+    def _residual_history(self, module: ModuleSnapshot, room: int) -> Text:
         limit, values = module.residual_limit_cycles or 0.5, module.residual_history_cycles
-        room = max(10, min(width - 12, BAR))
         seconds = min(room, len(values)) * module.history_bin_s
         drawn = history(values, limit, room, plain=self._plain)
         text = Text.assemble(
@@ -220,17 +213,10 @@ class Page:
                 Text(words, STYLES[lines.tone_of(module)]),
                 self._units.position(module.position_revolutions),
                 self._units.velocity(module.velocity_rad_s),
-                self._short_residual(module),
+                self._peak(module, 9, "{:.3f} "),
                 amplitude,
             )
         return table
-
-    def _short_residual(self, module: ModuleSnapshot) -> Text:
-        limit, peak = module.residual_limit_cycles, module.residual_peak_cycles
-        if not limit or peak is None:
-            return Text("-")
-        full = bar(peak / limit, 9, plain=self._plain)
-        return Text.assemble(f"{peak:.3f} ", (full, _style(module, peak) or GOOD))
 
     def _errors(
         self, modules: Sequence[tuple[NodeSnapshot, ModuleSnapshot]], room: int, width: int
@@ -246,9 +232,6 @@ class Page:
             texts.append(self._cut(Text(text, "" if one.code == 0 else BAD), width))
         return texts
 
-    def _others(self, texts: str, width: int) -> Text:
-        return self._cut(Text.assemble(("other nodes  ", FAINT), texts), width)
-
 
 def _row(line: lines.Line, width: int) -> Text:
     return Text.assemble(
@@ -261,5 +244,6 @@ def _behind(texts: dict[str, Text], label: str, *more: Text) -> list[Text]:
     return [text for name, row in texts.items() for text in ((row, *more) if name == label else (row,))]
 
 
-def _style(module: ModuleSnapshot, residual: float | None) -> str:
-    return STYLES[lines.residual_tone(module, residual)]
+def _bar_width(width: int) -> int:
+    """Of what is drawn behind a label, before a figure."""
+    return max(10, min(width - LABEL - 12, BAR))

@@ -85,7 +85,7 @@ class ModuleReader:
 
             self._layout = layout_of(self.node_id, read, Origin.MODULE)
             self._layout_due_s = now + LAYOUT_S
-        carried = {place for pdo in self._layout.tpdos for place, _, _ in pdo.places}
+        carried = {place for pdo in self._layout.tpdos for place in pdo.values(bytes(pdo.length_bytes))}
         values = {place: _value(module, place) for place in REPEATED if place not in carried}
         found = {place: value for place, value in values.items() if value is not None}
         if self._with_table:

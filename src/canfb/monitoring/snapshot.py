@@ -10,13 +10,10 @@ from typing import Any
 
 @dataclass(frozen=True)
 class SyncSnapshot:
-    """The SYNC of the last seconds.
+    """The SYNC of the last seconds, against the best regular grid; None while there are too few.
 
-    rate_hz         None while there is none, or too few to say
-    jitter_rms_s    rms deviation of the SYNCs from the best regular grid, seconds; None as above
-    jitter_peak_s   the largest deviation, seconds
-    silent_s        since the last SYNC; None before the first
-    count           SYNCs since the beginning
+    silent_s    since the last SYNC; None before the first
+    count       SYNCs since the beginning
     """
 
     rate_hz: float | None = None
@@ -28,11 +25,7 @@ class SyncSnapshot:
 
 @dataclass(frozen=True)
 class LoadSnapshot:
-    """What was on the bus in the last second.
-
-    bits_per_s      with the most stuff bits that there can be
-    load            part of the bit rate, 0..1; None without a bit rate
-    """
+    """The last second, with the most stuff bits that there can be; ``load``, 0..1, needs a bit rate."""
 
     frames_per_s: float = 0.0
     bits_per_s: float = 0.0
@@ -42,7 +35,7 @@ class LoadSnapshot:
 
 @dataclass(frozen=True)
 class EmergencySnapshot:
-    """One EMCY: how long ago it came, code, meaning, 1001h, and the five bytes of the device as hex."""
+    """One EMCY; ``register`` is 1001h, ``detail`` the five bytes of the device as hex."""
 
     age_s: float
     code: int
@@ -57,20 +50,15 @@ class ModuleSnapshot:
 
     layout                 how its PDOs are known: EDS, configuration, module, assumed
     age_s                  since its last PDO with a position or a status
-    position_state         valid, coasting, lost, not valid
-    faults                 in words, from the status word
     position_units         6004h
-    position_revolutions   the same, in revolutions, within the total range
-    table_crc32            2020:04, 0: the identity; read by SDO
+    table_crc32            2020:04, by SDO; 0: the identity
     velocity_rad_s         of 2011:07, else from the positions
-    residual_cycles        of the last sample, with the limit in force, and the peak of the last second
-    residual_noise_cycles  2011:0B, rms, where it is read or mapped and already measured
-    residual_history_cycles  peaks of intervals of `history_bin_s`, oldest first; None without a sample
-    amplitude_counts       2011:05, else of the ADC counts before conditioning (`amplitude_is_raw`)
-    tracks_counts          the last pairs of the ADC PDO: sine, cosine
-    tracks_heard           pairs since the beginning, so that what is new is known
+    residual_limit_cycles  in force; the peak is of the last second
+    residual_history_cycles  peaks of ``history_bin_s`` each, oldest first
+    amplitude_counts       2011:05, else of the ADC counts before conditioning (``amplitude_is_raw``)
+    tracks_counts          the last pairs of the ADC PDO; ``tracks_heard`` counts all
     seen                   position PDOs with each fault, and losses, counted here
-    lost_by                why the position is lost, in words, of EMCY 7300h or 2012:10; None: it is not
+    lost_by                why the position is lost, in words; None: it is not
     since_fault_s          since a position PDO was not valid
     counters               2012h, where it is read or mapped
     assumed                names of values above that depend on settings which were not read
@@ -110,12 +98,10 @@ class ModuleSnapshot:
 class NodeSnapshot:
     """A node of the bus.
 
-    state           NMT state; None while it is not known
-    state_source    what says so: heartbeat, boot-up, PDO, command
+    state_source    what the NMT state is known by: heartbeat, boot-up, PDO, command
     heard_s         since its last frame; None for one that never sent any
-    boot_ups        counted here
-    emergencies     the last ones, newest first; `emergency_count` of them in all
-    module          None for a node that is no feedback module, or not known as one
+    emergencies     the last ones, newest first; ``emergency_count`` in all
+    module          None for a node that is not known as a feedback module
     """
 
     node_id: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import time
 from collections import deque
@@ -17,13 +18,15 @@ from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.logfile.log_files import LogError
 from canfb.logfile.log_reader import BusLogFile
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.layout import ModuleReading
+from canfb.monitoring.layout import ModuleReading, Recognition, assumed_objects
 from canfb.monitoring.snapshot import BusSnapshot
+from canfb.view.pdo_map import Read
 
 log = logging.getLogger(__name__)
 
 LONGEST_WAIT_S = 0.1  # how late a signal may be noticed
 LEAST_WAIT_S = 1e-3  # how late a snapshot may be: rounding makes nothing spin
+RECOGNISED_IN = 10_000  # frames
 LONGEST_GAP_S = 10.0  # in a log: a longer pause is passed over
 
 Show = Callable[[BusSnapshot], None]
@@ -98,6 +101,14 @@ def classic(frames: Iterable[tuple[float, Frame | None]]) -> Iterator[tuple[floa
         if frame is not None and frame.can_id <= HIGHEST_ID:
             first_s = time_s if first_s is None else first_s
             yield time_s - first_s, frame
+
+
+def recognised(log: Path) -> dict[int, Read]:
+    """Objects, by node-ID, of the modules that send in the first frames of a log."""
+    recognition, found = Recognition(), set()
+    for _, frame in classic(itertools.islice(MessageReader().log(log), RECOGNISED_IN)):
+        found.add(recognition.found(frame.can_id, frame.data))
+    return {node: assumed_objects(node) for node in found if node is not None}
 
 
 class Watching:

@@ -11,7 +11,7 @@ from canfb.monitoring.layout import ModuleReading
 from canfb.monitoring.lines import Line, MachineUnits
 from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
 from canfb.scope.page_server import Event, PageServer, event
-from canfb.scope.traces import ModuleTraces
+from canfb.scope.traces import Curve, ModuleTraces
 
 
 class LivePage:
@@ -21,7 +21,7 @@ class LivePage:
         self.server = PageServer(port, self.first)
         self._units = units
         self._traces: dict[int, ModuleTraces] = {}
-        self._curves: dict[int, dict[str, Any]] = {}
+        self._curves: dict[int, Curve] = {}
         self._lock = threading.Lock()
 
     def know(self, reading: ModuleReading) -> None:
@@ -58,7 +58,7 @@ class LivePage:
     def _module(self, now: float, node: NodeSnapshot, module: ModuleSnapshot) -> dict[str, Any]:
         traces = self._of(node.node_id)
         if (curve := traces.deviation(now)) is not None:
-            self._curves[node.node_id] = curve.plain()
+            self._curves[node.node_id] = curve
         names = dict.fromkeys((*module.counters, *module.seen))
         return {
             "node": node.node_id,
@@ -74,7 +74,7 @@ class LivePage:
             "limits": module.amplitude_limits_counts,
             "full_scale": module.full_scale_counts,
             "assumed": module.assumed,
-            "deviation": None if curve is None else self._curves[node.node_id],
+            "deviation": curve,
         }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,31 +27,19 @@ EVERY_S = 2.0
 PERCENT = 100.0
 MOST_DOTS = 600
 SHOWN = (PositionState.VALID, None)  # positions and velocities with these states are drawn
+NOTHING = np.zeros(0)
 Point = tuple[float | None, ...]
 """Time (s), position, velocity (units of the machine), residual and its limit (cycles), amplitude
 after and before conditioning (counts), new faults, 1 while the position is not valid."""
 
 
-@dataclass(frozen=True, eq=False)
-class DeviationCurve:
-    """Deviation of the last samples from smooth motion, % of a cycle, over the phase (0..1).
+Curve = dict[str, Any]
+"""Deviation of the last samples from smooth motion, % of a cycle, over the phase (0..1), for JSON.
 
-    phase, deviation       single samples
-    centers, before, mean  means over the phase, without any table and with that of the module
-    text                   rms with and without, or why there is nothing to see
-    """
-
-    text: str
-    phase: FloatArray
-    deviation: FloatArray
-    centers: FloatArray
-    before: FloatArray
-    mean: FloatArray
-
-    def plain(self) -> dict[str, Any]:
-        """For JSON."""
-        names = ("phase", "deviation", "centers", "before", "mean")
-        return {"text": self.text} | {name: _plain(getattr(self, name)) for name in names}
+phase, deviation       single samples
+centers, before, mean  means over the phase, without any table and with that of the module
+text                   rms with and without, or why there is nothing to see
+"""
 
 
 class ModuleTraces:
@@ -130,34 +117,30 @@ class ModuleTraces:
             self._place += 1
             self._samples.append((self._place, sine, cosine))
 
-    def deviation(self, now: float) -> DeviationCurve | None:
+    def deviation(self, now: float) -> Curve | None:
         """Of the last samples; None while the one before is not EVERY_S old."""
         if self._module is None or now < self._due_s:
             return None
         self._due_s = now + EVERY_S
-        return self._computed(self._module)
-
-    def _computed(self, module: ModuleSnapshot) -> DeviationCurve:
         if len(self._samples) < LEAST_SAMPLES:
-            return _no_curve(f"{len(self._samples)} of {LEAST_SAMPLES} samples")
+            return _curve(f"nothing to see: {len(self._samples)} of {LEAST_SAMPLES} samples")
         place, sine, cosine = np.array(self._samples, np.float64).T
-        full_scale = module.full_scale_counts
+        full_scale = self._module.full_scale_counts
         bits = full_scale.bit_length() if full_scale.bit_count() == 1 else None
         try:
             taken = recording(sine, cosine, place, None, bits, may_be_offset=True)
             found = best_deviation(taken, self.correction or NO_CORRECTION, NO_CORRECTION, BLOCK_SAMPLES)
         except (CalibrationError, ValueError):
-            return _no_curve("only while the machine turns, not locked to the samples")
+            return _curve("nothing to see: only while the machine turns, not locked to the samples")
         step = max(1, len(found.phase) // MOST_DOTS)
         mean = found.mean_over_phase()
-        without, with_it = PERCENT * found.before_rms, PERCENT * found.rms
-        return DeviationCurve(
-            self._words(without, with_it),
-            found.phase[::step] % 1.0,
-            PERCENT * found.error[::step],
-            (np.arange(len(mean)) + 0.5) / len(mean),
-            PERCENT * found.mean_over_phase(before=True),
-            PERCENT * mean if self.correction not in (None, NO_CORRECTION) else np.full(len(mean), np.nan),
+        return _curve(
+            self._words(PERCENT * found.before_rms, PERCENT * found.rms),
+            phase=found.phase[::step] % 1.0,
+            deviation=PERCENT * found.error[::step],
+            centers=(np.arange(len(mean)) + 0.5) / len(mean),
+            before=PERCENT * found.mean_over_phase(before=True),
+            mean=PERCENT * mean * (np.nan if self.correction in (None, NO_CORRECTION) else 1.0),
         )
 
     def _words(self, without: float, with_it: float) -> str:
@@ -170,9 +153,10 @@ class ModuleTraces:
         return f"without {without:.3f} % rms, with the active {name} {with_it:.3f} % rms"
 
 
-def _no_curve(why: str) -> DeviationCurve:
-    return DeviationCurve(f"nothing to see: {why}", *[np.zeros(0)] * 5)
-
-
-def _plain(values: FloatArray) -> list[float | None]:
-    return [round(value, 5) if math.isfinite(value) else None for value in values.tolist()]
+def _curve(text: str, **columns: FloatArray) -> Curve:
+    curve = dict.fromkeys(("phase", "deviation", "centers", "before", "mean"), NOTHING) | columns
+    plain = {
+        name: [round(value, 5) if math.isfinite(value) else None for value in column.tolist()]
+        for name, column in curve.items()
+    }
+    return {"text": text} | plain

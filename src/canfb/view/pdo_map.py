@@ -36,6 +36,18 @@ class Pdo(NamedTuple):
         """The least length of its frames."""
         return (sum(entry & 0xFF for entry in self.entries) + 7) // 8
 
+    def values(self, data: bytes) -> dict[Multiplexer, bytes]:
+        """The bytes of each object in a frame with this ``data``; none of a frame that is too short."""
+        if len(data) < self.length_bytes:
+            return {}
+        whole, found = int.from_bytes(data, "little"), {}
+        for entry in self.entries:
+            bits = entry & 0xFF
+            place = Multiplexer(entry >> 16, entry >> 8 & 0xFF)
+            found[place] = (whole & (1 << bits) - 1).to_bytes((bits + 7) // 8, "little")
+            whole >>= bits
+        return found
+
     def carries(self, index: int) -> bool:
         """It maps at least one entry of this object."""
         return any(entry >> 16 == index for entry in self.entries)
