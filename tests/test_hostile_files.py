@@ -21,7 +21,7 @@ from canfb.sdo.table_file import as_yaml, read_table
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.sources import tracks_file
-from canfb.sources.recording_source import RecordingLayout, RecordingSource
+from canfb.sources.recording_source import RecordingLayout, open_recording
 
 LISTS = [f"&b{n} [{', '.join([f'*b{n - 1}' if n else '0.5'] * 9)}]" for n in range(9)]
 BOMB = "x:\n" + "".join(f"- {one}\n" for one in LISTS)
@@ -146,13 +146,13 @@ def test_a_recording_with_a_time_beyond_any(tmp_path: Path, value: str) -> None:
     path = tmp_path / "a.csv"
     path.write_text(f"t,s,c\n{value},1,2\n1e-320,3,4\n")
     with pytest.raises(CanfbError, match="is not a time in seconds"):
-        RecordingSource(path, RecordingLayout(("s", "c"), 0.0, "t", time_stamps=True, paced=True))
+        open_recording(path, RecordingLayout(("s", "c"), 0.0, "t", time_stamps=True, paced=True))
 
 
 def test_a_recording_with_hardly_a_step_of_time(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t,s,c\n0,1,2\n1e-320,3,4\n2e-320,3,4\n")
-    source = RecordingSource(path, RecordingLayout(("s", "c"), 0.0, "t", time_stamps=True, paced=True))
+    source = open_recording(path, RecordingLayout(("s", "c"), 0.0, "t", time_stamps=True, paced=True))
     assert [source.next().time_100ns for _ in range(3)] == [0, 0, 0]  # type: ignore[union-attr]
 
 

@@ -20,7 +20,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.sources.recording_source import RecordingLayout, RecordingSource
+from canfb.sources.recording_source import RecordingLayout, open_recording
 
 FOLDER = Path(os.environ.get("CANFB_RECORDINGS", Path(__file__).parents[3] / "shared" / "data"))
 RECORDING = FOLDER / "servoproject_optical_encoder.csv"
@@ -72,7 +72,7 @@ def play(rows: int) -> list[list[tuple[int, int]]]:
     )
     feedback = FeedbackModule(module)
     bus.attach(feedback)
-    bus.attach(EncoderInterface(INTERFACE_ID, RecordingSource(RECORDING, LAYOUT)))
+    bus.attach(EncoderInterface(INTERFACE_ID, open_recording(RECORDING, LAYOUT)))
     for node in (NODE_ID, INTERFACE_ID):
         bus.send(Frame(0, bytes([1, node])))
     count = 0

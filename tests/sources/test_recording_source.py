@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from canfb.errors import CanfbError
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import SourceEnded
-from canfb.sources.recording_source import RecordingLayout, RecordingSource
+from canfb.sources.recording_source import RecordingLayout, RecordingSource, open_recording
 
 AB = RecordingLayout(("a", "b"))
 
@@ -32,46 +33,46 @@ def played(source: RecordingSource) -> list[tuple[float, float] | None]:
 
 
 def test_rows_are_played_in_order_and_then_it_ends(tmp_path: Path) -> None:
-    source = RecordingSource(written(tmp_path, "t,a,b\n0,1,-2\n1,3,4\n\n2,5,6\n"), AB)
-    assert len(source) == 3
-    assert source.row == -1
-    rows = []
-    for want in ((1, -2), (3, 4), (5, 6)):
-        assert source.next() == Sample(*want)
-        rows.append(source.row)
-    assert rows == [0, 1, 2]
+    source = open_recording(written(tmp_path, "t,a,b\n0,1,-2\n1,3,4\n\n2,5,6\n"), AB)
+    assert [source.next() for _ in range(3)] == [Sample(1, -2), Sample(3, 4), Sample(5, 6)]
     for _ in range(2):
         with pytest.raises(SourceEnded):
             source.next()
 
 
-@pytest.mark.parametrize("columns", [("a", "b"), ("1", "2"), ("a", "2")])
-def test_columns_by_name_or_by_number(tmp_path: Path, columns: tuple[str, str]) -> None:
-    path = written(tmp_path, "t, a ,b\n0,1,2\n")
-    assert played(RecordingSource(path, RecordingLayout(columns))) == [(1, 2)]
+# What a file may look like, and the pairs and the note that come of it.
+READ: list[tuple[str | bytes, RecordingLayout, list[tuple[float, float]], str]] = [
+    ("t, a ,b\n0,1,2\n", AB, [(1, 2)], ""),
+    ("t, a ,b\n0,1,2\n", RecordingLayout(("1", "2")), [(1, 2)], ""),
+    ("1,0,2\n7,8,9\n", RecordingLayout(("1", "0")), [(7, 8)], ""),  # a name goes before a number
+    (b'\xef\xbb\xbf"a","b"\r\n"1","2"\r\n', AB, [(1, 2)], ""),
+    ("a,b\n1,2\n".encode("utf-16"), AB, [(1, 2)], ""),
+    ("a,b\n2048,2047.4\n0,4095\n2048.6,1e3\n", replace(AB, mid_scale=2048.0),
+     [(0, -1), (-2048, 2047), (1, -1048)], ""),
+    ("a,b\n0.5,-1\n0.25,1\n", replace(AB, scale=2000.0), [(1000, -2000), (500, 2000)], ""),
+    ("temp [\xb0C],a,b\n20,1,2\n".encode("cp1252"), AB, [(1, 2)], ""),
+    ("t;a;b\n0,5;1000,4;-7,6\n", AB, [(1000, -8)], ", separated by semicolon"),
+    ("a\tb, V\n100\t20,0\n", RecordingLayout(("a", "b, V")), [(100, 20)], ", separated by tab"),
+    ("sep=;\na;b\n1;2\n", AB, [(1, 2)], ", separated by semicolon"),
+    ("sep=|\na|b\n1|2\n", AB, [(1, 2)], ", separated by |"),
+    ('a,b\n"100,5",2\n', AB, [(100, 2)], ""),
+]  # fmt: skip
 
 
-def test_a_name_goes_before_a_number(tmp_path: Path) -> None:
-    path = written(tmp_path, "1,0,2\n7,8,9\n")
-    assert played(RecordingSource(path, RecordingLayout(("1", "0")))) == [(7, 8)]
-
-
-def test_mid_scale_is_subtracted_and_the_rest_rounded(tmp_path: Path) -> None:
-    path = written(tmp_path, "a,b\n2048,2047.4\n0,4095\n2048.6,1e3\n")
-    source = RecordingSource(path, RecordingLayout(("a", "b"), mid_scale=2048.0))
-    assert played(source) == [(0, -1), (-2048, 2047), (1, -1048)]
-
-
-def test_files_of_spreadsheets_are_read(tmp_path: Path) -> None:
-    path = written(tmp_path, b'\xef\xbb\xbf"a","b"\r\n"1","2"\r\n')
-    assert played(RecordingSource(path, AB)) == [(1, 2)]
+@pytest.mark.parametrize(("text", "layout", "pairs", "note"), READ)
+def test_files_as_spreadsheets_and_instruments_write_them(
+    tmp_path: Path, text: str | bytes, layout: RecordingLayout, pairs: list[tuple[float, float]], note: str
+) -> None:
+    source = open_recording(written(tmp_path, text), layout)
+    assert played(source) == pairs
+    assert source.note == note
 
 
 TIMED = "t,a,b\n" + "".join(f"{t},{n},0\n" for n, t in enumerate((0.0, 0.1, 0.2, 0.8, 0.9, 2.0)))
 
 
 def timed(path: Path, gap_s: float, gap_samples: int) -> RecordingSource:
-    return RecordingSource(
+    return open_recording(
         path, RecordingLayout(("a", "b"), time_column="t", gap_s=gap_s, gap_samples=gap_samples)
     )
 
@@ -81,7 +82,6 @@ def test_at_a_gap_the_last_sample_is_left_out_and_samples_are_lost(tmp_path: Pat
     source = timed(written(tmp_path, TIMED), 0.3, gap_samples)
     lost = [None] * gap_samples
     assert played(source) == [(0, 0), (1, 0), *lost, (3, 0), *lost, (5, 0)]
-    assert source.row == 5
 
 
 def test_a_step_as_long_as_the_limit_is_no_gap(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_gaps_on_end_lose_all_that_is_between(tmp_path: Path) -> None:
 
 
 def test_without_a_time_column_there_are_no_gaps(tmp_path: Path) -> None:
-    assert len(played(RecordingSource(written(tmp_path, TIMED), AB))) == 6
+    assert len(played(open_recording(written(tmp_path, TIMED), AB))) == 6
 
 
 WRONG: dict[str, tuple[str | bytes, str]] = {
@@ -109,7 +109,13 @@ WRONG: dict[str, tuple[str | bytes, str]] = {
     "infinite": ("a,b\n1,inf\n", ":2: a value in one of the selected columns is not a number"),
     "a number after a quoted line end": ('x,a,b\n"one\ntwo",1,2\n3,4,x\n', ":4: a value in one"),
     "too large": ("a,b\n0,32768\n", ":2: 0, 32768 does not fit INTEGER16; is mid-scale right?"),
-    "not text": (b"a,b\n\xff\xfe,2\n", ": this is not a text file with columns"),
+    "not text": (b"a,b\n\0\0,2\n", ": this is not a text file with columns"),
+    "a byte that is no digit": (b"a,b\n\xff\xfe,2\n", ":2: a value in one of the selected columns is not"),
+    "a line after that of the separator": ("sep=;\na;b\n1;2\n1;x\n", ":4: a value in one"),
+    "volts": (
+        "a,b\n0.1,-0.9\n1,0\n",
+        ": the largest value is 1: these are volts, and ADC counts are needed: ",
+    ),
     "a field without end": (f"a,b\n1,{'2' * 200_000}\n", ":2: field larger than field limit (131072)"),
     "a line end in a name": ('"x\ny",z\n1,2\n', ":1: there is no column 'a'; there are x y, z"),
     "names without end": (f"{'x,' * 5000}\n1,2\n", ":1: there is no column 'a'; there are x, x"),
@@ -121,7 +127,7 @@ def test_a_file_that_cannot_be_used_gets_one_line(tmp_path: Path, case: str) -> 
     text, words = WRONG[case]
     path = written(tmp_path, text)
     with pytest.raises(CanfbError) as caught:
-        RecordingSource(path, AB)
+        open_recording(path, AB)
     message = str(caught.value)
     assert message.startswith(f"{path}{words}")
     assert "\n" not in message
@@ -139,14 +145,14 @@ def test_a_time_that_there_cannot_be_is_refused(tmp_path: Path, time: str) -> No
 def test_a_column_that_is_not_there_is_refused(tmp_path: Path, name: str) -> None:
     path = written(tmp_path, "a,b\n1,2\n")
     with pytest.raises(CanfbError, match=re.escape(f"{path}:1: there is no column '{name}'; there are a, b")):
-        RecordingSource(path, RecordingLayout(("a", name)))
+        open_recording(path, RecordingLayout(("a", name)))
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(CanfbError, match="cannot be read: No such file or directory"):
-        RecordingSource(tmp_path / "nothing.csv", AB)
+        open_recording(tmp_path / "nothing.csv", AB)
     with pytest.raises(CanfbError, match="cannot be read: Is a directory"):
-        RecordingSource(tmp_path, AB)
+        open_recording(tmp_path, AB)
 
 
 @pytest.mark.parametrize(
@@ -158,6 +164,6 @@ def test_the_times_are_those_of_the_file_or_are_stretched_to_the_rate(
     """Rows of 1 kHz, one of them 0.1 ms late, played at 200 Hz."""
     text = "t,a,b\n0,1,2\n0.001,3,4\n0.0021,5,6\n0.003,5,6\n"
     layout = RecordingLayout(("a", "b"), time_column="t", time_stamps=True, interval_s=0.005, paced=paced)
-    source = RecordingSource(written(tmp_path, text), layout)
+    source = open_recording(written(tmp_path, text), layout)
     samples = [source.next() for _ in ticks]
     assert [sample.time_100ns for sample in samples if sample] == ticks

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from canfb.simulation.faults import Samples
+from canfb.simulation.faults import Fault, Samples
 from tools.faults.chain import campaign
 from tools.faults.chain.campaign import Campaign
 from tools.faults.chain.classes import CLASSES, FaultClass
@@ -202,7 +202,7 @@ def test_a_turning_machine_is_followed_to_its_speed() -> None:
 
 
 def test_an_episode_without_a_fault_is_clean() -> None:
-    class Nothing:
+    class Nothing(Fault):
         def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
             return samples
 

@@ -38,7 +38,7 @@ from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.table_file import as_yaml, read_table_file
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.sources.recording_source import RecordingLayout, RecordingSource
+from canfb.sources.recording_source import RecordingLayout, open_recording
 from tools.fuzz import body
 from tools.fuzz.bounds import bounded
 from tools.fuzz.inputs import NODE_ID
@@ -213,9 +213,8 @@ def _backups() -> list[bytes]:
 def _csv(path: Path) -> None:
     for time in (None, "t"):
         layout = RecordingLayout(("sine", "cosine"), 0.0, time, time_stamps=True, paced=True)
-        source = RecordingSource(path, layout)
-        source.tracks()
-        for _ in range(min(SAMPLES, len(source))):
+        source = open_recording(path, layout)
+        for _ in range(min(SAMPLES, len(source.tracks()[0]))):
             source.next()
 
 

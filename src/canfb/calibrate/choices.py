@@ -14,11 +14,10 @@ from pathlib import Path
 
 from canfb.calibrate.measurement import ESTIMATE, MOTION, ZERO_CROSSINGS, Settings
 from canfb.errors import ConfigError
-from canfb.master.access import CommissioningError
 from canfb.master.samples import TrackSamples, read_npz
 from canfb.signal.conditioning import LONGEST_DELAY_S
 from canfb.signal.supervision import SampleLimits
-from canfb.sources.recording_source import RecordingLayout, RecordingSource
+from canfb.sources.recording_source import RecordingLayout, chosen_layout, open_recording
 
 PDO, RECORDING, MODULE = "pdo", "recording", "module"
 DEFAULT_MODULE = 0x20
@@ -69,6 +68,7 @@ class CalibrateOptions:
     samples: Path | None = None
     columns: str = "sine,cosine"
     mid_scale: float = 0.0
+    scale: float = 1.0
     time_column: str | None = None
     table: Path | None = None
     cycles_per_revolution: int | None = None
@@ -129,14 +129,17 @@ class CalibrateOptions:
     def _is_fast(self) -> bool:
         return self.samples_from == RECORDING and self.recorder == "interface"
 
+    @property
+    def _layout(self) -> RecordingLayout:
+        return chosen_layout(self.columns, self.mid_scale, self.scale, self.time_column)
+
     def refuse_impossible(self) -> None:
         """ConfigError for options that cannot be."""
         for name, low, high in RANGES:
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
                 raise ConfigError(f"--{name.replace('_', '-')} {value:g}: must be {low:g} to {high:g}")
-        check_mid_scale(self.mid_scale)
-        two_columns(self.columns)
+        _ = self._layout
         _ = self.speeds_rpm, self.delay_to_set
         if self.samples_from == MODULE and self.method != MOTION:
             raise ConfigError("--source module: the module supports --method motion only")
@@ -168,26 +171,8 @@ class CalibrateOptions:
         if path.suffix == ".npz":
             found = read_npz(path)
             return TrackSamples(found.sine, found.cosine, self.rate or found.rate_hz, found.origin)
-        layout = RecordingLayout(two_columns(self.columns), self.mid_scale, self.time_column)
-        recording = RecordingSource(path, layout)
-        try:
-            return TrackSamples.of(*recording.tracks(), self.rate, f"file {path.name}")
-        except ValueError as error:
-            raise CommissioningError(f"{path}: {error}") from None
-
-
-def two_columns(columns: str) -> tuple[str, str]:
-    """The names in ``--columns``, which are given with a comma between. ConfigError unless there are two."""
-    names = [name.strip() for name in columns.split(",")]
-    if len(names) != 2:
-        raise ConfigError(f"--columns {columns}: two columns are required: sine,cosine")
-    return names[0], names[1]
-
-
-def check_mid_scale(mid_scale: float) -> None:
-    """ConfigError unless ``--mid-scale`` is a number."""
-    if not math.isfinite(mid_scale):
-        raise ConfigError(f"--mid-scale {mid_scale:g}: must be a number of counts")
+        recording = open_recording(path, self._layout)
+        return TrackSamples.of(*recording.tracks(), self.rate, f"file {path.name}{recording.note}")
 
 
 # Raises ConfigError if one of these options is given: names, and why it would do nothing.
@@ -208,7 +193,7 @@ _OF_THE_BUS = (
     "no_save",
     "wait",
 )
-_OF_CSV = ("columns", "mid_scale", "time_column")
+_OF_CSV = ("columns", "mid_scale", "scale", "time_column")
 _OF_THE_FILE = (*_OF_CSV, "table", "cycles_per_revolution")
 
 

@@ -33,6 +33,7 @@ from canfb.cli.options import (
     refuse_idle,
 )
 from canfb.cli.progress import Progress, shown_progress
+from canfb.cli.recording_options import add_columns
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
 from canfb.master.access import Master
@@ -199,15 +200,7 @@ def _add_file(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="NPZ file, or CSV with a header line; with --speeds a folder of them",
     )
-    group.add_argument(
-        "--columns", default="sine,cosine", metavar="SINE,COSINE", help="names or numbers of the two columns"
-    )
-    group.add_argument(
-        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="ADC reading of a zero signal"
-    )
-    group.add_argument(
-        "--time-column", metavar="NAME", help="column of times in seconds; gaps become missed samples"
-    )
+    add_columns(group)
     group.add_argument(
         "--table", type=Path, metavar="FILE", help="the active table, YAML or bytes of 2020:01"
     )

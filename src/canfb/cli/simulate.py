@@ -10,7 +10,6 @@ from pathlib import Path
 
 from canfb.bus.opening import check_device_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.calibrate.choices import check_mid_scale, two_columns
 from canfb.cli.options import (
     Commands,
     add_bus_options,
@@ -24,6 +23,7 @@ from canfb.cli.options import (
     whole_number,
 )
 from canfb.cli.printing import printed_without_waiting, say
+from canfb.cli.recording_options import add_columns
 from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
@@ -31,7 +31,7 @@ from canfb.hosting.serving import Simulating, fed_module
 from canfb.master.samples import TrackSamples, write_csv, write_npz
 from canfb.simulation.scenario import PACES, SimulationConfig
 from canfb.simulation.set_up import FedModule, Play, SampleRecorder
-from canfb.sources.recording_source import RecordingLayout
+from canfb.sources.recording_source import RecordingLayout, chosen_layout
 
 TIMES = ("time_column", "gap", "gap_samples")
 WRITERS = {".csv": write_csv, ".npz": write_npz}
@@ -106,18 +106,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="CSV file with a header line, one row for each SYNC, or an NPZ file of canfb",
     )
-    play.add_argument(
-        "--columns",
-        default="sine,cosine",
-        metavar="SINE,COSINE",
-        help="names or numbers (from 0) of the two columns",
-    )
-    play.add_argument(
-        "--mid-scale", type=float, default=0.0, metavar="COUNTS", help="ADC reading of a zero signal"
-    )
-    play.add_argument(
-        "--time-column", metavar="NAME", help="column of times in seconds; gaps in it become lost samples"
-    )
+    add_columns(play)
     play.add_argument("--gap", type=float, default=0.1, metavar="S", help="a longer time step is a gap (0.1)")
     play.add_argument(
         "--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"
@@ -129,7 +118,9 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
     """What is simulated: the configuration, with what the options change. ConfigError for bad ones."""
     module = chosen_module(options, config)
     if options.samples is None:
-        refuse_idle(options, ("columns", "mid_scale", *TIMES), "only with --samples, which it describes")
+        refuse_idle(
+            options, ("columns", "mid_scale", "scale", *TIMES), "only with --samples, which it describes"
+        )
     else:
         refuse_idle(options, ("rpm",), "not with --samples: a recording has its own motion")
     if options.rate is not None and not 0.1 <= options.rate <= 100_000:
@@ -158,15 +149,14 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
 
 
 def _layout(options: argparse.Namespace) -> RecordingLayout:
-    columns = two_columns(options.columns)
-    check_mid_scale(options.mid_scale)
+    layout = chosen_layout(options.columns, options.mid_scale, options.scale, options.time_column)
     if not 0.0 < options.gap < math.inf:
         raise ConfigError(f"--gap {options.gap:g}: must be more than 0 seconds")
     if options.gap_samples < 1:
         raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
     if options.time_column is None:
         refuse_idle(options, TIMES, "only with --time-column, which contains the gaps")
-    return RecordingLayout(columns, options.mid_scale, options.time_column, options.gap, options.gap_samples)
+    return replace(layout, gap_s=options.gap, gap_samples=options.gap_samples)
 
 
 def check_record(name: str) -> Path:

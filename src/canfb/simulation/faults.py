@@ -1,9 +1,7 @@
 """Faults of a sine/cosine encoder, its cable, its converter and its bus, as functions of the samples.
 
-Every model takes :class:`Samples`, one per sampling interval, and gives new ones in which the
-fault is present from ``start`` to ``stop``; before and after that nothing is changed. They are
-the fault models that functional safety (IEC 61800-5-2) asks of such encoders. The
-counts keep the ends of the converter, as real ones do::
+Every model takes :class:`Samples` and gives new ones in which the fault is present from ``start`` to
+``stop``. They are the fault models that functional safety (IEC 61800-5-2) asks of such encoders::
 
     rng = np.random.default_rng(1)
     sine, cosine = encoder.sample(position_cycles, rng)
@@ -14,8 +12,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from enum import StrEnum
-from typing import Protocol, Self
+from enum import Enum
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -23,19 +21,21 @@ import numpy.typing as npt
 from canfb.checks import integer_in
 
 Counts = npt.NDArray[np.int64]
+Tracks = npt.NDArray[np.float64]
+"""Sine and cosine while the fault is present, before the converter, shape (2, n)."""
+Rng = np.random.Generator
 
 
-class Signal(StrEnum):
-    """Which of the two tracks a fault is on."""
+class Signal(Enum):
+    """Which of the two tracks a fault is on: a mask of shape (2, 1)."""
 
-    SINE = "sine"
-    COSINE = "cosine"
-    BOTH = "both"
+    SINE = ((True,), (False,))
+    COSINE = ((False,), (True,))
+    BOTH = ((True,), (True,))
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The fields of :class:`Samples` that it stands for."""
-        return ("sine", "cosine") if self is Signal.BOTH else (self.value,)
+    def chosen(self, faulty: npt.ArrayLike, tracks: Tracks) -> Tracks:
+        """``tracks`` with those that the fault is on replaced."""
+        return np.where(self.value, faulty, tracks)
 
 
 @dataclass(frozen=True)
@@ -64,131 +64,101 @@ class Samples:
     def __len__(self) -> int:
         return len(self.sine)
 
-    def converted(self, counts: npt.ArrayLike) -> Counts:
-        """What the converter makes of these values: rounded, held at its ends."""
-        full = self.full_scale_counts
-        return np.clip(np.rint(np.asarray(counts, dtype=np.float64)), -full, full - 1).astype(np.int64)
+    def tracks(self, places: slice | Counts) -> Tracks:
+        """Both tracks at these places, shape (2, n)."""
+        return np.stack([self.sine[places], self.cosine[places]]).astype(np.float64)
 
-    def put(self, start: int, sine: npt.ArrayLike, cosine: npt.ArrayLike) -> Samples:
-        """With these values, converted, from ``start`` on."""
+    def put(self, span: slice, tracks: Tracks) -> Samples:
+        """With these tracks within ``span`` as the converter makes them: rounded, held at its ends."""
+        full = self.full_scale_counts
+        counts = np.clip(np.rint(tracks), -full, full - 1).astype(np.int64)
         s, c = self.sine.copy(), self.cosine.copy()
-        new_s, new_c = self.converted(sine), self.converted(cosine)
-        s[start : start + len(new_s)], c[start : start + len(new_c)] = new_s, new_c
+        s[span], c[span] = counts
         return replace(self, sine=s, cosine=c)
 
 
-class Fault(Protocol):
-    """A fault model."""
+class Fault:
+    """A fault model: a subclass says what the tracks are while the fault is present."""
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
+    def inject(self, samples: Samples, start: int, stop: int, rng: Rng) -> Samples:
         """``samples`` with the fault in the intervals start..stop, 0 <= start < stop <= len(samples).
 
         ValueError outside this range. ``rng`` is used where chance plays a part.
         """
+        if not 0 <= start < stop <= len(samples):
+            raise ValueError(f"0 <= start < stop <= {len(samples)} must hold, not {start} and {stop}")
+        return self._faulty(samples, slice(start, stop), rng)
 
+    def _faulty(self, samples: Samples, span: slice, rng: Rng) -> Samples:
+        return samples.put(span, self._tracks(samples.tracks(span), samples.full_scale_counts, rng))
 
-def _span(samples: Samples, start: int, stop: int) -> slice:
-    if not 0 <= start < stop <= len(samples):
-        raise ValueError(f"0 <= start < stop <= {len(samples)} must hold, not {start} and {stop}")
-    return slice(start, stop)
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        """The faulty tracks; the converter reaches from -``full`` to ``full`` - 1."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class OpenTrack:
-    """A broken wire: the input is pulled to mid-scale, plus what it catches.
-
-    ``noise_lsb`` is the rms of that, in counts.
-    """
+class OpenTrack(Fault):
+    """A broken wire: the input is pulled to mid-scale, plus what it catches, ``noise_lsb`` counts rms."""
 
     signal: Signal
     noise_lsb: float = 0.0
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        return _replaced(samples, self.signal, _span(samples, start, stop), 0.0, self.noise_lsb, rng)
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        return self.signal.chosen(rng.normal(0.0, self.noise_lsb, tracks.shape), tracks)
 
 
 @dataclass(frozen=True)
-class ShortedTrack:
+class ShortedTrack(Fault):
     """A track short-circuited to a supply: the converter stands at its upper or lower end."""
 
     signal: Signal
     high: bool
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        end = samples.full_scale_counts - 1 if self.high else -samples.full_scale_counts
-        return _replaced(samples, self.signal, _span(samples, start, stop), end, 0.0, rng)
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        return self.signal.chosen(full - 1 if self.high else -full, tracks)
 
 
 @dataclass(frozen=True)
-class StuckTrack:
+class StuckTrack(Fault):
     """A track that stays at ``counts``; None: at the value of its last good sample."""
 
     signal: Signal
     counts: float | None = None
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        span = _span(samples, start, stop)
-        if self.counts is not None:
-            return _replaced(samples, self.signal, span, self.counts, 0.0, rng)
-        last = np.full(stop - start, max(start - 1, 0))
-        return samples.put(
-            start,
-            samples.sine[last if "sine" in self.signal.names else span],
-            samples.cosine[last if "cosine" in self.signal.names else span],
-        )
-
-
-def _replaced(
-    samples: Samples, signal: Signal, span: slice, counts: float, noise: float, rng: np.random.Generator
-) -> Samples:
-    sine, cosine = counts + rng.normal(0.0, noise, (2, span.stop - span.start))
-    return samples.put(
-        span.start,
-        sine if "sine" in signal.names else samples.sine[span],
-        cosine if "cosine" in signal.names else samples.cosine[span],
-    )
+    def _faulty(self, samples: Samples, span: slice, rng: Rng) -> Samples:
+        stuck = samples.tracks(_last_good(span)) if self.counts is None else self.counts
+        return samples.put(span, self.signal.chosen(stuck, samples.tracks(span)))
 
 
 @dataclass(frozen=True)
-class JoinedTracks:
+class JoinedTracks(Fault):
     """Both tracks short-circuited to each other: both show their mean."""
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        span = _span(samples, start, stop)
-        mean = (samples.sine[span] + samples.cosine[span]) / 2.0
-        return samples.put(start, mean, mean)
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        return np.broadcast_to(tracks.mean(axis=0), tracks.shape)
 
 
 @dataclass(frozen=True)
-class SwappedTracks:
+class SwappedTracks(Fault):
     """Sine and cosine exchanged: the machine seems to turn in the other direction."""
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        span = _span(samples, start, stop)
-        return samples.put(start, samples.cosine[span], samples.sine[span])
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        return tracks[::-1]
 
 
 @dataclass(frozen=True)
-class InvertedTracks:
+class InvertedTracks(Fault):
     """The wires of a differential track exchanged: its sign is wrong."""
 
     signal: Signal
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        span = _span(samples, start, stop)
-        sine_sign = -1 if "sine" in self.signal.names else 1
-        cosine_sign = -1 if "cosine" in self.signal.names else 1
-        return samples.put(start, sine_sign * samples.sine[span], cosine_sign * samples.cosine[span])
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        return self.signal.chosen(-tracks, tracks)
 
 
 @dataclass(frozen=True)
-class TrackDrift:
+class TrackDrift(Fault):
     """Offset, gain and phase of the tracks drift: a slow ramp that ends at these values.
 
     sine_offset, cosine_offset   counts, added
@@ -209,22 +179,20 @@ class TrackDrift:
         if self.ramp_samples < 1:
             raise ValueError(f"ramp_samples must be at least 1, not {self.ramp_samples}")
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        span = _span(samples, start, stop)
-        part = np.minimum(np.arange(1, stop - start + 1) / self.ramp_samples, 1.0)
-        sine, cosine = samples.sine[span], samples.cosine[span]
-        turn = part * self.phase_rad
-        cosine_turned = cosine * np.cos(turn) + sine * np.sin(turn)
-        return samples.put(
-            start,
-            sine * (1.0 + part * (self.sine_gain - 1.0)) + part * self.sine_offset,
-            cosine_turned * (1.0 + part * (self.cosine_gain - 1.0)) + part * self.cosine_offset,
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        sine, cosine = tracks
+        part = np.minimum(np.arange(1, len(sine) + 1) / self.ramp_samples, 1.0)
+        turned = np.stack(
+            [sine, cosine * np.cos(part * self.phase_rad) + sine * np.sin(part * self.phase_rad)]
         )
+        gain = np.array([[self.sine_gain], [self.cosine_gain]])
+        offset = np.array([[self.sine_offset], [self.cosine_offset]])
+        drifted: Tracks = turned * (1.0 + part * (gain - 1.0)) + part * offset
+        return drifted
 
 
 @dataclass(frozen=True)
-class Oscillation:
+class Oscillation(Fault):
     """A sine of ``amplitude_counts`` added: an amplifier that oscillates, a hum that couples in.
 
     ``periods_per_sample`` is its frequency as sampled. On both tracks it is the same.
@@ -235,41 +203,24 @@ class Oscillation:
     periods_per_sample: float
     shift_rad: float = 0.0
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        _span(samples, start, stop)
-        angle = 2.0 * math.pi * self.periods_per_sample * np.arange(stop - start) + self.shift_rad
-        return _added(samples, self.signal, start, self.amplitude_counts * np.sin(angle))
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        angle = 2.0 * math.pi * self.periods_per_sample * np.arange(tracks.shape[1]) + self.shift_rad
+        return self.signal.chosen(tracks + self.amplitude_counts * np.sin(angle), tracks)
 
 
 @dataclass(frozen=True)
-class ExcessNoise:
+class ExcessNoise(Fault):
     """Gaussian noise of ``rms_counts`` added to each track, independent of the other."""
 
     signal: Signal
     rms_counts: float
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        _span(samples, start, stop)
-        for name in self.signal.names:
-            noise = rng.normal(0.0, self.rms_counts, stop - start)
-            samples = _added(samples, Signal(name), start, noise)
-        return samples
-
-
-def _added(samples: Samples, signal: Signal, start: int, values: npt.NDArray[np.float64]) -> Samples:
-    span = slice(start, start + len(values))
-    sine, cosine = samples.sine[span], samples.cosine[span]
-    return samples.put(
-        start,
-        sine + values if "sine" in signal.names else sine,
-        cosine + values if "cosine" in signal.names else cosine,
-    )
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        return self.signal.chosen(tracks + rng.normal(0.0, self.rms_counts, tracks.shape), tracks)
 
 
 @dataclass(frozen=True)
-class PhaseGlitch:
+class PhaseGlitch(Fault):
     """Samples at a random point of the circle: any phase, good amplitude.
 
     ``common``: one random phase error for all of them, else one for each.
@@ -278,53 +229,51 @@ class PhaseGlitch:
     amplitude_counts: float
     common: bool = False
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        span = _span(samples, start, stop)
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        angle = rng.uniform(0.0, 2.0 * math.pi, 1 if self.common else tracks.shape[1])
         if self.common:
-            angle = np.arctan2(samples.sine[span], samples.cosine[span]) + rng.uniform(0.0, 2.0 * math.pi)
-        else:
-            angle = rng.uniform(0.0, 2.0 * math.pi, stop - start)
-        size = self.amplitude_counts
-        return samples.put(start, size * np.sin(angle), size * np.cos(angle))
+            angle = angle + np.arctan2(*tracks)
+        return self.amplitude_counts * np.stack([np.sin(angle), np.cos(angle)]).astype(np.float64)
 
 
 @dataclass(frozen=True)
-class CountGlitch:
+class CountGlitch(Fault):
     """Samples of random counts anywhere in the range of the converter."""
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        _span(samples, start, stop)
-        full = samples.full_scale_counts
-        sine, cosine = rng.integers(-full, full, (2, stop - start))
-        return samples.put(start, sine, cosine)
+    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        return rng.integers(-full, full, tracks.shape).astype(np.float64)
 
 
 @dataclass(frozen=True)
-class LostSamples:
+class LostSamples(Fault):
     """No sample comes, and the receiver knows it."""
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
+    def _faulty(self, samples: Samples, span: slice, rng: Rng) -> Samples:
         delivered = samples.delivered.copy()
-        delivered[_span(samples, start, stop)] = False
+        delivered[span] = False
         return replace(samples, delivered=delivered)
 
 
+class _OtherSamples(Fault):
+    """Other samples come in place of those that were taken: a subclass says which."""
+
+    def _faulty(self, samples: Samples, span: slice, rng: Rng) -> Samples:
+        return samples.put(span, samples.tracks(self._places(span)))
+
+    def _places(self, span: slice) -> Counts:
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class FrozenSamples:
+class FrozenSamples(_OtherSamples):
     """The last good sample comes again and again."""
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        span = _span(samples, start, stop)
-        last = np.full(stop - start, max(start - 1, 0))
-        return samples.put(span.start, samples.sine[last], samples.cosine[last])
+    def _places(self, span: slice) -> Counts:
+        return _last_good(span)
 
 
 @dataclass(frozen=True)
-class RepeatedSamples:
+class RepeatedSamples(_OtherSamples):
     """Every sample comes ``times`` times, so the ones between are missing: a converter too slow.
 
     The first of them repeats the last good sample. ValueError for ``times`` below 2.
@@ -336,16 +285,14 @@ class RepeatedSamples:
         if self.times < 2:
             raise ValueError(f"times must be at least 2, not {self.times}")
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        _span(samples, start, stop)
-        places = np.arange(start, stop)
-        source = np.maximum(places - (places - start + 1) % self.times, 0)
-        return samples.put(start, samples.sine[source], samples.cosine[source])
+    def _places(self, span: slice) -> Counts:
+        places = np.arange(span.start, span.stop)
+        source: Counts = np.maximum(places - (places - span.start + 1) % self.times, 0)
+        return source
 
 
 @dataclass(frozen=True)
-class LateSamples:
+class LateSamples(_OtherSamples):
     """Every sample comes ``intervals`` later than it was taken; the receiver does not know it.
 
     At the beginning the last good sample is repeated, at the end ``intervals`` are left out.
@@ -358,8 +305,11 @@ class LateSamples:
         if self.intervals < 1:
             raise ValueError(f"intervals must be at least 1, not {self.intervals}")
 
-    def inject(self, samples: Samples, start: int, stop: int, rng: np.random.Generator) -> Samples:
-        """See :class:`Fault`."""
-        _span(samples, start, stop)
-        source = np.maximum(np.arange(start, stop) - self.intervals, max(start - 1, 0))
-        return samples.put(start, samples.sine[source], samples.cosine[source])
+    def _places(self, span: slice) -> Counts:
+        source: Counts = np.maximum(np.arange(span.start, span.stop) - self.intervals, _last_good(span))
+        return source
+
+
+def _last_good(span: slice) -> Counts:
+    """The place of the sample before ``span``, for each place within."""
+    return np.full(span.stop - span.start, max(span.start - 1, 0))

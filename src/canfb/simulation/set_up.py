@@ -40,7 +40,7 @@ from canfb.simulation.sync_producer import (
 )
 from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
-from canfb.sources.recording_source import ArraySource, RecordingLayout, RecordingSource, open_recording
+from canfb.sources.recording_source import RecordingLayout, RecordingSource, open_recording
 
 MOST_RPM = (0x6080, 0)
 
@@ -354,7 +354,7 @@ def _demand(simulation: SimulationConfig, module: FedModule, play: Play, source:
     """What the motion, or the recording, asks of the module."""
     per_sync = module.samples_per_sync
     rate_hz = sync_rate(simulation, play.rate_hz) * per_sync
-    if isinstance(source, (RecordingSource, ArraySource)):
+    if isinstance(source, RecordingSource):
         demand = of_recording(*source.tracks(), module.chain, rate_hz, str(play.file))
     else:
         demand = of_motion(simulation.motion, module.chain, rate_hz)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
-import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,11 +15,16 @@ from canfb.checks import flag, integer_in, number, text
 from canfb.errors import CanfbError, ConfigError
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import TICK_S, Sample
+from canfb.sources.csv_file import Columns, read_columns
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, Surroundings, column
 from canfb.sources.tracks_file import read_tracks
 
 LARGEST_TIME_S = 1e12
 """Of a time column: the times of a clock of any epoch have less."""
+MOST_SAMPLES = 1 << 25
+"""Nine hours at 1 kHz: a few rows with gaps can ask for any number."""
+LARGEST_VOLTS = 32.0
+"""Values with a fraction that are all below: no converter of 4 bits or more has so few counts."""
 SHORTEST_STEP_S = 1e-9
 """Rows that are closer have no rate to which they could be stretched."""
 
@@ -32,7 +35,8 @@ class RecordingSourceConfig(SourceConfig):
 
     file           CSV with a header line, or NPZ as ``canfb calibrate --out`` writes it; required
     columns        names, or numbers from 0, of the sine and the cosine column of a CSV file
-    mid_scale      the reading that means zero, any number of counts (CSV)
+    mid_scale      the reading that means zero, in the unit of the file (CSV)
+    scale          ADC counts for each unit of the file, as for each volt; not 0 (CSV)
     time_column    column with seconds (CSV): a longer step than ``gap_s`` is a gap; None: there is none
     gap_s          the shortest gap, more than 0
     gap_samples    samples missed at each gap, 1..1000000
@@ -43,6 +47,7 @@ class RecordingSourceConfig(SourceConfig):
     file: str
     columns: Sequence[str | int] = field(default=("sine", "cosine"), metadata={"list": True})
     mid_scale: float = 0.0
+    scale: float = 1.0
     time_column: str | int | None = None
     gap_s: float = 0.1
     gap_samples: int = 20
@@ -56,6 +61,9 @@ class RecordingSourceConfig(SourceConfig):
         for name in self.columns:
             column("columns", name)
         number("mid_scale", self.mid_scale)
+        number("scale", self.scale)
+        if self.scale == 0.0:
+            raise ValueError("scale must not be 0")
         if self.time_column is not None:
             column("time_column", self.time_column)
         number("gap_s", self.gap_s)
@@ -84,6 +92,7 @@ class RecordingSourceConfig(SourceConfig):
             self.gap_s,
             self.gap_samples,
             self.time_stamps,
+            scale=self.scale,
         )
         return open_recording(self.file, layout)
 
@@ -93,7 +102,7 @@ class RecordingLayout:
     """How a CSV file with a header line holds the tracks.
 
     columns             names (or numbers from 0) of the sine and the cosine column
-    mid_scale           the reading that means zero, subtracted from both
+    mid_scale, scale    counts are (reading - mid_scale) * scale, rounded
     time_column         name or number of a column with seconds, or None
     gap_s               a step of time longer than this is a gap: the last sample before it is
                         left out and ``gap_samples`` SYNCs get no answer
@@ -112,58 +121,35 @@ class RecordingLayout:
     time_stamps: bool = False
     interval_s: float = 1e-3
     paced: bool = False
+    scale: float = 1.0
+
+
+def chosen_layout(columns: str, mid_scale: float, scale: float, time_column: str | None) -> RecordingLayout:
+    """The layout by the options of a command. ConfigError for one that cannot be."""
+    names = [name.strip() for name in columns.split(",")]
+    if len(names) != 2:
+        raise ConfigError(f"--columns {columns}: two columns are required: sine,cosine")
+    if not math.isfinite(mid_scale):
+        raise ConfigError(f"--mid-scale {mid_scale:g}: must be a number")
+    if not math.isfinite(scale) or scale == 0.0:
+        raise ConfigError(f"--scale {scale:g}: must be a number of counts, not 0")
+    return RecordingLayout((names[0], names[1]), mid_scale, time_column, scale=scale)
 
 
 class RecordingSource:
-    """Plays a recording, one row for each SYNC; ``row`` is the row (from 0) of the last sample."""
+    """Plays tracks, one sample for each SYNC; NaN in one of them is a SYNC without a sample.
 
-    def __init__(self, path: str | Path, layout: RecordingLayout) -> None:
-        self._rows = _read(Path(path), layout)
-        self._layout = layout
-        self._pauses = _pauses(self._rows, layout)
-        self._stretch = _stretch(self._rows, layout)
-        self._waiting = 0
-        self._next_row = 0
-        self.row = -1
+    ``time_100ns`` are the times that the samples bring along, None: none. ``note`` says how a file was read
+    that is not as usual.
+    """
 
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def tracks(self) -> tuple[FloatArray, FloatArray]:
-        """Both tracks as they are played from the start, counts, NaN where a SYNC gets no answer."""
-        pairs: list[tuple[float, float]] = []
-        for n, (_, sine, cosine) in enumerate(self._rows):
-            lost = self._pauses.get(n, 0)
-            pairs += [(math.nan, math.nan)] * lost if lost else [(sine, cosine)]
-        sines, cosines = np.array(pairs, np.float64).reshape(-1, 2).T
-        return sines, cosines
-
-    def next(self) -> Sample | None:
-        """The next sample, None within a gap. SourceEnded at the end."""
-        if self._waiting:
-            self._waiting -= 1
-            return None
-        if self._next_row in self._pauses:
-            self._waiting = self._pauses.pop(self._next_row) - 1
-            self._next_row += 1
-            return None
-        if self._next_row >= len(self._rows):
-            raise SourceEnded
-        self.row = self._next_row
-        self._next_row += 1
-        seconds, sine, cosine = self._rows[self.row]
-        if self._layout.time_column is None:
-            seconds = self.row * self._layout.interval_s
-        time = round(seconds * self._stretch / TICK_S) & 0xFFFFFFFF if self._layout.time_stamps else None
-        return Sample(sine, cosine, time_100ns=time)
-
-
-class ArraySource:
-    """Plays tracks, one sample for each SYNC; NaN in one of them is a SYNC without a sample."""
-
-    def __init__(self, sine: npt.NDArray[np.float64], cosine: npt.NDArray[np.float64]) -> None:
+    def __init__(
+        self, sine: FloatArray, cosine: FloatArray, time_100ns: list[int] | None = None, note: str = ""
+    ) -> None:
         self._tracks = sine, cosine
-        self._samples = zip(sine.tolist(), cosine.tolist(), strict=True)
+        self.note = note
+        times = itertools.repeat(None) if time_100ns is None else time_100ns
+        self._samples = zip(sine.tolist(), cosine.tolist(), times, strict=False)
 
     def tracks(self) -> tuple[FloatArray, FloatArray]:
         """Both tracks as they are played from the start, counts, NaN where a SYNC gets no answer."""
@@ -172,82 +158,70 @@ class ArraySource:
     def next(self) -> Sample | None:
         """The next sample, None for a missed one. SourceEnded at the end."""
         try:
-            sine, cosine = next(self._samples)
+            sine, cosine, time = next(self._samples)
         except StopIteration:
             raise SourceEnded from None
-        return None if math.isnan(sine + cosine) else Sample(sine, cosine)
+        return None if math.isnan(sine + cosine) else Sample(sine, cosine, time_100ns=time)
 
 
-def open_recording(file: str, layout: RecordingLayout) -> RecordingSource | ArraySource:
+def open_recording(file: str | Path, layout: RecordingLayout) -> RecordingSource:
     """A recording: an NPZ file of ours by its name, which needs no layout, else CSV. CanfbError."""
     path = Path(file)
     if path.suffix == ".npz":
         tracks = read_tracks(path)
-        return ArraySource(tracks.sine, tracks.cosine)
-    return RecordingSource(path, layout)
+        return RecordingSource(tracks.sine, tracks.cosine)
+    timed = () if layout.time_column is None else (layout.time_column,)
+    columns = read_columns(path, (*layout.columns, *timed))
+    pairs = _counts(path, columns, layout)
+    seconds: FloatArray = np.arange(len(pairs), dtype=np.float64) * layout.interval_s
+    if timed:
+        seconds = columns.values[:, 2]
+        _check(path, columns, ~(np.abs(seconds) <= LARGEST_TIME_S), "{2} is not a time in seconds")
+    played = np.ones(len(pairs), np.int64)
+    before_gap = np.flatnonzero(np.diff(seconds) > layout.gap_s) if timed else np.zeros(0, np.int64)
+    played[before_gap], pairs[before_gap] = max(layout.gap_samples, 1), np.nan
+    if played.sum() > MOST_SAMPLES:
+        raise CanfbError(
+            f"{path}: with its gaps it has {played.sum()} samples; at most {MOST_SAMPLES} are read"
+        )
+    ticks = np.rint(seconds * _stretch(seconds, layout) / TICK_S)
+    stamps = [int(tick) & 0xFFFFFFFF for tick in np.repeat(ticks, played)] if layout.time_stamps else None
+    sine, cosine = np.repeat(pairs, played, axis=0).T
+    return RecordingSource(sine, cosine, stamps, columns.note)
 
 
-def _pauses(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> dict[int, int]:
-    """Rows before a gap, each with the number of SYNCs without an answer there."""
-    if layout.time_column is None:
-        return {}
-    return {
-        n: max(layout.gap_samples, 1)
-        for n, (row, after) in enumerate(itertools.pairwise(rows))
-        if after[0] - row[0] > layout.gap_s
-    }
+def _counts(path: Path, columns: Columns, layout: RecordingLayout) -> FloatArray:
+    """Sine and cosine in whole counts, shape (n, 2)."""
+    values = columns.values[:, :2]
+    _check(
+        path,
+        columns,
+        ~np.isfinite(values).all(axis=1),
+        "a value in one of the selected columns is not a number",
+    )
+    largest = float(np.abs(values).max())
+    if layout.scale == 1.0 and largest < LARGEST_VOLTS and (values != np.rint(values)).any():
+        raise CanfbError(
+            f"{path}: the largest value is {largest:g}: these are volts, and ADC counts are needed: set "
+            "scale to 2^(bits - 1) / volts of full scale, and the bits of the converter (--scale, --adc-bits)"
+        )
+    counts: FloatArray = np.rint((values - layout.mid_scale) * layout.scale)
+    outside = ((counts < -32768) | (counts > 32767)).any(axis=1)
+    _check(path, columns, outside, "{0:g}, {1:g} does not fit INTEGER16; is mid-scale right?")
+    return counts
 
 
-def _stretch(rows: list[tuple[float, int, int]], layout: RecordingLayout) -> float:
+def _stretch(seconds: FloatArray, layout: RecordingLayout) -> float:
     """By what the times of the rows are multiplied."""
-    if layout.time_column is None or not layout.paced or len(rows) < 2:
+    if layout.time_column is None or not layout.paced or len(seconds) < 2:
         return 1.0
-    step_s = statistics.median(after[0] - row[0] for row, after in itertools.pairwise(rows))
+    step_s = float(np.median(np.diff(seconds)))
     return layout.interval_s / step_s if step_s > SHORTEST_STEP_S else 1.0
 
 
-def _read(path: Path, layout: RecordingLayout) -> list[tuple[float, int, int]]:
-    try:
-        # A spreadsheet may have put a byte order mark before the first name.
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            try:
-                header = next(reader, [])
-                places = [_column(path, header, name) for name in layout.columns]
-                time = None if layout.time_column is None else _column(path, header, layout.time_column)
-                rows = [_row(path, reader.line_num, row, places, time, layout) for row in reader if row]
-            except csv.Error as error:
-                raise CanfbError(f"{path}:{reader.line_num}: {error}") from None
-    except OSError as error:
-        raise CanfbError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise CanfbError(f"{path}: this is not a text file with columns") from None
-    if not rows:
-        raise CanfbError(f"{path}: it contains no samples")
-    return rows
-
-
-def _column(path: Path, header: list[str], name: str) -> int:
-    names = [" ".join(column.split()) for column in header]
-    if name in names:
-        return names.index(name)
-    if name.isdecimal() and int(name) < len(names):
-        return int(name)
-    if not names:
-        raise CanfbError(f"{path}:1: the header line with the names of the columns is missing")
-    raise CanfbError(f"{path}:1: there is no column '{name}'; there are {', '.join(names)[:200]}")
-
-
-def _row(
-    path: Path, line: int, row: list[str], places: list[int], time: int | None, layout: RecordingLayout
-) -> tuple[float, int, int]:
-    try:
-        sine, cosine = (round(float(row[place]) - layout.mid_scale) for place in places)
-        seconds = 0.0 if time is None else float(row[time])
-    except (IndexError, ValueError, OverflowError):
-        raise CanfbError(f"{path}:{line}: a value in one of the selected columns is not a number") from None
-    if not abs(seconds) <= LARGEST_TIME_S:
-        raise CanfbError(f"{path}:{line}: {seconds} is not a time in seconds")
-    if not (-32768 <= sine <= 32767 and -32768 <= cosine <= 32767):
-        raise CanfbError(f"{path}:{line}: {sine}, {cosine} does not fit INTEGER16; is mid-scale right?")
-    return seconds, sine, cosine
+def _check(path: Path, columns: Columns, wrong: npt.ArrayLike, message: str) -> None:
+    """CanfbError with the line of the first row that is ``wrong``."""
+    places = np.flatnonzero(wrong)
+    if len(places):
+        first = int(places[0])
+        raise CanfbError(f"{path}:{columns.lines[first]}: {message.format(*columns.values[first])}")

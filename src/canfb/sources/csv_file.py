@@ -1,0 +1,101 @@
+"""Columns of numbers out of a CSV file, as spreadsheets, oscilloscopes and loggers write it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from canfb.errors import CanfbError
+from canfb.signal.phase import FloatArray
+
+SEPARATORS = "\t;,"  # in this order: a name or a number may hold a comma
+SEPARATOR_LINE = re.compile(r"sep=(.)\s*")
+NAMES = {"\t": "tab", ";": "semicolon", ",": "comma"}
+
+
+class Columns(NamedTuple):
+    """The values of the chosen columns, shape (n, columns); ``lines`` are their line numbers.
+
+    ``separator`` is what stands between two columns.
+    """
+
+    values: FloatArray
+    lines: list[int]
+    separator: str
+
+    @property
+    def note(self) -> str:
+        """What a reader has to know of how the file was read; empty for an ordinary one."""
+        return "" if self.separator == "," else f", separated by {NAMES.get(self.separator, self.separator)}"
+
+
+def read_columns(path: Path, names: Sequence[str]) -> Columns:
+    """The columns with these names, or numbers from 0, of a file whose first line has the names.
+
+    The separator is a tab, a semicolon or a comma, whichever the header has, or that of a line ``sep=;``
+    above it. A number may have a decimal comma. CanfbError, with file and line, for anything else.
+    """
+    text = _text(path)
+    head, _, rest = text.partition("\n")
+    declared = SEPARATOR_LINE.fullmatch(head)
+    skipped = 1 if declared else 0
+    text, head = (rest, rest.partition("\n")[0]) if declared else (text, head)
+    separator = declared[1] if declared else next((one for one in SEPARATORS if one in head), ",")
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    try:
+        header = [" ".join(name.split()) for name in next(reader, [])]
+        places = [_place(path, header, name) for name in names]
+        values: list[list[float]] = []
+        lines: list[int] = []
+        for row in reader:
+            if row:
+                lines.append(reader.line_num + skipped)
+                values.append(_numbers(path, lines[-1], row, places))
+    except csv.Error as error:
+        raise CanfbError(f"{path}:{reader.line_num + skipped}: {error}") from None
+    if not values:
+        raise CanfbError(f"{path}: it contains no samples")
+    return Columns(np.array(values), lines, separator)
+
+
+def _text(path: Path) -> str:
+    """The file as text: UTF-8, UTF-16 with its mark, else Windows-1252, in which instruments write units."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise CanfbError(f"{path}: cannot be read: {error.strerror}") from None
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError:
+        text = data.decode("cp1252", "replace")
+    if "\0" in text:
+        raise CanfbError(f"{path}: this is not a text file with columns")
+    return text
+
+
+def _place(path: Path, header: list[str], name: str) -> int:
+    if name in header:
+        return header.index(name)
+    if name.isdecimal() and int(name) < len(header):
+        return int(name)
+    if not header:
+        raise CanfbError(f"{path}:1: the header line with the names of the columns is missing")
+    raise CanfbError(f"{path}:1: there is no column '{name}'; there are {', '.join(header)[:200]}")
+
+
+def _numbers(path: Path, line: int, row: list[str], places: Iterable[int]) -> list[float]:
+    try:
+        return [_number(row[place]) for place in places]
+    except (IndexError, ValueError):
+        raise CanfbError(f"{path}:{line}: a value in one of the selected columns is not a number") from None
+
+
+def _number(text: str) -> float:
+    return float(text if "." in text else text.replace(",", "."))
