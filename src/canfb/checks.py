@@ -20,6 +20,15 @@ def number_in(name: str, value: object, low: float, high: float) -> None:
         raise ValueError(f"{name} must be a number {low:g}..{high:g}, not {value!r}")
 
 
+def within(config: object, **ranges: tuple[float, float]) -> None:
+    """Each of these attributes is within its range: a whole number where that is given in whole numbers."""
+    for name, (low, high) in ranges.items():
+        if isinstance(low, int) and isinstance(high, int):
+            integer_in(name, getattr(config, name), low, high)
+        else:
+            number_in(name, getattr(config, name), low, high)
+
+
 def number(name: str, value: object) -> None:
     """ValueError unless ``value`` is a finite number."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:

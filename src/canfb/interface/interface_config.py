@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from canfb.checks import flag, integer_in, text
+from canfb.checks import flag, integer_in, text, within
 from canfb.device.lss import UNCONFIGURED
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.sources.protocol import SourceConfig
@@ -47,10 +47,13 @@ class InterfaceConfig:
             integer_in("node_id", self.node_id, 1, 127)
         if not isinstance(self.source, SourceConfig):
             raise ValueError(f"source must be a configuration of a source, not {self.source!r}")
-        integer_in("serial_number", self.serial_number, 0, 0xFFFFFFFF)
-        integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
-        integer_in("adc_bits", self.adc_bits, 4, 16)
-        integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1048576)
+        within(
+            self,
+            serial_number=(0, 0xFFFFFFFF),
+            samples_per_sync=(1, MOST_PER_SYNC),
+            adc_bits=(4, 16),
+            cycles_per_revolution=(1, 1048576),
+        )
         if self.state_dir is not None:
             text("state_dir", self.state_dir)
         for name in ("times", "autostart"):

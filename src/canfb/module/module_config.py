@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from canfb.checks import flag, integer_in
+from canfb.checks import flag, integer_in, within
 from canfb.device.lss import UNCONFIGURED as UNCONFIGURED  # for readers of configurations
 from canfb.objects import WriteLockMode
 from canfb.signal.chain_config import ChainConfig
@@ -37,8 +37,8 @@ class SecondPositionConfig(SecondSensor):
         super().__post_init__()
         if self.cob_id is not None:
             integer_in("cob_id", self.cob_id, LOWEST_COB_ID, HIGHEST_COB_ID)
-        integer_in("before_bytes", self.before_bytes, 0, MOST_GAP_BYTES)
-        integer_in("after_bytes", self.after_bytes, 0, MOST_GAP_BYTES - self.before_bytes)
+        within(self, before_bytes=(0, MOST_GAP_BYTES))
+        within(self, after_bytes=(0, MOST_GAP_BYTES - self.before_bytes))
 
     @property
     def mapping(self) -> list[int]:
@@ -119,9 +119,14 @@ class ModuleConfig(ChainConfig):
         super().__post_init__()
         if self.node_id != UNCONFIGURED or not isinstance(self.node_id, int):
             integer_in("node_id", self.node_id, 1, 127)
-        integer_in("serial_number", self.serial_number, 0, 0xFFFFFFFF)
-        integer_in("encoder_interface", self.encoder_interface, 1, 127)
-        integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
+        within(
+            self,
+            serial_number=(0, 0xFFFFFFFF),
+            encoder_interface=(1, 127),
+            samples_per_sync=(1, MOST_PER_SYNC),
+            noise_margin=(0, 255),
+            sync_timeout_periods=(2, 255),
+        )
         if self.source is not None and not isinstance(self.source, SourceConfig):
             raise ValueError(f"source must be a configuration of a source, not {self.source!r}")
         if self.second_position is not None and not isinstance(self.second_position, SecondPositionConfig):
@@ -144,8 +149,6 @@ class ModuleConfig(ChainConfig):
         _check_largest("max_acceleration_rad_s2", self.max_acceleration_rad_s2, MOST_ACCELERATION_RAD_S2)
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
-        integer_in("noise_margin", self.noise_margin, 0, 255)
-        integer_in("sync_timeout_periods", self.sync_timeout_periods, 2, 255)
         for name in ("times", "nominal_sync", "autostart"):
             flag(name, getattr(self, name))
         if self.write_lock not in WRITE_LOCKS:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from canfb.checks import integer_in, number_in
+from canfb.checks import integer_in, number_in, within
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.declared import COAST_SAMPLES, DOUBT_ACCELERATION, MOST_BAD_SAMPLES, Declared
@@ -130,10 +130,13 @@ class ChainConfig:
     adapt: AdaptConfig | bool = False
 
     def __post_init__(self) -> None:
-        integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1048576)
-        integer_in("adc_bits", self.adc_bits, 4, 16)
-        integer_in("coast_samples", self.coast_samples, 0, 255)
-        integer_in("frozen_samples", self.frozen_samples, 0, 255)
+        within(
+            self,
+            cycles_per_revolution=(1, 1048576),
+            adc_bits=(4, 16),
+            coast_samples=(0, 255),
+            frozen_samples=(0, 255),
+        )
         check_residual_limit(self.residual_limit)
         limit = self.coarse_limit_revolutions
         if not isinstance(limit, (int, float)) or not 0.0 < limit <= 0.25:

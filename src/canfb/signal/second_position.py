@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from canfb.checks import flag, integer_in, number_in
+from canfb.checks import flag, number_in, within
 
 if TYPE_CHECKING:
     from canfb.signal.witness.witness import Pair
@@ -42,8 +42,11 @@ class SecondSensor:
     invalidates: bool = False
 
     def __post_init__(self) -> None:
-        integer_in("increments", self.increments, 1, U32)
-        integer_in("revolutions", self.revolutions, 1, U32)
+        within(
+            self,
+            increments=(1, U32),
+            revolutions=(1, U32),
+        )
         flag("reversed", self.reversed)
         number_in("tolerance_revolutions", self.tolerance_revolutions, 0.0, MOST_TOLERANCE_REVOLUTIONS)
         flag("invalidates", self.invalidates)

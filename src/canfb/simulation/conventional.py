@@ -1,10 +1,8 @@
 """The conventional method (paper, Fig. 1): a hardware counter beside the converters. A reference model.
 
-Comparators detect the zero crossings of the tracks, a counter counts whole cycles, two
-converters give the position within the cycle. Counter and converters are never read at quite
-the same instant, so the two may belong to different cycles; a comparison of the quadrants that
-both see sets the count right by one. The feedback module needs none of this: the model is here
-to measure what it saves.
+Comparators detect the zero crossings of the tracks, a counter counts whole cycles, two converters give the
+position within the cycle. Counter and converters are never read at quite the same instant; a comparison of
+the quadrants that both see sets the count right by one.
 """
 
 from __future__ import annotations

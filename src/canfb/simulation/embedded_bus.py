@@ -40,8 +40,7 @@ class Waiting:
 class Wire:
     """A bus of ``bit_rate`` bit/s: one frame at a time, and who waits for it is chosen by CAN-ID.
 
-    A frame is never interrupted: also the SYNC waits for the end of the one on the wire. All frames have
-    the most stuff bits that there can be; a remote frame has no data on the wire.
+    All frames have the most stuff bits that there can be; a remote frame has no data on the wire.
     """
 
     def __init__(self, bit_rate: int) -> None:
@@ -92,9 +91,7 @@ LONGEST_WAIT_S = 1.0
 class EmbeddedBus:
     """Delivers every frame to all other participants, in the order of sending.
 
-    Without a ``bit_rate`` at once. With one (10000..1000000 bit/s) a frame takes its time on the wire, and
-    waits for the one before it: see :class:`Wire`. It is received at its end, which
-    is its time stamp, too.
+    Without a ``bit_rate`` at once. With one (10000..1000000 bit/s) by a :class:`Wire`.
 
     ``now`` is the simulated time in seconds; ``bits`` and ``frames`` count what went over the bus, for its
     load. ``observers`` are called with every frame and its time. What a participant has to compute is done at

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass, field
 
-from canfb.checks import integer_in, number_in
+from canfb.checks import within
 from canfb.interface.sample_instants import LARGEST_DRIFT_PPM, SampleClock
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, ShaftEncoder
@@ -30,9 +30,12 @@ class HarmonicConfig:
     cosine: float = 0.0
 
     def __post_init__(self) -> None:
-        integer_in("order", self.order, 2, 50)
-        number_in("sine", self.sine, -1.0, 1.0)
-        number_in("cosine", self.cosine, -1.0, 1.0)
+        within(
+            self,
+            order=(2, 50),
+            sine=(-1.0, 1.0),
+            cosine=(-1.0, 1.0),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,17 +70,20 @@ class EncoderScenario:
     delay_s: float = 0.0
 
     def __post_init__(self) -> None:
-        number_in("amplitude", self.amplitude, 0.0, 2.0)
-        for name in ("sine_offset", "cosine_offset"):
-            number_in(name, getattr(self, name), -1.0, 1.0)
-        for name in ("sine_amplitude", "cosine_amplitude"):
-            number_in(name, getattr(self, name), 0.0, 2.0)
-        number_in("phase_error_rad", self.phase_error_rad, -1.0, 1.0)
-        number_in("noise_lsb", self.noise_lsb, 0.0, 1000.0)
-        for name in ("sine_corner_hz", "cosine_corner_hz"):
-            number_in(name, getattr(self, name), 0.0, 1e9)
-        for name in ("cosine_delay_s", "delay_s"):
-            number_in(name, getattr(self, name), -0.01, 0.01)
+        within(
+            self,
+            amplitude=(0.0, 2.0),
+            sine_offset=(-1.0, 1.0),
+            cosine_offset=(-1.0, 1.0),
+            sine_amplitude=(0.0, 2.0),
+            cosine_amplitude=(0.0, 2.0),
+            phase_error_rad=(-1.0, 1.0),
+            noise_lsb=(0.0, 1000.0),
+            sine_corner_hz=(0.0, 1e9),
+            cosine_corner_hz=(0.0, 1e9),
+            cosine_delay_s=(-0.01, 0.01),
+            delay_s=(-0.01, 0.01),
+        )
 
     def encoder(self, adc_bits: int) -> Encoder:
         """The encoder with an ADC of ``adc_bits``."""
@@ -118,11 +124,14 @@ class MotionConfig:
     ripple_hz: float = 1.0
 
     def __post_init__(self) -> None:
-        number_in("rpm", self.rpm, -1e6, 1e6)
-        number_in("standstill_s", self.standstill_s, 0.0, 1e6)
-        number_in("ramp_s", self.ramp_s, 0.0, 1e6)
-        number_in("ripple_rpm", self.ripple_rpm, -1e6, 1e6)
-        number_in("ripple_hz", self.ripple_hz, 1e-6, 1e6)
+        within(
+            self,
+            rpm=(-1e6, 1e6),
+            standstill_s=(0.0, 1e6),
+            ramp_s=(0.0, 1e6),
+            ripple_rpm=(-1e6, 1e6),
+            ripple_hz=(1e-6, 1e6),
+        )
 
     def motion(self) -> Motion:
         """The motion as a function of time."""
@@ -158,12 +167,15 @@ class SimulationConfig(SyncTiming):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        number_in("clock_drift_ppm", self.clock_drift_ppm, -LARGEST_DRIFT_PPM, LARGEST_DRIFT_PPM)
-        number_in("aperture_jitter_ns", self.aperture_jitter_ns, 0.0, 1e6)
+        within(
+            self,
+            clock_drift_ppm=(-LARGEST_DRIFT_PPM, LARGEST_DRIFT_PPM),
+            aperture_jitter_ns=(0.0, 1e6),
+            sync_period_us=(10.0, 1e7),
+            seed=(0, 2**63 - 1),
+        )
         if self.pace not in PACES:
             raise ValueError(f"pace must be {' or '.join(PACES)}, not {self.pace!r}")
-        number_in("sync_period_us", self.sync_period_us, 10.0, 1e7)
-        integer_in("seed", self.seed, 0, 2**63 - 1)
 
     @property
     def aperture_jitter_s(self) -> float:

@@ -220,9 +220,7 @@ class SlowMotion(SilentDevice):
 class MachineSwitch:
     """Object 2060h of the interface: 1 lets its machine run, 0 stops it. It reads as what was written.
 
-    A position that was lost comes back after a restart at standstill, so there must be a way to have it
-    without a restart of the simulation. An object works over the bus, with the tools and masters of others as
-    well; a signal or a line on stdin would work only beside the process.
+    A lost position comes back after a restart at standstill: this is how to have it over the bus.
 
     A source whose machine cannot be stopped here (a recording, a drive) refuses it: 08000022h.
     """

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from canfb.checks import integer_in, number_in
+from canfb.checks import within
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame, frame_bits
 
@@ -44,11 +44,14 @@ class SyncTiming:
     bus_bit_rate: int = 1_000_000
 
     def __post_init__(self) -> None:
-        number_in("sync_jitter_us", self.sync_jitter_us, 0.0, 1e6)
-        number_in("sync_jitter_rms_us", self.sync_jitter_rms_us, 0.0, 1e6)
-        number_in("sync_drift_ppm", self.sync_drift_ppm, -10_000.0, 10_000.0)
-        number_in("bus_load", self.bus_load, 0.0, 1.0)
-        integer_in("bus_bit_rate", self.bus_bit_rate, 10_000, 1_000_000)
+        within(
+            self,
+            sync_jitter_us=(0.0, 1e6),
+            sync_jitter_rms_us=(0.0, 1e6),
+            sync_drift_ppm=(-10_000.0, 10_000.0),
+            bus_load=(0.0, 1.0),
+            bus_bit_rate=(10_000, 1_000_000),
+        )
 
 
 REGULAR = SyncTiming()
@@ -132,24 +135,22 @@ class SyncProducer(PacedDevice):
             raise ValueError(f"period_s must be positive, not {period_s!r}")
         self.period_s = period_s
         self._deviation = SyncDeviation(timing, period_s, seed)
-        self._nominal_s = 0.0
 
     def start(self, now: float) -> list[Frame]:
         """Power-on: the first SYNC comes one period later."""
-        self._plan(now + self._deviation.period_s, now)
+        self._start_s, self._number = now, 0
+        self._plan(now)
         return []
 
     def _due(self, due_s: float, now: float) -> Frame:
-        period_s = self._deviation.period_s
-        late = max(0, int((now - self._nominal_s) / period_s))
-        self._plan(self._nominal_s + (late + 1) * period_s, now)
+        self._plan(now)
         return Frame(cob.SYNC, b"")
 
-    def _plan(self, nominal_s: float, now: float) -> None:
-        if nominal_s <= now:
-            nominal_s = now + self._deviation.period_s  # the sum may round down to now
-        self._nominal_s = nominal_s
-        self._next_s = max(now, nominal_s + self._deviation.next_s())
+    def _plan(self, now: float) -> None:
+        """The next SYNC is the first whose nominal time is later than ``now``."""
+        period_s = self._deviation.period_s
+        self._number = max(self._number, int((now - self._start_s) / period_s)) + 1
+        self._next_s = max(now, self._start_s + self._number * period_s + self._deviation.next_s())
 
 
 POSITION_PDO = struct.Struct("<IHH")  # 6004h, 2011:01 status word, 2011:02 residual
@@ -165,12 +166,11 @@ class Consumed:
     residual_cycles: list[float] = field(default_factory=list)
 
 
-class Drive(PacedDevice):
-    """SYNC producer and position consumer, sans-I/O.
+class Drive(SyncProducer):
+    """A SYNC producer that begins when it is told to, and position consumer.
 
     ``position_cob_id`` is the module's TPDO1; positions wrap at ``total_range`` measuring
-    units and are unwrapped here: the drive moves less than half of that between two PDOs. ``timing`` makes
-    the SYNC drift and jitter about its period.
+    units and are unwrapped here: the drive moves less than half of that between two PDOs.
     """
 
     def __init__(
@@ -181,25 +181,25 @@ class Drive(PacedDevice):
         timing: SyncTiming = REGULAR,
         seed: int = 1,
     ) -> None:
-        self.sync_period_s = sync_period_s
-        self._deviation = SyncDeviation(timing, sync_period_s, seed)
+        super().__init__(sync_period_s, timing, seed)
         self.total_range = total_range
         self.syncs = 0
         self.consumed = Consumed()
         self._position_cob_id = position_cob_id
-        self._start_s = 0.0
         self._last_units: int | None = None
+
+    def start(self, now: float) -> list[Frame]:
+        """Power-on: no SYNC before :meth:`start_sync`."""
+        return []
 
     def start_sync(self, now: float) -> None:
         """Produce the SYNC from ``now`` (seconds) on."""
         self._start_s = self._next_s = now
-        self.syncs = 0
+        self._number = self.syncs = 0
 
     def _due(self, due_s: float, now: float) -> Frame:
         self.syncs += 1
-        nominal_s = self._start_s + self.syncs * self._deviation.period_s
-        self._next_s = max(now, nominal_s + self._deviation.next_s())
-        return Frame(cob.SYNC, b"")
+        return super()._due(due_s, now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take the position PDO; every other frame is none of its business."""
@@ -213,12 +213,9 @@ class Drive(PacedDevice):
         return []
 
     def _unwrap(self, position: int) -> int:
-        last = self._last_units
-        if last is None:
-            self._last_units = position
-        else:
-            half = self.total_range // 2
-            self._last_units = last + (position - last + half) % self.total_range - half
+        half = self.total_range // 2
+        last = position if self._last_units is None else self._last_units
+        self._last_units = last + (position - last + half) % self.total_range - half
         return self._last_units
 
 

@@ -3,9 +3,7 @@
 A module that gets several samples for each SYNC takes them for equidistant: pair j was taken j/m of an
 interval before the newest. So they are chosen by counting scans, and not by the instant at which a SYNC was
 received: with n scans in an interval the newest sample is the n-th scan after that of the SYNC before, and
-the others are n/m scans apart. The jitter of SYNC, and a program that is late, change nothing. Only the
-drift of the clock against SYNC moves this grid, by one scan, every some thousand SYNCs; the time of the
-newest scan says so.
+the others are n/m scans apart. Only the drift of the clock against SYNC moves this grid, by one scan.
 """
 
 from __future__ import annotations

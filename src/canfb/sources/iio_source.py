@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from canfb.checks import flag, integer_in, number, text
+from canfb.checks import flag, integer_in, number, text, within
 from canfb.errors import BusError, CanfbError, ConfigError, reason
 from canfb.signal.sample import MOST_PER_SYNC, Sample
 from canfb.sources.even_scans import LEAST_SCANS_PER_SYNC, MOST_SCANS_PER_SYNC, EvenScans
@@ -236,8 +236,11 @@ class IioSourceConfig(SourceConfig):
         if self.rate_hz is not None:
             integer_in("rate_hz", self.rate_hz, 1, 10_000_000)
         flag("time_stamps", self.time_stamps)
-        integer_in("buffer_scans", self.buffer_scans, 2, 65536)
-        integer_in("wait_us", self.wait_us, 10, 1_000_000)
+        within(
+            self,
+            buffer_scans=(2, 65536),
+            wait_us=(10, 1_000_000),
+        )
         if self.adc_bits is not None:
             integer_in("adc_bits", self.adc_bits, 4, 16)
         if self.scans_per_sync is not None:

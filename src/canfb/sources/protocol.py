@@ -1,10 +1,8 @@
 """Where samples come from: one small interface for a local ADC, a recording and a simulated machine.
 
-A :class:`Source` is passive: it is asked for one sample at each SYNC, and never waits. What it needs of the
-program around it, threads for a converter above all, comes to it as :class:`Surroundings` when it is opened.
-So a kind of source is one file, ``*_source.py`` of this folder, with a subclass of :class:`SourceConfig`, and
-nothing else knows of it: :func:`source_kinds` finds them. Whatever a source does, its node stays on the bus
-(:class:`SourceWatch`).
+A :class:`Source` is asked for one sample at each SYNC, and never waits. A kind of source is one file,
+``*_source.py`` of this folder, with a subclass of :class:`SourceConfig`: :func:`source_kinds` finds it.
+Whatever a source does, its node stays on the bus (:class:`SourceWatch`).
 """
 
 from __future__ import annotations

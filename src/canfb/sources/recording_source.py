@@ -207,7 +207,12 @@ def _counts(path: Path, columns: Columns, layout: RecordingLayout) -> FloatArray
         )
     counts: FloatArray = np.rint((values - layout.mid_scale) * layout.scale)
     outside = ((counts < -32768) | (counts > 32767)).any(axis=1)
-    _check(path, columns, outside, "{0:g}, {1:g} does not fit INTEGER16; is mid-scale right?")
+    _check(
+        path,
+        columns._replace(values=counts),
+        outside,
+        "{0:.0f}, {1:.0f} does not fit INTEGER16; is mid-scale right?",
+    )
     return counts
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from canfb import objects as od
-from canfb.checks import integer_in
+from canfb.checks import within
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
@@ -390,9 +390,12 @@ class FeedbackModuleLink:
     synchronous: bool = False
 
     def __post_init__(self) -> None:
-        integer_in("node_id", self.node_id, 1, 127)
-        integer_in("increments_per_revolution", self.increments_per_revolution, 1, U32)
-        integer_in("total_range", self.total_range, 0, U32)
+        within(
+            self,
+            node_id=(1, 127),
+            increments_per_revolution=(1, U32),
+            total_range=(0, U32),
+        )
 
 
 def apply_defaults(

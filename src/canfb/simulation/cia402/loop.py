@@ -1,8 +1,7 @@
 """The position demand from SYNC to SYNC, and the position loop that follows it.
 
-Trajectories are in units of position, seconds and their quotients. The loop computes once for each position
-of the feedback: a proportional position controller, a PI velocity controller, feed-forward, limits. Its
-positions are in revolutions, speeds in rad/s, torques in Nm.
+Trajectories are in units of position and seconds. The loop computes once for each position of the feedback: a
+proportional position controller, a PI velocity controller, feed-forward, limits; revolutions, rad/s, Nm.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from canfb.checks import flag, integer_in, number_in
+from canfb.checks import flag, within
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.interface.sample_instants import TRUE_TIME, TimeBase
@@ -50,21 +50,23 @@ class MotorConfig:
     brake_torque_nm: float = 0.0
 
     def __post_init__(self) -> None:
-        number_in("inertia_kg_m2", self.inertia_kg_m2, 1e-9, 1e6)
-        number_in("viscous_friction_nm_s", self.viscous_friction_nm_s, 0.0, 1e6)
-        number_in("coulomb_friction_nm", self.coulomb_friction_nm, 0.0, 1e6)
-        number_in("rated_torque_nm", self.rated_torque_nm, 0.001, 1e6)
-        number_in("torque_time_constant_s", self.torque_time_constant_s, 0.0, 1.0)
-        number_in("load_torque_nm", self.load_torque_nm, -1e6, 1e6)
-        number_in("load_at_s", self.load_at_s, 0.0, 1e9)
-        number_in("brake_torque_nm", self.brake_torque_nm, 0.0, 1e6)
+        within(
+            self,
+            inertia_kg_m2=(1e-9, 1e6),
+            viscous_friction_nm_s=(0.0, 1e6),
+            coulomb_friction_nm=(0.0, 1e6),
+            rated_torque_nm=(0.001, 1e6),
+            torque_time_constant_s=(0.0, 1.0),
+            load_torque_nm=(-1e6, 1e6),
+            load_at_s=(0.0, 1e9),
+            brake_torque_nm=(0.0, 1e6),
+        )
 
 
 class Motor:
     """The motion of the shaft, integrated in steps of 0.1 ms at most.
 
-    Within a step the torques are constant and the motion is exact: an exponential with viscous friction,
-    standstill where friction holds the shaft. ``time_s`` is the time of the machine; ``revolutions``,
+    ``time_s`` is the time of the machine; ``revolutions``,
     ``speed_rad_s`` and ``torque_nm`` are those of the shaft at that time.
     """
 
@@ -210,11 +212,14 @@ class DriveConfig(MotorConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        integer_in("node_id", self.node_id, 1, 127)
-        number_in("start_revolutions", self.start_revolutions, -1e6, 1e6)
-        integer_in("motor_increments", self.motor_increments, 0, 0xFFFFFFFF)
-        number_in("slip_revolutions", self.slip_revolutions, -1000.0, 1000.0)
-        number_in("slip_at_s", self.slip_at_s, 0.0, 1e9)
+        within(
+            self,
+            node_id=(1, 127),
+            start_revolutions=(-1e6, 1e6),
+            motor_increments=(0, 0xFFFFFFFF),
+            slip_revolutions=(-1000.0, 1000.0),
+            slip_at_s=(0.0, 1e9),
+        )
         flag("synchronous_feedback", self.synchronous_feedback)
 
 
