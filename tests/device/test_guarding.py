@@ -8,7 +8,6 @@ import pytest
 import sample_eds
 from device_kit import ID, OK, Bench
 
-from canfb.cia301.codes import AbortCode
 from canfb.cia301.nmt import NmtState
 from canfb.device.od.dictionary import Dictionary
 
@@ -205,9 +204,3 @@ def test_no_heartbeat_written_again_changes_nothing(bench: Bench) -> None:
     assert bench.write(0x1017, 0, 0, 2) == OK
     assert bench.node.deadline() == pytest.approx(0.3)
     assert guard(bench) == ["720#FF"]
-
-
-@pytest.mark.parametrize("size", [1, 4])
-def test_wrong_sizes(bench: Bench, size: int) -> None:
-    expected = AbortCode.TOO_SHORT if size == 1 else AbortCode.TOO_LONG
-    assert bench.write(0x100C, 0, 1, size) is expected

@@ -387,12 +387,6 @@ def test_a_stored_node_id_that_is_none_is_refused(make: Callable[..., LssBench],
 # In every state, with any frame.
 
 
-@pytest.mark.parametrize("command", [1, 2, 128])
-def test_it_answers_in_every_nmt_state(bench: LssBench, command: int) -> None:
-    bench.nmt(command)
-    assert bench.configure().lss(0x5E) == ["5E2"]
-
-
 def test_a_short_frame_is_dropped_and_counted(bench: LssBench) -> None:
     assert bench.send(0x7E5, b"\x04\x01") == []
     assert bench.node.lss.state is LssState.WAITING

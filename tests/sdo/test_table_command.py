@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tempfile
 from pathlib import Path
 
@@ -172,6 +173,39 @@ def test_an_answer_that_is_lost_leaves_the_module_as_it_was(
     assert len(lost) == 1
     assert in_force(bench) == (NEW if place == (0x2020, 1) else OLD), "a table is sent again in segments"
     assert ("no answer; is the node on the bus" in err) is (place != (0x2020, 1))
+
+
+def test_a_full_disk_is_named_and_the_old_table_is_in_force(
+    canfb: Commands, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = MemoryStore()
+    bench = bench_with(OLD, store)
+    canfb(bench, "table", "clear", NODE, "--save")
+    put_in_force(bench.access, OLD)
+
+    def full(changes: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(store, "save", full)
+    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", "--save", code=1)
+    assert err.startswith("canfb: module 32 (20h) cannot save: no space left where it keeps its parameters")
+    assert "; the table and the conditioning from before are in force in module 32 (20h), and what is" in err
+    assert in_force(bench) == read_active(bench.access) == OLD
+
+
+def test_the_table_of_another_encoder_is_refused(canfb: Commands, tmp_path: Path) -> None:
+    bench = Bench()
+    bench.bus.run_until(0.5)
+    before = in_force(bench)
+    path = tmp_path / "other.yaml"
+    path.write_text(as_yaml(Correction(TABLE, Conditioning(sine_gain=3.0, cosine_gain=3.0)), {}))
+    _, err = canfb(bench, "table", "upload", NODE, path, "--activate", code=1)
+    assert re.search(r"the amplitude is \d{4} counts, outside 410\.\.2560 .* --force activates it", err)
+    assert in_force(bench) == before
+    canfb(bench, "table", "upload", NODE, path)
+    assert "of another encoder" in canfb(bench, "table", "activate", NODE, code=1)[1]
+    canfb(bench, "table", "activate", NODE, "--force")
+    assert in_force(bench) != before
 
 
 def test_a_refused_staging_leaves_the_conditioning(canfb: Commands, file: Path) -> None:

@@ -1,43 +1,87 @@
-"""docs/tables.md: its commands run, one after the other, on a module."""
+"""docs/tables.md: its commands run, one after the other, on a module, and its backup is one."""
 
 from __future__ import annotations
 
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from canfb.cia301.nmt import NmtState
+from canfb.cli import nmt_command
 from canfb.device.storage.storage import MemoryStore
+from canfb.eds_files import eds_path
+from canfb.sdo.backup_file import read_backup
+from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.table_file import as_yaml
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import Bench
 from node_commands import Commands
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "tables.md").read_text(encoding="utf-8").partition("\n## Backup")[0]
-COMMANDS = [
-    shlex.split(line)[1:]
-    for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
-    for line in block.splitlines()
-]
+PAGE = (Path(__file__).parents[2] / "docs" / "tables.md").read_text(encoding="utf-8")
+TABLES, _, BACKUPS = PAGE.partition("\n## Backup")
 USED = Correction(CorrectionTable.identity(64), Conditioning(sine_gain=1.5))
 
 
-def test_the_commands_of_the_page_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def commands(page: str) -> list[list[str]]:
+    blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
+    return [shlex.split(line)[1:] for block in blocks for line in block.splitlines()]
+
+
+@pytest.fixture
+def canfb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
     monkeypatch.chdir(tmp_path)
+    return Commands(monkeypatch, capsys)
+
+
+def test_the_commands_for_tables(canfb: Commands) -> None:
     Path("measured").mkdir()
     Path("measured/table.yaml").write_text(as_yaml(USED, {}))
-    canfb, bench = Commands(monkeypatch, capsys), Bench(sync=False, store=MemoryStore())
-    said = [canfb(bench, *words)[0] for words in COMMANDS]
+    bench = Bench(sync=False, store=MemoryStore())
+    said = [canfb(bench, *words)[0] for words in commands(TABLES)]
     assert bench.module.chain.correction == USED
     assert "saved (1010:04)" in said[-1]
     shown = canfb(bench, "table", "show", "0x20")[0]
-    rows = [line[:17].strip() for line in PAGE.splitlines() if line.startswith("active table")]
-    assert rows == ["active table"]
-    labels = [line[:17] for line in shown.splitlines()[1:]]
-    (example,) = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
-    assert [line[:17] for line in example.splitlines()[1:]] == labels
+    (example,) = re.findall(r"```text\n(.*?)```", TABLES, re.DOTALL)
+    assert [line[:17] for line in example.splitlines()[1:]] == [line[:17] for line in shown.splitlines()[1:]]
+
+
+class Sending:
+    """In place of the master of `canfb nmt`."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+
+    def __enter__(self) -> Any:
+        return self._bench.master
+
+    def __exit__(self, *ending: Any) -> None:
+        """There is nothing to close."""
+
+
+def test_the_commands_for_backups(canfb: Commands, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("feedback.yaml").write_text("modules: [{node_id: 0x20}]\n")
+    bench, given = Bench(store=MemoryStore()), commands(BACKUPS)
+    monkeypatch.setattr(nmt_command, "open_bus", lambda words: None)
+    monkeypatch.setattr(nmt_command, "BusMaster", lambda bus: Sending(bench))
+    assert [words[0] for words in given] == ["backup", "restore", "restore", "nmt"]
+    canfb(bench, *given[0])
+    bench.access.write(0x2010, 3, "B", 77)
+    assert "2010:03 Supervision: Samples to coast: 77 -> 3 samples" in canfb(bench, *given[1])[0]
+    assert "saved (1010:01)" in canfb(bench, *given[2])[0]
+    assert bench.value(0x2010, 3) == 3
+    assert bench.module.state is NmtState.PRE_OPERATIONAL
+    canfb(bench, *given[3])
+    assert bench.module.state is NmtState.OPERATIONAL
+
+
+def test_the_file_of_the_page_is_one(tmp_path: Path) -> None:
+    (example,) = re.findall(r"```yaml\n(.*?)```", BACKUPS, re.DOTALL)
+    path = tmp_path / "backup.yaml"
+    path.write_text(example)
+    backup = read_backup(path, ObjectDescriptions(eds_path("canfb-module"), 1))
+    assert backup.values == {(0x2010, 1): 21845, (0x2010, 2): 12.5, (0x2010, 3): 9}
+    assert backup.table == b""

@@ -23,7 +23,7 @@ from canfb.cli.options import (
 )
 from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.diagnosis.lost import read_lost_position
-from canfb.diagnosis.nodes_on_bus import FrameCounts, node_facts, scan
+from canfb.diagnosis.nodes_on_bus import frame_counts, node_facts, scan
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, NodeAccess
@@ -87,7 +87,7 @@ def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> 
     options.configuration = None
     known = [eds_path(name) for name in EDS_NAMES]
     with node_options.master_of(options) as master:
-        parts["bus"]["frames"] = FrameCounts().listen(master, options.seconds)
+        parts["bus"]["frames"] = frame_counts(master, options.seconds)
         parts["bus"]["seconds"] = options.seconds
         chosen = options.nodes or _configured(config)
         if not chosen:

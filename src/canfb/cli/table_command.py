@@ -16,6 +16,7 @@ from canfb.rows import Result
 from canfb.sdo.table_file import TableState, read_table_file
 from canfb.sdo.table_tasks import TableTasks
 
+FORCE = "although the amplitude then leaves its limits"
 FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
 
 
@@ -36,6 +37,7 @@ def register(commands: Commands) -> None:
     part = _add(parts, "upload", "write the table of a file to the module, and stage it", upload)
     part.add_argument("file", metavar="FILE", type=Path, help=f"as canfb calibrate writes it: {FILES}")
     part.add_argument("--activate", action="store_true", help="put it in force at once")
+    part.add_argument("--force", action="store_true", help=FORCE)
     _finish(part, "with --activate: save it (1010h)")
 
     part = _add(parts, "download", "write the active table of the module to a file", download)
@@ -43,6 +45,7 @@ def register(commands: Commands) -> None:
     node_options.add_access_options(part)
 
     part = _add(parts, "activate", "put the staged table in force", activate)
+    part.add_argument("--force", action="store_true", help=FORCE)
     _finish(part, "save it (1010h)")
 
     part = _add(parts, "clear", "go back to the identity: no table", clear)
@@ -80,7 +83,10 @@ def upload(options: argparse.Namespace) -> int:
     if options.save and not options.activate:
         raise ConfigError("--save: only with --activate, as a staged table is not saved")
     file = read_table_file(options.file)
-    return _do(options, lambda tasks: tasks.upload(file, active=options.activate, keep=options.save))
+    return _do(
+        options,
+        lambda tasks: tasks.upload(file, active=options.activate, keep=options.save, force=options.force),
+    )
 
 
 def download(options: argparse.Namespace) -> int:
@@ -91,7 +97,7 @@ def download(options: argparse.Namespace) -> int:
 
 def activate(options: argparse.Namespace) -> int:
     """The staged table is put in force."""
-    return _do(options, lambda tasks: tasks.activate(keep=options.save))
+    return _do(options, lambda tasks: tasks.activate(keep=options.save, force=options.force))
 
 
 def clear(options: argparse.Namespace) -> int:

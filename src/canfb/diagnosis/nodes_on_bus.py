@@ -12,6 +12,7 @@ A diagnosis reads all objects of a node by SDO that can be read.
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -168,22 +169,18 @@ def _read_all(node: NodeAccess, described: ObjectDescriptions, objects: Figures)
             objects[entry.number] = f"refused: {error.code:08X}h"
 
 
-class FrameCounts:
-    """Counts the frames of all CAN-IDs with 11 bits while it listens."""
+def frame_counts(master: Master, seconds: float) -> dict[str, int]:
+    """The frames of all CAN-IDs with 11 bits within ``seconds``, by CAN-ID."""
+    counts: Counter[int] = Counter()
 
-    def __init__(self) -> None:
-        self._counts: dict[int, int] = {}
+    def count(can_id: int, data: bytes, at: float) -> None:
+        counts[can_id] += 1
 
-    def listen(self, master: Master, seconds: float) -> dict[str, int]:
-        """Frames within ``seconds``, by CAN-ID."""
+    for can_id in range(0x800):
+        master.subscribe(can_id, count)
+    try:
+        master.wait(seconds)
+    finally:
         for can_id in range(0x800):
-            master.subscribe(can_id, self._count)
-        try:
-            master.wait(seconds)
-        finally:
-            for can_id in range(0x800):
-                master.unsubscribe(can_id, self._count)
-        return {f"{can_id:03X}": count for can_id, count in sorted(self._counts.items())}
-
-    def _count(self, can_id: int, data: bytes, at: float) -> None:
-        self._counts[can_id] = self._counts.get(can_id, 0) + 1
+            master.unsubscribe(can_id, count)
+    return {f"{can_id:03X}": number for can_id, number in sorted(counts.items())}

@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from canfb import objects as od
+from canfb.cia301.codes import AbortCode
 from canfb.errors import CanfbError
-from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
+from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, RefusedError
 from canfb.master.node_state import without_restart
 from canfb.master.supervision_limits import as_real32
 from canfb.objects import Multiplexer
@@ -121,7 +122,15 @@ def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str |
     store = saving_object(module, stores)
     if store is None:
         return None
-    module.write_bytes(*store, SAVE, SAVE_WITHIN_S)
+    try:
+        module.write_bytes(*store, SAVE, SAVE_WITHIN_S)
+    except RefusedError as error:
+        if error.code != AbortCode.HARDWARE:
+            raise
+        raise CommissioningError(
+            f"{module.name} cannot save: no space left where it keeps its parameters, or a memory that fails "
+            f"(its log, of canfb run, names the file): {error}"
+        ) from None
     return f"1010:{store.subindex:02X}"
 
 
@@ -193,6 +202,7 @@ class Guard:
 
 PAUSE_S = 1.0  # before the second attempt: a bus that is away briefly, a node that starts
 ATTEMPTS = 2
+EITHER = "either what was saved before or the new values, whole"
 
 
 @contextlib.contextmanager
@@ -237,13 +247,13 @@ def change(
     """
     saving = False
 
-    def restore() -> None:
-        back()
-        if saving:
-            save(module, stores)
-
     def undo() -> str:
-        put_back(module, what, restore, saving=saving)
+        put_back(module, what, back, saving=saving)
+        try:
+            if saving:
+                save(module, stores)
+        except CanfbError:
+            return f"{undone()}, and what is saved is {EITHER}: save it when that works again"
         return undone()
 
     with all_or_nothing(module, guard, undo):
@@ -271,9 +281,7 @@ def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: 
         except CanfbError as error:
             if attempt < ATTEMPTS - 1:
                 continue
-            saved = (
-                "either what was saved before or the new values, whole" if saving else "what is saved in it"
-            )
+            saved = EITHER if saving else "what is saved in it"
             raise CommissioningError(
                 f"{what} could not be put back ({error}): switch {module.name} off and on, which brings back "
                 f"{saved}"

@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from canfb import objects as od
 from canfb.calibration.recording import WINDOW, Lock, away_from, find_lock
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress
+from canfb.master.listening import Listener
 from canfb.master.samples import TrackSamples
 from canfb.objects import PositionState, StatusBit, fault_words, position_state
 from canfb.rows import Row
@@ -23,21 +24,6 @@ from canfb.signal.phase import FloatArray
 FIRST_S = 1.0
 STANDSTILL_S = 3.0  # somebody may be about to let the machine turn
 HALF_CYCLE = 0.5
-
-
-class Listening(Protocol):
-    """What is being collected, as :class:`.listening.Listener`."""
-
-    @property
-    def elapsed_s(self) -> float:
-        """Time since the first SYNC."""
-
-    @property
-    def intervals(self) -> int:
-        """SYNCs that came."""
-
-    def result(self) -> TrackSamples:
-        """What came."""
 
 
 class LockWatch:
@@ -53,7 +39,7 @@ class LockWatch:
         self._speed_rad_s = speed_rad_s
         self._next_s = FIRST_S
 
-    def __call__(self, listening: Listening) -> bool:
+    def __call__(self, listening: Listener) -> bool:
         """True if the collection may end."""
         if listening.elapsed_s < self._next_s or listening.intervals <= WINDOW:
             return False
@@ -213,7 +199,7 @@ class SpeedReadings:
         self._next_s = 0.0
         self.found: list[SpeedReading] = []
 
-    def __call__(self, listening: Listening) -> bool:
+    def __call__(self, listening: Listener) -> bool:
         """Read, if it is time for it. False: the collection goes on."""
         if listening.elapsed_s < self._next_s or not listening.intervals:
             return False

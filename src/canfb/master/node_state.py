@@ -194,21 +194,12 @@ def reset_module(module: NodeAccess, *, force: bool = False) -> dict[str, Any]:
 
 def _restart(module: NodeAccess) -> None:
     master, node = module.master, module.node_id
-    booted: list[float] = []
-
-    def on_frame(can_id: int, data: bytes, at: float) -> None:
-        if data[:1] == b"\x00":
-            booted.append(at)
-
-    master.subscribe(cob.ERROR_CONTROL + node, on_frame)
-    try:
+    with _received(module) as received:
         master.send(0x000, struct.pack("BB", NmtCommand.RESET_NODE, node))
         end = master.now() + BOOT_UP_S
-        while not booted and master.now() < end:
+        while b"\0" not in received and master.now() < end:
             master.wait(EVERY_S)
-    finally:
-        master.unsubscribe(cob.ERROR_CONTROL + node, on_frame)
-    if not booted:
+    if b"\0" not in received:
         raise CommissioningError(f"{module.name}: no boot-up within {BOOT_UP_S:g} s after the reset")
     master.send(0x000, struct.pack("BB", NmtCommand.START, node))
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.cia301.nmt import NmtCommand, NmtState
+from canfb.device.od.writes import Write
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import Guard, change, check_can_save
 from canfb.master.node_state import nmt_state
@@ -25,29 +26,13 @@ NMT = 0x000
 MOST_SHOWN = 40
 
 
-class SdoWrite(Protocol):
-    """One SDO write."""
-
-    @property
-    def index(self) -> int:
-        """Of the object."""
-
-    @property
-    def subindex(self) -> int:
-        """Of the object."""
-
-    @property
-    def data(self) -> bytes:
-        """As SDO has it."""
-
-
 class Configured(Protocol):
     """:class:`canfb.module.device_configuration.DeviceConfiguration`."""
 
     def values(self) -> dict[Place, Any]:
         """The value of each object."""
 
-    def writes(self) -> Sequence[SdoWrite]:
+    def writes(self) -> Sequence[Write]:
         """SDO writes that bring it about in Pre-operational, in their order."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -24,12 +25,13 @@ from canfb.master.all_or_nothing import (
     write_conditioning,
     write_whole,
 )
-from canfb.master.supervision_limits import as_real32
+from canfb.master.supervision_limits import AMPLITUDES, as_real32
 from canfb.rows import Result, as_figures
 from canfb.sdo.table_file import TableFile, TableState, as_yaml, difference, is_yaml
-from canfb.signal.conditioning import IDENTITY
+from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
+LOOKS, LOOK_S = 10, 0.01
 AS_IT_WAS = "the previous table and conditioning"
 
 
@@ -50,11 +52,12 @@ class TableTasks:
         self._guard = guard
         self._advice = advice or Advice()
 
-    def upload(self, file: TableFile, *, active: bool, keep: bool) -> Result:
+    def upload(self, file: TableFile, *, active: bool, keep: bool, force: bool = False) -> Result:
         """Stage the table of a file and prove it by its CRC. ``active`` puts it in force, ``keep`` saves it.
 
         A file that knows no conditioning leaves that of the module as it is. CommissioningError if
-        anything does not work; nothing but a staged table may be left of it, which has no effect.
+        anything does not work, or if the amplitude would leave its limits, unless ``force``; nothing but a
+        staged table may be left of it, which has no effect.
         """
         before, table = read_active(self._module), file.used.table
         if table is None:
@@ -63,6 +66,7 @@ class TableTasks:
             )
         new = file.for_module(before.conditioning)
         if active:
+            self._check_amplitude(before.conditioning, new.conditioning, force)
             done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
         else:
             self._staged(new, table)
@@ -77,12 +81,13 @@ class TableTasks:
             lines.append(f"staged in {self._module.name}, not in force yet: {how}")
         return _result(state, [*lines, *self._outcome(new, done)], done)
 
-    def activate(self, *, keep: bool) -> Result:
+    def activate(self, *, keep: bool, force: bool = False) -> Result:
         """Put the staged table in force, with the conditioning that 2002h and 2005h hold."""
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
         if not staged:
             raise CommissioningError(f"{self._module.name}: nothing is staged; {self._advice.to_stage}")
         before = read_active(self._module)
+        self._check_amplitude(before.conditioning, read_conditioning(self._module), force)
         done = self._in_force(before, None, keep, lambda: activate(self._module, staged))
         now = self._state_after(None, done)
         return _result(now, [self._moves(now, before, now.used), *self._outcome(now.used, done)], done)
@@ -134,6 +139,25 @@ class TableTasks:
             for text in [od.place_text(place)]
             if (there := self._module.read_known(place)) is not None and there != as_real32(value)
         ]
+
+    def _check_amplitude(self, before: Conditioning, new: Conditioning, force: bool) -> None:
+        """Refuse the conditioning of another encoder: samples would leave the limits that they keep now."""
+        module = self._module
+        low, high = (module.integer(*place, "H") for place in AMPLITUDES)
+        kept, wrong = 0, list[float]()
+        for _ in range(0 if force or new == before else LOOKS):
+            pair = (module.integer(*od.SAMPLE_SINE, "h"), module.integer(*od.SAMPLE_COSINE, "h"))
+            if low <= math.hypot(*before.apply(*pair)) <= high:
+                kept += 1
+                amplitude = math.hypot(*new.apply(*pair))
+                wrong += [] if low <= amplitude <= high else [amplitude]
+            module.master.wait(LOOK_S)
+        if 2 * len(wrong) > kept:
+            raise CommissioningError(
+                f"{module.name}: with this conditioning the amplitude is {wrong[-1]:.0f} counts, outside "
+                f"{low}..{high} (2001:03, 2001:04), and now it is not. Is the table of another encoder? "
+                "--force activates it"
+            )
 
     def _staged(self, new: Correction, table: CorrectionTable) -> None:
         waiting = read_conditioning(self._module)

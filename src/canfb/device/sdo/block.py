@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from binascii import crc_hqx
-from enum import Enum, auto
 
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.core import NEVER
@@ -14,6 +13,7 @@ from canfb.device.sdo.transfer import (
     BLOCK_UPLOAD,
     Download,
     Reply,
+    Transfer,
     check_received,
     finish_download,
 )
@@ -49,40 +49,23 @@ def crc16(data: bytes) -> int:
     return crc_hqx(data, 0)
 
 
-class UploadPhase(Enum):
-    """How far a block upload is."""
-
-    START = auto()
-    SEGMENTS = auto()
-    END = auto()
-
-
 _END, _ACKNOWLEDGE, _START = 1, 2, 3
-UPLOAD_EXPECTS = {
-    UploadPhase.START: _START,
-    UploadPhase.SEGMENTS: _ACKNOWLEDGE,
-    UploadPhase.END: _END,
-}
-"""Client subcommand that is right in each phase."""
+"""Client subcommands of an upload: the one that is expected is its phase."""
 
 
-class BlockUpload:
+class BlockUpload(Transfer):
     """Server to client. The data is what it was at the first frame."""
-
-    target = None
 
     def __init__(
         self, multiplexer: bytes, data: bytes, block_size: int, *, with_crc: bool, reply: Reply
     ) -> None:
         _check_block_size(block_size)
-        self.multiplexer = multiplexer
-        self.pause = NEVER
+        super().__init__(multiplexer, reply)
         self._data = data
         self._block_size = block_size
         self._with_crc = with_crc
         self._crc = 0
-        self._reply = reply
-        self._phase = UploadPhase.START
+        self._expected = _START
         self._confirmed = 0
         self._sequence = 0
         answer = _UPLOAD_ANSWER | (CRC_SUPPORTED if with_crc else 0)
@@ -95,13 +78,13 @@ class BlockUpload:
     def handle(self, data: bytes) -> bool:
         """Start, acknowledge or end."""
         subcommand = data[0] & 0x03
-        if subcommand != UPLOAD_EXPECTS[self._phase]:
+        if subcommand != self._expected:
             raise SdoAbort(AbortCode.COMMAND)
         if subcommand == _END:
             return False
         if subcommand == _ACKNOWLEDGE:
             self._acknowledge(data[1], data[2])
-        if self._phase is not UploadPhase.END:
+        if self._expected != _END:
             self._begin_block()
         return True
 
@@ -115,7 +98,7 @@ class BlockUpload:
 
     def _begin_block(self) -> None:
         self._sequence = 0
-        self._phase = UploadPhase.SEGMENTS
+        self._expected = _ACKNOWLEDGE
         self.pause = PAUSE_S
         self.proceed()
 
@@ -142,7 +125,7 @@ class BlockUpload:
         self._reply(bytes([last | self._sequence]) + self._data[start : start + _SEGMENT])
 
     def _send_end(self) -> None:
-        self._phase = UploadPhase.END
+        self._expected = _END
         self.pause = NEVER
         unused = -len(self._data) % _SEGMENT if self._data else _SEGMENT
         self._reply(bytes([_UPLOAD_END | unused << 2]) + self._crc.to_bytes(2, "little"))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
 
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.core import NEVER
@@ -27,37 +27,31 @@ BLOCK_DOWNLOAD = 6
 ABORT_COMMAND = 0x80
 
 
-class Transfer(Protocol):
+class Transfer(ABC):
     """One transfer that takes more than one frame of the client.
 
-    `multiplexer` is index and sub-index as in the frames. `pause` is how long the server waits by
-    itself before `proceed`, seconds; NEVER while it waits for the client.
+    `multiplexer` is index and sub-index as in the frames; `target` is the entry that a download writes, None
+    for an upload. `pause` is how long the server waits by itself before `proceed`, seconds; NEVER while it
+    waits for the client.
     """
 
-    multiplexer: bytes
-    pause: float
+    target: Entry | None = None
+    pause = NEVER
 
-    @property
-    def target(self) -> Entry | None:
-        """The entry that a download writes; None for an upload."""
+    def __init__(self, multiplexer: bytes, reply: Reply) -> None:
+        self.multiplexer = multiplexer
+        self._reply = reply
 
+    @abstractmethod
     def accepts(self, command: int) -> bool:
         """Whether a frame with this first byte belongs to the transfer."""
 
+    @abstractmethod
     def handle(self, data: bytes) -> bool:
         """Take a frame of the client; False when the transfer is complete. SdoAbort to end it."""
 
-    def proceed(self) -> None:
+    def proceed(self) -> None:  # noqa: B027  (most never pause)
         """Go on sending after the pause."""
-
-
-class Quiet:
-    """A transfer in which the server only answers."""
-
-    pause = NEVER
-
-    def proceed(self) -> None:
-        """Nothing to do without the client."""
 
 
 def check_size(entry: Entry, size: int) -> None:
@@ -102,15 +96,12 @@ _TOGGLE = 0x10
 _LAST = 0x01
 
 
-class SegmentedUpload(Quiet):
+class SegmentedUpload(Transfer):
     """Server to client. The data is what it was at the first frame."""
 
-    target = None
-
     def __init__(self, multiplexer: bytes, data: bytes, reply: Reply) -> None:
-        self.multiplexer = multiplexer
+        super().__init__(multiplexer, reply)
         self._data = data
-        self._reply = reply
         self._position = 0
         self._toggle = 0
         reply(b"\x41" + multiplexer + len(data).to_bytes(4, "little"))
@@ -132,16 +123,15 @@ class SegmentedUpload(Quiet):
         return not last
 
 
-class Download(Quiet):
+class Download(Transfer):
     """Client to server. The entry is written when all is there."""
 
     def __init__(self, multiplexer: bytes, entry: Entry, announced: int | None, reply: Reply) -> None:
         if announced is not None:
             check_size(entry, announced)
-        self.multiplexer = multiplexer
-        self.target = entry
+        super().__init__(multiplexer, reply)
+        self.target: Entry = entry
         self._announced = announced
-        self._reply = reply
         self._received = bytearray()
 
 
