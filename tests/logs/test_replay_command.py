@@ -243,7 +243,6 @@ WRONG = [
     (["bus.log", "--out", "none/x.csv"], 2, "--out none/x.csv: there is no folder none"),
     (["bus.log", "--set", "coast=1"], 2, "--set coast=1: unknown key 'coast' in a module"),
     (["bus.log", "--table", "words.asc"], 1, "this is not a correction table"),
-    (["bus.log", "--state", "none"], 2, "--state none: there is no such folder"),
     (["bus.log", "--config", "source.yaml"], 2, "module 32 has a source of its own"),
     (["bus.log", "--workers", "2"], 2, "--workers: is for a folder of logs"),
 ]

@@ -118,9 +118,8 @@ class NamedInterface:
 class Reception:
     """Receives from ``bus`` for as long as it takes.
 
-    An interface that is down, and one that is gone and can be opened by its name, is waited for: ``report``
-    gets a line when it goes, and one when frames come again. BusError for any other failure, unless it
-    ``lasts``: then each is waited for.
+    An interface that is down, or gone and can be opened by its name, is waited for; ``report`` gets a line
+    when it goes and comes. BusError for any other failure, unless it ``lasts``.
     """
 
     def __init__(

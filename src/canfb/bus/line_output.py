@@ -13,7 +13,7 @@ MOST_LINES = 1000
 class LineOutput:
     """Writes lines to ``descriptor`` as far as it takes them at once, and keeps the others in order.
 
-    A terminal that is stopped (Ctrl-S), a pager or a service that does not read hold nothing up. When
+    When
     MOST_LINES wait further ones are left out; ``excuse`` makes the line that follows of their number.
     OSError as write(2) has it.
     """

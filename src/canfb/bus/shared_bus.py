@@ -17,8 +17,7 @@ Item = can.Message | Exception
 class SharedBus(can.BusABC):
     """``bus``, of which one thread receives; each :meth:`branch` gets what is received from then on, too.
 
-    So a USB adapter, which only one program can open, serves a monitor and a task beside it. Frames for which
-    ``refusal`` has a reason are not sent: can.CanOperationError, which has it.
+    Frames for which ``refusal`` has a reason are not sent: can.CanOperationError, which has it.
     """
 
     def __init__(self, bus: can.BusABC, refusal: Refusal = lambda message: "") -> None:

@@ -15,7 +15,7 @@ from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
 from canfb.logfile.bus_log import SentLog
 from canfb.logs.folder_replay import check_table, do_work, work_of
-from canfb.logs.log_replay import LogReplayed, ReplayOptions, replay_log
+from canfb.logs.log_replay import ReplayOptions, replay_log
 from canfb.logs.published_files import check_place, published
 from canfb.logs.replay_page import write_page
 from canfb.module.module_config import ModuleConfig
@@ -59,11 +59,6 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
             write_page(options.report, replayed, overview)
     progress.clear()
     written = [path for path in (options.out, options.frames, options.report) if path is not None]
-    code = say_result(options, _result(replayed, written))
-    return code if replayed.log.trouble is None else 1
-
-
-def _result(replayed: LogReplayed, written: list[Path]) -> Result:
     log = replayed.log
     about = log.counters.facts(log.trouble)
     figures = {
@@ -72,7 +67,8 @@ def _result(replayed: LogReplayed, written: list[Path]) -> Result:
         "modules": [one.figures() for one in replayed.results],
     }
     lines = [*as_lines(about), *(line for one in replayed.results for line in one.lines())]
-    return Result(figures, [*lines, *(f"written  {path}" for path in written)])
+    say_result(options, Result(figures, [*lines, *(f"written  {path}" for path in written)]))
+    return int(log.trouble is not None)
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

@@ -53,8 +53,7 @@ class InOrder:
         for n, stamp in enumerate(stamps):
             if stamp < newest and n >= looked_to:
                 was_set, looked_to = _clock_was_set(frames, stamps, n, newest)
-                undecided = looked_to == len(frames) and not end and len(frames) - n < MOST_HELD
-                if undecided:
+                if looked_to == len(frames) and not end and len(frames) - n < MOST_HELD:  # undecided
                     ready, held = self._sort(frames[:n], stamps[:n], newest - WINDOW_S)
                     return ready, held + frames[n:], False
                 if was_set:

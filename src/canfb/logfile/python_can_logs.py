@@ -45,10 +45,9 @@ def messages_of(path: Path, suffix: str, counters: LogCounters) -> Iterator[can.
 
 
 class _Lines:
-    """The lines of a text log, for a reader of python-can that takes it for a file.
+    """The lines of a text log, for a reader of python-can.
 
-    ``frame`` says which lines have a frame; a reader that makes none of such a line found it damaged.
-    ``cut`` is what is left of a line that has lost its end.
+    ``frame`` says which should give one, ``cut`` which have lost their end.
     """
 
     reader: type[Any]
@@ -229,16 +228,7 @@ class CandumpLines(_Lines):
         return self.error.sub(" 20000080#", line) if self.form.fullmatch(line) else "no frame\n"
 
 
-class _CsvLines(_Lines):
-    """python-can's own."""
-
-    reader = can.CSVReader
-    has_words_of_bytes = False
-    frame = re.compile(r"(?!timestamp,)\s*\S")
-    first = "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
-
-
-TEXT: dict[str, type[_Lines]] = {".asc": _AscLines, ".trc": _TrcLines, ".csv": _CsvLines}
+TEXT: dict[str, type[_Lines]] = {".asc": _AscLines, ".trc": _TrcLines}
 
 
 class _WholeReads:

@@ -90,7 +90,11 @@ def replay_log(
         )
         for module, track in zip(settings.modules, tracks, strict=True)
     ]
-    _feed(log, replays, progress)
+    for batch in log.batches():
+        for replay in replays:
+            replay.feed(batch)
+        progress(log.part_read)
+    _check_frames(log)
     for replay in replays:
         replay.close()
     results = []
@@ -101,18 +105,13 @@ def replay_log(
     return LogReplayed(log, results)
 
 
-def _feed(log: BusLogFile, replays: list[ModuleReplay], progress: Callable[[float], None]) -> None:
-    fed = 0
-    for batch in log.batches():
-        for replay in replays:
-            replay.feed(batch)
-        fed += len(batch)
-        progress(log.part_read)
-    if not fed:
-        counters = log.counters
-        if counters.left_out:
-            there = ", ".join(sorted(counters.left_out))
-            raise LogError(f"{log.path}: there is no frame of channel {log.channel}; there are {there}")
+def _check_frames(log: BusLogFile) -> None:
+    """LogError for a log without a frame that is taken."""
+    counters = log.counters
+    if counters.left_out and not counters.channels:
+        there = ", ".join(sorted(counters.left_out))
+        raise LogError(f"{log.path}: there is no frame of channel {log.channel}; there are {there}")
+    if not counters.channels:
         damaged = f"; {counters.damaged_lines} damaged lines" if counters.damaged_lines else ""
         raise LogError(f"{log.path}: there is no frame with an 11-bit identifier in it{damaged}")
 

@@ -34,7 +34,8 @@ def replay_html(replayed: LogReplayed, overview: Overview) -> str:
         rows = [Row(f"{n}", text) for n, text in enumerate(faults[:MOST_FAULTS], 1)]
         more = sum(replay.faults.times.values()) - MOST_FAULTS
         body += table("Faults", [*rows, Row("", f"and {more} more" if more > 0 else None)])
-    good = whole and result.is_faultless
+    other = any(one.different or one.only_recorded or one.only_replayed for one in replay.compared.values())
+    good = whole and not other and not any(replay.faults.times.values())
     return page(f"Replay of {log.path.name}", result.head(), _said(result), body, FOOTER, good)
 
 

@@ -257,7 +257,10 @@ class Overview:
         columns["faulty"] = (block["status"] & FAULTY != 0).astype(np.float64)
         columns["residual"] = np.where(came, block["residual"], np.nan)
         columns["amplitude_counts"] = np.where(came, block["amplitude_counts"], np.nan)
-        columns["speed_rad_s"] = _speed(block)
+        interval_s = _where(block["interval_s"] > 0.0, block["interval_s"])
+        rad = 2.0 * np.pi / block["cycles_per_revolution"]
+        valid = block["status"] & StatusBit.VALID != 0
+        columns["speed_rad_s"] = _where(valid, block["speed_cycles"] * rad / interval_s)
         begins = np.arange(0, len(came), STRETCH_ROWS)
         for name, (column, how) in _KEPT.items():
             reduced = how.reduceat(columns[column].astype(np.float64), begins)
@@ -266,18 +269,8 @@ class Overview:
             pairs = np.arange(0, len(self.stretches["begin_s"]), 2)
             for name, (_, how) in _KEPT.items():
                 self.stretches[name] = how.reduceat(self.stretches[name], pairs)
-        self._take_samples(block, came)
-
-    def _take_samples(self, block: Block, came: npt.NDArray[np.bool_]) -> None:
         chosen = np.flatnonzero(came)[:: self._stride]
         self.sine = np.concatenate([self.sine, block["sine_counts"][chosen].astype(np.float64)])
         self.cosine = np.concatenate([self.cosine, block["cosine_counts"][chosen].astype(np.float64)])
         while len(self.sine) > MOST_SAMPLES:
             self.sine, self.cosine, self._stride = self.sine[::2], self.cosine[::2], 2 * self._stride
-
-
-def _speed(block: Block) -> FloatArray:
-    interval_s = np.where(block["interval_s"] > 0.0, block["interval_s"], np.nan)
-    valid = block["status"] & StatusBit.VALID != 0
-    speed = block["speed_cycles"] * 2.0 * np.pi / block["cycles_per_revolution"] / interval_s
-    return np.where(valid, speed, np.nan)

@@ -42,11 +42,6 @@ class Compared:
     only_replayed: int = 0
     first: Difference | None = None
 
-    @property
-    def all_equal(self) -> bool:
-        """Nothing but equal pairs."""
-        return not (self.different or self.only_recorded or self.only_replayed)
-
 
 class OwnFrames:
     """Pairs the frames of one CAN-ID, in their order.
@@ -138,11 +133,6 @@ class FieldDifference:
     pairs: int = 0
     least: float = math.inf
     most: float = -math.inf
-
-    @property
-    def is_constant(self) -> bool:
-        """Every pair differs by the same amount."""
-        return self.pairs > 0 and self.least == self.most
 
     def note(self, recorded: int, replayed: int) -> None:
         """The data of one more pair, as whole numbers."""

@@ -44,12 +44,6 @@ class ReplayResult:
     drift: LogDrift | None
     left_out: int
 
-    @property
-    def is_faultless(self) -> bool:
-        """No fault, and every frame that the recorded module sent is the same."""
-        compared = self.replay.compared.values()
-        return not any(self.replay.faults.times.values()) and all(one.all_equal for one in compared)
-
     def head(self) -> str:
         """Module, frames and seconds."""
         node_id, counters = self.replay.module.node.node_id, self.replay.counters
@@ -185,7 +179,7 @@ class ReplayResult:
                 rows.append(Row("", f"first at {at:.6f} s: {first}"))
             for one in self.replay.differences(can_id):
                 if one.pairs:
-                    how = f"{one.least:g}" if one.is_constant else f"{one.least:g} to {one.most:g}"
+                    how = f"{one.least:g}" if one.least == one.most else f"{one.least:g} to {one.most:g}"
                     rows.append(Row("", f"{one.name} differs by {how}"))
         return rows
 
