@@ -1,4 +1,4 @@
-"""What is received of a bus: frames and times in, a snapshot out; and each of its nodes: NMT state, errors.
+"""A bus and its nodes: frames and times in, a snapshot out.
 
 The NMT state of a node is that of its heartbeat or boot-up; without one, that of the last NMT command, or
 OPERATIONAL while it sends PDOs. Memory is bounded: 127 nodes with some EMCYs, a minute of residuals, some
@@ -124,9 +124,8 @@ Take = Callable[[bytes, float], None]
 class BusModel:
     """Takes each frame of a bus; no frame raises, and what is remembered is bounded.
 
-    ``layouts`` are the modules that are known beforehand. ``assume`` gives the layout of a node that looks
-    like a module; None: nothing is assumed. ``bit_rate`` in bit/s is for the load. ``only_known``: other
-    nodes are not shown.
+    ``layouts`` are those of known modules; ``assume`` gives that of a node that looks like a module.
+    ``bit_rate`` in bit/s is for the load. ``only_known``: other nodes are not shown.
     """
 
     def __init__(
@@ -173,7 +172,7 @@ class BusModel:
         self._error_frames += 1
 
     def other_frame(self, data_bytes: int, now: float) -> None:
-        """A frame with a 29-bit identifier, which is no CANopen and only counts for the load."""
+        """A frame that is no CANopen and only counts for the load."""
         self._load.frame(frame_bits(min(data_bytes, LONGEST_DATA), extended=True), self._at(now))
 
     def receive(self, frame: Frame, now: float) -> None:
@@ -229,7 +228,7 @@ class BusModel:
         return node
 
     def _route(self) -> None:
-        """Which frames are understood, by the layouts of the modules."""
+        """What takes which frame."""
         self._routes, self._sync_ids = {}, set()
         for node in self._nodes.values():
             module = node.module

@@ -96,9 +96,6 @@ class NodeLayout:
     """What must be known of a module to understand its frames.
 
     tpdos, inputs       PDOs that it sends, and those that bring it samples
-    sync_id, emcy_id    CAN-IDs of SYNC and of its EMCY
-    cycles_per_revolution, units_per_revolution, total_range  2001:01, 6001h, 6002h
-    full_scale_counts, amplitude_low_counts, amplitude_high_counts   2001:02..04
     supervision         what the residual limit in force depends on
     assumed             which of :data:`NEEDED` were not read from the module
     """

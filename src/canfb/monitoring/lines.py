@@ -69,7 +69,7 @@ Parts = tuple[tuple[str, Tone], ...]
 
 
 class Line(NamedTuple):
-    """One row of a module: its label, and texts that follow each other, each with its tone."""
+    """One row: its label, and texts with their tones."""
 
     label: str
     parts: Parts
@@ -177,7 +177,7 @@ def name_of(node: NodeSnapshot) -> str:
 
 
 def state_words(node: NodeSnapshot) -> str:
-    """NMT state, and how it is known where that is not a heartbeat."""
+    """NMT state, and what it is known by."""
     if node.heard_s is None:
         return "not heard"
     source = "" if node.state_source in (None, "heartbeat") else f" (by {node.state_source})"
@@ -185,14 +185,14 @@ def state_words(node: NodeSnapshot) -> str:
 
 
 def position_words(module: ModuleSnapshot) -> str:
-    """The status word in one or a few words; "no data" if it is old."""
+    """The status word in short; "no data" if it is old."""
     if is_stale(module):
         return "no data" if module.age_s is None else f"no data for {age(module.age_s)}"
     return module.position_state or "no status"
 
 
 def lost_words(node: NodeSnapshot, module: ModuleSnapshot) -> str:
-    """Why the position is lost, and who knows what to do; empty unless it is lost."""
+    """Why the position is lost, and the command that says more."""
     if is_stale(module) or module.position_state != PositionState.LOST:
         return ""
     return f"canfb why {node.node_id:#04x}: {module.lost_by or 'its cause was not heard'}"
@@ -223,7 +223,7 @@ def amplitude_words(module: ModuleSnapshot) -> str:
 
 
 def _mark(module: ModuleSnapshot, name: str) -> str:
-    """What stands before a value: "assumed " if a setting behind it was not read."""
+    """Before a value whose settings were not read."""
     return f"{ASSUMED} " if name in module.assumed else ""
 
 
@@ -246,7 +246,7 @@ def age(seconds: float) -> str:
 
 
 def plain_lines(snapshot: BusSnapshot, units: MachineUnits) -> list[str]:
-    """One line for each module, without any control characters; one for the bus where there is none."""
+    """One line for each module; one for the bus where there is none."""
     bus = ", ".join(f"{line.label} {line.text}" for line in bus_lines(snapshot))
     head = f"{snapshot.time_s:.3f}"
     modules = []

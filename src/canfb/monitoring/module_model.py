@@ -1,4 +1,4 @@
-"""A feedback module as its PDOs show it, and meters of a bus: SYNC, load, peaks. Times are seconds."""
+"""A feedback module as its PDOs show it, and meters of a bus. Times are seconds."""
 
 from __future__ import annotations
 
@@ -26,10 +26,7 @@ SLOTS = 10
 
 
 class SyncMeter:
-    """Rate and jitter by the straight line through the times of the last SYNCs.
-
-    Which of them count, and how many were missed before one, the clock of SYNC says, as in the module.
-    """
+    """Rate and jitter by the straight line through the last SYNCs that the judge of the module takes."""
 
     def __init__(self) -> None:
         self._judge = SyncJudge()
@@ -121,7 +118,7 @@ class PeakHistory:
             self._peaks.append((number, value))
 
     def values(self, now: float) -> list[float | None]:
-        """From the first interval that is remembered to that of ``now``; None where there was no value."""
+        """Of each interval until ``now``; None where there was no value."""
         if not self._peaks:
             return []
         last = math.floor(now / self.bin_s)
@@ -157,10 +154,7 @@ COUNTED = {
 
 
 class ModuleModel:
-    """Takes what the PDOs of one module carry; :meth:`snapshot` has it in figures.
-
-    What is remembered is bounded: the values of :data:`.VALUES`, a minute of residuals, some hundred samples.
-    """
+    """Takes what the PDOs of one module carry; what is remembered is bounded."""
 
     def __init__(self, layout: NodeLayout) -> None:
         self.layout = layout

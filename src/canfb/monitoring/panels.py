@@ -1,4 +1,4 @@
-"""A snapshot as a page of a terminal: renderables of rich that fit into its width and height."""
+"""A snapshot as a page of a terminal, by rich."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # of a characte
 
 
 def bar(part: float, width: int, *, plain: bool = False) -> str:
-    """``width`` characters, the part 0..1 of them full; at least one for more than nothing."""
+    """``width`` characters, the part 0..1 of them full; one at least."""
     part = min(max(part, 0.0), 1.0) if math.isfinite(part) else 1.0
     full = min(width, math.ceil(part * width - 1e-9))
     return ("#" if plain else "█") * full + ("." if plain else "░") * (width - full)
 
 
 def history(values: Sequence[float | None], top: float, width: int, *, plain: bool = False) -> str:
-    """The last ``width`` values as heights up to ``top``; a blank where there is none."""
+    """The last ``width`` values as heights up to ``top``."""
     heights = PLAIN_HEIGHTS if plain else HEIGHTS
     shown = []
     for value in values[-width:]:
@@ -41,10 +41,7 @@ def history(values: Sequence[float | None], top: float, width: int, *, plain: bo
 def dots(
     points: Iterable[tuple[float, float]], limit: float, width: int, height: int, *, plain: bool = False
 ) -> list[str]:
-    """``height`` lines of ``width`` characters with a dot at each point (x, y), -limit..limit both.
-
-    Of braille patterns, two dots wide and four high; ``plain``: an asterisk for each character.
-    """
+    """``height`` lines of ``width`` braille patterns (``plain``: asterisks); x, y are -limit..limit."""
     cells = [[0] * width for _ in range(height)]
     for x, y in points:
         column = int((x / limit + 1.0) / 2.0 * width * 2) if limit > 0.0 else width
@@ -68,10 +65,7 @@ GOOD, DOUBTFUL, BAD, FAINT = (STYLES[tone] for tone in ("good", "doubtful", "bad
 
 
 class Page:
-    """The whole picture; made for the size of the console when it is printed.
-
-    ``plain``: without characters that an ASCII terminal lacks.
-    """
+    """The whole picture, for the size of the console; ``plain``: in ASCII."""
 
     def __init__(
         self, snapshot: BusSnapshot, units: MachineUnits, title: str, *, plain: bool = False
@@ -124,7 +118,7 @@ class Page:
         return [self._cut(one, width) for one in (title, *rows)]
 
     def _panel(self, node: NodeSnapshot, module: ModuleSnapshot, width: int, rows: int) -> Panel:
-        """A frame of ``rows`` lines with the figures, and the tracks where there is room for them."""
+        """A frame of ``rows`` lines: figures, and tracks where there is room."""
         inner, high = width - 4, rows - 2
         wide = min(2 * high, inner - LEAST_FIGURES - 1)  # characters are about twice as high as wide
         with_tracks = bool(module.tracks_counts) and wide >= LEAST_TRACKS
@@ -182,14 +176,14 @@ class Page:
         return text
 
     def _lissajous(self, module: ModuleSnapshot, width: int, height: int) -> Group:
-        """Cosine to the right, sine upwards, the ends of the converter at the rim."""
+        """Cosine to the right, sine upwards; the rim is the full scale."""
         points = [(float(cosine), float(sine)) for sine, cosine in module.tracks_counts]
         limit = float(module.full_scale_counts or max(max(map(abs, point)) for point in points))
         drawn = dots(points, limit, width, height, plain=self._plain)
         return Group(*(Text(line, style="cyan") for line in drawn))
 
     def _more_errors(self, node: NodeSnapshot, room: int) -> list[Text]:
-        """The EMCYs before the last one, where there is room for them."""
+        """The EMCYs before the last one."""
         rest = node.emergencies[1 : 1 + max(0, room)]
         return [_row(lines.Line("", (lines.emergency_part(one),)), LABEL) for one in rest]
 
@@ -221,7 +215,7 @@ class Page:
     def _errors(
         self, modules: Sequence[tuple[NodeSnapshot, ModuleSnapshot]], room: int, width: int
     ) -> list[Text]:
-        """The newest EMCYs of all modules, where there is room for them."""
+        """The newest EMCYs of all modules."""
         found = [(one.age_s, node.node_id, one) for node, _ in modules for one in node.emergencies]
         found.sort(key=lambda entry: entry[0])
         if room < 2 or not found:

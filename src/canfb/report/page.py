@@ -1,4 +1,4 @@
-"""HTML pages and SVG files that refer to nothing outside of themselves, without script; and their CSS."""
+"""HTML pages and SVG files that stand alone, without script; and their CSS."""
 
 from __future__ import annotations
 
@@ -123,27 +123,23 @@ def _unbroken(text: str) -> str:
 
 
 def beside(left: str, right: str) -> str:
-    """Two parts side by side; one below the other on a narrow screen."""
+    """Two parts side by side."""
     return f'<div class="top"><div>{left}</div>\n{right}</div>\n'
 
 
 def gallery(title: str, figures: Iterable[str]) -> str:
-    """Figures in two columns; in one on a narrow screen."""
+    """Figures in two columns."""
     return f'<h2>{escape(title)}</h2>\n<div class="pictures">\n{"".join(figures)}</div>\n'
 
 
 def figure(name: str, text: str, picture: str) -> str:
-    """A picture with its caption: ``name`` in bold, and ``text``."""
+    """A picture with its caption."""
     caption = f"<figcaption>{escape(name)}<small>{escape(text)}</small></figcaption>"
     return f"<figure>{caption}{picture}</figure>\n"
 
 
 def table(title: str, rows: Iterable[Row], heads: Sequence[str] = (), style: str = "") -> str:
-    """The rows that have words: their names, and the words in columns, below ``heads`` if there are any.
-
-    ``style`` is a CSS class; "listed", for cells with much text: on a narrow screen it is a list, each name
-    with its cells below.
-    """
+    """The rows that have words, below ``heads`` if there are any; ``style`` "listed" is for much text."""
     top = "".join(f"<th>{escape(head)}</th>" for head in heads)
     body = "".join(
         f"<tr><th>{escape(row.name)}</th>{_cells(heads, row.words)}</tr>\n" for row in rows if row.words

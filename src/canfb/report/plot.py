@@ -1,11 +1,11 @@
-"""Small plots as SVG, without a library: scales with round ticks, lines, dots, bars; their CSS is in page."""
+"""Small plots as SVG, without a library; their CSS is in page."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from html import escape
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -16,7 +16,7 @@ RING_RADIUS = 6.0
 
 
 class Key(NamedTuple):
-    """One line of the legend: its text, the CSS class, and "line", "dot", "bar" or "ring"."""
+    """One line of the legend; ``kind`` is "line", "dot", "bar" or "ring"."""
 
     name: str
     style: str
@@ -29,7 +29,7 @@ def size_around(width: float, height: float) -> tuple[float, float]:
 
 
 class Plot:
-    """One picture with two axes. ``title`` says to those who cannot see it what it shows."""
+    """One picture; what draws gives it back. ``style`` is a CSS class, ``name`` is in the legend."""
 
     def __init__(
         self,
@@ -48,8 +48,8 @@ class Plot:
         self._labels = labels
         self._parts: list[str] = []
 
-    def line(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> None:
-        """A line through points, broken where a value is not a number; ``style`` is a CSS class."""
+    def line(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> Self:
+        """A line through points, broken where a value is not a number."""
         path, pen = [], "M"
         for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
             if math.isfinite(other):
@@ -57,7 +57,7 @@ class Plot:
                 pen = "L"
             else:
                 pen = "M"
-        self._draw(f'<path class="line {style}" d="{"".join(path)}"/>', style, name, "line")
+        return self._draw(f'<path class="line {style}" d="{"".join(path)}"/>', style, name, "line")
 
     def dots(
         self,
@@ -66,16 +66,16 @@ class Plot:
         style: str,
         name: str | None = None,
         opacity: float | None = None,
-    ) -> None:
+    ) -> Self:
         """Small dots: one path for all of them keeps the page small."""
         path = "".join(
             f"M{self.x(one):.1f} {self.y(other):.1f}h0"
             for one, other in zip(xs.tolist(), ys.tolist(), strict=True)
         )
         faint = "" if opacity is None else f' style="stroke-opacity:{opacity:.2f}"'
-        self._draw(f'<path class="dots {style}"{faint} d="{path}"/>', style, name, "dot")
+        return self._draw(f'<path class="dots {style}"{faint} d="{path}"/>', style, name, "dot")
 
-    def bars(self, xs: FloatArray, ys: FloatArray, width: float, style: str, name: str | None = None) -> None:
+    def bars(self, xs: FloatArray, ys: FloatArray, width: float, style: str, name: str | None = None) -> Self:
         """Bars from the bottom of the picture, ``width`` in units of x."""
         bottom = self.y(self.y.low)
         parts = []
@@ -83,23 +83,26 @@ class Plot:
             if math.isfinite(other) and self.y(other) < bottom:
                 left, right, top = self.x(one - width / 2.0), self.x(one + width / 2.0), self.y(other)
                 parts.append(f"M{left:.1f} {bottom:.1f}V{top:.1f}H{right:.1f}V{bottom:.1f}Z")
-        self._draw(f'<path class="bar {style}" d="{"".join(parts)}"/>', style, name, "bar")
+        return self._draw(f'<path class="bar {style}" d="{"".join(parts)}"/>', style, name, "bar")
 
-    def level(self, value: float, style: str, name: str | None = None) -> None:
+    def level(self, value: float, style: str, name: str | None = None) -> Self:
         """A line across the picture."""
         if self.y.low <= value <= self.y.high:
             self.line(np.array([self.x.low, self.x.high]), np.array([value, value]), style, name)
+        return self
 
-    def rings(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> None:
+    def rings(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> Self:
         """A ring around each point."""
         for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
             place = f'cx="{self.x(one):.1f}" cy="{self.y(other):.1f}" r="{RING_RADIUS:g}"'
             self._draw(f'<circle class="ring {style}" {place}/>', style, name, "ring")
             name = None
+        return self
 
-    def note(self, x: float, y: float, words: str, style: str, offset: tuple[float, float]) -> None:
-        """Words beside a point, ``offset`` from it to the right and down; they end there with style "end"."""
+    def note(self, x: float, y: float, words: str, style: str, offset: tuple[float, float]) -> Self:
+        """Words beside a point, ``offset`` to the right and down; with style "end" they end there."""
         self._parts.append(_text(self.x(x) + offset[0], self.y(y) + offset[1], f"note {style}", words))
+        return self
 
     def svg(self) -> str:
         """The picture, with its legend, for a page of HTML."""
@@ -109,13 +112,14 @@ class Plot:
         )
 
     def drawing(self) -> str:
-        """The elements within the SVG: axes and all that was drawn, without the legend."""
+        """The elements within the SVG, without the legend."""
         return f"{self._grid()}{''.join(self._parts)}{self._axis_labels()}"
 
-    def _draw(self, part: str, style: str, name: str | None, kind: str) -> None:
+    def _draw(self, part: str, style: str, name: str | None, kind: str) -> Self:
         self._parts.append(part)
         if name:
             self.legend.append(Key(name, style, kind))
+        return self
 
     def _grid(self) -> str:
         bottom, top = self.y(self.y.low), self.y(self.y.high)
@@ -160,7 +164,7 @@ FEWER = 0.8  # of a step: rather seven ticks than three
 
 
 class Scale:
-    """From values to places on the picture, linear or logarithmic (base 10)."""
+    """From values to places on the picture, linear or logarithmic."""
 
     def __init__(self, low: float, high: float, start: float, stop: float, log: bool = False) -> None:
         if not high > low:
