@@ -21,15 +21,6 @@ def abort_code(error: pytest.ExceptionInfo[SdoAbortedError]) -> int:
     return error.value.code
 
 
-def test_each_sample_gives_one_position_pdo(bench: Bench) -> None:
-    assert bench.at(0.0) == (0, StatusBit.VALID, 0)
-    position, status, residual = bench.at(0.125)
-    assert (position, status) == (1024, StatusBit.VALID)
-    assert residual == pytest.approx(65536 / 8, abs=20)
-    bench.at(0.0)
-    assert bench.at(-0.125)[0] == 209 * 2500 * 8192 - 1024
-
-
 def test_the_counts_are_in_the_dictionary_and_every_stage_of_them(bench: Bench) -> None:
     for n in range(9):
         bench.at(n * 0.25)
@@ -45,28 +36,6 @@ def test_the_counts_are_in_the_dictionary_and_every_stage_of_them(bench: Bench) 
     assert sdo[0x6008].raw == 2 * 8192
     assert bench.module.feedback is not None
     assert bench.module.feedback.valid
-
-
-def test_nothing_is_published_before_the_start_and_after_a_stop(make_bench: type[Bench]) -> None:
-    bench = make_bench()
-    bench.sync()
-    assert bench.counts(0, 1500) == []
-    bench.start()
-    bench.at(0.0)
-    bench.remote.nmt.state = "STOPPED"
-    bench.sync()
-    assert bench.counts(0, 1500) == []
-
-
-def test_a_missed_sample_is_flagged_at_the_next_sync_and_counted(bench: Bench) -> None:
-    for n in range(4):
-        bench.at(n * 0.2)
-    assert not [frame for frame in bench.sync() if frame.can_id == 0x1A0]
-    position, status, _ = bench.position(bench.sync())
-    assert status == StatusBit.COASTING | StatusBit.MISSED
-    assert position == pytest.approx(0.8 * 8192, abs=0.05 * 8192)
-    assert bench.sdo[0x2012][1].raw == 1
-    assert bench.sdo[0x2012][4].raw == 1
 
 
 def test_an_interface_that_falls_silent_loses_the_position_once(bench: Bench) -> None:
@@ -91,13 +60,6 @@ def test_an_interface_that_falls_silent_loses_the_position_once(bench: Bench) ->
     assert bench.at(0.3)[1] == StatusBit.VALID
     assert bench.emergencies() == [0x7300, 0x7300]
     assert bench.sdo[0x6503].raw == 0
-
-
-def test_a_second_sample_in_one_sync_interval_is_dropped_and_counted(bench: Bench) -> None:
-    bench.at(0.0)
-    assert bench.counts(1500, 0) == []
-    assert bench.sdo[0x2012][8].raw == 1
-    assert bench.at(0.01)[1] == StatusBit.VALID
 
 
 def test_without_a_sync_every_pdo_is_a_sample(bench: Bench) -> None:
@@ -144,28 +106,10 @@ def test_a_synchronous_rpdo_is_taken_at_the_next_sync(bench: Bench) -> None:
     assert status & StatusBit.MISSED
 
 
-@pytest.mark.parametrize("length", [0, 1, 3])
-def test_a_short_pdo_is_counted_and_reported_and_changes_nothing(bench: Bench, length: int) -> None:
-    bench.at(0.25)
-    before = bench.sdo[0x2011][8].raw
-    bench.sync()
-    assert not [f for f in bench.sent(Frame(0x190, bytes(length))) if f.can_id == 0x1A0]
-    assert bench.sdo[0x2000][1].raw == 1500
-    assert bench.sdo[0x2011][8].raw == before
-    assert bench.sdo[0x2012][8].raw == 1
-    assert 0x8210 in bench.emergencies()
-
-
 def test_a_long_pdo_is_used_as_far_as_it_is_mapped(bench: Bench) -> None:
     bench.sync()
     frames = bench.sent(Frame(0x190, struct.pack("<hhI", 1500, 0, 0xDEADBEEF)))
     assert bench.position(frames)[:2] == (2048, StatusBit.VALID)
-
-
-def test_unknown_cob_ids_are_counted(bench: Bench) -> None:
-    before = bench.module.node.counters.unknown_cob_ids
-    assert bench.sent(Frame(0x123, b"\1\2\3")) == []
-    assert bench.module.node.counters.unknown_cob_ids == before + 1
 
 
 def test_linking_to_another_interface(make_bench: type[Bench]) -> None:
@@ -193,19 +137,6 @@ def test_after_a_pause_no_position_is_valid_before_a_sample_came(bench: Bench) -
         assert bench.position(bench.sync())[1] == StatusBit.COASTING
     bench.counts(0, 1500)
     assert bench.position(bench.sync())[1] == StatusBit.VALID
-
-
-def test_the_position_goes_on_after_a_pause_and_starts_anew_after_a_reset(bench: Bench) -> None:
-    for n in range(20):
-        bench.at(n * 0.25)
-    bench.remote.nmt.state = "PRE-OPERATIONAL"
-    bench.start()
-    bench.at(19 * 0.25)
-    assert bench.sdo[0x2011][4].raw == 4
-    bench.remote.nmt.state = "RESET"
-    bench.start()
-    bench.at(0.75)
-    assert bench.sdo[0x2011][4].raw == 0
 
 
 def test_limits_written_by_sdo_are_in_force_with_the_next_sample(bench: Bench) -> None:
@@ -344,13 +275,6 @@ def test_every_event_driven_tpdo_goes_out_with_the_sample(bench: Bench) -> None:
         frames = bench.counts(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
         assert [frame.can_id for frame in frames] == [0x1A0, 0x3A0]
     assert struct.unpack("<q", frames[1].data) == (2,)
-
-
-def test_missed_samples_of_a_lost_position_are_still_counted(bench: Bench) -> None:
-    bench.at(0.0)
-    for _ in range(12):
-        bench.sync()
-    assert bench.sdo[0x2011][8].raw == 12
 
 
 def map_second_rpdo(bench: Bench, *objects: int) -> None:

@@ -1,0 +1,251 @@
+"""The whole module against the plain model of it (reference_model), whatever happens in whatever order.
+
+A machine that accelerates, with SYNCs and samples; samples that are missing or faulty, PDOs that come twice
+or are too short, frames of others, SDO writes, NMT, resets, pauses. Every PDO is that of the model; after a
+pause, which it does not know, a valid position is right.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from hypothesis import event, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from reference_model import RANGE, Beyond, Limits, Published, ReferenceModel
+
+from canfb.cia301.frame import Frame
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.objects import StatusBit as Bit
+from canfb.signal.correction import CorrectionTable
+
+SYNC, ADC_PDO, POSITION_PDO, NODE = 0x80, 0x190, 0x1A0, 32
+UNITS = 8192  # of 6004h in a cycle
+TABLE = CorrectionTable([k / 64 + 0.008 * math.sin(4 * math.pi * k / 64) for k in range(64)])
+MOST_ACCELERATION = 0.06  # cycles per interval^2: with the error of Table 1 within the 0.1 that is assumed
+PHASE_ERROR = 0.0135  # cycles: of Table 1 where no table is, and of the rounding of 6004h
+AMPLITUDES = {"weak": 300.0, "edge": 415.0, "strong": 2600.0}  # edge: refused after another fault only
+FAULTS = ("weak", "edge", "strong", "clipped", "glitch")
+CONFIRMED, AT_REST, STANDING = 30, 20, 300  # samples; the last ends a loss
+# What concerns others than the position PDO: index, sub-index, type, value.
+WRITES = {
+    "recording": (0x2050, 1, "B", 1),
+    "no recording": (0x2050, 1, "B", 2),
+    "cam": (0x6310, 1, "i", 100),
+    "cams on": (0x6301, 1, "B", 1),
+    "predict": (0x2013, 1, "B", 1),
+    "noise margin": (0x2010, 9, "B", 8),
+    "heartbeat": (0x1017, 0, "H", 7),
+    "guard of 1016h": (0x1016, 1, "I", 0x100010),
+    "refused": (0x2001, 1, "I", 0),
+}
+COUNTER_MISSED, COUNTER_BAD_FRAMES = (0x2012, 1), (0x2012, 8)
+
+
+class ModuleMachine(RuleBasedStateMachine):
+    """One module, its model, and the machine that both follow."""
+
+    @initialize(bad=st.integers(1, 2), coast=st.integers(0, 5))
+    def power_on(self, bad: int, coast: int) -> None:
+        config = ModuleConfig(node_id=NODE, autostart=True, bad_samples=bad, coast_samples=coast)
+        self.module = FeedbackModule(config)
+        self.limits = Limits(bad=bad, coast=coast)
+        self.now = self.position = self.speed = self.target = 0.0
+        self.said: list[Published] = []
+        self.last = Published(0, 0, 0)
+        self.module.start(0.0)
+        self._begin()
+
+    def _begin(self) -> None:
+        """As after a reset at standstill."""
+        self.model = ReferenceModel(self.limits)
+        self.missed = self.bad_frames = 0
+        self.is_beyond = False
+        for _ in range(CONFIRMED):
+            self._sample()
+        self.count = round(self.position - self.last.position / UNITS)  # cycles where it counts from zero
+
+    def _send(self, can_id: int, data: bytes, after_s: float = 0.0) -> list[Frame]:
+        self.now += after_s
+        sent: list[Frame] = []
+        while (due := self.module.deadline()) is not None and due <= self.now:
+            sent += self.module.tick(due)
+        sent += self.module.receive(Frame(can_id, data, timestamp=self.now), self.now)
+        self.said += [Published(*struct.unpack("<IHH", f.data)) for f in sent if f.can_id == POSITION_PDO]
+        return sent
+
+    def _compare(self, *expected: Published | None) -> None:
+        wanted = [one for one in expected if one is not None]
+        said, self.said = self.said, []
+        assert len(said) == len(wanted), (said, wanted)
+        self.last = said[-1] if said else self.last
+        for one, other in zip(said, wanted, strict=True):
+            off = abs((one.position - other.position + RANGE // 2) % RANGE - RANGE // 2)
+            same = one.status == other.status and off <= 1 and abs(one.residual - other.residual) <= 1
+            assert same, f"{one} {Bit(one.status)!r}, expected {other} {Bit(other.status)!r}"
+
+    def _step(self) -> None:
+        change = max(-MOST_ACCELERATION, min(self.target - self.speed, MOST_ACCELERATION))
+        self.speed += change
+        self.position += self.speed
+
+    def _counts(self, position: float, amplitude: float = 1500.0) -> tuple[int, int]:
+        angle = 2.0 * math.pi * position
+        sine, cosine = (round(amplitude * track) for track in (math.sin(angle), math.cos(angle)))
+        return max(-2048, min(2047, sine)), max(-2048, min(2047, cosine))
+
+    def _sample(self, shift: float = 0.0, amplitude: float = 1500.0, *, axis: bool = False) -> None:
+        """One SYNC and its sample; on an axis of the circle both tracks can clip."""
+        self._step()
+        self._send(SYNC, b"", 0.0008)
+        shown = round(4.0 * self.position) / 4.0 if axis else self.position + shift
+        pair = self._counts(shown, amplitude)
+        self._send(ADC_PDO, struct.pack("<hh", *pair), 0.0002)
+        self._compare(self.model.sample(*pair))
+
+    def _stop(self) -> None:
+        """Brake, and stand for long enough to end a loss; nothing is compared."""
+        self.target, standing = 0.0, 0
+        while standing < (STANDING if self.model.lost or self.is_beyond else AT_REST):
+            self._step()
+            standing += self.speed == 0.0
+            self._send(SYNC, b"", 0.0008)
+            self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)), 0.0002)
+        self.said = []
+
+    def _reset(self) -> None:
+        """Reset of the node at standstill: what it was told is forgotten, and the table."""
+        self._stop()
+        self._send(0x000, bytes([129, NODE]), 0.001)
+        self.said = []
+        self._begin()
+
+    def _try(self, happens: list[tuple[str, int]]) -> None:
+        """Samples of these kinds; a reset where the model knows no more."""
+        try:
+            for kind, count in happens:
+                for n in range(count):
+                    if kind == "missed":
+                        self._miss()
+                    elif kind == "good":
+                        self._sample()
+                    elif kind == "glitch":
+                        self._sample(0.5 if n == 0 else 0.0)
+                    elif kind == "clipped":
+                        self._sample(amplitude=2200.0, axis=True)
+                    else:
+                        self._sample(amplitude=AMPLITUDES[kind if n else "weak"])
+        except Beyond as beyond:
+            event(str(beyond))
+            self.is_beyond = True
+            self._reset()
+            return
+        event("lost" if self.model.lost else "counted")
+        if self.model.lost:
+            self._reset()
+
+    def _miss(self) -> None:
+        """A SYNC without a sample: it shows at the next SYNC, or when that is overdue."""
+        self._step()
+        self._send(SYNC, b"", 0.0008)
+        self.missed += 1
+        expected = self.model.missed()
+        self._step()
+        self._send(SYNC, b"", 0.001)
+        self._compare(expected)
+        pair = self._counts(self.position)
+        self._send(ADC_PDO, struct.pack("<hh", *pair), 0.0002)
+        self._compare(self.model.sample(*pair))
+
+    @rule(speed=st.integers(-29, 192).map(lambda one: one / 64.0), count=st.integers(1, 60))
+    def turns(self, speed: float, count: int) -> None:
+        self.target = speed
+        self._try([("good", count)])
+
+    @rule(kind=st.sampled_from(FAULTS), row=st.integers(1, 6), after=st.integers(1, 40))
+    def faults(self, kind: str, row: int, after: int) -> None:
+        self._try([(kind, row), ("good", after)])
+
+    @rule(row=st.integers(1, 4), after=st.integers(0, 40))
+    def samples_missing(self, row: int, after: int) -> None:
+        self._try([("missed", row), ("good", after)])
+
+    @rule(what=st.sampled_from([*WRITES]))
+    def writes(self, what: str) -> None:
+        index, sub, kind, value = WRITES[what]
+        data = struct.pack("<" + kind, value)
+        head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub)
+        sent = self._send(0x600 + NODE, head + data.ljust(4, b"\0"))
+        (answer,) = [one.data[0] for one in sent if one.can_id == 0x580 + NODE]
+        assert answer == (0x80 if what == "refused" else 0x60)
+
+    @rule(reverse=st.booleans())
+    def code_sequence(self, reverse: bool) -> None:
+        self._send(0x600 + NODE, struct.pack("<BHBHxx", 0x2B, 0x6000, 0, reverse))
+        units = abs(self.model.units_per_revolution)
+        self.model.units_per_revolution = -units if reverse else units
+
+    @rule()
+    def table(self) -> None:
+        self.module.dictionary.entry(0x2020, 1).download(TABLE.to_bytes())
+        self._send(0x600 + NODE, struct.pack("<BHBI", 0x23, 0x2020, 3, TABLE.crc32))
+        self.model.table = [float(one) for one in TABLE.entries]
+
+    @rule(data=st.binary(max_size=3))
+    def short_pdo(self, data: bytes) -> None:
+        """After the sample of its SYNC, so that nothing is missing."""
+        self._send(ADC_PDO, data)
+        self.bad_frames += 1
+
+    @rule()
+    def doubled_pdo(self) -> None:
+        if self.module.feedback is not None:
+            self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)))
+            self.bad_frames += 1
+
+    @rule(can_id=st.sampled_from([0x123, 0x182, 0x701, 0x77F]), data=st.binary(max_size=8))
+    def others(self, can_id: int, data: bytes) -> None:
+        self._send(can_id, data)
+
+    @rule()
+    def reset(self) -> None:
+        self._reset()
+
+    @rule(command=st.sampled_from([2, 128]), pause_s=st.floats(0.001, 100.0))
+    def pause(self, command: int, pause_s: float) -> None:
+        """NMT, at standstill: the position is valid again, and the same."""
+        self._try([("good", 1)])
+        self._stop()
+        self._reset()
+        self._send(0x000, bytes([command, NODE]), 0.0005)
+        self._send(SYNC, b"", pause_s)
+        self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)))
+        assert self.said == []
+        self._send(0x000, bytes([1, NODE]), 0.001)
+        self.said = []
+        for _ in range(CONFIRMED):
+            self._send(SYNC, b"", 0.0008)
+            self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)), 0.0002)
+        said, self.said = self.said, []
+        assert said[-1].status & Bit.VALID
+        for one in said:
+            assert not one.status & Bit.VALID or self._error(one) <= PHASE_ERROR
+
+    def _error(self, one: Published) -> float:
+        """Of a position, cycles; the code sequence is forward after a reset."""
+        true = (self.position - self.count) * UNITS
+        return abs((one.position - true + RANGE // 2) % RANGE - RANGE // 2) / UNITS
+
+    @precondition(lambda self: hasattr(self, "module"))
+    @invariant()
+    def counters(self) -> None:
+        assert self.said == []
+        entry = self.module.dictionary.entry
+        assert entry(*COUNTER_MISSED).current() == self.missed
+        assert entry(*COUNTER_BAD_FRAMES).current() == self.bad_frames
+
+
+TestModule = ModuleMachine.TestCase
+TestModule.settings = settings(max_examples=60, stateful_step_count=15, deadline=None)
