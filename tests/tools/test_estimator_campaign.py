@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tools.faults.engine import Cell, Work, total
 from tools.faults.estimator import campaign
-from tools.faults.estimator.campaign import Cell, Chunk, chunks, episodes_of, run, run_chunk
+from tools.faults.estimator.campaign import Player
 from tools.faults.estimator.declared import Declared
 from tools.faults.estimator.episodes import Episode, Published, draw, play
 from tools.faults.estimator.judge import Cause, judge, proof
@@ -23,17 +24,6 @@ SLOW, FAST = Declared(0.01), Declared(0.2)
 
 def kind(name: str):
     return next(one for one in KINDS if one.name == name)
-
-
-def test_two_runs_are_the_same_and_the_number_of_processes_changes_nothing() -> None:
-    work = list(chunks([Cell("one bad", SLOW), Cell("missing 1", FAST)], [3], 120))
-    assert [one.episodes for one in work] == [100, 20, 100, 20]
-    first, second = run(work, 1), run(work, 2)
-    assert first == second
-    assert sum(one.episodes + one.early for one in first.values()) == 240
-    assert run(list(chunks([Cell("one bad", SLOW)], [4], 120)), 1) != {
-        cell: tally for cell, tally in first.items() if cell.kind == "one bad"
-    }
 
 
 def test_half_of_the_machines_use_all_of_the_bound_and_none_more() -> None:
@@ -141,70 +131,52 @@ def test_the_module_says_of_an_episode_what_the_chain_says() -> None:
             assert np.abs(chain.position - module.position)[both].max() < 1e-3
 
 
-def test_an_episode_is_printed_in_full(capsys: pytest.CaptureFixture[str]) -> None:
-    assert campaign.main(["--show", "one bad:0.05:24:7"]) == 0
-    text = capsys.readouterr().out
-    assert text.startswith("one bad, Declared(acceleration=0.05")
-    assert "BAD" in text
-    chunk = Chunk(Cell("one bad", Declared(0.05)), 24, 0, 100)
-    assert f"{episodes_of(chunk)[7].truth[3]:17.4f}" in text
+def test_two_runs_are_the_same_and_the_number_of_processes_changes_nothing() -> None:
+    one = campaign.campaign(Player(Declared(0.0)), ["one bad"], [0.01])
+    first = one.run([3], 120, 1)
+    assert first == one.run([3], 120, 2) != one.run([4], 120, 1)
+    assert total(first)["episodes"] + total(first)["early"] == 120
+    assert one.missed(first) == []
 
 
-def test_sums_for_programs_and_the_table_agree(capsys: pytest.CaptureFixture[str]) -> None:
-    words = [
-        "--episodes",
-        "20",
-        "--kind",
-        "missing 3",
-        "stays swapped",
-        "--bound",
-        "0.01",
-        "--processes",
-        "1",
-    ]
-    campaign.main([*words, "--json"])
-    missing, swapped = json.loads(capsys.readouterr().out)
-    assert missing["kept"] == 20
-    assert missing["not_valid"] == 60
-    campaign.main(words)
-    table = capsys.readouterr().out.splitlines()
-    assert "| missing 3 | 0 100 3.0 |" in table
-    assert f"| stays swapped | ({swapped['silent']}) |" in table
+def test_a_silent_error_is_a_goal_missed_where_what_is_declared_holds() -> None:
+    player = Player(Declared(0.0))
+    cells = {name: Cell(name, "0.01") for name in ("missing 1", "random")}
+    one = campaign.campaign(player, list(cells), [0.01])
+    results = {cell: campaign.Sums() for cell in cells.values()}
+    for sums in results.values():
+        sums.add({"silent": 1}, "here")
+    assert one.missed(results) == ["missing 1:0.01: 1 of 1 silent", "    here"]
+    assert replace(player, exceed=1.5).is_covered(cells["missing 1"]) is False
 
 
-def test_exit_status_counts_what_the_declaration_covers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(campaign, "run", lambda work, _: {one.cell: campaign.Tally(silent=1) for one in work})
-    assert campaign.main(["--kind", "missing 1", "--bound", "0.01"]) == 1
-    assert campaign.main(["--kind", "random", "--bound", "0.01"]) == 0
-
-
-@pytest.mark.parametrize(
-    "words",
-    [["--episodes", "0"], ["--processes", "0"], ["--module", "--samples-per-sync", "2"]],
-)
-def test_bad_options_end_with_2(words: list[str]) -> None:
-    with pytest.raises(SystemExit) as error:
-        campaign.main(words)
-    assert error.value.code == 2
-
-
-def test_a_chunk_on_the_module_is_judged_like_one_on_the_chain() -> None:
-    cell = Cell("missing 1", SLOW)
-    chain, module = (run_chunk(Chunk(cell, 1, 0, 5, on_module))[1] for on_module in (False, True))
-    assert (
-        (chain.episodes, chain.kept, chain.silent)
-        == (module.episodes, module.kept, module.silent)
-        == (5, 5, 0)
-    )
+def test_on_the_module_as_on_the_chain() -> None:
+    work = Work(Cell("missing 1", "0.01"), 1, 0, 5)
+    chain, module = (Player(Declared(0.0), on_module)(work) for on_module in (False, True))
+    assert [chain[one] for one in ("episodes", "kept", "silent")] == [5, 5, 0]
+    assert [module[one] for one in ("episodes", "kept", "silent")] == [5, 5, 0]
 
 
 def test_a_machine_that_does_more_than_declared_is_drawn_so_and_played_as_declared() -> None:
     """Half more than 0.05: residuals are over the limit before the fault in some; the draws stay the same."""
-    cell = Cell("missing 3", Declared(0.05, 0.002))
-    usual, more = Chunk(cell, 24, 0, 40), Chunk(cell, 24, 0, 40, exceed=1.5)
-    bounds = {episode.declared.acceleration for episode in episodes_of(more)}
-    assert list(bounds) == [pytest.approx(0.075)]
-    kept, exceeding = run_chunk(usual)[1], run_chunk(more)[1]
-    assert (kept.early, kept.silent, kept.kept) == (0, 0, 40)
-    assert exceeding.early > 0
-    assert campaign.main(["--exceed", "1.5", "--episodes", "2", "--kind", "one bad", "--processes", "1"]) == 0
+    work = Work(Cell("missing 3", "0.05"), 24, 0, 40)
+    usual, more = Player(Declared(0.0, 0.002)), Player(Declared(0.0, 0.002), exceed=1.5)
+    (bound,) = {one.declared.acceleration for one in more.episodes(work)}
+    assert bound == pytest.approx(0.075)
+    kept = usual(work)
+    assert (kept["early"], kept["silent"], kept["kept"]) == (0, 0, 40)
+    assert more(work)["early"] > 0
+
+
+def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--episodes", "20", "--kind", "missing 3", "stays *", "--bound", "0.01", "--jobs", "1"]
+    assert campaign.main(words) == 0
+    assert "| missing 3 | 0 100 3.0 |" in capsys.readouterr().out.splitlines()
+    assert campaign.main([*words, "--json"]) == 0
+    missing, _ = json.loads(capsys.readouterr().out)
+    assert (missing["kept"], missing["not valid"]) == (20, 60)
+    assert campaign.main(["--show", "one bad:0.05:24:7"]) == 0
+    assert "BAD" in capsys.readouterr().out
+    for wrong in (["--episodes", "0"], ["--module", "--samples-per-sync", "2"], ["--kind", "none of these"]):
+        with pytest.raises(SystemExit, match="2"):
+            campaign.main(wrong)

@@ -13,7 +13,6 @@ from tools.faults.wire import clocks
 from tools.faults.wire.classes import CLASSES
 from tools.faults.wire.host import Sent
 from tools.faults.wire.judge import VALID, Judge
-from tools.faults.wire.judged import judged, main
 from tools.faults.wire.line import Line, Plan, Slot, lay
 from tools.faults.wire.motion import Motion
 from tools.faults.wire.physics import stamp_tolerance
@@ -110,16 +109,6 @@ def test_a_reset_is_followed_by_the_configuration() -> None:
     assert verdict.right_at_end
 
 
-@pytest.mark.parametrize(
-    "name", ["healthy", "PDO lost, 2", "stall, one burst", "SYNC, producer shifts, times"]
-)
-def test_the_judge_alone_gives_the_true_intervals(name: str) -> None:
-    number = [one.name for one in CLASSES].index(name)
-    for place, setup in enumerate(SETUPS):
-        if CLASSES[number].of(setup) and not setup.servo and (setup.counter or setup.stamps):
-            assert judged(Episode(number, place, 2)) == [], setup.name
-
-
 @pytest.mark.parametrize("episode", FOUND)
 def test_what_was_found_is_not_silent(episode: str) -> None:
     assert play(Episode.parse(episode)).verdict.outcome in ("lost", "flagged", "kept")
@@ -127,10 +116,3 @@ def test_what_was_found_is_not_silent(episode: str) -> None:
 
 def test_a_later_frame_that_no_module_knew_makes_no_defect() -> None:
     assert play(Episode.parse("PDOs slow:counter/rx:57001000059")).verdict.outcome == "physics"
-
-
-def test_the_judge_alone_is_compared_with_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
-    """A PDO that is late by one period for good is in time for the next SYNC (P3)."""
-    assert main(["--episodes", "3", "--class", "PDOs late for good", "--setup", "counter/rx"]) == 1
-    assert "PDOs late for good:counter/rx" in capsys.readouterr().out
-    assert main(["--episodes", "2", "--class", "healthy", "--setup", "counter"]) == 0

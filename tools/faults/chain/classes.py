@@ -28,11 +28,6 @@ class FaultClass:
     draw: Callable[[Rng], Fault]
     samples: int | None = None
 
-    @property
-    def is_glitch(self) -> bool:
-        """At most three samples: it must not cost a cycle."""
-        return self.samples is not None and self.samples <= 3
-
     def length(self, rng: Rng) -> int | None:
         """Samples that one fault lasts; None: to the end of the episode."""
         if self.samples is not None:

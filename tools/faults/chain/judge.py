@@ -17,6 +17,7 @@ CLEAN_BEFORE = (100, 301)
 CLEAN_AFTER = 100  # a short fault
 TO_THE_END = 200
 HARM_CYCLES = 0.25
+SOON_SAMPLES = 3
 GLITCH_SAMPLES = 3  # what the chain has to bridge without losing a cycle
 
 VALID, LOST = 1 << 0, 1 << 2
@@ -33,49 +34,6 @@ class Episode:
     truth: FloatArray
     error: FloatArray  # published position less the true one, cycles
     status: npt.NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """An episode judged.
-
-    flagged_before  a clean sample was flagged, or wrong, before the fault began
-    faulty          faulty samples
-    delay           samples from the begin of the fault to the first without VALID; None: never
-    moved           the fault itself moves the phase by more than a quarter of a cycle, or takes it away
-    legal           all samples together are those of a legal motion (:func:`first_illegal`)
-    wrong_legal     wrong positions published as valid while all samples so far were those of a legal motion
-    wrong_reported  wrong positions published as valid after that, the fault having been reported: the
-                    phases still are those of a legal motion, and only amplitude or converter range
-                    were bad; or the position was wrong before the last three samples already, and a
-                    legal motion is carried on as over a glitch
-    wrong_silent    all other wrong positions published as valid: none is allowed
-    longest_run     of wrong positions published as valid
-    wrong_count     at the end the position is called valid, and its cycle count is wrong
-    lost            at the end the position is called lost
-    """
-
-    flagged_before: bool
-    faulty: int
-    delay: int | None
-    moved: bool
-    legal: bool
-    wrong_legal: int
-    wrong_reported: int
-    wrong_silent: int
-    longest_run: int
-    wrong_count: bool
-    lost: bool
-
-    @property
-    def harmful(self) -> bool:
-        """A wrong position was called valid."""
-        return self.wrong_legal + self.wrong_reported + self.wrong_silent > 0
-
-    @property
-    def matters(self) -> bool:
-        """The fault did harm, or would have."""
-        return self.moved or self.harmful
 
 
 def play(fault_class: FaultClass, turning: Turning, rng: np.random.Generator) -> Episode:
@@ -126,42 +84,56 @@ def first_illegal(setting: Setting, samples: Samples, start: int, phases_only: b
     return start + int(illegal[0]) if len(illegal) else None
 
 
-def judge(setting: Setting, episode: Episode) -> Verdict:
-    """Hold an episode against the truth."""
+def judge(setting: Setting, episode: Episode) -> dict[str, int]:
+    """Hold an episode against the truth.
+
+    false alarms    a clean sample was flagged, or wrong, before the fault: nothing else counts
+    faulty          faulty samples
+    flagged, soon   the fault was seen, and after at most three samples
+    matters, seen   it moves the phase by more than a quarter of a cycle, takes it away, or a wrong position
+                    was called valid; and it was flagged
+    legal           not flagged, and all samples together are those of a legal motion (:func:`first_illegal`)
+    wrong           positions published as valid that are wrong by more than a quarter of a cycle
+    silent          those of them that neither a legal motion accounts for, nor a fault that was reported
+    cycle lost      at the end the position is called valid, its count is wrong, and there were silent ones
+    lost            at the end the position is called lost
+    """
     start, stop, samples = episode.start, episode.stop, episode.samples
     valid = (episode.status & VALID) != 0
     error = np.abs(episode.error)
+    if not valid[:start].all() or bool((error[:start] > HARM_CYCLES).any()):
+        return {"false alarms": 1}
     unseen = np.flatnonzero(~valid[start:])
     illegal = first_illegal(setting, samples, start)
     wrong = valid & (error > HARM_CYCLES)
     until = len(samples) if illegal is None else illegal
     jump = first_illegal(setting, samples, start, phases_only=True)
-    reported, silent = _after_the_flag(wrong, start, until, len(samples) if jump is None else jump)
-    return Verdict(
-        flagged_before=not valid[:start].all() or bool((error[:start] > HARM_CYCLES).any()),
-        faulty=stop - start,
-        delay=int(unseen[0]) if len(unseen) else None,
-        moved=_moved(setting, episode),
-        legal=illegal is None,
-        wrong_legal=int(wrong[:until].sum()),
-        wrong_reported=reported,
-        wrong_silent=silent,
-        longest_run=_longest_run(wrong),
-        wrong_count=bool(valid[-1] and error[-1] > 0.5),
-        lost=bool(episode.status[-1] & LOST),
-    )
+    silent = _silent(wrong, start, len(samples) if jump is None else max(jump, until))
+    matters = _moved(setting, episode) or bool(wrong.any())
+    flagged = len(unseen) > 0
+    return {
+        "faulty": stop - start,
+        "flagged": flagged,
+        "soon": flagged and int(unseen[0]) <= SOON_SAMPLES,
+        "matters": matters,
+        "seen": matters and flagged,
+        "legal": not flagged and matters and illegal is None,
+        "wrong": int(wrong.sum()),
+        "silent": silent,
+        "cycle lost": bool(valid[-1] and error[-1] > 0.5 and silent),
+        "lost": bool(episode.status[-1] & LOST),
+    }
 
 
-def _after_the_flag(wrong: npt.NDArray[np.bool_], start: int, illegal: int, jump: int) -> tuple[int, int]:
-    """Wrong samples from ``illegal`` on: those that a legal motion accounts for, and the others.
+def _silent(wrong: npt.NDArray[np.bool_], start: int, jump: int) -> int:
+    """Wrong samples from ``jump`` on, the first one whose phase is not that of a legal motion.
 
-    ``jump`` is the first sample whose phase is not that of a legal motion.
+    None if the position was wrong before the last three samples already: a legal motion is carried on as
+    over a glitch.
     """
-    before = int(wrong[illegal:jump].sum())
-    after = int(wrong[jump:].sum())
     if jump < len(wrong) and wrong[max(start - 1, jump - GLITCH_SAMPLES - 1)]:
-        return before + after, 0
-    return before, after
+        return 0
+    return int(wrong[jump:].sum())
 
 
 def _moved(setting: Setting, episode: Episode) -> bool:
@@ -172,8 +144,3 @@ def _moved(setting: Setting, episode: Episode) -> bool:
     missing = ~samples.delivered[span] | np.isnan(phase)
     with np.errstate(invalid="ignore"):
         return bool((missing | (np.abs(away - np.rint(away)) > HARM_CYCLES)).any())
-
-
-def _longest_run(bits: npt.NDArray[np.bool_]) -> int:
-    edges = np.flatnonzero(np.diff(bits.astype(np.int8), prepend=0, append=0))
-    return int((edges[1::2] - edges[::2]).max(initial=0))

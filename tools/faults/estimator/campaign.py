@@ -12,204 +12,126 @@ machine uses F times the bound that is declared: then nothing is covered, and th
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tools.faults.engine import Campaign, Cell, Results, Sums, Work, by_setup, chosen, parser, report, total
 from tools.faults.estimator.declared import Declared
 from tools.faults.estimator.episodes import Episode, Published, chain_for, draw, play
 from tools.faults.estimator.judge import Verdict, judge, proof
 from tools.faults.estimator.kinds import KINDS, NAMES, Kind, State
-from tools.faults.side_by_side import side_by_side
-from tools.site.markdown import table
 
 CHUNK = 100
 BOUNDS = (0.01, 0.05, 0.1, 0.2)
-EXAMPLES = 5
-Player = Callable[[Episode], Published]
 
 
-class Cell(NamedTuple):
-    """One kind of fault on one machine."""
+@dataclass(frozen=True)
+class Player:
+    """Draws, plays and judges; the set-up of a cell is the bound of the machine.
 
-    kind: str
-    declared: Declared
+    machine    what is declared, but for the acceleration
+    on_module  as frames through the whole module
+    exceed     the machine does so many times what is declared
+    """
 
-
-class Chunk(NamedTuple):
-    """Episodes that are drawn together; the draws depend on kind, machine, seed and number."""
-
-    cell: Cell
-    seed: int
-    number: int
-    episodes: int
+    machine: Declared
     on_module: bool = False
     exceed: float = 1.0
 
+    def declared(self, setup: str) -> Declared:
+        """Of this set-up."""
+        return replace(self.machine, acceleration=float(setup))
 
-@dataclass
-class Tally:
-    """Sums over the episodes of a cell."""
+    def episodes(self, work: Work) -> list[Episode]:
+        """Draws of one chunk, whatever else is run."""
+        declared = self.declared(work.cell.setup)
+        words = [round(1e6 * one) for one in (declared.acceleration, declared.phase_error)]
+        seeds = [work.seed, work.first // CHUNK, declared.samples_per_sync, *words, *work.cell.fault.encode()]
+        machine = replace(declared, acceleration=self.exceed * declared.acceleration)
+        return draw(kind_of(work.cell.fault), machine, work.size, np.random.default_rng(seeds))
 
-    episodes: int = 0
-    early: int = 0
-    silent: int = 0
-    excused: int = 0
-    kept: int = 0
-    not_valid: int = 0
-    lost: int = 0
-    causes: dict[str, int] = field(default_factory=dict)
-    examples: list[str] = field(default_factory=list)
+    def published(self, declared: Declared, episodes: Sequence[Episode]) -> Iterator[Published]:
+        """What is said of each."""
+        if self.on_module:
+            # Only where it is used: the module takes longer to load than all else.
+            from tools.faults.estimator.on_module import ModulePlayer
 
-    def add(self, verdict: Verdict, name: str) -> None:
-        """Count one episode; ``name`` is what ``--show`` takes."""
-        if verdict.early:
-            self.early += 1
-            return
-        self.episodes += 1
-        self.silent += verdict.silent
-        self.excused += verdict.excused
-        self.lost += verdict.lost
-        if verdict.kept:
-            self.kept += 1
-            self.not_valid += verdict.not_valid
-        for one in set(verdict.wrong.values()):
-            self.causes[one.value] = self.causes.get(one.value, 0) + 1
-        if verdict.silent:
-            self.examples = [*self.examples, name][:EXAMPLES]
+            yield from map(ModulePlayer(declared).play, episodes)
+        for episode in () if self.on_module else episodes:
+            yield play(episode, chain_for(replace(episode, declared=declared)))
 
-    def merge(self, other: Tally) -> None:
-        for one in fields(self):
-            if one.type == "int":
-                setattr(self, one.name, getattr(self, one.name) + getattr(other, one.name))
-        for name, count in other.causes.items():
-            self.causes[name] = self.causes.get(name, 0) + count
-        self.examples = (self.examples + other.examples)[:EXAMPLES]
+    def __call__(self, work: Work) -> Sums:
+        """One piece of work."""
+        sums, episodes = Sums(), self.episodes(work)
+        said = self.published(self.declared(work.cell.setup), episodes)
+        for n, (episode, published) in enumerate(zip(episodes, said, strict=True)):
+            verdict = judge(episode, published)
+            name = f"{work.cell.fault}:{work.cell.setup}:{work.seed}:{work.first + n}"
+            if verdict.early:
+                sums.counts["early"] += 1
+            else:
+                sums.add(counted(verdict), name if verdict.silent else "")
+        return sums
 
-    @property
-    def kept_percent(self) -> float:
-        return 100.0 * self.kept / max(1, self.episodes)
+    def is_covered(self, cell: Cell) -> bool:
+        """What is declared holds in this cell, so that no position may be valid and wrong."""
+        return self.exceed <= 1.0 and kind_of(cell.fault).is_covered(self.declared(cell.setup))
 
-    @property
-    def not_valid_when_kept(self) -> float:
-        return self.not_valid / max(1, self.kept)
+    def can_run(self, cell: Cell) -> bool:
+        """Sets of elapsed times and uneven instants are those of one sample for each SYNC."""
+        kind = kind_of(cell.fault)
+        special = bool(kind.elapsed or kind.jitter) or kind.stall is not None
+        return not (special and (self.on_module or self.machine.samples_per_sync > 1))
 
-    def text(self, lasting: bool) -> str:
-        """silent, kept %, samples not valid; an e where episodes were not valid before their fault."""
-        early = f" e{self.early}" if self.early else ""
-        if lasting:
-            return f"{self.silent}{early}"
-        return f"{self.silent} {self.kept_percent:.0f} {self.not_valid_when_kept:.1f}{early}"
+    def misses(self, cell: Cell, sums: Sums) -> Iterator[str]:
+        """The goals that are missed."""
+        if sums["silent"] and self.is_covered(cell):
+            yield f"{sums['silent']} of {sums['episodes']} silent"
 
-
-def rng_of(chunk: Chunk) -> np.random.Generator:
-    """Draws of one chunk, whatever else is run."""
-    declared = chunk.cell.declared
-    words = [round(1e6 * one) for one in (declared.acceleration, declared.phase_error)]
-    name = chunk.cell.kind.encode()
-    return np.random.default_rng([chunk.seed, chunk.number, declared.samples_per_sync, *words, *name])
+    def text(self, cell: Cell, sums: Sums) -> str:
+        """silent, kept %, samples not valid; in brackets what the declaration does not cover."""
+        kept = f" {sums.percent('kept'):.0f} {sums['not valid'] / max(1, sums['kept']):.1f}"
+        early = f" e{sums['early']}" if sums["early"] else ""
+        text = f"{sums['silent']}{'' if kind_of(cell.fault).lasting else kept}{early}"
+        return text if kind_of(cell.fault).is_covered(self.declared(cell.setup)) else f"({text})"
 
 
 def kind_of(name: str) -> Kind:
+    """By its name."""
     return KINDS[NAMES.index(name)]
 
 
-def episodes_of(chunk: Chunk) -> list[Episode]:
-    machine = _with_bound(chunk.cell.declared, chunk.exceed * chunk.cell.declared.acceleration)
-    return draw(kind_of(chunk.cell.kind), machine, chunk.episodes, rng_of(chunk))
+def counted(verdict: Verdict) -> dict[str, int]:
+    """What an episode adds to the sums."""
+    kept = {"kept": 1, "not valid": verdict.not_valid} if verdict.kept else {}
+    causes = {cause.value: 1 for cause in set(verdict.wrong.values())}
+    return {"silent": verdict.silent, "excused": verdict.excused, "lost": verdict.lost} | kept | causes
 
 
-def run_chunk(chunk: Chunk) -> tuple[Chunk, Tally]:
-    """Draw, play and judge."""
-    player: Player = play
-    if chunk.on_module:
-        # Only where it is used: the module takes longer to load than all else.
-        from tools.faults.estimator.on_module import ModulePlayer
-
-        player = ModulePlayer(chunk.cell.declared).play
-    elif chunk.exceed != 1.0:
-        player = partial(_play_as, chunk.cell.declared)
-    tally = Tally()
-    for n, episode in enumerate(episodes_of(chunk)):
-        bound = chunk.cell.declared.acceleration
-        name = f"{chunk.cell.kind}:{bound}:{chunk.seed}:{chunk.number * CHUNK + n}"
-        tally.add(judge(episode, player(episode)), name)
-    return chunk, tally
+def table(player: Player, results: Results) -> list[list[str]]:
+    """Kinds below each other, machines side by side, and the silent ones of all."""
+    rows = by_setup(results, player.text)
+    setups = rows[0][1:]
+    covered = {cell: sums for cell, sums in results.items() if player.is_covered(cell)}
+    sums = [(total(covered, setup=one), total(results, setup=one)) for one in setups]
+    texts = [", ".join(f"{one['silent']} of {one['episodes']}" for one in pair) for pair in sums]
+    machines = [player.declared(one) for one in setups]
+    rows[0] = ["fault", *(f"A = {one.acceleration:g}, m = {one.bad}" for one in machines)]
+    return [*rows, ["silent: as declared, all", *texts]]
 
 
-def _play_as(declared: Declared, episode: Episode) -> Published:
-    """Through a chain that is told another bound than that of the machine."""
-    return play(episode, chain_for(replace(episode, declared=declared)))
-
-
-def chunks(
-    cells: Iterable[Cell],
-    seeds: Sequence[int],
-    episodes: int,
-    on_module: bool = False,
-    exceed: float = 1.0,
-) -> Iterator[Chunk]:
-    """All of them, in the order of the table; ``episodes`` of each cell and seed."""
-    for cell in cells:
-        for seed in seeds:
-            for number in range(-(-episodes // CHUNK)):
-                yield Chunk(cell, seed, number, min(CHUNK, episodes - number * CHUNK), on_module, exceed)
-
-
-def run(work: Sequence[Chunk], processes: int) -> dict[Cell, Tally]:
-    """Sums of all cells."""
-    tallies: dict[Cell, Tally] = {}
-    for chunk, tally in side_by_side(run_chunk, work, processes):
-        tallies.setdefault(chunk.cell, Tally()).merge(tally)
-    return tallies
-
-
-def text_of(cell: Cell, tallies: dict[Cell, Tally]) -> str:
-    """One cell of the table; in brackets what the declaration does not cover."""
-    kind = kind_of(cell.kind)
-    text = tallies[cell].text(kind.lasting)
-    return text if kind.is_covered(cell.declared) else f"({text})"
-
-
-def as_text(tallies: dict[Cell, Tally], kinds: Sequence[str], machines: Sequence[Declared]) -> str:
-    """Kinds below each other, machines side by side."""
-    head = [
-        "fault",
-        *(f"A = {one.acceleration:g}, m = {one.bad}" for one in machines),
-    ]
-    rows = [[kind, *(text_of(Cell(kind, one), tallies) for one in machines)] for kind in kinds]
-    sums = []
-    for one in machines:
-        of = [tallies[Cell(kind, one)] for kind in kinds]
-        covered = [tallies[Cell(kind, one)] for kind in kinds if kind_of(kind).is_covered(one)]
-        sums.append(
-            f"{sum(t.silent for t in covered)} of {sum(t.episodes for t in covered)}, "
-            f"{sum(t.silent for t in of)} of {sum(t.episodes for t in of)}"
-        )
-    return "\n".join(table(head, [*rows, ["silent: as declared, all", *sums]]))
-
-
-def show(name: str, machine: Declared, on_module: bool = False) -> str:
+def show(name: str, player: Player) -> str:
     """One episode in full."""
     kind, bound, seed, number = name.rsplit(":", 3)
-    machine = _with_bound(machine, float(bound))
-    chunk = Chunk(Cell(kind, machine), int(seed), int(number) // CHUNK, CHUNK, on_module)
-    episode = episodes_of(chunk)[int(number) % CHUNK]
-    player: Player = play
-    if on_module:
-        from tools.faults.estimator.on_module import ModulePlayer  # as in run_chunk
-
-        player = ModulePlayer(machine).play
-    published = player(episode)
+    first = int(number) // CHUNK * CHUNK
+    episode = player.episodes(Work(Cell(kind, bound), int(seed), first, CHUNK))[int(number) - first]
+    (published,) = player.published(player.declared(bound), [episode])
     verdict = judge(episode, published)
     said = verdict.wrong
-    lines = [f"{kind}, {machine}, fault at {episode.fault}, speed {episode.speed:.4f}"]
+    lines = [f"{kind}, {episode.declared}, fault at {episode.fault}, speed {episode.speed:.4f}"]
     lines.append("   k  instant     true position  phase   state    published        status  error")
     for k in range(len(episode.truth)):
         error = published.position[k] - episode.truth[k]
@@ -226,76 +148,38 @@ def show(name: str, machine: Declared, on_module: bool = False) -> str:
     return "\n".join(lines)
 
 
-def _with_bound(machine: Declared, bound: float) -> Declared:
-    return replace(machine, acceleration=bound)
-
-
-def as_json(tallies: dict[Cell, Tally]) -> str:
-    """All sums, for a program."""
-    return json.dumps(
-        [
-            {"kind": cell.kind, "declared": asdict(cell.declared), **asdict(tally)}
-            for cell, tally in tallies.items()
-        ],
-        indent=1,
-    )
+def campaign(player: Player, kinds: Sequence[str] = NAMES, bounds: Sequence[float] = BOUNDS) -> Campaign:
+    """Of these kinds of fault, and machines."""
+    return Campaign(kinds, [f"{one:g}" for one in bounds], player, player.misses, CHUNK, player.can_run)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.faults.estimator.campaign", description=(__doc__ or "").partition("\n")[0]
-    )
-    parser.add_argument("--episodes", type=int, default=1500, metavar="N", help="of each cell and seed")
-    parser.add_argument("--seed", type=int, nargs="+", default=[24], metavar="S")
-    parser.add_argument("--bound", type=float, nargs="+", metavar="B", help="acceleration")
-    parser.add_argument("--phase-error", type=float, default=0.0125, metavar="CYCLES")
-    parser.add_argument("--bad-samples", type=int, metavar="M", help="default: by the acceleration")
-    parser.add_argument("--samples-per-sync", type=int, choices=(1, 2, 3, 4), default=1)
-    parser.add_argument("--kind", nargs="+", choices=NAMES, metavar="KIND", help="default: all")
-    parser.add_argument("--module", action="store_true", help="as frames through the whole module")
-    parser.add_argument(
+    options = parser("tools.faults.estimator.campaign", __doc__, 1500, 24)
+    options.add_argument("--bound", type=float, nargs="+", default=BOUNDS, metavar="B", help="acceleration")
+    options.add_argument("--phase-error", type=float, default=0.0125, metavar="CYCLES")
+    options.add_argument("--bad-samples", type=int, metavar="M", help="default: by the acceleration")
+    options.add_argument("--samples-per-sync", type=int, choices=(1, 2, 3, 4), default=1)
+    options.add_argument("--module", action="store_true", help="as frames through the whole module")
+    options.add_argument(
         "--exceed", type=float, default=1.0, metavar="F", help="machine, times what is declared"
     )
-    parser.add_argument("--processes", type=int, default=2, metavar="N")
-    parser.add_argument("--show", metavar="EPISODE", help="print this one, KIND:BOUND:SEED:NUMBER")
-    parser.add_argument("--json", action="store_true", help="print all sums as JSON instead")
-    options = parser.parse_args(argv)
-    if options.episodes < 1 or options.processes < 1:
-        parser.error("--episodes and --processes must be at least 1")
-    if not options.exceed > 0.0 or (options.module and options.exceed != 1.0):
-        parser.error("--exceed must be above 0, and is for the chain only")
-    if options.module and options.samples_per_sync != 1:
-        parser.error("--module has one sample for each SYNC")
-    machine = Declared(
-        0.0,
-        options.phase_error,
-        options.bad_samples,
-        options.samples_per_sync,
-    )
-    if options.show:
-        print(show(options.show, machine, options.module))
+    options.add_argument("--show", metavar="EPISODE", help="print this one, KIND:BOUND:SEED:NUMBER")
+    said = options.parse_args(argv)
+    if not said.exceed > 0.0 or (said.module and said.exceed != 1.0):
+        options.error("--exceed must be above 0, and is for the chain only")
+    if said.module and said.samples_per_sync != 1:
+        options.error("--module has one sample for each SYNC")
+    machine = Declared(0.0, said.phase_error, said.bad_samples, said.samples_per_sync)
+    player = Player(machine, said.module, said.exceed)
+    if said.show:
+        print(show(said.show, player))
         return 0
-    machines = [_with_bound(machine, bound) for bound in options.bound or BOUNDS]
-    kinds = [one for one in options.kind or NAMES if _can_run(kind_of(one), machine, options.module)]
-    cells = [Cell(kind, one) for kind in kinds for one in machines]
-    work = list(chunks(cells, options.seed, options.episodes, options.module, options.exceed))
-    tallies = run(work, options.processes)
-    print(as_json(tallies) if options.json else as_text(tallies, kinds, machines))
-    for tally in tallies.values():
-        for example in tally.examples:
-            print(f"silent: {example}", file=sys.stderr)
-    if options.exceed > 1.0:
-        return 0
-    covered = [tally for cell, tally in tallies.items() if kind_of(cell.kind).is_covered(cell.declared)]
-    return 1 if any(tally.silent for tally in covered) else 0
-
-
-def _can_run(kind: Kind, machine: Declared, on_module: bool) -> bool:
-    """Sets of elapsed times and uneven instants are those of one sample for each SYNC."""
-    uneven = bool(kind.jitter) or kind.stall is not None
-    if kind.elapsed and (on_module or machine.samples_per_sync > 1):
-        return False
-    return not (uneven and (on_module or machine.samples_per_sync > 1))
+    try:
+        one = campaign(player, chosen(NAMES, said.faults), said.bound)
+    except ValueError as error:
+        options.error(str(error))
+    results = one.run(said.seed, said.episodes, said.processes)
+    return report(one, results, table(player, results), json=said.json)
 
 
 if __name__ == "__main__":

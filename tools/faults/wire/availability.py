@@ -6,9 +6,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Self
-
 import numpy as np
 
 from tools.faults.wire.draw import TOP_CYCLES
@@ -44,27 +41,8 @@ def endurance(seed: int, samples: int, setup: str = "times") -> Verdict:
     return play_plan(plan, fresh=True).verdict
 
 
-class Counts:
-    """Base of a dataclass of numbers that are added up."""
-
-    def merge(self, other: Self) -> None:
-        for name, value in vars(other).items():
-            setattr(self, name, getattr(self, name) + value)
-
-
-@dataclass
-class OneLost(Counts):
-    """What became of single losses."""
-
-    unique: int = 0
-    kept: int = 0
-    two_motions: int = 0
-    kept_of_two: int = 0
-    wrong: int = 0
-
-
-def one_lost(motion: str, limit: float, seed: int, setup: str) -> OneLost:
-    """One PDO lost at half the acceleration ``limit``, cycles/T^2."""
+def one_lost(motion: str, limit: float, seed: int, setup: str) -> dict[str, int]:
+    """One PDO lost at half the acceleration ``limit``, cycles/T^2; what is kept."""
     rng = np.random.default_rng([seed, MOTIONS.index(motion), round(limit * 1000)])
     speed = float(rng.choice((0.0, 3.0, 7.3, 12.0, 25.5)))
     moving = Motion(start=0.4)
@@ -80,8 +58,8 @@ def one_lost(motion: str, limit: float, seed: int, setup: str) -> OneLost:
     kept = verdict.outcome in ("kept", "flagged") and verdict.right_at_end
     wrong = int(verdict.wrong > 0)
     if is_unique(played.line, fault, limit + PHASE_MARGIN):
-        return OneLost(unique=1, kept=int(kept), wrong=wrong)
-    return OneLost(two_motions=1, kept_of_two=int(kept), wrong=wrong)
+        return {"one motion fits": 1, "kept": int(kept), "wrong": wrong}
+    return {"two fit": 1, "kept of two": int(kept), "wrong": wrong}
 
 
 def _push(moving: Motion, motion: str, size: float, fault: int, rng: np.random.Generator) -> None:

@@ -11,121 +11,153 @@ docs/evidence.md says what the classes and columns mean.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import sys
 from collections.abc import Iterator, Sequence
-from fnmatch import fnmatch
-from pathlib import Path
+from typing import NamedTuple
 
-from tools.faults.wire.availability import CHUNK, LIMITS, MOTIONS, OneLost, endurance, one_lost
+from tools.faults.engine import Campaign, Cell, Sums, Work, by_count, chosen, parser, report
+from tools.faults.wire.availability import CHUNK, LIMITS, MOTIONS, endurance, one_lost, setup_of
 from tools.faults.wire.classes import CLASSES
-from tools.faults.wire.judge import Verdict
+from tools.faults.wire.judge import EMCY_LIMIT, Verdict
 from tools.faults.wire.play import Episode, play
-from tools.faults.wire.setups import SETUPS, Setup
-from tools.faults.wire.stalls import IN_A_ROW, RATES_HZ, WHO, Stalled, stall, timed_setups
-from tools.faults.wire.table import EXAMPLES, HEAD, Tally, markdown, plain
+from tools.faults.wire.setups import SETUPS
+from tools.faults.wire.stalls import IN_A_ROW, RATES_HZ, WHO, stall
 from tools.faults.wire.trace import trace
 
-GROUP = 20
-Key = tuple[int, int]
+CONFIRMED = 3
+FAULTS, NAMES = [one.name for one in CLASSES], [one.name for one in SETUPS]
+TIMED = [one.name for one in SETUPS if one.times]
+OUTCOMES = ("wrong", "physics", "lost", "flagged", "kept")
 
 
-def groups(options: argparse.Namespace) -> Iterator[tuple[int, int, int, int]]:
-    """Class, set-up, first seed and number of episodes: what one process does at a time."""
-    for number, wire_class in enumerate(CLASSES):
-        if not fnmatch(wire_class.name, options.wire_class):
-            continue
-        for place, setup in enumerate(SETUPS):
-            if wire_class.of(setup) and fnmatch(setup.name, options.setup):
-                for first in range(0, options.episodes, GROUP):
-                    seed = options.seed * 1_000_000 + first
-                    yield number, place, seed, min(GROUP, options.episodes - first)
+class Part(NamedTuple):
+    """What a campaign consists of, and the columns of its table."""
+
+    campaign: Campaign
+    counts: tuple[str, ...]
 
 
-def run_group(group: tuple[int, int, int, int]) -> tuple[Key, Tally]:
-    """All episodes of a group."""
-    number, place, seed, count = group
-    tally = Tally()
-    for one in range(seed, seed + count):
-        episode = Episode(number, place, one)
-        # A new module takes longer than an episode: beyond the examples, results count as they are.
-        confirm = len(tally.examples) < EXAMPLES
-        tally.add(episode, play(episode, confirm=confirm).verdict)
-    return (number, place), tally
+def play_class(work: Work) -> Sums:
+    """Episodes of a class of wire faults."""
+    sums = Sums()
+    for n in range(work.first, work.first + work.size):
+        place = FAULTS.index(work.cell.fault), NAMES.index(work.cell.setup)
+        episode = Episode(*place, work.seed * 1_000_000 + n)
+        # A new module takes longer than an episode: beyond the first, results count without a second play.
+        verdict = play(episode, confirm=sums["wrong"] < CONFIRMED).verdict
+        sums.add(counted(verdict), example(episode, verdict))
+    return sums
 
 
-def campaign(options: argparse.Namespace) -> dict[Key, Tally]:
-    """Run it all."""
-    tallies: dict[Key, Tally] = {}
-    if options.jobs == 1:
-        results: Iterator[tuple[Key, Tally]] = map(run_group, groups(options))
-        return _collect(tallies, results)
-    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
-        return _collect(tallies, pool.imap(run_group, groups(options), chunksize=2))
+def counted(verdict: Verdict) -> dict[str, int]:
+    """What an episode adds to the sums."""
+    return {
+        verdict.outcome: 1,
+        "early": verdict.early > 0,
+        "after start": verdict.after_start > 0,
+        "accel.": verdict.acceleration_wrong > 0,
+        "EMCY": verdict.emergencies > EMCY_LIMIT,
+        "PDOs": verdict.unanswered > 0,
+    }
 
 
-def _collect(tallies: dict[Key, Tally], results: Iterator[tuple[Key, Tally]]) -> dict[Key, Tally]:
-    for key, tally in results:
-        tallies.setdefault(key, Tally()).merge(tally)
-    return tallies
+def example(episode: Episode, verdict: Verdict) -> str:
+    """Of a silent wrong position; nothing if there is none."""
+    if verdict.outcome != "wrong":
+        return ""
+    first = verdict.first_wrong
+    where = f"{first.error:+.1f} cycles at {first.now:.1f} T" if first else ""
+    return f"{episode}: {verdict.wrong} frames, first {where}"
 
 
-def rows(tallies: dict[Key, Tally], by_setup: bool) -> list[tuple[str, ...]]:
-    """The table: a row for each class and set-up, or the sums over all set-ups only."""
-    lines: list[tuple[str, ...]] = [HEAD]
-    total = Tally()
-    for number, wire_class in enumerate(CLASSES):
-        of_class = Tally()
-        for (one, place), tally in tallies.items():
-            if one == number:
-                of_class.merge(tally)
-                if by_setup:
-                    lines.append(tally.row(wire_class.name, SETUPS[place].name))
-        if of_class.episodes:
-            lines.append(of_class.row(wire_class.name, "all"))
-        total.merge(of_class)
-    if len({key[1] for key in tallies}) > 1:
-        lines += [_sum_of_setup(tallies, place) for place in sorted({key[1] for key in tallies})]
-    return [*lines, total.row("all", "all")]
+def class_misses(cell: Cell, sums: Sums) -> Iterator[str]:
+    """Silent wrong positions, and healthy machines that were not kept."""
+    wire_class, setup = CLASSES[FAULTS.index(cell.fault)], SETUPS[NAMES.index(cell.setup)]
+    if sums["wrong"]:
+        yield f"{sums['wrong']} of {sums['episodes']} silent wrong"
+    if wire_class.valid(setup) and sums["after start"]:
+        yield f"{sums['after start']} of {sums['episodes']} not valid after the start"
+    if wire_class.survives and sums["lost"]:
+        yield f"{sums['lost']} of {sums['episodes']} lost, which need not be"
+    if sums["PDOs"]:
+        yield f"SYNCs without their PDO in {sums['PDOs']} of {sums['episodes']}"
 
 
-def _sum_of_setup(tallies: dict[Key, Tally], place: int) -> tuple[str, ...]:
-    total = Tally()
-    for key, tally in tallies.items():
-        if key[1] == place:
-            total.merge(tally)
-    return total.row("all", SETUPS[place].name)
+def classes(faults: Sequence[str] = FAULTS, setups: Sequence[str] = NAMES) -> Part:
+    """Wire faults."""
+
+    def runs(cell: Cell) -> bool:
+        return CLASSES[FAULTS.index(cell.fault)].of(SETUPS[NAMES.index(cell.setup)])
+
+    counts = ("episodes", *OUTCOMES, "early", "accel.", "EMCY", "PDOs")
+    return Part(Campaign(faults, setups, play_class, class_misses, runs=runs), counts)
 
 
-def misses(tallies: dict[Key, Tally]) -> list[str]:
-    """Every silent wrong position, an example of each, and every healthy machine that was not kept."""
-    found = []
-    for (number, place), tally in tallies.items():
-        name = f"{CLASSES[number].name}:{SETUPS[place].name}"
-        if tally.outcomes["wrong"]:
-            found.append(f"{name}: {tally.outcomes['wrong']} of {tally.episodes} silent wrong")
-            found += [f"    {example}" for example in tally.examples]
-        if CLASSES[number].valid(SETUPS[place]) and tally.after_start:
-            found.append(f"{name}: {tally.after_start} of {tally.episodes} not valid after the start")
-        if CLASSES[number].survives and tally.outcomes["lost"]:
-            found.append(f"{name}: {tally.outcomes['lost']} of {tally.episodes} lost, which need not be")
-        if tally.unanswered:
-            found.append(f"{name}: SYNCs without their PDO in {tally.unanswered} of {tally.episodes}")
-    return found
+def play_healthy(work: Work) -> Sums:
+    """Machines of CHUNK samples."""
+    sums = Sums()
+    for n in range(work.first, work.first + work.size):
+        verdict = endurance(work.seed + n, CHUNK, work.cell.setup)
+        lost = verdict.outcome == "lost"
+        sums.add(
+            {"PDOs": verdict.shown, "not valid": verdict.not_valid, "wrong": verdict.wrong, "lost": lost}
+        )
+    return sums
 
 
-def parser() -> argparse.ArgumentParser:
-    """The options."""
-    options = argparse.ArgumentParser(
-        prog="python -m tools.faults.wire.campaign", description=(__doc__ or "").partition("\n")[0]
-    )
-    options.add_argument("--episodes", type=int, default=30, metavar="N", help="of each class and set-up")
-    options.add_argument("--seed", type=int, default=1997)
-    options.add_argument("--jobs", type=int, default=2, metavar="N", help="processes")
-    options.add_argument("--class", dest="wire_class", default="*", metavar="NAME", help="with * and ?")
-    options.add_argument("--setup", default="*", metavar="NAME", help="with * and ?")
+def play_one_lost(work: Work) -> Sums:
+    """Episodes with one lost PDO; the fault is a motion and a limit."""
+    sums, (motion, limit) = Sums(), work.cell.fault.rsplit(" ", 1)
+    for n in range(work.first, work.first + work.size):
+        sums.add(one_lost(motion, float(limit), work.seed + n, work.cell.setup))
+    return sums
+
+
+def play_stalls(work: Work) -> Sums:
+    """Machines with stalls; the fault is who stalls, and the rate."""
+    sums, (who, rate) = Sums(), work.cell.fault.removesuffix(" Hz").rsplit(" ", 1)
+    for n in range(work.first, work.first + work.size):
+        for is_short in (True, False):
+            sums.add(stall(who, int(rate), setup_of(work.cell.setup), work.seed + n, is_short))
+    return sums
+
+
+def kept_misses(cell: Cell, sums: Sums) -> Iterator[str]:
+    """Where one motion only fits, it is kept; nothing is valid and wrong."""
+    if sums["wrong"]:
+        yield f"{sums['wrong']} valid and wrong"
+    if sums["kept"] < sums["one motion fits"]:
+        yield f"{sums['kept']} of {sums['one motion fits']} kept"
+
+
+def healthy_misses(cell: Cell, sums: Sums) -> Iterator[str]:
+    """Each position is valid and right."""
+    if sums["not valid"] or sums["wrong"]:
+        yield f"{sums['not valid']} of {sums['PDOs']} not valid, {sums['wrong']} wrong"
+
+
+def part_of(options: argparse.Namespace) -> tuple[Part, int]:
+    """What is to be played, and how many episodes; ValueError for names that there are not."""
+    if options.endurance:
+        setups = chosen(TIMED, options.setup)
+        healthy = Campaign(["healthy, 3000 rpm"], setups, play_healthy, healthy_misses, 1)
+        return Part(healthy, ("PDOs", "not valid", "wrong", "lost")), max(1, options.endurance // CHUNK)
+    if options.one_lost:
+        faults = [f"{motion} {limit:.2f}" for motion in MOTIONS for limit in LIMITS]
+        one = Campaign(faults, chosen(NAMES, options.setup), play_one_lost, kept_misses)
+        return Part(one, ("one motion fits", "kept", "two fit", "kept of two", "wrong")), options.episodes
+    if options.stalls:
+        faults = [f"{who} {rate} Hz" for who in WHO for rate in RATES_HZ]
+        setups = chosen([name for name in TIMED if not setup_of(name).servo], options.setup)
+        stalls = Campaign(faults, setups, play_stalls, kept_misses, 4)
+        machines = -(-options.stalls // (len(faults) * len(setups) * (IN_A_ROW + 1)))
+        return Part(stalls, ("one motion fits", "kept", "longer", "kept of longer", "wrong")), machines
+    return classes(chosen(FAULTS, options.faults), chosen(NAMES, options.setup)), options.episodes
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    options = parser("tools.faults.wire.campaign", __doc__, 30, 1997)
     options.add_argument("--by-setup", action="store_true", help="a row for each class and set-up")
-    options.add_argument("--markdown", type=Path, metavar="FILE", help="write the table as Markdown")
     options.add_argument(
         "--endurance", type=int, metavar="SAMPLES", help="a healthy machine at 3000 rpm only"
     )
@@ -134,111 +166,19 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--episode", metavar="CLASS:SETUP:SEED", help="one episode only")
     options.add_argument("--trace", action="store_true", help="with --episode: every frame")
     options.add_argument("--list", action="store_true", help="the names of classes and set-ups")
-    return options
-
-
-def _endure(chunk: tuple[int, int, str]) -> Verdict:
-    return endurance(*chunk)
-
-
-def run_endurance(options: argparse.Namespace) -> int:
-    """Prints what a healthy machine lost, in each set-up with sample times."""
-    missed = 0
-    seeds = range(options.seed, options.seed + max(1, options.endurance // CHUNK))
-    chunks = [(seed, min(CHUNK, options.endurance)) for seed in seeds]
-    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
-        for setup in (one.name for one in SETUPS if one.times and fnmatch(one.name, options.setup)):
-            verdicts = list(pool.imap(_endure, [(*chunk, setup) for chunk in chunks]))
-            shown, invalid = sum(v.shown for v in verdicts), sum(v.not_valid for v in verdicts)
-            wrong, lost = sum(v.wrong for v in verdicts), sum(v.outcome == "lost" for v in verdicts)
-            print(
-                f"{setup}: {shown} positions, {invalid} not valid, {wrong} wrong, {lost}/{len(chunks)} lost"
-            )
-            missed += invalid + wrong
-    return 1 if missed else 0
-
-
-def _lose_one(case: tuple[str, float, int, str]) -> OneLost:
-    return one_lost(*case)
-
-
-def run_one_lost(options: argparse.Namespace) -> int:
-    """Prints how many single losses are kept, where one motion only fits and where two do."""
-    table: list[tuple[str, ...]] = [("motion", "limit", "unique", "kept", "two motions", "kept", "wrong")]
-    total = OneLost()
-    setups = [one.name for one in SETUPS if fnmatch(one.name, options.setup)]
-    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
-        for motion in MOTIONS:
-            for limit in LIMITS:
-                count = OneLost()
-                seeds = range(options.seed, options.seed + options.episodes)
-                for one in pool.imap(
-                    _lose_one, [(motion, limit, n, name) for n in seeds for name in setups], 4
-                ):
-                    count.merge(one)
-                total.merge(count)
-                table.append((motion, f"{limit:.2f}", *map(str, vars(count).values())))
-    print(plain([*table, ("all", "", *map(str, vars(total).values()))]))
-    return 1 if total.wrong or total.kept < total.unique else 0
-
-
-def _stall(case: tuple[str, int, Setup, int, bool]) -> Stalled:
-    return stall(*case)
-
-
-def run_stalls(options: argparse.Namespace) -> int:
-    """Prints what is kept of healthy machines while computers stall, and what is valid and wrong."""
-    table: list[tuple[str, ...]] = [
-        ("stalled", "Hz", "one motion fits", "kept", "longer", "kept", "valid and wrong")
-    ]
-    total = Stalled()
-    setups = timed_setups(options.setup)
-    machines = -(-options.stalls // (len(WHO) * len(RATES_HZ) * max(1, len(setups)) * (IN_A_ROW + 1)))
-    seeds = range(options.seed, options.seed + machines)
-    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
-        for who in WHO:
-            for rate in RATES_HZ:
-                cases = [
-                    (who, rate, one, seed, short)
-                    for one in setups
-                    for seed in seeds
-                    for short in (True, False)
-                ]
-                count = Stalled()
-                for part in pool.imap(_stall, cases, 4):
-                    count.merge(part)
-                total.merge(count)
-                table.append((who, str(rate), *map(str, vars(count).values())))
-    print(plain([*table, ("all of them", "", *map(str, vars(total).values()))]))
-    return 1 if total.wrong or total.kept < total.short else 0
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    options = parser().parse_args(argv)
-    if options.list:
-        print(*(one.name for one in CLASSES), "", *(one.name for one in SETUPS), sep="\n")
+    said = options.parse_args(argv)
+    if said.list:
+        print(*FAULTS, "", *NAMES, sep="\n")
         return 0
-    if options.episode:
-        try:
-            episode = Episode.parse(options.episode)
-        except ValueError as error:
-            print(f"{options.episode}: {error}; --list shows the names", file=sys.stderr)
-            return 2
-        return trace(episode, every=options.trace)
-    if options.endurance:
-        return run_endurance(options)
-    if options.stalls:
-        return run_stalls(options)
-    if options.one_lost:
-        return run_one_lost(options)
-    tallies = campaign(options)
-    table = rows(tallies, options.by_setup)
-    print(plain(table))
-    found = misses(tallies)
-    print(f"goals missed: {len([line for line in found if line[0] != ' '])}", *found, sep="\n")
-    if options.markdown is not None:
-        options.markdown.write_text(markdown(table), encoding="utf-8")
-    return 1 if found else 0
+    try:
+        if said.episode:
+            return trace(Episode.parse(said.episode), every=said.trace)
+        part, episodes = part_of(said)
+    except ValueError as error:
+        options.error(f"{error}; --list shows the names")
+    results = part.campaign.run(said.seed, episodes, said.processes)
+    rows = by_count(results, part.counts, each_setup=said.by_setup)
+    return report(part.campaign, results, rows, json=said.json)
 
 
 if __name__ == "__main__":

@@ -8,12 +8,10 @@ stalls that are to be kept; after a loss the rest of them would show nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fnmatch import fnmatch
 
 import numpy as np
 
-from tools.faults.wire.availability import Counts
 from tools.faults.wire.clocks import a_speed, longest_bridged, machine, producer_stalls
 from tools.faults.wire.draw import draw_plan, torque
 from tools.faults.wire.line import Plan
@@ -30,24 +28,13 @@ LIMITS = (0.02, 0.05, 0.1)  # cycles/T^2
 SPARE = 1.1  # a torque pulse on top of a vibration, which is declared then
 
 
-@dataclass
-class Stalled(Counts):
-    """What became of stalls; ``short``: one motion only fits."""
-
-    short: int = 0
-    kept: int = 0
-    long: int = 0
-    kept_of_long: int = 0
-    wrong: int = 0
-
-
 def timed_setups(pattern: str) -> list[Setup]:
     """Those with sample times."""
     return [one for one in SETUPS if one.times and not one.servo and fnmatch(one.name, pattern)]
 
 
-def stall(who: str, rate_hz: int, setup: Setup, seed: int, is_short: bool) -> Stalled:
-    """One machine, and its stalls."""
+def stall(who: str, rate_hz: int, setup: Setup, seed: int, is_short: bool) -> dict[str, int]:
+    """One machine, and its stalls; ``is_short``: one motion only fits behind each."""
     rng = np.random.default_rng([seed, *who.encode(), rate_hz, *setup.name.encode(), is_short])
     plan = draw_plan(setup, rng, steady=True)
     plan.options.interval_s = 1.0 / rate_hz
@@ -70,8 +57,8 @@ def stall(who: str, rate_hz: int, setup: Setup, seed: int, is_short: bool) -> St
     kept = int(verdict.outcome in ("kept", "flagged") and verdict.right_at_end)
     wrong = int(verdict.wrong > 0)
     if is_short:
-        return Stalled(short=len(lengths), kept=kept * len(lengths), wrong=wrong)
-    return Stalled(long=len(lengths), kept_of_long=kept * len(lengths), wrong=wrong)
+        return {"one motion fits": len(lengths), "kept": kept * len(lengths), "wrong": wrong}
+    return {"longer": len(lengths), "kept of longer": kept * len(lengths), "wrong": wrong}
 
 
 def _lengths(rng: np.random.Generator, who: str, rate_hz: int, bridged: int, is_short: bool) -> list[float]:

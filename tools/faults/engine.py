@@ -1,0 +1,215 @@
+"""One engine for the campaigns: which episodes, in how many processes, their sums, the table, the goals.
+
+A campaign is a table of faults, a table of set-ups, and a function that draws, plays and judges the episodes
+of one cell of both (:class:`Work`) and counts what it saw (:class:`Sums`). What an episode is depends on its
+cell, its seed and its number only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatch
+from typing import NamedTuple
+
+EXAMPLES = 5
+
+
+class Cell(NamedTuple):
+    """One fault in one set-up."""
+
+    fault: str
+    setup: str
+
+
+class Work(NamedTuple):
+    """Episodes ``first`` .. ``first + size - 1`` of a cell: what one process does at a time."""
+
+    cell: Cell
+    seed: int
+    first: int
+    size: int
+
+
+@dataclass
+class Sums:
+    """What was counted, by name, and some examples of what must not be."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    examples: list[str] = field(default_factory=list)
+
+    def add(self, said: Mapping[str, int], example: str = "") -> None:
+        """One episode."""
+        self.counts.update({"episodes": 1} | {name: int(count) for name, count in said.items()})
+        if example and len(self.examples) < EXAMPLES:
+            self.examples.append(example)
+
+    def merge(self, other: Sums) -> None:
+        """Those of the same cell, or of another one."""
+        self.counts.update(other.counts)
+        self.examples = (self.examples + other.examples)[:EXAMPLES]
+
+    def __getitem__(self, name: str) -> int:
+        return self.counts[name]
+
+    def percent(self, part: str, whole: str = "episodes") -> float:
+        """``part`` of ``whole``; 100 of nothing."""
+        return 100.0 * self[part] / self[whole] if self[whole] else 100.0
+
+
+Results = dict[Cell, Sums]
+Play = Callable[[Work], Sums]
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Faults x set-ups.
+
+    play    of a piece of work; must be importable, or a partial of what is
+    misses  the goals that a cell misses
+    chunk   episodes that are drawn together
+    runs    whether this fault is for this set-up
+    """
+
+    faults: Sequence[str]
+    setups: Sequence[str]
+    play: Play
+    misses: Callable[[Cell, Sums], Iterable[str]]
+    chunk: int = 20
+    runs: Callable[[Cell], bool] = lambda cell: True
+
+    def cells(self) -> list[Cell]:
+        """In the order of the table."""
+        every = (Cell(fault, setup) for fault in self.faults for setup in self.setups)
+        return [cell for cell in every if self.runs(cell)]
+
+    def run(self, seeds: Sequence[int], episodes: int, processes: int) -> Results:
+        """``episodes`` of each cell and seed; the result does not depend on ``processes``."""
+        results: Results = {cell: Sums() for cell in self.cells()}
+        work = [
+            Work(cell, seed, first, min(self.chunk, episodes - first))
+            for cell in results
+            for seed in seeds
+            for first in range(0, episodes, self.chunk)
+        ]
+        played = _side_by_side(self.play, work, processes)
+        for one, sums in zip(work, played, strict=True):
+            results[one.cell].merge(sums)
+        return results
+
+    def missed(self, results: Results) -> list[str]:
+        """Every goal that is missed, with examples."""
+        found = []
+        for cell, sums in results.items():
+            misses = list(self.misses(cell, sums))
+            found += [f"{cell.fault}:{cell.setup}: {miss}" for miss in misses]
+            found += [f"    {example}" for example in sums.examples if misses]
+        return found
+
+
+def _side_by_side(play: Play, work: Sequence[Work], processes: int) -> Iterator[Sums]:
+    """In the order of the work, whatever the number of processes."""
+    if processes == 1:
+        yield from map(play, work)
+        return
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        yield from pool.imap(play, work)
+
+
+def total(results: Results, fault: str = "*", setup: str = "*") -> Sums:
+    """Of all cells of these names, with * and ?."""
+    found = Sums()
+    for cell, sums in results.items():
+        if fnmatch(cell.fault, fault) and fnmatch(cell.setup, setup):
+            found.merge(sums)
+    return found
+
+
+def chosen(names: Iterable[str], patterns: Iterable[str]) -> list[str]:
+    """Names that one of the patterns is for; ValueError if there is none."""
+    every = list(names)
+    found = [name for name in every if any(fnmatch(name, pattern) for pattern in patterns)]
+    if not found:
+        raise ValueError(f"{', '.join(patterns)}: there is none of these; there are {', '.join(every)}")
+    return found
+
+
+def by_setup(results: Results, text: Callable[[Cell, Sums], str]) -> list[list[str]]:
+    """Faults below each other, set-ups side by side; the first row has the heads."""
+    setups = list(dict.fromkeys(cell.setup for cell in results))
+    rows = [["fault", *setups]]
+    for fault in dict.fromkeys(cell.fault for cell in results):
+        cells = [Cell(fault, setup) for setup in setups]
+        rows.append([fault, *(text(cell, results[cell]) if cell in results else "" for cell in cells)])
+    return rows
+
+
+def by_count(results: Results, counts: Sequence[str], *, each_setup: bool = False) -> list[list[str]]:
+    """A row for each fault, and for each set-up of it if asked; a column for each count."""
+    rows = [["fault", "set-up", *counts]]
+
+    def row(name: str, setup: str, sums: Sums) -> list[str]:
+        return [name, setup, *(str(sums[count]) for count in counts)]
+
+    for fault in dict.fromkeys(cell.fault for cell in results):
+        if each_setup:
+            rows += [row(*cell, sums) for cell, sums in results.items() if cell.fault == fault]
+        rows.append(row(fault, "all", total(results, fault)))
+    setups = list(dict.fromkeys(cell.setup for cell in results))
+    if len(setups) > 1:
+        rows += [row("all", setup, total(results, setup=setup)) for setup in setups]
+    return [*rows, row("all", "all", total(results))]
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Rows as a table; the first has the heads."""
+    head, *body = rows
+    return "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *body))
+
+
+def as_json(results: Results) -> str:
+    """All sums, for a program."""
+    cells = [
+        {"fault": cell.fault, "setup": cell.setup, **sums.counts, "examples": sums.examples}
+        for cell, sums in results.items()
+    ]
+    return json.dumps(cells, indent=1)
+
+
+def parser(prog: str, doc: str | None, episodes: int, seed: int) -> argparse.ArgumentParser:
+    """The options that all campaigns have."""
+    options = argparse.ArgumentParser(prog=f"python -m {prog}", description=(doc or "").partition("\n")[0])
+    options.add_argument("--episodes", type=_positive, default=episodes, metavar="N", help="of each cell")
+    options.add_argument("--seed", type=int, nargs="+", default=[seed], metavar="S")
+    options.add_argument(
+        "--class", "--kind", dest="faults", nargs="+", default=["*"], metavar="FAULT", help="with * and ?"
+    )
+    options.add_argument("--setup", nargs="+", default=["*"], metavar="NAME", help="with * and ?")
+    options.add_argument("--jobs", "--processes", dest="processes", type=_positive, default=2, metavar="N")
+    options.add_argument("--json", action="store_true", help="all sums as JSON in place of the table")
+    return options
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is not 1 or more")
+    return value
+
+
+def report(campaign: Campaign, results: Results, rows: Sequence[Sequence[str]], *, json: bool) -> int:
+    """Print it; the exit status: 1 where a goal is missed."""
+    missed = campaign.missed(results)
+    if json:
+        print(as_json(results))
+    else:
+        print(markdown(rows), end="")
+        print(f"goals missed: {sum(not line.startswith(' ') for line in missed)}")
+    for line in missed:
+        print(line, file=sys.stderr)
+    return 1 if missed else 0
