@@ -142,37 +142,6 @@ def test_process_gives_the_bits_of_the_chain(
         assert bits(process(sines, cosines, table, limit, conditioning, known)) == want
 
 
-@given(st.floats(-1e4, 1e4), st.floats(-0.3, 0.3), st.floats(-0.01, 0.01))
-def test_a_known_speed_makes_the_count_right_from_the_first_sample(
-    speed: float, off: float, bend: float
-) -> None:
-    position = moving(speed, bend)
-    result = process(*tracks_at(position), speed_cycles=speed + off)
-    assert result.ok.all()
-    assert np.abs(result.cycles + result.phase - position).max() < 0.02
-
-
-@given(st.integers(-10000, 10000), st.floats(0.36, 0.64), st.floats(-0.01, 0.01))
-def test_an_unknown_speed_is_not_called_ok(whole: int, part: float, bend: float) -> None:
-    # With a smaller part it looks like the speed that is the part.
-    result = process(*tracks_at(moving(whole + part, bend)))
-    assert result.ok.tolist() == [True] + [False] * 299
-
-
-@pytest.mark.parametrize("speed", [0.0, 0.2, 83.46])
-@pytest.mark.parametrize("glitch", [0.2, 0.3, 0.4, -0.45])
-def test_what_is_ok_after_a_glitch_is_right(speed: float, glitch: float) -> None:
-    position = moving(speed, 1e-4, 1000)
-    seen = position.copy()
-    seen[500] += glitch
-    result = process(*tracks_at(seen), speed_cycles=speed)
-    wrong = np.abs(result.cycles + result.phase - position) > 0.25
-    assert not (wrong & result.ok)[:500].any()
-    assert not (wrong & result.ok)[502:].any()
-    assert not result.ok[500:503].all()  # a glitch below the limit shows one sample later
-    assert result.ok[520:].all()
-
-
 @pytest.mark.parametrize("speed", [math.nan, math.inf, 1e10, "83", None, 1j, True])
 def test_a_speed_that_is_none_is_refused(speed: object) -> None:
     for run in (
@@ -183,15 +152,6 @@ def test_a_speed_that_is_none_is_refused(speed: object) -> None:
     ):
         with pytest.raises(ValueError, match="speed_cycles"):
             run()
-
-
-@given(st.lists(st.floats(0, 1, exclude_max=True), min_size=2, max_size=40), speeds)
-def test_track_and_tracker_start_at_the_same_speed(phases: list[float], speed: float) -> None:
-    tracker = Tracker(speed_cycles=speed)
-    want = [tracker.update(phase) for phase in phases]
-    assert bits(track(phases, speed_cycles=speed)) == columns([(*one,) for one in want])
-    moved = want[1].cycles - want[0].cycles + (want[1].phase - want[0].phase)
-    assert abs(moved - speed) <= 0.5 + 1e-9
 
 
 @given(
@@ -215,14 +175,6 @@ def test_any_kind_of_number_gives_the_bits_of_its_float64(kind: str, table: Corr
     assert bits(process(sines[::-1], cosines[::-1], table)) == bits(
         process(sines[::-1].astype(np.float64), cosines[::-1].astype(np.float64), table)
     )
-
-
-def test_conditioning_is_computed_in_float64() -> None:
-    conditioning = Conditioning(0.1, -0.3, 1.01, 0.99, 0.05)
-    sines, cosines = np.random.default_rng(2).integers(-2000, 2000, (2, 500))
-    want = bits(process(sines.astype(np.float64), cosines.astype(np.float64), conditioning=conditioning))
-    for kind in (np.int16, np.float32):
-        assert bits(process(sines.astype(kind), cosines.astype(kind), conditioning=conditioning)) == want
 
 
 def test_the_arguments_are_left_as_they_are() -> None:
@@ -250,21 +202,6 @@ def test_phases_of_arrays_of_any_shape() -> None:
     got = phase_in_cycle(sines, cosines)
     assert got.tolist() == [[phase_in_cycle(s, c) for c in cosines.tolist()] for s in (1.0, -3.0)]
     assert phase_in_cycle(np.array(1.0), np.array(1.0)) == 0.125
-
-
-def test_what_is_declared_of_the_machine_decides_a_gap_as_in_a_stream() -> None:
-    position = moving(3.0, 0.004, 400)
-    sines, cosines = tracks_at(position)
-    sines[200:204] = cosines[200:204] = 0.0  # with 0.1 cycle per interval^2 four in a row leave two motions
-    unknown = process(sines, cosines, speed_cycles=3.0, coast_samples=8)
-    known = process(sines, cosines, speed_cycles=3.0, coast_samples=8, max_acceleration_cycles=0.005)
-    assert not unknown.ok[250:].any()
-    assert known.ok[250:].all()
-    assert np.abs(known.cycles + known.phase - position)[known.ok].max() < 0.05
-    config = ChainConfig(coast_samples=8, max_acceleration_cycles=0.005)
-    (streamed,) = process_stream([(sines, cosines)], config, speed_cycles=3.0)
-    assert (streamed.valid == known.ok).all()
-    assert (streamed.cycles == known.cycles).all()
 
 
 def test_an_option_that_it_does_not_have_is_named() -> None:

@@ -233,19 +233,6 @@ def test_a_coarse_track_below_a_tenth_is_dead(amplitude: float, dead: bool) -> N
     assert has([machine.step(0.0, amplitude)], StatusBit.COARSE) == [dead]
 
 
-def test_disagreements_before_a_loss_do_not_count_after_it() -> None:
-    machine = Coarse(coast_samples=1)
-    machine.step(0.3)
-    machine.step(0.3)
-    for _ in range(3):
-        machine.chain.step(Sample(0.0, 0.0))
-    assert machine.chain.lost
-    machine.chain.restart()
-    for _ in range(30):
-        machine.step(0.0)
-    assert flags(machine.step(0.3)) == StatusBit.COARSE | StatusBit.COASTING
-
-
 def test_disagreements_are_not_judged_while_the_fine_track_is_in_doubt() -> None:
     machine = Coarse()
     dead = machine.chain.step(Sample(0.0, 0.0, coarse_sine=1500.0, coarse_cosine=0.0))

@@ -37,13 +37,6 @@ def take(estimator: Estimator, some: list[float], elapsed: float = 1.0) -> list[
 # Starts.
 
 
-def test_nothing_is_said_before_the_first_sample() -> None:
-    estimator = Estimator(SLOW)
-    assert estimator.bad(1.0)[1] == 0
-    assert estimator.bad(100.0, missed=True)[1] == 0
-    assert not estimator.lost
-
-
 @pytest.mark.parametrize("speed", [0.0, 0.4, -17.25, 100.0])
 def test_a_start_at_a_known_speed_counts_from_the_first_sample(speed: float) -> None:
     estimator = Estimator(SLOW)
@@ -131,23 +124,6 @@ def test_a_pause_is_as_long_as_the_samples_that_it_lacks() -> None:
     assert estimator.loss_cause == LossCause.COASTED
 
 
-def test_the_position_that_coasts_goes_on_at_the_last_speed() -> None:
-    estimator = started(speed=3.25, samples=12)
-    for n in range(12, 15):
-        track, bits = estimator.bad(1.0, missed=True)
-        assert bits == COASTING
-        assert track.cycles + track.phase == pytest.approx(0.3 + 3.25 * n)
-
-
-def test_missing_samples_cost_only_themselves() -> None:
-    estimator = started(speed=3.25)
-    for _ in range(3):
-        estimator.bad(1.0, missed=True)
-    track, bits = estimator.good(phases(3.25, 1, 15)[0], 1.0)
-    assert bits == VALID
-    assert track.cycles == math.floor(0.3 + 3.25 * 15)
-
-
 def test_a_flagged_sample_needs_proof_beyond_a_missing_one() -> None:
     """Five good samples at a window of 0.12 cycle: random phases would pass with less than 1e-5."""
     estimator = started(speed=3.25)
@@ -205,13 +181,6 @@ def test_a_loss_is_told_once() -> None:
     for _ in range(6):
         estimator.bad(1.0)
     assert losses == [LossCause.COASTED]
-
-
-def test_a_lost_position_is_counted_on_and_flagged() -> None:
-    estimator = started()
-    estimator.lose(LossCause.COASTED)
-    assert take(estimator, phases(0.2, 4, 12)) == [LOST] * 4
-    assert estimator.good(0.95, 1.0)[1] == LOST | RESIDUAL
 
 
 # What is known from outside.

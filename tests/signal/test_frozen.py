@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from supervision_kit import DEAD, Drive, above, at, below, flags, has
+from supervision_kit import Drive, above, at, below, flags, has
 
 from canfb.objects import StatusBit
-from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.sample import Sample
@@ -38,21 +37,6 @@ def test_below_the_residual_limit_a_machine_may_have_stopped(limit: float, sampl
         assert first_proof(samples, sign * speed, limit) == NEVER
     for speed in (limit, above(limit), 0.51, 0.99, 1.0, 1.01, 3.2, 5.0, 83.0, 83.37):
         assert first_proof(samples, sign * speed, limit) == samples
-
-
-@pytest.mark.parametrize("speed", [0.0, 0.02, 0.5, 5.0, 83.37, -83.37])
-def test_nought_switches_it_off(speed: float) -> None:
-    assert first_proof(0, speed) == NEVER
-
-
-def test_new_counts_begin_anew() -> None:
-    frozen = FrozenInput(2, 0.125)
-    for _ in range(5):
-        assert not frozen.repeated(0.3)
-        frozen.moved()
-    assert [frozen.repeated(0.3), frozen.repeated(0.3)] == [False, True]
-    frozen.moved()
-    assert [frozen.repeated(0.3), frozen.repeated(0.3)] == [False, True]
 
 
 def test_the_speed_is_that_before_the_first_repeat() -> None:
@@ -171,25 +155,12 @@ def test_a_machine_that_stops_at_once_is_not_frozen(last_step: float, sign: int)
     assert all(got.valid for got in drive.run(60)), "eq. 12 allows it, and nothing tells it from a freeze"
 
 
-def test_a_dead_sample_that_repeats_is_both() -> None:
-    drive = Drive(3.2, coast_samples=255, frozen_samples=2)
-    got = [drive.spoil(DEAD) for _ in range(4)]
-    assert has(got, StatusBit.AMPLITUDE) == [True] * 4
-    assert has(got, StatusBit.FROZEN) == [False, False, True, True]
-
-
 def test_a_pause_forgets_the_counts() -> None:
     slow, fast = Drive(0.4, frozen_samples=1), Drive(3.2, frozen_samples=1)
     for drive, pause in ((slow, slow.chain.resume), (fast, fast.chain.restart)):
         last = at(drive.position)
         pause()
         assert all(drive.chain.step(last).valid for _ in range(20))
-
-
-def test_it_is_off_unless_asked_for() -> None:
-    chain = SignalChain(ChainConfig())
-    for k in range(200):
-        assert not chain.step(at(0.2 * min(k, 100))).status & StatusBit.FROZEN
 
 
 @given(

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.starts import START_SAMPLES
 
 N = 2500
 AMPLITUDE = 1500.0
@@ -101,76 +98,10 @@ def test_a_lost_position_is_set_right_by_coarse_track_and_zero_pulse(outage: int
     assert all(after[k][0].jump_cycles != 0 for k in jumps), "a jump is reported by the sample before it"
 
 
-def test_two_zero_pulses_tell_the_speed_without_a_coarse_track() -> None:
-    chain, machine = starts_at_rest(coarse=False, pulse=True)
-    reference = np.median(errors(run(chain, machine, 100)))
-    spoil(chain, machine, 50)
-    after = run(chain, machine, 300)
-    assert after[-1][0].valid
-    wrong = errors(after) - reference
-    assert np.abs(wrong - np.rint(wrong / N) * N).max() < 0.04
-
-
 def test_without_either_a_lost_position_stays_lost() -> None:
     chain, machine = starts_at_rest(coarse=False, pulse=False)
     spoil(chain, machine, 10)
     assert not errors(run(chain, machine, 3000)).size
-
-
-@pytest.fixture
-def jittered() -> Callable[..., list[tuple[Feedback, float]]]:
-    def play(
-        chain: SignalChain, jitter_s: float, samples: int, *, timed: bool
-    ) -> list[tuple[Feedback, float]]:
-        rng = np.random.default_rng(3)
-        got, nominal, speed, position = [], 0.0, 0.0, 0.0
-        for _ in range(samples):
-            nominal += 1e-3
-            speed = min(83.0, speed + 0.1)
-            position += speed
-            late_s = rng.uniform(-jitter_s, jitter_s)
-            here = position + late_s / 1e-3 * speed
-            angle = 2 * math.pi * here
-            ticks = round((nominal + late_s) * 1e7) % 2**32 if timed else None
-            got.append(
-                (chain.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle), time_100ns=ticks)), here)
-            )
-        return got
-
-    return play
-
-
-def test_sample_times_take_the_harm_out_of_jitter(
-    jittered: Callable[..., list[tuple[Feedback, float]]],
-) -> None:
-    for interval_s in (1e-3, 0.0):  # nominal, or that of the first two samples
-        chain = SignalChain(ChainConfig())
-        chain.sync_interval_s = interval_s
-        got = jittered(chain, 10e-6, 3000, timed=True)
-        assert all(feedback.valid for feedback, _ in got[START_SAMPLES:])
-        assert np.abs(errors(got)).max() < 0.02
-        assert max(feedback.residual for feedback, _ in got[1000:]) < 0.06
-    blind = jittered(SignalChain(ChainConfig()), 10e-6, 3000, timed=False)
-    assert not all(feedback.valid for feedback, _ in blind)
-
-
-def test_a_late_sample_with_its_time_is_taken_where_it_belongs() -> None:
-    chain = SignalChain(ChainConfig())
-    chain.sync_interval_s = 1e-3
-
-    def at(k: int) -> Feedback:
-        angle = 2 * math.pi * 0.31 * k
-        return chain.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle), time_100ns=k * 10_000))
-
-    for k in range(30):
-        at(k)
-    chain.miss()
-    late = at(30)
-    assert late.cycles == math.floor(0.31 * 30)
-    for k in range(31, 50):
-        got = at(k)
-        assert got.cycles == math.floor(0.31 * k)
-    assert got.valid
 
 
 def test_speed_and_acceleration_with_their_delays() -> None:
@@ -181,42 +112,6 @@ def test_speed_and_acceleration_with_their_delays() -> None:
         got = chain.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle)))
     assert got.speed_cycles == pytest.approx(0.01 * (59 - 0.5), abs=0.03)
     assert got.acceleration_cycles == pytest.approx(0.01, abs=0.05)
-
-
-@pytest.mark.parametrize("speed", [3.2, 5.0, 7.003, -83.0])
-def test_a_frozen_converter_is_found(speed: float) -> None:
-    chain, machine = SignalChain(ChainConfig(frozen_samples=16)), Machine(0.0, coarse=False, pulse=False)
-    run(chain, machine, 5)
-    while machine.speed != speed:
-        machine.speed += max(-0.1, min(0.1, speed - machine.speed))
-        chain.step(machine.sample())
-    run(chain, machine, 50)
-    last = machine.sample()
-    last = last._replace(sine=last.sine + 3)  # noise must not make it equal to the one before
-    chain.step(last)
-    frozen = [bool(chain.step(last).status & StatusBit.FROZEN) for _ in range(20)]
-    assert frozen == [k >= 15 for k in range(20)]
-
-
-@pytest.mark.parametrize("frozen_samples", [0, 16])
-@pytest.mark.parametrize("speed", [0.02, 0.1, 0.3])
-def test_a_machine_that_stops_is_not_frozen(speed: float, frozen_samples: int) -> None:
-    chain = SignalChain(ChainConfig(frozen_samples=frozen_samples))
-    for k in range(300):
-        angle = 2 * math.pi * speed * min(k, 100)
-        got = chain.step(Sample(round(1500 * math.sin(angle)), round(1500 * math.cos(angle))))
-    assert got.valid
-
-
-def test_a_converter_without_noise_at_3000_rpm_is_not_frozen() -> None:
-    chain = SignalChain(ChainConfig())
-    assert chain.step(Sample(0, 1500)).valid
-    position = Fraction(0)
-    for k in range(2000):
-        position += min(Fraction(125), Fraction(k, 4))
-        angle = 2 * math.pi * float(position % 1)
-        got = chain.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle)))
-        assert got.valid
 
 
 @pytest.mark.parametrize("coarse", [False, True])
@@ -249,18 +144,6 @@ def test_after_a_count_was_set_right_one_bad_sample_costs_nothing(speed: float) 
     assert np.abs(errors(after) - reference).max() < 0.04
 
 
-def test_a_converter_that_freezes_after_a_bad_sample_is_found_too() -> None:
-    chain, machine = starts_at_rest(coarse=False, pulse=False)
-    chain.stages._frozen.frozen_samples = 16
-    while machine.speed > 5.05:
-        chain.step(machine.sample(-0.1))
-    machine.speed = 5.0
-    run(chain, machine, 50)
-    spoil(chain, machine, 1)
-    last = machine.sample()
-    assert any(chain.step(last).status & StatusBit.FROZEN for _ in range(20))
-
-
 def test_a_machine_that_moved_in_a_pause_is_noticed_by_the_coarse_track() -> None:
     chain, machine = SignalChain(ChainConfig()), Machine(0.0, pulse=False)
     run(chain, machine, 60)
@@ -269,17 +152,3 @@ def test_a_machine_that_moved_in_a_pause_is_noticed_by_the_coarse_track() -> Non
     got = [feedback for feedback, _ in run(chain, machine, 60)]
     assert not any(feedback.valid for feedback in got)
     assert any(feedback.status & StatusBit.COARSE for feedback in got)
-
-
-def test_a_narrow_window_of_amplitudes_opens_again() -> None:
-    chain = SignalChain(ChainConfig(amplitude_low_counts=1480, amplitude_high_counts=1520))
-    chain.step(Sample(0, 1500))
-    assert chain.step(Sample(0, 1000)).status & StatusBit.AMPLITUDE
-    assert not chain.step(Sample(0, 1500)).status & StatusBit.AMPLITUDE
-
-
-def test_a_glitch_at_rest_does_not_make_rest_look_frozen() -> None:
-    chain = SignalChain(ChainConfig())
-    for k in range(40):
-        got = chain.step(Sample(1450, -450) if k == 20 else Sample(0, 1500))
-    assert got.valid

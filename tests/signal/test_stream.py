@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import canfb
 from canfb.objects import StatusBit
 from canfb.signal import stream
 from canfb.signal.blocks import BLOCK_SAMPLES
@@ -203,25 +202,6 @@ def test_a_stream_gives_the_bits_of_single_samples(
         assert_same(in_blocks(sine, cosine, config, table, lengths), wanted)
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("length", [1, 3, 9, 200])
-def test_each_fault_in_a_long_block(fault: Fault, length: int) -> None:
-    """The position recovers where the fault was short, and both ways agree on it."""
-    rng = np.random.default_rng(length)
-    part = 3000  # of a block, in place of BLOCK_SAMPLES
-    sine, cosine = tracks_at(np.cumsum(0.4 * np.sin(np.arange(2 * part) * 1e-3)))
-    for at in (1000, part - 2, part + 700):
-        fault(sine, cosine, slice(at, at + length), rng)
-    wanted = one_by_one(sine, cosine, ChainConfig())
-    with patch.object(stream, "BLOCK_SAMPLES", part):
-        assert_same(in_blocks(sine, cosine, ChainConfig()), wanted)
-    assert wanted.valid[:1000].all()
-    if fault in (both_dead, no_number):
-        assert not wanted.valid[1000]
-    if length == 1:
-        assert wanted.valid[-1]
-
-
 @each("length", [1, 2, 3])
 def test_what_stands_before_a_part_of_a_block_is_left_as_it_is(length: int) -> None:
     """A fault on the seam: what the prediction goes on from is not what was given for these samples."""
@@ -395,8 +375,3 @@ def test_short_blocks_are_as_right_as_long_ones() -> None:
     assert whole.valid.all()
     for length in (1, 2, 3, SHORTEST_BLOCK - 1, SHORTEST_BLOCK, SHORTEST_BLOCK + 1):
         assert_same(in_blocks(sine, cosine, ChainConfig(), TABLE, [length]), whole)
-
-
-def test_the_package_exports_it() -> None:
-    assert canfb.process_stream is process_stream
-    assert canfb.ChainResult is ChainResult

@@ -34,11 +34,6 @@ def rows(result: TrackResult) -> list[tuple[int, float, float, bool]]:
     )
 
 
-@given(st.lists(phases, max_size=60), limits)
-def test_the_array_path_gives_the_same_bits(values: list[float], limit: float) -> None:
-    assert rows(track(values, limit)) == one_by_one(values, limit)
-
-
 @given(st.lists(st.one_of(phases, phases, st.just(math.nan)), max_size=60), limits)
 def test_also_with_samples_that_have_no_phase(values: list[float], limit: float) -> None:
     assert rows(track(values, limit)) == one_by_one(values, limit)
