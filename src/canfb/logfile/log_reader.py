@@ -78,12 +78,11 @@ class BusLogFile:
         except (NotImplementedError, ImportError) as error:
             raise LogError(f"{self.path}: {NEEDS_PACKAGE}") from error
         except Exception as error:
-            said = reason(error)
             if not self.counters.frames:
-                raise LogError(f"{self.path}: this is no {self.suffix} log: {said}") from error
+                raise LogError(f"{self.path}: this is no {self.suffix} log: {reason(error)}") from error
             self.trouble = (
                 f"{self.path}: damaged or incomplete: nothing can be read behind frame "
-                f"{self.counters.frames}: {said}"
+                f"{self.counters.frames}: {reason(error)}"
             )
 
     def _candump(self) -> Iterator[list[Frame]]:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any
 
@@ -32,13 +33,13 @@ BLF_OBJECT, BLF_OBJECT_PLACES = b"LOBJ", 8  # an object begins in the first 4 by
 
 def messages_of(path: Path, suffix: str, counters: LogCounters) -> Iterator[can.Message]:
     """What is in a log. What is raised behind damage has no common root."""
-    with opened(path) as (file, raw):
+    with opened(path) as (file, raw), ExitStack() as closing:
         if suffix in TEXT:
             messages: Iterable[can.Message] = TEXT[suffix](file, counters).messages()
         elif suffix == ".blf":
             messages = _blf_messages(file)
         else:
-            messages = can.LogReader(path)
+            messages = closing.enter_context(can.LogReader(path))
         for message in messages:
             counters.bytes_read = raw.tell()
             yield message
