@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import can
@@ -12,8 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb import objects as od
-from canfb.bus.shared_bus import ListeningThread, SharedBus
-from canfb.cia301.frame import Frame
 from canfb.configuration import Config
 from canfb.errors import CanfbError
 from canfb.master.access import NodeAccess
@@ -27,15 +24,12 @@ from canfb.monitoring.sdo_reading import (
     REPEATED,
     ModuleReader,
     ModuleReading,
-    SdoThread,
     only_reads,
 )
 from canfb.monitoring.snapshot import NodeSnapshot
-from canfb.monitoring.watching import MessageReader, Watching
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
-from fake_bus import message
 
 ENTRIES = np.arange(64) / 64
 TABLE = CorrectionTable(ENTRIES + 0.01 * np.sin(2 * np.pi * ENTRIES))
@@ -165,47 +159,3 @@ def test_only_uploads_may_be_sent(sent: can.Message) -> None:
         and not sent.is_remote_frame
     )
     assert (only_reads(sent) == "") is upload
-
-
-def test_beside_the_reception_of_a_bus_and_only_while_wanted() -> None:
-    """With threads: the module answers in one, the monitor receives in another, and a third one reads."""
-    bench = Bench(sync=False)
-    channel = "canfb sdo reading"
-    with (
-        can.Bus(interface="virtual", channel=channel) as wire,
-        SharedBus(can.Bus(interface="virtual", channel=channel), only_reads) as shared,
-    ):
-        asked: list[int] = []
-        running = True
-
-        def answer() -> None:
-            while running:
-                if (request := wire.recv(0.01)) is not None:
-                    asked.append(request.arbitration_id)
-                    for one in bench.module.receive(Frame(request.arbitration_id, bytes(request.data)), 1.0):
-                        wire.send(message(one.can_id, one.data))
-
-        wanted = False
-        model = BusModel(known_layouts(Config(), [MODULE_ID]))
-        watching = Watching(model, lambda snapshot: None, 50.0, MessageReader())
-        taken: list[ModuleReading] = []
-        reading = SdoThread(
-            shared, [ModuleReader(MODULE_ID)], lambda: watching.latest, taken.append, lambda: wanted
-        )
-        threads = [
-            ListeningThread(answer, lambda: None),
-            ListeningThread(lambda: watching.opened(shared), watching.stop),
-        ]
-        for one in threads:
-            one.begin(lambda: None)
-        try:
-            with reading.running(lambda: None):
-                pass
-            assert asked == []
-            reading.look(math.inf)
-            assert [one.node_id for one in taken] == [MODULE_ID]
-            assert set(asked) == {0x600 + MODULE_ID}
-        finally:
-            running = False
-            for one in reversed(threads):
-                one.end()
