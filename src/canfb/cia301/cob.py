@@ -47,10 +47,10 @@ def is_restricted(can_id: int) -> bool:
 
 
 def check(new: int, old: int, *, uses_new: bool, uses_old: bool) -> None:
-    """Refuse a COB-ID that an 11-bit device cannot use, or a change of one in use.
+    """Refuse a COB-ID that an 11-bit device cannot use, or a change of one in use: SdoAbort 06090030h (CiA
+    301, 7.5.2).
 
-    `uses_new` and `uses_old` say whether the object exists with the new and the old value. The
-    frame bit 29 and the bits 11 to 28 must be 0. SdoAbort 06090030h otherwise (CiA 301, 7.5.2).
+    `uses_new` and `uses_old`: the object exists with the new and the old value.
     """
     restricted = uses_new and is_restricted(new & CAN_ID)
     moved = uses_new and uses_old and (new ^ old) & CAN_ID

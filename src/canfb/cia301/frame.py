@@ -12,10 +12,9 @@ LONGEST_DATA = 8
 class Frame(NamedTuple):
     """One CAN frame with an 11-bit identifier.
 
-    `can_id` is 0 to 7FFh, `data` holds 0 to 8 bytes, `rtr` marks a remote frame. `timestamp` is the
-    time of reception in seconds, on the clock of `now`, where the bus gives one. Nothing is checked
-    here, as a bus may deliver anything: the device drops and counts what is malformed.
-    :meth:`checked` makes the frames of a program.
+    `can_id` is 0 to 7FFh, `data` 0 to 8 bytes, `rtr` marks a remote frame, `timestamp` is the time of
+    reception in seconds, on the clock of `now`, or None. Nothing is checked here, as a bus may deliver
+    anything; :meth:`checked` does.
     """
 
     can_id: int
@@ -27,8 +26,7 @@ class Frame(NamedTuple):
     def checked(
         cls, can_id: int, data: bytes = b"", rtr: bool = False, timestamp: float | None = None
     ) -> Self:
-        """A frame that is one: `can_id` 0 to 7FFh, `data` 0 to 8 bytes, `rtr` true or false,
-        `timestamp` seconds or None. TypeError or ValueError otherwise."""
+        """A frame whose fields are within their ranges. TypeError or ValueError otherwise."""
         if not isinstance(can_id, int) or isinstance(can_id, bool):
             raise TypeError(f"can_id must be a whole number, not {can_id!r}")
         if not 0 <= can_id <= HIGHEST_ID:

@@ -19,32 +19,25 @@ class Expiry(Protocol):
 
 
 class ProcessData:
-    """What SYNCs and PDOs are for the program: in one object, so that a frame takes no detour.
+    """What SYNCs and PDOs are for the program, in one object, so that a frame takes no detour.
 
-    In OPERATIONAL a SYNC goes through four steps (CiA 301, 7.2.5): `accepts_sync`, then the data of
-    synchronous RPDOs (`rpdo_received` for each), then `sync_received`, then the synchronous TPDOs are
-    sampled. The rules of `Application` hold.
+    In OPERATIONAL a SYNC (CiA 301, 7.2.5) calls `accepts_sync`, `rpdo_received` for each synchronous RPDO,
+    `sync_received`, then the synchronous TPDOs are sampled. The rules of `Application` hold.
     """
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
-        """Whether synchronous PDOs follow this SYNC, before anything is done with it; False drops it.
-
-        `counter` is None without 1019h, here and below.
-        """
+        """Whether synchronous PDOs follow this SYNC; False drops it. `counter` is None without 1019h."""
         return True
 
     def rpdo_received(self, number: int, now: float) -> None:
         """The data of RPDO `number` is in the dictionary."""
 
     def sync_received(self, counter: int | None, now: float) -> bool:
-        """A SYNC in OPERATIONAL that was accepted, before synchronous TPDOs are sampled.
-
-        True: call `tpdos_sampled` once they are.
-        """
+        """An accepted SYNC in OPERATIONAL; True: call `tpdos_sampled` when the TPDOs are sampled."""
         return False
 
     def tpdos_sampled(self) -> None:
-        """The synchronous TPDOs of a SYNC are sampled, and `sync_received` asked for this call."""
+        """The synchronous TPDOs of a SYNC are sampled."""
 
     def idle_sync_received(self, counter: int | None) -> None:
         """A SYNC in PRE-OPERATIONAL."""
@@ -61,57 +54,47 @@ class Application(ProcessData):
     """
 
     def expired(self, now: float) -> None:
-        """A frame received after `Expiry.until` is about to be taken, and no `tick` came in between."""
+        """A frame received after `Expiry.until` is about to be taken."""
 
     def overdue(self, now: float) -> None:
         """A `tick` at or after `Expiry.until`."""
 
     def time_received(self, days: int, milliseconds: int, now: float) -> None:
-        """A TIME while 1012h consumes it: days since 1984-01-01, and the milliseconds of the day."""
+        """TIME (1012h): days since 1984-01-01, and the milliseconds of the day."""
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """Another NMT state; `why` in words, "" if it was commanded, or a start."""
+        """Another NMT state; `why` in words, "" for a command or a start."""
 
     def reset_done(self, communication_only: bool, now: float) -> None:
-        """A reset, or the start, before the boot-up: report again what persists.
-
-        The dictionary has its defaults (at the start: its values), stored parameters are restored,
-        and all errors are forgotten.
-        """
+        """A reset, or the start, before the boot-up: report again what persists; all errors are forgotten."""
 
     def configuration_changed(self) -> None:
-        """PDO parameters or the NMT state have changed; mappings may be others now."""
+        """PDO parameters or the NMT state have changed."""
 
     def check_write(self, entry: Entry | None) -> None:
         """An SDO is about to write `entry`, or LSS to configure the node (None). SdoAbort refuses it."""
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
-        """Stored parameters of these groups were refused, and why; their defaults are in force.
-
-        After each reset while there are any, and when a save or a load changes them.
+        """Stored parameters of these groups were refused, and why: after each reset, and when that
+        changes.
         """
 
     def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
-        """These groups of parameters were saved, or dropped from the store."""
+        """These groups were saved, or dropped from the store."""
 
     def saving_failed(self, groups: Groups, reason: str, now: float) -> None:
-        """These groups could not be saved or dropped; the store is as before."""
+        """These groups were not saved; the store is as before."""
 
     def emergency_sent(self, code: int, register: int, detail: bytes, now: float) -> None:
         """An EMCY goes out, with 1001h and its 5 manufacturer bytes."""
 
     def duplicate_received(self, can_id: int, now: float) -> None:
-        """Another node sends with a CAN-ID of this one, most likely with the same node-ID.
-
-        For the first such frame after each reset; `counters` counts them all.
-        """
+        """Another node sends with a CAN-ID of this one: the first frame after each reset."""
 
     def communication_failed(self, now: float) -> None:
-        """A heartbeat, the guarding master or the bus is lost; the NMT state changes next (1029h)."""
+        """A heartbeat, the guarding master or the bus is lost; the NMT state changes next."""
 
     def bit_rate_activated(self, kbit_s: int, delay_s: float, now: float) -> None:
-        """LSS activates this bit rate: change it at `now` + `delay_s`.
-
-        The node by itself sends nothing up to `now` + 2 `delay_s`. What waits in the queue of a driver
-        is the program's to discard.
+        """LSS activates this bit rate: change it at `now` + `delay_s`; the node is silent up to twice
+        that.
         """

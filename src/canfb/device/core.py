@@ -1,15 +1,9 @@
 """The core of a node: what its services share, and what they ask of it.
 
-Every service takes the :class:`Core` and finds there what it needs: the entries of the dictionary, the
-times of the running call, how to send a frame (`emit`), whom to tell (`application`, `reactions`), where to
-report an error (`emergency`). Four small things make it up:
-
-- :class:`CallContext`: the times of the running call. A hook of an SDO write gets no time, yet a timer that
-  it starts needs one; and the time stamp of a frame says when a SYNC came, whenever it is read.
-- :class:`Timed` and :class:`Agenda`: a service with a timer has a `deadline`. A host asks for the earliest
-  one after every frame, and few frames move one, so it is kept until a service says that its own has moved.
-- :class:`Routes`: which service listens to which CAN-ID in the present NMT state.
-- :class:`Pending`: an SDO write whose answer waits until its effect has come, as that of `save`.
+Every service takes the :class:`Core`: the dictionary, the times of the running call, how to send a frame
+(`emit`), whom to tell (`application`, `reactions`), where to report an error (`emergency`). A service with a
+timer is :class:`Timed`; :class:`Agenda` keeps the earliest deadline, as few frames move one. :class:`Pending`
+is an SDO write whose answer waits for its effect, as that of `save`.
 """
 
 from __future__ import annotations
@@ -38,8 +32,8 @@ Emit = Callable[[Frame], None]
 class CallContext:
     """The `now` of the running call, and the time at which its frame was received, seconds.
 
-    `received` is the time stamp of the frame if `is_stamped`, else the latest time at which it may have
-    been received: that of the call. `stamp` is the last time stamp that was taken.
+    `received` is the time stamp of the frame if `is_stamped`, else that of the call; `stamp` the last one
+    that was taken.
     """
 
     __slots__ = ("is_stamped", "now", "received", "stamp")
@@ -50,11 +44,10 @@ class CallContext:
         self.is_stamped = False
 
     def stamped(self, stamp: float) -> None:
-        """The frame of the running call has a time stamp, seconds.
+        """The frame of the running call has this time stamp, seconds.
 
-        Frames come in order, so one that lies a little before the last is as late as that one. One
-        that lies far before it, or later than now, is of a clock that was set: not used, nor is any
-        other that lies before this call. A clock that was set back is used again when it is right.
+        Frames come in order: one that lies a little before the last is as late as that one. One that lies far
+        before it, or later than now, is of a clock that was set, and not used.
         """
         last = self.stamp
         self.is_stamped = last - STAMP_NOISE_S <= stamp <= self.now
@@ -62,7 +55,7 @@ class CallContext:
 
 
 class Agenda:
-    """The services with a timer, in the order in which they are called when several are due."""
+    """The services with a timer, in the order in which they are called."""
 
     __slots__ = ("_services", "earliest", "moved")
 
@@ -80,14 +73,14 @@ class Agenda:
         self.moved = True
 
     def due(self) -> float:
-        """The earliest deadline, seconds; NEVER if none waits."""
+        """The earliest deadline, seconds."""
         if self.moved:
             self.earliest = min([service.deadline for service in self._services], default=NEVER)
             self.moved = False
         return self.earliest
 
     def tick(self, now: float) -> None:
-        """Call the services that are due at `now` (seconds, monotonic)."""
+        """Call the services that are due."""
         if self.due() <= now:
             for service in self._services:
                 if service.deadline <= now:
@@ -103,7 +96,7 @@ class Timed(ABC):
 
     @property
     def deadline(self) -> float:
-        """Time of the next `tick`, seconds; NEVER: none."""
+        """Time of the next `tick`, seconds."""
         return self._deadline
 
     @deadline.setter
@@ -114,12 +107,12 @@ class Timed(ABC):
 
     @abstractmethod
     def tick(self, now: float) -> None:
-        """Do what is due at `now` (seconds, monotonic) and move the deadline on."""
+        """Do what is due at `now`, and move the deadline on."""
 
 
 @dataclass(slots=True)
 class Counters:
-    """Frames and values from the bus that had no effect, by reason. Never reset, never wrap."""
+    """Frames and values from the bus without effect, by reason."""
 
     unknown_cob_ids: int = 0
     """Frames that no service listens to in the present NMT state; frames for others included."""
@@ -147,9 +140,8 @@ Ended = Callable[[AbortCode | None], None]
 
 
 class Pending:
-    """Made by the object (`Core.pending`), taken by the SDO server, which waits for `end`.
-
-    `on_end(code)`: the write is done, or is to be aborted with `code`. None: nobody waits any more.
+    """Made by the object (`Core.pending`), taken by the SDO server: `on_end(code)` is called when the write
+    is done (None) or has failed.
     """
 
     __slots__ = ("code", "ended", "on_end")
@@ -173,11 +165,9 @@ RemoteHandler = Callable[[float], None]
 
 
 class CanIds(NamedTuple):
-    """CAN-IDs that a node listens to; all other frames are only counted.
+    """CAN-IDs that a node listens to, of data and remote frames, now and in any NMT state.
 
-    `data` and `remote` are those of data and remote frames now. `any_state` and `any_state_remote` are those
-    with the present parameters in any NMT state: a master that starts the node need not wait before it sends
-    PDOs, so a filter of the bus has to pass them before.
+    A filter of the bus has to pass those of any state: a master need not wait before it sends PDOs.
     """
 
     data: frozenset[int]
@@ -191,11 +181,10 @@ def _nobody_follows() -> None:
 
 
 class Routes:
-    """The listeners of the present NMT state, by CAN-ID: `data` and `remote` for the two kinds of frames.
+    """The listeners of the present NMT state, by CAN-ID.
 
-    `sent` are those that are notified when a frame of the node itself has left: an inhibit time counts
-    from there. The three tables stay the same objects, whatever they hold. `changes` moves, and `on_change`
-    is called, whenever they are filled again.
+    `sent` are notified when a frame of the node itself has left. The tables stay the same objects. `changes`
+    moves, and `on_change` is called, whenever they are filled again.
     """
 
     __slots__ = ("changes", "data", "on_change", "remote", "sent")
@@ -216,18 +205,18 @@ class Routes:
         self.sent.clear()
 
     def add(self, can_id: int | None, handler: Handler) -> None:
-        """One more listener; None for one that listens to nothing now. Two on one CAN-ID both get it."""
+        """One more listener; None for none. Two on one CAN-ID both get it."""
         if can_id is not None:
             other = self.data.get(can_id)
             self.data[can_id] = handler if other is None else _both(other, handler)
 
     def add_remote(self, can_id: int | None, handler: RemoteHandler) -> None:
-        """Who answers remote frames; None for one that does not now. The last one added does."""
+        """Who answers remote frames."""
         if can_id is not None:
             self.remote[can_id] = handler
 
     def add_sent(self, can_id: int | None, follow: Callable[[float], None]) -> None:
-        """Observer of the frames that leave: the last one added; None: nothing is sent now."""
+        """Observer of the frames that leave."""
         if can_id is not None:
             self.sent[can_id] = follow
 
@@ -243,14 +232,11 @@ def _both(first: Handler, second: Handler) -> Handler:
 
 
 class Reactions(ABC):
-    """What follows from what a service notices, beyond the service; `now` in seconds.
-
-    What concerns only the program goes to it directly (`Core.application`).
-    """
+    """What follows from what a service notices, beyond the service; `now` in seconds."""
 
     @abstractmethod
     def state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
-        """The NMT state is another one."""
+        """Another NMT state."""
 
     @abstractmethod
     def reset(self, communication_only: bool, now: float) -> None:
@@ -258,7 +244,7 @@ class Reactions(ABC):
 
     @abstractmethod
     def communication_error(self, why: str, now: float) -> None:
-        """A heartbeat or the guarding master is lost; `why` in words."""
+        """A heartbeat or the guarding master is lost."""
 
     @abstractmethod
     def heartbeat_changed(self) -> None:
@@ -270,11 +256,11 @@ class Reactions(ABC):
 
     @abstractmethod
     def routes_changed(self) -> None:
-        """A COB-ID has changed, so that another service may listen to a CAN-ID."""
+        """A COB-ID has changed."""
 
     @abstractmethod
     def bit_rate_activated(self, kbit_s: int, delay_s: float) -> None:
-        """LSS activates a bit rate: silence for `delay_s`, the change, silence for `delay_s` again."""
+        """Silence for `delay_s`, the change, silence again."""
 
     @abstractmethod
     def lss_left(self, now: float) -> None:
@@ -282,11 +268,11 @@ class Reactions(ABC):
 
     @abstractmethod
     def silence_ended(self, now: float) -> None:
-        """The silence for a change of the bit rate is over."""
+        """The silence is over."""
 
 
 class ErrorReports(Protocol):
-    """Where a service reports an error: EMCY, 1001h and 1003h. See `Emergency`."""
+    """EMCY, 1001h and 1003h: see `Emergency`."""
 
     def report(
         self,
@@ -298,14 +284,14 @@ class ErrorReports(Protocol):
         *,
         again: bool = False,
     ) -> None:
-        """An error of `source` appeared; nothing if it is active already, unless `again`."""
+        """An error of `source` appeared."""
 
     def clear(self, code: int, now: float, source: Hashable = None) -> None:
-        """The error is gone; nothing happens when it was not active."""
+        """The error is gone."""
 
 
 class Core:
-    """What the services of a node share, from its first power-on on."""
+    """What the services of a node share."""
 
     __slots__ = (
         "agenda",

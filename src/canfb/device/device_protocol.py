@@ -1,6 +1,5 @@
-"""What a host asks of a device: the runner on a real bus, and the embedded bus.
+"""What a host asks of a device: :class:`Device`, and protocols that it may have beside it.
 
-:class:`Device` is all that a device must have; each further protocol is one thing that it may have as well.
 :class:`NodeDevice` has all of them but `Computing`: a node that is its own application.
 """
 
@@ -21,7 +20,7 @@ from canfb.device.storage.storage import Store
 
 
 class Device(Protocol):
-    """A sans-I/O device, as FeedbackModule and EncoderInterface are. Times in seconds, monotonic."""
+    """A sans-I/O device. Times in seconds, monotonic."""
 
     def start(self, now: float) -> list[Frame]:
         """Power-on at ``now``."""
@@ -38,22 +37,18 @@ class Device(Protocol):
 
 @runtime_checkable
 class Selective(Protocol):
-    """A device that says what it listens to, as FeedbackModule does.
-
-    A host need not give it other frames. Its deadline moves in calls of its own only, or is looked for
-    late, some hundred times a second.
-    """
+    """A device that says what it listens to: a host need not give it other frames."""
 
     def can_ids(self) -> CanIds:
         """The CAN-IDs that it listens to."""
 
     def follow_can_ids(self, moved: Callable[[], None]) -> None:
-        """``moved`` is called in each call after which :meth:`can_ids` may give others."""
+        """``moved`` is called when :meth:`can_ids` may give others."""
 
 
 @runtime_checkable
 class Ending(Protocol):
-    """A device that has something to do when the program ends, as FeedbackModule has."""
+    """A device that has something to do when the program ends."""
 
     def end(self, now: float) -> None:
         """The program ends."""
@@ -61,7 +56,7 @@ class Ending(Protocol):
 
 @runtime_checkable
 class Inhibited(Protocol):
-    """A device with inhibit times, as FeedbackModule is: they count from when its frames leave."""
+    """A device with inhibit times, which count from when its frames leave."""
 
     inhibited: Mapping[int | None, object]
     """By CAN-ID: the frames for which ``sent`` is called."""
@@ -72,7 +67,7 @@ class Inhibited(Protocol):
 
 @runtime_checkable
 class BusWatching(Protocol):
-    """A device that is notified when the bus fails and is back, as FeedbackModule."""
+    """A device that is notified when the bus fails and is back."""
 
     def bus_off(self, now: float) -> list[Frame]:
         """The bus is gone."""
@@ -83,7 +78,7 @@ class BusWatching(Protocol):
 
 @runtime_checkable
 class Computing(Protocol):
-    """A device with something to compute now and then, as FeedbackModule is."""
+    """A device with something to compute now and then."""
 
     def pending_job(self) -> Any:
         """The pending computation, None if there is none."""
@@ -98,10 +93,9 @@ class Computing(Protocol):
 class NodeDevice(Node, Application):
     """A node that is its own application, as FeedbackModule and EncoderInterface are.
 
-    A subclass overrides events. What happens in the node goes on to the program that runs it:
-    ``on_parameter_faults`` is called with the groups of stored parameters that were refused, and the
-    reasons; ``on_duplicate`` as (can_id, now) when another node uses this node-ID; ``on_bit_rate`` as
-    (kbit_s, delay_s, now) when LSS changes the bit rate, see :meth:`Application.bit_rate_activated`.
+    The program that runs it may set ``on_parameter_faults`` (groups of stored parameters that were refused,
+    and why), ``on_duplicate`` (can_id, now) and ``on_bit_rate`` (kbit_s, delay_s, now), see
+    :meth:`Application.bit_rate_activated`.
     """
 
     register_bits = ErrorRegister.GENERIC

@@ -20,10 +20,9 @@ APPLICATION = None
 
 
 class Emergency(Timed):
-    """Reports errors: each once, until it is cleared.
+    """Reports errors, each (code and source) once, until it is cleared.
 
-    An error is known by its code and its source, so that two RPDOs that are both too short are two
-    errors. Frames that may not go out now (inhibit time 1015h, NMT state) wait, up to eight.
+    Frames that may not go out now (inhibit time 1015h, NMT state) wait, up to eight.
     """
 
     def __init__(self, core: Core) -> None:
@@ -46,11 +45,11 @@ class Emergency(Timed):
 
     @property
     def can_id(self) -> int | None:
-        """The CAN-ID of EMCY, None while it is switched off (1014h bit 31)."""
+        """The CAN-ID of EMCY, None while 1014h switches it off."""
         return self._can_id() if self._is_valid() else None
 
     def reset(self) -> None:
-        """Forget the errors, with an NMT reset. Who still has one reports it again."""
+        """Forget the errors, with an NMT reset."""
         self._active.clear()
         self._waiting.clear()
         self._not_before = -NEVER
@@ -75,7 +74,7 @@ class Emergency(Timed):
     ) -> None:
         """An error appeared: 1001h, 1003h and EMCY. Nothing if it is active, unless ``again``.
 
-        `register_bits` are bits of 1001h (the generic bit is added), `manufacturer` up to 5 bytes.
+        `register_bits` are bits of 1001h, `manufacturer` up to 5 bytes.
         """
         key = (int(code), source)
         if key in self._active and not again:
@@ -86,7 +85,7 @@ class Emergency(Timed):
         self._send(int(code), manufacturer, now)
 
     def clear(self, code: int, now: float, source: Hashable = APPLICATION) -> None:
-        """An error is gone: EMCY 0000h with what is left in 1001h. Nothing when it was not active."""
+        """An error is gone: EMCY 0000h with what is left in 1001h."""
         if self._active.pop((int(code), source), None) is None:
             return
         self._set_register()
@@ -106,7 +105,7 @@ class Emergency(Timed):
         self.deadline = self._not_before if self._waiting and self._allowed else NEVER
 
     def sent(self, now: float) -> None:
-        """An EMCY went onto the bus at `now`, later than it was given out: 1015h counts from here."""
+        """An EMCY went onto the bus later than it was given out: 1015h counts from here."""
         inhibit = self._inhibit_s()
         if inhibit:
             self._not_before = now + inhibit

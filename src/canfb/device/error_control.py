@@ -12,10 +12,7 @@ from canfb.device.od.dictionary import Entry
 
 
 class HeartbeatProducer(Timed):
-    """Sends the NMT state every 1017h milliseconds; 0 is off.
-
-    The boot-up counts as the first heartbeat. A new period starts with a heartbeat at once.
-    """
+    """Sends the NMT state every 1017h milliseconds, 0 for off; the boot-up is the first heartbeat."""
 
     def __init__(self, core: Core) -> None:
         self.deadline = NEVER
@@ -26,7 +23,7 @@ class HeartbeatProducer(Timed):
 
     @property
     def is_active(self) -> bool:
-        """Whether there is a heartbeat: 1017h is not 0."""
+        """1017h is not 0."""
         return self._period_s > 0
 
     @property
@@ -44,7 +41,7 @@ class HeartbeatProducer(Timed):
         self.deadline = NEVER
 
     def tick(self, now: float) -> None:
-        """Send the heartbeat that is due. What was missed by a late tick is left out."""
+        """Send the heartbeat that is due; one for several that were missed."""
         if now < self.deadline:
             return
         self._core.emit(Frame(self._can_id, bytes([self._core.state])))
@@ -72,7 +69,7 @@ class HeartbeatMonitor(Timed):
 
     @property
     def node_id(self) -> int:
-        """The watched node, 0 when the entry is unused (time 0, or no node-ID)."""
+        """The watched node, 0 for none."""
         return watched_node(self.entry.value)
 
     def forget(self, now: float) -> None:
@@ -137,10 +134,9 @@ _GUARDING = 0x100C
 class NodeGuarding(Timed):
     """Answers the remote frames of a master with the NMT state, and watches that they come.
 
-    The toggle bit is 0 in the first answer after a reset, then alternates. The life time, 100Ch
-    milliseconds times 100Dh, runs from the first remote frame on; 0 is none. When it is over:
-    EMCY 8130h and a communication error, once; the next remote frame ends the error. There is no
-    guarding while there is a `heartbeat`, nor on a device without 100Ch.
+    The toggle bit is 0 in the first answer after a reset. The life time, 100Ch milliseconds times 100Dh, runs
+    from the first remote frame on. When it is over: EMCY 8130h and a communication error, once. No guarding
+    with a `heartbeat`, or without 100Ch.
     """
 
     def __init__(self, core: Core, heartbeat: HeartbeatProducer) -> None:
@@ -159,7 +155,7 @@ class NodeGuarding(Timed):
 
     @property
     def can_id(self) -> int | None:
-        """The CAN-ID on which it answers remote frames now, None when it does not."""
+        """The CAN-ID on which it answers remote frames now, or None."""
         return self._can_id if self._can_guard and not self._heartbeat.is_active else None
 
     @property
@@ -168,7 +164,7 @@ class NodeGuarding(Timed):
         return int(self._guard_time.value) * int(self._factor.value) / 1000
 
     def configure(self, now: float) -> None:
-        """Restart: toggle bit 0, no error, no life time before the first remote frame."""
+        """After a reset: toggle bit 0, no error."""
         self._toggle = 0
         self._guarded = False
         self.deadline = NEVER

@@ -1,15 +1,10 @@
-"""From power-on to OPERATIONAL: all services of a node, and what follows from what they notice.
+"""From power-on to OPERATIONAL (CiA 301, 7.3.2): all services of a node, and what follows from what they
+notice.
 
-    power-on, reset node ──> INITIALISING: defaults, stored values over them, boot-up ──> PRE-OPERATIONAL
-    PRE-OPERATIONAL <──> OPERATIONAL <──> STOPPED        by NMT commands, or 1029h after an error
-
-(CiA 301, 7.3.2.) A reset puts the dictionary back to its defaults, whole or from 1000h to 1FFFh, then what
-is stored over them; each service then reads its parameters again (`configure`). Which services there are
-follows from the NMT state (7.3.2.2.5): `Services.route` lists who listens. :class:`LifeCycle` is the only
-place where a service has an effect on others: the :class:`Reactions`.
-
-All services hold for one node-ID. LSS can give the node another one, from the next reset on: then they are
-all made again (`_make_services`). LSS, storage and silence are there from the first power-on.
+A reset puts the dictionary back to its defaults, whole or from 1000h to 1FFFh, then what is stored over them;
+each service then reads its parameters again (`configure`). `Services.route` lists who listens in an NMT
+state. :class:`LifeCycle` is the only place where a service has an effect on others. All services hold for one
+node-ID, and are made again with another; LSS, storage and silence are there from the first power-on.
 """
 
 from __future__ import annotations
@@ -32,10 +27,7 @@ from canfb.device.sync import Pdos, Sync, TimeStamp
 
 
 class Silence(Timed):
-    """Whether the device is silent, and until when.
-
-    `boot_up_pending` is for a boot-up that fell into it: it is sent at the end.
-    """
+    """Whether the device is silent, and until when; `boot_up_pending`: a boot-up fell into it."""
 
     def __init__(self, core: Core) -> None:
         self.active = False
@@ -44,7 +36,7 @@ class Silence(Timed):
         self._reactions = core.reactions
 
     def begin(self, until: float) -> None:
-        """Silent from now on, until this time (seconds); one that is running lasts to the later end."""
+        """Silent until this time (seconds), or that of one that is running."""
         self.deadline = max(until, self.deadline) if self.active else until
         self.active = True
 
@@ -63,10 +55,9 @@ _DUPLICATE = "duplicate node-ID"
 class DuplicateWatch:
     """Listens to the CAN-IDs that this node alone may send.
 
-    A CAN controller does not receive its own frames, so a data frame there comes from another node: one that
-    was given the same node-ID, or the same COB-ID (CiA 301, 7.3.5: a CAN-ID has one sender). Each
-    is counted. The first after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4, and is
-    reported to the program. The NMT state stays: a single stray frame must not stop a machine.
+    A data frame there comes from another node with the same node-ID or COB-ID (CiA 301, 7.3.5). Each is
+    counted; the first after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4. The NMT state stays:
+    a stray frame must not stop a machine.
     """
 
     def __init__(self, core: Core) -> None:
@@ -105,10 +96,7 @@ NMT_COMMAND = 0x000
 
 
 class Services:
-    """All services of one node-ID; made again when it changes.
-
-    `configure` and `enter` follow the NMT state machine, `route` says who listens.
-    """
+    """All services of one node-ID; `configure` and `enter` follow the NMT state machine."""
 
     def __init__(self, core: Core, silence: Silence) -> None:
         self._core = core
@@ -141,7 +129,7 @@ class Services:
         ]
 
     def configure(self, now: float) -> None:
-        """Restart with the values in the dictionary, after a reset: no error, no timer, no transfer."""
+        """Restart with the values in the dictionary, after a reset."""
         self.forget()
         self.guarding.configure(now)
         self.consumer.configure(now)
@@ -168,7 +156,7 @@ class Services:
         self._allow_emergency(now)
 
     def silenced(self, now: float) -> None:
-        """The silence has begun: SDO transfers are given up without a word, EMCY waits."""
+        """The silence has begun: SDO transfers are given up, EMCY waits."""
         self._drop_transfers()
         self._allow_emergency(now)
 
@@ -186,7 +174,7 @@ class Services:
         self.emergency.enable(self._core.state in COMMUNICATING and not self._silence.active, now)
 
     def route(self) -> None:
-        """Find out who listens to which CAN-ID, in this NMT state and with these COB-IDs."""
+        """Who listens to which CAN-ID, in this NMT state and with these COB-IDs."""
         state, routes = self._core.state, self._core.routes
         self.pdos.choose()
         routes.clear()
@@ -210,8 +198,7 @@ class Services:
     def own_can_ids(self) -> frozenset[int]:
         """The CAN-IDs that only this node may send, in any NMT state.
 
-        One that the node is also configured to listen to is not among them: there are other senders,
-        and the configuration expects them. Boot-up and heartbeat are always its own.
+        Those that it also listens to are not among them, except boot-up and heartbeat.
         """
         sent = {
             *(channel.response_id for channel in self.channels),
@@ -221,7 +208,7 @@ class Services:
         return _without_none(sent - self._received_in_any_state() | {self._error_control_id})
 
     def can_ids_in_any_state(self) -> frozenset[int]:
-        """The CAN-IDs of data frames that do anything in some NMT state, with the present parameters."""
+        """The CAN-IDs of data frames that do anything in some NMT state."""
         return _without_none(self._received_in_any_state()) | self.own_can_ids()
 
     def remote_can_ids_in_any_state(self) -> frozenset[int]:

@@ -1,10 +1,9 @@
 """LSS slave: node-ID and bit rate over the bus (CiA 305).
 
-A master finds a device by its address, the four numbers of 1018h (vendor, product, revision, serial
-number): it selects one that it knows, asks for ranges, or searches bit by bit (fastscan). A selected slave
-is in the configuration state and takes a node-ID, a bit rate, and "store". The new node-ID is in force from
-the next reset of the communication on, a first one at once. LSS answers in every NMT state, also without a
-node-ID (255).
+A master selects a device by its address, the four numbers of 1018h, asks for ranges, or searches bit by bit
+(fastscan). A selected slave takes a node-ID, a bit rate, and "store". A new node-ID is in force from the next
+reset of the communication on, a first one at once. LSS answers in every NMT state, also without a node-ID
+(255).
 """
 
 from __future__ import annotations
@@ -83,9 +82,8 @@ def _collected(parts: list[int], part: int, number: int) -> list[int]:
 class LssSlave:
     """Answers the LSS master, in every NMT state.
 
-    `pending_node_id` is what the next reset of the communication makes the node-ID, and what is
-    stored. `bit_rates_kbit_s` are those that the bus can be set to. "Activate bit timing" takes the bit
-    rate configured before; it has no answer. Without one that the bus can be set to nothing happens.
+    `pending_node_id` is in force from the next reset of the communication, and stored. `bit_rates_kbit_s` are
+    those that the bus can be set to.
     """
 
     def __init__(self, core: Core, storage: Storage, bit_rates_kbit_s: Collection[int]) -> None:

@@ -37,7 +37,7 @@ class Nmt:
         self._core = core
 
     def handle(self, data: bytes, now: float) -> None:
-        """An NMT command; one for another node, an unknown or a malformed one changes nothing."""
+        """An NMT command; one for another node changes nothing."""
         if len(data) != 2:
             self._core.counters.malformed_frames += 1
             return
@@ -61,10 +61,9 @@ class Nmt:
 
 
 class Startup:
-    """Object 1F80h (CiA 302-2): whether the node goes on to OPERATIONAL by itself after a boot-up.
+    """Object 1F80h (CiA 302-2): the node goes on to OPERATIONAL by itself unless bit 2 is set.
 
-    It does when bit 2 is 0; without the object, when `autostart` is set. `autostart` takes bit 2
-    out of the default value, so that a stored value, or one written before, comes first.
+    `autostart` takes bit 2 out of the default value, so that a stored value comes first.
     """
 
     def __init__(self, dictionary: Dictionary, *, autostart: bool) -> None:
@@ -87,7 +86,7 @@ def _check_startup(value: int) -> None:
 
 
 class ErrorBehaviour:
-    """Object 1029h: the NMT state that an error leads to; sub-index 1 is for communication errors."""
+    """Object 1029h: the NMT state that a communication error leads to."""
 
     def __init__(self, dictionary: Dictionary) -> None:
         self._entry = dictionary.assumed(0x1029, 1)
@@ -96,7 +95,7 @@ class ErrorBehaviour:
                 entry.on_check = _check_behaviour
 
     def reaction(self, state: NmtState) -> NmtState:
-        """The state to enter from `state`; 0 of 1029h, also its absence, is Pre-operational."""
+        """The state to enter from `state`."""
         return REACTION.get(self._entry.value, REACTION[0]).get(state, state)
 
 

@@ -1,26 +1,17 @@
 """A CANopen slave (CiA 301) without I/O: frames and times in, frames and the next deadline out.
 
-Nothing here reads a clock, waits, or knows a socket. A host calls
-
     out  = node.start(now)             power-on: the boot-up
     out  = node.receive(frame, now)    each frame of the bus, in order
     out  = node.tick(now)              when `deadline` is over
     when = node.deadline()             seconds, or None
 
-and sends `out`, in order, before it calls again. So a test drives the time, and a recorded log runs through
-the same code as the bus. What happens inside of one `receive`:
+A host sends `out`, in order, before it calls again. `receive` routes a frame by its CAN-ID to a service (NMT,
+SYNC, TIME, RPDO, SDO, heartbeat, LSS), which changes entries of the dictionary, calls the `Application` and
+puts answers into the outbox. A frame never raises: one that nobody listens to is counted. What the
+application raises comes out.
 
-    receive ──> routes by CAN-ID ──> the service: NMT, SYNC, TIME, RPDO, SDO server, heartbeat, LSS
-                                          │ entries of the dictionary, hooks of their owner
-                                          └──> Application: events for the program, and its decisions
-    outbox <── frames of the services, in the order in which they arise
-
-A frame never raises, whatever it holds (7.2.1 leaves unknown CAN-IDs to others): it is counted in
-`counters` and has no other effect. What the application raises comes out of the call: it is a mistake in
-the program.
-
-`now` is monotonic, seconds. `frame.timestamp`, on the same clock, is when the frame was received: it is no
-later than `now`, and is what SYNC periods are measured by.
+`now` is monotonic, seconds. `frame.timestamp`, on the same clock and no later, is when the frame was
+received.
 """
 
 from __future__ import annotations
@@ -53,9 +44,8 @@ class _NeverExpires:
 class Node:
     """A CiA 301 slave without I/O, which tells its `application` what happens.
 
-    With the node-ID 255 the device has none yet: it stays in INITIALISING and answers LSS only, until
-    a master has given it one. A node-ID from LSS is in force from the next reset on; one that was
-    stored takes precedence over that of the program.
+    With the node-ID 255 it answers LSS only, until a master has given it one. A stored node-ID takes
+    precedence.
     """
 
     def __init__(
@@ -72,14 +62,9 @@ class Node:
     ) -> None:
         """Make the node `node_id` (1..127, 255); ValueError for another, or for an impossible EDS.
 
-        Without an `application` nothing happens beside the services of CiA 301. `expiry` is its own
-        deadline; None: it has none.
-
-        With `autostart` it goes on to OPERATIONAL after each boot-up without a master: bit 2 of
-        1F80h is then 0 by default. `sdo_timeout_s` is how long an SDO client may be silent within a
-        transfer, more than 0 s. `store` keeps what 1010h and LSS save; None: nothing is saved.
-        `bit_rates_kbit_s` are those that LSS may choose; see
-        `Application.bit_rate_activated`.
+        `expiry` is the deadline of the application. With `autostart` bit 2 of 1F80h is 0 by default.
+        `sdo_timeout_s` is how long an SDO client may be silent, more than 0 s. `store` keeps what 1010h and
+        LSS save. `bit_rates_kbit_s` are those that LSS may choose.
         """
         if not is_node_id(node_id):
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
@@ -114,7 +99,7 @@ class Node:
 
     @property
     def process(self) -> ProcessData:
-        """What SYNCs and PDOs go to: the application, unless another object is set, before the start."""
+        """What SYNCs and PDOs go to: the application, unless another object is set before the start."""
         return self._core.process
 
     @process.setter
@@ -133,10 +118,7 @@ class Node:
 
     @property
     def own_can_ids(self) -> frozenset[int]:
-        """The CAN-IDs that only this node may send now; empty while it has no node-ID.
-
-        A recorded log holds the frames of the node itself there: leave them out of a replay.
-        """
+        """The CAN-IDs that only this node may send now; leave their frames out of a replay."""
         return frozenset() if self.node_id == UNCONFIGURED else self._life.services.own_can_ids()
 
     @property
@@ -146,41 +128,37 @@ class Node:
 
     @property
     def received_can_ids(self) -> frozenset[int]:
-        """The CAN-IDs of data frames that do anything now, but for the own ones: the rest is counted only."""
+        """The CAN-IDs of data frames that do anything now, but for the own ones."""
         return frozenset(self._routes) - self.own_can_ids
 
     def can_ids(self) -> CanIds:
-        """The CAN-IDs that it listens to: a host need not give it other frames."""
+        """The CAN-IDs that it listens to."""
         return self._life.can_ids()
 
     def follow_can_ids(self, moved: Callable[[], None]) -> None:
-        """Have ``moved`` called whenever :meth:`can_ids` may give others, in the call that moves them."""
+        """Have ``moved`` called whenever :meth:`can_ids` may give others."""
         self._core.routes.on_change = moved
 
     @property
     def now(self) -> float:
-        """The time of the running call, or of the last one, seconds."""
+        """The time of the last call, seconds."""
         return self.call.now
 
     @property
     def autostart(self) -> bool:
-        """Whether the next boot-up leads to OPERATIONAL without a master (1F80h)."""
+        """Whether the next boot-up leads to OPERATIONAL (1F80h)."""
         return self._life.startup.autostart
 
     def start(self, now: float) -> list[Frame]:
-        """Power on: the boot-up message, then PRE-OPERATIONAL.
-
-        Values stay as they are, but for those that the store keeps.
-        """
+        """Power on: the boot-up message, then PRE-OPERATIONAL."""
         self.call.now = now
         self._life.power_on(now)
         return self._sent()
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take a frame from the bus, whatever it holds; gives what is to be sent.
+        """Take a frame from the bus; gives what is to be sent.
 
-        `frame.timestamp` is when it was received, if the bus gives it, and `now` is no earlier. A late caller
-        first gives all the frames that wait, in their order, and then calls `tick`.
+        A late caller first gives all the frames that wait, in their order, and then calls `tick`.
         """
         call = self.call
         call.now = now
@@ -227,11 +205,7 @@ class Node:
         return None if due == NEVER else due
 
     def sent(self, can_id: int, now: float) -> None:
-        """A frame that was given out with this CAN-ID went onto the bus at `now`, seconds.
-
-        Inhibit times count from there; a host that never says so counts them from the call that gave
-        the frame.
-        """
+        """A frame of its own with this CAN-ID went onto the bus at `now`: inhibit times count from there."""
         follow = self.inhibited.get(can_id)
         if follow is not None:
             follow(now)
@@ -241,23 +215,20 @@ class Node:
         return rpdo_with(self.dictionary, objects)
 
     def synchronous_rpdo(self, number: int) -> Rpdo | None:
-        """RPDO `number` if it is taken over at the SYNC after it came (types 0 to F0h), else None."""
+        """RPDO `number` if it is taken over at the next SYNC (types 0 to F0h), else None."""
         return self._life.services.pdos.synchronous_rpdo(number)
 
     def trigger_tpdo(self, number: int, now: float) -> None:
-        """An event for TPDO `number`. Outside of OPERATIONAL, or while it is not valid: nothing.
+        """An event for TPDO `number`. Types FEh and FFh are sent, at once or after the inhibit time; type 0
+        at the next SYNC.
 
-        Types FEh and FFh are sent, at once or after the inhibit time; type 0 at the next SYNC.
         ValueError when the device has no such TPDO.
         """
         self.call.now = now
         self.tpdo_trigger(number)(now)
 
     def tpdo_trigger(self, number: int) -> Callable[[float], None]:
-        """What `trigger_tpdo` calls for this TPDO, with the time of the running call.
-
-        It holds until the node-ID changes. ValueError when the device has no such TPDO.
-        """
+        """What `trigger_tpdo` calls, until the node-ID changes. ValueError when there is no such TPDO."""
         tpdos = self._life.services.pdos.tpdos
         if number not in tpdos:
             raise ValueError(f"there is no TPDO {number}; the EDS has {sorted(tpdos)}")
@@ -272,37 +243,30 @@ class Node:
         *,
         again: bool = False,
     ) -> None:
-        """Report an error (CiA 301, 7.2.7): EMCY, 1001h and 1003h. Nothing while it is active.
+        """Report an error (CiA 301, 7.2.7): EMCY, 1001h and 1003h. Nothing while it is active, unless
+        `again`.
 
-        `register_bits` are the bits of 1001h (0..255), the generic bit is added; `manufacturer` is
-        up to 5 bytes. `now` is the time of the running call when it is not given. `again`: report it
-        although it is active, because `manufacturer` says something new. ValueError for values
-        beyond these ranges.
+        `register_bits` are bits of 1001h (0..255), `manufacturer` up to 5 bytes; `now` defaults to that of
+        the running call. ValueError beyond these ranges.
         """
         check_error(code, register_bits, manufacturer)
         self._core.emergency.report(code, register_bits, manufacturer, self._at(now), again=again)
 
     def clear_emergency(self, code: int, now: float | None = None) -> None:
-        """End an error: EMCY 0000h with what is left of 1001h. Nothing when it is not active."""
+        """End an error: EMCY 0000h. Nothing when it is not active."""
         self._core.emergency.clear(code, self._at(now))
 
     def communication_error(self, now: float) -> None:
-        """The device had a communication error, such as bus-off: the NMT state that 1029h:01 names.
-
-        A lost heartbeat and a silent guarding master come here by themselves. EMCY is another matter.
-        """
+        """The device had a communication error: the NMT state that 1029h:01 names."""
         self._communication_error("a communication error", now)
 
     def bus_off(self, now: float) -> list[Frame]:
-        """The bus is gone: the CAN controller is bus-off, or its interface is down. See 1029h:01."""
+        """The CAN controller is bus-off, or its interface is down: see 1029h:01."""
         self._communication_error("the bus is gone", now)
         return self._sent()
 
     def bus_back(self, now: float) -> list[Frame]:
-        """The bus is back: EMCY 8140h, and 0000h, for the error is over. The NMT state stays.
-
-        Nothing without a node-ID.
-        """
+        """The bus is back: EMCY 8140h, then 0000h. The NMT state stays."""
         self.call.now = now
         if self._core.state is not NmtState.INITIALISING:
             code, emergency = EmergencyCode.BUS_OFF_RECOVERED, self._core.emergency

@@ -1,32 +1,17 @@
 """SYNC and TIME: 1005h, 1006h, 1007h, 1019h (CiA 301, 7.2.5), and 1012h (7.2.6).
 
-SYNC is a broadcast of high priority that gives all devices one instant: inputs are sampled when it comes,
-and outputs change together.
+At a SYNC inputs are sampled and outputs change together; with 1019h above 1 it has a counter, 1 to 1019h.
+What it does to PDOs, `Pdos.synchronise` does in one order, so that what is sent belongs to what was received
+before:
 
-      SYNC k                                            SYNC k+1
-    ────┬─────────────────────────────────────────────────┬────
-        │<------- communication cycle period, 1006h ----->│
-        │<-- synchronous window, 1007h -->│
-        │  TPDOs: what was sampled at k                   │
-        │  RPDOs: come now ...                            │ ... and take effect here
-
-It has no data, or with 1019h above 1 one byte: a counter 1 to 1019h, then 1 again. A device that counts can
-say how many SYNCs it has not received; this one leaves that to its application. What a SYNC
-does to PDOs, `Pdos.synchronise` does in one order, so that what is sent belongs to what was received before:
-
-1. the program (`ProcessData`) says whether PDOs follow this SYNC (`accepts_sync`);
-2. synchronous RPDOs that came since the last one are taken over, each with `rpdo_received`;
+1. the program says whether PDOs follow (`accepts_sync`);
+2. synchronous RPDOs are taken over, each with `rpdo_received`;
 3. `sync_received`: the program acts on the new interval;
-4. synchronous TPDOs are sampled and sent in the same call, so the window of 1007h always holds for them; then
-   `tpdos_sampled`, if it was asked for.
+4. synchronous TPDOs are sampled and sent; then `tpdos_sampled`, if it was asked for.
 
-Without PDOs, in PRE-OPERATIONAL, the program gets it as well (`idle_sync_received`): its period is known
-then before the first sample.
-
-Rules of 7.5.2.5 to 7.5.2.7 and 7.5.2.22 that are checked here: the CAN-ID does not change while the device
-produces SYNC, the counter does not change while 1006h is not 0, and it is 0 or 2 to 240.
-
-TIME has six bytes: milliseconds since midnight (28 bits), and days since 1984-01-01.
+In PRE-OPERATIONAL the program gets it too (`idle_sync_received`): its period is known before the first
+sample. The CAN-ID does not change while the device produces SYNC, the counter not while 1006h is set (7.5.2.5
+to 7.5.2.22).
 """
 
 from __future__ import annotations
@@ -81,7 +66,7 @@ class Pdos:
         self._sync_tpdos = [tpdo for tpdo in self.tpdos.values() if tpdo.is_synchronous]
 
     def synchronise(self, counter: int | None, now: float) -> None:
-        """A SYNC, with its counter if it has one: in OPERATIONAL, and if the program accepts it."""
+        """A SYNC, with its counter if it has one."""
         core, process = self._core, self._core.process
         if core.window_s:
             core.window_end = now + core.window_s
@@ -100,11 +85,10 @@ class Pdos:
 
 
 class Sync(Timed):
-    """SYNC as the node sees it; it goes to the `pdos`.
+    """SYNC as the node sees it.
 
-    The counter is None while 1019h is 0. A SYNC of the wrong length gives EMCY 8240h once and does
-    not count as a SYNC. A node that produces SYNC acts on its own and drops what others send on
-    the same CAN-ID. The first own SYNC comes one period after the start, with counter 1.
+    One of the wrong length gives EMCY 8240h once and does not count. A node that produces SYNC drops what
+    others send; its first SYNC comes one period after the start, with counter 1.
     """
 
     def __init__(self, core: Core, pdos: Pdos) -> None:
@@ -158,7 +142,7 @@ class Sync(Timed):
         )
 
     def tick(self, now: float) -> None:
-        """Produce the SYNC that is due; periods missed by a late tick are left out."""
+        """Produce the SYNC that is due; missed periods are left out."""
         if now < self.deadline:
             return
         period = self._period_s
@@ -233,11 +217,7 @@ _MILLISECOND_BITS = 0x0FFFFFFF
 
 
 class TimeStamp:
-    """Takes the time of day to the program: days since 1984-01-01, and milliseconds.
-
-    A TIME of another length than 6 bytes, or with more milliseconds than a day has, is dropped and
-    counted.
-    """
+    """Takes the time of day to the program; a TIME that is malformed is dropped and counted."""
 
     def __init__(self, core: Core) -> None:
         self._entry = entry = core.dictionary.assumed(0x1012)

@@ -63,9 +63,8 @@ def dcf_text(
 ) -> str:
     """The DCF from the EDS at `path`, with `values` by index and sub-index as its ParameterValue.
 
-    Values are written as numbers, without $NODEID, in the notation of the default in the EDS.
-    `files` are names of files with the bytes of a DOMAIN, for DownloadFile. An object that has a value
-    may be written (ObjFlags). ValueError for a value or a file of an entry that the EDS does not have.
+    Values are numbers, without $NODEID, in the notation of the EDS. `files` are names of files for
+    DownloadFile. ValueError for an entry that the EDS does not have.
     """
     parser = eds.read(path)
     sections = eds.sections(parser)

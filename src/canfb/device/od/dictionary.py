@@ -23,18 +23,14 @@ RPDO_ACCESS = frozenset({"wo", "rw", "rww"})
 class Entry:
     """A sub-index of the object dictionary (CiA 301, 7.4).
 
-    `value` is a plain Python int, float, bool, str or bytes, and is read and written directly by
-    whoever owns the object; only SDO and PDO go through the checks below. `access` is ro, wo, rw,
-    const, rww (rw, and mappable into an RPDO only) or rwr (rw, and mappable into a TPDO only).
-    `low` and `high` are the limits for values from the bus, None where there is none.
+    `value` is read and written directly by whoever owns the object; SDO and PDO go through the checks.
+    `access` is ro, wo, rw, const, rww (rw, mappable into an RPDO only) or rwr (into a TPDO only). `low` and
+    `high` limit values from the bus.
 
-    Hooks: `on_read()` gives a live value (bytes for a DOMAIN) in place of `value`, and may raise
-    SdoAbort. `on_check(value)` runs after all generic checks and raises SdoAbort for a value that the
-    object cannot have; it has no effect. `on_written()` acts on the new `value`; it raises SdoAbort
-    when that is not possible now, and the write is then refused. `on_download()` runs after an SDO has
-    written the entry, and after no other write.
-
-    `follows_node_id`: the node-ID is part of the default ($NODEID in the EDS).
+    Hooks: `on_read()` gives a live value, and may raise SdoAbort. `on_check(value)` raises SdoAbort for a
+    value that the object cannot have, without effect. `on_written()` acts on the new `value`; SdoAbort
+    refuses it. `on_download()` runs after an SDO has written the entry. `follows_node_id`: $NODEID is in the
+    default.
     """
 
     __slots__ = (
@@ -97,7 +93,7 @@ class Entry:
         return f"<Entry {self.index:04X}h:{self.subindex:02X} {self.name!r} = {self.value!r}>"
 
     def fresh(self) -> Entry:
-        """The same entry of another dictionary: at its default, without hooks."""
+        """A copy at its default, without hooks."""
         copy = Entry.__new__(Entry)
         copy.index = self.index
         copy.subindex = self.subindex
@@ -114,17 +110,17 @@ class Entry:
         return copy
 
     def reset(self) -> None:
-        """Back to the default, or to zero or empty where there is none. No hook runs."""
+        """Back to the default, or to zero. No hook runs."""
         self.value = datatypes.zero(self.data_type) if self.default is None else self.default
 
     @property
     def bit_length(self) -> int:
-        """Length in a PDO, bits; 0 for strings and DOMAIN, which have none."""
+        """Length in a PDO, bits; 0 for none."""
         return datatypes.bit_length(self.data_type)
 
     @property
     def byte_length(self) -> int:
-        """Length in an SDO, bytes; 0 for strings and DOMAIN, which have none."""
+        """Length in an SDO, bytes; 0 for none."""
         return datatypes.byte_length(self.data_type)
 
     def current(self) -> Any:
@@ -149,14 +145,14 @@ class Entry:
         return value
 
     def check_limits(self, value: Any) -> None:
-        """SdoAbort for a value beyond `low` or `high`; a NaN is beyond any limit."""
+        """SdoAbort for a value beyond `low` or `high`, and for NaN."""
         if self.high is not None and not value <= self.high:
             raise SdoAbort(AbortCode.VALUE_TOO_HIGH if value > self.high else AbortCode.INVALID_VALUE)
         if self.low is not None and not value >= self.low:
             raise SdoAbort(AbortCode.VALUE_TOO_LOW if value < self.low else AbortCode.INVALID_VALUE)
 
     def check(self, value: Any) -> None:
-        """SdoAbort for a value that the object cannot have: limits and `on_check`. No effect."""
+        """SdoAbort for a value that the object cannot have."""
         self.check_limits(value)
         if self.on_check is not None:
             self.on_check(value)
@@ -172,10 +168,7 @@ class Entry:
             raise SdoAbort(AbortCode.READ_ONLY)
 
     def store(self, value: Any) -> None:
-        """Take over a value from the bus: limits, `on_check`, the value, `on_written`.
-
-        SdoAbort when it is refused; the value is then what it was.
-        """
+        """Take over a value from the bus, or SdoAbort."""
         self.check_limits(value)
         if self.on_check is not None:
             self.on_check(value)
@@ -229,10 +222,8 @@ class Dictionary:
     def load(cls, path: str | Path, node_id: int) -> Dictionary:
         """The objects of an EDS file for node `node_id` (1..127; 255 for none yet), all at their defaults.
 
-        Raises OSError when the file cannot be read, and ValueError that names the section when it
-        describes something impossible. ParameterValue of a DCF is not used. The value of 1021h, where
-        the file has it, is the file itself. A content is parsed once in a process; each dictionary has
-        entries of its own.
+        OSError when the file cannot be read, ValueError that names the section for something impossible.
+        1021h is the file itself.
         """
         if not (1 <= node_id <= 127 or node_id == 255):
             raise ValueError(f"node-ID {node_id} is out of range; use 1 to 127, or 255 for none yet")
@@ -301,10 +292,7 @@ class Dictionary:
                     entry.value = entry.default
 
     def reset(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
-        """Values of the indices `first` to `last`, both included, back to their defaults.
-
-        No hook runs: the services read their parameters again after it.
-        """
+        """Values of the indices `first` to `last`, both included, back to their defaults. No hook runs."""
         for entry in self._entries.values():
             if first <= entry.index <= last:
                 entry.reset()

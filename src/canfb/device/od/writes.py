@@ -32,10 +32,10 @@ def turn(entry: Entry) -> int:
 
 
 def switched_off(entry: Entry, value: Any) -> Any:
-    """The value that lets all others be written, for an entry that is going to have `value`.
+    """The value that lets all others be written, for an entry that is going to have `value`; None: it blocks
+    no other.
 
-    Nothing is used then, and no rule is broken: PDOs, EMCY and further SDO servers not valid, no mapped
-    objects, no SYNC, no TIME, no heartbeat to wait for. None for an entry that blocks no other.
+    PDOs, EMCY and further SDO servers not valid, nothing mapped, no SYNC, no TIME, no heartbeat to wait for.
     """
     if _is_mapping_count(entry) or entry.index in (_CYCLE_PERIOD, _CONSUMERS):
         return 0

@@ -1,14 +1,9 @@
-"""PDO parameters and mapping (CiA 301, 7.5.2.35 to 7.5.2.38): what may be written when, and the
-`struct` that `packer` (TPDO) and `unpacker` (RPDO) compile from it.
+"""PDO parameters and mapping (CiA 301, 7.5.2.35 to 7.5.2.38): what may be written when.
 
-A mapping entry is index, sub-index and length in bits. The PDO is the mapped objects one after the other,
-least significant bit first, without gaps. That is worked out once, when the PDO becomes active: `packer`
-(TPDO) and `unpacker` (RPDO) make one function that packs the values of the entries, or stores them; a PDO
-in operation looks nothing up.
-
-The procedure of 7.5.2.36: the PDO is made not valid (bit 31 of its COB-ID), the number of mapped objects is
-set to 0, the entries are written, then their number, then the COB-ID. Each step is checked by the
-`on_check` of the entry that it writes, so it holds for SDO, for a restored value and for a DCF alike.
+A PDO is the mapped objects one after the other, least significant bit first, compiled once into `packer`
+(TPDO) or `unpacker` (RPDO). To change it, make it not valid (bit 31 of its COB-ID), set the number of objects
+to 0, write the entries, their number, the COB-ID. Each step is checked by `on_check` of its entry, so for
+SDO, restored values and DCF alike.
 """
 
 from __future__ import annotations
@@ -44,10 +39,8 @@ class Slot(NamedTuple):
 
 
 def resolve(dictionary: Dictionary, mapping: int, direction: Direction) -> Slot:
-    """What a mapping entry (index, sub-index, bits) names.
-
-    SdoAbort 06020000h when there is no such object, 06040041h when it cannot be mapped in this
-    direction or with this length.
+    """What a mapping entry (index, sub-index, bits) names. SdoAbort if it does not exist or cannot be
+    mapped.
     """
     index, subindex, bits = mapping >> 16, mapping >> 8 & 0xFF, mapping & 0xFF
     if index in dictionary.dummies and direction is Direction.RECEIVE:
@@ -103,13 +96,10 @@ def rpdo_with(dictionary: Dictionary, objects: Iterable[tuple[int, int]]) -> int
 
 
 class PdoParameters:
-    """14xxh and 16xxh, or 18xxh and 1Axxh, of one PDO (CiA 301, 7.5.2.35 to 7.5.2.38).
+    """14xxh and 16xxh, or 18xxh and 1Axxh, of one PDO, with the checks of the procedure.
 
-    Installs the checks of the procedure: mapping is changed only while the PDO is not valid
-    (COB-ID bit 31) and its number of mapped objects is 0; a valid PDO keeps its CAN-ID. While it is
-    not valid each communication parameter is checked alone, so that they can be written in any order;
-    whether they go together is checked when bit 31 is cleared, and on each change from then on.
-    `changed` is called after each change that was accepted.
+    While the PDO is not valid its communication parameters can be written in any order; whether they go
+    together is checked when bit 31 is cleared. `changed` is called after each accepted change.
     """
 
     def __init__(
@@ -132,7 +122,7 @@ class PdoParameters:
 
     @property
     def is_valid(self) -> bool:
-        """Whether the PDO exists: bit 31 of its COB-ID is 0."""
+        """Bit 31 of its COB-ID is 0."""
         return cob.is_valid(self.cob_id.value)
 
     @property
@@ -142,7 +132,7 @@ class PdoParameters:
 
     @property
     def allows_remote(self) -> bool:
-        """Whether a remote frame asks for the TPDO: bit 30 of its COB-ID is 0."""
+        """Bit 30 of its COB-ID is 0."""
         return not self.cob_id.value & cob.NO_RTR
 
     def further(self, subindex: int) -> Entry:
@@ -150,9 +140,8 @@ class PdoParameters:
         return self._dictionary.assumed(self._communication, subindex)
 
     def active_slots(self) -> list[Slot]:
-        """The mapped objects; none while the PDO is not valid.
-
-        ValueError when the mapping is impossible, which only the program can have brought about.
+        """The mapped objects; none while the PDO is not valid. ValueError when the program made it
+        impossible.
         """
         return self._slots() if self.is_valid else []
 
@@ -184,10 +173,7 @@ class PdoParameters:
                 self._check_combination(self.cob_id.value, value)
 
     def _check_combination(self, cob_id: int, kind: int) -> None:
-        """Refuse a valid PDO that nothing could ever ask for: on remote frames only, and none allowed.
-
-        CiA 301 refuses a type that is not supported (06090030h), at any time; it is silent on this pair.
-        """
+        """Refuse a valid PDO that nothing could ever ask for; CiA 301 is silent on it."""
         if kind in REMOTE_ONLY and cob_id & cob.NO_RTR:
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
@@ -219,7 +205,7 @@ class PdoParameters:
 
 
 def struct_of(slots: Sequence[Slot]) -> struct.Struct | None:
-    """The whole PDO as one `struct`; None where an object is not whole bytes of a type that it knows."""
+    """The whole PDO as one `struct`; None where it is not whole bytes of known types."""
     letters = [
         datatypes.FORMATS.get(slot.data_type, "") if slot.entry is not None else f"{slot.bits // 8}x"
         for slot in slots

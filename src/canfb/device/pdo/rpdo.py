@@ -5,12 +5,8 @@
 | 0 to F0h | at the next SYNC, if it comes within the window of 1007h; the last of several counts |
 | FEh, FFh | at once |
 
-The mapping is compiled once, when the PDO becomes active (:func:`unpacker`). Usually it is two or three
-plain values, a sample: then a frame costs one `struct` call and as many assignments, and no list is made.
-
-Length errors: a PDO that is too short is dropped (EMCY 8210h), one that is too long is used as far as it is
-mapped (EMCY 8220h), each reported once, until a PDO of the mapped length comes. Sub-index 5 is a time-out
-(EMCY 8250h).
+The mapping is compiled once (:func:`unpacker`): a sample costs one `struct` call and an assignment for each
+value.
 """
 
 from __future__ import annotations
@@ -31,12 +27,11 @@ ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, Emergen
 
 
 class Rpdo(Timed):
-    """Takes data into the dictionary: at once (types FEh, FFh) or at the next SYNC (0 to F0h).
+    """Takes data into the dictionary.
 
-    The application is called when the data is in the dictionary, and when a PDO was dropped because it is
-    too short (EMCY 8210h). One that is too long is used as far as it is mapped (EMCY 8220h).
-    Sub-index 5 is the time-out in milliseconds: it runs from the first PDO on and gives EMCY 8250h.
-    Each error is reported once; a PDO of the mapped length ends it.
+    A PDO that is too short is dropped (EMCY 8210h), one that is too long is used as far as it is mapped
+    (8220h). Sub-index 5 is the time-out in milliseconds, from the first PDO on (8250h). Each error is
+    reported once; a PDO of the mapped length ends it.
     """
 
     def __init__(self, core: Core, number: int) -> None:
@@ -53,16 +48,16 @@ class Rpdo(Timed):
 
     @property
     def can_id(self) -> int | None:
-        """The CAN-ID it listens to now, None while it is not active."""
+        """The CAN-ID it listens to now, or None."""
         return None if self._unpack is None else self._parameters.can_id
 
     @property
     def configured_can_id(self) -> int | None:
-        """The CAN-ID it has, in any NMT state; None while it is not valid."""
+        """The CAN-ID it has, None while it is not valid."""
         return self._parameters.can_id if self._parameters.is_valid else None
 
     def enable(self, operational: bool, now: float) -> None:
-        """Whether the NMT state allows PDOs. The mapping is compiled here."""
+        """Whether the NMT state allows PDOs; compiles the mapping."""
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
         self._length = length_of(slots)

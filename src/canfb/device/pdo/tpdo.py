@@ -8,9 +8,7 @@
 | FDh | on a remote frame |
 | FEh, FFh | at an event, not before the inhibit time, at the latest when the event timer is over |
 
-`Tpdo.trigger` is the event. It is the way of every position PDO, so the usual case, an active TPDO that no
-time delays, is one test and one call of its packer. The packer is compiled once, when the PDO becomes
-active (:func:`packer`): for up to three plain values it makes no list.
+`Tpdo.trigger` is the event: for an active TPDO that no time delays, one test and one call of its packer.
 """
 
 from __future__ import annotations
@@ -43,10 +41,8 @@ _new = tuple.__new__  # makes a named tuple in half the time that its own constr
 class Tpdo(Timed):
     """Samples the dictionary and sends it.
 
-    A remote frame asks for a TPDO of any type whose COB-ID has bit 30 = 0; types FEh and FFh keep their
-    inhibit time (sub-index 3, 100 us) then, too. The event timer is sub-index 5, ms.
-
-    Synchronous TPDOs go out with the SYNC itself, so that the window of 1007h always holds.
+    A remote frame asks for any TPDO whose COB-ID has bit 30 = 0. Sub-index 3 is the inhibit time (100 us), 5
+    the event timer (ms). Synchronous TPDOs go out with the SYNC itself, so the window of 1007h always holds.
     """
 
     def __init__(self, core: Core, number: int) -> None:
@@ -63,23 +59,23 @@ class Tpdo(Timed):
 
     @property
     def remote_can_id(self) -> int | None:
-        """The CAN-ID on which it answers remote frames now, None when it does not."""
+        """The CAN-ID on which it answers remote frames now, or None."""
         if self._pack is None or not self._parameters.allows_remote:
             return None
         return self._can_id
 
     @property
     def configured_can_id(self) -> int | None:
-        """The CAN-ID it has, in any NMT state; None while it is not valid."""
+        """The CAN-ID it has, None while it is not valid."""
         return self._parameters.can_id if self._parameters.is_valid else None
 
     @property
     def is_synchronous(self) -> bool:
-        """Whether the TPDO acts at a SYNC now."""
+        """It acts at a SYNC now."""
         return self._pack is not None and (self._type in SYNCHRONOUS or self._type == SYNC_REMOTE)
 
     def enable(self, operational: bool, now: float) -> None:
-        """Whether the NMT state allows PDOs. The mapping is compiled here."""
+        """Whether the NMT state allows PDOs; compiles the mapping."""
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
         self._pack: Pack | None = packer(slots) if slots else None  # while it is active
@@ -104,7 +100,7 @@ class Tpdo(Timed):
         self._schedule()
 
     def trigger(self, now: float) -> None:
-        """An event of the application; without effect while the TPDO is not active."""
+        """An event of the application."""
         pack = self._pack_at_once
         if pack is not None:
             emit = self._emit
@@ -149,7 +145,7 @@ class Tpdo(Timed):
         return self._event_driven and self._inhibit_s > 0
 
     def sent(self, now: float) -> None:
-        """The TPDO went onto the bus at `now`, later than given out: the inhibit time counts from here."""
+        """It went onto the bus at `now`, later than given out: the inhibit time counts from here."""
         if self.is_inhibited:
             self._not_before = now + self._inhibit_s
             self._schedule()

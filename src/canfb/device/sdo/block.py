@@ -45,7 +45,7 @@ check a CRC that they did not ask for."""
 
 
 def crc16(data: bytes) -> int:
-    """The CRC of block transfers: polynomial 1021h, start 0 ("123456789" gives 31C3h)."""
+    """The CRC of block transfers: polynomial 1021h, start 0."""
     return crc_hqx(data, 0)
 
 

@@ -32,10 +32,9 @@ _FRAME_LENGTH = 8
 
 
 class SdoServer(Timed):
-    """Serves one client at a time; each channel has its own transfer, toggle bits and time-out.
+    """Serves one client at a time; each channel has its own transfer and time-out.
 
-    A request that is not 8 bytes long is ignored. A new request within a transfer gives the old
-    one up and is served; so it is while an answer waits for what was written (`Pending`).
+    A request that is not 8 bytes long is ignored; a new one within a transfer gives the old one up.
     """
 
     def __init__(self, core: Core) -> None:
@@ -188,10 +187,7 @@ _DYNAMIC = 1 << 30
 
 
 class SdoChannel:
-    """One SDO server with its two COB-IDs. It exists while both are valid.
-
-    The first channel is always there: 600h and 580h plus node-ID.
-    """
+    """One SDO server with its two COB-IDs; it exists while both are valid. The first is always there."""
 
     def __init__(self, core: Core, index: int) -> None:
         self._core = core
@@ -206,7 +202,7 @@ class SdoChannel:
 
     @property
     def request_id(self) -> int | None:
-        """The CAN-ID that the server listens to, None while the channel does not exist."""
+        """The CAN-ID that the server listens to, or None."""
         if self._index == FIRST_INDEX:
             return cob.SDO_REQUEST + self._core.node_id
         if not (cob.is_valid(self._request.value) and cob.is_valid(self._response.value)):
@@ -215,7 +211,7 @@ class SdoChannel:
 
     @property
     def response_id(self) -> int | None:
-        """The CAN-ID of the answers, None while the channel does not exist."""
+        """The CAN-ID of the answers, or None."""
         return None if self.request_id is None else self.server.response_id
 
     def configure(self) -> None:

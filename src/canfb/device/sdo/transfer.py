@@ -55,7 +55,7 @@ class Transfer(ABC):
 
 
 def check_size(entry: Entry, size: int) -> None:
-    """Refuse an announced size, bytes, that the entry cannot take, before any data comes."""
+    """Refuse an announced size, bytes, before any data comes."""
     expected = entry.byte_length
     if expected and size != expected:
         raise SdoAbort(AbortCode.TOO_LONG if size > expected else AbortCode.TOO_SHORT)
@@ -64,7 +64,7 @@ def check_size(entry: Entry, size: int) -> None:
 
 
 def check_received(entry: Entry, received: int, announced: int | None) -> None:
-    """Refuse data, bytes, that already is more than announced, or than the entry can take."""
+    """Refuse more data, bytes, than was announced, or than the entry takes."""
     limit = entry.byte_length if announced is None else announced
     if (limit or announced == 0) and received > limit:
         raise SdoAbort(AbortCode.TOO_LONG)
@@ -73,7 +73,7 @@ def check_received(entry: Entry, received: int, announced: int | None) -> None:
 
 
 def finish_download(entry: Entry, data: bytes, announced: int | None) -> None:
-    """Write the complete data. SdoAbort when its size is wrong or the entry refuses it."""
+    """Write the complete data, or SdoAbort."""
     if announced is not None and len(data) != announced:
         raise SdoAbort(AbortCode.TOO_LONG if len(data) > announced else AbortCode.TOO_SHORT)
     entry.download(data)

@@ -22,8 +22,7 @@ _RELATIVE = 0x01
 class ParameterGroup(IntEnum):
     """What is saved and restored on its own; the number is the sub-index of 1010h and 1011h.
 
-    LSS, node-ID and bit rate, is saved by LSS alone (CiA 305), the operating time by the device itself;
-    they have no sub-index.
+    LSS is saved by LSS alone (CiA 305), the operating time by the device itself.
     """
 
     COMMUNICATION = 2

@@ -26,11 +26,10 @@ _FLAGS_AND_ID = 0xFFFFFFFF
 
 
 class KeptEntries:
-    """The stored parameters of a device.
+    """The stored parameters of a device: entries with access rw, unless `leave_out` says otherwise; `keep`
+    adds others.
 
-    Every entry of a group that SDO may read and write is one (access rw), unless `leave_out` says
-    otherwise; those with rww and rwr hold process data. `keep` adds others. `written()` is called
-    after each SDO write to a stored parameter.
+    `written()` is called after each SDO write to one.
     """
 
     def __init__(self, dictionary: Dictionary, written: Callable[[], None]) -> None:
@@ -47,15 +46,12 @@ class KeptEntries:
             dictionary.lookup(*place).on_download = written
 
     def leave_out(self, index: int, subindex: int = 0) -> None:
-        """This entry is a command or process data, no parameter. KeyError when there is none."""
+        """This entry is no parameter. KeyError when there is none."""
         self._places.discard((index, subindex))
         self._dictionary.entry(index, subindex).on_download = None
 
     def keep(self, index: int, subindex: int = 0, *, saved: Callable[[], Any] | None = None) -> None:
-        """Store this entry, whatever its access. KeyError when there is none.
-
-        `saved()` gives the value to save in place of `value`.
-        """
+        """Store this entry, or ``saved()`` in its place. KeyError when there is none."""
         entry = self._dictionary.entry(index, subindex)
         self._places.add((index, subindex))
         self._added.add((index, subindex))
@@ -65,7 +61,7 @@ class KeptEntries:
             entry.on_download = self._written
 
     def save_as(self, index: int, subindex: int, saved: Callable[[], Any]) -> None:
-        """Save ``saved()`` in place of the value of this parameter. KeyError when there is none."""
+        """Save ``saved()`` in place of the value of this parameter."""
         self._dictionary.entry(index, subindex)
         self._saved_value[index, subindex] = saved
 
@@ -77,7 +73,7 @@ class KeptEntries:
                 yield self._dictionary.lookup(index, subindex)
 
     def settings(self) -> Iterator[Entry]:
-        """The parameters that SDO sets as it finds them, in ascending order: without those of `keep`."""
+        """The parameters that SDO sets, in ascending order: without those of `keep`."""
         for index, subindex in sorted(self._places - self._added):
             yield self._dictionary.lookup(index, subindex)
 
@@ -88,10 +84,7 @@ class KeptEntries:
         return self._dictionary.lookup(index, subindex)
 
     def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
-        """The present values of a group on node `node_id`.
-
-        A value beyond its own limits was not written: it is not stored, and comes with the defaults.
-        """
+        """The present values of a group on node `node_id`, of those within their limits."""
         values = ((entry, self._value(entry)) for entry in self.of(group))
         return [_record(entry, value, node_id) for entry, value in values if _is_within_limits(entry, value)]
 
@@ -140,10 +133,9 @@ Value = tuple[Entry, Any]
 def restore(entries: KeptEntries, group: ParameterGroup, records: list[Record], node_id: int) -> None:
     """Write all records, or none and raise ImageError.
 
-    Each value passes the checks of an SDO write (`Entry.check`), in the order that CiA 301 requires
-    of a master: first everything is switched off (PDOs not valid and without objects, no SYNC, no
-    heartbeat to wait for), then comes the rest, at last mappings, periods and COB-IDs. Nothing acts on
-    the values (`on_written`): the services read their parameters after a reset.
+    Each value passes the checks of an SDO write, in the order that CiA 301 requires: first everything is
+    switched off, at last come mappings, periods and COB-IDs. No `on_written` runs: the services read their
+    parameters after a reset.
     """
     before = [(entry, entry.value) for entry in entries.of(group)]
     try:

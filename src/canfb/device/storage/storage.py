@@ -1,9 +1,7 @@
 """Saving and restoring of parameters: 1010h, 1011h and 1020h (CiA 301, 7.5.2.13, 7.5.2.14, 7.5.2.23).
 
-A store takes its time, some milliseconds on a flash or a disk. One that writes at once answers at once. A
-:class:`BackgroundStore` begins to write and is asked later whether it is done: the node goes on meanwhile,
-and the answer to SDO or LSS follows when the values are kept. Time is an argument here; the thread is that
-of the store (:mod:`canfb.hosting.state_files`).
+A :class:`BackgroundStore` writes while the node goes on; the answer to SDO or LSS follows when the values are
+kept.
 """
 
 from __future__ import annotations
@@ -49,17 +47,14 @@ class BackgroundStore(Store, Protocol):
     """A store that writes while the device goes on."""
 
     def begin(self, changes: Changes) -> None:
-        """Begin to keep `changes`, as `save`, behind those that were begun before. It does not wait."""
+        """Begin to keep `changes`, behind those that were begun before."""
 
     def ended(self) -> Sequence[OSError | None]:
-        """What has ended since the last call, in order: None for kept, or why it was not."""
+        """What has ended since the last call, in order: None for kept, or why not."""
 
 
 class Writing(Timed):
-    """Gives changes to a store, one after the other, and says when each is kept.
-
-    `now()` is the time of the running call, seconds.
-    """
+    """Gives changes to a store, one after the other, and says when each is kept."""
 
     def __init__(self, store: Store, now: Callable[[], float]) -> None:
         self.deadline = NEVER
@@ -74,7 +69,7 @@ class Writing(Timed):
         return bool(self._waiting)
 
     def write(self, changes: Changes, done: Done) -> None:
-        """Keep `changes` and call `done`, in this call or in a later :meth:`tick`. EBUSY if too many wait."""
+        """Keep `changes` and call `done`, now or in a later :meth:`tick`. EBUSY if too many wait."""
         if self._background is not None:
             if len(self._waiting) >= MOST_WAITING:
                 done(OSError(errno.EBUSY, "the store is still writing"))
@@ -109,7 +104,7 @@ PARAMETERS = (ParameterGroup.COMMUNICATION, ParameterGroup.APPLICATION, Paramete
 
 
 class MemoryStore:
-    """A store in the memory of the program, for tests and simulations: it outlives a device, no more."""
+    """A store in memory, for tests and simulations."""
 
     def __init__(self) -> None:
         self.images: dict[ParameterGroup, bytes] = {}
@@ -135,18 +130,9 @@ def keep(images: dict[ParameterGroup, bytes], changes: Mapping[ParameterGroup, b
 class Storage:
     """The parameters of one device in a `Store`.
 
-    Stored parameters are the entries that SDO may read and write and no PDO carries, without 1003h,
-    1010h and 1011h; `entries` knows exceptions.
-
-    `faults` says by group why stored parameters were refused; the defaults are used in their
-    place. A fault lasts until the group is saved or its defaults are loaded; the
-    program is then notified.
-
-    A store may write in the background: what is saved counts as kept, and the SDO write is answered, when it
-    has done so. A reset before brings the values from before, or those of the save.
-
-    Without a store nothing is kept: 1010h reads 0 and refuses with 08000020h. 1011h works then, too:
-    after the next reset the defaults are in force, as after every reset.
+    `entries` are the stored parameters. `faults` says by group why stored ones were refused: their defaults
+    are used until the group is saved or its defaults are loaded. Without a store nothing is kept: 1010h reads
+    0 and refuses with 08000020h.
     """
 
     def __init__(self, core: Core, store: Store | None) -> None:
@@ -184,7 +170,7 @@ class Storage:
                 self._images[group] = image
 
     def restore(self, *, communication_only: bool = False) -> None:
-        """Put stored values over those of the dictionary, each group as a whole or not at all."""
+        """Stored values over those of the dictionary, each group as a whole or not at all."""
         groups = (ParameterGroup.COMMUNICATION,) if communication_only else PARAMETERS
         for group in groups:
             records = self.records(group)
@@ -196,7 +182,7 @@ class Storage:
                 self.refuse(group, str(error))
 
     def records(self, group: ParameterGroup) -> list[Record] | None:
-        """The stored records of a group, None when there are none that can be used."""
+        """The stored records of a group, None for none."""
         image = self._images.get(group)
         if image is None:
             return None
@@ -207,11 +193,11 @@ class Storage:
             return None
 
     def save_records(self, group: ParameterGroup, records: list[Record], done: Done) -> None:
-        """Keep records of the caller's own; `done` gets None, or why that does not work."""
+        """Keep records of the caller; `done` gets None, or why not."""
         self._keep({group: encode_image(group, self._identity(), records)}, done)
 
     def configuration_changed(self) -> None:
-        """What the next power-on would bring is another configuration now: 1020h becomes 0."""
+        """The next power-on brings another configuration: 1020h becomes 0."""
         for entry in self._verify:
             entry.value = 0
 
@@ -221,7 +207,7 @@ class Storage:
         self.faults[group] = reason
 
     def report_faults(self) -> None:
-        """Tell the program which groups were refused, and why; none if there are none."""
+        """Tell the program which groups were refused, and why."""
         self._core.application.parameters_refused(dict(self.faults), self._core.call.now)
 
     def _identity(self) -> Identity:
