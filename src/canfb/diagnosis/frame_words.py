@@ -31,8 +31,7 @@ class DecodedFrame(NamedTuple):
     """A frame and what it says.
 
     kind     tpdo, rpdo, sync, nmt, emcy, heartbeat, sdo request, sdo response, time, lss, "" for another
-    node     the module whose mapping has decoded it, else by the predefined connection set; None: not known
-    text     in words
+    node     by the mapping, else by the predefined connection set; None: not known
     values   of a PDO, by object (6004:00): figures as the object has them
     """
 

@@ -1,7 +1,6 @@
 """Why the position of a module is lost: what happened, what brings it back, and what would have kept it.
 
-All of it is read from the module by SDO, nothing is written: the cause that it keeps (2012:10..16), the
-limits (2010h), and which references it really has mapped: coarse track, zero pulse, second position.
+Read by SDO: the cause (2012:10..16), the limits (2010h), and which references are mapped.
 """
 
 from __future__ import annotations
@@ -44,18 +43,13 @@ class Loss:
 class LostPosition:
     """State of the position of a module, and its last loss.
 
-    loss                    the last one since its reset; None without one
-    keeps_cause             the module has 2012:10; older ones do not
+    loss                    None without one
+    keeps_cause             the module has 2012:10
     losses, missed, missed_syncs  2012:05, :01 and :0E
-    sample_hz               samples that it processes now; 0.0: none
-    cycles_per_revolution   2001:01
-    acceleration_rad_s2     2010:02, 0: not declared
-    coast_samples           2010:03
-    residual_limit_cycles   2010:01
-    limit_now_cycles        what is in force of it
-    needed_cycles           what it must be for good samples
+    sample_hz               now; 0.0: none
+    limit_now_cycles        what is in force of 2010:01
+    needed_cycles           what good samples need of it
     coarse, zero_pulse, second, timed   which parts of a sample its RPDOs bring
-    samples_per_sync        pairs that its RPDOs bring
     """
 
     node_id: int
@@ -195,7 +189,7 @@ class LostPosition:
         ]
 
     def would_have_kept(self) -> list[str]:
-        """Settings and measures against this cause, with the present values; empty without a loss."""
+        """Settings and measures against this cause; empty without a loss."""
         loss = self.loss
         return [] if loss is None else list(self._kept(loss))
 
@@ -257,10 +251,7 @@ class LostPosition:
         )
 
     def longest_gap(self) -> int | None:
-        """Missed samples over which 2010:02 leaves one motion; None: not known.
-
-        docs/legal-motion.md has the proof.
-        """
+        """Missed samples over which 2010:02 leaves one motion (docs/legal-motion.md), or None."""
         if not (self.acceleration_rad_s2 and self.sample_hz):
             return None
         n, interval_s = self.cycles_per_revolution, 1.0 / self.sample_hz
@@ -297,7 +288,7 @@ class LostPosition:
 
 
 def read_lost_position(module: NodeAccess) -> LostPosition:
-    """Read it from the module by SDO, in about half a second. CommissioningError for what does not work."""
+    """Read it by SDO, in about half a second. CommissioningError for what does not work."""
     master = module.master
     began, first = master.now(), module.integer(*od.FEEDBACK_SAMPLES, "I")
     status = module.integer(*od.FEEDBACK_STATUS, "H")

@@ -1,12 +1,8 @@
 """Who is on a bus, and what a node says of itself.
 
-A scan gives each node with its NMT state and its identity (1018h), with as few frames as can be. A request
-for 1000h goes to all 127 node-IDs at once, and whoever answers is there. The NMT state is that of a
-heartbeat. A node without heartbeat is asked for it by a remote frame (node guarding), unless a master may be
-guarding it (100Ch is not 0), whose toggle bit that would upset. STOPPED nodes answer no SDO: their heartbeat
-shows them.
-
-A diagnosis reads all objects of a node by SDO that can be read.
+A request for 1000h goes to all 127 node-IDs, and whoever answers is there. The NMT state is that of a
+heartbeat, or asked for by a remote frame, unless a master may be guarding the node (100Ch), whose toggle bit
+that would upset. STOPPED nodes are known by their heartbeat.
 """
 
 from __future__ import annotations
@@ -39,11 +35,7 @@ REQUEST = struct.pack("<BHB4x", 0x40, *od.DEVICE_TYPE)
 
 @dataclass(frozen=True)
 class FoundNode:
-    """A node of the bus; None for what is not known.
-
-    state   OPERATIONAL, PRE-OPERATIONAL, STOPPED
-    name    1008h
-    """
+    """A node of the bus; None for what is not known."""
 
     node_id: int
     state: str | None
@@ -75,7 +67,7 @@ class FoundNode:
 
 
 def scan(master: Master, listen_s: float) -> list[FoundNode]:
-    """Who is there; listens ``listen_s`` seconds for answers and heartbeats. CanfbError if the bus fails."""
+    """Who is there, within ``listen_s`` seconds. CanfbError if the bus fails."""
     answers: set[int] = set()
     states: dict[int, NmtState | None] = {}
 
@@ -128,7 +120,7 @@ def _state(state: NmtState | None) -> str | None:
 
 
 def _number(node: NodeAccess, index: int, subindex: int, layout: str) -> int | None:
-    """The object, None where the node does not have it, or does not answer any more."""
+    """The object, or None."""
     try:
         return node.integer(index, subindex, layout)
     except CommissioningError:
@@ -139,10 +131,7 @@ Figures = dict[str, Any]
 
 
 def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> Figures:
-    """The objects of a node whose EDS is one of those ``known``, by number; else why not.
-
-    An object that is refused has the reason in its place. Nothing is written.
-    """
+    """The objects of a node whose EDS is ``known``, by number; else why not. Nothing is written."""
     node = NodeAccess(master, node_id, "node")
     facts: Figures = {"node_id": node_id}
     try:

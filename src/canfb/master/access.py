@@ -1,7 +1,4 @@
-"""What the tools need of a bus, and the objects of a node over SDO with errors in one line.
-
-Long objects go through the streams of python canopen, which are aborted when anything goes wrong.
-"""
+"""What the tools need of a bus, and the objects of a node over SDO with errors in one line."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ SEGMENT = 7
 
 
 def _fetch(client: Client, index: int, subindex: int, block: bool, progress: Progress) -> bytes:
-    """Upload an object, by block transfer if ``block``; ``progress`` gets 0..1 where the size is known."""
+    """Upload an object; ``progress`` gets 0..1 where the size is known."""
 
     def take(stream: Any) -> bytes:
         chunks: list[bytes] = []
@@ -39,7 +36,7 @@ def _fetch(client: Client, index: int, subindex: int, block: bool, progress: Pro
 
 
 def _store(client: Client, index: int, subindex: int, data: bytes, block: bool) -> bytes:
-    """Download ``data``, by block transfer if ``block``. It gives b"", as what comes back."""
+    """Download ``data``."""
 
     def give(stream: Any) -> bytes:
         sent = 0
@@ -52,10 +49,10 @@ def _store(client: Client, index: int, subindex: int, data: bytes, block: bool) 
 
 
 def _through(client: Client, stream: io.RawIOBase, act: Callable[[Any], bytes]) -> bytes:
-    """``act`` on the stream, which is closed after it. When anything goes wrong the transfer is aborted.
+    """``act`` on the stream; the transfer is aborted when anything goes wrong.
 
-    Closing canopen's streams ends the transfer as if all data had been sent: half a table would be
-    taken for a whole one.
+    Closing canopen's streams ends it as if all data had been sent: half a table would be taken for a whole
+    one.
     """
     try:
         result = act(stream)
@@ -88,11 +85,11 @@ SETTLE_S = 0.05  # for frames of an aborted block transfer that are still in tra
 
 
 class CommissioningError(CanfbError):
-    """A step that did not work; the text says what the state of the module is."""
+    """A step that did not work; the text says how the module is left."""
 
 
 class RefusedError(CommissioningError):
-    """The node has refused an access; ``code`` is the abort code (CiA 301, 7.2.4.3.17)."""
+    """The node has refused an access with the abort ``code`` (CiA 301, 7.2.4.3.17)."""
 
     def __init__(self, text: str, code: int = AbortCode.GENERAL) -> None:
         super().__init__(text)
@@ -129,7 +126,7 @@ class Master(Protocol):
 
 
 class NodeAccess:
-    """Objects of one node by SDO. CommissioningError, in one line, for whatever does not work."""
+    """Objects of one node by SDO. CommissioningError for whatever does not work."""
 
     def __init__(self, master: Master, node_id: int, name: str) -> None:
         self.master = master
@@ -137,7 +134,7 @@ class NodeAccess:
         self.name = f"{name} {node_id} ({node_id:02X}h)"
 
     def read(self, index: int, subindex: int, layout: str) -> int | float:
-        """A number; ``layout`` as in struct, without the byte order: B, H, I, h, f ..."""
+        """A number; ``layout`` as in struct: B, H, I, h, f ..."""
         data = self.read_bytes(index, subindex)
         size = struct.calcsize(f"<{layout}")
         if len(data) < size:
@@ -152,10 +149,7 @@ class NodeAccess:
         return int(self.read(index, subindex, layout))
 
     def read_known(self, place: od.Multiplexer) -> int | float | None:
-        """A number as :mod:`canfb.view` reads it: None where the node refuses to give it.
-
-        CommissioningError if it does not answer.
-        """
+        """A number for :mod:`canfb.view`; None where the node refuses it."""
         try:
             data = self.read_bytes(*place)
         except RefusedError:
@@ -172,7 +166,7 @@ class NodeAccess:
     def write_bytes(
         self, index: int, subindex: int, data: bytes, answer_within_s: float | None = None
     ) -> None:
-        """Write by expedited or segmented transfer; with a longer time for the answer, if given."""
+        """Write by expedited or segmented transfer."""
 
         def send(client: Client) -> bytes:
             usual = client.RESPONSE_TIMEOUT
@@ -189,7 +183,7 @@ class NodeAccess:
         return self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
 
     def upload_domain(self, index: int, subindex: int, progress: Progress = lambda part: None) -> bytes:
-        """A DOMAIN, by block transfer where the server has it, else segmented; ``progress`` gets 0..1."""
+        """A DOMAIN, by block transfer or else segmented; ``progress`` gets 0..1."""
         return self._by_blocks(
             "reading", index, subindex, lambda client, block: _fetch(client, index, subindex, block, progress)
         )

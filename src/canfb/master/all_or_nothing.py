@@ -27,7 +27,7 @@ SAVE_WITHIN_S = 10.0
 
 
 def read_active(module: NodeAccess) -> Correction:
-    """The active set. CommissioningError if the node is not a feedback module, or the table is incomplete."""
+    """The active set. CommissioningError if the node is no feedback module."""
     try:
         crc32 = module.integer(*od.TABLE_ACTIVE_CRC, "I")
     except ObjectAbsentError:
@@ -49,7 +49,7 @@ def read_active(module: NodeAccess) -> Correction:
 
 
 def active_conditioning(module: NodeAccess) -> Conditioning:
-    """The conditioning in force (2020:07); that of 2002h from an older module, which does not report it."""
+    """The conditioning in force (2020:07); 2002h of an older module."""
     try:
         data = module.read_bytes(*od.TABLE_ACTIVE_CONDITIONING)
     except ObjectAbsentError:
@@ -61,9 +61,7 @@ def active_conditioning(module: NodeAccess) -> Conditioning:
 
 
 def read_conditioning(module: NodeAccess) -> Conditioning:
-    """2002h and 2005h, in force with the next activation; the identity where there is none, no delays where
-    an older module has none.
-    """
+    """2002h and 2005h, in force with the next activation; an older module lacks some."""
     try:
         values = [float(module.read(*place, "f")) for place in od.CONDITIONING[:OLD_CONDITIONING]]
         with contextlib.suppress(ObjectAbsentError):
@@ -76,9 +74,9 @@ def read_conditioning(module: NodeAccess) -> Conditioning:
 
 
 def put_in_force(module: NodeAccess, correction: Correction) -> None:
-    """Write conditioning and table, check the staged bytes, activate both together, check again.
+    """Write conditioning and table, check the staged bytes, activate both, check again.
 
-    CommissioningError where anything is not as it must be; the module may then be in between.
+    CommissioningError may leave the module in between.
     """
     write_conditioning(module, correction.conditioning)
     if correction.table is not None and module.integer(*od.TABLE_ACTIVE_CRC, "I") != correction.crc32:
@@ -87,13 +85,13 @@ def put_in_force(module: NodeAccess, correction: Correction) -> None:
 
 
 def stage(module: NodeAccess, table: CorrectionTable) -> None:
-    """Write a table to 2020:01, where it waits for its activation. CommissioningError if the CRC differs."""
+    """Write a table to 2020:01, and check its CRC."""
     module.download_domain(*od.TABLE_STAGED, table.to_bytes())
     _check_crc(module, od.TABLE_STAGED_CRC, "staged", table.crc32)
 
 
 def activate(module: NodeAccess, crc32: int) -> None:
-    """Put the table with this CRC in force, with 2002h; 0: none. CommissioningError if that does not work."""
+    """Put the table with this CRC in force, with 2002h; 0: none."""
     module.write(*od.TABLE_ACTIVATE, "I", crc32)
     _check_crc(module, od.TABLE_ACTIVE_CRC, "active", crc32)
 
@@ -115,9 +113,8 @@ def check_unlocked(module: NodeAccess) -> None:
 
 
 def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str | None:
-    """Keep table and parameters over a loss of power: the object used, None where nothing can be kept.
-
-    CommissioningError if the node can save and fails to.
+    """Save table and parameters: the object used, None where nothing can be kept. CommissioningError if it
+    fails.
     """
     store = saving_object(module, stores)
     if store is None:
@@ -143,7 +140,7 @@ def check_can_save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES
 
 
 def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> od.Multiplexer | None:
-    """The first of these objects that saves on command, None where nothing can be kept."""
+    """The first of these objects that saves on command, or None."""
     for store in stores:
         try:
             ability = module.integer(*store, "I")
@@ -155,7 +152,7 @@ def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES)
 
 
 def write_conditioning(module: NodeAccess, conditioning: Conditioning) -> None:
-    """Write 2002h, which waits for the next activation. CommissioningError if it reads otherwise then."""
+    """Write 2002h, which waits for the next activation, and read it back."""
     values = zip(od.CONDITIONING, conditioning.values, read_conditioning(module).values, strict=True)
     changed = [(place, value) for place, value, before in values if value != before]
     for place, value in changed:
@@ -177,8 +174,7 @@ def _check_crc(module: NodeAccess, place: od.Multiplexer, which: str, expected: 
 class Guard:
     """Keeps an interruption (Ctrl-C, SIGTERM, SIGHUP) away from what must not be left half done.
 
-    Call :meth:`interrupt` from a signal handler: it raises KeyboardInterrupt, but not while held, and
-    once only. A second signal, as a shell sends it to its jobs, must not stop what the first one began.
+    :meth:`interrupt`, for a signal handler, raises KeyboardInterrupt once, and not while held.
     """
 
     def __init__(self) -> None:
@@ -207,12 +203,9 @@ EITHER = "either what was saved before or the new values, whole"
 
 @contextlib.contextmanager
 def all_or_nothing(module: NodeAccess, guard: Guard, undo: Callable[[], str]) -> Iterator[None]:
-    """Whatever fails or interrupts the change in here, ``undo`` puts back what was; then the error goes on.
+    """If the change in here fails, is interrupted, or the module restarts, ``undo`` puts back what was.
 
-    A module that is restarted meanwhile counts as a failure: it has lost what was not saved.
-
-    ``undo`` gives the words for that, and raises CanfbError where it does not work: the CommissioningError
-    that comes of it says both. It is not interrupted.
+    Then the error goes on, with the words of ``undo``, or with its CanfbError. It is not interrupted.
     """
     try:
         with without_restart(module):
@@ -242,8 +235,8 @@ def change(
 ) -> str | None:
     """``act`` changes the module, and it is saved if ``keep``: the object that saved it, None: not saved.
 
-    Whatever fails or interrupts this, ``back`` writes ``what`` was before, which is saved again where saving
-    had begun; ``undone`` says that this is in force again. CommissioningError has the failure and this.
+    If this fails or is interrupted, ``back`` writes ``what`` was before, which is saved again where saving
+    had begun; ``undone`` says that it is in force. CommissioningError has the failure and this.
     """
     saving = False
 
@@ -268,8 +261,7 @@ def change(
 def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: bool = False) -> None:
     """``act`` writes ``what`` from before, and proves it; once more after a pause, if the bus fails.
 
-    CommissioningError, which says how things stand and what to do, if that does not work either; with
-    ``saving`` it may have been saved already.
+    CommissioningError says what to do if that fails too; with ``saving`` the new values may have been saved.
     """
     for attempt in range(ATTEMPTS):
         try:
@@ -289,9 +281,9 @@ def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: 
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write or replace a file. CommissioningError in one line; what was there before is there still.
+    """Write or replace a file, whole. CommissioningError leaves what was there.
 
-    What is no plain file, as /dev/stdout or a pipe, is written to as it is.
+    What is no plain file, as /dev/stdout or a pipe, is written to.
     """
     try:
         if path.exists() and not path.is_file():
@@ -303,7 +295,7 @@ def write_whole(path: Path, data: bytes) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """CommissioningError where the file cannot be made, before any work is done for it."""
+    """CommissioningError where the file cannot be made."""
     if path.is_dir():
         raise CommissioningError(f"cannot write {path}: it is a folder")
     if not path.parent.is_dir():

@@ -1,8 +1,4 @@
-"""Samples over the bus: of the ADC PDO, or of a recording object.
-
-The ADC PDO is listened to, SYNC by SYNC, without a word of its own on the bus. A recording object (2050h) is
-uploaded: of the encoder interface, faster than SYNC, or of the module.
-"""
+"""Samples over the bus: of the ADC PDO, SYNC by SYNC, or of a recording object (2050h) that is uploaded."""
 
 from __future__ import annotations
 
@@ -27,10 +23,9 @@ MISSED = (MISSED_COUNTS, MISSED_COUNTS)
 
 
 class PdoRecorder:
-    """Puts SYNCs and PDOs together: each SYNC gets one sample, the first that comes before the next SYNC.
+    """Gives each SYNC one sample, the first that comes before the next SYNC.
 
-    Its methods are called from the receiving thread, in the order of the frames; what came is read when
-    they are no longer called.
+    Called from the receiving thread, in the order of the frames; read when that has ended.
     """
 
     def __init__(self, layout: PdoLayout) -> None:
@@ -86,10 +81,7 @@ class PdoRecorder:
             self._coarse[-1] = layout.unpack(data)
 
     def result(self, origin: str) -> TrackSamples:
-        """What came, in the order in which it was sampled; the last interval may be open and is left out.
-
-        What belongs to an interval, time and coarse track, belongs to its newest sample.
-        """
+        """What came, in the order of sampling, without the last interval, which may be open."""
         last, per_sync = len(self._pairs) - 1, 1 + len(self._layout.earlier)
         rate_hz = self._rate_hz()
         in_order = [
@@ -123,7 +115,7 @@ class PdoRecorder:
 
 
 class Listener:
-    """Hears SYNC and PDO while it is entered; :meth:`look` must be called now and then."""
+    """Hears SYNC and PDO while it is entered; call :meth:`look` now and then."""
 
     def __init__(self, master: Master, layout: PdoLayout) -> None:
         self._master = master
@@ -161,7 +153,7 @@ class Listener:
         return 0.0 if self._began_s is None else self._master.now() - self._began_s
 
     def look(self) -> None:
-        """CommissioningError, with what to do, when SYNC or samples do not come or do not go on."""
+        """CommissioningError when SYNC or samples do not come."""
         now, recorder, layout = self._master.now(), self._recorder, self._layout
         if recorder.syncs > self._syncs:
             self._syncs, self._last_sync_s = recorder.syncs, now
@@ -205,10 +197,10 @@ def listen(
     progress: Progress = lambda part: None,
     enough: Callable[[Listener], bool] = lambda listener: False,
 ) -> TrackSamples:
-    """Samples of ``duration_s`` seconds from the first SYNC on, and of more for ``least_samples`` intervals.
+    """Samples of ``duration_s`` seconds from the first SYNC on, and of at least ``least_samples`` intervals.
 
-    ``progress`` gets 0..1 as time goes. It takes no longer than six times ``duration_s``, and ends as soon as
-    ``enough`` is true of what came. CommissioningError, with what to do, when SYNC or samples do not come.
+    ``progress`` gets 0..1. Ends after six times ``duration_s``, or when ``enough`` is true.
+    CommissioningError when SYNC or samples do not come.
     """
     with Listener(master, layout) as listener:
         while True:
@@ -231,8 +223,8 @@ UPLOAD_PART = 0.5  # of the progress reported
 def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress: Progress) -> TrackSamples:
     """Let ``node`` record for ``duration_s`` seconds and upload what it has; ``progress`` gets 0..1.
 
-    The rate is that of 2050:04 where the node has it, else ``rate_hz``. The recording is stopped in any
-    case. CommissioningError if the node cannot record, or has recorded nothing.
+    The rate is that of 2050:04, else ``rate_hz``. CommissioningError if the node cannot record, or has
+    recorded nothing.
     """
     try:
         node.write(*od.RECORDING_COMMAND, "B", Command.START)

@@ -29,8 +29,8 @@ HALF_CYCLE = 0.5
 class LockWatch:
     """Looks once, about a second after the first SYNC, whether the motion is locked to the samples.
 
-    ``speed_rad_s`` asks the module for its speed; it is 0.0 where the module could not count. Call it as
-    the samples come: it is True when it makes no sense to continue, and ``found`` says why.
+    True when it makes no sense to continue; ``found`` says why. ``speed_rad_s`` is 0.0 where the speed is not
+    known.
     """
 
     def __init__(self, cycles_per_revolution: int, speed_rad_s: Callable[[], float]) -> None:
@@ -116,7 +116,7 @@ MORE_THAN_BEFORE = 3.0
 
 @dataclass(frozen=True)
 class Look:
-    """The module at one time: status word (2011:01), cycle count (2011:04), counters of 2012h."""
+    """The module at one time: 2011:01, 2011:04, counters of 2012h."""
 
     status: int
     cycles: int
@@ -152,7 +152,7 @@ class Meanwhile:
 
     @property
     def cycles(self) -> int | None:
-        """From its position before to that after; None where that is not known to have been valid."""
+        """Distance between both; None where a position was not valid."""
         valid = self.before.status & self.after.status & StatusBit.VALID
         if not valid or LOST in self.counted:
             return None
@@ -160,7 +160,7 @@ class Meanwhile:
 
 
 def look_at(module: NodeAccess) -> Look | None:
-    """Status, cycle count and counters of the module; None if it does not say them."""
+    """The module now; None if it does not answer."""
     try:
         return Look(
             module.integer(*od.FEEDBACK_STATUS, "H"),
@@ -172,7 +172,7 @@ def look_at(module: NodeAccess) -> Look | None:
 
 
 def lost_words(module: NodeAccess, status: int) -> str:
-    """That its position is lost, with the cause that the status word has, and who knows more."""
+    """That its position is lost, why, and who knows more."""
     causes = fault_words(status)
     why = f" ({', '.join(causes)})" if causes else ""
     return (
@@ -182,16 +182,15 @@ def lost_words(module: NodeAccess, status: int) -> str:
 
 @dataclass(frozen=True)
 class SpeedReading:
-    """The speed that the module says, rad/s, ``at`` this many intervals after the first sample."""
+    """Speed, rad/s, ``at`` this many intervals after the first sample."""
 
     at: float
     rad_per_s: float
 
 
 class SpeedReadings:
-    """Reads the speed of the module while samples are collected.
-
-    CommissioningError from a reading if its position is not valid: its speed says nothing then.
+    """Reads the speed of the module while samples are collected. CommissioningError if its position is not
+    valid.
     """
 
     def __init__(self, module: NodeAccess) -> None:
@@ -257,10 +256,10 @@ def watch(
     usual_s: float,
     progress: Progress = lambda part: None,
 ) -> None:
-    """See for ``duration_s`` seconds that the module flags no more than before.
+    """See for ``duration_s`` seconds that the module flags no more than ``usual``, counted in ``usual_s``
+    seconds before.
 
-    ``usual`` was counted in ``usual_s`` seconds before. CommissioningError as soon as it flags more, or
-    processes no samples.
+    CommissioningError as soon as it does, or processes no samples.
     """
     master = module.master
     began, first = master.now(), read_counters(module)
@@ -299,19 +298,13 @@ PERCENT = 100.0
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where and when it was measured.
+    """Where and when it was measured; "" or None for what is not known.
 
-    date                   ISO 8601
-    time                   time of day with the offset to UTC, ISO 8601; "" if not known
-    version                of canfb; "" if not known
-    command                the command line; "" if there was none
-    identity               1018h of the module: vendor-ID, product code, revision, serial number
-    interface_identity     1018h of the encoder interface
-    module                 node id, None without a bus
-    encoder_interface      node id, None without a bus
-    encoder                name or serial number of the encoder, as the user gave it
-    cycles_per_revolution  None if not known
-    meanwhile              what the module said of itself before and after the samples; None if it did not
+    date, time      ISO 8601; time of day with the offset to UTC
+    command         the command line
+    identity        1018h of the module: vendor-ID, product code, revision, serial number
+    encoder         name or serial number of the encoder, as the user gave it
+    meanwhile       the module before and after the samples
     """
 
     date: str
@@ -372,7 +365,7 @@ def _listed(identity: tuple[int, ...] | None) -> list[int] | None:
 
 
 def percent(cycles: float, where: Provenance) -> str:
-    """A part of the cycle in percent, and as an angle of the shaft where that is known."""
+    """A part of the cycle in percent, and as an angle of the shaft."""
     arc = where.arc_seconds(cycles)
     words = f"{PERCENT * cycles:.3g} %"
     return words if arc is None else f"{words} ({arc:.2g}″)"

@@ -1,11 +1,8 @@
 """The NMT state of a node, whether it was restarted meanwhile, and restarting a module.
 
-No object of CiA 301 holds the NMT state. It is in the heartbeat, and in the response to node guarding, which
-only nodes without a heartbeat give. The boot-up, one byte 00h, is the sign of a reset.
-
-A module is restarted at standstill only: one that starts on a turning machine may take it for one at rest, as
-at whole cycles per interval the samples are the same. So they are watched before the reset and after it, and
-a machine that moves is refused.
+The state is in the heartbeat, and in the response to node guarding; the boot-up, one byte 00h, is the sign of
+a reset. A module is restarted at standstill only: on a turning machine whole cycles per interval look like a
+rest. So the machine is watched before the reset and after it.
 """
 
 from __future__ import annotations
@@ -30,10 +27,7 @@ STEP_S = 0.005
 
 
 def state_in(data: bytes) -> NmtState | None:
-    """The state in a frame with the CAN-ID 700h + id; None if there is none in it.
-
-    A boot-up is followed by PRE-OPERATIONAL. Bit 7 is the toggle bit of node guarding.
-    """
+    """The state in a frame with the CAN-ID 700h + id, or None; a boot-up is followed by PRE-OPERATIONAL."""
     if len(data) != 1:
         return None
     value = data[0] & 0x7F
@@ -43,10 +37,9 @@ def state_in(data: bytes) -> NmtState | None:
 
 
 def nmt_state(node: NodeAccess) -> NmtState:
-    """The NMT state of a node that answers SDO.
+    """The NMT state of a node that answers SDO, by heartbeat (1017h), guarding (100Ch) or a remote frame.
 
-    Waits for the heartbeat (1017h), or for a response to the master that guards the node (100Ch), and asks
-    by a remote frame where neither is heard. CommissioningError if the state is not known then.
+    CommissioningError if it is not known then.
     """
     heartbeat_s = node.integer(*HEARTBEAT_TIME, "H") / 1000
     with _received(node) as received:
@@ -69,7 +62,7 @@ def nmt_state(node: NodeAccess) -> NmtState:
 
 @contextlib.contextmanager
 def without_restart(node: NodeAccess) -> Iterator[None]:
-    """CommissioningError at the end if the node was restarted in here: what was written is gone."""
+    """CommissioningError at the end if the node was restarted in here."""
     with _received(node) as received:
         yield
     if b"\0" in received:
@@ -108,7 +101,7 @@ UNITS = 65536.0
 
 @dataclass(frozen=True)
 class MachineLook:
-    """How a machine looked: the spread of the phase in cycles, samples, and by how much the count moved."""
+    """Spread of the phase in cycles, samples, and by how much the count moved."""
 
     spread_cycles: float
     samples: int
@@ -128,7 +121,7 @@ class MachineLook:
 
 
 def watch_standstill(module: NodeAccess) -> MachineLook:
-    """Watch the phase of a module briefly. CommissioningError if it gets too few samples."""
+    """Watch the phase of a module. CommissioningError if it gets too few samples."""
     master = module.master
     began = master.now()
     first: float | None = None
@@ -161,8 +154,8 @@ def watch_standstill(module: NodeAccess) -> MachineLook:
 def reset_module(module: NodeAccess, *, force: bool = False) -> dict[str, Any]:
     """Reset a module whose machine stands still, start it, and see that its position is valid.
 
-    ``force``: without a look at the machine. What was done, for programs. CommissioningError if the machine
-    moves, if the module does not come back, and if its position is not valid afterwards.
+    ``force``: without a look at the machine. CommissioningError if it moves, or if the module does not come
+    back valid.
     """
     before = None if force else watch_standstill(module)
     if before is not None and before.moves:

@@ -1,7 +1,4 @@
-"""Samples of both tracks, as they were recorded, and as NPZ or CSV files.
-
-The files are what numpy reads, and what `canfb calibrate --samples` takes again.
-"""
+"""Samples of both tracks, and as NPZ or CSV files."""
 
 from __future__ import annotations
 
@@ -31,13 +28,11 @@ LEAST_SKIPPED, SURE_PART = 2, 0.005
 class TrackSamples:
     """Both tracks in ADC counts, one sample an interval, NaN where a sample was missed.
 
-    rate_hz   samples per second while they come without a pause, None if not known
-    origin    where they come from, for people
-    time_s    sample times by the clock of the encoder interface, seconds, rising; at a missed sample one
-              between its neighbours. None: not known, the samples are equidistant
+    rate_hz      samples per second without pauses; None: not known
+    time_s       sample times by the clock of the encoder interface, seconds, rising; None: equidistant
     received_s   when the SYNC of each sample was received, seconds; None: not known
-    coarse    sine and cosine of the coarse track, ADC counts, NaN where they did not come; None: none
-    at_speed  so fast that the analog path of the module counts: their harmonics are not those at standstill
+    coarse       coarse sine and cosine, ADC counts, NaN where they did not come; None: none
+    at_speed     so fast that the analog path of the module counts
     """
 
     sine: FloatArray
@@ -53,7 +48,7 @@ class TrackSamples:
     def of(
         cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, rate_hz: float | None, origin: str
     ) -> TrackSamples:
-        """From counts; pairs of -32768 are missed samples. ValueError for arrays of different length."""
+        """From counts; pairs of -32768 are missed. ValueError for different lengths."""
         return cls(*with_gaps(sine, cosine), rate_hz, origin)
 
     @classmethod
@@ -63,7 +58,7 @@ class TrackSamples:
         return cls.of(pairs[:, 0], pairs[:, 1], rate_hz, origin)
 
     def timed(self, stamps: Sequence[int | None]) -> TrackSamples:
-        """With sample times in 100 ns, modulo 2^32, None for a missed sample; as they are if none came."""
+        """With sample times in 100 ns, modulo 2^32, None for a missed sample."""
         known = [n for n, stamp in enumerate(stamps) if stamp is not None]
         if len(known) < 2:
             return self
@@ -82,8 +77,8 @@ class TrackSamples:
     def together(self, cosine_delay_s: float, cycles_per_s: float) -> TrackSamples:
         """As if both tracks had been sampled at once, and not the cosine ``cosine_delay_s`` later (2002:06).
 
-        ``cycles_per_s`` is the mean speed, which samples alone leave open by whole cycles per sample.
-        CommissioningError where the rate is not known, CalibrationError where the samples are on no ellipse.
+        ``cycles_per_s`` is the mean speed. CommissioningError where the rate is not known, CalibrationError
+        where the samples are on no ellipse.
         """
         if not cosine_delay_s:
             return self
@@ -117,7 +112,7 @@ class TrackSamples:
 
     @property
     def duration_s(self) -> float | None:
-        """How long it took, pauses included; None if neither times nor rate are known."""
+        """How long it took, pauses included; None: not known."""
         times = self.received_s if self.time_s is None else self.time_s
         if times is not None and len(times) > 1 and times[-1] > times[0]:
             return float(times[-1] - times[0]) * len(times) / (len(times) - 1)
@@ -130,7 +125,7 @@ class TrackSamples:
 
     @property
     def skipped(self) -> int:
-        """Intervals in which not even a SYNC came, by the times; 0 where they do not determine it."""
+        """Intervals without a SYNC, by the times; 0 where they are not known."""
         if not self.rate_hz or not self.duration_s:
             return 0
         more = round(self.duration_s * self.rate_hz) - len(self)
@@ -138,9 +133,8 @@ class TrackSamples:
 
 
 def write_npz(path: Path, samples: TrackSamples, hertz: float | None = None) -> None:
-    """Tracks as INTEGER16, -32768 in both for a missed sample, the rate in Hz, 0 if not known, and time_s.
-
-    ``hertz`` is the speed, cycles per second, where it is known: cycles_per_s.
+    """INTEGER16 tracks, -32768 for a missed sample, rate_hz (0: not known), time_s, cycles_per_s
+    (``hertz``).
     """
     sine, cosine = (
         np.nan_to_num(track, nan=MISSED_COUNTS).astype(np.int16) for track in (samples.sine, samples.cosine)
@@ -159,10 +153,7 @@ def write_npz(path: Path, samples: TrackSamples, hertz: float | None = None) -> 
 
 
 def write_csv(path: Path, samples: TrackSamples) -> None:
-    """Columns sine and cosine in counts, before them t_s in seconds where the rate is known.
-
-    A missed sample has no row; its time is left out.
-    """
+    """Columns t_s (if the rate is known), sine, cosine in counts; a missed sample has no row."""
     names = ["t_s", "sine", "cosine"] if samples.rate_hz else ["sine", "cosine"]
     with path.open("w", newline="", encoding="ascii") as file:
         rows = csv.writer(file, lineterminator="\n")
@@ -179,9 +170,6 @@ def read_speed(path: Path) -> float | None:
 
 
 def read_npz(path: Path) -> TrackSamples:
-    """An NPZ file with arrays sine and cosine, and rate_hz and time_s if they are known.
-
-    CanfbError, in one line, for anything else.
-    """
+    """An NPZ file with sine and cosine, rate_hz and time_s. CanfbError for anything else."""
     tracks = read_tracks(path)
     return TrackSamples(tracks.sine, tracks.cosine, tracks.rate_hz, f"file {path.name}", tracks.time_s)

@@ -29,13 +29,11 @@ CORNERS = (od.ENCODER_CORNER_FREQUENCY, od.ENCODER_COSINE_CORNER_FREQUENCY)
 class Session:
     """Both nodes, read once.
 
-    active                  the active table and conditioning of the module
-    cycles_per_revolution   2001:01
-    limits                  2001:02..04
-    samples_itself          the module takes no ADC PDO, and no interface was named
-    named                   an interface was named
-    identity                1018h of the module, as far as it has it
-    interface_identity      that of the encoder interface; None if it does not answer
+    limits               2001:02..04
+    samples_itself       the module takes no ADC PDO, and no interface was named
+    named                an interface was named
+    identity             1018h of the module
+    interface_identity   that of the encoder interface; None if it does not answer
     """
 
     master: Master
@@ -51,7 +49,7 @@ class Session:
 
     @classmethod
     def open(cls, master: Master, module_id: int, interface_id: int | None) -> Session:
-        """Read both nodes. CommissioningError if the module does not answer, or is not a feedback module."""
+        """Read both nodes. CommissioningError if the module is none."""
         module = NodeAccess(master, module_id, "module")
         active = read_active(module)
         cycles = module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I")
@@ -81,10 +79,7 @@ class Session:
         rate_hz: float | None,
         enough: Callable[[Listener], bool] = lambda listener: False,
     ) -> Source:
-        """Where samples come from: "pdo", or the "recording" of "interface" or "module".
-
-        Samples of the PDO end as soon as ``enough`` is true of them.
-        """
+        """Samples of "pdo", until ``enough`` is true, or of the "recording" of "interface" or "module"."""
         if kind == "recording":
             self.check_interface()
             node = self.module if recorder == "module" else self.interface
@@ -107,14 +102,15 @@ class Session:
 
     @property
     def path_is_known(self) -> bool:
-        """Something depends on the speed, and the active table is that of standstill: with harmonics."""
+        """Something depends on the speed, and the active table is that of standstill."""
         conditioning = self.active.conditioning
         return any(conditioning.harmonics) and bool(conditioning.cosine_delay_s or self.corners.are_there)
 
     def together(self, samples: TrackSamples) -> TrackSamples:
-        """As if both tracks had been sampled at once, without the delay that the module has (2002:06).
+        """As if both tracks had been sampled at once, without the delay of 2002:06, by the speed of the
+        module.
 
-        By the speed that the module says now. CommissioningError where its position is not valid.
+        CommissioningError where its position is not valid.
         """
         delay_s = self.active.conditioning.cosine_delay_s
         corners = self.corners
@@ -141,7 +137,7 @@ def read_corners(module: NodeAccess) -> Corners:
 
 
 def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
-    """Vendor-ID, product code, revision and serial number, as many as it has; None without an answer."""
+    """1018h, as far as it has it; None without an answer."""
     found: list[int] = []
     for place in od.IDENTITY:
         try:
@@ -152,7 +148,7 @@ def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
 
 
 def _interface_of(module: NodeAccess) -> int | None:
-    """The node from which the module takes its samples, by the COB-ID of its RPDO; None without."""
+    """The node from which the module takes its samples, or None."""
     layout = module_layout(module.read_known)
     return None if layout is None else layout.sender or DEFAULT_INTERFACE
 
@@ -160,9 +156,8 @@ def _interface_of(module: NodeAccess) -> int | None:
 def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout:
     """The PDO that the interface sends and the module takes.
 
-    CommissioningError if both are known and differ: the table would be that of another encoder.
-    An interface that does not answer is taken to send as the module expects it, or by default, unless the
-    PDO that the module takes is that of another node.
+    CommissioningError if both are known and differ: the table would be that of another encoder. An interface
+    that does not answer is taken to send what the module expects.
     """
     taken = module_layout(module.read_known) if module is not None else None
     if module is not None and taken is None:

@@ -36,13 +36,11 @@ class NodeIdentity(NamedTuple):
 class Backup:
     """What a backup holds.
 
-    node_id        of the module
     date           ISO 8601
     version        of canfb
-    values         the parameters that restore writes
     table          the bytes of 2020:01, empty for the identity
     not_restored   what belongs to the machine: preset and offset
-    unknown        parameters that this version does not know; only where they are accepted
+    unknown        parameters that this version does not know
     """
 
     node_id: int
@@ -57,7 +55,7 @@ class Backup:
 
 
 def backup_text(backup: Backup, described: ObjectDescriptions) -> str:
-    """The backup as YAML; names and units are of the EDS. KeyError for a parameter that it does not have."""
+    """The backup as YAML, with names and units. KeyError for a parameter that the EDS does not have."""
     entries = (
         {"crc32": f"{CorrectionTable.from_bytes(backup.table).crc32:08X}", "entries": _entries(backup.table)}
         if backup.table
@@ -80,7 +78,7 @@ def backup_text(backup: Backup, described: ObjectDescriptions) -> str:
 
 
 def read_backup(path: Path, described: ObjectDescriptions, accept_unknown: bool = False) -> Backup:
-    """The backup of a file. CommissioningError, in one line with line and key, for anything else."""
+    """The backup of a file. CommissioningError, with line and key, for anything else."""
     data = read_bytes(path, CommissioningError)
     try:
         return _BackupReader(MarkedYaml(data), described, accept_unknown).backup()

@@ -38,9 +38,7 @@ class Configured(Protocol):
 
 @dataclass(frozen=True)
 class RestoreOptions:
-    """The options of ``canfb restore``: save at the end, accept another major revision or what is unknown,
-    send the node to PRE-OPERATIONAL first, write nothing.
-    """
+    """Save at the end, accept what is unknown, send to PRE-OPERATIONAL first, write nothing."""
 
     keep: bool = False
     force: bool = False
@@ -50,11 +48,8 @@ class RestoreOptions:
 
 @dataclass(frozen=True)
 class Restored:
-    """What came out.
-
-    changes     the value of before and of the backup, of each object that differs
-    untouched   the parameters that are not in the backup, and stay as they are
-    wishes      what was asked for
+    """What came out: ``changes`` are the values of before and of the backup, ``untouched`` what is not
+    in it.
     """
 
     module: NodeAccess
@@ -66,10 +61,7 @@ class Restored:
 
 
 class Restoring:
-    """Backups into one module.
-
-    ``read`` gives its configuration; CanfbError where that does not work.
-    """
+    """Backups into one module; ``read`` gives its configuration, or CanfbError."""
 
     def __init__(self, module: NodeAccess, read: Callable[[], Configured], guard: Guard) -> None:
         self._module = module
@@ -79,7 +71,7 @@ class Restoring:
     def restore(
         self, backup: Backup, made: Callable[[dict[Place, Any]], Configured], wishes: RestoreOptions
     ) -> Restored:
-        """Write, prove, save. CommissioningError if anything does not work; then all is as it was before.
+        """Write, prove, save. CommissioningError if anything does not work; then all is as before.
 
         ``made`` makes the configuration of the backup, with the values of before for what is not in it.
         """
@@ -159,7 +151,7 @@ class Restoring:
 
 
 def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, Any]]:
-    """The objects whose values differ, in order; None for an object that one of both does not have."""
+    """The objects whose values differ, in order; None for a missing one."""
     values, others = one.values(), other.values()
     places = sorted((values.keys() | others.keys()) - set(LEFT_ALONE))
     pairs = {place: (values.get(place), others.get(place)) for place in places}

@@ -26,13 +26,8 @@ _NUMBERED = re.compile(r"(?:0x)?([0-9a-f]{4})h?(?:[:.](?:0x)?([0-9a-f]{1,2})h?)?
 
 @dataclass(frozen=True)
 class ObjectDescription:
-    """One entry of an object dictionary.
-
-    parent   name of the object, "" where the entry is all of it
-    access   ro, wo, rw, rwr, rww or const
-    unit     "" for none
-    low      the lowest value, None where the EDS has none
-    high     the highest value
+    """One entry of an object dictionary; ``parent`` is the name of the object, "" where the entry is all of
+    it.
     """
 
     index: int
@@ -71,10 +66,10 @@ class ObjectDescription:
         return self.access in ("wo", "rw", "rwr", "rww")
 
     def decode(self, data: bytes) -> Any:
-        """The value of bytes from the bus. ValueError where they are fewer than those of the type.
+        """The value of bytes from the bus. ValueError where they are too few.
 
-        An expedited answer has four bytes, used or not: where a slave does not say how many (42h), or says
-        four, the length of the type decides.
+        Of the four bytes of an expedited answer the type decides how many count: some slaves do not say
+        (42h), or say four.
         """
         size = datatypes.byte_length(self.data_type)
         if size and len(data) <= EXPEDITED:
@@ -83,7 +78,7 @@ class ObjectDescription:
 
 
 class ObjectDescriptions:
-    """The objects of a node, of the EDS or DCF ``path``. CommissioningError for a file that is none."""
+    """The objects of a node, of an EDS or DCF. CommissioningError for a file that is none."""
 
     def __init__(self, path: Path, node_id: int) -> None:
         self.path = path
@@ -112,8 +107,8 @@ class ObjectDescriptions:
     def meant(self, text: str) -> list[ObjectDescription]:
         """The entries that are meant: one, or all of a record or an array that is named as a whole.
 
-        ``text`` is a number, 2010:01 or 0x2010:1, or a name or its beginning, whatever its case: that of the
-        entry, that of the object, or both. ConfigError for one that is not known, or means several.
+        ``text`` is a number, 2010:01 or 0x2010:1, or a name or its beginning, in any case: of the entry, the
+        object, or both. ConfigError for none or several.
         """
         place = numbered(text)
         text = text[:LONGEST_NAME]
@@ -151,7 +146,7 @@ class ObjectDescriptions:
 
 
 def numbered(text: str) -> tuple[int, int | None] | None:
-    """Index and sub-index of 2010:01, 0x2010:1 or 2010h; None if the text is no number."""
+    """Index and sub-index of 2010:01, 0x2010:1 or 2010h, or None."""
     match = _NUMBERED.fullmatch(text.strip())
     if match is None:
         return None
@@ -169,7 +164,7 @@ def _listed(names: list[str]) -> str:
 
 @lru_cache(maxsize=8)
 def _described(content: bytes, node_id: int) -> dict[Place, ObjectDescription]:
-    """The entries of a file with this content; nobody changes them. ValueError for one that is no EDS."""
+    """The entries of a file; nobody changes them."""
     return {
         (one.index, one.subindex): ObjectDescription(
             one.index, one.subindex, one.name, one.parent, one.data_type, one.access, one.unit, low, high

@@ -41,7 +41,7 @@ def value_range(data_type: int) -> tuple[int, int]:
 
 
 def check_value(data_type: int, value: Any, low: float | None = None, high: float | None = None) -> Any:
-    """``value`` as its type has it, a REAL32 rounded to one. ValueError for one of another type or size."""
+    """``value`` as its type has it, a REAL32 rounded to one, or ValueError."""
     if data_type in datatypes.FLOATS:
         checked: Any = _real(data_type, value)
     elif data_type in datatypes.STRINGS:
@@ -81,7 +81,7 @@ def _real(data_type: int, value: Any) -> float:
 
 
 def parse_value(data_type: int, text: str, low: float | None = None, high: float | None = None) -> Any:
-    """The value of a text: 12, 0x1F, -3.5, on, DE AD BE EF. ValueError for what the type cannot hold."""
+    """The value of a text (12, 0x1F, -3.5, on, DE AD BE EF), or ValueError."""
     if data_type in datatypes.STRINGS:
         return check_value(data_type, text)
     if data_type in OCTETS or data_type not in datatypes.KNOWN:
@@ -102,7 +102,7 @@ def parse_value(data_type: int, text: str, low: float | None = None, high: float
 
 
 def short_real(value: float, data_type: int = DataType.REAL32) -> float:
-    """The float with the fewest digits that is the same REAL32: 0.1 in place of 0.10000000149011612."""
+    """The float with the fewest digits that is the same REAL32."""
     if data_type != DataType.REAL32 or not math.isfinite(value):
         return value
     data = struct.pack("<f", value)
@@ -175,7 +175,7 @@ _OF_PLACE: dict[str, dict[Place, str]] = {
 
 
 def in_words(product: str, place: Place, value: object) -> str:
-    """An enumeration or bits in words; "" where there are none. Bits without a name are numbered."""
+    """An enumeration or bits in words, or "". Bits without a name are numbered."""
     kind = _kind(product, place)
     if not isinstance(value, int):
         return ""
@@ -193,7 +193,7 @@ def in_words(product: str, place: Place, value: object) -> str:
 
 
 def from_words(product: str, place: Place, text: str) -> int | None:
-    """The number of a word such as start, or save for 1010h; None where it is none."""
+    """The number of a word such as start, or save for 1010h, or None."""
     return words_of(product, place).get(text.strip().lower().replace("_", " "))
 
 
@@ -207,7 +207,7 @@ def words_of(product: str, place: Place) -> Mapping[str, int]:
 
 
 def abort_words(code: int, entry: ObjectDescription | None, product: str = "") -> str:
-    """What an abort code means, and what to do; ``product`` is the name of it in the EDS."""
+    """What an abort code means, and what to do."""
     meaning = next((one.text for one in AbortCode if one == code), "a code of the manufacturer")
     advice = _TO_DO.get(code, "")
     if code == AbortCode.DEVICE_STATE and entry is not None:
@@ -237,7 +237,7 @@ WATCH_S = 0.3  # some samples, also at 50 Hz
 
 @dataclass(frozen=True)
 class Reading:
-    """An object and its bytes. ``value`` is None where the bytes are not of the type of the EDS."""
+    """An object and its bytes."""
 
     entry: ObjectDescription
     data: bytes
@@ -245,7 +245,7 @@ class Reading:
 
     @property
     def value(self) -> Any:
-        """By the type of the EDS."""
+        """By the type of the EDS; None where the bytes are not of it."""
         try:
             return self.entry.decode(self.data)
         except ValueError:
@@ -318,9 +318,9 @@ def _times(unit: str) -> str:
 
 
 def raw_text(unit: str, text: str) -> str:
-    """A value in the unit that a reading shows, with or without it, as the number of the object.
+    """A value in the unit that a reading shows as the number of the object: 0.2 and "0.2 cycle" are 13107.
 
-    0.2 and "0.2 cycle" are 13107 of 1/65536 cycle. ValueError for what is no such value.
+    ValueError for no such value.
     """
     part = _part(unit)
     if part is None:
@@ -333,7 +333,7 @@ def raw_text(unit: str, text: str) -> str:
 
 @dataclass(frozen=True)
 class Written:
-    """A value that was written, what was before and is there now (None: it cannot be read), and a warning."""
+    """A value that was written, before and after (None: cannot be read), and a warning."""
 
     before: Reading | None
     now: Reading | None
@@ -356,9 +356,8 @@ class Written:
 
 
 class SdoTasks:
-    """Reads and writes of one node, whose objects ``described`` names.
-
-    ConfigError for what is not known or cannot be meant, CommissioningError for what the node refuses.
+    """Reads and writes of one node. ConfigError for what is not known, CommissioningError for what is
+    refused.
     """
 
     def __init__(self, node: NodeAccess, described: ObjectDescriptions) -> None:
@@ -366,7 +365,7 @@ class SdoTasks:
         self._described = described
 
     def read(self, text: str) -> list[Reading]:
-        """What an object holds; all that can be read of a record or an array named as a whole."""
+        """What an object holds; all of a record or an array named as a whole."""
         meant = self._described.meant(text)
         readable = [entry for entry in meant if entry.readable]
         if not readable:
@@ -399,7 +398,7 @@ class SdoTasks:
         return bool(int(self._node.read_known(od.FEEDBACK_STATUS) or 0) & od.StatusBit.VALID)
 
     def _warning(self) -> str:
-        """What a new limit does, once some samples were taken with it: "" if nothing."""
+        """What a new limit does to some samples, or ""."""
         node, master = self._node, self._node.master
         began, first = master.now(), node.integer(*od.FEEDBACK_SAMPLES, "I")
         master.wait(WATCH_S)
@@ -457,7 +456,7 @@ _COUNTED = frozenset({0x1003, *range(0x1600, 0x1800), *range(0x1A00, 0x1C00)})
 
 
 def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDescriptions:
-    """The EDS of the product of a node (1018h), of those ``known``. ConfigError for another product."""
+    """The EDS of the product of a node (1018h), of those ``known``, or ConfigError."""
     vendor = node.integer(*od.IDENTITY_VENDOR_ID, "I")
     product = node.integer(*od.IDENTITY_PRODUCT_CODE, "I")
     for described in (ObjectDescriptions(path, node.node_id) for path in known):
@@ -472,7 +471,7 @@ def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDe
 
 
 def is_lost(reading: Reading) -> bool:
-    """It is the status word of a module, and says that the position is lost."""
+    """It is a status word that says that the position is lost."""
     is_status = reading.product == MODULE and reading.entry.place == od.FEEDBACK_STATUS
     return is_status and isinstance(reading.value, int) and bool(reading.value & od.StatusBit.LOST)
 

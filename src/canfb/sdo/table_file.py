@@ -1,6 +1,6 @@
-"""Correction tables as files and as they stand in a module, in figures and in words.
+"""Correction tables as files and in a module, in figures and in words.
 
-A file is YAML for people and version control, or the exact bytes of object 2020:01 for programs.
+A file is YAML for people and version control, or the bytes of object 2020:01.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NOTED = {
 
 
 def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
-    """The set as YAML: what is known of it first, then the entries, in cycles."""
+    """The set as YAML: what is known of it, then the entries, in cycles."""
     table = used.table or CorrectionTable.identity()
     content = {
         "canfb_table": 1,
@@ -79,9 +79,9 @@ def conditioning_in_words(conditioning: Conditioning) -> str:
 class TableFile:
     """What a table file holds.
 
-    with_conditioning       False for bytes of 2020:01, which know none
-    with_delays             it says the delays of the analog path, 2002:06 and 2002:07
-    noted                   values of the objects of :data:`NOTED`, of those that are in it
+    with_conditioning   False for bytes of 2020:01
+    with_delays         it has 2002:06 and 2002:07
+    noted               values of :data:`NOTED`
     """
 
     path: Path
@@ -97,7 +97,7 @@ class TableFile:
         return None if cycles is None else int(cycles)
 
     def for_module(self, active: Conditioning) -> Correction:
-        """Its table and conditioning; what it does not know of 2002h stays as it is ``active``."""
+        """Its table and conditioning; what it does not know of 2002h stays ``active``."""
         if not self.with_conditioning:
             return Correction(self.used.table, active)
         if self.with_delays:
@@ -106,10 +106,7 @@ class TableFile:
 
 
 def read_table(path: str | Path) -> Correction:
-    """A table file, YAML or the bytes of 2020:01 (which know no conditioning).
-
-    CommissioningError, in one line, for anything else.
-    """
+    """A table file, YAML or the bytes of 2020:01. CommissioningError for anything else."""
     return read_table_file(path).used
 
 
@@ -119,7 +116,7 @@ def read_table_file(path: str | Path) -> TableFile:
 
 
 def table_of_bytes(path: str | Path, data: bytes) -> TableFile:
-    """:func:`read_table_file` of what is in the file; its name says what it is, and is in messages."""
+    """:func:`read_table_file` of a content; the name says what it is."""
     path = Path(path)
     try:
         return _from_yaml(path, data) if is_yaml(path) else _from_bytes(path, data)
@@ -129,7 +126,7 @@ def table_of_bytes(path: str | Path, data: bytes) -> TableFile:
 
 
 def is_yaml(path: Path) -> bool:
-    """Whether a table file of this name is YAML; else it has the bytes of 2020:01."""
+    """Whether a table file of this name is YAML."""
     return path.suffix in (".yaml", ".yml")
 
 
@@ -186,12 +183,10 @@ WIDTH = 17
 class TableState:
     """A table with its conditioning.
 
-    name                    of the node or the file
-    cycles_per_revolution   None if not known
-    in_file                 it is that of a file: nothing is staged, active or saved
-    staged_crc32            2020:02, 0: nothing is staged
-    saved_crc32             2020:06, 0: the identity; None where the module does not say it
-    waiting                 2002h and 2005h where they are not in force: those of the next activation
+    in_file        nothing is staged, active or saved
+    staged_crc32   2020:02, 0: nothing is staged
+    saved_crc32    2020:06, 0: the identity; None: not known
+    waiting        2002h and 2005h where they are not in force
     """
 
     name: str
@@ -223,7 +218,7 @@ class TableState:
 
     @property
     def saved(self) -> bool | None:
-        """Whether a reset brings this very table back; None if that is not known."""
+        """Whether a reset brings this very table back; None: not known."""
         return None if self.in_file or self.saved_crc32 is None else self.saved_crc32 == self.used.crc32
 
     def rows(self) -> list[Row]:
@@ -278,7 +273,7 @@ class TableState:
         return Result(as_figures(self.rows()), [self.name, *as_lines(self.rows(), WIDTH)])
 
     def cycles_in_words(self, cycles: float) -> str:
-        """A part of a cycle, in degrees as well, and as an angle of the shaft where that is known."""
+        """A part of a cycle, in degrees and as an angle of the shaft."""
         arc = Provenance("", cycles_per_revolution=self.cycles_per_revolution).arc_seconds(cycles)
         shaft = "" if arc is None else f"; {arc:.2g}″ of the shaft"
         return f"{cycles:.3g} cycle ({DEGREES * cycles:.3g}° of the cycle{shaft})"
@@ -299,7 +294,7 @@ class TableState:
 
 
 def difference(one: CorrectionTable | None, other: CorrectionTable | None) -> tuple[float, float]:
-    """How far two tables are from each other, cycles: rms and peak over the cycle; None is the identity."""
+    """How far two tables are apart, cycles: rms and peak; None is the identity."""
     length = max(len(table) for table in (one, other) if table is not None) if one or other else 1
     raw = np.arange(length) / length
     apart = (_phases(one, raw) - _phases(other, raw) + 0.5) % 1.0 - 0.5

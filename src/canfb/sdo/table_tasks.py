@@ -37,7 +37,7 @@ AS_IT_WAS = "the previous table and conditioning"
 
 @dataclass(frozen=True)
 class Advice:
-    """What to do next, in the words of the program that asks; {node} stands for the node-ID."""
+    """What to do next; {node} stands for the node-ID."""
 
     to_stage: str = "canfb table upload stages the table of a file"
     to_activate: str = "canfb table activate {node}"
@@ -45,7 +45,7 @@ class Advice:
 
 
 class TableTasks:
-    """The tasks on one module. ``guard`` keeps an interruption away from what puts things back."""
+    """The tasks on one module; ``guard`` keeps interruptions away from what puts things back."""
 
     def __init__(self, module: NodeAccess, guard: Guard, advice: Advice | None = None) -> None:
         self._module = module
@@ -53,11 +53,11 @@ class TableTasks:
         self._advice = advice or Advice()
 
     def upload(self, file: TableFile, *, active: bool, keep: bool, force: bool = False) -> Result:
-        """Stage the table of a file and prove it by its CRC. ``active`` puts it in force, ``keep`` saves it.
+        """Stage the table of a file and prove it. ``active`` puts it in force, ``keep`` saves it.
 
-        A file that knows no conditioning leaves that of the module as it is. CommissioningError if
-        anything does not work, or if the amplitude would leave its limits, unless ``force``; nothing but a
-        staged table may be left of it, which has no effect.
+        A file without conditioning leaves that of the module. CommissioningError if anything fails, or if the
+        amplitude would leave its limits, unless ``force``; at most a staged table, without effect, is left of
+        it.
         """
         before, table = read_active(self._module), file.used.table
         if table is None:
@@ -82,7 +82,7 @@ class TableTasks:
         return _result(state, [*lines, *self._outcome(new, done)], done)
 
     def activate(self, *, keep: bool, force: bool = False) -> Result:
-        """Put the staged table in force, with the conditioning that 2002h and 2005h hold."""
+        """Put the staged table in force, with 2002h and 2005h."""
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
         if not staged:
             raise CommissioningError(f"{self._module.name}: nothing is staged; {self._advice.to_stage}")
@@ -104,7 +104,7 @@ class TableTasks:
         return _result(state, lines, done)
 
     def download(self, path: Path, date: str) -> Result:
-        """The active table into a file; ``date`` is ISO 8601, the time of day behind a space."""
+        """The active table into a file; ``date`` is ISO 8601."""
         state = TableState.of_module(self._module)
         table = state.used.table or CorrectionTable.identity()
         used = Correction(table, state.used.conditioning)
@@ -126,10 +126,10 @@ class TableTasks:
         return _result(state, lines, {"file": str(path)})
 
     def _other_settings(self, file: TableFile) -> list[str]:
-        """Settings of the module that are not those with which the table was measured: left as they are.
+        """Settings that are not those with which the table was measured.
 
-        2001h is the encoder and its analog path, acts at once and on the limits as well: it is set up, and
-        no part of a table. The harmonics of 2005h, which are, count with a corner only.
+        2001h is the encoder and its analog path, acts at once and on the limits as well: it is set up, and no
+        part of a table.
         """
         node = f"{self._module.node_id:#04x}"
         return [
@@ -141,7 +141,7 @@ class TableTasks:
         ]
 
     def _check_amplitude(self, before: Conditioning, new: Conditioning, force: bool) -> None:
-        """Refuse the conditioning of another encoder: samples would leave the limits that they keep now."""
+        """Refuse the conditioning of another encoder."""
         module = self._module
         low, high = (module.integer(*place, "H") for place in AMPLITUDES)
         kept, wrong = 0, list[float]()
@@ -177,9 +177,9 @@ class TableTasks:
     def _in_force(
         self, before: Correction, new: Correction | None, keep: bool, put: Callable[[], None]
     ) -> dict[str, Any]:
-        """Put it in force, prove it, save it if ``keep``; what was done.
+        """Put it in force, prove it, save it if ``keep``.
 
-        What fails leaves ``before`` in force, and a table that is still staged with its own conditioning.
+        What fails leaves ``before`` in force, and a staged table with its own conditioning.
         """
         if keep:
             check_can_save(self._module)
@@ -202,7 +202,7 @@ class TableTasks:
         return {"staged": False, "active": True, "saved_as": saved_as}
 
     def _state_after(self, used: Correction | None, done: dict[str, Any]) -> TableState:
-        """The state after a change. CommissioningError if it cannot be read, which says what was done."""
+        """The state after a change, or CommissioningError, which says what was done."""
         try:
             return TableState.of_module(self._module)
         except CanfbError as error:
@@ -229,5 +229,5 @@ class TableTasks:
 
 
 def _result(state: TableState, lines: list[str], done: dict[str, Any]) -> Result:
-    """Programs get the state of the table, and what was done: "staged", "active", "saved_as"."""
+    """With what was done: "staged", "active", "saved_as"."""
     return Result(as_figures(state.rows()) | done, lines)

@@ -60,16 +60,11 @@ class MotionBounds(NamedTuple):
 class LimitSettings:
     """What the limit depends on; 0 for what is not set, or not known.
 
-    widest_cycles          2010:01
-    acceleration_rad_s2    2010:02
-    noise_margin           2010:09
-    bad_samples            2010:0A
-    doubt_acceleration     2010:0B, cycles per interval^2
-    phase_error_cycles     2010:0C
-    cycle_period_s         1006h
-    samples_per_sync       pairs that its RPDOs carry
-    timed                  they carry the sample time
-    corners                2001:05 and 2001:06
+    widest_cycles      2010:01
+    doubt_acceleration 2010:0B, cycles per interval^2
+    cycle_period_s     1006h
+    samples_per_sync   pairs that its RPDOs carry
+    timed              they carry the sample time
     """
 
     widest_cycles: float = 0.5
@@ -92,8 +87,7 @@ class LimitSettings:
     ) -> float:
         """The limit in force; 2010:01 where nothing narrows it, or the interval is not known.
 
-        ``sync_hz`` is as measured, None: as 1006h has it. ``noise_cycles`` is 2011:0B, None: not read; the
-        module takes the largest of its last blocks, so its limit may be a little wider.
+        ``sync_hz`` None: as 1006h has it. ``noise_cycles`` is 2011:0B, None: not read.
         """
         sync_s = 1.0 / sync_hz if sync_hz else self.cycle_period_s
         interval_s = sync_s / self.samples_per_sync
@@ -114,10 +108,7 @@ class LimitSettings:
     def bounds(
         self, cycles_per_revolution: int, interval_s: float, noise_cycles: float | None = None
     ) -> MotionBounds:
-        """All that bounds the motion, at this interval from sample to sample; 0.0: the interval is not known.
-
-        ``noise_cycles`` as for :meth:`limit_cycles`.
-        """
+        """All that bounds the motion, at this interval from sample to sample; 0.0: not known."""
         n, widest = cycles_per_revolution, self.widest_cycles
         margin = math.inf
         if self.noise_margin and noise_cycles is not None:
@@ -138,7 +129,7 @@ class LimitSettings:
 
 
 def limit_settings(read: Read) -> LimitSettings:
-    """Those of the module whose objects ``read`` gives; defaults for what it does not."""
+    """Those of the module whose objects ``read`` gives."""
     mapped = [pdo.entries for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING)]
     residual = read(od.SUPERVISION_RESIDUAL_LIMIT)
     return LimitSettings(

@@ -1,8 +1,7 @@
-"""The PDOs of a node, and the layout of a sample in them.
+"""The PDOs of a node (CiA 301, 7.5.2.36 to 7.5.2.40), and the layout of a sample in them.
 
-By the communication and mapping parameters (CiA 301, 7.5.2.36 to 7.5.2.40). A PDO is as long as what it maps,
-one object behind the other from bit 0 on. A sample is spread over one PDO or several: both tracks in one, and
-beside them or elsewhere the sample time, earlier pairs of the same interval, the coarse track.
+A sample is spread over one PDO or several: both tracks in one, beside them or elsewhere the sample time,
+earlier pairs of the same interval, the coarse track.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ MOST_ENTRIES = 64  # above, sub-index 0 of a mapping stands for a multiplexed PD
 
 
 class Pdo(NamedTuple):
-    """A PDO that is valid: its number, 1.., its CAN-ID, and what it maps, as in 1600h and 1A00h."""
+    """A valid PDO: its number, 1.., its CAN-ID, and what it maps, as in 1600h."""
 
     number: int
     can_id: int
@@ -64,9 +63,9 @@ class Pdo(NamedTuple):
 
 
 def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
-    """The valid PDOs with 11-bit identifiers; ``parameters`` and ``mapping`` are the indices of the first.
+    """The valid PDOs with 11-bit identifiers, read as the iterator goes on.
 
-    Objects are read as the iterator goes on.
+    ``parameters`` and ``mapping`` are the indices of the first.
     """
     for number in range(PDOS):
         cob_id, count = read(Multiplexer(parameters + number, 1)), read(Multiplexer(mapping + number, 0))
@@ -90,11 +89,10 @@ SAMPLE_TIMES = (od.INTERFACE_SAMPLE_TIME.mapped(32), od.SAMPLE_TIME.mapped(32))
 
 @dataclass(frozen=True)
 class PdoLayout:
-    """COB-ID of the PDO with the samples, the bytes of both tracks in it, and the COB-ID of the SYNC.
+    """COB-IDs of the PDO with the samples and of the SYNC, and the bytes of both tracks.
 
-    ``time_byte`` is where the sample time begins, None if it is not in that PDO; ``timed_by`` is another PDO
-    that brings it. ``earlier`` are the PDOs, this one or others, and the bytes of earlier pairs in the same
-    interval of SYNC, the newest first. ``coarse`` is the PDO with the coarse track, if it is listened to.
+    ``time_byte`` is where the sample time begins, None if it is elsewhere (``timed_by``) or nowhere.
+    ``earlier`` are earlier pairs of the interval, the newest first, ``coarse`` the coarse track.
     """
 
     can_id: int
@@ -119,7 +117,7 @@ class PdoLayout:
 
     @property
     def sender(self) -> int | None:
-        """The node that sends it by the predefined connection set, None for another COB-ID."""
+        """The node that sends it by the predefined connection set, or None."""
         return (self.can_id & 0x7F or None) if self.can_id & 0x780 in PREDEFINED else None
 
     def unpack(self, data: bytes) -> tuple[int, int] | None:
@@ -140,22 +138,22 @@ class PdoLayout:
 
 
 def module_layout(read: Read) -> PdoLayout | None:
-    """The RPDO from which a module takes its samples, None if it has none."""
+    """The RPDO from which a module takes its samples, or None."""
     return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_TRACKS, MODULE_EARLIER)
 
 
 def coarse_layout(read: Read) -> PdoLayout | None:
-    """The RPDO from which a module takes the coarse track, None if it has none."""
+    """The RPDO from which a module takes the coarse track, or None."""
     return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_COARSE_TRACKS, ())
 
 
 def interface_layout(read: Read) -> PdoLayout | None:
-    """The TPDO in which an encoder interface sends both tracks, None if it has none."""
+    """The TPDO in which an encoder interface sends both tracks, or None."""
     return _layout(read, od.TPDO, od.TPDO_MAPPING, INTERFACE_TRACKS, INTERFACE_EARLIER)
 
 
 def mapped_objects(read: Read) -> set[int]:
-    """All mapping entries of the valid RPDOs of a module: index, sub-index and bits, as in 1600h."""
+    """All mapping entries of the valid RPDOs, as in 1600h."""
     return {entry for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING) for entry in pdo.entries}
 
 
