@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.module_model import PeakHistory, SyncMeter
+from canfb.monitoring.module_model import Bins, SyncMeter
 from monitored_network import BIT_RATE, MonitoredNetwork
 
 
@@ -87,7 +87,7 @@ def test_whatever_times_syncs_have(times: list[float], now: float) -> None:
 
 @given(st.lists(st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 0.5)), min_size=1, max_size=100))
 def test_the_history_has_the_peak_of_each_interval(steps: list[tuple[float, float]]) -> None:
-    history, now, truth = PeakHistory(0.5, 20), 0.0, dict[int, float]()
+    history, now, truth = Bins(0.5, 20, max), 0.0, dict[int, float]()
     for step, value in steps:
         now += step
         history.add(value, now)

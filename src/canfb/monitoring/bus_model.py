@@ -11,7 +11,6 @@ import struct
 from collections import deque
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import NamedTuple
 
 from canfb import objects as od
 from canfb.cia301 import cob
@@ -37,13 +36,6 @@ COMMANDED = {
 }
 
 
-class _Emergency(NamedTuple):
-    time_s: float
-    code: int
-    register: int
-    detail: bytes
-
-
 class NodeModel:
     """Takes the frames of one node (1..127). ``module`` is set once it is known to be a feedback module."""
 
@@ -54,7 +46,7 @@ class NodeModel:
         self._state: NmtState | None = None
         self._source: str | None = None
         self._boot_ups = 0
-        self._emergencies: deque[_Emergency] = deque(maxlen=EMERGENCIES)
+        self._emergencies: deque[tuple[float, int, int, bytes]] = deque(maxlen=EMERGENCIES)
         self._emergency_count = 0
 
     def received(self, now: float) -> None:
@@ -83,23 +75,18 @@ class NodeModel:
     def emergency(self, data: bytes, now: float) -> None:
         """An EMCY, if it is one."""
         if len(data) == EMERGENCY.size:
-            self._emergencies.append(_Emergency(now, *EMERGENCY.unpack(data)))
+            code, register, detail = EMERGENCY.unpack(data)
+            self._emergencies.append((now, code, register, detail))
             self._emergency_count += 1
-            code, _, detail = EMERGENCY.unpack(data)
             if self.module is not None and code == EmergencyCode.SENSOR and od.loss_cause(detail[CAUSE_BYTE]):
                 self.module.put(od.COUNTER_LOSS_CAUSE, detail[CAUSE_BYTE], now)
 
     def snapshot(self, now: float, sync_hz: float | None = None) -> NodeSnapshot:
         """What is known by ``now``."""
+        texts = {} if self.module is None else od.EMERGENCY_TEXTS
         emergencies = [
-            EmergencySnapshot(
-                now - one.time_s,
-                one.code,
-                emergency_text(one.code, {} if self.module is None else od.EMERGENCY_TEXTS),
-                one.register,
-                one.detail.hex(),
-            )
-            for one in reversed(self._emergencies)
+            EmergencySnapshot(now - at, code, emergency_text(code, texts), register, detail.hex())
+            for at, code, register, detail in reversed(self._emergencies)
         ]
         return NodeSnapshot(
             self.node_id,

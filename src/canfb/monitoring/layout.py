@@ -163,32 +163,34 @@ def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[Multiplexer,
 
 def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]:
     """Of these nodes (1..127); without any, of all modules of the configuration that have a node-ID."""
-    return [_layout(module, origin) for module, origin in _known(config, nodes)]
+    return [layout_of(node, read, origin) for node, read, origin in _known(config, nodes)]
 
 
 def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, Read]:
     """Objects of the same modules by node-ID, as configured or by default."""
-    return {module.node_id: _reader(module) for module, _ in _known(config, nodes)}
-
-
-def assumed_objects(node_id: int) -> Read:
-    """Objects of a node (1..127) that looks like a module: as the EDS has them."""
-    return _reader(_by_default(node_id))
-
-
-def _known(config: Config, nodes: Sequence[int]) -> list[tuple[ModuleConfig, Origin]]:
-    configured = {module.node_id: module for module in config.modules if module.node_id != UNCONFIGURED}
-    return [
-        (configured[node], Origin.CONFIGURATION)
-        if node in configured
-        else (_by_default(node), Origin.DEFAULT)
-        for node in dict.fromkeys(nodes or configured)
-    ]
+    return {node: read for node, read, _ in _known(config, nodes)}
 
 
 def assumed_layout(node_id: int) -> NodeLayout:
     """Of a node (1..127) that looks like a module: as the EDS has it."""
-    return _layout(_by_default(node_id), Origin.ASSUMED)
+    return layout_of(node_id, assumed_objects(node_id), Origin.ASSUMED)
+
+
+def assumed_objects(node_id: int) -> Read:
+    """Objects of a node (1..127) that looks like a module, with the usual encoder interface."""
+    usual = ModuleConfig(node_id=UNCONFIGURED).encoder_interface
+    interface = usual if node_id != usual else node_id % 127 + 1
+    return _reader(ModuleConfig(node_id=node_id, encoder_interface=interface))
+
+
+def _known(config: Config, nodes: Sequence[int]) -> list[tuple[int, Read, Origin]]:
+    configured = {module.node_id: module for module in config.modules if module.node_id != UNCONFIGURED}
+    return [
+        (node, _reader(configured[node]), Origin.CONFIGURATION)
+        if node in configured
+        else (node, assumed_objects(node), Origin.DEFAULT)
+        for node in dict.fromkeys(nodes or configured)
+    ]
 
 
 ALIKE = 16  # PDOs in a row that look like those of a module
@@ -214,16 +216,6 @@ class Recognition:
             alike = not status & NO_STATUS and residual <= LARGEST_RESIDUAL
         self._alike[node_id] = self._alike.get(node_id, 0) + 1 if alike else 0
         return node_id if self._alike[node_id] >= ALIKE else None
-
-
-def _by_default(node_id: int) -> ModuleConfig:
-    """The encoder interface is the usual one, which cannot be the module itself."""
-    usual = ModuleConfig(node_id=UNCONFIGURED).encoder_interface
-    return ModuleConfig(node_id=node_id, encoder_interface=usual if node_id != usual else node_id % 127 + 1)
-
-
-def _layout(config: ModuleConfig, origin: Origin) -> NodeLayout:
-    return layout_of(config.node_id, _reader(config), origin)
 
 
 def _reader(config: ModuleConfig) -> Read:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import operator
 import statistics
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 
 from canfb import objects as od
@@ -71,65 +72,59 @@ class SyncMeter:
         return SyncSnapshot(1.0 / line.slope, rms_s, max(map(abs, errors)), silent_s, self._count)
 
 
+class Bins:
+    """Values of the last ``count`` intervals of ``width_s`` seconds, joined (max, add) within each."""
+
+    def __init__(self, width_s: float, count: int, join: Callable[[float, float], float]) -> None:
+        self.width_s, self._count, self._join = width_s, count, join
+        self._bins: deque[tuple[int, float]] = deque(maxlen=count)
+
+    def number(self, now: float) -> int:
+        """Of the interval of ``now``."""
+        return math.floor(now / self.width_s)
+
+    def add(self, value: float, now: float) -> None:
+        """A value at this time, which does not go back."""
+        number = self.number(now)
+        if self._bins and self._bins[-1][0] >= number:
+            last, before = self._bins[-1]
+            self._bins[-1] = last, self._join(before, value)
+        else:
+            self._bins.append((number, value))
+
+    def values(self, now: float) -> list[float | None]:
+        """Of each interval until ``now``; None where there was no value."""
+        if not self._bins:
+            return []
+        last, known = self.number(now), dict(self._bins)
+        first = max(self._bins[0][0], last - self._count + 1)
+        return [known.get(number) for number in range(first, last + 1)]
+
+    def since(self, now: float, seconds: float) -> list[float]:
+        """Values of the last ``seconds``, as far as intervals allow."""
+        oldest = self.number(now - seconds)
+        return [value for number, value in self._bins if number >= oldest]
+
+
 class LoadMeter:
     """Bits and frames of the last second, in slots of a tenth."""
 
     def __init__(self, bit_rate: int | None = None) -> None:
         self.bit_rate = bit_rate
-        self._slots: deque[list[int]] = deque(maxlen=SLOTS + 1)  # number, bits, frames
-        self._first: int | None = None
+        self._bits, self._frames = (Bins(SLOT_S, SLOTS + 1, operator.add) for _ in range(2))
 
     def frame(self, bits: int, now: float) -> None:
         """A frame with so many bits on the wire."""
-        slot = math.floor(now / SLOT_S)
-        if self._first is None:
-            self._first = slot
-        if not self._slots or self._slots[-1][0] < slot:
-            self._slots.append([slot, 0, 0])
-        self._slots[-1][1] += bits
-        self._slots[-1][2] += 1
+        self._bits.add(bits, now)
+        self._frames.add(1, now)
 
     def snapshot(self, now: float) -> LoadSnapshot:
         """Of the slots that are over by ``now``."""
-        present = math.floor(now / SLOT_S)
-        passed = 0 if self._first is None else min(SLOTS, present - self._first)
-        if passed <= 0:
-            return LoadSnapshot(bit_rate=self.bit_rate, load=0.0 if self.bit_rate else None)
-        over = [slot for slot in self._slots if present - passed <= slot[0] < present]
-        bits, frames = (sum(slot[n] for slot in over) / (passed * SLOT_S) for n in (1, 2))
+        bits, frames = (self._per_second(bins.values(now)[:-1]) for bins in (self._bits, self._frames))
         return LoadSnapshot(frames, bits, self.bit_rate, bits / self.bit_rate if self.bit_rate else None)
 
-
-class PeakHistory:
-    """The peak of each interval of ``bin_s`` seconds, of the last ``bins`` intervals."""
-
-    def __init__(self, bin_s: float, bins: int) -> None:
-        self.bin_s = bin_s
-        self._bins = bins
-        self._peaks: deque[tuple[int, float]] = deque(maxlen=bins)
-
-    def add(self, value: float, now: float) -> None:
-        """A value at this time."""
-        number = math.floor(now / self.bin_s)
-        if self._peaks and self._peaks[-1][0] >= number:
-            last, peak = self._peaks[-1]
-            self._peaks[-1] = last, max(peak, value)
-        else:
-            self._peaks.append((number, value))
-
-    def values(self, now: float) -> list[float | None]:
-        """Of each interval until ``now``; None where there was no value."""
-        if not self._peaks:
-            return []
-        last = math.floor(now / self.bin_s)
-        known = dict(self._peaks)
-        first = max(self._peaks[0][0], last - self._bins + 1)
-        return [known.get(number) for number in range(first, last + 1)]
-
-    def peak(self, now: float, seconds: float) -> float | None:
-        """The largest of the last ``seconds``, as far as intervals allow."""
-        oldest = math.floor((now - seconds) / self.bin_s)
-        return max((peak for number, peak in self._peaks if number >= oldest), default=None)
+    def _per_second(self, over: list[float | None]) -> float:
+        return sum(value or 0 for value in over) / (max(1, len(over)) * SLOT_S)
 
 
 HISTORY_BIN_S, HISTORY_BINS = 0.5, 120  # a minute
@@ -160,7 +155,7 @@ class ModuleModel:
         self.layout = layout
         self._values: dict[Multiplexer, Number] = {}
         self._times: dict[Multiplexer, float] = {}
-        self._history = PeakHistory(HISTORY_BIN_S, HISTORY_BINS)
+        self._history = Bins(HISTORY_BIN_S, HISTORY_BINS, max)
         self._tracks: deque[tuple[int, int]] = deque(maxlen=TRACKS)
         self._tracks_received = 0
         self._positions: deque[tuple[float, int]] = deque(maxlen=round(SPEED_S / STEP_S) + 1)
@@ -243,9 +238,9 @@ class ModuleModel:
                 layout.cycles_per_revolution, sync_hz, noise, velocity
             ),
             residual_noise_cycles=noise,
-            residual_peak_cycles=self._history.peak(now, PEAK_S),
+            residual_peak_cycles=max(self._history.since(now, PEAK_S), default=None),
             residual_history_cycles=self._history.values(now),
-            history_bin_s=self._history.bin_s,
+            history_bin_s=self._history.width_s,
             amplitude_counts=math.hypot(*self._tracks[-1]) if raw else amplitude,
             amplitude_is_raw=raw,
             amplitude_limits_counts=(layout.amplitude_low_counts, layout.amplitude_high_counts),
