@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from canfb.module.device_configuration import configuration_of
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, Bench
-from node_commands import ANSWER, Commands, between, drop_answer, is_write, place_of, refuse_once
+from node_commands import ANSWER, Commands, between, is_write, place_of, refuse_once
 
 NODE = hex(MODULE_ID)
 PHASES = np.arange(64) / 64
@@ -150,51 +149,6 @@ def test_dry_run_writes_nothing(canfb: Commands, file: Path) -> None:
     assert "nothing was written" in out
 
 
-PLACES = [
-    (0x1400, 1),
-    (0x2010, 3),
-    (0x2001, 1),
-    (0x2002, 1),
-    (0x2020, 1),
-    (0x2020, 3),
-    (0x1801, 1),
-    (0x1010, 1),
-]
-
-
-def name(place: tuple[int, int]) -> str:
-    return f"{place[0]:04X}:{place[1]:02X}"
-
-
-@pytest.mark.parametrize("place", PLACES, ids=name)
-def test_a_refused_write_brings_back_what_was(place: tuple[int, int], canfb: Commands, file: Path) -> None:
-    store = MemoryStore()
-    bench = module(store, coast_samples=5)
-    put_in_force(bench.access, Correction(OTHER, Conditioning(sine_gain=1.25)))
-    before, images = values(bench), dict(store.images)
-    refused = refuse_once(bench, place, 2 if place == (0x2020, 1) else 1)
-    _, err = canfb(bench, "restore", file, "--save", code=1)
-    assert refused
-    assert f"writing {name(place)} is refused" in err
-    assert err.endswith("; the parameters and the table from before are in module 32 (20h) again\n")
-    assert values(bench) == before
-    assert bench.module.chain.correction.table == OTHER
-    assert bool(store.images) is (place == (0x1010, 1)), images
-
-
-@pytest.mark.parametrize("place", [(0x1400, 1), (0x2010, 3), (0x2020, 3), (0x1801, 1), (0x1010, 1)], ids=name)
-def test_an_answer_that_is_lost_brings_back_what_was(
-    place: tuple[int, int], canfb: Commands, file: Path
-) -> None:
-    bench = module(MemoryStore(), coast_samples=5)
-    before = values(bench)
-    lost = drop_answer(bench, place)
-    _, err = canfb(bench, "restore", file, "--save", code=1)
-    assert len(lost) == 1
-    assert f"writing {name(place)}: no answer" in err
-    assert values(bench) == before
-
-
 def test_a_value_that_is_taken_and_not_kept_is_found_by_reading(canfb: Commands, file: Path) -> None:
     bench = module()
     before = values(bench)
@@ -208,23 +162,6 @@ def test_a_value_that_is_taken_and_not_kept_is_found_by_reading(canfb: Commands,
     _, err = canfb(bench, "restore", file, code=1)
     assert "not as written: 2010:03 is 3, not 9; the parameters" in err
     assert values(bench) == before
-
-
-def test_a_module_that_goes_in_the_middle(canfb: Commands, file: Path) -> None:
-    bench = module()
-    gone: list[bool] = []
-
-    def silent(frame: Frame) -> list[Frame] | None:
-        gone.extend([True] * (is_write(frame) and place_of(frame) == (0x2001, 1)))
-        return [] if gone else None
-
-    between(bench, silent)
-    _, err = canfb(bench, "restore", file, code=1)
-    assert (
-        "no answer; is the node on the bus, and is the bit rate right? A STOPPED node answers no SDO" in err
-    )
-    assert "; what was before could not" in err
-    assert "switch module 32 (20h) off and on, which brings back what is saved in it" in err
 
 
 def test_an_interruption_brings_back_what_was(canfb: Commands, file: Path) -> None:
@@ -257,15 +194,6 @@ def test_a_machine_that_runs_is_left_alone(canfb: Commands, file: Path) -> None:
     assert "note: the node is in PRE-OPERATIONAL: canfb nmt start 0x20" in out
     assert bench.module.state is NmtState.PRE_OPERATIONAL
     assert values(bench)[0x2010, 3] == 9
-
-
-def test_a_node_that_does_not_obey(canfb: Commands, file: Path) -> None:
-    bench = Bench()
-    bench.bus.run_until(0.2)
-    receive = bench.module.receive
-    bench.module.receive = lambda frame, now: receive(frame, now) if frame.can_id else []  # type: ignore[method-assign]
-    _, err = canfb(bench, "restore", file, "--preop", code=1)
-    assert "does not go to PRE-OPERATIONAL; nothing was written" in err
 
 
 def edit(file: Path, old: str, new: str) -> int:
@@ -311,21 +239,6 @@ def test_a_bad_file_names_line_and_key(case: str, canfb: Commands, file: Path) -
     assert [frame for frame in bench.master.sent if frame.can_id] == [], "the bus is not asked"
 
 
-def test_what_is_no_backup(canfb: Commands, file: Path) -> None:
-    edit(file, "canfb_backup", "backup")
-    _, err = canfb(module(), "restore", file, code=1)
-    assert err == f"canfb: {file}: this is not a backup of canfb: 'canfb_backup' is missing\n"
-    _, err = canfb(module(), "restore", file.parent, code=1)
-    assert "cannot be read: Is a directory" in err
-
-
-def test_quotes_are_not_needed(canfb: Commands, file: Path) -> None:
-    edit(file, '"2010:03"', "2010:03")
-    bench = module()
-    canfb(bench, "restore", file)
-    assert values(bench)[0x2010, 3] == 9
-
-
 def test_backups_of_other_devices(canfb: Commands, file: Path) -> None:
     edit(file, "product: 1", "product: 3")
     _, err = canfb(module(), "restore", file, "--force", code=1)
@@ -353,14 +266,6 @@ def test_a_node_that_is_not_there_or_another_device(canfb: Commands, file: Path)
     assert "2010:03" in file.read_text(), "what was there before"
 
 
-def test_save_is_refused_before_anything_is_written(canfb: Commands, file: Path) -> None:
-    bench = module()
-    before = values(bench)
-    _, err = canfb(bench, "restore", file, "--save", code=1)
-    assert "--save: module 32 (20h) cannot save (1010h" in err
-    assert values(bench) == before
-
-
 def test_a_disk_that_is_full(canfb: Commands) -> None:
     _, err = canfb(module(), "backup", NODE, "/dev/full", code=1)
     assert err == "canfb: cannot write /dev/full: No space left on device\n"
@@ -376,21 +281,6 @@ def test_preset_and_offset_are_noted_and_not_restored(canfb: Commands, tmp_path:
     out, _ = canfb(spare, "restore", path)
     assert "all values are those of" in out
     assert spare.value(0x6509, 0) == 0
-
-
-def test_every_sdo_frame_has_eight_bytes(canfb: Commands, file: Path) -> None:
-    """And the writes come in an order that a module in Pre-operational takes: nothing is refused."""
-    bench = module()
-    aborts: list[bytes] = []
-    bench.bus.observers.append(
-        lambda frame, now: (
-            aborts.append(frame.data) if frame.can_id == ANSWER and frame.data[0] == 0x80 else None
-        )
-    )
-    canfb(bench, "restore", file)
-    assert aborts == []
-    assert {len(frame.data) for frame in bench.master.sent if frame.can_id == 0x620} == {8}
-    assert struct.pack("<BHB", 0x22, 0x2020, 3)[1:] in [frame.data[1:4] for frame in bench.master.sent]
 
 
 def test_a_backup_between_upload_and_activation_has_the_set_in_force(canfb: Commands, tmp_path: Path) -> None:
