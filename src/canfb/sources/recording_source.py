@@ -35,8 +35,8 @@ class RecordingSourceConfig(SourceConfig):
 
     file           CSV with a header line, or NPZ as ``canfb calibrate --out`` writes it; required
     columns        names, or numbers from 0, of the sine and the cosine column of a CSV file
-    mid_scale      the reading that means zero, in the unit of the file (CSV)
-    scale          ADC counts for each unit of the file, as for each volt; not 0 (CSV)
+    mid_scale      reading that means zero, any number of counts, or of the unit of the file (CSV)
+    scale          ADC counts for each unit of the file, as for each volt: any finite value but 0
     time_column    column with seconds (CSV): a longer step than ``gap_s`` is a gap; None: there is none
     gap_s          the shortest gap, more than 0
     gap_samples    samples missed at each gap, 1..1000000

@@ -64,11 +64,7 @@ class MotorConfig:
 
 
 class Motor:
-    """The motion of the shaft, integrated in steps of 0.1 ms at most.
-
-    ``time_s`` is the time of the machine; ``revolutions``,
-    ``speed_rad_s`` and ``torque_nm`` are those of the shaft at that time.
-    """
+    """Motion of the shaft; ``revolutions``, ``speed_rad_s`` and ``torque_nm`` at ``time_s``."""
 
     def __init__(self, config: MotorConfig, revolutions: float = 0.0) -> None:
         self.config = config
@@ -86,11 +82,7 @@ class Motor:
         return self.config.load_torque_nm if self.time_s >= self.config.load_at_s else 0.0
 
     def revolutions_before(self, seconds: float) -> float:
-        """Position this many seconds ago, or, negative, ahead: then at the present speed, for a short time.
-
-        Between the steps of the motion a cubic that has their positions and speeds; before the remembered
-        ones, which are the last tenths of milliseconds, at the speed of the oldest.
-        """
+        """Position this many seconds ago, or, negative, ahead: then at the present speed."""
         instant_s, after = self.time_s - seconds, (self.time_s, self.revolutions, self.speed_rad_s)
         if seconds > 0.0:
             for before in reversed(self._steps):
