@@ -112,7 +112,3 @@ def test_a_reset_is_followed_by_the_configuration() -> None:
 @pytest.mark.parametrize("episode", FOUND)
 def test_what_was_found_is_not_silent(episode: str) -> None:
     assert play(Episode.parse(episode)).verdict.outcome in ("lost", "flagged", "kept")
-
-
-def test_a_later_frame_that_no_module_knew_makes_no_defect() -> None:
-    assert play(Episode.parse("PDOs slow:counter/rx:57001000059")).verdict.outcome == "physics"

@@ -33,7 +33,8 @@ from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.sources.protocol import Source
-from canfb.timing.judge import Judge
+from canfb.timing.answers import Answers
+from canfb.timing.syncs import Syncs
 
 COMMANDS = (od.MEASUREMENT_COMMAND.object_index, od.RECORDING_COMMAND.object_index)
 
@@ -67,14 +68,14 @@ class FeedbackModule(NodeDevice):
         bit_rates_kbit_s: Collection[int] = (),
     ) -> None:
         _check(config, source)
-        self._judge = Judge()
+        self._syncs = Syncs()
         super().__init__(
             factory_dictionary(config, samples_itself=source is not None),
             config.node_id,
             autostart=config.autostart,
             store=store,
             bit_rates_kbit_s=bit_rates_kbit_s,
-            expiry=self._judge.syncs,
+            expiry=self._syncs,
         )
         self.config = config
         self.chain = SignalChain(ChainConfig())  # limits and correction are those of the dictionary
@@ -84,6 +85,7 @@ class FeedbackModule(NodeDevice):
         self._make_commands()
         self._choose_parameters()
         self._lock = WriteLock(self)
+        self._declare_jitter()
         self._limits.apply()
         self._tables.reset()
         self._adapting.reset()
@@ -95,9 +97,8 @@ class FeedbackModule(NodeDevice):
 
     def _make_chain_around(self, source: Source | None) -> None:
         """What feeds the chain, and what its feedback becomes."""
-        dictionary, chain, judge = self.dictionary, self.chain, self._judge
-        clock = judge.syncs.clock
-        self._interval = interval = SamplingInterval(dictionary.entry(*od.CYCLE_PERIOD), clock)
+        dictionary, chain, syncs = self.dictionary, self.chain, self._syncs
+        self._interval = interval = SamplingInterval(dictionary.entry(*od.CYCLE_PERIOD), syncs)
         self._limits = Limits(dictionary, chain, interval)
         self._input = SampleInput(dictionary, self)
         self._second = SecondInput(dictionary, self, chain)
@@ -111,7 +112,8 @@ class FeedbackModule(NodeDevice):
         self.process = self._pairing = Pairing(
             dictionary,
             self,
-            judge,
+            syncs,
+            Answers(),
             interval,
             grid,
             self._limits,
@@ -122,11 +124,13 @@ class FeedbackModule(NodeDevice):
             self._observers,
             self._publishing,
         )
-        self._sampling = Sampling(judge, interval, grid, self._limits, chain, self._pairing, self._publishing)
+        self._sampling = Sampling(syncs, interval, grid, self._limits, chain, self._pairing, self._publishing)
         cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         cycles_per_revolution.on_written = self._encoder_changed
-        self._jitter = JitterWatch(clock, interval, self._limits, cycles_per_revolution, self._warn)
-        judge.syncs.on_followed = self._on_followed
+        self._jitter = JitterWatch(syncs, interval, self._limits, cycles_per_revolution, self._warn)
+        syncs.on_followed = self._on_followed
+        self._sync_jitter = dictionary.entry(*od.SUPERVISION_SYNC_JITTER)
+        self._sync_jitter.on_written = self._declare_jitter
         self._recorder = Recorder(dictionary, interval, self._observers)
 
     def _make_commands(self) -> None:
@@ -235,7 +239,7 @@ class FeedbackModule(NodeDevice):
 
         With sample times, or without receive times, no jitter is measured.
         """
-        self.events.synced(self._judge.syncs.clock.period_s, received_s)
+        self.events.synced(self._syncs.period_s, received_s)
         last = self._publishing.last
         if stamped and last is not None and not self._pairing.timed:
             self._jitter.look(last, received_s)
@@ -253,6 +257,9 @@ class FeedbackModule(NodeDevice):
         self.events.table(correction, self.call.now)
         self._limits.noise_changes()
 
+    def _declare_jitter(self) -> None:
+        self._syncs.declare(self._sync_jitter.value)
+
     def _encoder_changed(self) -> None:
         """2001:01 was written: every cycle is another part of a revolution."""
         self._publishing.profile.rescale()
@@ -266,7 +273,7 @@ class FeedbackModule(NodeDevice):
 
     def overdue(self, now: float) -> None:
         """No SYNC and no sample for 2010:06 periods."""
-        self.events.sync_lost(self._judge.syncs.synced_s, now)
+        self.events.sync_lost(self._syncs.synced_s, now)
         self._sampling.overdue(now)
 
     def check_write(self, entry: Entry | None) -> None:
@@ -290,6 +297,7 @@ class FeedbackModule(NodeDevice):
         self._lock.reset()
         self._publishing.reset_alarms()
         self._sampling.forget_interval()
+        self._declare_jitter()
         if communication_only:
             return
         self.chain.reset()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from canfb.device.od.dictionary import Entry
 from canfb.signal.chain import SignalChain
 from canfb.signal.sample import TICK_S
-from canfb.timing.sync_clock import SyncClock
+from canfb.timing.syncs import Syncs
 
 SECONDS_PER_US = 1e-6
 SAME_GRID = 2e-6  # of the interval
@@ -19,10 +19,10 @@ class SamplingInterval:
     The communication cycle period 1006h counts until SYNC is measured, and as long as SYNC agrees with it.
     """
 
-    __slots__ = ("_clock", "_period_us", "samples_per_sync", "speed_unit_s")
+    __slots__ = ("_period_us", "_syncs", "samples_per_sync", "speed_unit_s")
 
-    def __init__(self, communication_cycle_period: Entry, clock: SyncClock) -> None:
-        self._period_us, self._clock = communication_cycle_period, clock
+    def __init__(self, communication_cycle_period: Entry, syncs: Syncs) -> None:
+        self._period_us, self._syncs = communication_cycle_period, syncs
         self.samples_per_sync = 1
         self.speed_unit_s = 0.0
         """The unit of the speeds of samples that bring their time; 0.0: they bring none."""
@@ -35,17 +35,17 @@ class SamplingInterval:
     @property
     def measured_s(self) -> float:
         """As it is measured."""
-        return self._clock.period_s
+        return self._syncs.period_s
 
     @property
     def known_s(self) -> float:
         """Where it is certain enough for limits."""
-        return self.speed_unit_s * self.samples_per_sync or self._clock.period_s or self.nominal_s
+        return self.speed_unit_s * self.samples_per_sync or self._syncs.period_s or self.nominal_s
 
     @property
     def seconds(self) -> float:
         """The best that is known: measured, 1006h, or the median of the first intervals."""
-        return self.known_s or self._clock.rough_s
+        return self.known_s or self._syncs.rough_s
 
     @property
     def sample_s(self) -> float:

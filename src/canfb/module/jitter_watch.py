@@ -11,7 +11,7 @@ from canfb.module.parameters import Limits
 from canfb.signal.feedback import Feedback
 from canfb.signal.limits import max_speed
 from canfb.signal.supervision import VALID
-from canfb.timing.sync_clock import SyncClock
+from canfb.timing.syncs import Syncs
 
 PEAK = 2.5  # times the mean deviation of SYNC: 2 for a uniform one, 3 standard deviations are 3.8
 NEAR, AWAY = 0.7, 0.5  # of the largest speed: where the warning comes, and where it may come again
@@ -29,13 +29,13 @@ class JitterWatch:
 
     def __init__(
         self,
-        clock: SyncClock,
+        syncs: Syncs,
         interval: SamplingInterval,
         limits: Limits,
         cycles_per_revolution: Entry,
         warn: Callable[[str], None],
     ) -> None:
-        self._clock, self._interval, self._limits = clock, interval, limits
+        self._syncs, self._interval, self._limits = syncs, interval, limits
         self._cycles_per_revolution = cycles_per_revolution
         self._warn = warn
         self._near = False
@@ -44,7 +44,7 @@ class JitterWatch:
     @property
     def jitter_s(self) -> float:
         """Peak deviation of a SYNC from its lock, seconds."""
-        return PEAK * self._clock.deviation * self._clock.period_s
+        return PEAK * self._syncs.grid.deviation
 
     @property
     def max_speed_rad_s(self) -> float:
@@ -66,7 +66,7 @@ class JitterWatch:
 
     def look(self, last: Feedback, now: float) -> None:
         """After ``last``, not with each sample; ``now`` in seconds."""
-        interval_s = self._clock.period_s / self._interval.samples_per_sync
+        interval_s = self._syncs.period_s / self._interval.samples_per_sync
         if not interval_s or not last.status & VALID:
             return
         rad_per_cycle = 2.0 * math.pi / self._cycles_per_revolution.value

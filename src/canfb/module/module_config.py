@@ -57,6 +57,7 @@ def _gap(size: int) -> list[int]:
 
 RPDOS = 3
 MOST_ACCELERATION_RAD_S2 = 1e9  # 2010:02
+MOST_SYNC_JITTER_S = 1.0  # 2010:0D
 
 
 WRITE_LOCKS = {"none": WriteLockMode.OFF, "preop": WriteLockMode.PREOP, "code": WriteLockMode.CODE}

@@ -1,10 +1,10 @@
 """Which frames make a sample, one for each SYNC, and what becomes of it, or of its absence.
 
-What time says of a frame, the judge says (:mod:`canfb.timing.judge`). Here it meets the parts of a sample,
-which may come in several RPDOs. A sample goes through the chain with the intervals that have passed, and its
-feedback is published; what is not certain is withheld. Nearly each one is two counts, with their own time or
-without. It goes to the chain as it stands in the dictionary, and all others as a :class:`Sample`: the same
-frame by frame (tests/module/test_usual_sample.py).
+What time says of a SYNC is in :mod:`canfb.timing.syncs`, which of them an ADC PDO answers in
+:mod:`canfb.timing.answers`. Here both meet the parts of a sample, which may come in several RPDOs. Each
+place of SYNC is accounted for once: by its sample, or as missed. Nearly each sample is two counts, with their
+own time or without. It goes to the chain as it stands in the dictionary, and all others as a
+:class:`Sample`: the same frame by frame (tests/module/test_usual_sample.py).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICK_S, Sample
 from canfb.signal.supervision import VALID
-from canfb.timing.judge import USUAL, Judge, Passed, Refusal
-from canfb.timing.sync_verdict import NOTHING_TO_REPORT, SyncVerdict
+from canfb.timing.answers import Answers
+from canfb.timing.syncs import ON_TIME, Syncs
 
 COUNTER_OVERFLOW = 0x1019
 COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
@@ -41,10 +41,14 @@ class Pairing(ProcessData):
 
     # More than 30 attributes in a dict cost each frame 3 % of a cycle.
     __slots__ = (
+        "_accounted",
+        "_ambiguous",
+        "_answered",
         "_bad_frames",
         "_call",
         "_chain",
         "_duplicate_syncs",
+        "_elapsed",
         "_extra_came",
         "_grid",
         "_input",
@@ -53,22 +57,19 @@ class Pairing(ProcessData):
         "_lost_syncs",
         "_observers",
         "_overflow",
-        "_passed",
         "_periods",
         "_prediction",
         "_publishing",
         "_sample_came",
         "_second",
-        "_set_waited",
         "_source",
         "_stages",
         "_stale",
         "_synced",
         "_tracks_came",
         "_verdict",
-        "_waited",
+        "answers",
         "extra",
-        "judge",
         "sampled",
         "syncs",
         "unconfirmed",
@@ -78,7 +79,8 @@ class Pairing(ProcessData):
         self,
         dictionary: Dictionary,
         node: Node,
-        judge: Judge,
+        syncs: Syncs,
+        answers: Answers,
         interval: SamplingInterval,
         grid: InterfaceGrid,
         limits: Limits,
@@ -90,7 +92,7 @@ class Pairing(ProcessData):
         publishing: Publishing,
     ) -> None:
         entry = dictionary.entry
-        self.judge, self.syncs = judge, judge.syncs
+        self.syncs, self.answers = syncs, answers
         self._call = node.call
         self._interval, self._grid, self._limits = interval, grid, limits
         self._chain, self._stages, self._publishing = chain, chain.stages, publishing
@@ -103,7 +105,6 @@ class Pairing(ProcessData):
         chain.on_unit = limits.unit_changed
         self.unconfirmed = 0
         """Samples after a pause that are not called valid yet."""
-        self._set_waited = 0.0  # `_waited` at the last sample that had several possible intervals
         self.begin()
 
     def begin(self) -> None:
@@ -117,10 +118,13 @@ class Pairing(ProcessData):
         self.extra = False
         """The last SYNC counts as none, but PDOs follow it."""
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
-        self._verdict = NOTHING_TO_REPORT  # on the last SYNC
-        self._passed: Passed = USUAL  # of the tracks that have come, before the other parts
-        self._waited = 0.0  # intervals since the last sample that were reported as missed
-        self.judge.pause()
+        self._verdict = ON_TIME  # on the last SYNC
+        self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
+        self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
+        self.syncs.pause()
+        self._accounted = self._answered = (
+            self.syncs.place
+        )  # the last place with a sample, or a miss; a sample
 
     @property
     def timed(self) -> bool:
@@ -142,8 +146,6 @@ class Pairing(ProcessData):
     def _hear(self, counter: int | None) -> None:
         syncs, call = self.syncs, self._call
         syncs.overflow, syncs.periods = self._overflow.value, self._periods.value
-        if not syncs.clock.period_s:
-            syncs.clock.nominal_s = self._interval.nominal_s
         self._extra_came = syncs.extra_came
         self._verdict = syncs.sync(call.received, call.is_stamped, counter)
 
@@ -154,38 +156,34 @@ class Pairing(ProcessData):
         (2012:0D) brings no sample; the position is withheld if the machine moves.
         """
         self._hear(counter)
-        verdict, parts = self._verdict, self._input
-        if verdict is NOTHING_TO_REPORT and not (parts.is_synchronous or self.syncs.is_open):  # as usual
-            return True
+        verdict, parts, syncs = self._verdict, self._input, self.syncs
         if verdict.extra:
             _count(self._duplicate_syncs)
             self.extra = not verdict.repeated
             self._stale |= self.extra and parts.is_synchronous and not parts.timed  # may answer either
-            if self.extra and self._chain.slips(self.syncs.extra_after):
+            if self.extra and self._chain.slips(syncs.extra_after):
                 self._publishing.withhold()  # the position is that of the SYNC before
+            if verdict.doubt and not self.timed:
+                self._lose_count(verdict.doubt, now)
             return self.extra
-        if parts.is_synchronous and parts.is_ambiguous and not parts.timed:
-            self.count_bad_frame()
-            self._stale = True
-        if verdict.lost or verdict.doubt or self.syncs.is_open:
+        if parts.is_synchronous:
+            if parts.is_ambiguous and not parts.timed:
+                self.count_bad_frame()
+                self._stale = True
+            self._stale |= bool(verdict.lost or verdict.doubt or syncs.late_s)
+        if verdict.lost or verdict.doubt or syncs.late_s:
             self._publishing.withhold()
-            self._stale |= parts.is_synchronous
-        if verdict.confirmed is not None and not self.timed:
-            self._chain.confirm(verdict.confirmed - self._set_waited)
-        if verdict.doubt and not self.timed:  # sample times know how long it was
-            self._lose_count(verdict.doubt, now)
-        self._miss_before(verdict, counter, now)
+        if verdict.lost and self.sampled:
+            _count(self._lost_syncs, verdict.lost)
+        doubt = verdict.doubt or (verdict.lost if self._ambiguous else 0.0)
+        self._ambiguous = False
+        if doubt and not self.timed:  # sample times know how long it was
+            self._lose_count(doubt, now)
+        if verdict.lost and counter is None and self.timed:  # and how many were not received
+            self._accounted += verdict.lost
+        if syncs.place - 1 > self._accounted:
+            self._miss_to(syncs.place - 1, now)
         return True
-
-    def _miss_before(self, verdict: SyncVerdict, counter: int | None, now: float) -> None:
-        """Samples that answer none of the SYNCs before this one."""
-        missed, lost = verdict.missed, verdict.lost
-        if lost and self.sampled:
-            _count(self._lost_syncs, lost)
-        if lost and counter is None and self.timed:  # sample times know better than receive times
-            missed -= lost
-        if missed > 0:
-            self._miss(missed, now)
 
     def sync_received(self, counter: int | None, now: float) -> bool:
         """A SYNC that was accepted: the interval before it is over, unless it is an extra one.
@@ -200,16 +198,14 @@ class Pairing(ProcessData):
             return False
         parts, syncs = self._input, self.syncs
         if self._second.number is not None:
-            self._second.interval_over(not (self._verdict.lost or syncs.is_open or self._extra_came))
+            self._second.interval_over(not (self._verdict.lost or syncs.late_s or self._extra_came))
         if parts.arrived and parts.give_up():
             self.count_bad_frame()
-        if not self._sample_came and self.sampled:
-            if self._tracks_came:  # without the rest of the sample
-                self.judge.drop()
-                self._miss(1, now)
-            elif parts.is_synchronous and self._synced and self._source is None:
-                syncs.give_up()
-                self._miss(1, now)
+        if self.sampled and not self._sample_came and self._synced and self._source is None:
+            if parts.is_synchronous and not self._tracks_came:
+                self._miss_to(syncs.place, now)
+            elif self._tracks_came:  # without the rest of the sample
+                self._miss(int(self._elapsed), now)
         self._sample_came = self._tracks_came = self._stale = False
         self._synced = True
         if self._source is not None:
@@ -222,12 +218,16 @@ class Pairing(ProcessData):
         """The measured position again."""
         self._prediction.withdraw()
 
+    def _miss_to(self, place: int, now: float) -> None:
+        """The samples up to this place of SYNC, which did not come."""
+        missed, self._accounted = place - self._accounted, place
+        self._miss(missed, now)
+
     def _miss(self, samples: int, now: float) -> None:
         """So many samples that did not come, reported once; before the first one there is nothing to miss."""
         if not self.sampled:
             return
         known_as_lost = self._chain.lost
-        self._waited += samples
         # Of a position that is lost it makes no difference how long it has been.
         for left in range(min(samples, MOST_MISSED) - 1, -1, -1):
             self._publishing.publish(self._chain.miss(), now, send=not left and not known_as_lost)
@@ -237,12 +237,12 @@ class Pairing(ProcessData):
     def overdue(self, now: float) -> bool:
         """No SYNC and no sample for 2010:06 periods; False where the length of a period is not known."""
         syncs = self.syncs
-        missed = syncs.overdue(now)
+        passed = syncs.overdue(now)
         if not self.sampled:
             syncs.until = NEVER
-        if not missed or not self.sampled:
+        if not passed or not self.sampled:
             return False
-        self._miss(missed, now)
+        self._miss_to(syncs.place, now)
         self._tracks_came = False
         self._stale = self._input.is_synchronous
         return True
@@ -264,67 +264,86 @@ class Pairing(ProcessData):
             received_s, synced_s = self._receptions()
             if self._take_usual_timed(received_s, synced_s, now):
                 self._sample_came = self.sampled = True
-                self.judge.answered_last_sync()
+                self._answer(self.syncs.place)
                 return
         if number == parts.judged:
-            passed = self._judged(now)
-            if passed is None:
+            elapsed = self._judged(now)
+            if elapsed is None:
                 return
             self._tracks_came = True
-            if passed is USUAL and number == parts.whole:
+            if elapsed == 1.0 and number == parts.whole:
                 self._sample_came = self.sampled = True
                 self._take_usual(now)
                 return
-            self._passed = passed
+            self._elapsed = elapsed
         if number == parts.alone or parts.take(number):
             self._complete(parts.sample(), now)
 
-    def _judged(self, now: float) -> Passed | None:
-        """One pair of tracks for each SYNC: which one does this answer? None: it is not to be used."""
-        call, judge = self._call, self.judge
-        if self._synced:
-            passed = judge.answer(call.received, call.is_stamped)
-        else:
-            passed = judge.free(call.received, call.is_stamped)
-        if isinstance(passed, Passed):
-            if judge.advanced:
-                self._pass_lost(judge.advanced, passed, now)
-            open_ = passed is not USUAL and isinstance(passed.elapsed, tuple)
-            if open_ and self._chain.slips(1.0) and self._stages.repeats(*self._input.tracks):
-                return passed._replace(certain=False)  # the last one again, and so late that another may fit
-            return passed
+    def _judged(self, now: float) -> float | None:
+        """One pair of tracks for each SYNC: intervals up to this one. None: it is not to be used."""
+        call, syncs, answers = self._call, self.syncs, self.answers
+        place = syncs.place
+        if not self._synced:
+            verdict = syncs.sync(call.received, call.is_stamped, None)  # each is its own
+            place = syncs.place if not verdict.extra else self._answered
+        elif call.is_stamped and syncs.stamped:
+            delay_s = call.received - syncs.synced_s
+            if place == self._accounted + 1 and answers.is_usual(delay_s, syncs.grid):
+                return self._answer(place)
+            later = answers.place(delay_s, syncs.grid)
+            if later is None:
+                self.count_bad_frame()
+                if answers.has_moved(syncs.grid):
+                    self._lose_count(1.0, now)
+                elif self._next_may_have_come:
+                    self._publishing.withhold()  # it may answer a SYNC that was not received
+                return None
+            if later > 0:
+                self._pass_lost(later)
+            place += later
+        elif syncs.grid.period:
+            self._ambiguous = call.received >= syncs.grid.due
+        if place > self._accounted or not self.sampled:
+            return self._answer(place)
         self.count_bad_frame()
-        if passed is Refusal.ANOTHER:
-            explained = self.syncs.extra_came or self._stages.repeats(*self._input.tracks)
+        if place <= self._answered:  # more samples than SYNCs
+            explained = syncs.extra_came or self._stages.repeats(*self._input.tracks)
             if not explained:
                 self._lose_count(1.0, now)
-            elif judge.next_is_due(call.received) and self._chain.slips(1.0):
+            elif self._next_may_have_come:
                 self._publishing.withhold()  # equal counts may be whole cycles further on
         return None
 
-    def _pass_lost(self, syncs: int, passed: Passed, now: float) -> None:
-        """So many SYNCs were not received, and these tracks answer the last of them.
+    @property
+    def _next_may_have_come(self) -> bool:
+        """The next SYNC was due, and the machine moves meanwhile."""
+        grid = self.syncs.grid
+        return self._call.received >= grid.due - grid.allowed and self._chain.slips(1.0)
 
-        The sample before them may have answered the first, so what is missing is what has passed for certain.
-        """
-        self.judge.advanced = 0
+    def _answer(self, place: int) -> float:
+        """A sample of this place of SYNC: intervals since the one before, or since the last miss."""
+        elapsed = place - self._accounted if self.sampled else 1
+        self._accounted = self._answered = place
+        return float(elapsed)
+
+    def _pass_lost(self, syncs: int) -> None:
+        """So many SYNCs were not received, and these tracks answer the last of them."""
+        self.syncs.advance(syncs)
         if self._input.give_up():
             self.count_bad_frame()
-        _count(self._lost_syncs, syncs)
-        least = passed.options[0]
-        if syncs > 1 and least > 1.0:
-            self._miss(min(syncs, int(least)) - 1, now)
+        if self.sampled:
+            _count(self._lost_syncs, syncs)
         self._sample_came = False
+        self._verdict = ON_TIME
 
     def _complete(self, sample: Sample, now: float) -> None:
         """All parts of a sample are there."""
         self.sampled = True
-        if sample.time_100ns is not None:
-            came = self._timed(sample, now)
-        else:
-            passed = self._passed if self._input.judged is not None else self.judge.answered_last_sync()
-            came = self._take(sample, passed, now)
-        if came:
+        if sample.time_100ns is None:
+            self._sample_came = True
+            answers_last = self._input.judged is None
+            self._take(sample, self._answer(self.syncs.place) if answers_last else self._elapsed, now)
+        elif self._timed(sample, now):
             self._sample_came = True
         else:
             self.count_bad_frame()
@@ -337,7 +356,7 @@ class Pairing(ProcessData):
             syncs.sync(call.received, call.is_stamped, None)  # each sample is its own
         came = self._take_timed(sample, received_s, synced_s, syncs.extra_came, now)
         if came:
-            self.judge.answered_last_sync()
+            self._answer(syncs.place)
         return came
 
     def _receptions(self) -> tuple[float | None, float | None]:
@@ -356,12 +375,12 @@ class Pairing(ProcessData):
 
     def _sample_source(self, source: LocalSource, now: float) -> None:
         """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
-        self.sampled = True
-        self.syncs.count.sampled = True
+        if not self.sampled:
+            self._accounted = self.syncs.place - 1
+            self.sampled = True
         sample = source.next(now)
         if sample is None:
-            self.syncs.give_up()
-            self._miss(1, now)
+            self._miss_to(self.syncs.place, now)
         else:
             self._complete(sample, now)
 
@@ -370,8 +389,14 @@ class Pairing(ProcessData):
     def _take_usual(self, now: float) -> None:
         """Two counts that answer the last SYNC, as they stand in the dictionary."""
         parts = self._input
-        if self._waited or self.unconfirmed or self._observers.open or parts.flags.value:
-            self._take(parts.sample(), USUAL, now)
+        if (
+            self.unconfirmed
+            or self._observers.open
+            or parts.flags.value
+            or self._is_open
+            or self._verdict.off
+        ):
+            self._take(parts.sample(), 1.0, now)
             return
         limits = self._limits
         if limits.narrowed:
@@ -382,36 +407,20 @@ class Pairing(ProcessData):
             limits.measured()
         self._publishing.publish(feedback, now)
 
-    def _take(self, sample: Sample, passed: Passed, now: float) -> bool:
-        """A sample without a time through the chain, and out; False if nothing came of it."""
+    @property
+    def _is_open(self) -> bool:
+        """SYNCs before or after the last one may have been lost."""
+        return self._ambiguous or self.syncs.late_s > 0.0
+
+    def _take(self, sample: Sample, elapsed: float, now: float) -> None:
+        """A sample without a time through the chain, and out."""
         if self._limits.narrowed:
             self._limits.follow()
-        options = self._since_last(passed)
-        if not options:
-            if len(passed.options) > 1:
-                self._lose_count(passed.options[-1] - passed.options[0], now)
-            return False
-        several = options if len(options) > 1 else ()
-        placed = not (passed.instant_error and self._chain.slips(passed.instant_error))
-        feedback = self._chain.after(sample, options[0], several, placed=placed)
-        if feedback.status & VALID and (self.unconfirmed or not passed.certain):
+        placed = not (self._verdict.off and self._chain.slips(self._verdict.off))
+        feedback = self._chain.after(sample, elapsed, placed=placed)
+        if feedback.status & VALID and (self.unconfirmed or (self._is_open and self._chain.slips(1.0))):
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
-        return True
-
-    def _since_last(self, passed: Passed) -> tuple[float, ...]:
-        """Intervals since the last sample or miss, all possible ones; none if it may be one of those missed.
-
-        Then it comes too late: the time goes on from the miss, and the set would lack what may be true.
-        """
-        options, waited = passed.options, self._waited
-        if options[0] <= waited:
-            self._waited = waited - options[0]
-            return ()
-        self._waited = 0.0
-        if len(options) > 1:
-            self._set_waited = waited
-        return tuple([one - waited for one in options]) if waited else options
 
     def _take_usual_timed(self, received_s: float | None, synced_s: float | None, now: float) -> bool:
         """A sample with its time as it stands in the dictionary; False if it is to be looked at closely."""
@@ -426,7 +435,6 @@ class Pairing(ProcessData):
         )
         if feedback is None:
             return False
-        self._waited = 0.0
         noise = limits.noise
         if feedback[-1] >= noise.due and noise.take(feedback):
             limits.measured()
@@ -447,7 +455,6 @@ class Pairing(ProcessData):
         feedback = self._chain.step(sample, received_s, synced_s, extra)
         if last is not None and feedback.samples == last.samples:
             return self._chain.crowded
-        self._waited = 0.0
         if feedback.status & VALID and self.unconfirmed:
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)

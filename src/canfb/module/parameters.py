@@ -25,6 +25,7 @@ from canfb.module.cia406.position import distinguishable_revolutions, single_tur
 from canfb.module.interval import SamplingInterval
 from canfb.module.module_config import (
     MOST_ACCELERATION_RAD_S2,
+    MOST_SYNC_JITTER_S,
     WRITE_LOCKS,
     ModuleConfig,
 )
@@ -92,6 +93,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
         od.SUPERVISION_BAD_SAMPLES: config.bad_samples,
         od.SUPERVISION_DOUBT_ACCELERATION: round(config.doubt_acceleration_cycles * LIMIT_UNITS),
         od.SUPERVISION_PHASE_ERROR: max(1, round(config.phase_error_cycles * LIMIT_UNITS)),
+        od.SUPERVISION_SYNC_JITTER: config.sync_jitter_s,
         od.SUPERVISION_PERIODS: config.sync_timeout_periods,
         od.PREDICTION_POSITION: int(config.predict),
         od.PREDICTION_NOMINAL_SYNC: int(config.nominal_sync),
@@ -212,6 +214,9 @@ class Limits:
         self._acceleration.on_check = self._check(lambda value: 0.0 <= value <= MOST_ACCELERATION_RAD_S2)
         for gone, only in ((od.SUPERVISION_ORDER, 2), (od.SUPERVISION_JERK, 0.0)):
             entry(*gone).on_check = self._check(partial(eq, only))
+        entry(*od.SUPERVISION_SYNC_JITTER).on_check = self._check(
+            lambda value: 0.0 <= value <= MOST_SYNC_JITTER_S
+        )
         for corner in (self._corner, self._cosine_corner):
             corner.on_check = self._check(lambda value: 0.0 <= value <= MOST_CORNER_HZ)
         for changed in (

@@ -9,7 +9,7 @@ from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain
 from canfb.signal.nominal_sync import MEMORY_SYNCS
-from canfb.timing.judge import Judge
+from canfb.timing.syncs import Syncs
 
 GRID_SYNCS = 1024  # of several samples for each SYNC, which are taken by its interval
 CONFIRMING_SAMPLES = 4  # after a pause in which the machine may have begun to move
@@ -20,7 +20,7 @@ class Sampling:
 
     def __init__(
         self,
-        judge: Judge,
+        syncs: Syncs,
         interval: SamplingInterval,
         grid: InterfaceGrid,
         limits: Limits,
@@ -28,7 +28,7 @@ class Sampling:
         pairing: Pairing,
         publishing: Publishing,
     ) -> None:
-        self._judge, self._interval, self._grid, self._limits = judge, interval, grid, limits
+        self._syncs, self._interval, self._grid, self._limits = syncs, interval, grid, limits
         self._chain, self._pairing, self._publishing = chain, pairing, publishing
         self._paused_s = 0.0
         publishing.events.unconfirmed = self._why_unconfirmed
@@ -40,8 +40,8 @@ class Sampling:
             return f"{CONFIRMING_SAMPLES} samples must confirm it after the pause"
         if self._chain.gap:
             return "frames were dropped while others waited: the next SYNCs show whether the times are right"
-        if self._judge.syncs.is_open:
-            late_ms = self._judge.syncs.late_s * 1e3
+        if self._syncs.late_s:
+            late_ms = self._syncs.late_s * 1e3
             return f"SYNC {late_ms:.3g} ms late, one may have been missed: the next SYNCs decide"
         if self._chain.searches:
             return "the sample times do not confirm yet that the machine stood at the start"
@@ -54,7 +54,7 @@ class Sampling:
         if not self._pairing.overdue(now):
             self._publishing.outdated(now)
         if self._chain.lost:
-            self._judge.syncs.until = NEVER
+            self._syncs.until = NEVER
 
     def uncounted(self, now: float) -> None:
         """The bus is gone: SYNCs are not counted, and the position is lost."""
@@ -65,9 +65,9 @@ class Sampling:
     def pause(self, now: float) -> None:
         """OPERATIONAL ends: nobody counts, and what can be read by SDO is not valid any more."""
         self._publishing.withhold()
-        syncs = self._judge.syncs
+        syncs = self._syncs
         self._paused_s = syncs.synced_s if syncs.begun else now
-        self._judge.pause()
+        syncs.pause()
 
     def resume(self, now: float) -> None:
         """OPERATIONAL, for the first time or again: nothing was counted meanwhile."""
@@ -91,7 +91,8 @@ class Sampling:
 
     def forget_interval(self) -> None:
         """After a reset another master may send SYNC at another rate."""
-        self._judge.forget()
+        self._syncs.forget()
+        self._pairing.answers.forget()
         self._interval.speed_unit_s = 0.0
         self._grid.forget()
         self._chain.forget_times()

@@ -13,7 +13,7 @@ from canfb import objects as od
 from canfb.monitoring.layout import COUNTERS, INPUTS, VALUES, NodeLayout, known_values
 from canfb.monitoring.snapshot import LoadSnapshot, ModuleSnapshot, SyncSnapshot
 from canfb.objects import Multiplexer, PositionState, StatusBit
-from canfb.timing.sync_judge import SyncJudge
+from canfb.timing.syncs import Syncs
 from canfb.view.limits_in_force import LIMIT_UNITS
 from canfb.view.pdo_map import Number, Pdo
 
@@ -30,30 +30,29 @@ class SyncMeter:
     """Rate and jitter by the straight line through the last SYNCs that the judge of the module takes."""
 
     def __init__(self) -> None:
-        self._judge = SyncJudge()
+        self._syncs = Syncs()
         self._places: deque[tuple[int, float]] = deque(maxlen=SYNCS)
         self._last_s: float | None = None
         self._count = 0
 
     def sync(self, time_s: float) -> None:
         """A SYNC came."""
-        judge, places = self._judge, self._places
+        syncs, places = self._syncs, self._places
         if self._last_s is not None and not 0.0 <= time_s - self._last_s <= self._longest_s:
-            judge.clock.forget()
-            judge.pause()
+            syncs.forget()
             places.clear()
         self._last_s = time_s
         self._count += 1
-        verdict = judge.sync(time_s, True, None)
+        verdict = syncs.sync(time_s, True, None)
         if verdict.doubt:  # another rate or phase
             places.clear()
-        if judge.clock.period_s and not verdict.extra:
+        if syncs.period_s and not verdict.extra:
             places.append((places[-1][0] + 1 + verdict.lost if places else 0, time_s))
 
     @property
     def _longest_s(self) -> float:
         """So long without a SYNC, and there is none."""
-        period_s = self._judge.clock.period_s
+        period_s = self._syncs.period_s
         return max(LEAST_SILENCE_S, MISSING_PERIODS * period_s) if period_s else math.inf
 
     def snapshot(self, now: float) -> SyncSnapshot:

@@ -25,6 +25,7 @@ LARGEST = {
     "doubt_acceleration_cycles": 0.5,
     "corner_hz": MOST_CORNER_HZ,
     "cosine_corner_hz": MOST_CORNER_HZ,
+    "sync_jitter_s": 1.0,
     "interval_s": 1000.0,
 }
 
@@ -105,6 +106,7 @@ class ChainConfig:
                             cannot do harm
     doubt_acceleration_cycles  assumed while in doubt if max_acceleration is not known, 0..0.5 cycles per
                             interval^2 (2010:0B); 0: none, and each gap that leaves two motions is lost
+    sync_jitter_s           0..1 s (2010:0D): no SYNC is further from the even grid; 0: not declared
     interval_s              sampling interval, 0..1000 s, for corner_hz, adapt and the cosine_delay_s of
                             conditioning; 0: not known
     adapt                   follow offset, gain and phase of the tracks slowly (2002:08): bounds in rate and
@@ -126,6 +128,7 @@ class ChainConfig:
     doubt_acceleration_cycles: float = DOUBT_ACCELERATION
     corner_hz: float = 0.0
     cosine_corner_hz: float = 0.0
+    sync_jitter_s: float = 0.0
     interval_s: float = 0.0
     adapt: AdaptConfig | bool = False
 

@@ -2,37 +2,25 @@
 
 P1  No sample times, no receive times. Module and interface hear nothing for n periods, in all no longer
     than the host may be late (n T <= LATEST_HOST_S), and no SYNC counter, or n is a number of its turns.
-    Proof: all that the module has are the frames, in their order, and the moments at which it is called.
-    Take the machine whose SYNCs were fewer by n: each of its frames was received n T earlier, and its
-    host was later by n T, from there on. That host is no later than it may be, so this machine is healthy.
-    Frames, order and moments are the same, the positions differ by n v. Who accepts one accepts the other.
-    Likewise n SYNCs too many that the module hears, without a counter: a machine whose host was later
-    before, and whose PDOs were lost where the interface does not hear them. Those that come later do not
-    count: the module does not know them yet.
-P2  The same, with sample times: the frames that a SYNC causes before the next ADC PDO has brought its
-    time. They may show the newest sample heard. (Rule J2 of the judge knows it.)
-P3  No sample times. Each PDO is late by one whole period from some slot on.
-    Proof: sample k comes in interval k + 1, at its usual place there. A machine whose sample k - 1 was lost
-    gives the same frames at the same times if the speed is a whole number of cycles per T; the positions
-    differ by v. (At other speeds the residual tells them apart.)
+    Proof: frames, order and the moments of the calls are those of a machine whose SYNCs were fewer by n, with
+    a host that is later by n T from there on: a healthy one.
+    Likewise n SYNCs too many that the module hears, without a counter, where the interface does not hear
+    them. Those that come later do not count: the module does not know them yet.
+P3  No sample times. Each PDO is late by one whole period from some slot on, at its usual place there.
+    Proof: a machine whose sample was lost at the change gives the same frames at the same times.
 P7  No sample times. The first PDO after a SYNC answers an earlier one, and comes when the answer is due.
     Proof: the PDO carries no mark of its SYNC. Take the machine that moves as the module has it: this
     PDO is in time there, and the one of the earlier SYNC was lost. Frames, order and times are the same;
     the machine is healthy as long as its motion keeps the limits (:func:`is_smooth`). A later frame may
     contradict it; no module knows that one.
-P8  Receive times, no sample times. From one SYNC on all of them are off by d, less than the noise of a
-    receive time, and v d is a whole number of cycles. For STEP_SYNCS; for good where d is below STEP_PART.
-    Proof: each of these receive times may be that of a SYNC on the old grid, with another noise; so a
-    healthy machine gives the same frames and times. Only the mean of many of them tells, and no sooner than
-    its own noise allows.
+P8  Receive times, no sample times. From one SYNC on all are off by d, less than the declared jitter, v d
+    whole cycles. Proof: each may be that of a SYNC on the old grid.
 P4  A sample time is off by e, no more than SYNC and receive times can be (:func:`stamp_tolerance`).
     Proof: a healthy machine whose SYNC came later by e, and whose sample was taken then, at v e cycles from
     here: if that is a whole number, counts and time are the same. A position is right if it is that of the
     moment that its sample time names.
 P9  The same error, and the positions shown lie on one motion within the limits, at the moments that the
-    sample times name.
-    Proof: the machine that moves as was shown, whose SYNC came later by e. Frames and order are the same,
-    receive times within their noise, and that machine is healthy. So the speed, too, may be off by whole
+    sample times name: of a healthy machine whose SYNC came later by e. So the speed, too, may be off by whole
     cycles from there on: no later sample contradicts it.
 """
 

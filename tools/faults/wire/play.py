@@ -10,11 +10,13 @@ import numpy as np
 from canfb import Frame
 from tools.faults.wire.classes import CLASSES
 from tools.faults.wire.draw import UNKNOWN_LIMIT, draw_plan, torque
-from tools.faults.wire.host import Sent, drive
+from tools.faults.wire.host import STAMP_NOISE_S, Sent, drive
 from tools.faults.wire.judge import Judge, Verdict
 from tools.faults.wire.line import Line, Plan, lay
 from tools.faults.wire.physics import unseen
 from tools.faults.wire.setups import NMT_ID, NODE, SETUPS, Bench
+
+GAUSSIAN, BLOCKED_US = 4.5, 135.0  # standard deviations: one of 150 000; a frame before a SYNC
 
 
 class Episode(NamedTuple):
@@ -63,6 +65,7 @@ def plan_of(episode: Episode) -> Plan:
         torque(plan)
     if not setup.servo:
         declare(plan)
+    plan.options.jitter_s = jitter_s(plan)
     return plan
 
 
@@ -71,6 +74,12 @@ def declare(plan: Plan) -> None:
     largest = plan.motion.largest_acceleration(plan.end)
     if largest > (plan.options.limit or UNKNOWN_LIMIT):
         plan.options.limit = largest
+
+
+def jitter_s(plan: Plan) -> float:
+    """2010:0D: what the wire has, and the noise of a receive time."""
+    blocked_us = BLOCKED_US if plan.busy and (plan.jitter_us or plan.locked) else 0.0
+    return 1e-6 * (plan.jitter_us * (GAUSSIAN if plan.gaussian else 1.0) + blocked_us) + STAMP_NOISE_S
 
 
 def play_plan(plan: Plan, fresh: bool = False, bench: Bench = _bench) -> Played:

@@ -61,6 +61,7 @@ class Options:
     """What one episode sets in the module, beyond its :class:`Setup`."""
 
     interval_s: float = 1e-3
+    jitter_s: float = 0.0  # 2010:0D
     coast: int | None = None  # 2010:03; None: as delivered
     limit: float | None = None  # 2010:02 in cycles/T^2; None: not known
     margin: int = 0  # 2010:09
@@ -120,6 +121,8 @@ class Configuration:
             write(0x1019, 0, "B", options.overflow)
         if options.period:
             write(0x1006, 0, "I", round(options.interval_s * options.period_factor * 1e6))
+        if options.jitter_s:
+            write(0x2010, 13, "f", options.jitter_s)
         if options.limit is not None:
             per_cycle = TWO_PI / CYCLES_PER_REVOLUTION
             write(0x2010, 2, "f", options.limit * per_cycle / options.interval_s**2)

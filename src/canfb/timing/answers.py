@@ -1,0 +1,77 @@
+"""Which SYNC an ADC PDO answers. It carries no mark of it: what is left is its time, and the order.
+
+With receive times of both: nothing answers a SYNC before the interface has measured, so a PDO is no sooner
+than the least delay so far; and a frame waits for others, some 0.1 ms each, but not a quarter of a period. So
+it answers the SYNC that was received the least delay before it, or up to LATEST more, and the jitter of SYNC
+if a timer that is locked to it takes the samples. One that fits none is not used; ROW of them with one delay
+have another one. Without receive times it answers the last SYNC.
+"""
+
+from __future__ import annotations
+
+from math import inf
+
+from canfb.timing.grid import ROW, Grid
+
+SOONEST = 0.7  # of the least delay: the same frame, with other stuffing
+NOISE_S = 50e-6  # of two receive times
+LATEST = 0.25  # period
+WIDEST = 0.7  # period, with all of the jitter: less is left for those that are early
+FORGETTING = 1e-3  # of the difference to the present delay
+
+
+class Answers:
+    """``least_s`` is the shortest delay from SYNC to PDO, seconds; inf while none is known."""
+
+    __slots__ = ("_refused", "least_s")
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Another interface."""
+        self.least_s = inf
+        self._refused: list[float] = []
+
+    def is_usual(self, delay_s: float, grid: Grid) -> bool:
+        """It answers the SYNC so long before it, within the usual delay."""
+        later_s = delay_s - self.least_s
+        if not 0.0 <= later_s <= _most_s(grid):
+            return False
+        self.least_s += FORGETTING * later_s
+        return not self._refused
+
+    def place(self, delay_s: float, grid: Grid) -> int | None:
+        """Places after the last SYNC that it answers: 0 that one, -1 the one before; None: it fits none.
+
+        ``delay_s`` after the last SYNC.
+        """
+        if self.least_s == inf:
+            self.least_s = delay_s
+        later_s = delay_s - self.least_s
+        early_s = max((1.0 - SOONEST) * self.least_s, min(NOISE_S, 0.1 * grid.period))
+        places = round((later_s + early_s) // grid.period) if grid.period else 0
+        within_s = later_s - places * grid.period
+        if -early_s <= within_s <= _most_s(grid) or not grid.period:
+            self.least_s += (FORGETTING if within_s >= 0.0 else 1.0) * within_s
+            self._refused.clear()
+            return places
+        self._refused.append(delay_s)
+        return None
+
+    def has_moved(self, grid: Grid) -> bool:
+        """ROW were refused in a row, with much the same delay: that is the delay from now on."""
+        refused = self._refused
+        if len(refused) < ROW:
+            return False
+        if max(refused) - min(refused) > LATEST * grid.period:
+            del refused[0]
+            return False
+        self.least_s = min(refused)
+        refused.clear()
+        return True
+
+
+def _most_s(grid: Grid) -> float:
+    """How much later than the least a PDO may be, seconds."""
+    return min(LATEST * grid.period + grid.allowed, WIDEST * grid.period)

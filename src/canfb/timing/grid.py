@@ -1,0 +1,232 @@
+"""One grid: instants t0 + n T, each no further than the declared jitter from the line through those before.
+
+SYNC comes at a fixed rate, and so do the samples that answer it. All that an instant says is at which place
+it is, or that it is at none:
+
+- a free place: the next one; places left out between are missing,
+- the place of the last one: a second one,
+- off the grid: nobody knows. ROW of them, regular among themselves, are the grid from there on.
+
+The line is that of least squares, in recursive form, through the last ``memory`` instants. How far instants
+are off it is shown, and judges nothing: what was seen is no bound of what may come.
+
+| bound | value | reason |
+|---|---|---|
+| UNDECLARED | 0.45 period | half a period away the next place is as near |
+| REGULAR | 0.2 of the interval | 135 us of 1 ms for a frame before a SYNC, and its producer |
+| FIRST | 6 instants | their line is within 0.25 of the rms jitter of one, per place |
+| LARGEST_FIRST | 13 instants | those that jitter more give their line as they are |
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from statistics import linear_regression, median
+
+UNDECLARED = 0.45
+REGULAR = 0.2
+FIRST, LARGEST_FIRST = 6, 13
+CALLS, MOST_CALLS = 9, 33  # that may be late: straight enough at once, or as they are
+STRAIGHT = 0.1  # period: calls no further above their line come from a host that is not late
+ROW = 4
+MEMORY = 256
+LEARNED = 32  # from then on it may move positions
+SHOWN = 64  # instants, over which the deviation is a mean
+SAME_PERIOD = 0.03
+
+
+class Grid:
+    """``period``, ``due`` (the next place), ``jitter`` and instants in any one unit; 0.0: not known.
+
+    ``lead`` is how much later than the last instant its place was, ``allowed`` how far one may be off,
+    ``deviation`` the mean of how far they are. ``row``: the last instants that were not in turn.
+    """
+
+    __slots__ = (
+        "_first",
+        "_fresh",
+        "_in_turn",
+        "_jitter",
+        "_phase",
+        "_slope",
+        "allowed",
+        "deviation",
+        "due",
+        "lead",
+        "memory",
+        "period",
+        "row",
+        "seen",
+    )
+
+    def __init__(self, memory: int = MEMORY, jitter: float = 0.0) -> None:
+        self.memory, self._jitter = memory, jitter
+        self.forget()
+
+    def forget(self) -> None:
+        """Nothing is known."""
+        self.period = self.deviation = 0.0
+        self.seen = 0
+        """Instants that carry the line."""
+        self.pause()
+
+    def pause(self) -> None:
+        """The period stays; the next instant gives the phase."""
+        self.due = math.nan
+        self.lead = 0.0
+        self._fresh = 0
+        self._first: list[float] = []
+        self.row: list[float] = []
+        self._in_turn: list[bool] = []  # whether each of the row was
+        self._find_gains()
+
+    @property
+    def locked(self) -> bool:
+        """The line is good enough to move positions by it."""
+        return self.seen >= LEARNED
+
+    @property
+    def rough(self) -> float:
+        """The period, or while it is not known the median of the intervals so far; 0.0: none."""
+        return self.period or (_median_apart(self._first) if len(self._first) > 1 else 0.0)
+
+    def declare(self, jitter: float) -> None:
+        """No instant is further from its place than this; 0.0: not declared."""
+        self._jitter = jitter
+        self._find_gains()
+
+    def begin(self, instant: float) -> None:
+        """The first instant after a pause."""
+        self._first, self._fresh = [instant], 1
+        self.due = instant + self.period
+        self._find_gains()
+
+    def learn(self, instant: float) -> bool:
+        """The next instant while the period is not known; True if it is known now."""
+        first = self._first
+        first.append(instant)
+        del first[:-LARGEST_FIRST]
+        if len(first) < FIRST or (len(first) < LARGEST_FIRST and not is_regular(first[-FIRST:], 2)):
+            return False
+        self.set_again(first if len(first) == LARGEST_FIRST else first[-FIRST:])
+        return True
+
+    def learn_earliest(self, instant: float) -> None:
+        """The same for instants any of which may be late: the line below them."""
+        first = self._first
+        first.append(instant)
+        if len(first) >= CALLS and (len(first) == MOST_CALLS or _is_straight(first)):
+            period, begin = _below(first)
+            self.set_again([begin + n * period for n in range(len(first))] if period > 0.0 else first)
+
+    def nearest(self, instant: float) -> tuple[int, float]:
+        """Places from the last one to the nearest, and how much later than that the instant is."""
+        later = instant - self.due
+        places = round(later / self.period)
+        return places + 1, later - places * self.period
+
+    def follow(self, places: int, off: float, elapsed: int = 0) -> None:
+        """An instant was taken so many ``places`` after the last, ``off`` its own.
+
+        ``elapsed``: the line has grown by that many places since the last call, if not by ``places``.
+        """
+        if self._fresh < self.memory:
+            self._fresh += 1
+            self.seen = min(self.seen + 1, self.memory)
+            self._find_gains()
+        before = self.period
+        self.period += self._slope * off / (elapsed or places)
+        self.lead = off * (self._phase - 1.0)
+        self.due += (places - 1) * before + off * self._phase + self.period
+        self.deviation += (abs(off) - self.deviation) / min(self._fresh, SHOWN)
+
+    def skip(self, places: int) -> None:
+        """Places passed, and nothing is known of them."""
+        self.due += places * self.period
+
+    def refuse(self, instant: float) -> bool:
+        """An instant that was not in turn; True if the last ROW are another grid: :meth:`set_again`.
+
+        They are regular, and none was in turn, or they are not one period apart.
+        """
+        self._keep(instant, False)
+        if len(self.row) < ROW or not is_regular(self.row):
+            return False
+        return not any(self._in_turn) or abs(_median_apart(self.row) / self.period - 1.0) > REGULAR
+
+    def is_in_turn(self, instant: float) -> bool:
+        """An instant was; True if the one before was, too: the row is over."""
+        if not self.row or self._in_turn[-1]:
+            self.row.clear()
+            self._in_turn.clear()
+            return True
+        self._keep(instant, True)
+        return False
+
+    def _keep(self, instant: float, in_turn: bool) -> None:
+        self.row.append(instant)
+        self._in_turn.append(in_turn)
+        del self.row[:-ROW], self._in_turn[:-ROW]
+
+    def set_again(self, instants: list[float]) -> bool:
+        """These regular instants are the grid; True if its period is another one."""
+        apart = _median_apart(instants)
+        places = [0.0]
+        for before, after in pairwise(instants):
+            places.append(places[-1] + max(1, round((after - before) / apart)))
+        line, before = linear_regression(places, instants), self.period
+        same = abs(line.slope - before) <= SAME_PERIOD * before
+        self.period = before if same and self.seen > len(instants) else line.slope
+        self.seen = self.seen if same else len(instants)
+        self._fresh = len(instants)
+        mean = sum(instants) / len(instants), sum(places) / len(places)
+        self.due = mean[0] + (places[-1] - mean[1] + 1.0) * self.period
+        self.row.clear()
+        self._in_turn.clear()
+        self._first = []
+        self._find_gains()
+        return not same
+
+    def _find_gains(self) -> None:
+        n = max(self.seen, 2)
+        self._phase = max((4 * n - 2) / (n * (n + 1)), 1.0 / max(self._fresh, 1))
+        self._slope = 6.0 / (n * (n + 1))
+        most = UNDECLARED * self.period
+        spare = 1.0 + 3.0 * math.sqrt(2.0 / max(self._fresh, 2))
+        self.allowed = min(most, self._jitter * spare) if self._jitter else most
+
+
+def _below(instants: list[float]) -> tuple[float, float]:
+    """Period and begin of the line below the instants: the side of their lower hull over the middle."""
+    hull: list[tuple[int, float]] = []
+    for c in enumerate(instants):
+        while len(hull) > 1 and _is_above(hull[-2], hull[-1], c):
+            hull.pop()
+        hull.append(c)
+    middle = (len(instants) - 1) / 2.0
+    (a, left), (b, right) = next(pair for pair in pairwise(hull) if pair[1][0] >= middle)
+    period = (right - left) / (b - a)
+    return period, left - a * period
+
+
+def _is_straight(instants: list[float]) -> bool:
+    period, begin = _below(instants)
+    return all(one - begin - n * period <= STRAIGHT * period for n, one in enumerate(instants))
+
+
+def _is_above(a: tuple[int, float], b: tuple[int, float], c: tuple[int, float]) -> bool:
+    return (b[1] - a[1]) * (c[0] - a[0]) >= (c[1] - a[1]) * (b[0] - a[0])
+
+
+def _median_apart(instants: list[float]) -> float:
+    return median([after - before for before, after in pairwise(instants)])
+
+
+def is_regular(instants: list[float], most: int = 1) -> bool:
+    """Whether their intervals agree with each other; one may be of ``most`` places."""
+    middle = _median_apart(instants)
+    if middle <= 0.0:
+        return False
+    apart = [(after - before) / middle for before, after in pairwise(instants)]
+    return all(abs(one - min(max(1, round(one)), most)) <= REGULAR for one in apart)

@@ -1,0 +1,352 @@
+"""SYNCs on their grid: how many intervals have passed, which samples are missing, which instant is bad.
+
+With receive times a SYNC lies on the grid (:mod:`canfb.timing.grid`), or off it:
+
+| SYNC | what it means |
+|---|---|
+| on the grid | the places left out before it are SYNCs that were not received |
+| at the place of the last | a second one: no sample is expected, but PDOs follow it |
+| off the grid | its sample is bad where the machine moves; ROW regular ones are another grid |
+| with a counter that contradicts | intervals of doubt |
+
+Without receive times the call is only the latest time of the frame. SYNCs are counted in their order then,
+with their counter where they have one, and the line follows the earliest of TOGETHER calls. One that is
+late by a turn of its counter, without a counter by a period, may come after others that were lost: nothing is
+valid until one is in time again. ROW that are as late as each other, a period apart, were not late: SYNCs
+are missing, which is as many intervals of doubt. Doubt is speed times intervals: at standstill it is none.
+
+| bound | value | reason |
+|---|---|---|
+| USUAL_JITTER_S | 0.2 ms | a frame before it at 1 Mbit/s, and 65 us of producer and receive time |
+| SAME_FRAME_S | 47 us | the shortest frame at 1 Mbit/s: no SYNC comes sooner after another |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf, isfinite
+from typing import NamedTuple
+
+from canfb.timing.grid import ROW, Grid
+
+USUAL_JITTER_S = 0.2e-3
+SAME_FRAME_S = 47e-6
+TOGETHER = 8
+HALF = 0.5
+LATE = 0.9  # of a turn
+FASTER = 0.75  # of a period: without receive times, early SYNCs of another rate
+MOST_INTERVALS = 1 << 20
+UNSETTLED_S = 0.5  # taken for a period where none is known
+
+
+class SyncVerdict(NamedTuple):
+    """What a SYNC shows.
+
+    lost      SYNCs before it that were not received
+    extra     no sample is to be expected for it; ``repeated``: nothing is to be done with it
+    off       how far its instant is off the grid, intervals: 0.0 if it is on it
+    doubt     so many intervals may or may not have passed unnoticed; 0.0: none
+    """
+
+    lost: int = 0
+    extra: bool = False
+    repeated: bool = False
+    off: float = 0.0
+    doubt: float = 0.0
+
+
+ON_TIME = SyncVerdict()
+EXTRA = SyncVerdict(extra=True)
+REPEATED = SyncVerdict(extra=True, repeated=True)
+
+
+class Syncs:
+    """Give each SYNC to :meth:`sync`: its time in seconds, any number, and whether the bus gave it.
+
+    ``place`` counts SYNCs, received or not; ``synced_s`` is when the last one was received. ``until`` is the
+    time after which the position is not valid without another SYNC, inf while nothing is expected.
+    """
+
+    __slots__ = (
+        "_assumed",
+        "_counter",
+        "_earliest_s",
+        "_grouped",
+        "_high_s",
+        "_low_s",
+        "_next_counter",
+        "_received_s",
+        "begun",
+        "extra_after",
+        "extra_came",
+        "grid",
+        "late_s",
+        "on_followed",
+        "overflow",
+        "periods",
+        "place",
+        "stamped",
+        "synced_s",
+        "until",
+    )
+
+    def __init__(self) -> None:
+        self.grid = Grid(jitter=USUAL_JITTER_S)
+        self.overflow = 0
+        """SYNC counter overflow (1019h)."""
+        self.periods = 2
+        """Periods without SYNC until the position is not valid (2010:06)."""
+        self.on_followed: Callable[[float, bool], None] | None = None
+        """Called as (time_s, stamped) with every TOGETHER-th usual SYNC."""
+        self.place = 0
+        self.pause()
+
+    def declare(self, jitter_s: float) -> None:
+        """2010:0D, seconds; 0.0: not declared."""
+        self.grid.declare(jitter_s or USUAL_JITTER_S)
+        self._low_s, self._high_s = inf, -inf
+
+    def forget(self) -> None:
+        """Another producer may send SYNC from now on."""
+        self.grid.forget()
+        self.pause()
+
+    def pause(self) -> None:
+        """The next SYNC begins; the period is kept."""
+        self.grid.pause()
+        self.until = inf
+        self.begun = self.stamped = False
+        self.extra_came = False
+        """Since the last SYNC: the interface may answer it."""
+        self.extra_after = 0.0
+        """Periods from the last SYNC to the extra one."""
+        self.late_s = 0.0
+        """So late is a SYNC without receive time that others may be lost before it; 0.0: it is in time."""
+        self.synced_s = self._received_s = 0.0  # the last one, and with extra ones
+        self._counter: int | None = None
+        self._next_counter: int | None = None
+        self._grouped, self._earliest_s = 0, inf
+        self._low_s, self._high_s = inf, -inf  # off the place, of a SYNC that needs no judgement
+        self._assumed = False  # the last place was never received: its PDO came
+
+    @property
+    def period_s(self) -> float:
+        """The period, seconds; 0.0: not known."""
+        return self.grid.period
+
+    @property
+    def rough_s(self) -> float:
+        """The period, or the median of the intervals so far; 0.0: neither is known."""
+        return self.grid.rough
+
+    def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
+        """A SYNC at ``time_s`` with its ``counter``, None without one."""
+        grid = self.grid
+        off_s = time_s - grid.due
+        if (
+            self._low_s < off_s < self._high_s
+            and counter == self._next_counter
+            and stamped == self.stamped
+            and not self.extra_came
+        ):
+            self._came(time_s, counter)
+            self._follow(1, off_s)
+            return ON_TIME
+        verdict = self._judged(time_s, stamped, counter)
+        self._look_ahead()
+        return verdict
+
+    def _came(self, time_s: float, counter: int | None) -> None:
+        self.place += 1
+        self.synced_s = self._received_s = time_s
+        self._counter = self._next_counter = counter
+        if counter is not None:
+            self._next_counter = 1 if counter == self.overflow else counter + 1
+        self.until = time_s + self._longest_s()
+
+    def _longest_s(self) -> float:
+        """From one SYNC to the end of validity; with one period alone, the next may be late."""
+        return self.periods * (self.grid.period or UNSETTLED_S) + (self.periods == 1) * self.grid.allowed
+
+    def _follow(self, places: int, off_s: float) -> None:
+        grid = self.grid
+        self._grouped += 1
+        if self.stamped:
+            grid.follow(places, off_s)
+        else:
+            grid.skip(places)
+            self._earliest_s = min(self._earliest_s, off_s)
+        if self._grouped >= TOGETHER:
+            if not self.stamped:
+                grid.skip(-1)
+                grid.follow(1, self._earliest_s, TOGETHER)
+            self._grouped, self._earliest_s = 0, inf
+            if grid.seen < grid.memory:
+                self._look_ahead()
+            if self.on_followed is not None:
+                self.on_followed(self.synced_s, self.stamped)
+
+    def _look_ahead(self) -> None:
+        """What a usual SYNC is, from now on."""
+        grid = self.grid
+        self._low_s, self._high_s = inf, -inf
+        if grid.period and not self.late_s and not grid.row:
+            self._low_s = -grid.allowed if self.stamped else -HALF * grid.period
+            self._high_s = grid.allowed if self.stamped else LATE * grid.period
+
+    def _judged(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
+        grid = self.grid
+        if not isfinite(time_s):
+            return EXTRA
+        missing = self._missing(counter)
+        if not self.begun:
+            grid.begin(time_s)
+            return self._taken(time_s, stamped, counter, 0)
+        apart_s = time_s - self._received_s
+        again = missing is not None and missing == self.overflow - 1 > 0
+        if apart_s < (HALF * (grid.rough or inf) if again else SAME_FRAME_S if stamped else 0.0):
+            self._received_s = max(time_s, self._received_s)
+            return REPEATED
+        if stamped != self.stamped and grid.period:  # the line is that of the others
+            grid.begin(time_s)
+            return self._taken(time_s, stamped, counter, missing or 0)._replace(doubt=1.0)
+        if not grid.period:
+            (grid.learn if stamped else grid.learn_earliest)(time_s)
+            return self._taken(time_s, stamped, counter, missing or 0)
+        return (self._by_time if stamped else self._by_order)(time_s, counter, missing)
+
+    def _missing(self, counter: int | None) -> int | None:
+        """SYNCs before this one by the counter, modulo its turn; None: nothing is known."""
+        if counter is None or self._counter is None or self.overflow < 2:
+            return None
+        return (counter - self._counter - 1) % self.overflow
+
+    def _taken(
+        self,
+        time_s: float,
+        stamped: bool,
+        counter: int | None,
+        lost: int,
+        off: float = 0.0,
+        doubt: float = 0.0,
+    ) -> SyncVerdict:
+        """Count this SYNC, and those before it that were not received."""
+        self.stamped, self.begun, self.extra_came = stamped, True, False
+        self._assumed = False
+        self.place += lost
+        self._came(time_s, counter)
+        return SyncVerdict(lost, off=off, doubt=doubt) if lost or off or doubt else ON_TIME
+
+    # With receive times.
+
+    def _by_time(self, time_s: float, counter: int | None, missing: int | None) -> SyncVerdict:
+        grid = self.grid
+        places, off_s = grid.nearest(time_s)
+        places = min(places, MOST_INTERVALS)
+        contradicts = missing is not None and (places - 1 - missing) % self.overflow != 0
+        on = abs(off_s) <= grid.allowed
+        in_turn = on and not contradicts and not self.extra_came
+        if in_turn and (places == 1 or (places > 1 and missing is not None)):
+            grid.is_in_turn(time_s)
+        elif grid.refuse(time_s):
+            return self._set_again(time_s, counter, places, off_s, missing)
+        if places < 1:
+            return self._extra(time_s)
+        if contradicts and missing is not None:
+            nearest = missing + self.overflow * round((places - 1 - missing) / self.overflow)
+            doubt = float(abs(nearest + 1 - places)) if on else 0.0
+            places = max(1, nearest + 1)
+            grid.skip(places)
+            return self._taken(time_s, True, counter, places - 1, abs(off_s) / grid.period, doubt)
+        if not on:
+            grid.skip(places)
+            return self._taken(time_s, True, counter, places - 1, abs(off_s) / grid.period)
+        verdict = self._taken(time_s, True, counter, places - 1)
+        self._follow(places, off_s)
+        return verdict
+
+    def _extra(self, time_s: float) -> SyncVerdict:
+        self._received_s, self.extra_came = time_s, True
+        self.extra_after = abs(time_s - self.synced_s) / self.grid.period
+        return SyncVerdict(extra=True, doubt=1.0) if self._assumed else EXTRA  # its answer came before it
+
+    def _set_again(
+        self, time_s: float, counter: int | None, places: int, off_s: float, missing: int | None
+    ) -> SyncVerdict:
+        """Another rate or phase: so much may have passed unnoticed meanwhile."""
+        grid, before_s = self.grid, self.grid.period
+        changed = grid.set_again(grid.row)
+        doubt = max(1.0, grid.period / before_s) if changed else abs(off_s) / before_s
+        self.late_s = 0.0
+        self._grouped, self._earliest_s = 0, inf
+        lost = missing if missing is not None else 0 if changed else max(0, places - 1)
+        return self._taken(time_s, self.stamped, counter, lost, doubt=doubt)
+
+    # Without.
+
+    def _by_order(self, time_s: float, counter: int | None, missing: int | None) -> SyncVerdict:
+        grid, lost = self.grid, missing or 0
+        turn = self.overflow if missing is not None else 1
+        late_s = time_s - grid.due - lost * grid.period
+        apart_s = time_s - self._received_s
+        early, late = late_s < -HALF * grid.period, late_s > (turn - 1 + LATE) * grid.period
+        if early and missing is not None and missing and late_s < -grid.period:
+            # It was due much later: a counter that jumped, or one of another producer.
+            doubt, lost, late_s = float(lost), 0, time_s - grid.due
+        else:
+            doubt = 0.0
+        in_time = not early and not late and not self.extra_came
+        if in_time and not doubt:
+            grid.is_in_turn(time_s)
+        elif grid.refuse(time_s) and (apart_s > HALF * grid.period or self._is_faster()):
+            return self._relocked(time_s, counter, late_s, turn, missing)
+        if early and missing is None and apart_s < FASTER * grid.period:
+            return self._extra(time_s)
+        if not late and self.late_s and late_s < HALF * grid.period:
+            self.late_s = 0.0  # all came
+        elif late or self.late_s:
+            self.late_s = max(late_s, grid.period * 1e-9)
+        verdict = self._taken(time_s, False, counter, lost, doubt=doubt)
+        if in_time and late_s < LATE * grid.period:  # a host that is late says nothing of the grid
+            self._follow(1 + lost, late_s)
+        else:
+            grid.skip(1 + lost)
+        return verdict
+
+    def _is_faster(self) -> bool:
+        """The last ones, not a burst behind a stall: each came sooner than it was due."""
+        return self.grid.row[0] < self.grid.due - (ROW + 1) * HALF * self.grid.period
+
+    def _relocked(
+        self, time_s: float, counter: int | None, late_s: float, turn: int, missing: int | None
+    ) -> SyncVerdict:
+        behind = round(late_s / self.grid.period / turn) * turn
+        verdict = self._set_again(time_s, counter, 1, late_s, missing)
+        lost = max(0, behind) if verdict.doubt == abs(late_s) / self.grid.period else 0
+        self.place += lost
+        return verdict._replace(lost=verdict.lost + lost, doubt=max(1.0, verdict.doubt))
+
+    # Silence.
+
+    def advance(self, intervals: int) -> None:
+        """So many SYNCs came since the last one, and were not received."""
+        grid = self.grid
+        self.place += intervals
+        self._assumed = True
+        self._low_s, self._high_s = inf, -inf
+        self.synced_s += intervals * grid.period
+        grid.skip(intervals)
+        if self._counter is not None and self.overflow > 1:
+            counter = (self._counter - 1 + intervals) % self.overflow + 1
+            self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
+        self.until = self.synced_s + self._longest_s()
+
+    def overdue(self, now: float) -> bool:
+        """No SYNC for so long; the places up to ``now`` passed. False where the period is not known."""
+        period_s = self.grid.period
+        if not period_s or not self.begun or not isfinite(now):
+            self.until = inf
+            return False
+        self.advance(max(1, min(int((now - self.synced_s) / period_s + 1e-6) - 1, MOST_INTERVALS)))
+        self.until = max(self.synced_s + 2.0 * period_s, now + period_s)
+        return True

@@ -1,0 +1,162 @@
+"""SYNCs: with receive times by the grid, without them by their order; and which of them a PDO answers."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.timing.answers import Answers
+from canfb.timing.grid import ROW
+from canfb.timing.syncs import ON_TIME, Syncs, SyncVerdict
+
+T = 1e-3
+BEGIN = 1000.0
+BOTH = pytest.mark.parametrize("stamped", [True, False], ids=["stamped", "unstamped"])
+COUNTERS = pytest.mark.parametrize("overflow", [0, 10, 240])
+TIMES = st.tuples(st.floats(allow_nan=True), st.booleans(), st.integers(0, 255) | st.none())
+
+
+class Producer:
+    """A locked :class:`Syncs`, and SYNCs at any place, periods since the beginning."""
+
+    def __init__(self, stamped: bool = True, overflow: int = 0, jitter_s: float = 0.0) -> None:
+        self.syncs, self.stamped = Syncs(), stamped
+        self.syncs.overflow = overflow
+        self.syncs.declare(jitter_s)
+        assert {self.sync(n) for n in range(60)} == {ON_TIME}
+
+    def sync(self, at: float, number: int | None = None) -> SyncVerdict:
+        """The SYNC of this ``number`` of its producer, default: its place."""
+        number = round(at) if number is None else number
+        counter = number % self.syncs.overflow + 1 if self.syncs.overflow else None
+        return self.syncs.sync(BEGIN + at * T, self.stamped, counter)
+
+
+@COUNTERS
+@given(missed=st.integers(0, 9), off=st.floats(-0.15, 0.15))
+def test_places_left_out_are_syncs_that_were_not_received(overflow: int, missed: int, off: float) -> None:
+    producer = Producer(overflow=overflow)
+    before = producer.syncs.place
+    assert producer.sync(60 + missed + off, 60 + missed) == SyncVerdict(lost=missed)
+    assert producer.syncs.place == before + 1 + missed
+
+
+@pytest.mark.parametrize("overflow", [10, 240])
+@given(missed=st.integers(0, 9))
+def test_without_receive_times_the_counter_counts(overflow: int, missed: int) -> None:
+    assert Producer(stamped=False, overflow=overflow).sync(60 + missed).lost == missed
+
+
+@COUNTERS
+@given(stall=st.integers(1, 200))
+def test_a_late_host_loses_nothing_that_waited(overflow: int, stall: int) -> None:
+    producer = Producer(stamped=False, overflow=overflow)
+    before = producer.syncs.place
+    got = [producer.sync(60 + stall + n * 1e-4, 60 + n) for n in range(stall + 1)]
+    got += [producer.sync(n, n) for n in range(61 + stall, 75 + stall)]
+    assert not any(one.lost or one.extra or one.doubt for one in got)
+    assert producer.syncs.place == before + stall + 15
+    assert not producer.syncs.late_s
+
+
+@given(lost=st.integers(1, 30))
+def test_syncs_that_stay_late_are_missing_and_nobody_knows_where(lost: int) -> None:
+    """Nothing is certain from the first of them on; then it is doubt, which at standstill is none."""
+    producer = Producer(stamped=False)
+    got = []
+    for n in range(60 + lost, 70 + lost):
+        got.append(producer.sync(n))
+        assert producer.syncs.late_s or got[-1].doubt or len(got) > ROW
+    (doubt,) = (one for one in got if one.doubt)
+    assert (doubt.lost, doubt.doubt) == (lost, pytest.approx(lost, abs=0.2))
+
+
+@BOTH
+@COUNTERS
+def test_a_second_one_at_a_place_brings_no_sample(stamped: bool, overflow: int) -> None:
+    producer = Producer(stamped, overflow)
+    producer.sync(60)
+    again = producer.sync(60.3, 60)
+    assert (again.extra, again.repeated) == (True, bool(overflow))
+    assert producer.sync(61) == ON_TIME
+
+
+@given(off=st.floats(0.35, 0.65), declared=st.sampled_from([0.0, 1e-4]))
+def test_off_the_grid_the_instant_is_bad_by_as_much(off: float, declared: float) -> None:
+    verdict = Producer(jitter_s=declared).sync(60 + off)
+    assert verdict.off == pytest.approx(min(off, 1.0 - off), abs=1e-6)
+
+
+@BOTH
+@pytest.mark.parametrize("rate", [0.5, 0.7, 1.35, 2.0, 10.0])
+def test_another_rate_is_followed_and_lost_in_motion(rate: float, stamped: bool) -> None:
+    producer = Producer(stamped)
+    got = [producer.sync(59 + rate * n) for n in range(1, 60)]
+    assert any(one.doubt >= 1.0 for one in got)
+    assert producer.syncs.period_s == pytest.approx(rate * T, rel=0.02)
+    assert set(got[-20:]) == {ON_TIME}
+
+
+@given(shift=st.floats(0.35, 0.65))
+def test_another_phase_is_doubt_by_its_step(shift: float) -> None:
+    producer = Producer()
+    (doubt,) = (one.doubt for one in [producer.sync(60 + shift + n) for n in range(10)] if one.doubt)
+    assert doubt == pytest.approx(min(shift, 1.0 - shift), abs=1e-6)
+
+
+def test_a_counter_against_the_time_is_doubt() -> None:
+    assert Producer(overflow=10).sync(60, 63).doubt >= 1.0
+
+
+@given(frames=st.lists(TIMES, max_size=40))
+def test_no_sync_raises(frames: list[tuple[float, bool, int | None]]) -> None:
+    syncs = Syncs()
+    syncs.overflow = 10
+    for at, stamped, counter in frames:
+        syncs.sync(at, stamped, counter)
+        syncs.overdue(at)
+
+
+@pytest.mark.parametrize(("periods", "until"), [(1, 1.2), (2, 2.0), (5, 5.0)])
+def test_validity_ends_without_sync(periods: int, until: float) -> None:
+    producer = Producer()
+    producer.syncs.periods = periods
+    producer.sync(60)
+    assert producer.syncs.until - BEGIN - 60 * T == pytest.approx(until * T, rel=0.1)
+    before = producer.syncs.place
+    assert producer.syncs.overdue(producer.syncs.until + 3 * T)
+    assert producer.syncs.place > before
+
+
+def learned(delay_s: float, jitter_s: float = 0.0) -> tuple[Answers, Syncs]:
+    producer, answers, draw = Producer(), Answers(), random.Random(1)
+    for _ in range(200):
+        assert answers.place(delay_s + draw.uniform(0.0, jitter_s), producer.syncs.grid) == 0
+    return answers, producer.syncs
+
+
+@given(delay=st.floats(0.05, 0.6), late=st.floats(0.0, 0.2), places=st.integers(0, 5))
+def test_a_pdo_answers_the_sync_that_was_the_least_delay_before(
+    delay: float, late: float, places: int
+) -> None:
+    answers, syncs = learned(delay * T)
+    assert answers.place((delay + places + late) * T, syncs.grid) == places
+
+
+@given(delay=st.floats(0.05, 0.5), late=st.floats(0.6, 0.75))
+def test_a_pdo_that_fits_none_is_not_used_until_it_is_the_usual_one(delay: float, late: float) -> None:
+    answers, syncs = learned(delay * T)
+    moved = []
+    for _ in range(ROW):
+        assert answers.place((delay + late) * T, syncs.grid) is None
+        moved.append(answers.has_moved(syncs.grid))
+    assert moved == [False] * (ROW - 1) + [True]
+    assert answers.place((delay + late) * T, syncs.grid) == 0
+
+
+def test_sooner_than_the_interface_can_measure_it_answers_the_sync_before() -> None:
+    answers, syncs = learned(0.5 * T)
+    assert answers.place(-0.4 * T, syncs.grid) == -1
