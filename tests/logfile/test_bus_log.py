@@ -14,7 +14,6 @@ from canfb.cli.main import main
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
 from canfb.logfile.bus_log import BusLog
-from canfb.logfile.log_files import is_log, readable, writable
 from fake_bus import FakeBus, FakeClock, message
 
 EPOCH_S = 1_700_000_000.0
@@ -107,12 +106,6 @@ def test_what_cannot_be_is_one_line(tmp_path: Path, name: str, options: dict[str
         BusLog(tmp_path / name, **options)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["there.log"]
     assert (tmp_path / "there.log").read_text() == "mine"
-
-
-def test_what_is_written_is_read() -> None:
-    assert set(writable()) <= set(readable())
-    assert is_log(Path("a.b.log.gz"))
-    assert not any(is_log(Path(name)) for name in ("report.csv", "a.html", "a.blf.gz", "log"))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

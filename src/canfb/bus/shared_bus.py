@@ -27,9 +27,9 @@ class SharedBus(can.BusABC):
         super().__init__(channel="")
         self.channel_info = bus.channel_info
 
-    def branch(self, refusal: Refusal = lambda message: "") -> can.BusABC:
-        """A bus for another thread, with a ``refusal`` of its own; its shutdown leaves the others running."""
-        branch = _Branch(self, refusal)
+    def branch(self) -> can.BusABC:
+        """A bus for another thread; its shutdown leaves the others running."""
+        branch = _Branch(self)
         self._branches.append(branch)
         return branch
 
@@ -39,7 +39,9 @@ class SharedBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """As in python-can; from any thread."""
-        _check(self._refusal, msg)
+        why = self._refusal(msg)
+        if why:
+            raise can.CanOperationError(why)
         with self._sending:
             self.under.send(msg, timeout)
 
@@ -64,8 +66,8 @@ class SharedBus(can.BusABC):
 
 
 class _Branch(can.BusABC):
-    def __init__(self, shared: SharedBus, refusal: Refusal) -> None:
-        self._shared, self._refusal = shared, refusal
+    def __init__(self, shared: SharedBus) -> None:
+        self._shared = shared
         self._items: queue.SimpleQueue[Item] = queue.SimpleQueue()
         super().__init__(channel="")
         self.channel_info = shared.channel_info
@@ -75,7 +77,6 @@ class _Branch(can.BusABC):
             self._items.put(item)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        _check(self._refusal, msg)
         self._shared.send(msg, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -93,12 +94,6 @@ class _Branch(can.BusABC):
     def shutdown(self) -> None:
         super().shutdown()
         self._shared.release(self)
-
-
-def _check(refusal: Refusal, message: can.Message) -> None:
-    why = refusal(message)
-    if why:
-        raise can.CanOperationError(why)
 
 
 END_S = 10.0

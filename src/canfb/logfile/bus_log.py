@@ -98,8 +98,6 @@ class BusLog:
 
         The frames of udp_multicast, in which each sender names the channel as it likes, get one name.
         """
-        if self._writer is None:
-            raise RuntimeError("use BusLog as a context manager: with BusLog(path) as bus_log")
         name = UDP_MULTICAST if brings_own_frames_back(bus) else None
         reception = Reception(bus, log.warning, self._clock, self._sleep, lasts=True)
         end = None if seconds is None else self._clock() + seconds

@@ -68,7 +68,6 @@ def _checked(path: Path, known: list[str]) -> str:
     raise ConfigError(f"{path}: {what}; bus logs end with {', '.join(known)}, or {GZIP} behind one of text")
 
 
-SHOWN_CHANNELS = 6
 UNREADABLE = (OSError, EOFError, zlib.error)
 """What reading a file raises, compressed or not."""
 
@@ -162,5 +161,5 @@ class LogCounters:
 
 def _names(channels: Collection[str]) -> str:
     names = sorted(channels)
-    more = len(names) - SHOWN_CHANNELS
-    return ", ".join([*names[:SHOWN_CHANNELS], *[f"and {more} more"] * (more > 0)])
+    more = len(names) - 6
+    return ", ".join([*names[:6], *[f"and {more} more"] * (more > 0)])

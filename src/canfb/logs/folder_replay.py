@@ -47,8 +47,8 @@ def work_of(folder: Path, settings: ReplayOptions, out: Path | None) -> FolderWo
     if not paths:
         raise CanfbError(f"{folder}: there is no bus log in this folder")
     jobs = {job.name: job for job in (job_of(folder, path, settings) for path in paths)}
-    known = {(job.name, job.fingerprint) for job in jobs.values()}
-    done = [] if out is None else [row for row in _table(out) if (row["log"], row["fingerprint"]) in known]
+    known = {job.name: job.fingerprint for job in jobs.values()}
+    done = [] if out is None else [row for row in _table(out) if known.get(row["log"]) == row["fingerprint"]]
     names = {row["log"] for row in done}
     return FolderWork([job for name, job in jobs.items() if name not in names], done)
 
@@ -127,10 +127,7 @@ def _done(
 def _on(
     executor: Executor, jobs: deque[LogJob], settings: ReplayOptions, number: int
 ) -> Generator[tuple[LogJob, list[Row]], None, list[LogJob]]:
-    """Takes ``jobs`` until there are none, ``number`` at a time, or until a process is killed.
-
-    The logs that were in work then are returned: one of them may have been the reason.
-    """
+    """Takes ``jobs``, ``number`` at a time, until a process is killed; returns those in work then."""
     running: dict[Future[list[Row]], LogJob] = {}
     while jobs or running:
         while jobs and len(running) < number:

@@ -10,17 +10,16 @@ from canfb.errors import CanfbError, reason
 from canfb.logs.log_replay import LogReplayed
 from canfb.replay.findings import Overview
 from canfb.replay.module_replay import ModuleReplay
-from canfb.replay.replay_result import RPM, ReplayResult
+from canfb.replay.replay_result import RPM
 from canfb.report.page import beside, figure, gallery, page, table
 from canfb.report.pictures import Curve, lissajous, over_time
 from canfb.rows import Row
 
-FOOTER = "Made by canfb replay, with the module of this version. Margin: what is left of a limit."
 MOST_FAULTS = 40
 
 
-def replay_html(replayed: LogReplayed, overview: Overview) -> str:
-    """The page of the one module that was replayed. It refers to nothing outside of itself."""
+def write_page(path: Path, replayed: LogReplayed, overview: Overview) -> None:
+    """The page of the one module that was replayed. CanfbError if the file fails."""
     (result,), log = replayed.results, replayed.log
     replay = result.replay
     whole = not (result.left_out or log.counters.damaged_lines or log.trouble)
@@ -28,7 +27,10 @@ def replay_html(replayed: LogReplayed, overview: Overview) -> str:
     compared = result.comparison()
     if compared:
         tables += table("The recorded module and the replay", compared)
-    body = beside(tables, _lissajous(replay, overview)) + gallery("Over time", _pictures(replay, overview))
+    conditioning = replay.module.chain.correction.conditioning
+    picture = lissajous(overview.sine, overview.cosine, conditioning, replay.module.limits.sample)
+    shown = figure("Lissajous figure", f"{len(overview.sine)} samples, evenly chosen", picture)
+    body = beside(tables, shown) + gallery("Over time", _pictures(replay, overview))
     faults = result.faults()
     if faults:
         rows = [Row(f"{n}", text) for n, text in enumerate(faults[:MOST_FAULTS], 1)]
@@ -36,31 +38,12 @@ def replay_html(replayed: LogReplayed, overview: Overview) -> str:
         body += table("Faults", [*rows, Row("", f"and {more} more" if more > 0 else None)])
     other = any(one.different or one.only_recorded or one.only_replayed for one in replay.compared.values())
     good = whole and not other and not any(replay.faults.times.values())
-    return page(f"Replay of {log.path.name}", result.head(), _said(result), body, FOOTER, good)
-
-
-def write_page(path: Path, replayed: LogReplayed, overview: Overview) -> None:
-    """Write it. CanfbError if the file fails."""
+    said = [f"{one[:1].upper()}{one[1:]}." for one in (*result.notes(), result.verdict())]
+    text = page(f"Replay of {log.path.name}", result.head(), said, body, "Margin: what is left of it", good)
     try:
-        path.write_text(replay_html(replayed, overview), encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise CanfbError(f"--report {path}: cannot be written: {reason(error)}") from error
-
-
-def _said(result: ReplayResult) -> list[str]:
-    text = result.verdict()
-    said = [f"{text[:1].upper()}{text[1:]}."]
-    compared = result.replay.compared.values()
-    if compared:
-        equal, all_of = sum(one.equal for one in compared), sum(one.equal + one.different for one in compared)
-        said.append(f"{equal} of {all_of} frames of the recorded module are the same, byte for byte.")
-    return said
-
-
-def _lissajous(replay: ModuleReplay, overview: Overview) -> str:
-    conditioning = replay.module.chain.correction.conditioning
-    picture = lissajous(overview.sine, overview.cosine, conditioning, replay.module.limits.sample)
-    return figure("Lissajous figure", f"{len(overview.sine)} samples, evenly chosen", picture)
 
 
 def _pictures(replay: ModuleReplay, overview: Overview) -> list[str]:

@@ -159,7 +159,7 @@ class SdoThread:
         due = [reader for reader in self._readers if reader.due(now, nodes.get(reader.node_id))]
         if not due:
             return
-        with BusMaster(self._bus.branch(only_reads), ANSWER_S) as master:
+        with BusMaster(self._bus.branch(), ANSWER_S) as master:
             for reader in due:
                 module = NodeAccess(master, reader.node_id, "module")
                 with contextlib.suppress(CanfbError):

@@ -89,6 +89,7 @@ class FaultList:
 
 BoolArray = npt.NDArray[np.bool_]
 NAN = float("nan")
+BEGIN_SAMPLES = 64
 
 
 class Extreme(NamedTuple):
@@ -120,6 +121,8 @@ class Margins:
         self.nearest = dict.fromkeys((*names, "machine_acceleration_cycles", "speed_rad_s"), Extreme())
         self.acceleration_rad_s2 = 0.0
         """The largest."""
+        self.begin_cycles = NAN
+        """Distance of the first samples, without whole cycles between two of them."""
         self.max_speed_rad_s = math.inf
         """What the jitter allows, as the module last knew it; set by the replay."""
 
@@ -127,6 +130,9 @@ class Margins:
         """More samples."""
         status = block["status"]
         came = status & StatusBit.MISSED == 0
+        if math.isnan(self.begin_cycles):
+            turns = np.diff(block["raw_phase"][:BEGIN_SAMPLES])
+            self.begin_cycles = float(np.nansum(np.abs((turns + 0.5) % 1.0 - 0.5)))
         # A residual over its limit is coasted over: it counts as well. Samples coasted for another reason
         # have none.
         coasted = (status & StatusBit.COASTING != 0) & (status & StatusBit.RESIDUAL == 0)

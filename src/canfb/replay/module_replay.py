@@ -91,8 +91,7 @@ def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) 
         if can_id == error_control and len(data) == 1:
             if data == BOOT_UP:
                 return Begin.BOOT_UP
-            running = data[0] & 0x7F == NmtState.OPERATIONAL
-            return Begin.OPERATIONAL if running else Begin.PRE_OPERATIONAL
+            return Begin.OPERATIONAL if data[0] & 0x7F == NmtState.OPERATIONAL else Begin.PRE_OPERATIONAL
         if can_id in pdos:
             return Begin.OPERATIONAL
         if can_id == 0 and data[:1] == bytes([NmtCommand.START]) and data[1:2] in (b"\0", bytes([node_id])):
@@ -140,7 +139,7 @@ class ModuleReplay:
         self.module = FeedbackModule(config, store)
         self.counters = ReplayCounters()
         self.faults, self.margins, self.times = FaultList(), Margins(), LogTime()
-        self._correction, self._begin, self._sent = correction, begin, sent
+        self._correction, self.begin, self._sent = correction, begin, sent
         self.samples = SampleColumns(
             self.module,
             [self.faults.take, self._note_speed_limit, self.margins.take, *takers],
@@ -208,15 +207,14 @@ class ModuleReplay:
         node.storage.power_on()
         node.lss.power_on()
         node_id = node.lss.pending_node_id
-        begin = self._begin
-        if begin is Begin.AUTO:
-            begin = found_in(islice(head, HEAD_FRAMES), node_id, node.own_can_ids)
-        if begin is Begin.BOOT_UP:
+        if self.begin is Begin.AUTO:
+            self.begin = found_in(islice(head, HEAD_FRAMES), node_id, node.own_can_ids)
+        if self.begin is Begin.BOOT_UP:
             self._own = frozenset({cob.ERROR_CONTROL + node_id})
             return
         # Nothing in the log is the counterpart of what it sends now.
         self._power_on(self._now, pair=False)
-        if begin is Begin.OPERATIONAL and node_id != UNCONFIGURED:
+        if self.begin is Begin.OPERATIONAL and node_id != UNCONFIGURED:
             self._command(NmtCommand.START, self._now, pair=False)
         self._look_round()
 

@@ -5,26 +5,16 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.device.od.dictionary import Dictionary
 from canfb.view.pdo_map import valid_pdos
 
+UPLOADED = (b"\x43", b"\x47", b"\x4b", b"\x4f")  # expedited, size indicated (CiA 301, 7.2.4.3.6)
 LONGEST_DELAY_S = 1.0
 """Longest time between a frame and its counterpart, s."""
-
-Waiting = deque[tuple[float, bytes]]
-
-
-@dataclass(frozen=True)
-class Difference:
-    """A frame that is another one in the log: when (stamp of the log, seconds), and both data."""
-
-    time_s: float
-    recorded: bytes
-    replayed: bytes
 
 
 @dataclass
@@ -34,28 +24,31 @@ class Compared:
     equal, different   pairs
     only_recorded      frames of the log that the replay did not send
     only_replayed      the other way round
+    first              of the different ones: when (stamp of the log, seconds), recorded and replayed data
+    uploads            objects that were read, by expedited SDO transfers, with another value
     """
 
     equal: int = 0
     different: int = 0
     only_recorded: int = 0
     only_replayed: int = 0
-    first: Difference | None = None
+    first: tuple[float, bytes, bytes] | None = None
+    uploads: set[str] = field(default_factory=set)
 
 
 class OwnFrames:
     """Pairs the frames of one CAN-ID, in their order.
 
-    A frame that is missing on one side does not shift the pairs behind it: an equal one among those that
-    wait is preferred. ``fields`` gives what the frame is made of, for the first pair that is not equal.
+    An equal frame among those that wait is preferred. ``fields`` gives what the frame is made of, for the
+    first pair that is not equal.
     """
 
     def __init__(self, fields: Callable[[], list[FieldDifference]]) -> None:
         self.compared = Compared()
         self.differences: list[FieldDifference] = []
         self._fields = fields
-        self._replayed: Waiting = deque()
-        self._recorded: Waiting = deque()
+        self._replayed: deque[tuple[float, bytes]] = deque()
+        self._recorded: deque[tuple[float, bytes]] = deque()
 
     def replayed(self, data: bytes, now: float) -> None:
         """The replay has sent a frame at ``now``, seconds."""
@@ -87,10 +80,12 @@ class OwnFrames:
             _, replayed = waiting.popleft()
             compared.different += 1
             if compared.first is None:
-                compared.first = Difference(stamp_s, data, replayed)
+                compared.first = (stamp_s, data, replayed)
                 self.differences = self._fields()
-            for field in self.differences:
-                field.note(int.from_bytes(data, "little"), int.from_bytes(replayed, "little"))
+            if data[:1] in UPLOADED and data[:4] == replayed[:4]:
+                compared.uploads.add(f"{data[2]:02X}{data[1]:02X}h:{data[3]:02X}")
+            for one in self.differences:
+                one.note(int.from_bytes(data, "little"), int.from_bytes(replayed, "little"))
         else:
             compared.only_recorded += _drop_late(self._recorded, now)
             self._recorded.append((now, data))
@@ -103,7 +98,7 @@ class OwnFrames:
         self._recorded.clear()
 
 
-def _drop_late(waiting: Waiting, now: float) -> int:
+def _drop_late(waiting: deque[tuple[float, bytes]], now: float) -> int:
     """Take out what has waited too long; how many."""
     dropped = 0
     while waiting and now - waiting[0][0] > LONGEST_DELAY_S:
@@ -112,7 +107,7 @@ def _drop_late(waiting: Waiting, now: float) -> int:
     return dropped
 
 
-def _taken(waiting: Waiting, data: bytes) -> int | None:
+def _taken(waiting: deque[tuple[float, bytes]], data: bytes) -> int | None:
     """Take out the first equal one and those before it; how many there were, None without an equal one."""
     for place, (_, other) in enumerate(waiting):
         if other == data:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from canfb.replay.findings import KINDS, Extreme, LogDrift
-from canfb.replay.module_replay import ModuleReplay
+from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.own_frames import Compared
 from canfb.rows import Row, as_figures, as_lines
 
 RPM = 60.0 / (2.0 * math.pi)
 SHOWN_FAULTS = 10
-PERCENT = 100.0
+MOVES_CYCLES = 0.1  # of the first samples: more than noise
 PER_INTERVAL = "cycles per interval²"
 # Of each margin: name, unit, factor to it, format.
 MARGINS = {
@@ -60,7 +60,26 @@ class ReplayResult:
         rows = [self._verdict(), *self.facts(), *(Row("fault", text) for text in faults[:SHOWN_FAULTS])]
         if len(faults) > SHOWN_FAULTS:
             rows.append(Row("", f"... and {sum(self.replay.faults.times.values()) - SHOWN_FAULTS} more"))
-        return [self.head(), *as_lines([*rows, *self.comparison()])]
+        notes = [Row("note", text) for text in self.notes()]
+        return [self.head(), *as_lines([*notes, *rows, *self.comparison()])]
+
+    def notes(self) -> list[str]:
+        """Why the replay may be another one than the recorded module, not for a fault of either."""
+        replay, notes = self.replay, []
+        if replay.begin is not Begin.BOOT_UP and replay.margins.begin_cycles > MOVES_CYCLES:
+            notes.append("the log begins in motion, behind the start of the module: --begin, docs/replay.md")
+        compared = replay.compared
+        changed = sorted({name for one in compared.values() for name in one.uploads})
+        if changed:
+            notes.append(f"the recorded module had other values in {', '.join(changed)}: --config or --state")
+        more = replay.counters.emergencies - sum(
+            one.equal + one.different + one.only_recorded
+            for can_id, one in compared.items()
+            if 0x80 < can_id < 0x100
+        )
+        if compared and more > 0 and not changed:
+            notes.append(f"{more} EMCY are not in the log: were the limits others (--config, --state)?")
+        return notes
 
     def verdict(self) -> str:
         """One line: were there samples, and faults, as far as that is known with frames ``left_out``?"""
@@ -94,6 +113,7 @@ class ReplayResult:
                 f"{can_id:03X}h": self._compared(can_id, one) for can_id, one in replay.compared.items()
             },
             acceleration_rad_s2=replay.margins.acceleration_rad_s2,
+            notes=self.notes(),
             margins={
                 name: {key: _known(value) for key, value in one._asdict().items()}
                 for name, one in replay.margins.nearest.items()
@@ -146,17 +166,16 @@ class ReplayResult:
         when = f"at {found.time_s - self.replay.counters.first_s:.3f} s"
         if not math.isfinite(found.limit):
             return f"{value} {unit} {when}"
-        return (
-            f"{value} of {found.limit * factor:{form}} {unit} {when}; margin {PERCENT * found.margin:.0f} %"
-        )
+        return f"{value} of {found.limit * factor:{form}} {unit} {when}; margin {100.0 * found.margin:.0f} %"
 
     def _compared(self, can_id: int, found: Compared) -> dict[str, Any]:
         words: dict[str, Any] = {name: getattr(found, name) for name in COUNTED}
         if found.first is not None:
-            one = found.first
-            words["first_different"] = asdict(one) | {
-                "recorded": one.recorded.hex(),
-                "replayed": one.replayed.hex(),
+            time_s, recorded, replayed = found.first
+            words["first_different"] = {
+                "time_s": time_s,
+                "recorded": recorded.hex(),
+                "replayed": replayed.hex(),
             }
         differences = self.replay.differences(can_id)
         if differences:
@@ -174,9 +193,9 @@ class ReplayResult:
             said = [f"{count} {words}" for words, count in counts.items() if count or words == "equal"]
             rows.append(Row(f"recorded {can_id:03X}h", ", ".join(said)))
             if found.first is not None:
-                at = found.first.time_s - self.replay.counters.first_s
-                first = f"{found.first.recorded.hex()} recorded, {found.first.replayed.hex()} replayed"
-                rows.append(Row("", f"first at {at:.6f} s: {first}"))
+                time_s, recorded, replayed = found.first
+                at = f"first at {time_s - self.replay.counters.first_s:.6f} s"
+                rows.append(Row("", f"{at}: {recorded.hex()} recorded, {replayed.hex()} replayed"))
             for one in self.replay.differences(can_id):
                 if one.pairs:
                     how = f"{one.least:g}" if one.least == one.most else f"{one.least:g} to {one.most:g}"
@@ -192,6 +211,6 @@ def _drift_words(drift: LogDrift) -> str:
     if drift.reason is not None:
         return f"not seen: {drift.reason}"
     return (
-        f"{PERCENT * drift.rms:.3f} % rms, {PERCENT * drift.peak:.3f} % peak of a cycle, known to "
-        f"{PERCENT * drift.uncertainty_rms:.3f} %"
+        f"{100.0 * drift.rms:.3f} % rms, {100.0 * drift.peak:.3f} % peak of a cycle, known to "
+        f"{100.0 * drift.uncertainty_rms:.3f} %"
     )
