@@ -63,14 +63,14 @@ SAMPLE_TIME: Final = Multiplexer(0x2000, 5)
 SAMPLE_FLAGS: Final = Multiplexer(0x2000, 6)
 SAMPLE_ZERO_PULSE_PLACE: Final = Multiplexer(0x2000, 7)
 SAMPLE_EARLIER: Final = tuple(
-    (Multiplexer(0x2000, 8 + 2 * j), Multiplexer(0x2000, 9 + 2 * j)) for j in range(3)
+    (Multiplexer(0x2000, first), Multiplexer(0x2000, first + 1)) for first in (8, 10, 12, 15, 17, 19, 21)
 )
 """Sine and cosine of earlier pairs in the same interval of SYNC, the newest first."""
 SAMPLE_SECOND_POSITION: Final = Multiplexer(0x2000, 14)
 
 
 def samples_per_sync(mapped: Sequence[Collection[int]]) -> int:
-    """Pairs of sine and cosine for each SYNC, 1..4, by the entries that each RPDO maps.
+    """Pairs of sine and cosine for each SYNC, 1..8, by the entries that each RPDO maps.
 
     They count up to the first that no RPDO brings, as the module counts them.
     """
@@ -85,7 +85,7 @@ INTERFACE_COSINE: Final = Multiplexer(0x6401, 2)
 INTERFACE_COARSE_SINE: Final = Multiplexer(0x6401, 3)
 INTERFACE_COARSE_COSINE: Final = Multiplexer(0x6401, 4)
 INTERFACE_EARLIER: Final = tuple(
-    (Multiplexer(0x6401, 5 + 2 * j), Multiplexer(0x6401, 6 + 2 * j)) for j in range(3)
+    (Multiplexer(0x6401, 5 + 2 * j), Multiplexer(0x6401, 6 + 2 * j)) for j in range(7)
 )
 INTERFACE_SAMPLE_TIME: Final = Multiplexer(0x2000, 1)
 INTERFACE_FLAGS: Final = Multiplexer(0x2000, 2)

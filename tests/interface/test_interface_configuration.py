@@ -75,10 +75,10 @@ WRONG = {
         4,
         "unknown key 'residual_limit' in interfaces[0]",
     ),
-    "five samples": (
-        f"interfaces:\n- node_id: 16\n  {ADC}\n  samples_per_sync: 5\n",
+    "nine samples": (
+        f"interfaces:\n- node_id: 16\n  {ADC}\n  samples_per_sync: 9\n",
         4,
-        "samples_per_sync must be a whole number 1..4, not 5",
+        "samples_per_sync must be a whole number 1..8, not 9",
     ),
     "node-ID": (f"interfaces: [{{node_id: 128, {ADC}}}]", 1, "node_id must be a whole number 1..127"),
     "state_dir": (f"interfaces: [{{node_id: 1, {ADC}, state_dir: 4}}]", 1, "state_dir must be text, not 4"),

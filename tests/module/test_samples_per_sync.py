@@ -79,8 +79,8 @@ def away(bus: Bus, got: Feedback) -> float:
 
 
 @pytest.mark.parametrize("jitter_s", [0.0, 5e-5])
-@pytest.mark.parametrize("per_sync", [2, 3, 4])
-def test_a_servo_move_over_a_bus_with_jitter(per_sync: int, jitter_s: float) -> None:
+@pytest.mark.parametrize(("per_sync", "most"), [(4, 0.22), (5, 0.15), (7, 0.09)])
+def test_a_servo_move_over_a_bus_with_jitter(per_sync: int, most: float, jitter_s: float) -> None:
     bus = Bus(jitter_s, samples_per_sync=per_sync)
     largest, first = 0.0, None
     for _ in range(400):
@@ -92,8 +92,24 @@ def test_a_servo_move_over_a_bus_with_jitter(per_sync: int, jitter_s: float) -> 
         assert away(bus, got) == pytest.approx(first, abs=0.1)
         largest = max(largest, *(one.residual for one in (*bus.module.chain.between, got)))
     assert bus.module.interval_s == pytest.approx(PERIOD_S / per_sync, rel=1e-2)
-    assert 0.0 < largest < 0.08
+    assert 0.0 < largest < most
     assert [bus.counter((0x2012, sub)) for sub in (1, 2, 3, 4, 5, 8)] == [0] * 6
+
+
+def test_eight_samples_leave_a_twentieth_of_a_cycle() -> None:
+    bus = Bus(samples_per_sync=8, times=False)
+    largest = 0.0
+    for _ in range(400):
+        got = bus.sync()
+        if got is not None and got.samples > 40:
+            assert got.valid
+            assert away(bus, got) == pytest.approx(0.0, abs=0.1)
+            largest = max(largest, *(one.residual for one in (*bus.module.chain.between, got)))
+    assert 0.04 < largest < 0.055, "7850 rad/s^2 at 8 kHz: 0.049"
+    assert bus.read((0x1403, 1)) == 0x490
+    for config in ({"samples_per_sync": 8, "times": True}, {"samples_per_sync": 9}):
+        with pytest.raises(ValueError, match="samples_per_sync"):
+            ModuleConfig(node_id=32, **config)  # type: ignore[arg-type]
 
 
 def test_one_sample_is_not_enough_for_a_sharp_residual() -> None:
@@ -105,7 +121,7 @@ def test_one_sample_is_not_enough_for_a_sharp_residual() -> None:
 NOTHING = Feedback(0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0)
 
 
-@each("per_sync", [1, 2, 3, 4])
+@each("per_sync", [4, 7])
 @each("times", [False, True])
 def test_speed_and_acceleration_are_those_of_the_machine(per_sync: int, times: bool) -> None:
     bus = Bus(samples_per_sync=per_sync, times=times)

@@ -86,9 +86,9 @@ def test_sample_times_widen_it_at_speed() -> None:
 
 def test_pairs_are_counted_to_the_first_that_is_not_mapped() -> None:
     pairs = [[one.mapped(16) for one in pair] for pair in od.SAMPLE_EARLIER]
-    for there in itertools.product([False, True], repeat=3):
+    for there in itertools.product([False, True], repeat=7):
         mapped = [pair for pair, is_there in zip(pairs, there, strict=True) if is_there]
-        first_gap = there.index(False) if False in there else 3
+        first_gap = there.index(False) if False in there else 7
         assert od.samples_per_sync(mapped) == 1 + first_gap
     split = [[pairs[0][0]], [pairs[0][1]]]
     assert od.samples_per_sync(split) == 1, "both tracks in one RPDO"

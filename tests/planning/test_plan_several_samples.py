@@ -20,7 +20,7 @@ from canfb.planning.planned_module import PlannedModule
 
 HELD, FLAGGED = 0.95, 1.05
 RPM = 2.0 * math.pi / 60.0
-ALL = [(count, times) for count in (1, 2, 3, 4) for times in (False, True)]
+ALL = [(count, times) for count in (1, 2, 3, 4, 7) for times in (False, True)]
 
 
 def delivered(count: int, times: bool) -> PlannedModule:
@@ -81,7 +81,7 @@ def test_what_else_the_pdo_carries_stays() -> None:
 
 
 def test_no_rpdo_is_left() -> None:
-    others = {(od.RPDO + number, 1): 0x411 + number for number in (1, 2)}
+    others = {(od.RPDO + number, 1): 0x411 + number for number in (1, 2, 3)}
     with pytest.raises(ValueError, match="the samples need 2 RPDOs, and there are 1"):
         delivered(1, times=True).with_values(others).with_samples(2)
 

@@ -39,15 +39,6 @@ def test_below_the_residual_limit_a_machine_may_have_stopped(limit: float, sampl
         assert first_proof(samples, sign * speed, limit) == samples
 
 
-def test_the_speed_is_that_before_the_first_repeat() -> None:
-    frozen = FrozenInput(3, 0.125)
-    assert [frozen.repeated(speed) for speed in (3.2, 0.0, 0.0, 0.0)] == [False, False, True, True]
-    frozen.moved()
-    assert not any(frozen.repeated(speed) for speed in (0.0, 3.2, 3.2, 3.2))
-    frozen.moved()
-    assert [frozen.repeated(speed) for speed in (3.2, 0.0, 0.0, 0.0)] == [False, False, True, True]
-
-
 runs = st.lists(
     st.tuples(st.booleans(), st.sampled_from([0.0, 0.124, 0.125, -0.125, -0.124, 0.3, 1.0, -5.0, 83.2])),
     max_size=30,

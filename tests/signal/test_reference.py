@@ -104,16 +104,6 @@ def test_without_either_a_lost_position_stays_lost() -> None:
     assert not errors(run(chain, machine, 3000)).size
 
 
-def test_speed_and_acceleration_with_their_delays() -> None:
-    chain = SignalChain(ChainConfig())
-    for k in range(60):
-        position = 0.5 * 0.01 * k * k
-        angle = 2 * math.pi * position
-        got = chain.step(Sample(1500 * math.sin(angle), 1500 * math.cos(angle)))
-    assert got.speed_cycles == pytest.approx(0.01 * (59 - 0.5), abs=0.03)
-    assert got.acceleration_cycles == pytest.approx(0.01, abs=0.05)
-
-
 @pytest.mark.parametrize("coarse", [False, True])
 def test_an_outage_while_lost_ends_what_was_known_of_the_speed(coarse: bool) -> None:
     chain, machine = starts_at_rest(coarse=coarse, pulse=True)

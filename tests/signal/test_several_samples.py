@@ -51,7 +51,7 @@ steps = st.floats(-0.6, 0.6)
 spoilt = st.sampled_from([None, None, None, None, None, (0.0, 0.0), (2047.0, 0.0), (900.0, -1500.0)])
 
 
-@given(per_sync=st.integers(2, 4), data=st.data())
+@given(per_sync=st.integers(2, 8), data=st.data())
 def test_groups_give_the_same_bits_as_samples_one_by_one(per_sync: int, data: st.DataObject) -> None:
     accelerations = data.draw(st.lists(steps, min_size=4 * per_sync, max_size=16 * per_sync))
     del accelerations[len(accelerations) // per_sync * per_sync :]
@@ -70,7 +70,7 @@ def test_groups_give_the_same_bits_as_samples_one_by_one(per_sync: int, data: st
 
 
 @given(
-    per_sync=st.integers(1, 4),
+    per_sync=st.integers(1, 8),
     pairs=st.integers(0, 3),
     passed=st.floats(0.01, 20.0),
     place=st.none() | st.floats(0.0, 1.0),
@@ -122,7 +122,7 @@ def test_with_too_few_samples_it_is_lost_and_says_so(per_sync: int) -> None:
     assert newest.status & LOST
 
 
-@given(per_sync=st.integers(2, 4), speed=st.floats(-300.0, 300.0))
+@given(per_sync=st.integers(2, 8), speed=st.floats(-300.0, 300.0))
 def test_a_missed_interval_at_constant_speed_keeps_the_count(per_sync: int, speed: float) -> None:
     made = chain(per_sync, acceleration=0.01)  # up to four samples are missing
     made.restart(0, speed / per_sync)

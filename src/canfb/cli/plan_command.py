@@ -48,7 +48,7 @@ def register(commands: Commands) -> None:
         "--cycles", dest="cycles_per_revolution", type=whole_number, metavar="N", help="per revolution (2500)"
     )
     parser.add_argument(
-        "--samples-per-sync", type=whole_number, metavar="COUNT", help="1 to 4, of every interface (1)"
+        "--samples-per-sync", type=whole_number, metavar="COUNT", help="1 to 8, of every interface (1)"
     )
     parser.add_argument(
         "--noise-margin",

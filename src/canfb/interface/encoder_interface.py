@@ -41,7 +41,7 @@ class EncoderInterface(NodeDevice):
 
     2000:01 is the time of the sample: that of ``clock`` when the SYNC was received, unless the sample
     brings a time of its own. With ``times`` TPDO1 carries it behind sine and cosine, by default.
-    ``samples_per_sync``, 1..4: so many pairs for each SYNC (6401:05 and up), sampled by the clock of the
+    ``samples_per_sync``, 1..8: so many pairs for each SYNC (6401:05 and up), sampled by the clock of the
     interface: by the converter (:class:`Grouped`), else see :class:`SeveralSamples`. What TPDO1 has no room
     for is in TPDO2 and TPDO3.
 

@@ -22,8 +22,8 @@ class InterfaceConfig:
                              by it
     times                    True: the ADC PDO carries the sample time after sine and cosine, as ``times`` of
                              the module expects it
-    samples_per_sync         1..4 pairs of sine and cosine for each SYNC, as ``samples_per_sync`` of the
-                             module expects them
+    samples_per_sync         1..8 pairs of sine and cosine for each SYNC, with ``times`` at most 7, as
+                             ``samples_per_sync`` of the module expects them
     adc_bits                 of the simulated converter, 4..16; those of a real one are its own, and another
                              number here is refused
     cycles_per_revolution    of the simulated encoder, 1..1048576
@@ -50,7 +50,7 @@ class InterfaceConfig:
         within(
             self,
             serial_number=(0, 0xFFFFFFFF),
-            samples_per_sync=(1, MOST_PER_SYNC),
+            samples_per_sync=(1, MOST_PER_SYNC - bool(self.times)),
             adc_bits=(4, 16),
             cycles_per_revolution=(1, 1048576),
         )

@@ -72,7 +72,7 @@ EARLIER_PART = 1.0 / 16.0  # of the interval: so long before the nominal SYNC th
 
 
 class SeveralSamples:
-    """Gives ``per_sync`` samples, 1..4, of a machine or a recording for each SYNC, in one.
+    """Gives ``per_sync`` samples, 1..8, of a machine or a recording for each SYNC, in one.
 
     The sampling instants of a machine do not jitter with SYNC: they lie on a grid that is locked to it, the
     newest one shortly before SYNC. Where SYNC is earlier than that, the newest sample is taken at SYNC. The

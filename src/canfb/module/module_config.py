@@ -55,7 +55,7 @@ def _gap(size: int) -> list[int]:
     return entries
 
 
-RPDOS = 3
+RPDOS = 4
 MOST_ACCELERATION_RAD_S2 = 1e9  # 2010:02
 MOST_SYNC_JITTER_S = 1.0  # 2010:0D
 
@@ -76,9 +76,9 @@ class ModuleConfig(ChainConfig):
     times                    True: the ADC PDO carries the interface's sample time after sine and cosine
                              (RPDO1: 2000:01, :02, :05), 8 bytes; with several samples the next PDO that has
                              room for it. Not used with a source
-    samples_per_sync         1..4 pairs of sine and cosine that the encoder interface sends for each SYNC: two
-                             in its TPDO1, two more in TPDO2 (2000:01, :02, :08..0D); then the sample time.
-                             With a source of kind iio: that it gives; not used with another
+    samples_per_sync         1..8 pairs of sine and cosine for each SYNC, two in each TPDO of the encoder
+                             interface (2000:01, :02, :08..0D, :0F..16), then the time: with ``times`` at
+                             most 7. With a source of kind iio: that it gives
     source                   source of the samples instead of the ADC PDO; None: the PDO
     max_acceleration_rad_s2  largest acceleration of the machine, 0..1e9 (2010:02); 0 = not known
     noise_margin             0..255 (2010:09): where a known acceleration narrows the residual limit,
@@ -124,7 +124,7 @@ class ModuleConfig(ChainConfig):
             self,
             serial_number=(0, 0xFFFFFFFF),
             encoder_interface=(1, 127),
-            samples_per_sync=(1, MOST_PER_SYNC),
+            samples_per_sync=(1, MOST_PER_SYNC - bool(self.times and self.source is None)),
             noise_margin=(0, 255),
             sync_timeout_periods=(2, 255),
         )
@@ -134,7 +134,7 @@ class ModuleConfig(ChainConfig):
             raise ValueError(f"second_position must be a SecondPositionConfig, not {self.second_position!r}")
         if self.second_position is not None and self.second_position.cob_id and self.adc_pdos >= RPDOS:
             raise ValueError(
-                "second_position: no RPDO is left for cob_id beside four samples and their time: "
+                "second_position: no RPDO is left for cob_id beside the samples and their time: "
                 "leave out times, or take fewer samples_per_sync"
             )
         if self.source is None and self.encoder_interface == self.node_id:

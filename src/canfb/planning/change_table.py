@@ -31,7 +31,7 @@ JUST_BELOW = 1.0 - 1e-9
 KNOWN_ENOUGH = 1.1  # what the module knows over what is given
 NOISE_MARGIN = 6  # docs/faults.md
 MOTION = (Limited.ACCELERATION, Limited.RESIDUAL)
-NUMBERS = {2: "two", 3: "three", 4: "four"}
+NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}
 
 
 class ChangeCase(NamedTuple):

@@ -143,7 +143,7 @@ class PlanOptions:
     phase_error_cycles         largest error of a phase, 0..0.25 cycle
     cycles_per_revolution      2001:01 of every module
     residual_limit             2010:01 of every module, cycles
-    samples_per_sync           1..4 pairs that the interface of every module sends for each SYNC
+    samples_per_sync           1..8 pairs that the interface of every module sends for each SYNC
     noise_margin               2010:09 of every module, 0..255
     times                      True: the ADC PDOs carry sample times
     table                      True: a correction table is in force

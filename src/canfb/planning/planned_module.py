@@ -39,7 +39,7 @@ def sample_bytes(values: Values) -> int:
 
 
 def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
-    """The objects of the RPDOs with ``pairs`` 1..4 pairs of each SYNC, and the time of the newest or not.
+    """The objects of the RPDOs with ``pairs`` 1..8 pairs of each SYNC, and the time of the newest or not.
 
     What else they bring of the sample stays. They are filled in their order, those of the same interface
     first, then those that are not in use. ValueError if there are too few.
@@ -153,7 +153,7 @@ class PlannedModule:
 
     @cached_property
     def samples_per_sync(self) -> int:
-        """Pairs of sine and cosine for each SYNC, 1..4."""
+        """Pairs of sine and cosine for each SYNC, 1..8."""
         return 1 if self.samples_itself else self.settings.samples_per_sync
 
     @property
@@ -172,7 +172,7 @@ class PlannedModule:
         return self.with_values(laid_out(self.values, self.samples_per_sync, times=True))
 
     def with_samples(self, per_sync: int) -> PlannedModule:
-        """The same with ``samples_per_sync``, 1..4; a module that samples itself stays. ValueError."""
+        """The same with ``samples_per_sync``, 1..8; a module that samples itself stays. ValueError."""
         if self.samples_itself or per_sync == self.samples_per_sync:
             return self
         return self.with_values(laid_out(self.values, per_sync, self.times))

@@ -1,7 +1,7 @@
 """One sample: what the encoder interface measured at one instant, and several in one interval of SYNC.
 
-Of several (2000:08..0D) the encoder interface takes m in an interval, by its own clock, and sends the pairs
-together. The chain then works in intervals of a sample, 1/m of that of SYNC.
+Of several (2000:08..0D, 0F..16) it takes m in an interval, by its own clock, and sends the pairs together.
+The chain then works in intervals of a sample, 1/m of that of SYNC.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 TICK_S, TICKS = 1e-7, 1 << 32
 """Sample times are U32 in 100 ns (2000:05)."""
 
-MOST_PER_SYNC = 4
+MOST_PER_SYNC = 8
 LEAST_APART = 0.25  # sampling interval: a pair nearer to the sample before it, or older, is left out
 
 

@@ -57,7 +57,7 @@ class FedModule:
     node_id                     1..127; 255: none yet
     encoder_interface           node-ID of the interface that is simulated
     times                       the ADC PDO carries the sample time
-    samples_per_sync            1..4 pairs of sine and cosine for each SYNC
+    samples_per_sync            1..8 pairs of sine and cosine for each SYNC
     autostart                   operational without a master
     increments_per_revolution   scale of its position (6001h)
     total_range                 where its position wraps (6002h)

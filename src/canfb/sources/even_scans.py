@@ -25,7 +25,7 @@ MOST_SCANS_OFF, PART_OFF = 1.5, 1.0 / 16.0  # of a block; and so much of an inte
 
 
 class EvenScans:
-    """Gives ``per_sync`` scans, 1..4, for each SYNC, of ``scans_per_sync``: a multiple of it, 2..256.
+    """Gives ``per_sync`` scans, 1..8, for each SYNC, of ``scans_per_sync``: a multiple of it, 2..256.
 
     :meth:`came` takes the scans as they come, each with its time, and :meth:`take` gives those of a SYNC.
     """

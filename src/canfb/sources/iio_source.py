@@ -205,7 +205,7 @@ class IioSourceConfig(SourceConfig):
     wait_us           with a trigger that is fired: how long a SYNC waits for its scan, 10..1000000 µs
     adc_bits          bits of the converter as the configuration states them, 4..16; None: those of the
                       channels. In the YAML this is ``adc_bits`` of the module
-    samples_per_sync  1..4 pairs for each SYNC. In the YAML this is that of the module
+    samples_per_sync  1..8 pairs for each SYNC. In the YAML this is that of the module
     """
 
     kind: str = "iio"

@@ -54,7 +54,7 @@ class Grouped(Protocol):
 
     @property
     def samples_per_sync(self) -> int:
-        """Pairs of sine and cosine in a sample, 1..4."""
+        """Pairs of sine and cosine in a sample, 1..8."""
 
 
 class SourceEnded(Exception):
@@ -94,7 +94,7 @@ class Picked(Protocol):
 
     @property
     def per_sync(self) -> int:
-        """Pairs of sine and cosine in a sample, 1..4."""
+        """Pairs of sine and cosine in a sample, 1..8."""
 
     def came(self, scan: Sample) -> None:
         """A scan, in the order in which they are taken."""
