@@ -40,6 +40,10 @@ NOT_SERVED: dict[str, dict[tuple[int, int], str]] = {}
 NOT_OFFERED = {
     INTERFACE: {
         (0x1007, 0): "its PDO goes out with the SYNC: there is nothing that a window could hold back",
+        **dict.fromkeys(
+            ((0x1010, 3), (0x1010, 4), (0x1011, 3), (0x1011, 4)),
+            "it has parameters of the communication alone",
+        ),
         (0x1015, 0): "it reports errors of the communication only, which come singly",
     }
 }

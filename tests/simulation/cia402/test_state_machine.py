@@ -4,8 +4,6 @@ import pytest
 from canopen.profiles.p402 import State402
 
 from canfb.simulation.cia402.state_machine import (
-    POWERED,
-    SWITCHED_ON,
     Command,
     State,
     StateMachine,
@@ -148,8 +146,3 @@ def test_a_master_that_we_did_not_make_reads_the_same_state(state: State) -> Non
     others = [other for other, (mask, bits) in State402.SW_MASK.items() if state.value & mask == bits]
     assert others == [name]
     assert state.value & ~STATE_BITS == 0
-
-
-def test_where_there_is_power() -> None:
-    assert State.SWITCHED_ON in SWITCHED_ON - POWERED
-    assert State.READY_TO_SWITCH_ON not in SWITCHED_ON | POWERED
