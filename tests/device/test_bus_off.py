@@ -49,12 +49,6 @@ def test_the_next_time_it_is_told_again(bench: Bench) -> None:
         assert hexes(bench.node.bus_back(now + 1.0)) == RECOVERED
 
 
-def test_other_errors_are_left_in_the_error_register(bench: Bench) -> None:
-    bench.send(0x720, "00")
-    bench.node.bus_off(1.0)
-    assert hexes(bench.node.bus_back(2.0)) == ["0A0#4081110000000000", "0A0#0000110000000000"]
-
-
 def test_in_stopped_emcy_waits(bench: Bench) -> None:
     bench.nmt(2)
     bench.node.bus_off(1.0)
@@ -67,12 +61,3 @@ def test_without_a_node_id_nobody_is_told(sample_path: Path) -> None:
     node.start(0.0)
     assert node.bus_off(1.0) == node.bus_back(2.0) == []
     assert node.state is NmtState.INITIALISING
-
-
-def test_a_lost_heartbeat_meanwhile_is_another_error(bench: Bench) -> None:
-    assert bench.write(0x1016, 1, 0x10 << 16 | 100, 4) is OK
-    bench.send(0x710, "05")
-    bench.node.bus_off(0.05)
-    bench.now = 0.2
-    assert bench.tick() == [f"0A0#308111{0x10:02X}00000000"]
-    assert hexes(bench.node.bus_back(1.0))[1] == "0A0#0000110000000000"

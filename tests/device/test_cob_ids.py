@@ -60,19 +60,6 @@ def test_any_other_can_id_by_way_of_bit_31(module: Bench, index: int, subindex: 
         assert module.write(index, subindex, can_id | keep, 4) is AbortCode.INVALID_VALUE
 
 
-@pytest.mark.parametrize(("index", "subindex"), SWITCHED_ON)
-def test_sync_and_time(module: Bench, index: int, subindex: int) -> None:
-    switch = BIT_30 if index == 0x1005 else BIT_31
-    for can_id in FREE:
-        assert module.write(index, subindex, can_id, 4) == OK
-    for can_id in RESTRICTED:
-        assert module.write(index, subindex, can_id | switch, 4) is AbortCode.INVALID_VALUE
-    assert module.write(index, subindex, 0x200 | switch, 4) == OK
-    assert module.write(index, subindex, 0x201 | switch, 4) is AbortCode.INVALID_VALUE
-    assert module.write(index, subindex, 0x201, 4) == OK
-    assert module.write(index, subindex, 0x201 | switch, 4) == OK
-
-
 @each("index, subindex", SWITCHED_ON + SWITCHED_OFF)
 @each("bits", [BIT_29, 1 << 11, 1 << 28, 0x1FFFF800])
 def test_frames_of_29_bits(module: Bench, index: int, subindex: int, bits: int) -> None:
@@ -80,30 +67,3 @@ def test_frames_of_29_bits(module: Bench, index: int, subindex: int, bits: int) 
     for switch in (0, BIT_31):
         assert module.write(index, subindex, value | bits | switch, 4) is AbortCode.INVALID_VALUE
     assert module.read(index, subindex) == value
-
-
-@pytest.mark.parametrize("index", range(0x1800, 0x1804))
-@pytest.mark.parametrize("kind", [0xFC, 0xFD])
-def test_remote_only_needs_remote_frames_once_it_is_valid(module: Bench, index: int, kind: int) -> None:
-    can_id = 0x200 + (index & 0xFF)
-    cob_id = module.read(index, 1)
-    assert module.write(index, 1, cob_id | BIT_31, 4) == OK
-    before = module.read(index, 2)
-    assert module.write(index, 1, can_id | BIT_30, 4) == OK
-    assert module.write(index, 2, kind, 1) is AbortCode.INVALID_VALUE
-    assert module.read(index, 2) == before
-    assert module.write(index, 1, can_id, 4) == OK
-    assert module.write(index, 2, kind, 1) == OK
-    assert module.write(index, 1, can_id | BIT_30, 4) is AbortCode.INVALID_VALUE
-    assert module.read(index, 1) == can_id
-
-
-@pytest.mark.parametrize(
-    ("index", "kinds"),
-    [(0x1800, range(0xF1, 0xFC)), (0x1400, range(0xF1, 0xFE)), (0x1401, range(0xF1, 0xFE))],
-)
-def test_reserved_transmission_types(module: Bench, index: int, kinds: range) -> None:
-    before = module.read(index, 2)
-    for kind in kinds:
-        assert module.write(index, 2, kind, 1) is AbortCode.INVALID_VALUE
-    assert module.read(index, 2) == before

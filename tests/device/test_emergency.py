@@ -101,33 +101,11 @@ def test_cob_id(bench: Bench) -> None:
     assert sent(bench) == ["200#0000000000000000"]
 
 
-@pytest.mark.parametrize("can_id", [0x001, 0x07F, 0x101, 0x180, 0x581, 0x601, 0x6E0, 0x701, 0x7FF])
-def test_restricted_ids(bench: Bench, can_id: int) -> None:
-    bench.write(0x1014, 0, 0x800000A0, 4)
-    assert bench.write(0x1014, 0, can_id, 4) is AbortCode.INVALID_VALUE
-
-
-@pytest.mark.parametrize("value", [0x400000A0, 0x200000A0, 0x000008A0])
-def test_flags_that_are_not_meant(bench: Bench, value: int) -> None:
-    assert bench.write(0x1014, 0, value, 4) is AbortCode.INVALID_VALUE
-
-
 def test_what_happens_in_stopped_is_sent_afterwards(bench: Bench) -> None:
     bench.nmt(2)
     bench.node.emergency(SENSOR, 0x20, now=0.0)
     assert bench.node.deadline() is None
     assert bench.nmt(1) == ["0A0#0073210000000000"]
-
-
-@pytest.mark.parametrize("command", [129, 130])
-def test_a_reset_forgets_the_errors(bench: Bench, command: int) -> None:
-    bench.node.emergency(SENSOR, 0x20, now=0.0)
-    sent(bench)
-    assert bench.nmt(command) == ["720#00"]
-    assert bench.read(0x1001) == 0
-    assert bench.read(0x1003) == 0
-    bench.node.emergency(SENSOR, 0x20, now=0.0)
-    assert sent(bench) == ["0A0#0073210000000000"]
 
 
 def test_an_error_raised_at_reset_follows_the_boot_up(bench: Bench) -> None:

@@ -42,25 +42,11 @@ def test_not_before_the_start(silent: Bench) -> None:
     assert guard(silent) == []
 
 
-def test_a_data_frame_is_not_answered(bench: Bench) -> None:
-    """It is the boot-up of another node with this node-ID, and shows nothing of the own state."""
-    assert not [text for text in bench.send(GUARD, "00") if text.startswith("720#")]
-
-
 def test_without_100c_there_is_no_guarding(tmp_path: Path) -> None:
     rows = [row for row in sample_eds.ROWS if row[0] not in (0x100C, 0x100D)]
     bench = Bench(Dictionary.load(sample_eds.write(tmp_path / "none.eds", rows), ID))
     bench.start()
     assert guard(bench) == []
-
-
-def test_without_100d_there_is_no_life_guarding(tmp_path: Path) -> None:
-    rows = [row for row in sample_eds.ROWS if row[0] != 0x100D]
-    bench = Bench(Dictionary.load(sample_eds.write(tmp_path / "half.eds", rows), ID))
-    bench.start()
-    bench.write(0x100C, 0, 100, 2)
-    assert guard(bench) == ["720#7F"]
-    assert bench.run(100.0) == []
 
 
 # Life guarding
@@ -89,14 +75,6 @@ def test_a_stopped_node_tells_later(bench: Bench) -> None:
     assert guard(bench) == ["720#FF", GOOD]
 
 
-@pytest.mark.parametrize(("guard_time_ms", "factor"), [(0, 3), (100, 0), (0, 0)])
-def test_no_life_time(bench: Bench, guard_time_ms: int, factor: int) -> None:
-    set_up(bench, guard_time_ms, factor)
-    bench.operational()
-    guard(bench)
-    assert bench.node.deadline() is None
-
-
 @pytest.mark.parametrize(("guard_time_ms", "factor", "life_time_s"), [(1, 1, 0.001), (65535, 255, 16711.425)])
 def test_the_life_time(bench: Bench, guard_time_ms: int, factor: int, life_time_s: float) -> None:
     set_up(bench, guard_time_ms, factor)
@@ -110,12 +88,6 @@ def test_a_new_life_time_runs_from_the_write_on(bench: Bench) -> None:
     bench.run(0.2)
     assert bench.write(0x100C, 0, 200, 2) == OK
     assert bench.run(10.0) == [(0.8, LOST)]
-
-
-def test_a_life_time_given_to_a_guarded_node(bench: Bench) -> None:
-    guard(bench)
-    set_up(bench)
-    assert bench.run(10.0) == [(0.3, LOST)]
 
 
 def test_an_error_lasts_until_the_next_remote_frame(bench: Bench) -> None:
@@ -179,14 +151,6 @@ def test_it_ends_a_running_life_time(bench: Bench) -> None:
     bench.write(0x1017, 0, 0, 2)
     assert bench.run(10.0) == []
     assert guard(bench) == ["720#7F"]
-
-
-def test_it_ends_the_error_of_guarding(bench: Bench) -> None:
-    set_up(bench)
-    guard(bench)
-    bench.run(1.0)
-    assert GOOD in bench.send(0x600 + ID, "2B171000E8030000")
-    assert bench.read(0x1001) == 0
 
 
 def test_a_stored_heartbeat(silent: Bench) -> None:

@@ -67,19 +67,6 @@ def test_the_program_hears_of_the_loss_before_the_state_changes(bench: Bench) ->
     assert heard[1:] == [(bench.now, NmtState.PRE_OPERATIONAL)]
 
 
-@pytest.mark.parametrize(("command", "state"), [(2, NmtState.STOPPED), (128, NmtState.PRE_OPERATIONAL)])
-def test_default_behaviour_only_leaves_operational(bench: Bench, command: int, state: NmtState) -> None:
-    bench.write(0x1016, 1, watch(0x47, 100), 4)
-    bench.nmt(command)
-    bench.send(0x747, "05")
-    bench.run(1.0)
-    assert bench.node.state is state
-
-
-def test_an_unknown_behaviour_is_refused(bench: Bench) -> None:
-    assert bench.write(0x1029, 1, 3, 1) is AbortCode.INVALID_VALUE
-
-
 def test_the_same_node_twice_is_refused(bench: Bench) -> None:
     assert bench.write(0x1016, 1, 0x00051234, 4) == OK
     for milliseconds in (0x1234, 1, 0xFFFF):
@@ -87,19 +74,6 @@ def test_the_same_node_twice_is_refused(bench: Bench) -> None:
     assert bench.read(0x1016, 2) == 0
     assert bench.write(0x1016, 1, 0x00050010, 4) == OK
     assert bench.write(0x1016, 2, 0x00050000, 4) == OK
-
-
-def test_reserved_bits_are_refused(bench: Bench) -> None:
-    assert bench.write(0x1016, 1, 0x01050064, 4) is AbortCode.INVALID_VALUE
-
-
-def test_another_node_is_watched_after_a_write(bench: Bench) -> None:
-    bench.write(0x1016, 1, watch(0x47, 100), 4)
-    bench.send(0x747, "05")
-    bench.write(0x1016, 1, watch(0x48, 100), 4)
-    assert bench.run(1.0) == []
-    bench.send(0x748, "05")
-    assert [text for _, text in bench.run(1.0)] == ["0A0#3081114800000000"]
 
 
 def test_a_malformed_heartbeat_does_not_count(bench: Bench) -> None:

@@ -95,16 +95,6 @@ def test_a_valid_pdo_is_never_what_it_may_not_be(first: State, second: State) ->
         assert is_legal(state) or state[1] & FREE
 
 
-def test_both_orders_of_the_remote_only_type() -> None:
-    for order in ([1, 2], [2, 1]):
-        bench = as_delivered()
-        bench.write(0x1801, 1, FREE, 4)
-        values = {1: 0xC0000500, 2: 0xFC}
-        assert [bench.write(0x1801, sub, values[sub], SIZES[sub]) for sub in order] == [OK, OK]
-        assert bench.write(0x1801, 1, 0x40000500, 4) is AbortCode.INVALID_VALUE
-        assert bench.write(0x1801, 1, 0x500, 4) == OK
-
-
 @pytest.mark.parametrize("kind", [0xF1, 0xFB, 0xFC, 0xFD])
 def test_a_type_that_no_rpdo_has_is_refused_while_it_is_not_valid_too(kind: int) -> None:
     bench = as_delivered()

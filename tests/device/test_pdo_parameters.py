@@ -9,7 +9,6 @@ from device_kit import ID, OK, Bench
 from canfb.cia301.codes import AbortCode
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from folding import each
 
 UNSUPPORTED = AbortCode.UNSUPPORTED_ACCESS
 NOT_MAPPABLE = AbortCode.NOT_MAPPABLE
@@ -101,24 +100,6 @@ def test_what_can_be_mapped(bench: Bench, index: int, mapping: int, expected: Ab
     assert bench.read(index + 0x200, 1) == (mapping if expected == OK else before)
 
 
-def test_nine_objects_do_not_fit(bench: Bench) -> None:
-    bench.write(0x1400, 1, OFF[0x1400], 4)
-    bench.write(0x1600, 0, 0, 1)
-    for subindex in range(1, 9):
-        assert bench.write(0x1600, subindex, 0x20000408, 4) == OK
-    assert bench.write(0x1600, 0, 9, 1) is TOO_MUCH
-    assert bench.write(0x1600, 0, 255, 1) is TOO_MUCH
-    assert bench.read(0x1600) == 0
-    assert bench.write(0x1600, 0, 8, 1) == OK
-
-
-def test_more_than_64_bits_do_not_fit(bench: Bench) -> None:
-    answers = remap(bench, 0x1400, [0x20000720, 0x20000720, 0x00010001])
-    assert answers == [OK] * 5 + [TOO_MUCH, OK]
-    assert remap(bench, 0x1800, [0x20100120] * 8)[-2] is TOO_MUCH
-    assert bench.read(0x1A00) == 0
-
-
 def test_an_empty_place_is_not_counted_in(bench: Bench) -> None:
     assert only_refusal(remap(bench, 0x1400, [0x20000110, 0])) is NOT_MAPPABLE
 
@@ -134,25 +115,6 @@ def test_a_valid_pdo_keeps_its_can_id(bench: Bench, index: int) -> None:
     assert bench.write(index, 1, valid + 1, 4) == OK
 
 
-@pytest.mark.parametrize("index", OFF)
-@pytest.mark.parametrize("value", [0x20000250, 0x00000A50, 0x10000250])
-def test_only_11_bit_ids(bench: Bench, index: int, value: int) -> None:
-    bench.write(index, 1, OFF[index], 4)
-    assert bench.write(index, 1, value, 4) is INVALID
-    assert bench.write(index, 1, value | FREE, 4) is INVALID
-
-
-@pytest.mark.parametrize("index", [0x1400, 0x1800])
-@pytest.mark.parametrize(
-    "can_id", [0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6E0, 0x6FF, 0x701, 0x7FF]
-)
-def test_restricted_ids(bench: Bench, index: int, can_id: int) -> None:
-    assert bench.write(index, 1, can_id, 4) is INVALID
-    bench.write(index, 1, OFF[index], 4)
-    assert bench.write(index, 1, can_id, 4) is INVALID
-    assert bench.write(index, 1, can_id | FREE, 4) == OK
-
-
 def test_another_can_id_is_listened_to(bench: Bench) -> None:
     bench.operational()
     bench.write(0x1400, 1, 0x80000191, 4)
@@ -162,22 +124,6 @@ def test_another_can_id_is_listened_to(bench: Bench) -> None:
     bench.write(0x1400, 1, 0x191, 4)
     bench.send(0x191, "01000200")
     assert bench.dictionary.entry(0x2000, 1).value == 1
-
-
-@each("value", range(0x100))
-def test_transmission_types(bench: Bench, value: int) -> None:
-    good = value <= 240 or value >= 254
-    assert bench.write(0x1400, 2, value, 1) == (OK if good else INVALID)
-    remote_allowed = value in (0xFC, 0xFD)
-    assert bench.write(0x1800, 2, value, 1) == (OK if good else INVALID)
-    assert bench.write(0x1801, 2, value, 1) == (OK if good or remote_allowed else INVALID)
-
-
-def test_remote_only_types_and_bit_30(bench: Bench) -> None:
-    assert bench.write(0x1801, 2, 0xFD, 1) == OK
-    assert bench.write(0x1801, 1, 0xC00002A0, 4) == OK
-    assert bench.write(0x1801, 1, 0x400002A0, 4) is INVALID
-    assert bench.write(0x1801, 1, 0x000002A0, 4) == OK
 
 
 @pytest.mark.parametrize(("subindex", "size", "value"), [(3, 2, 100), (6, 1, 3)])

@@ -22,17 +22,6 @@ def calls_of(bench: Bench) -> list[object]:
     return calls
 
 
-@pytest.mark.parametrize("kind", [254, 255])
-def test_at_once(bench: Bench, kind: int) -> None:
-    bench.write(0x1400, 2, kind, 1)
-    bench.operational()
-    calls = calls_of(bench)
-    bench.now = 1.5
-    assert bench.send(RPDO, "F6FF0200") == []
-    assert calls == [(1, 1.5, -10)]
-    assert bench.dictionary.entry(0x2000, 2).value == 2
-
-
 @pytest.mark.parametrize("kind", [0, 1, 2, 240])
 def test_at_the_next_sync(bench: Bench, kind: int) -> None:
     bench.write(0x1400, 2, kind, 1)
@@ -54,18 +43,6 @@ def test_what_waits_is_dropped_with_operational(bench: Bench) -> None:
     bench.operational()
     bench.sync()
     assert sine(bench) == 0
-
-
-@pytest.mark.parametrize("command", [128, 2])
-def test_only_in_operational(bench: Bench, command: int) -> None:
-    bench.operational()
-    bench.nmt(command)
-    calls = calls_of(bench)
-    bench.send(RPDO, "01000000")
-    bench.send(RPDO, "01")
-    assert calls == []
-    assert bench.node.counters.unknown_cob_ids == 2
-    assert bench.node.counters.short_rpdos == 0
 
 
 @pytest.mark.parametrize("kind", [255, 1])

@@ -119,18 +119,6 @@ def test_upload_of_a_number_frame_by_frame(bench: Bench) -> None:
     assert bench.sdo("A1") == []
 
 
-def test_upload_of_a_string_frame_by_frame(bench: Bench) -> None:
-    assert bench.sdo("A408100014") == ["C608100010000000"]
-    assert bench.sdo("A3") == [
-        "01" + NAME[:7].hex().upper(),
-        "02" + NAME[7:14].hex().upper(),
-        "83" + NAME[14:].hex().upper() + "0000000000",
-    ]
-    assert bench.sdo("A20314") == [f"D5{crc16(NAME).to_bytes(2, 'little').hex().upper()}0000000000"]
-    assert bench.sdo("A1") == []
-    assert bench.node.deadline() is None
-
-
 @pytest.mark.parametrize("size", [0, 1, 6, 7, 8, 14, 888, 889, 890, 16384])
 @pytest.mark.parametrize("crc", [False, True])
 def test_upload_of_any_size(bench: Bench, size: int, crc: bool) -> None:

@@ -48,21 +48,6 @@ def download(bench: Bench, multiplexer: str, data: bytes, *, announce: bool = Tr
     return OK
 
 
-def test_expedited_upload_of_every_size(bench: Bench) -> None:
-    assert bench.sdo("40001000") == ["4300100091010400"]
-    assert bench.sdo("40171000") == ["4B17100000000000"]
-    assert bench.sdo("40011000") == ["4F01100000000000"]
-    bench.dictionary.entry(0x2021).value = "abc"
-    assert bench.sdo("40212000") == ["4721200061626300"]
-
-
-def test_expedited_download(bench: Bench) -> None:
-    assert bench.sdo("2B17100010270000") == ["6017100000000000"]
-    assert bench.dictionary.entry(0x1017).value == 10000
-    assert bench.sdo("2217100011270000")[0] == "6017100000000000"
-    assert bench.dictionary.entry(0x1017).value == 10001
-
-
 @pytest.mark.parametrize(
     ("request_", "multiplexer", "code"),
     [
@@ -81,13 +66,6 @@ def test_refusals(bench: Bench, request_: str, multiplexer: str, code: AbortCode
     expected = [f"60{multiplexer}00000000"] if code is None else abort(multiplexer, code)
     assert bench.sdo(request_) == expected
     assert bench.node.counters.sdo_aborts == (code is not None)
-
-
-@pytest.mark.parametrize("text", ["", "12345", "1234567", "12345678", "x" * 700])
-def test_segmented_both_ways(bench: Bench, text: str) -> None:
-    assert download(bench, "212000", text.encode()) == OK
-    assert bench.dictionary.entry(0x2021).value == text
-    assert upload(bench, "212000").decode() == text
 
 
 @pytest.mark.parametrize("announce", [True, False])

@@ -14,9 +14,7 @@ from storing_bench import (
     RESET_COMMUNICATION,
     RESET_NODE,
     SAVE,
-    SAVE_WORD,
     VERIFY,
-    WRONG_WORD,
     StoringBench,
     write_eds,
 )
@@ -80,20 +78,6 @@ def test_it_saves_on_command_and_restores(power_on: Callable[..., StoringBench],
     bench = power_on()
     assert bench.read(SAVE, subindex) == 1
     assert bench.read(LOAD, subindex) == 1
-
-
-@pytest.mark.parametrize("subindex", EACH)
-@pytest.mark.parametrize("word", [WRONG_WORD, 0, 0x45564153, 0x65766174])
-def test_a_wrong_signature_is_refused(
-    power_on: Callable[..., StoringBench], store: MemoryStore, subindex: int, word: int
-) -> None:
-    bench = power_on()
-    change(bench)
-    assert bench.command(SAVE, subindex, word) is AbortCode.NOT_STORED
-    assert bench.command(LOAD, subindex, word) is AbortCode.NOT_STORED
-    assert bench.command(LOAD, subindex, SAVE_WORD) is AbortCode.NOT_STORED
-    assert store.images == {}
-    assert values(bench) == CHANGED
 
 
 def test_without_a_store_it_says_so_and_the_defaults_come_with_a_reset(path: Path) -> None:

@@ -65,13 +65,6 @@ def test_by_blocks(device: Bench, path: Path) -> None:
     assert block(device) == path.read_bytes()
 
 
-def test_it_is_plain_text(device: Bench) -> None:
-    assert device.read(0x1022) == 0
-    text = segmented(device).decode("ascii")
-    assert text.startswith("[FileInfo]")
-    assert "[1021]" in text
-
-
 def test_what_comes_out_describes_the_device(device: Bench, tmp_path: Path) -> None:
     copy = tmp_path / "copy.eds"
     copy.write_bytes(block(device))
@@ -80,12 +73,6 @@ def test_what_comes_out_describes_the_device(device: Bench, tmp_path: Path) -> N
     assert {(entry.index, entry.subindex) for entry in read} == {
         (entry.index, entry.subindex) for entry in device.dictionary
     }
-
-
-@pytest.mark.parametrize("command", [129, 130])
-def test_it_survives_a_reset(device: Bench, path: Path, command: int) -> None:
-    device.nmt(command)
-    assert segmented(device) == path.read_bytes()
 
 
 def test_it_is_not_written(device: Bench) -> None:

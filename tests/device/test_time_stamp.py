@@ -3,10 +3,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from device_kit import ID, OK, Bench
+from device_kit import OK, Bench
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.od.dictionary import Dictionary
 
 TIME = 0x100
 SHIPPED = Path(__file__).parents[2] / "eds"
@@ -33,12 +32,6 @@ def test_days_and_milliseconds(listening: Bench) -> None:
     assert listening.node.counters.malformed_frames == 0
 
 
-def test_the_reserved_bits_are_not_looked_at(listening: Bench) -> None:
-    seen = times_of(listening)
-    listening.send(TIME, "010000F00200")
-    assert seen == [(2, 1, 0.0)]
-
-
 @pytest.mark.parametrize("data", ["", "00", "0000000000", "00000000000000", "0000000000000000"])
 def test_wrong_lengths(listening: Bench, data: str) -> None:
     seen = times_of(listening)
@@ -60,18 +53,6 @@ def test_not_consumed_by_default(bench: Bench) -> None:
     bench.send(TIME, "010000000200")
     assert seen == []
     assert bench.node.counters.unknown_cob_ids == 1
-
-
-def test_not_in_stopped(listening: Bench) -> None:
-    seen = times_of(listening)
-    for command in (1, 2, 128):
-        listening.nmt(command)
-        listening.send(TIME, "010000000200")
-    assert len(seen) == 2
-
-
-def test_a_remote_frame_is_not_answered(listening: Bench) -> None:
-    assert listening.send(TIME, rtr=True) == []
 
 
 def test_the_can_id_is_fixed_while_it_is_used(listening: Bench) -> None:
@@ -103,14 +84,3 @@ def test_a_reset_ends_it(listening: Bench) -> None:
     listening.nmt(130)
     listening.send(TIME, "010000000200")
     assert seen == []
-
-
-@pytest.mark.parametrize("name", ["canfb-module.eds", "encoder-interface.eds"])
-def test_both_devices_have_it_switched_off(name: str) -> None:
-    bench = Bench(Dictionary.load(SHIPPED / name, ID))
-    bench.start()
-    assert bench.read(0x1012) == 0x100
-    assert bench.write(0x1012, 0, 0x80000100, 4) == OK
-    seen = times_of(bench)
-    bench.send(TIME, "010000000200")
-    assert seen == [(2, 1, 0.0)]

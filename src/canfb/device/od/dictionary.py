@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import copy
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -93,21 +94,10 @@ class Entry:
         return f"<Entry {self.index:04X}h:{self.subindex:02X} {self.name!r} = {self.value!r}>"
 
     def fresh(self) -> Entry:
-        """A copy at its default, without hooks."""
-        copy = Entry.__new__(Entry)
-        copy.index = self.index
-        copy.subindex = self.subindex
-        copy.name = self.name
-        copy.data_type = self.data_type
-        copy.access = self.access
-        copy.default = self.default
-        copy.low = self.low
-        copy.high = self.high
-        copy.pdo_mappable = self.pdo_mappable
-        copy.follows_node_id = self.follows_node_id
-        copy.on_read = copy.on_check = copy.on_written = copy.on_download = None
-        copy.reset()
-        return copy
+        """A copy at its default."""
+        other = copy(self)
+        other.reset()
+        return other
 
     def reset(self) -> None:
         """Back to the default, or to zero. No hook runs."""
