@@ -29,7 +29,7 @@ from canfb.view.pdo_map import Number
 
 CYCLE_S, LAYOUT_S = 2.0, 30.0
 QUIET_S = 5.0  # after a node that does not answer
-ANSWER_S = 0.3
+ANSWER_S = 1.0
 LOOK_S = 0.1
 REPEATED = (
     od.FEEDBACK_STATUS,
