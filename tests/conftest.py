@@ -28,6 +28,9 @@ settings.register_profile("check", deadline=None, derandomize=True, max_examples
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
+os.environ["XDG_CONFIG_HOME"] = "/no-such-folder"  # no default bus of whoever runs the tests
+
+
 class _Frozen:
     """What has been imported and collected stays: the garbage collector does not look at it again.
 

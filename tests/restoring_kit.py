@@ -1,4 +1,4 @@
-"""A backup, restored into a module of the bench and kept, as `canfb restore --save` does it."""
+"""A backup, restored into a module of the bench and kept, as `canfb backup restore --save` does it."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class Config:
 
     bus          python-can's own words (interface, channel, bitrate, ...), may be empty
     modules      the drive feedback modules, which one process serves
-    interfaces   the encoder interfaces with a source, which ``canfb interface`` serves
+    interfaces   the encoder interfaces with a source, which ``canfb run`` serves
     realtime     real-time options
     simulation   what ``canfb simulate`` plays
     """
@@ -323,64 +323,42 @@ class _Reader:
         return f"unknown key {key!r} in {where}; {hint}"
 
     def check_distinct_nodes(self, root: yaml.Node, config: Config) -> None:
-        """Two devices with one node id would answer each other's masters; a module sends no ADC counts."""
+        """What two devices of one file must not have in common, and what a drive of its own must not.
+
+        Two with one node-ID would answer each other's masters, two with one state_dir overwrite each other's
+        parameters; a module sends no ADC counts; LSS needs serial numbers where a node-ID is missing.
+        """
         devices = _devices(root, config)
-        owner: dict[int, str] = {}
-        self._check_distinct_serial_numbers(devices)
-        for one in devices:
-            node_id = one.config.node_id
-            other = owner.setdefault(node_id, one.title)
-            if other != one.title and node_id != UNCONFIGURED:
-                raise self.fail(one.node, f"node_id {node_id} of {one.title} is also that of {other}")
-        self._check_distinct_folders(devices)
-        modules = {one.config.node_id: one.title for one in devices if isinstance(one.config, ModuleConfig)}
-        for one in devices:
-            if isinstance(one.config, ModuleConfig) and one.config.source is None:
-                node = one.config.encoder_interface
-                if node in modules:
-                    raise self.fail(
-                        one.node, f"encoder_interface {node} of {one.title} is the node_id of {modules[node]}"
-                    )
-        self._check_drive(root, config, devices)
-
-    def _check_drive(self, root: yaml.Node, config: Config, devices: list[_Device]) -> None:
-        """The simulated drive is a node of its own."""
-        drive = config.simulation.drive
-        if drive is None:
-            return
-        simulation = next(value for key, value in root.value if key.value == "simulation")
-        place = next(value for key, value in simulation.value if key.value == "drive")
-        place = next((key for key, _ in place.value if key.value == "node_id"), place)
-        for one in devices:
-            names = ["node_id"]
-            if isinstance(one.config, ModuleConfig) and one.config.source is None:
-                names.append("encoder_interface")
-            for name in names:
-                if getattr(one.config, name) == drive.node_id:
-                    raise self.fail(place, f"drive: node_id {drive.node_id} is the {name} of {one.title}")
-
-    def _check_distinct_serial_numbers(self, devices: list[_Device]) -> None:
-        """LSS distinguishes devices without a node-ID by their serial numbers."""
-        owner: dict[tuple[type, int], _Device] = {}
-        for one in devices:
-            number = one.config.serial_number
-            other = owner.setdefault((type(one.config), number), one)
-            if other is not one and UNCONFIGURED in (one.config.node_id, other.config.node_id):
-                raise self.fail(
-                    one.node,
-                    f"serial_number {number} of {one.title} is also that of {other.title}: "
-                    "LSS needs unique ones",
-                )
-
-    def _check_distinct_folders(self, devices: list[_Device]) -> None:
-        """Two devices with one state_dir would overwrite each other's parameters."""
-        owner: dict[Path, str] = {}
-        for one in devices:
-            if one.config.state_dir is None:
-                continue
-            other = owner.setdefault(Path(one.config.state_dir).absolute(), one.title)
-            if other != one.title:
-                raise self.fail(one.node, f"state_dir of {one.title} is also that of {other}")
+        sampled = {
+            one.title: one.config.encoder_interface
+            for one in devices
+            if isinstance(one.config, ModuleConfig) and one.config.source is None
+        }
+        for n, one in enumerate(devices):
+            mine = one.config
+            for other in devices:
+                theirs = other.config
+                if isinstance(theirs, ModuleConfig) and sampled.get(one.title) == theirs.node_id:
+                    said = f"encoder_interface {theirs.node_id} of {one.title} is the node_id of"
+                    raise self.fail(one.node, f"{said} {other.title}")
+            for other in devices[:n]:
+                theirs, both = other.config, f"of {one.title} is also that of {other.title}"
+                if mine.node_id == theirs.node_id != UNCONFIGURED:
+                    raise self.fail(one.node, f"node_id {mine.node_id} {both}")
+                folders = {Path(folder).absolute() for folder in (mine.state_dir, theirs.state_dir) if folder}
+                if mine.state_dir and theirs.state_dir and len(folders) == 1:
+                    raise self.fail(one.node, f"state_dir {both}")
+                alike = type(mine) is type(theirs) and mine.serial_number == theirs.serial_number
+                if alike and UNCONFIGURED in (mine.node_id, theirs.node_id):
+                    said = f"serial_number {mine.serial_number} {both}: LSS needs unique ones"
+                    raise self.fail(one.node, said)
+        if config.simulation.drive is not None:
+            taken = {one.config.node_id: f"node_id of {one.title}" for one in devices}
+            taken |= {node: f"encoder_interface of {title}" for title, node in sampled.items()}
+            drive = config.simulation.drive.node_id
+            if drive in taken:
+                line, _ = found_at(root, "simulation", "drive", "node_id")
+                raise _config_error(self._name, line, f"drive: node_id {drive} is the {taken[drive]}")
 
 
 class _Device(NamedTuple):

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.cli import calibrate, nmt_command, node_options
+from canfb.cli import calibrate, node_command, node_options
 from canfb.cli.main import main
 from canfb.hosting import hosting, serving
 from canfb.simulation.embedded_bus import EmbeddedBus
@@ -98,8 +98,8 @@ class GuideNetwork:
         monkeypatch.setattr(serving, "open_device_bus", lambda words: contextlib.nullcontext())
         monkeypatch.setattr(serving, "apply_realtime", lambda realtime: None)
         monkeypatch.setattr(serving.OnBus, "__exit__", keep)
-        monkeypatch.setattr(nmt_command, "open_bus", lambda words: None)
-        monkeypatch.setattr(nmt_command, "BusMaster", the_master)
+        monkeypatch.setattr(node_command, "open_bus", lambda words: None)
+        monkeypatch.setattr(node_command, "BusMaster", the_master)
         monkeypatch.setattr(node_options, "master_of", the_master)
         monkeypatch.setattr(calibrate, "sync_master", the_master)
 

@@ -254,7 +254,7 @@ def test_the_machine_may_stop_after_the_measurement_and_nothing_is_half_done() -
 
 def test_a_node_that_is_no_module() -> None:
     with pytest.raises(CommissioningError, match=r"module 16 \(10h\) has no correction table \(2020h\)"):
-        calibrate(Bench(), "--module", "16")
+        calibrate(Bench(), "16")
 
 
 def test_lost_samples_do_no_harm(capsys: pytest.CaptureFixture[str]) -> None:

@@ -136,7 +136,7 @@ def from_files(folder: Path, *arguments: str) -> int:
 def test_the_account_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     """Any order of the speeds; the delay as estimated, because it was said."""
     made = bench(AnalogPath(sine_corner_hz=125e3, cosine_corner_hz=125e3), (3001.0, 1503.0, 61.0))
-    assert calibrate(made, "--delay", "estimate", "--no-save", speeds="61,1503,3001") == 0
+    assert calibrate(made, "--delay", "estimate", speeds="61,1503,3001") == 0
     out = capsys.readouterr().out
     assert "3001 rpm, rms" in out
     assert "3001 rpm, mean" in out

@@ -136,13 +136,13 @@ def test_a_table_without_them_leaves_them(canfb: Commands, tmp_path: Path) -> No
     lines = as_yaml(used, {}).splitlines()
     path.write_text("\n".join(line for line in lines if "delay_s" not in line))
     bench = Bench(sync=False, config=DELAYS)
-    canfb(bench, "table", "upload", NODE, path, "--activate")
+    canfb(bench, "table", "write", NODE, path, "--activate")
     assert delays(bench) == (DELAY_S, LAG_S, CORNER_HZ)
     assert bench.module.chain.correction.conditioning.phase_error_rad == 0.125
-    canfb(bench, "table", "download", NODE, path)
+    canfb(bench, "table", "read", NODE, path)
     assert read_table_file(path).used == bench.module.chain.correction
     other = Bench(sync=False)
-    canfb(other, "table", "upload", NODE, path, "--activate")
+    canfb(other, "table", "write", NODE, path, "--activate")
     assert delays(other) == (DELAY_S, LAG_S, 0.0)
     canfb(other, "table", "clear", NODE)
     assert delays(other) == (DELAY_S, LAG_S, 0.0)
@@ -151,13 +151,13 @@ def test_a_table_without_them_leaves_them(canfb: Commands, tmp_path: Path) -> No
 def test_a_backup_has_them(canfb: Commands, tmp_path: Path) -> None:
     path = tmp_path / "backup.yaml"
     bench = Bench(sync=False, config=DELAYS)
-    canfb(bench, "backup", NODE, path)
+    canfb(bench, "backup", "save", NODE, path)
     text = path.read_text()
     assert '"2002:06"' in text
     assert "# Cosine delay, s" in text
     assert "# Corner frequency, Hz" in text
     spare = Bench(sync=False, store=MemoryStore(), operational=False)
-    canfb(spare, "restore", path)
+    canfb(spare, "backup", "restore", path)
     assert delays(spare) == (DELAY_S, LAG_S, CORNER_HZ)
 
 

@@ -33,7 +33,7 @@ PARSED_ONLY = {
 }
 PARSED_ONLY |= {
     "canfb try": "runs until Ctrl-C; tests/cli/test_try_command.py does so",
-    "canfb bus scan": "on the bus that the line before it names",
+    "canfb node list": "on the bus that the line before it names",
 }
 # Not run at all, by the first word.
 OF_OTHERS = {
@@ -57,7 +57,7 @@ RUNNING = (
     "canfb config example > feedback.yaml",
     "canfb run feedback.yaml",
     "canfb simulate feedback.yaml --rate 100",
-    "canfb nmt start all",
+    "canfb node start all",
 )
 HARDWARE = ("canfb simulate machine.yaml --rate 100",)
 BEFORE = {
@@ -171,7 +171,7 @@ def test_the_simulated_machines_of_the_page(network: GuideNetwork) -> None:
     simulate, *_, example, record, played, measured, run, with_drive = filter(runs, lines_of("simulation"))
     network("canfb run slow.yaml")
     assert "motion: 13 rpm" in network(simulate)
-    network("canfb nmt start 0x20")
+    network("canfb node start 0x20")
     network.wait(0.5)
     assert VALID in network('canfb sdo read 0x20 "status word"')
     network.end_of_all()
@@ -184,7 +184,7 @@ def test_the_simulated_machines_of_the_page(network: GuideNetwork) -> None:
     assert "Accepted." in network(measured)
     network(run)
     assert "drive" in network(with_drive)
-    network("canfb nmt start all")
+    network("canfb node start all")
     network.wait(0.5)
     assert VALID in network('canfb sdo read 0x20 "status word"')
 

@@ -70,7 +70,7 @@ def test_commands_beside_an_open_page(
 ) -> None:
     file = tmp_path / "table.bin"
     file.write_bytes(TABLE.to_bytes())
-    node, bus = network["node_id"], f"-i {network['interface']} -c {network['channel']} --answer-within 60"
+    node, bus = network["node_id"], f"-i {network['interface']} -c {network['channel']} --timeout 60"
     assert not asked(network, 100), "nobody looks"
     with page(network["page"]) as stream, page(network["page"]):
         assert asked(network, 100_000)
@@ -79,7 +79,7 @@ def test_commands_beside_an_open_page(
         for line in (
             f"sdo read {node} 2011:08",
             f"table show {node}",
-            f"table upload {node} {shlex.quote(str(file))} --activate",
+            f"table write {node} {shlex.quote(str(file))} --activate",
             f"sdo read {node} 2012",
         ) * 3:
             assert main([*shlex.split(line), *bus.split()]) == 0, capsys.readouterr().err

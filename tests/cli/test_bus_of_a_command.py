@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 from pathlib import Path
 
 import can
+import can.cli
 import pytest
 
 from canfb.cli.main import main
@@ -40,7 +42,7 @@ def heard(*arguments: str) -> list[bytes]:
 
 
 def test_without_any_bus_it_says_what_to_give(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["nmt", "start", "all"]) == 1
+    assert main(["node", "start", "all"]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     for word in (
         "-i socketcan -c can0",
@@ -55,7 +57,7 @@ def test_without_any_bus_it_says_what_to_give(capsys: pytest.CaptureFixture[str]
 def test_the_environment_names_a_bus(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CAN_INTERFACE", "virtual")
     monkeypatch.setenv("CAN_CHANNEL", CHANNEL)
-    assert heard("nmt", "start", "all") == [b"\x01\x00"]
+    assert heard("node", "start", "all") == [b"\x01\x00"]
 
 
 def test_so_does_the_file_of_python_can_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,17 +65,17 @@ def test_so_does_the_file_of_python_can_on_the_page(tmp_path: Path, monkeypatch:
     assert all(f"`{name}`" in PAGE for name in can.util.CONFIG_FILES)
     text = shown.replace("pcan", "virtual").replace("PCAN_USBBUS1", CHANNEL)
     (tmp_path / "can.conf").write_text(text, encoding="utf-8")
-    assert heard("nmt", "start", "all") == [b"\x01\x00"]
+    assert heard("node", "start", "all") == [b"\x01\x00"]
 
 
 @pytest.mark.parametrize("option", [True, False])
 def test_nmt_takes_a_configuration_as_run_does(config: str, option: bool) -> None:
-    assert heard("nmt", "start", "0x10", *["--config"] * option, config) == [b"\x01\x10"]
+    assert heard("node", "start", "0x10", *["--config"] * option, config) == [b"\x01\x10"]
 
 
 @pytest.mark.parametrize("arguments", [["start"], ["start", "a.yaml"], ["start", "1", "a.yaml", "b.yaml"]])
 def test_nmt_needs_a_node(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["nmt", *arguments]) == 2
+    assert main(["node", *arguments]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -84,20 +86,19 @@ def test_nmt_needs_a_node(arguments: list[str], capsys: pytest.CaptureFixture[st
         ["sdo", "write", "0x20", "2010:03", "4"],
         ["table", "show", "0x20"],
         ["why", "0x20"],
-        ["reset", "0x20"],
     ],
 )
 def test_so_do_the_commands_of_a_node(
     config: str, arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Nobody answers on this bus, so that the bus was opened; and the message says what may be the matter."""
-    options = ["--answer-within", "0.02"]
+    options = ["--timeout", "0.02"]
     if arguments[0] == "sdo":
         options += ["--eds", str(Path(__file__).parents[2] / "eds" / "canfb-module.eds")]
     assert main([*arguments, config, *options]) == 1
     err = capsys.readouterr().err
     assert "no answer; is the node on the bus" in err
-    assert "A STOPPED node answers no SDO: canfb nmt preop 0x20" in err
+    assert "A STOPPED node answers no SDO: canfb node preop 0x20" in err
 
 
 def test_a_file_goes_with_a_configuration(
@@ -107,7 +108,7 @@ def test_a_file_goes_with_a_configuration(
     data.write_bytes(b"\x04")
     eds = str(Path(__file__).parents[2] / "eds" / "canfb-module.eds")
     words = ["sdo", "write", "0x20", "2010:03", config, "--file", str(data), "--eds", eds]
-    assert main([*words, "--answer-within", "0.02"]) == 1
+    assert main([*words, "--timeout", "0.02"]) == 1
     assert "no answer" in capsys.readouterr().err
 
 
@@ -116,22 +117,47 @@ def test_a_name_without_quotes_is_no_configuration(capsys: pytest.CaptureFixture
     assert "'limit' is no CONFIG.yaml; a name of several words needs quotes" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["nmt start", "sdo read", "monitor", "record", "run"])
-def test_a_help_has_no_list_of_interfaces(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("command", ["node start", "sdo read", "monitor", "log record", "run"])
+def test_a_help_has_three_options_of_the_bus(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*command.split(), "--help"]) == 0
     text = capsys.readouterr().out
     assert "canalystii" not in text
-    group = text.partition("bus arguments:")[2].partition("examples:")[0]
-    assert 0 < len(group.strip().splitlines()) <= 18
-    assert "CAN_INTERFACE" in group
+    assert "--help-bus" in text
+    group = text.partition("\nbus:")[2].partition("examples:")[0]
+    assert re.findall(r"--[a-z]+", group) == ["--channel", "--interface", "--bitrate"]
+    assert main([*command.split(), "--help-bus"]) == 0
+    assert "--data-bitrate" in capsys.readouterr().out
 
 
 def test_every_option_of_python_can_has_a_text_of_ours() -> None:
     """A version of python-can with another option shows its own text, until it has one here."""
-    import argparse
-
-    import can.cli
-
     parser = argparse.ArgumentParser(add_help=False)
     can.cli.add_bus_arguments(parser)
     assert {action.dest for action in parser._actions} == set(BUS_HELP)
+
+
+def test_the_default_bus_is_remembered_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "user"))
+    assert main(["use"]) == 0
+    assert main(["use", "-i", "virtual", "-c", CHANNEL]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "no default bus",
+        f"default bus: virtual {CHANNEL} ({tmp_path}/user/canfb/bus.json)",
+    ]
+    assert heard("node", "start", "all") == [b"\x01\x00"]
+    assert capsys.readouterr().err == f"canfb: bus: virtual {CHANNEL} (canfb use)\n"
+    other = tmp_path / "other.yaml"
+    other.write_text("bus: {interface: virtual, channel: other}\nmodules: [{node_id: 32}]\n")
+    assert heard("node", "start", "all", str(other)) == [], "a configuration goes before it"
+    assert heard("node", "start", "all", "-c", "other") == [], "and so do options"
+    monkeypatch.setenv("CAN_CHANNEL", "other")
+    assert heard("node", "start", "all") == [], "and so does the environment"
+    monkeypatch.delenv("CAN_CHANNEL")
+    for text in ("[1]", "{"):
+        (tmp_path / "user/canfb/bus.json").write_text(text)
+        assert main(["node", "start", "all"]) == 2
+    assert main(["use", "--forget"]) == 0
+    assert main(["use", "-c", "can0"]) == 2
+    assert main(["use", "-i", "none"]) == 2

@@ -61,9 +61,8 @@ WRONG_USE = {
     "seconds": (["--seconds", "0"], "--seconds 0: must be 0.1 to 3600"),
     "not a number": (["--verify", "nan"], "--verify nan: must be 0.1 to 600"),
     "entries": (["--entries", "15"], "--entries 15: must be 16 to 4096"),
-    "module": (["--module", "128"], "--module 128: must be 1 to 127"),
     "one node": (
-        ["--module", "0x10", "--encoder-interface", "16"],
+        ["0x10", "--encoder-interface", "16"],
         "--encoder-interface 16: must differ from the node-ID of the module",
     ),
     "table": (
@@ -95,7 +94,7 @@ def test_a_bus_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_bus_on_which_nobody_is(capsys: pytest.CaptureFixture[str]) -> None:
-    code, line = failed(["-i", "virtual", "-c", "empty", "--answer-within", "0.05"], capsys)
+    code, line = failed(["-i", "virtual", "-c", "empty", "--timeout", "0.05"], capsys)
     assert code == 1
     assert line.startswith("module 32 (20h): reading 2020:04: no answer; is the node on the bus")
 
@@ -111,7 +110,7 @@ def test_who_produces_the_sync_has_to_hear_it(
 
     monkeypatch.setattr(opening, "open_bus", refuse)
     bus = ["-i", "virtual", "-c", "x"]
-    assert failed([*bus, "--sync", "100"], capsys) == (1, "no")
+    assert failed([*bus, "--rate", "100"], capsys) == (1, "no")
     assert failed(bus, capsys) == (1, "no")
     plain = {"interface": "virtual", "channel": "x"}
     assert opened == [plain | {"receive_own_messages": True}, plain, plain]
@@ -130,9 +129,9 @@ def test_the_configuration_names_bus_and_nodes(tmp_path: Path, capsys: pytest.Ca
     path.write_text(
         "bus: {interface: virtual, channel: configured}\nmodules: [{node_id: 77}, {node_id: 78}]\n"
     )
-    options = ["--answer-within", "0.05"]
+    options = ["--timeout", "0.05"]
     assert failed([str(path), *options], capsys)[1].startswith("module 77 (4Dh): ")
-    assert failed([str(path), "--module", "78", *options], capsys)[1].startswith("module 78 (4Eh): ")
+    assert failed([str(path), "78", *options], capsys)[1].startswith("module 78 (4Eh): ")
 
 
 def test_samples_of_a_file_give_table_and_report(
@@ -170,7 +169,7 @@ def test_a_csv_file_with_gaps_and_an_offset(tmp_path: Path, capsys: pytest.Captu
     rows = [f"{t:.4f},{c + 2048},{s + 2048}" for t, s, c in zip(times, sine, cosine, strict=True)]
     path = tmp_path / "scope.csv"
     path.write_text("t,b,a\n" + "\n".join(rows) + "\n")
-    options = ["--columns", "a,b", "--mid-scale", "2048", "--time-column", "t", "--rate", "1000"]
+    options = ["--columns", "a,b", "--mid-scale", "2048", "--time-column", "t", "--sample-rate", "1000"]
     assert main(["calibrate", "--samples", str(path), *options, "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["samples_missed"] == 20

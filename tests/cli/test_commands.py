@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from canfb.cli import commands as table
-from canfb.cli.commands import COMMANDS, add_commands, named_command
+from canfb.cli.commands import COMMANDS, named_command
 from canfb.cli.main import build_parser
 
 NAMES = [entry.name for entry in COMMANDS]
@@ -81,19 +81,3 @@ def test_the_file_of_a_command_imports_that_of_no_other() -> None:
 )
 def test_the_command_of_a_line(line: str, name: str) -> None:
     assert named_command(line.split()) == name
-
-
-def test_a_file_with_two_commands_is_registered_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    two = table.CommandEntry("other", COMMANDS[0].file, "a second one")
-    calls: list[str] = []
-
-    class Module:
-        @staticmethod
-        def register(commands: Any) -> None:
-            calls.append("register")
-
-    monkeypatch.setattr(table, "COMMANDS", (COMMANDS[0], two))
-    monkeypatch.setattr(table, "import_module", lambda name: Module)
-    parser = argparse.ArgumentParser()
-    add_commands(parser.add_subparsers(), "other")
-    assert calls == ["register"]

@@ -74,16 +74,16 @@ def test_commands_are_completed(folder: Path) -> None:
 
 def test_options_and_parts_of_a_command_are_completed(folder: Path) -> None:
     options, parts, interfaces = completed(
-        folder, "canfb demo --", "canfb config e", "canfb run x -i socketcan"
+        folder, "canfb config check --", "canfb config e", "canfb run x -i socketcan"
     )
-    assert options == {"--debug", "--help", "--json", "--out"}
+    assert options == {"--debug", "--help"}
     assert parts == {"example"}
     assert interfaces == {"socketcan", "socketcand"}
 
 
 def test_files_are_those_that_fit(folder: Path) -> None:
     configs, folders, samples = completed(
-        folder, "canfb run ", "canfb demo --out ", "canfb calibrate --samples "
+        folder, "canfb run ", "canfb try --out ", "canfb calibrate --samples "
     )
     assert configs >= {"feedback.yaml", "wrong.yaml"}
     assert "tracks.csv" not in configs
@@ -94,10 +94,10 @@ def test_files_are_those_that_fit(folder: Path) -> None:
 def test_nodes_are_those_of_the_configuration(folder: Path) -> None:
     every, one, none, module = completed(
         folder,
-        "canfb nmt start --config feedback.yaml ",
-        "canfb calibrate feedback.yaml --module 0x2",
-        "canfb nmt start --config wrong.yaml ",
-        "canfb calibrate feedback.yaml --module ",
+        "canfb node start --config feedback.yaml ",
+        "canfb calibrate --config feedback.yaml 0x2",
+        "canfb node start --config wrong.yaml ",
+        "canfb calibrate --config feedback.yaml ",
     )
     assert every >= {"all", "0x11", "0x21"}
     assert one == {"0x21"}

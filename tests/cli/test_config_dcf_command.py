@@ -168,26 +168,26 @@ def test_for_programs(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_one_of_several(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
     yaml.write_text(TWO)
     _, err = said(capsys, str(yaml), code=2)
-    assert err.startswith(f"canfb: {yaml}: --module ID is required, as there are several: 32 (20h), 33 (21h)")
+    assert err.startswith(f"canfb: {yaml}: NODE is required, as there are several: 32 (20h), 33 (21h)")
     for name in ("0x21", "33"):
-        out, _ = said(capsys, str(yaml), "--module", name)
+        out, _ = said(capsys, str(yaml), name)
         assert "node 33 (21h)" in out
         assert "2010:03" in out
-    _, err = said(capsys, str(yaml), "--module", "1", code=2)
-    want = "--module 1: no module has this node-ID; there are 32 (20h), 33 (21h)"
+    _, err = said(capsys, str(yaml), "1", code=2)
+    want = "1: no module has this node-ID; there are 32 (20h), 33 (21h)"
     assert err == f"canfb: {yaml}: {want}\n"
 
 
 WRONG_USE = {
-    "nothing": ([], "CONFIG.yaml or --node ID is required"),
-    "node and module": (["--node", "3", "--module", "1"], "--module: only without --node"),
-    "node": (["--node", "0"], "--node 0: must be 1 to 127"),
-    "asks nobody": (["x.yaml", "--answer-within", "2"], "--answer-within: only with --node"),
-    "time": (["--node", "3", "--answer-within", "0"], "--answer-within 0: must be"),
+    "nothing": ([], "the following arguments are required: NODE"),
+    "two nodes": (["3", "1"], "1: there is another node-ID already"),
+    "node": (["0"], "'0' is not a node-ID"),
+    "asks nobody": (["x.yaml", "--timeout", "2"], "--timeout: only with NODE alone"),
+    "time": (["3", "--timeout", "0"], "--timeout 0: must be"),
     "name": (["x.yaml", "--name", "a\nb"], "--name 'a\\nb': must be printable"),
     "one file": (["x.yaml", "--out", "a", "--concise", "a"], "--concise a: must differ from --out"),
     "no file": (["nothing.yaml"], "nothing.yaml: cannot be read"),
-    "number": (["x.yaml", "--module", "one"], "'one' is not a whole number"),
+    "number": (["x.yaml", "one"], "'one' is not a node-ID"),
 }
 
 

@@ -13,7 +13,6 @@ from xml.etree import ElementTree
 
 import pytest
 
-from canfb.cli import demo
 from canfb.cli.main import main
 from canfb.demo.story import Story
 from html_page import Page
@@ -116,7 +115,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def too_late() -> None:
         raise AssertionError("the work has begun")
 
-    monkeypatch.setattr(demo, "DemoNetwork", too_late)
+    monkeypatch.setattr("canfb.demo.demo_network.DemoNetwork", too_late)
 
 
 @pytest.mark.usefixtures("no_work")
@@ -134,9 +133,9 @@ def test_a_folder_that_cannot_be_made_is_found_before_the_work(
 def test_a_story_that_does_not_hold_is_exit_code_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    story = Story(checks={"it flies": False, "it floats": True})
-    monkeypatch.setattr(demo, "run_story", lambda network: story)
-    monkeypatch.setattr(demo, "figures", lambda told: {"held": told.held, "checks": told.checks})
+    told = Story(checks={"it flies": False, "it floats": True})
+    monkeypatch.setattr("canfb.demo.story.run_story", lambda network: told)
+    monkeypatch.setattr("canfb.demo.account.figures", lambda told: {"held": told.held, "checks": told.checks})
     assert main(["demo", "--json"]) == 1
     said = json.loads(capsys.readouterr().out)
     assert said == {"held": False, "checks": {"it flies": False, "it floats": True}, "figures": []}

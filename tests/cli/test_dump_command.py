@@ -1,4 +1,4 @@
-"""`canfb dump`: a line for each frame, of a log or of a bus."""
+"""`canfb monitor --frames`: a line for each frame, of a log or of a bus."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from pathlib import Path
 import can
 import pytest
 
+from canfb.cia301.frame import Frame
 from canfb.cli.main import main
-from canfb.hosting.trying import ScopeDemo
+from canfb.configuration import Config
+from canfb.hosting.trying import NetworkOnBus
+from canfb.module.module_config import ModuleConfig
 from fake_bus import message
 from monitored_network import MonitoredNetwork
 
@@ -39,7 +42,7 @@ def log(tmp_path: Path) -> Path:
 
 
 def test_a_log_in_lines(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "0x20", "--log", str(log)]) == 0
+    assert main(["monitor", "--frames", "0x20", "--log", str(log)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 9
     assert lines[0] == "(0.000000)  080  [0]                           SYNC"
@@ -48,7 +51,7 @@ def test_a_log_in_lines(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_log_for_programs(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "0x20", "--log", str(log), "--json", "--pdo"]) == 0
+    assert main(["monitor", "--frames", "0x20", "--log", str(log), "--json", "--pdo"]) == 0
     figures = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [one["kind"] for one in figures] == ["rpdo", "tpdo"] * 3
     assert figures[-1]["values"]["6004:00"] == 2
@@ -64,7 +67,7 @@ def test_modules_that_nobody_names_are_known_by_what_they_send(
     with can.Logger(path) as writer:
         for frame, now in network.frames:
             writer(message(frame.can_id, frame.data, timestamp=1e6 + now))
-    assert main(["dump", "--log", str(path), "--json", "--pdo"]) == 0
+    assert main(["monitor", "--frames", "--log", str(path), "--json", "--pdo"]) == 0
     figures = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     sent = [frame.can_id for frame, _ in network.frames if frame.can_id in PDOS]
     assert [one["can_id"] for one in figures] == sent
@@ -72,7 +75,7 @@ def test_modules_that_nobody_names_are_known_by_what_they_send(
 
 
 def test_seconds_end_a_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "--log", str(log), "--seconds", "0.009"]) == 0
+    assert main(["monitor", "--frames", "--log", str(log), "--seconds", "0.009"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 3
 
 
@@ -81,22 +84,24 @@ def test_a_configuration_names_modules_and_bus(tmp_path: Path, capsys: pytest.Ca
     path.write_text("bus: {interface: virtual, channel: dump}\nmodules: [{node_id: 32}]\n", encoding="utf-8")
     with can.Bus(interface="virtual", channel="dump") as other:
         other.send_periodic(can.Message(arbitration_id=0x190, data=bytes(4), is_extended_id=False), 0.005)
-        assert main(["dump", str(path), "--seconds", "0.3", "--listen"]) == 0
+        assert main(["monitor", "--frames", str(path), "--seconds", "0.3", "--listen"]) == 0
     assert "RPDO1 of 32: sine 0 ADC counts" in capsys.readouterr().out
-
-
-def test_a_file_that_is_no_log_is_an_error_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["dump", "--log", str(tmp_path / "none.asc")]) == 1
-    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_on_a_bus_the_modules_are_asked_for_their_mapping(capsys: pytest.CaptureFixture[str]) -> None:
     """Without a node and a configuration, all that answer; the velocity is not in the mapping of the EDS."""
-    with ScopeDemo() as demo:
+    download = struct.Struct("<BHBI").pack
+    mapped = [
+        (0x23, 0x1A02, 1, 0x20110720),
+        (0x2F, 0x1A02, 0, 1),
+        (0x2F, 0x1802, 2, 254),
+        (0x23, 0x1802, 1, 0x3A0),
+    ]
+    config = Config({"interface": "virtual", "channel": "dump-x"}, [ModuleConfig(node_id=32, autostart=True)])
+    first = [Frame(0x620, download(*one)) for one in mapped]
+    with NetworkOnBus(config, 200.0, first=first) as demo:
         words = ["-i", "virtual", "-c", demo.words["channel"], "--seconds", "0.3"]
-        assert main(["dump", *words]) == 0
+        assert main(["monitor", "--frames", *words]) == 0
     out = capsys.readouterr().out
     assert "TPDO3 of 32: velocity " in out
     assert "RPDO1 of 32: sine " in out

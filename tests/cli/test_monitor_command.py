@@ -113,7 +113,7 @@ def test_it_only_listens(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["0"], "'0' is not a node-ID"),
         (["128"], "'128' is not a node-ID"),
-        (["--rate", "0", "--json"], "'0' is not a number above 0"),
+        (["--updates", "0", "--json"], "'0' is not a number above 0"),
         (["--per-revolution", "5"], "'5' is not a distance per revolution"),
         (["--speed", "2", "-i", "virtual"], "--speed: goes with --log"),
         (["32", "--log", "x.log", "--sdo"], "--sdo: a log answers no SDO"),

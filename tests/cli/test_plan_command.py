@@ -42,7 +42,7 @@ def test_the_exit_code_says_whether_it_holds(capsys: pytest.CaptureFixture[str])
 
 
 def test_json_agrees_with_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
-    found = figures(capsys, "--rpm", "3000", "--jitter", "10", code=1)
+    found = figures(capsys, "--rpm", "3000", "--jitter", "10us", code=1)
     assert found["holds"] is False
     assert found["tightest"]["limit"] == "speed"
     assert found["changes"][0]["change"] == "send sample times with the ADC PDO (times: true)"
@@ -107,7 +107,7 @@ def test_modules_without_a_node_id_and_those_that_sample_themselves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = "modules: [{node_id: 255, source: {kind: motion}}, {node_id: 32, serial_number: 1}]\n"
-    found = figures(capsys, written(tmp_path, text), "--rpm", "3000", "--jitter", "50", code=1)
+    found = figures(capsys, written(tmp_path, text), "--rpm", "3000", "--jitter", "50us", code=1)
     assert [module["node_id"] for module in found["modules"]] == [127, 32]
     assert found["modules"][0]["speed"]["largest_rpm"] is None, "the module samples at the exact instant"
 
@@ -115,7 +115,7 @@ def test_modules_without_a_node_id_and_those_that_sample_themselves(
 BAD = {
     "--rate nan": "--rate must be a number",
     "--rate 0": "--rate must be a number",
-    "--jitter -1": "--jitter must be a number",
+    "--jitter 20": "--jitter must be a number",
     "--extra 1.5": "--extra must be a number",
     "--rpm inf": "--rpm must be a number",
     "--acceleration -3": "--acceleration must be a number",

@@ -131,7 +131,7 @@ def test_the_first_session_holds_for_ten_seconds_with_real_processes(
         [sys.executable, "-m", "canfb", "config", "example"], capture_output=True, check=True, timeout=LIMIT_S
     )
     (tmp_path / "feedback.yaml").write_bytes(example.stdout)
-    session = [words for words in command_lines() if words[0] in ("run", "simulate", "nmt")]
+    session = [words for words in command_lines() if words[0] in ("run", "simulate", "node")]
     module, interface, nmt = session
     running = start(*module), start(*interface)
     files = tmp_path / "module.ready", tmp_path / "interface.ready"

@@ -1,4 +1,4 @@
-"""``canfb scope``: wrong use is one line, before anything is opened; a log is shown without a bus."""
+"""``canfb monitor --web``: wrong use is one line, before anything is opened; a log is shown without a bus."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from monitored_network import MonitoredNetwork
         ("--port 70000", "must be 0 to 65535"),
         ("--speed 2", "goes with --log"),
         ("--log x.log --sdo", "answers no SDO"),
-        ("--demo 32", "module of its own"),
         ("-i virtual -c scope-test --sdo", "name the nodes"),
         ("-i nonsense", "nonsense"),
         ("--port web", "invalid int value"),
@@ -32,7 +31,7 @@ from monitored_network import MonitoredNetwork
     ],
 )
 def test_wrong_use(options: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scope", *options.split()]) == 2
+    assert main(["monitor", "--web", *options.split()]) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
@@ -46,11 +45,11 @@ def test_what_cannot_be_opened_is_one_line_and_no_address(
         taken.listen()
         port = str(taken.getsockname()[1])
         for options, said in (
-            (["--demo", "--port", port], "cannot listen at 127.0.0.1"),
+            (["-i", "virtual", "-c", "page", "--port", port], "cannot listen at 127.0.0.1"),
             (["-i", "slcan", "-c", "/dev/there-is-none"], "cannot open the bus slcan /dev/there-is-none"),
-            (["--log", str(tmp_path / "none.log")], "none.log: No such file"),
+            (["--log", str(tmp_path / "none.log")], "none.log: cannot be read: No such file"),
         ):
-            assert main(["scope", *options]) == 1
+            assert main(["monitor", "--web", *options]) == 1
             out, error = capsys.readouterr()
             assert said in error
             assert error.count("\n") == 1
@@ -76,7 +75,7 @@ def test_a_log_is_shown_without_a_bus(
             os.kill(os.getpid(), signal.SIGTERM)
 
     monkeypatch.setattr(LivePage, "show", shown)
-    assert main(["scope", "--log", str(path), "--speed", "100", "--write"]) == 0
+    assert main(["monitor", "--web", "--log", str(path), "--speed", "100", "--write"]) == 0
     out, error = capsys.readouterr()
     assert out.startswith("open http://127.0.0.1:")
     assert error == "canfb: --write: the page only shows; canfb calibrate and canfb table change a module\n"
@@ -85,7 +84,7 @@ def test_a_log_is_shown_without_a_bus(
 
 def test_the_help_loads_no_server() -> None:
     code = (
-        "from canfb.cli.main import build_parser; build_parser('scope').format_help(); import sys\n"
+        "from canfb.cli.main import build_parser; build_parser('monitor').format_help(); import sys\n"
         "print(sorted({'http.server', 'canfb.scope.live_page', 'canopen'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -120,7 +120,7 @@ def test_a_module_that_samples_itself_has_no_encoder_interface() -> None:
 @pytest.mark.parametrize(("option", "value"), [("samples", "x.csv"), ("rpm", 5.0)])
 def test_what_else_would_move_the_encoder_is_refused(option: str, value: object) -> None:
     with pytest.raises(ConfigError, match=f"--{option}: the drive"):
-        chosen(build_parser().parse_args(["simulate", "x", f"--{option}", str(value)]), parsed("{}"))
+        chosen(build_parser().parse_args(["simulate", "x.yaml", f"--{option}", str(value)]), parsed("{}"))
 
 
 def test_a_module_without_a_node_id_has_no_position_to_take() -> None:

@@ -71,7 +71,7 @@ def test_another_terminal_reads_it_and_ctrl_c_leaves_nothing(
     trying: list[Process], own_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = own_folder / "try.ready"
-    process = begun(trying, "--no-scope", "--json", "--ready-file", str(file))
+    process = begun(trying, "--no-page", "--json", "--ready-file", str(file))
     ready = json.loads(process.wait_for('"event": "ready"'))
     assert ready["page"] is None
     assert (ready["node_id"], ready["encoder_interface"], ready["rate_hz"]) == (0x20, 0x10, 100.0)

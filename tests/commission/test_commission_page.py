@@ -11,11 +11,10 @@ from test_commission_on_a_bus import SHORT, bench_of
 
 from canfb import objects as od
 from canfb.calibrate.artefacts import prepare
-from canfb.cli.commission import configuration_of, over_bus, wishes_of
+from canfb.cli.commission import named_config, over_bus
 from canfb.cli.main import build_parser, main
 from canfb.cli.progress import Progress
 from canfb.device.storage.storage import MemoryStore
-from canfb.errors import ConfigError
 from canfb.master.all_or_nothing import Guard
 
 ROOT = Path(__file__).parents[2]
@@ -34,7 +33,7 @@ def test_the_commands_of_the_page_run(
     for words in COMMANDS:
         options = build_parser().parse_args([*words, *SHORT])
         options.line = ""
-        config = configuration_of(options)
+        config = named_config(options)
         if options.out:
             prepare(options.out)
         assert over_bus(bench.master, options, config, Progress(quiet=True), Guard(), "2026-03-01") == 0
@@ -44,15 +43,16 @@ def test_the_commands_of_the_page_run(
 
 
 WRONG = {
-    "canfb commission nothing.yaml": "nothing.yaml: neither a node-ID (1 to 127) nor a file",
-    "canfb commission 0x20 --module 33": "--module 33: the node is 32 already",
+    "canfb commission nothing.yaml": "nothing.yaml: cannot be read",
+    "canfb commission 33 0x20": "32: there is another node-ID already",
     "canfb commission 0x20 --margin nan": "--margin nan: must be 1.2 to 10",
     "canfb commission 0x20 --acceleration -1": "--acceleration -1: must be 0 to 1e+09",
     "canfb commission 0x20 --watch 0": "--watch 0: must be 0.1 to 3600",
     "canfb commission 0x20 --save": "--save: only with --write, without which nothing is written",
     "canfb commission 0x20 --encoder-interface 0x20": "must differ from the node-ID of the module",
     "canfb commission 0x20 --encoder-interface 16 --source recording": "not with --source recording",
-    "canfb commission 0x20 --answer-within 99": "--answer-within 99: must be 0.01 to 60",
+    "canfb commission a.yaml --config b.yaml": "a.yaml: there is another file already",
+    "canfb commission 0x20 --timeout 99": "--timeout 99: must be 0.01 to 60",
 }
 
 
@@ -62,12 +62,3 @@ def test_wrong_use_is_one_line(line: str, capsys: pytest.CaptureFixture[str]) ->
     said = capsys.readouterr().err
     assert WRONG[line] in said
     assert said.count("\n") == 1
-
-
-def test_a_configuration_named_twice(tmp_path: Path) -> None:
-    path = tmp_path / "feedback.yaml"
-    path.write_text(CONFIG)
-    options = build_parser().parse_args(["commission", str(path), "--config", "other.yaml"])
-    with pytest.raises(ConfigError, match="is a configuration already"):
-        configuration_of(options)
-    assert wishes_of(options).margin == 2.0

@@ -1,4 +1,4 @@
-"""`canfb bus scan`: who is there, in which state, with which identity; and nothing that harms anybody."""
+"""`canfb node list`: who is there, in which state, with which identity; and nothing that harms anybody."""
 
 from __future__ import annotations
 
@@ -81,8 +81,8 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
         def __exit__(self, *_: object) -> None:
             pass
 
-    monkeypatch.setattr("canfb.cli.nmt_command.BusMaster", Opened)
-    words = ["bus", "scan", "-i", "virtual", "-c", "scan-x", "--seconds", "0.3"]
+    monkeypatch.setattr("canfb.cli.node_command.BusMaster", Opened)
+    words = ["node", "list", "-i", "virtual", "-c", "scan-x", "--seconds", "0.3"]
     assert main(words) == 0
     assert [line[:9] for line in capsys.readouterr().out.splitlines()] == [" 16 (10h)", " 32 (20h)"]
     assert main([*words, "--json"]) == 0
@@ -93,5 +93,5 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
 
 def test_an_empty_bus(capsys: pytest.CaptureFixture[str]) -> None:
     with can.Bus(interface="virtual", channel="scan-empty"):
-        assert main(["bus", "scan", "-i", "virtual", "-c", "scan-empty", "--seconds", "0.1"]) == 0
+        assert main(["node", "list", "-i", "virtual", "-c", "scan-empty", "--seconds", "0.1"]) == 0
     assert capsys.readouterr().out.startswith("no node answers")

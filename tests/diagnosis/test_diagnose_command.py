@@ -1,4 +1,4 @@
-"""`canfb diagnose`: what is in its file, also where something is wrong; and docs/monitor.md."""
+"""`canfb why --bundle`: what is in its file, also where something is wrong; and docs/monitor.md."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def written(folder: Path) -> dict[str, Any]:
 def test_all_objects_of_the_configured_nodes_are_in_the_file(
     canfb: Commands, config: Path, tmp_path: Path
 ) -> None:
-    out = canfb(Bench(sync=False), "diagnose", config, SECONDS)[0]
+    out = canfb(Bench(sync=False), "why", "--bundle", config, SECONDS)[0]
     found = written(tmp_path)
     assert list(found)[:4] == ["canfb_diagnosis", "made", "made_by", "versions"]
     assert set(re.findall(r"^\| `(\w+)` \|", PAGE, re.M)) == set(list(found)[3:])
@@ -70,7 +70,7 @@ def test_all_objects_of_the_configured_nodes_are_in_the_file(
 
 def test_named_nodes_and_frames_that_are_heard(canfb: Commands, tmp_path: Path) -> None:
     path = tmp_path / "machine.json"
-    canfb(Bench(), "diagnose", MODULE_ID, "--out", path, "--seconds=0.2", "-i", "virtual", "-c", "x")
+    canfb(Bench(), "why", "--bundle", MODULE_ID, "--out", path, "--seconds=0.2", "-i", "virtual", "-c", "x")
     found = json.loads(path.read_text(encoding="utf-8"))
     assert [node["node_id"] for node in found["nodes"]] == [MODULE_ID]
     assert found["bus"]["seconds"] == 0.2
@@ -79,7 +79,7 @@ def test_named_nodes_and_frames_that_are_heard(canfb: Commands, tmp_path: Path) 
 
 
 def test_without_nodes_all_that_answer_are_read(canfb: Commands, tmp_path: Path) -> None:
-    canfb(Bench(sync=False), "diagnose", SECONDS, "-i", "virtual", "-c", "x")
+    canfb(Bench(sync=False), "why", "--bundle", SECONDS, "-i", "virtual", "-c", "x")
     found = written(tmp_path)
     assert {one["node"] for one in found["bus"]["found"]} >= {INTERFACE_ID, MODULE_ID}
     assert {one["node_id"] for one in found["nodes"]} >= {INTERFACE_ID, MODULE_ID}
@@ -92,14 +92,16 @@ def test_a_refused_object_has_the_reason_in_its_place(canfb: Commands, tmp_path:
         return abort(frame, 0x08000022) if place_of(frame) == (0x2010, 2) else None
 
     between(bench, spoil)
-    canfb(bench, "diagnose", MODULE_ID, SECONDS, "-i", "virtual", "-c", "x")
+    canfb(bench, "why", "--bundle", MODULE_ID, SECONDS, "-i", "virtual", "-c", "x")
     (node,) = written(tmp_path)["nodes"]
     assert node["objects"]["2010:02"] == "refused: 08000022h"
     assert node["objects"]["2010:03"] == 3
 
 
 def test_a_node_that_is_silent_is_told_and_the_others_are_read(canfb: Commands, tmp_path: Path) -> None:
-    out, err = canfb(Bench(sync=False), "diagnose", 5, MODULE_ID, SECONDS, "-i", "virtual", "-c", "x", code=1)
+    out, err = canfb(
+        Bench(sync=False), "why", "--bundle", 5, MODULE_ID, SECONDS, "-i", "virtual", "-c", "x", code=1
+    )
     assert ".json is incomplete: node 5 (05h): " in err
     silent, module = written(tmp_path)["nodes"]
     assert silent["node_id"] == 5
@@ -121,7 +123,7 @@ def test_a_bus_that_is_down_and_a_wrong_configuration_are_in_the_file(
     monkeypatch.setattr(node_options, "master_of", master_of)
     path = tmp_path / "wrong.yaml"
     path.write_text("modules: [{node_id: 300}]\n")
-    assert main(["diagnose", str(path)]) == 1
+    assert main(["why", "--bundle", str(path)]) == 1
     found = written(tmp_path)
     assert "node_id must be a whole number 1..127, not 300" in found["configuration_error"]
     assert found["bus"]["error"] == "cannot open the bus virtual x: gone"
@@ -139,7 +141,7 @@ def test_the_journal_is_that_of_the_services_of_the_configuration(
         return ["a line"]
 
     monkeypatch.setattr(self_diagnosis, "_said", said)
-    canfb(Bench(sync=False), "diagnose", config, SECONDS)
+    canfb(Bench(sync=False), "why", "--bundle", config, SECONDS)
     assert written(tmp_path)["log"] == ["a line"]
     assert asked[0][:5] == ["journalctl", "-u", "canfb@left", "-u", "canfb-interface@left"]
     assert {"--no-hostname", "--no-pager"} <= set(asked[0])
@@ -151,7 +153,7 @@ def test_a_command_that_is_not_there_is_a_line() -> None:
 
 
 def test_what_is_written_first_is_checked(canfb: Commands, tmp_path: Path) -> None:
-    _, err = canfb(Bench(sync=False), "diagnose", MODULE_ID, "--out", tmp_path, code=1)
+    _, err = canfb(Bench(sync=False), "why", "--bundle", MODULE_ID, "--out", tmp_path, code=1)
     assert err == f"canfb: cannot write {tmp_path}: it is a folder\n"
 
 

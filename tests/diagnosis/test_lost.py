@@ -57,7 +57,7 @@ def test_an_interface_that_was_silent(canfb: Commands) -> None:
     assert lines[4] == "  residual then: nothing to compare; limit 0.333 cycle"
     assert " cycles per interval, " in lines[5]
     at = lines.index("what brings it back")
-    assert lines[at + 1].startswith("  stand still, then canfb reset 0x20:")
+    assert lines[at + 1].startswith("  stand still, then canfb node reset 0x20:")
     assert [line.partition(":")[2][:11] for line in lines[at + 2 : at + 4]] == [" not mapped"] * 2
     kept = lines[lines.index("what would have kept it") + 1 :]
     assert kept[0] == "  2010:03 bridges 3 samples, 3 ms: a larger value bridges a longer fault"
@@ -95,7 +95,7 @@ def test_what_the_module_has_mapped_is_what_brings_it_back() -> None:
 def test_a_module_without_samples_says_so_first(canfb: Commands) -> None:
     stopped = Bench(sync=False, operational=False)
     out, _ = canfb(stopped, "why", NODE)
-    assert "no samples are processed now: is it OPERATIONAL (canfb nmt start 0x20)" in out
+    assert "no samples are processed now: is it OPERATIONAL (canfb node start 0x20)" in out
 
 
 def test_a_module_of_before_keeps_no_cause(canfb: Commands) -> None:

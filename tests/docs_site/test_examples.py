@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from canfb.cli.aliases import current
 from canfb.cli.commands import build_parser
 from canfb.configuration import ANY_NODES, parse_config
 from tools.site.nav import pages_of
@@ -59,7 +60,7 @@ def test_there_are_examples() -> None:
     ("page", "words"), COMMANDS, ids=lambda one: one if isinstance(one, str) else " ".join(one)
 )
 def test_a_command_is_understood(page: str, words: list[str]) -> None:
-    parser().parse_args(words)
+    parser().parse_args(current(words)[0])
 
 
 @pytest.mark.parametrize(("page", "text"), CONFIGURATIONS, ids=[page for page, _ in CONFIGURATIONS])

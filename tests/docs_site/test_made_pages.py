@@ -115,7 +115,7 @@ def test_the_ranges_are_those_that_the_classes_hold(kind: type) -> None:
 def test_every_command_is_there_with_its_options() -> None:
     text = page("reference/commands.md")
     commands = list(commands_of(build_parser()))
-    assert {"canfb run", "canfb table upload", "canfb config dcf"} <= {one.prog for one in commands}
+    assert {"canfb run", "canfb table write", "canfb config dcf"} <= {one.prog for one in commands}
     for command in commands:
         part = text.partition(f"\n## {command.prog}\n")[2].partition("\n## ")[0]
         assert part, command.prog

@@ -45,7 +45,7 @@ def test_the_log_has_the_lines_of_the_command(
     events = [record for record in records if record.name == "canfb.hosting.event_log"]
     assert [record.event["event"] for record in events] == ["nmt", "nmt"]  # type: ignore[attr-defined]
     records = [record for record in records if record not in events]
-    assert {record.name for record in records} == {"canfb.hosting.hosting", "canfb.hosting.serving"}
+    assert {record.name for record in records} == {"canfb.hosting.hosting"}
     caplog.clear()
     monkeypatch.setattr(Readiness, "ready", lambda readiness: signal.raise_signal(signal.SIGTERM))
     assert main(["run", str(config)]) == 0

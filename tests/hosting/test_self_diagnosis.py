@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from canfb.configuration import INTERFACES, parse_config
-from canfb.hosting.hosting import Hosting, InterfaceHosting
+from canfb.hosting.hosting import Hosting
 from canfb.hosting.self_diagnosis import (
     KeptLines,
     SelfDiagnosis,
@@ -24,13 +24,12 @@ from canfb.hosting.self_diagnosis import (
     versions,
     without_secrets,
 )
-from canfb.hosting.serving import Serving
 
 LIMIT_S = 60.0
 BUS = "bus: {interface: virtual, channel: diagnosis, password: apple}\n"
 
 
-def served(serving: Serving, folder: Path, ask: Callable[[], None]) -> dict[str, Any]:
+def served(serving: Hosting, folder: Path, ask: Callable[[], None]) -> dict[str, Any]:
     """Serve until the diagnosis that ``ask`` requests is there."""
     path = folder / f"canfb-diagnose-{os.getpid()}.json"
     end = time.monotonic() + LIMIT_S
@@ -81,9 +80,7 @@ def test_a_module_writes_all_it_knows_on_a_signal(tmp_path: Path, caplog: pytest
 
 def test_an_interface_does_the_same(tmp_path: Path) -> None:
     text = f"{BUS}interfaces: [{{node_id: 16, state_dir: {tmp_path}, source: {{kind: motion}}}}]\n"
-    serving = InterfaceHosting(
-        parse_config(text, needs=INTERFACES), {"interface": "virtual", "channel": "diagnosis"}
-    )
+    serving = Hosting(parse_config(text, needs=INTERFACES), {"interface": "virtual", "channel": "diagnosis"})
     found = served(serving, tmp_path, serving.diagnose)
     (node,) = found["nodes"]
     assert node["objects"]["1000:00"] == 0x00040191

@@ -1,4 +1,4 @@
-"""`canfb interface` with an emulated ADC: its PDOs, its faults, what it keeps, and the command itself."""
+"""`canfb run` with an emulated ADC: its PDOs, its faults, what it keeps, and the command itself."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def written(interface: EncoderInterface, data: bytes) -> bytes:
 
 
 class Running:
-    """`canfb interface` as a process on a multicast bus."""
+    """`canfb run` as a process on a multicast bus."""
 
     def __init__(self, process: subprocess.Popen[str], bus: can.BusABC) -> None:
         self._process, self._bus = process, bus
@@ -181,7 +181,7 @@ def command(multicast_bus: can.BusABC, multicast_words: dict[str, Any], tmp_path
                 f"interfaces:\n- {{node_id: {NODE}, times: true, source: {source}}}\n"
             )
             process = subprocess.Popen(
-                [sys.executable, "-W", "error", "-m", "canfb", "interface", str(config), *options],
+                [sys.executable, "-W", "error", "-m", "canfb", "run", str(config), *options],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""`canfb record`: what a bus gave stands in the log, in each format, however the recording ends."""
+"""`canfb log record`: what a bus gave stands in the log, in each format, however the recording ends."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_a_signal_ends_the_command_cleanly(
 
         monkeypatch.setattr(Readiness, "ready", ready)
         path = tmp_path / "bus.log"
-        assert main(["record", str(path), "-i", "virtual", "-c", "recorded"]) == 0
+        assert main(["log", "record", str(path), "-i", "virtual", "-c", "recorded"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "1 frames"
     (read,) = can.LogReader(path)
     assert (read.arbitration_id, bytes(read.data)) == (0x123, b"\1")
@@ -141,5 +141,5 @@ def test_a_signal_ends_the_command_cleanly(
 def test_wrong_options_are_wrong_use(
     tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["record", str(tmp_path / "bus.log"), *words]) == 2
+    assert main(["log", "record", str(tmp_path / "bus.log"), *words]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1

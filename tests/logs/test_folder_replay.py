@@ -144,19 +144,19 @@ def test_what_cannot_be_is_one_line(folder: Path, tmp_path: Path, capsys: pytest
         ([str(folder), "--workers", "0"], 2, "--workers 0: must be 1 at least"),
     ]
     for words, code, said in wrong:
-        assert main(["replay", *words]) == code, words
+        assert main(["log", "replay", *words]) == code, words
         errors = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("...")]
         assert len(errors) == 1, errors
         assert said in errors[0]
     assert (tmp_path / "no.parquet").read_text() == "mine"
-    with pytest.raises(CanfbError, match="choose it by --module"):
+    with pytest.raises(CanfbError, match="choose it by NODE"):
         ReplayOptions((config(), config()), state_dir=Path())
 
 
 def test_the_command_says_which_log_is_bad_or_incomplete(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["replay", str(folder), "--workers", "1", "--no-drift"]
+    words = ["log", "replay", str(folder), "--workers", "1", "--no-drift"]
     assert main(words) == 0
     captured = capsys.readouterr()
     assert "not done  bad.log, module 32: " in captured.out

@@ -1,4 +1,4 @@
-"""`canfb replay` from the command line: text, JSON, files and a page; one line for what cannot be."""
+"""`canfb log replay` from the command line: text, JSON, files and a page; one line for what cannot be."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def figures(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
 
 
 def test_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["replay", str(log), "--json", "--drift"]) == 0
+    assert main(["log", "replay", str(log), "--json", "--drift"]) == 0
     found = figures(capsys)
     (module,) = found["modules"]
     assert module["node_id"] == NODE_ID
@@ -58,7 +58,7 @@ def test_files_have_all_samples(log: Path, tmp_path: Path, capsys: pytest.Captur
     parquet = importlib.import_module("pyarrow.parquet")
 
     for suffix in ("csv", "npz", "parquet"):
-        assert main(["replay", str(log), "--out", str(tmp_path / f"out.{suffix}")]) == 0
+        assert main(["log", "replay", str(log), "--out", str(tmp_path / f"out.{suffix}")]) == 0
     with (tmp_path / "out.csv").open() as file:
         rows = list(csv.DictReader(file))
     arrays = np.load(tmp_path / "out.npz")
@@ -74,7 +74,7 @@ def test_files_have_all_samples(log: Path, tmp_path: Path, capsys: pytest.Captur
 
 def test_a_page_with_pictures(log: Path, tmp_path: Path) -> None:
     path = tmp_path / "replay.html"
-    assert main(["replay", str(log), "--report", str(path)]) == 0
+    assert main(["log", "replay", str(log), "--report", str(path)]) == 0
     text = path.read_text(encoding="utf-8")
     page = Page(text)
     assert text.count("<svg ") == 5
@@ -90,7 +90,7 @@ def test_a_table_and_other_settings_are_tried(
     table = CorrectionTable(x + 0.01 * np.sin(2 * np.pi * x))
     file = tmp_path / "table.yaml"
     file.write_text(as_yaml(Correction(table, IDENTITY), {}))
-    words = ["replay", str(log), "--json", "--table", str(file), "--set", "amplitude_high_counts=4000"]
+    words = ["log", "replay", str(log), "--json", "--table", str(file), "--set", "amplitude_high_counts=4000"]
     assert main(words) == 0
     (module,) = figures(capsys)["modules"]
     assert module["table_crc32"] == f"{table.crc32:08X}"
@@ -113,7 +113,18 @@ def test_saved_parameters_are_read_and_stay(tmp_path: Path, capsys: pytest.Captu
     frames, sent = live(plan, store)
     log = write_log(tmp_path / "bus.log", frames)
     assert (
-        main(["replay", str(log), "--json", "--state", str(state), "--frames", str(tmp_path / "sent.log")])
+        main(
+            [
+                "log",
+                "replay",
+                str(log),
+                "--json",
+                "--state",
+                str(state),
+                "--frames",
+                str(tmp_path / "sent.log"),
+            ]
+        )
         == 0
     )
     (module,) = figures(capsys)["modules"]
@@ -128,13 +139,13 @@ def test_several_modules_of_one_log(tmp_path: Path, capsys: pytest.CaptureFixtur
     log = write_log(tmp_path / "bus.log", frames)
     config = tmp_path / "two.yaml"
     config.write_text("modules: [{node_id: 32}, {node_id: 33}]\n")
-    assert main(["replay", str(log), "--config", str(config), "--json"]) == 0
+    assert main(["log", "replay", str(log), "--config", str(config), "--json"]) == 0
     one, other = figures(capsys)["modules"]
     assert (one["node_id"], other["node_id"]) == (32, 33)
     assert one["samples"] == other["samples"] == SAMPLES
     assert one["compared"]
     assert other["compared"] == {}, "the log has none of its frames"
-    assert main(["replay", str(log), "--config", str(config), "--out", str(tmp_path / "x.csv")]) == 2
+    assert main(["log", "replay", str(log), "--config", str(config), "--out", str(tmp_path / "x.csv")]) == 2
 
 
 def test_damaged_lines_are_left_out_and_counted(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -145,7 +156,7 @@ def test_damaged_lines_are_left_out_and_counted(log: Path, capsys: pytest.Captur
     lines.insert(52, "(1700000000.060000) can1 080#\n")
     lines.insert(53, "(1700000000.060000) can0 123##100\n")
     log.write_text("".join(lines))
-    assert main(["replay", str(log), "--channel", "can0"]) == 0
+    assert main(["log", "replay", str(log), "--channel", "can0"]) == 0
     text = capsys.readouterr().out
     lost = ("2 damaged lines left out, the first is line 105", "2 empty lines and comments left out")
     assert all(words in text for words in lost)
@@ -155,7 +166,7 @@ def test_damaged_lines_are_left_out_and_counted(log: Path, capsys: pytest.Captur
         "1 frames of channel can1 left out: --channel takes those of can0 alone"
     )
     assert "faults: 1 × missed" in text
-    for words in (["dump", "0x20"], ["monitor", "--json"]):
+    for words in (["monitor", "--frames", "0x20"], ["monitor", "--json"]):
         assert main([*words, "--log", str(log)]) == 0
         assert capsys.readouterr().err.splitlines() == [f"canfb: {log}: {words}" for words in lost]
 
@@ -173,12 +184,12 @@ def by_sender(log: Path) -> Path:
 def test_all_channels_are_taken_unless_one_is_chosen(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["replay", str(log), "--json"]) == 0
+    assert main(["log", "replay", str(log), "--json"]) == 0
     one_name = figures(capsys)
     assert one_name["left_out"] == {}
-    assert main(["replay", str(by_sender(log)), "--json"]) == 0
+    assert main(["log", "replay", str(by_sender(log)), "--json"]) == 0
     assert figures(capsys) == one_name | {"channels": ["a", "b", "c"]}
-    assert main(["replay", str(log)]) == 0
+    assert main(["log", "replay", str(log)]) == 0
     assert capsys.readouterr().out.splitlines()[0].split(None, 1)[1] == (
         "channels a, b, c are taken as one bus; if they are several, --channel takes one"
     )
@@ -189,7 +200,7 @@ def test_what_is_left_out_is_said_first_and_no_page_is_green(
 ) -> None:
     path = write_log(tmp_path / "good.log", live(session(SAMPLES))[0])
     page = tmp_path / "page.html"
-    command = ["replay", str(path), "--report", str(page)]
+    command = ["log", "replay", str(path), "--report", str(page)]
     assert main(command) == 0
     assert 'class="verdict"' in page.read_text()
     by_sender(path)
@@ -218,16 +229,16 @@ def test_a_log_that_is_cut_off_is_used_up_to_there(
     path = write_log(tmp_path / "bus.blf", live(session(3000))[0])
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 2 // 3])
-    assert main(["replay", str(path), "--json"]) == 1
+    assert main(["log", "replay", str(path), "--json"]) == 1
     assert 100 < figures(capsys)["modules"][0]["samples"] < 3000
     for words in (
-        ["replay", str(path)],
-        ["dump", "0x20", "--log", str(path)],
+        ["log", "replay", str(path)],
+        ["monitor", "--frames", "0x20", "--log", str(path)],
         ["monitor", "--log", str(path), "--json"],
     ):
         assert main(words) == 1
         captured = capsys.readouterr()
-        first = captured.out.splitlines()[0] if words[0] == "replay" else captured.err
+        first = captured.out.splitlines()[0] if words[0] == "log" else captured.err
         assert "bus.blf: damaged or incomplete: nothing can be read behind frame" in first
         assert len(captured.err.splitlines()) <= 1
 
@@ -262,7 +273,7 @@ def test_what_cannot_be_is_one_line(
     Path("words.log.gz").write_bytes(b"no gzip")
     Path("source.yaml").write_text("modules: [{node_id: 32, source: {kind: motion}}]\n")
     before = sorted(Path().iterdir())
-    assert main(["replay", *words]) == code
+    assert main(["log", "replay", *words]) == code
     errors = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("...")]
     assert len(errors) == 1, errors
     assert said in errors[0]

@@ -119,7 +119,7 @@ def test_lost_samples_are_marked() -> None:
 
 def test_without_a_sync_it_says_who_has_to_produce_it() -> None:
     with pytest.raises(
-        CommissioningError, match=r"no SYNC \(080h\) for 2 s: start the node .* \(--sync HZ\)"
+        CommissioningError, match=r"no SYNC \(080h\) for 2 s: start the node .* \(--rate HZ\)"
     ):
         listen(Bench(sync=False).master, LAYOUT, 1.0)
 

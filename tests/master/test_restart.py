@@ -1,4 +1,4 @@
-"""`canfb reset`: a module starts again at standstill, and only there."""
+"""`canfb node reset`: a module starts again at standstill, and only there."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def lose(bench: Bench) -> Bench:
 
 def test_a_lost_position_comes_back_at_standstill(canfb: Commands) -> None:
     bench = lose(running(STILL))
-    out, _ = canfb(bench, "reset", NODE)
-    assert out.startswith("module 32 (20h): reset and started; position valid, machine still, within 0.00")
+    out, _ = canfb(bench, "node", "reset", NODE)
+    assert out.startswith("node 32 (20h): reset and started; position valid, machine still, within 0.00")
     assert bench.value(0x2011, 1) & 1
-    figures = json.loads(canfb(bench, "reset", NODE, "--json")[0])
+    figures = json.loads(canfb(bench, "node", "reset", NODE, "--json")[0])
     assert figures["position"] == "valid"
     assert figures["forced"] is False
     assert 0.0 < figures["spread_cycles"] < 0.01
@@ -52,7 +52,7 @@ def test_a_machine_that_turns_is_refused_whether_it_is_lost_or_not(canfb: Comman
     boots = []
     bench.bus.observers.append(lambda frame, now: boots.append(frame) if frame.can_id == 0x720 else None)
     for _ in range(2):
-        _, err = canfb(bench, "reset", NODE, code=1)
+        _, err = canfb(bench, "node", "reset", NODE, code=1)
         assert "the machine moves" in err
         lose(bench)
     assert not boots, "nothing was reset"
@@ -62,37 +62,37 @@ def test_a_whole_cycle_for_each_sample_is_seen_while_it_is_counted(canfb: Comman
     """Its phase stands still. Once it is lost, nothing but uneven intervals could tell it."""
     bench = running(Motion((Ramp(1.0, 60.0 * RATE_HZ / CYCLES),)))
     bench.bus.run_until(3.0)
-    _, err = canfb(bench, "reset", NODE, code=1)
+    _, err = canfb(bench, "node", "reset", NODE, code=1)
     assert "the machine moves, it has moved by +" in err
 
 
 def test_force_looks_at_nothing(canfb: Commands) -> None:
     bench = running(Motion((), (), 0.6))
-    _, err = canfb(bench, "reset", NODE, "--force", code=1)
+    _, err = canfb(bench, "node", "reset", NODE, "--force", code=1)
     assert "reset and started, but its position is lost" in err, "it turned, and may still turn"
-    out, _ = canfb(running(STILL), "reset", NODE, "--force")
+    out, _ = canfb(running(STILL), "node", "reset", NODE, "--force")
     assert "machine not looked at" in out
 
 
 def test_a_module_without_samples_is_not_reset(canfb: Commands) -> None:
     bench = running(STILL, sync=False)
-    _, err = canfb(bench, "reset", NODE, code=1)
+    _, err = canfb(bench, "node", "reset", NODE, code=1)
     assert "so it cannot be seen whether the machine stands still" in err
     silent = running(STILL)
     silent.source.change = lambda counts: None
-    assert "cannot be seen" in canfb(silent, "reset", NODE, code=1)[1], "a missed sample is no sample"
+    assert "cannot be seen" in canfb(silent, "node", "reset", NODE, code=1)[1], "a missed sample is no sample"
 
 
 def test_a_machine_that_begins_to_move_meanwhile_is_told(canfb: Commands) -> None:
     bench = running(Motion((Ramp(1.2, 0.0), Ramp(0.3, 20.0))))
-    _, err = canfb(bench, "reset", NODE, code=1)
+    _, err = canfb(bench, "node", "reset", NODE, code=1)
     assert "began to move while it was reset" in err
 
 
 def test_a_drive_that_holds_its_position_is_at_rest(canfb: Commands) -> None:
     """A millicycle to and fro, around a place where the phase wraps."""
     bench = running(Motion((), (Ripple(60.0 * 0.001 * 6.28 * 5.0 / CYCLES, 5.0),)))
-    assert "position valid" in canfb(bench, "reset", NODE)[0]
+    assert "position valid" in canfb(bench, "node", "reset", NODE)[0]
 
 
 def test_a_position_that_is_lost_again_at_once_is_told(canfb: Commands) -> None:
@@ -105,6 +105,6 @@ def test_a_position_that_is_lost_again_at_once_is_told(canfb: Commands) -> None:
         return (counts[0] // 9, counts[1] // 9) if late else counts
 
     bench.source.change = weak
-    _, err = canfb(bench, "reset", NODE, code=1)
+    _, err = canfb(bench, "node", "reset", NODE, code=1)
     assert "reset and started, but its position is" in err
     assert "canfb why 0x20" in err

@@ -92,7 +92,7 @@ def test_calibrating_on_a_bus_that_jitters(rpm: float, capsys: pytest.CaptureFix
     bench = Bench(random_encoder(3), rpm=rpm, timing=JITTER)
     bench.access.write(0x1006, 0, "I", 1000)
     bench.bus.run_until(0.2)
-    options = build_parser().parse_args(["calibrate", "--seconds", "5", "--no-save", "--json"])
+    options = build_parser().parse_args(["calibrate", "--seconds", "5", "--json"])
     assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
     figures = json.loads(capsys.readouterr().out)
     noise = bench.encoder.noise_lsb / (2 * np.pi * bench.encoder.amplitude_counts)

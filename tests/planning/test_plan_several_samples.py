@@ -14,8 +14,8 @@ from canfb.hosting.hosting import saved_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.planning.budget import ResidualBudget
+from canfb.planning.hints import changes_of
 from canfb.planning.plan import Plan
-from canfb.planning.plan_changes import changes_of
 from canfb.planning.planned_module import PlannedModule
 
 HELD, FLAGGED = 0.95, 1.05

@@ -26,7 +26,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
 
 @pytest.fixture
 def page() -> Iterator[Process]:
-    process = Process((sys.executable, "-m", "canfb", "scope", "--demo", "--sdo"), PATIENCE_S)
+    process = Process((sys.executable, "-m", "canfb", "try"), PATIENCE_S)
     yield process
     process.stop()
 

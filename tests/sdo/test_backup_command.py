@@ -1,4 +1,4 @@
-"""`canfb backup` and `canfb restore`: what is written is proven, or all is as it was before."""
+"""`canfb backup save` and `canfb backup restore`: what is written is proven, or all is as it was before."""
 
 from __future__ import annotations
 
@@ -66,18 +66,18 @@ def values(bench: Bench) -> dict[tuple[int, int], Any]:
 def file(canfb: Commands, tmp_path: Path) -> Path:
     """The backup of such a module."""
     path = tmp_path / "backup.yaml"
-    canfb(set_up(module()), "backup", NODE, path)
+    canfb(set_up(module()), "backup", "save", NODE, path)
     return path
 
 
 def test_a_spare_module_becomes_the_one_of_the_backup(canfb: Commands, tmp_path: Path) -> None:
     first, path = set_up(module(serial_number=4711)), tmp_path / "backup.yaml"
-    out, _ = canfb(first, "backup", NODE, path)
+    out, _ = canfb(first, "backup", "save", NODE, path)
     count = len(values(first)) - 2  # without the table and its activation
     assert f"serial number 4711, {count} parameters, table {TABLE.crc32:08X}h, 64 entries" in out
     spare = module(MemoryStore(), adc_bits=16, coast_samples=1, serial_number=4712)
     assert values(spare) != values(first)
-    out, _ = canfb(spare, "restore", path, "--save")
+    out, _ = canfb(spare, "backup", "restore", path, "--save")
     assert values(spare) == values(first)
     assert spare.module.chain.correction == first.module.chain.correction
     assert "2010:03 Supervision: Samples to coast: 1 -> 9 samples" in out
@@ -86,13 +86,13 @@ def test_a_spare_module_becomes_the_one_of_the_backup(canfb: Commands, tmp_path:
     assert "note: the backup is of serial number 4711, this module has 4712" in out
     spare.module.receive(Frame(0, b"\x81\x20"), 1.0)
     assert values(spare) == values(first), "after a reset"
-    out, _ = canfb(spare, "restore", path)
+    out, _ = canfb(spare, "backup", "restore", path)
     assert "all values are those of" in out
 
 
 def test_the_canopen_client_reads_what_was_restored(canfb: Commands, file: Path) -> None:
     bench = module()
-    canfb(bench, "restore", file)
+    canfb(bench, "backup", "restore", file)
     remote = canopen.RemoteNode(MODULE_ID, str(eds_path("canfb-module")))
     bench.master.network.add_node(remote)
     for (index, subindex), (_, value) in CHANGED.items():
@@ -130,7 +130,7 @@ def test_another_node_id_takes_its_own_can_ids(canfb: Commands, file: Path) -> N
         assert ours in text
         text = text.replace(ours, theirs)
     other.write_text(text)
-    canfb(bench, "restore", other, "--node", NODE)
+    canfb(bench, "backup", "restore", other, NODE)
     after = values(bench)
     for place in ((0x1800, 1), (0x1014, 0), (0x1802, 1)):
         assert after[place] == before[place], "the default of the node"
@@ -140,12 +140,12 @@ def test_another_node_id_takes_its_own_can_ids(canfb: Commands, file: Path) -> N
 def test_dry_run_writes_nothing(canfb: Commands, file: Path) -> None:
     bench = module()
     before = values(bench)
-    out, _ = canfb(bench, "restore", file, "--dry-run", "--json")
+    out, _ = canfb(bench, "backup", "restore", file, "--dry-run", "--json")
     said = json.loads(out)
     assert said["changed"]["2010:03"] == [3, 9]
     assert (said["written"], said["saved_as"]) == (False, None)
     assert values(bench) == before
-    out, _ = canfb(bench, "restore", file, "--dry-run")
+    out, _ = canfb(bench, "backup", "restore", file, "--dry-run")
     assert "nothing was written" in out
 
 
@@ -159,7 +159,7 @@ def test_a_value_that_is_taken_and_not_kept_is_found_by_reading(canfb: Commands,
         return None
 
     between(bench, swallow)
-    _, err = canfb(bench, "restore", file, code=1)
+    _, err = canfb(bench, "backup", "restore", file, code=1)
     assert "not as written: 2010:03 is 3, not 9; the parameters" in err
     assert values(bench) == before
 
@@ -176,7 +176,7 @@ def test_an_interruption_brings_back_what_was(canfb: Commands, file: Path) -> No
         return None
 
     between(bench, interrupted)
-    _, err = canfb(bench, "restore", file, code=130)
+    _, err = canfb(bench, "backup", "restore", file, code=130)
     assert err == "canfb: interrupted; the node is as it was\n"
     assert values(bench) == before
 
@@ -185,13 +185,13 @@ def test_a_machine_that_runs_is_left_alone(canfb: Commands, file: Path) -> None:
     bench = Bench()
     bench.bus.run_until(0.2)
     before = values(bench)
-    _, err = canfb(bench, "restore", file, code=1)
+    _, err = canfb(bench, "backup", "restore", file, code=1)
     assert "module 32 (20h) is in OPERATIONAL: a restore switches its PDOs off meanwhile" in err
-    assert "give --preop (or canfb nmt preop 0x20)" in err
+    assert "give --preop (or canfb node preop 0x20)" in err
     assert values(bench) == before
     assert bench.module.state is NmtState.OPERATIONAL
-    out, _ = canfb(bench, "restore", file, "--preop")
-    assert "note: the node is in PRE-OPERATIONAL: canfb nmt start 0x20" in out
+    out, _ = canfb(bench, "backup", "restore", file, "--preop")
+    assert "note: the node is in PRE-OPERATIONAL: canfb node start 0x20" in out
     assert bench.module.state is NmtState.PRE_OPERATIONAL
     assert values(bench)[0x2010, 3] == 9
 
@@ -230,7 +230,7 @@ def test_a_bad_file_names_line_and_key(case: str, canfb: Commands, file: Path) -
     before = values(bench)
     old, new, words = BAD[case]
     line = edit(file, old, new)
-    _, err = canfb(bench, "restore", file, code=1)
+    _, err = canfb(bench, "backup", "restore", file, code=1)
     assert words in err
     assert f"{file}: line " in err
     if case not in ("missing", "no YAML"):
@@ -241,17 +241,17 @@ def test_a_bad_file_names_line_and_key(case: str, canfb: Commands, file: Path) -
 
 def test_backups_of_other_devices(canfb: Commands, file: Path) -> None:
     edit(file, "product: 1", "product: 3")
-    _, err = canfb(module(), "restore", file, "--force", code=1)
+    _, err = canfb(module(), "backup", "restore", file, "--force", code=1)
     assert "is product 1 of vendor 0, the backup is of product 3 of vendor 0: it is for another device" in err
     edit(file, "product: 3", "product: 1")
     edit(file, "revision: 1", "revision: 65537")
     bench = module()
-    _, err = canfb(bench, "restore", file, code=1)
+    _, err = canfb(bench, "backup", "restore", file, code=1)
     assert (
         "has the major revision 0 (1018:03), the backup is of 1: its objects may mean something else" in err
     )
     edit(file, '"2010:03"', '"2010:63"')
-    out, _ = canfb(bench, "restore", file, "--force")
+    out, _ = canfb(bench, "backup", "restore", file, "--force")
     assert "note: left out, as this version does not know them: 2010:63" in out
     assert "note: not in the backup, and as before: 2010:03" in out
     assert (values(bench)[0x2010, 3], values(bench)[0x2010, 2]) == (3, 12.5)
@@ -259,26 +259,26 @@ def test_backups_of_other_devices(canfb: Commands, file: Path) -> None:
 
 def test_a_node_that_is_not_there_or_another_device(canfb: Commands, file: Path) -> None:
     bench = module()
-    _, err = canfb(bench, "restore", file, "--node", 99, code=1)
+    _, err = canfb(bench, "backup", "restore", file, 99, code=1)
     assert "module 99 (63h): reading 1018:01: no answer" in err
-    _, err = canfb(bench, "backup", "0x10", file, code=1)
+    _, err = canfb(bench, "backup", "save", "0x10", file, code=1)
     assert "module 16 (10h) is not a feedback module of canfb" in err
     assert "2010:03" in file.read_text(), "what was there before"
 
 
 def test_a_disk_that_is_full(canfb: Commands) -> None:
-    _, err = canfb(module(), "backup", NODE, "/dev/full", code=1)
+    _, err = canfb(module(), "backup", "save", NODE, "/dev/full", code=1)
     assert err == "canfb: cannot write /dev/full: No space left on device\n"
 
 
 def test_preset_and_offset_are_noted_and_not_restored(canfb: Commands, tmp_path: Path) -> None:
     bench, path = module(), tmp_path / "backup.yaml"
     bench.module.dictionary.entry(0x6509).value = -12
-    out, _ = canfb(bench, "backup", NODE, path)
+    out, _ = canfb(bench, "backup", "save", NODE, path)
     assert "note: 6509:00 (preset, offset) are in it, but not restored: set the preset again" in out
     assert '  "6509:00": -12 ' in path.read_text()
     spare = module()
-    out, _ = canfb(spare, "restore", path)
+    out, _ = canfb(spare, "backup", "restore", path)
     assert "all values are those of" in out
     assert spare.value(0x6509, 0) == 0
 
@@ -290,11 +290,11 @@ def test_a_backup_between_upload_and_activation_has_the_set_in_force(canfb: Comm
     bench.access.write(0x2002, 1, "f", -100.0)
     bench.access.write(0x2005, 3, "f", 0.25)
     bench.access.download_domain(0x2020, 1, OTHER.to_bytes())
-    canfb(bench, "backup", NODE, path)
+    canfb(bench, "backup", "save", NODE, path)
     assert bench.module.chain.correction == before
     assert bench.access.read(0x2002, 1, "f") == -100.0, "it still waits"
     spare = module()
-    canfb(spare, "restore", path)
+    canfb(spare, "backup", "restore", path)
     assert spare.module.chain.correction == before
     assert spare.access.read(0x2002, 1, "f") == before.conditioning.sine_offset_counts
 
@@ -305,7 +305,7 @@ def test_a_restore_that_fails_puts_nothing_in_force_that_waited(canfb: Commands,
     before = bench.module.chain.correction
     bench.access.write(0x2002, 3, "f", 2.0)
     assert refuse_once(bench, (0x1801, 1), 1) is not None
-    canfb(bench, "restore", file, code=1)
+    canfb(bench, "backup", "restore", file, code=1)
     assert bench.module.chain.correction == before
 
 
@@ -318,5 +318,5 @@ def test_an_activation_while_the_backup_is_read(canfb: Commands, tmp_path: Path)
         return None
 
     between(bench, activated)
-    _, err = canfb(bench, "backup", NODE, tmp_path / "backup.yaml", code=1)
+    _, err = canfb(bench, "backup", "save", NODE, tmp_path / "backup.yaml", code=1)
     assert "the table changed while it was read; try again" in err

@@ -281,7 +281,7 @@ def test_the_commands_of_the_page_run(
 
 def test_the_parts_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sdo"]) == 2
-    assert "required: read|write" in capsys.readouterr().err
+    assert "required: PART" in capsys.readouterr().err
 
 
 def test_every_entry_of_ours_is_found_by_its_full_name() -> None:
@@ -347,5 +347,5 @@ def test_a_preset_in_motion_says_what_it_needs(canfb: Commands) -> None:
 
 def test_a_node_of_others_keeps_the_general_advice() -> None:
     entry = OF_MODULE.meant("6003")[0]
-    assert "canfb nmt preop" in abort_words(AbortCode.DEVICE_STATE, entry, "drive of somebody")
+    assert "canfb node preop" in abort_words(AbortCode.DEVICE_STATE, entry, "drive of somebody")
     assert "at standstill" in abort_words(AbortCode.DEVICE_STATE, entry, MODULE)

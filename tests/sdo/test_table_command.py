@@ -56,7 +56,7 @@ def in_force(bench: Bench) -> Correction:
 
 def test_upload_stages_and_activate_puts_in_force(canfb: Commands, file: Path) -> None:
     bench = bench_with(OLD, MemoryStore())
-    out, _ = canfb(bench, "table", "upload", NODE, file)
+    out, _ = canfb(bench, "table", "write", NODE, file)
     assert "staged in module 32 (20h), not in force yet: canfb table activate 0x20" in out
     assert "positions move by at most 0.03 cycle (10.8° of the cycle; 16″ of the shaft)" in out
     assert in_force(bench) == OLD
@@ -76,11 +76,11 @@ def test_upload_stages_and_activate_puts_in_force(canfb: Commands, file: Path) -
 @pytest.mark.parametrize("name", ["copy.yaml", "copy.bin"])
 def test_down_and_up_again_is_the_same(canfb: Commands, tmp_path: Path, name: str) -> None:
     bench, path = bench_with(NEW), tmp_path / name
-    out, _ = canfb(bench, "table", "download", NODE, path)
+    out, _ = canfb(bench, "table", "read", NODE, path)
     assert f"the active table, {TABLE.crc32:08X}h, 64 entries" in out
     assert ("note: " in out) is (name == "copy.bin"), "which has no conditioning"
     canfb(bench, "table", "clear", NODE)
-    canfb(bench, "table", "upload", NODE, path, "--activate")
+    canfb(bench, "table", "write", NODE, path, "--activate")
     assert in_force(bench) == NEW, "bytes alone leave the conditioning of the module"
     assert read_table_file(path).cycles_per_revolution == (2500 if name == "copy.yaml" else None)
 
@@ -93,7 +93,7 @@ def test_show_before_and_after_a_save(canfb: Commands, file: Path) -> None:
         return next(line.removeprefix("saved").strip() for line in out.splitlines() if "saved" in line)
 
     assert saved() == "none is saved, none is active"
-    canfb(bench, "table", "upload", NODE, file, "--activate")
+    canfb(bench, "table", "write", NODE, file, "--activate")
     assert saved() == "no: after a reset the table is none"
     canfb(bench, "table", "activate", NODE, "--save")
     assert saved() == "yes"
@@ -139,7 +139,7 @@ def test_a_full_disk_is_named_and_the_old_table_is_in_force(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(store, "save", full)
-    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", "--save", code=1)
+    _, err = canfb(bench, "table", "write", NODE, file, "--activate", "--save", code=1)
     assert err.startswith("canfb: module 32 (20h) cannot save: no space left where it keeps its parameters")
     assert "; the table and the conditioning from before are in force in module 32 (20h), and what is" in err
     assert in_force(bench) == read_active(bench.access) == OLD
@@ -151,10 +151,10 @@ def test_the_table_of_another_encoder_is_refused(canfb: Commands, tmp_path: Path
     before = in_force(bench)
     path = tmp_path / "other.yaml"
     path.write_text(as_yaml(Correction(TABLE, Conditioning(sine_gain=3.0, cosine_gain=3.0)), {}))
-    _, err = canfb(bench, "table", "upload", NODE, path, "--activate", code=1)
+    _, err = canfb(bench, "table", "write", NODE, path, "--activate", code=1)
     assert re.search(r"the amplitude is \d{4} counts, outside 410\.\.2560 .* --force activates it", err)
     assert in_force(bench) == before
-    canfb(bench, "table", "upload", NODE, path)
+    canfb(bench, "table", "write", NODE, path)
     assert "of another encoder" in canfb(bench, "table", "activate", NODE, code=1)[1]
     canfb(bench, "table", "activate", NODE, "--force")
     assert in_force(bench) != before
@@ -163,21 +163,21 @@ def test_the_table_of_another_encoder_is_refused(canfb: Commands, tmp_path: Path
 def test_a_refused_staging_leaves_the_conditioning(canfb: Commands, file: Path) -> None:
     bench = bench_with(OLD)
     refuse_once(bench, (0x2020, 1), 2)
-    _, err = canfb(bench, "table", "upload", NODE, file, code=1)
+    _, err = canfb(bench, "table", "write", NODE, file, code=1)
     assert read_active(bench.access) == OLD
     assert "; the table and the conditioning from before are in force" in err
 
 
 def test_save_is_refused_before_anything_is_written(canfb: Commands, file: Path) -> None:
     bench = bench_with(OLD)
-    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", "--save", code=1)
+    _, err = canfb(bench, "table", "write", NODE, file, "--activate", "--save", code=1)
     assert "--save: module 32 (20h) cannot save (1010h; canfb run needs a state_dir for it)" in err
     assert (in_force(bench), bench.value(0x2020, 2)) == (OLD, OTHER.crc32), "as it was put in force here"
 
 
 def test_nothing_staged(canfb: Commands) -> None:
     _, err = canfb(Bench(sync=False), "table", "activate", NODE, code=1)
-    assert "nothing is staged; canfb table upload stages" in err
+    assert "nothing is staged; canfb table write stages" in err
 
 
 def test_a_node_that_is_not_there_and_one_that_is_no_module(canfb: Commands) -> None:
@@ -214,7 +214,7 @@ def test_a_bad_file_is_one_line_with_key_and_line(case: str, canfb: Commands, fi
     line = text[: text.index(old)].count("\n") + 1
     file.write_text(text.replace(old, new, 1))
     bench = bench_with(OLD)
-    _, err = canfb(bench, "table", "upload", NODE, file, code=1)
+    _, err = canfb(bench, "table", "write", NODE, file, code=1)
     assert f"{file}: this is not a correction table: " in err
     assert words.format(line=line, next=line + 1) in err
     assert read_active(bench.access) == OLD
@@ -225,18 +225,18 @@ def test_a_disk_that_is_full_leaves_the_old_file(
 ) -> None:
     bench, path = bench_with(NEW), tmp_path / "table.yaml"
     path.write_text("what was there before")
-    _, err = canfb(bench, "table", "download", NODE, "/dev/full", code=1)
+    _, err = canfb(bench, "table", "read", NODE, "/dev/full", code=1)
     assert err == "canfb: cannot write /dev/full: No space left on device\n"
 
     def full(handle: int) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    _, err = canfb(bench, "table", "download", NODE, path, code=1)
+    _, err = canfb(bench, "table", "read", NODE, path, code=1)
     assert err == f"canfb: cannot write {path}: No space left on device\n"
     assert path.read_text() == "what was there before"
     assert [one.name for one in tmp_path.iterdir()] == ["table.yaml"]
-    _, err = canfb(bench, "table", "download", NODE, tmp_path / "no" / "table.yaml", code=1)
+    _, err = canfb(bench, "table", "read", NODE, tmp_path / "no" / "table.yaml", code=1)
     assert "there is no folder" in err
 
 
@@ -245,10 +245,10 @@ def test_a_disk_that_is_full_leaves_the_old_file(
     [
         (("show", "nothing.yaml"), "nothing.yaml: neither a node-ID (1 to 127) nor a file"),
         (("show", "128"), "128: neither a node-ID"),
-        (("upload", "0x20", "t.yaml", "--save"), "--save: only with --activate"),
-        (("upload", "0", "t.yaml"), "'0' is not a node-ID (1 to 127, or 0x01 to 0x7F); see"),
-        (("clear", "0x20", "--answer-within", "0"), "--answer-within 0: must be 0.01 to 60"),
-        ((), "the following arguments are required: show|upload|download|activate|clear"),
+        (("write", "0x20", "t.yaml", "--save"), "--save: only with --activate"),
+        (("write", "0", "t.yaml"), "'0' is not a node-ID (1 to 127, or 0x01 to 0x7F); see"),
+        (("clear", "0x20", "--timeout", "0"), "--timeout 0: must be 0.01 to 60"),
+        ((), "the following arguments are required: PART"),
     ],
 )
 def test_wrong_use_is_one_line(
@@ -271,7 +271,7 @@ def test_an_interruption_puts_back_what_was(canfb: Commands, file: Path) -> None
         send(can_id, data, remote)
 
     bench.master.network.send_message = interrupted  # type: ignore[method-assign]
-    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", code=130)
+    _, err = canfb(bench, "table", "write", NODE, file, "--activate", code=130)
     assert err == "canfb: interrupted; the node is as it was\n"
     assert in_force(bench) == OLD
 
@@ -312,24 +312,24 @@ def test_what_waits_is_not_taken_for_what_is_in_force(canfb: Commands, file: Pat
     harmonics = Conditioning(harmonic_2_forward_real=0.0078125)
     path = tmp_path / "harmonics.yaml"
     path.write_text(as_yaml(Correction(TABLE, harmonics), {}))
-    canfb(bench, "table", "upload", NODE, path)
+    canfb(bench, "table", "write", NODE, path)
     assert bench.access.read(0x2005, 3, "f") == harmonics.harmonic_2_forward_real, "2005h is written, too"
     assert in_force(bench) == read_active(bench.access) == OLD
     shown = json.loads(canfb(bench, "table", "show", NODE, "--json")[0])
     assert shown["conditioning"]["sine_gain"] == OLD.conditioning.sine_gain
     assert shown["conditioning_waiting"]["harmonic_2_forward_real"] == harmonics.harmonic_2_forward_real
     refuse_once(bench, (0x2020, 3), 1)
-    _, err = canfb(bench, "table", "upload", NODE, file, "--activate", code=1)
+    _, err = canfb(bench, "table", "write", NODE, file, "--activate", code=1)
     assert "are in force in module 32 (20h)" in err
     assert in_force(bench) == OLD, "and not the old table with the conditioning that waited"
-    canfb(bench, "table", "upload", NODE, path)
+    canfb(bench, "table", "write", NODE, path)
     canfb(bench, "table", "clear", NODE)
     assert in_force(bench) == Correction(None, OLD.conditioning)
 
 
 def test_an_activation_that_fails_leaves_what_waits(canfb: Commands, file: Path) -> None:
     bench = bench_with(OLD, MemoryStore())
-    canfb(bench, "table", "upload", NODE, file)
+    canfb(bench, "table", "write", NODE, file)
     refuse_once(bench, (0x2020, 3), 1)
     canfb(bench, "table", "activate", NODE, code=1)
     assert in_force(bench) == OLD
@@ -349,9 +349,9 @@ def test_settings_with_which_a_table_was_measured_are_compared_and_left(
     bench.access.write(0x2001, 5, "f", 20e3)
     noted = {"cycles_per_revolution": 2500, "corner_hz": 19500.5, "cosine_corner_hz": "unknown"}
     path.write_text(as_yaml(NEW, noted))
-    out, _ = canfb(bench, "table", "upload", NODE, path)
+    out, _ = canfb(bench, "table", "write", NODE, path)
     assert out.count("note: it was measured with") == 1
     assert "2001:05 = 19500.5, module 32 (20h) has 20000: canfb sdo write 0x20 2001:05 19500.5" in out
     assert bench.access.read(0x2001, 5, "f") == 20e3
     bench.access.write(0x2001, 5, "f", 19500.5)
-    assert "note:" not in canfb(bench, "table", "upload", NODE, path, "--activate")[0]
+    assert "note:" not in canfb(bench, "table", "write", NODE, path, "--activate")[0]

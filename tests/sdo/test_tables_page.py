@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from canfb.cia301.nmt import NmtState
-from canfb.cli import nmt_command
+from canfb.cli import node_command
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.sdo.backup_file import read_backup
@@ -50,7 +50,7 @@ def test_the_commands_for_tables(canfb: Commands) -> None:
 
 
 class Sending:
-    """In place of the master of `canfb nmt`."""
+    """In place of the master of `canfb node`."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
@@ -65,9 +65,9 @@ class Sending:
 def test_the_commands_for_backups(canfb: Commands, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("feedback.yaml").write_text("modules: [{node_id: 0x20}]\n")
     bench, given = Bench(store=MemoryStore()), commands(BACKUPS)
-    monkeypatch.setattr(nmt_command, "open_bus", lambda words: None)
-    monkeypatch.setattr(nmt_command, "BusMaster", lambda bus: Sending(bench))
-    assert [words[0] for words in given] == ["backup", "restore", "restore", "nmt"]
+    monkeypatch.setattr(node_command, "open_bus", lambda words: None)
+    monkeypatch.setattr(node_command, "BusMaster", lambda bus: Sending(bench))
+    assert [words[1] for words in given] == ["save", "restore", "restore", "start"]
     canfb(bench, *given[0])
     bench.access.write(0x2010, 3, "B", 77)
     assert "2010:03 Supervision: Samples to coast: 77 -> 3 samples" in canfb(bench, *given[1])[0]

@@ -23,7 +23,7 @@ TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
 def test_a_module_is_backed_up_changed_and_restored(
     process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, can_channel: str, pace: Pace
 ) -> None:
-    bus = ("-i", "socketcan", "-c", can_channel, "--answer-within", str(pace.answer_s))
+    bus = ("-i", "socketcan", "-c", can_channel, "--timeout", str(pace.answer_s))
 
     def canfb(*arguments: str) -> str:
         command = process(*arguments, *bus)
@@ -34,12 +34,12 @@ def test_a_module_is_backed_up_changed_and_restored(
     table.write_text(as_yaml(Correction(TABLE, Conditioning(sine_gain=1.25)), {}))
     process("run", write_config(tmp_path, f"    state_dir: {tmp_path / 'state'}\n"))
     wait_for_boot_up(can_bus, pace, NODE_ID)
-    canfb("table", "upload", NODE, str(table), "--activate")
+    canfb("table", "write", NODE, str(table), "--activate")
     canfb("sdo", "write", NODE, "samples to coast", "9")
-    canfb("backup", NODE, backup)
+    canfb("backup", "save", NODE, backup)
     canfb("table", "clear", NODE, "--conditioning")
     canfb("sdo", "write", NODE, "samples to coast", "4")
-    assert "saved (1010:01)" in canfb("restore", backup, "--save")
+    assert "saved (1010:01)" in canfb("backup", "restore", backup, "--save")
     with Master(can_channel, pace) as master:
         sdo = master.module.sdo
         assert (sdo[0x2020][4].raw, sdo[0x2020][6].raw) == (TABLE.crc32, TABLE.crc32)

@@ -55,8 +55,8 @@ def test_a_table_is_measured_proven_and_reported_and_ctrl_c_takes_it_back(
         # Until there are so many samples; the time is only that after which six times as long is too long.
         seconds = str(min(600.0, max(1.0, SAMPLES / syncs.rate_hz)))
         calibrate = (
-            "calibrate", "-i", "socketcan", "-c", can_channel, "--answer-within", str(pace.answer_s),
-            "--module", str(NODE_ID), "--seconds", seconds, "--least-samples", str(SAMPLES),
+            "calibrate", "-i", "socketcan", "-c", can_channel, "--timeout", str(pace.answer_s),
+            str(NODE_ID), "--seconds", seconds, "--least-samples", str(SAMPLES),
             "--entries", "256",
         )  # fmt: skip
         interrupted = process(*calibrate, "--verify", "600")

@@ -32,8 +32,8 @@ def content(path: Path) -> str:
 def read(process: Callable[..., Process], folder: Path, name: str, pace: Pace) -> None:
     """From the running module into a DCF and its concise form."""
     command = process(
-        "config", "dcf", "--node", str(NODE_ID), "-i", "socketcan", "-c", "vcan0",
-        "--answer-within", str(pace.answer_s),
+        "config", "dcf", str(NODE_ID), "-i", "socketcan", "-c", "vcan0",
+        "--timeout", str(pace.answer_s),
         "--out", str(folder / f"{name}.dcf"), "--concise", str(folder / f"{name}.bin"),
     )  # fmt: skip
     assert command.wait() == 0, str(command)

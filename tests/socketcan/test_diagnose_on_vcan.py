@@ -1,4 +1,4 @@
-"""`canfb diagnose` and SIGUSR1 on a real CAN interface: both files say the same of the same node."""
+"""`canfb why --bundle` and SIGUSR1 on a real CAN interface: both files say the same of the same node."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def test_the_command_and_the_process_agree(
     run = process("run", config)
     wait_for_boot_up(can_bus, pace, NODE_ID)
     out = tmp_path / "machine.json"
-    options = "--out", str(out), "--seconds", "0.5", "--answer-within", str(pace.answer_s)
-    asked = process("diagnose", str(NODE_ID), config, *options)
+    options = "--out", str(out), "--seconds", "0.5", "--timeout", str(pace.answer_s)
+    asked = process("why", "--bundle", str(NODE_ID), config, *options)
     asked.wait_for(f"written  {out}")
     run.send(signal.SIGUSR1)
     run.wait_for(f"diagnosis written: {state}/canfb-diagnose-{run.pid}.json")

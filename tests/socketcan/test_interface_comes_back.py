@@ -65,10 +65,10 @@ def listeners(
     """All of them, and each has begun."""
     where, log = ("-i", "socketcan", "-c", can_channel), str(tmp_path / "bus.log")
     started = {
-        "record": process("record", log, *where),
-        "dump": process("dump", *where),
-        "monitor": process("monitor", "--plain", "--rate", "0.5", *where, str(NODE_ID)),
-        "scope": process("scope", *where, str(NODE_ID)),
+        "record": process("log", "record", log, *where),
+        "dump": process("monitor", "--frames", *where),
+        "monitor": process("monitor", "--plain", "--updates", "0.5", *where, str(NODE_ID)),
+        "scope": process("monitor", "--web", *where, str(NODE_ID)),
         "run": process("run", write_config(tmp_path)),
     }
     wait_for_boot_up(can_bus, pace, NODE_ID)

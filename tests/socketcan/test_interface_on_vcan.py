@@ -1,4 +1,4 @@
-"""`canfb interface` with an ADC of libiio's local backend: for `canfb run`, and for python canopen."""
+"""`canfb run` with an ADC of libiio's local backend: for `canfb run`, and for python canopen."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def libiio() -> None:
 
 @pytest.fixture
 def interface(tmp_path: Path, command: Callable[..., Process], pace: Pace) -> Callable[[int], Process]:
-    """Starts `canfb interface` with this node-ID, where the emulated ADC is."""
+    """Starts `canfb run` with this node-ID, where the emulated ADC is."""
     path = tmp_path / "interface.yaml"
 
     def start(node_id: int) -> Process:
@@ -61,7 +61,7 @@ def interface(tmp_path: Path, command: Callable[..., Process], pace: Pace) -> Ca
             f"{CHANNEL}interfaces:\n  - {{node_id: {node_id}, serial_number: {SERIAL}, times: true,"
             f" state_dir: {tmp_path / 'state'}, source: {SOURCE}}}\n"
         )
-        canfb = [sys.executable, "-m", "canfb", "interface", str(path)]
+        canfb = [sys.executable, "-m", "canfb", "run", str(path)]
         return command(*with_adc(1e3 * pace.period_s), *canfb)
 
     return start

@@ -1,4 +1,4 @@
-"""A module on vcan, recorded by `canfb record`: the replay sends every PDO of it again, byte for byte."""
+"""A module on vcan, recorded by `canfb log record`: the replay sends every PDO of it again, byte for byte."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_every_pdo_comes_again(
     motion = slow_motion(pace, "{standstill_s: 0.01, ramp_s: 0.5, rpm: 60}")
     config = write_config(tmp_path, f"{TIMES}    autostart: true\n", motion)
     log = tmp_path / f"bus.{suffix}"
-    record = process("record", str(log), "--config", config)
+    record = process("log", "record", str(log), "--config", config)
     record.wait_for("recording socketcan vcan0")
     run = process("run", config)
     wait_for_boot_up(can_bus, pace, NODE_ID)
@@ -45,7 +45,7 @@ def test_every_pdo_comes_again(
     for one in (simulate, run, record):
         one.send(signal.SIGINT)
         assert one.wait() == 0
-    replay = process("replay", str(log), "--config", config, "--json")
+    replay = process("log", "replay", str(log), "--config", config, "--json")
     assert replay.wait() == 0, str(replay)
     (module,) = json.loads("\n".join(replay.lines))["modules"]
     for can_id in PDOS:

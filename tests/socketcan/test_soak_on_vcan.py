@@ -214,8 +214,8 @@ def processes(
     started = {
         "run": process("run", config),
         "simulate": process("simulate", config),
-        "monitor": process("monitor", "--plain", "--rate", "0.5", *nodes),
-        "scope": process("scope", *nodes),
+        "monitor": process("monitor", "--plain", "--updates", "0.5", *nodes),
+        "scope": process("monitor", "--web", *nodes),
     }
     wait_for_boot_up(can_bus, pace, NODE_ID, INTERFACE_ID)
     return started

@@ -78,7 +78,7 @@ def test_the_unit_of_the_interface_differs_in_its_command_and_its_devices() -> N
         "Description=CANopen encoder interfaces of /etc/canfb/%i.yaml",
         "DeviceAllow=char-iio rw",
         "DevicePolicy=closed",
-        "ExecStart=/opt/canfb/bin/canfb interface /etc/canfb/%i.yaml",
+        "ExecStart=/opt/canfb/bin/canfb run /etc/canfb/%i.yaml",
         "SupplementaryGroups=iio",
     ]
     assert sorted(one.partition("=")[0] for one in both[0] - both[1]) == [

@@ -161,7 +161,7 @@ class Run:
 
 
 def measured(run: Run, words: dict[str, Any], log: Path | None = None) -> Judge:
-    """Do it, with a bus log for `canfb replay`. RuntimeError where a program does not start, or ends."""
+    """Do it, with a bus log for `canfb log replay`. RuntimeError where a program does not start, or ends."""
     with contextlib.ExitStack() as held:
         folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-stalls-")))
         path = folder / "feedback.yaml"

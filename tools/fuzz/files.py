@@ -238,7 +238,7 @@ def _arrays() -> list[bytes]:
 
 
 def _log(path: Path) -> None:
-    """As ``canfb replay`` reads it, through a module."""
+    """As ``canfb log replay`` reads it, through a module."""
     done = replay_log(path, ReplayOptions((ModuleConfig(node_id=NODE_ID),)))
     demand("MemoryError" not in (done.log.trouble or ""), "it takes all memory")
     json.dumps([(result.lines(), result.figures()) for result in done.results], allow_nan=False)

@@ -28,7 +28,7 @@ SECTIONS: tuple[tuple[str, type, str], ...] = (
     (
         "interfaces",
         InterfaceConfig,
-        "a list, for `canfb interface`; see [a Linux computer as the interface](../docs/local-adc.md)",
+        "a list, for `canfb run`; see [a Linux computer as the interface](../docs/local-adc.md)",
     ),
     ("realtime", RealtimeConfig, "see [real time](../docs/service.md#real-time)"),
     ("simulation", SimulationConfig, "what `canfb simulate` plays; see [simulation](../docs/simulation.md)"),
@@ -39,7 +39,7 @@ SECTIONS: tuple[tuple[str, type, str], ...] = (
 )
 INTRODUCTION = """# Configuration keys
 
-The YAML of `canfb run`, `canfb interface`, `canfb simulate` and the commands with `--config`. Every key is a
+The YAML of `canfb run`, `canfb run`, `canfb simulate` and the commands with `--config`. Every key is a
 field of a class of canfb; this page is made from those classes. `canfb config example` prints a file to start
 from, `canfb config check` names file, line and key of a mistake. A key without default is required.
 """

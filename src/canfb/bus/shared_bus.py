@@ -106,7 +106,7 @@ class ListeningThread:
         self._listen, self._stop = listen, stop
         self._error: Exception | None = None
         self._ended: Callable[[], None] = lambda: None
-        self._thread = threading.Thread(target=self._work, name="canfb scope listening")
+        self._thread = threading.Thread(target=self._work, name="canfb monitor --web listening")
 
     def begin(self, ended: Callable[[], None]) -> None:
         """Begin; ``ended`` is called where it fails."""

@@ -112,14 +112,14 @@ class CalibrationRun:
             return self._check_at_speed(session)
         before = self._look(session, None)
         settings = choices.settings(session.limits)
-        source = session.source(choices.samples_from, choices.recorder, choices.rate)
+        source = session.source(choices.samples_from, choices.recorder, choices.sample_rate)
         source = self._together(session, source)
         if choices.samples_from == MODULE:
             return self._by_module(session, source, settings, guard, before)
         self._steps.step(f"collecting samples for {choices.collect_s:g} s")
         watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
         first = self._together(
-            session, session.source(choices.samples_from, choices.recorder, choices.rate, watch)
+            session, session.source(choices.samples_from, choices.recorder, choices.sample_rate, watch)
         )
         samples = first(choices.collect_s, choices.least_samples, self._steps.part)
         self._look(session, before)
@@ -220,7 +220,7 @@ class CalibrationRun:
             settings,
             guard,
             put=put,
-            keep=not choices.no_save,
+            keep=choices.save,
             step=steps.step,
         )
 
@@ -231,7 +231,7 @@ class CalibrationRun:
         source = session.source(
             PDO,
             self._choices.recorder,
-            self._choices.rate,
+            self._choices.sample_rate,
             lambda listener: watch(listener) or readings(listener),
         )
         samples = source(seconds, least, self._steps.part)
@@ -433,7 +433,7 @@ class SpeedRun(CalibrationRun):
             back=lambda: write_corners(node, over.before.corners),
             prove=prove,
             peak_cycles=over.peak_cycles,
-            keep=not choices.no_save,
+            keep=choices.save,
             step=self._steps.step,
         )[1]
 

@@ -30,9 +30,9 @@ RANGES = (
     ("seconds", 0.1, 3600.0),
     ("verify", 0.1, 600.0),
     ("least_samples", 0, 10_000_000),
-    ("rate", 0.1, 1e7),
-    ("sync", 0.1, 1e5),
-    ("answer_within", 0.01, 60.0),
+    ("sample_rate", 0.1, 1e7),
+    ("rate", 0.1, 1e5),
+    ("timeout", 0.01, 60.0),
     ("wait", 1.0, 86400.0),
     ("entries", 16, 4096),
     ("adc_bits", 4, 16),
@@ -51,7 +51,7 @@ class CalibrateOptions:
     dry_run: bool = False
     check: bool = False
     out: Path | None = None
-    no_save: bool = False
+    save: bool = False
     method: str = MOTION
     source: str | None = None
     recorder: str = "interface"
@@ -61,10 +61,10 @@ class CalibrateOptions:
     conditioning: str = "fit"
     entries: int = 1024
     adc_bits: int | None = None
+    sample_rate: float | None = None
     rate: float | None = None
-    sync: float | None = None
     encoder: str = ""
-    answer_within: float = 1.0
+    timeout: float = 1.0
     samples: Path | None = None
     columns: str = "sine,cosine"
     mid_scale: float = 0.0
@@ -170,9 +170,9 @@ class CalibrateOptions:
         """Samples of ``--samples``. CanfbError, with file and line, for a file that cannot be used."""
         if path.suffix == ".npz":
             found = read_npz(path)
-            return TrackSamples(found.sine, found.cosine, self.rate or found.rate_hz, found.origin)
+            return TrackSamples(found.sine, found.cosine, self.sample_rate or found.rate_hz, found.origin)
         recording = open_recording(path, self._layout)
-        return TrackSamples.of(*recording.tracks(), self.rate, f"file {path.name}{recording.note}")
+        return TrackSamples.of(*recording.tracks(), self.sample_rate, f"file {path.name}{recording.note}")
 
 
 # Raises ConfigError if one of these options is given: names, and why it would do nothing.
@@ -180,17 +180,17 @@ Refuse = Callable[[Iterable[str], str], None]
 
 _OF_THE_BUS = (
     "config",
-    "module",
+    "nodes",
     "encoder_interface",
     "source",
     "recorder",
     "seconds",
     "least_samples",
     "verify",
-    "sync",
-    "answer_within",
+    "rate",
+    "timeout",
     "dry_run",
-    "no_save",
+    "save",
     "wait",
 )
 _OF_CSV = ("columns", "mid_scale", "scale", "time_column")
@@ -208,9 +208,9 @@ def refuse_combinations(choices: CalibrateOptions, refuse: Refuse, bus_words: Se
         refuse(["table"], "only with --samples; over the bus the table is read from the module")
         refuse(_OF_THE_FILE, "only with --samples, which it describes")
     if choices.check:
-        refuse(("dry_run", "no_save"), "not with --check, which writes nothing")
+        refuse(("dry_run", "save"), "not with --check, which writes nothing")
     elif choices.dry_run:
-        refuse(["no_save"], "not with --dry-run, which writes nothing")
+        refuse(["save"], "not with --dry-run, which writes nothing")
     if choices.samples_from != "recording":
         refuse(["recorder"], "only with --source recording")
     if choices.speeds is None:

@@ -110,7 +110,7 @@ def install(
                 saving = True
                 _save(module, done)
             else:
-                done.save_note = "not saved, as requested: the table is lost when the module is switched off"
+                done.save_note = "not saved: the table is lost when the module is switched off (--save)"
     except CanfbError:
         raise
     except BaseException:

@@ -1,16 +1,24 @@
-"""``canfb backup NODE FILE`` and ``canfb restore FILE``: table and parameters of a module as a file."""
+"""``canfb backup save NODE FILE`` and ``canfb backup restore FILE``."""
 
 from __future__ import annotations
 
 import argparse
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from canfb import objects as od
 from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
-from canfb.cli.options import Commands, add_command, node_number
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    add_group,
+    add_options,
+    add_timeout,
+    option,
+)
+from canfb.cli.subjects import add_nodes, node_or_file, required_file
 from canfb.eds_files import eds_path
 from canfb.master.access import Master, NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
@@ -27,31 +35,33 @@ from canfb.sdo.object_description import ObjectDescriptions
 
 
 def register(commands: Commands) -> None:
-    """Add both commands."""
-    parser = add_command(commands, "backup", backup)
+    """Add the commands."""
+    parts = add_group(commands, "backup")
+    parser = add_command(parts, "save", save, "write table and all parameters of a module to a file (YAML)")
     node_options.add_node(parser)
     parser.add_argument("file", metavar="FILE", type=Path, help="replaced")
     node_options.add_access_options(parser)
 
-    parser = add_command(commands, "restore", restore)
-    parser.add_argument("file", metavar="FILE", type=Path, help="what canfb backup wrote")
-    parser.add_argument(
-        "--node", type=node_number, metavar="ID", help="the module (default: the node-ID in the file)"
+    parser = add_command(parts, "restore", restore, "write a backup to a module, and verify it or roll back")
+    text = "what canfb backup save wrote; and NODE, the module (default: that of the file), or CONFIG.yaml"
+    add_nodes(parser, text, least=1, most=1, kind=node_or_file, file="file", name="FILE")
+    add_options(
+        parser,
+        option("--save", action="store_true", help="save all parameters at the end (1010h)"),
+        option("--preop", action="store_true", help="send the node to PRE-OPERATIONAL first; it stays there"),
+        option("--dry-run", action="store_true", help="only say what would change"),
+        option(
+            "--force",
+            action="store_true",
+            help="also a backup of another major revision, less parameters that this version lacks",
+        ),
+        option("--json", action="store_true", help="the result, for programs"),
     )
-    parser.add_argument("--save", action="store_true", help="save all parameters at the end (1010h)")
-    parser.add_argument(
-        "--preop", action="store_true", help="send the node to PRE-OPERATIONAL first; it stays there"
-    )
-    parser.add_argument("--dry-run", action="store_true", help="only say what would change")
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="also a backup of another major revision, less the parameters that this version does not know",
-    )
-    node_options.add_access_options(parser)
+    add_timeout(parser)
+    add_bus_options(parser)
 
 
-def backup(options: argparse.Namespace) -> int:
+def save(options: argparse.Namespace) -> int:
     """From the module to the file."""
     check_writable(options.file)
     described = ObjectDescriptions(eds_path(EDS), options.node)
@@ -66,11 +76,8 @@ def backup_of(master: Master, node_id: int, date: str) -> Backup:
     module = NodeAccess(master, node_id, "module")
     configuration = read_configuration(module)
     template = ObjectDescriptions(eds_path(EDS), node_id)
-    machine: dict[tuple[int, int], Any] = {}
-    for place in OF_THE_MACHINE:
-        entry = template.find(*place)
-        if entry is not None:
-            machine[entry.place] = entry.decode(module.upload_domain(*place))
+    entries = [entry for place in OF_THE_MACHINE if (entry := template.find(*place)) is not None]
+    machine = {entry.place: entry.decode(module.upload_domain(*entry.place)) for entry in entries}
     return Backup(
         node_id,
         NodeIdentity(*(module.integer(*place, "I") for place in od.IDENTITY)),
@@ -85,8 +92,9 @@ def backup_of(master: Master, node_id: int, date: str) -> Backup:
 
 def restore(options: argparse.Namespace) -> int:
     """From the file to the module."""
-    kept = read_backup(options.file, ObjectDescriptions(eds_path(EDS), 1), options.force)
-    node = options.node or kept.node_id
+    path = required_file(options.file)
+    kept = read_backup(path, ObjectDescriptions(eds_path(EDS), 1), options.force)
+    node = options.module or kept.node_id
     wishes = RestoreOptions(options.save, options.force, options.preop, options.dry_run)
     with node_options.guarded() as guard, node_options.master_of(options) as master:
         module = NodeAccess(master, node, "module")
@@ -97,4 +105,4 @@ def restore(options: argparse.Namespace) -> int:
             wishes,
         )
     described = ObjectDescriptions(eds_path(EDS), node)
-    return node_options.say_result(options, restored_result(options.file, kept, done, described))
+    return node_options.say_result(options, restored_result(path, kept, done, described))

@@ -24,16 +24,18 @@ from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
     BUS_WORDS,
     Commands,
-    add_answer_within,
     add_bus_options,
     add_command,
-    add_measured_nodes,
+    add_options,
+    add_timeout,
     bus_options,
     named_config,
+    option,
     refuse_idle,
 )
 from canfb.cli.progress import Progress, shown_progress
 from canfb.cli.recording_options import add_columns
+from canfb.cli.subjects import add_measured_nodes
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
 from canfb.master.access import Master
@@ -64,7 +66,7 @@ def calibrate(options: argparse.Namespace) -> int:
         choices.nodes(nodes_of(config))  # says what cannot be before there is a bus
         words = bus_options(options, config.bus)
         guard = Guard()
-        with sync_master(words, choices.sync, choices.answer_within, guard) as master:
+        with sync_master(words, choices.rate, choices.timeout, guard) as master:
             return over_bus(master, options, config, progress, guard, date_and_time())
 
 
@@ -95,70 +97,70 @@ def _say(result: Result, options: argparse.Namespace, progress: Progress) -> int
 
 
 def _add_nodes_and_results(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "config",
-        metavar="CONFIG.yaml",
-        nargs="?",
-        help="take the bus and the node-IDs of the first module from this file",
-    )
     add_measured_nodes(parser)
-    parser.add_argument("--dry-run", action="store_true", help="measure only, write nothing to the module")
-    parser.add_argument(
-        "--check", action="store_true", help="only measure how far the encoder has drifted from its table"
+    add_options(
+        parser,
+        option("--dry-run", action="store_true", help="measure only, write nothing to the module"),
+        option(
+            "--check", action="store_true", help="only measure how far the encoder has drifted from its table"
+        ),
+        option("--out", type=Path, metavar="DIR", help="folder for table, samples and report"),
+        option("--json", action="store_true", help="print the figures as JSON"),
+        option("--save", action="store_true", help="save it (1010h); without, lost at a restart"),
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for table, samples and report")
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    parser.add_argument("--no-save", action="store_true", help="do not save (1010h): lost at a restart")
 
 
 def _add_measurement(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("measurement")
-    group.add_argument(
-        "--method",
-        choices=(MOTION, ZERO_CROSSINGS),
-        default=MOTION,
-        help="motion (default): any speed, one sample per SYNC; zero-crossings: slow, many samples per cycle",
+    add_options(
+        group,
+        option(
+            "--method",
+            choices=(MOTION, ZERO_CROSSINGS),
+            default=MOTION,
+            help="motion (default): any speed, one sample per SYNC; zero-crossings: slow, many per cycle",
+        ),
+        option(
+            "--source",
+            choices=(PDO, RECORDING, MODULE),
+            help="pdo: the ADC PDO on the bus (default); recording: object 2050h (zero-crossings); "
+            "module: the module calibrates itself (2030h)",
+        ),
+        option(
+            "--recorder",
+            choices=("interface", "module"),
+            default="interface",
+            help="node whose object 2050h records (default: interface)",
+        ),
+        option(
+            "--seconds",
+            type=float,
+            metavar="S",
+            help="duration of the measurement (20; 4 for a recording, 10 for a speed)",
+        ),
+        option(
+            "--least-samples",
+            type=int,
+            default=LEAST_SAMPLES,
+            metavar="N",
+            help=f"minimum number of samples; measure up to six times longer to reach it ({LEAST_SAMPLES})",
+        ),
+        option(
+            "--verify", type=float, metavar="S", help="duration of the verification (4; 1 for a recording)"
+        ),
+        option(
+            "--conditioning",
+            choices=("fit", "none"),
+            default="fit",
+            help="fit offset, gain and phase error first (default), or correct all by the table",
+        ),
+        option("--entries", type=int, default=1024, metavar="N", help="length of the table (1024)"),
+        option("--adc-bits", type=int, metavar="N", help="bits of the converter (from 2001:02)"),
+        option("--sample-rate", type=float, metavar="HZ", help="samples per second, if not known otherwise"),
+        option("--rate", type=float, metavar="HZ", help="produce the SYNC, on a bus without one"),
+        option("--encoder", default="", metavar="NAME", help="name or serial number of the encoder"),
     )
-    group.add_argument(
-        "--source",
-        choices=(PDO, RECORDING, MODULE),
-        help="pdo: the ADC PDO on the bus (default); recording: object 2050h (default of zero-crossings); "
-        "module: the module calibrates itself (2030h)",
-    )
-    group.add_argument(
-        "--recorder",
-        choices=("interface", "module"),
-        default="interface",
-        help="node whose object 2050h records (default: interface)",
-    )
-    group.add_argument(
-        "--seconds",
-        type=float,
-        metavar="S",
-        help="duration of the measurement (20; 4 for a recording, 10 for a speed)",
-    )
-    group.add_argument(
-        "--least-samples",
-        type=int,
-        default=LEAST_SAMPLES,
-        metavar="N",
-        help=f"minimum number of samples; measure up to six times longer to reach it ({LEAST_SAMPLES})",
-    )
-    group.add_argument(
-        "--verify", type=float, metavar="S", help="duration of the verification (4; 1 for a recording)"
-    )
-    group.add_argument(
-        "--conditioning",
-        choices=("fit", "none"),
-        default="fit",
-        help="fit offset, gain and phase error of the tracks first (default), or correct all by the table",
-    )
-    group.add_argument("--entries", type=int, default=1024, metavar="N", help="length of the table (1024)")
-    group.add_argument("--adc-bits", type=int, metavar="N", help="bits of the converter (from 2001:02)")
-    group.add_argument("--rate", type=float, metavar="HZ", help="samples per second, if not known otherwise")
-    group.add_argument("--sync", type=float, metavar="HZ", help="produce the SYNC, on a bus without one")
-    group.add_argument("--encoder", default="", metavar="NAME", help="name or serial number of the encoder")
-    add_answer_within(group)
+    add_timeout(group)
 
 
 def choices_of(options: argparse.Namespace) -> CalibrateOptions:
@@ -172,23 +174,26 @@ def choices_of(options: argparse.Namespace) -> CalibrateOptions:
 
 def _add_speeds(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("several speeds (the analog path)")
-    group.add_argument(
-        "--speeds",
-        metavar="RPM,RPM,...",
-        help="measure at each of these speeds, in any order, as soon as the machine turns steadily at it; "
-        'with --samples DIR: the speeds of its files in their order, or "recorded"',
-    )
-    group.add_argument(
-        "--delay",
-        metavar="estimate|S",
-        help="write the delay of the analog path (2002:07): as estimated, or so many seconds (as it is)",
-    )
-    group.add_argument(
-        "--wait",
-        type=float,
-        default=120.0,
-        metavar="S",
-        help="how long to wait for the machine to turn at the next speed (120)",
+    add_options(
+        group,
+        option(
+            "--speeds",
+            metavar="RPM,RPM,...",
+            help="measure at each of these speeds, in any order, as soon as the machine turns at it; "
+            'with --samples DIR: the speeds of its files in their order, or "recorded"',
+        ),
+        option(
+            "--delay",
+            metavar="estimate|S",
+            help="write the delay of the analog path (2002:07): as estimated, or so many seconds (as it is)",
+        ),
+        option(
+            "--wait",
+            type=float,
+            default=120.0,
+            metavar="S",
+            help="how long to wait for the machine to turn at the next speed (120)",
+        ),
     )
 
 
@@ -201,9 +206,10 @@ def _add_file(parser: argparse.ArgumentParser) -> None:
         help="NPZ file, or CSV with a header line; with --speeds a folder of them",
     )
     add_columns(group)
-    group.add_argument(
-        "--table", type=Path, metavar="FILE", help="the active table, YAML or bytes of 2020:01"
-    )
-    group.add_argument(
-        "--cycles-per-revolution", type=int, metavar="N", help="also give errors as angles of the shaft"
+    add_options(
+        group,
+        option("--table", type=Path, metavar="FILE", help="the active table, YAML or bytes of 2020:01"),
+        option(
+            "--cycles-per-revolution", type=int, metavar="N", help="also give errors as angles of the shaft"
+        ),
     )

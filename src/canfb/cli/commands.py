@@ -26,53 +26,41 @@ class CommandEntry(NamedTuple):
 COMMANDS = tuple(
     CommandEntry(*entry)
     for entry in (
-        ("demo", "demo", "start, track, calibrate, upload, verify and survive faults on an in-process bus"),
-        ("try", "try_command", "a module, its encoder and its page on a private bus, in one command"),
+        (
+            "try",
+            "try_it",
+            "a module, its encoder and its page on a private bus",
+        ),
         (
             "plan",
             "plan_command",
-            "what bit rate, SYNC rate, speed and acceleration allow, before there is a machine",
+            "what bit rate, SYNC rate, speed and acceleration allow",
         ),
-        ("run", "run", "run the feedback modules of a configuration on a bus"),
-        ("interface", "run", "run the encoder interface of a configuration, with an ADC, on a bus"),
-        ("monitor", "monitor", "watch modules live, on a bus or in a log"),
-        ("dump", "dump_command", "show frames, PDOs of modules and interfaces decoded"),
-        ("scope", "scope", "watch modules on a local web page"),
+        ("run", "run", "run the modules and encoder interfaces of a configuration on a bus"),
         (
             "simulate",
             "simulate",
-            "simulate the encoder interface, with a motion, a recording or a drive, on a bus",
+            "simulate the encoder interface and its machine, a recording or a drive, on a bus",
         ),
-        ("why", "diagnose_command", "why the position of a module is not valid, and what brings it back"),
-        (
-            "diagnose",
-            "diagnose_command",
-            "write one file for whoever is to help: versions, settings, objects, log",
-        ),
-        ("reset", "nmt_command", "reset and start a module, at standstill only"),
-        ("bus", "nmt_command", "who is on a bus"),
-        ("nmt", "nmt_command", "start, stop or reset nodes"),
-        ("sdo", "sdo_command", "read or write one object of a node, by name or number"),
-        (
-            "calibrate",
-            "calibrate",
-            "measure the encoder, build its correction table, activate it and save it",
-        ),
-        (
-            "commission",
-            "commission",
-            "propose the limits of the supervision from the machine's own motion, and set them",
-        ),
-        (
-            "table",
-            "table_command",
-            "show, upload, download, activate or clear the correction table of a module",
-        ),
-        ("backup", "backup_command", "write table and all parameters of a module to a file (YAML)"),
-        ("restore", "backup_command", "write a backup to a module, prove it, or put back what was before"),
-        ("record", "record", "write a log of the bus"),
-        ("replay", "replay", "put a recorded bus log through the same module"),
         ("config", "config_file", "check a configuration, print an example, write a DCF"),
+        (
+            "monitor",
+            "monitor",
+            "watch modules live or in a log; --frames: each frame, --web: a page",
+        ),
+        ("why", "why", "why the position of a module is not valid; --bundle: one file for support"),
+        ("node", "node_command", "who is on a bus; start, stop or reset nodes"),
+        ("sdo", "sdo_command", "read, write or list objects of a node, by name or number"),
+        ("calibrate", "calibrate", "measure the encoder, build its correction table and activate it"),
+        (
+            "commission",
+            "commission",
+            "limits of the supervision from the machine's motion",
+        ),
+        ("table", "table_command", "the correction table of a module: show, read, write, activate, clear"),
+        ("backup", "backup_command", "table and all parameters of a module: save to a file, restore from it"),
+        ("log", "log_command", "record the bus; put a recorded log through the same module"),
+        ("use", "use", "the bus that commands use by default"),
     )
 )
 SUMMARIES = {entry.name: entry.summary for entry in COMMANDS}
@@ -88,21 +76,30 @@ def add_commands(commands: Any, name: str | None = None) -> None:
 
     The others are then there by name and summary, for the help and the message of a wrong command.
     """
-    files = {entry.file for entry in COMMANDS if name in (None, entry.name)}
-    added: set[str] = set()
     for entry in COMMANDS:
-        if entry.file not in files:
-            commands.add_parser(entry.name, help=entry.summary)
-        elif entry.file not in added:  # a file may have several commands
-            added.add(entry.file)
+        if name in (None, entry.name):
             import_module(f"canfb.cli.{entry.file}").register(commands)
+        else:
+            commands.add_parser(entry.name, help=entry.summary)
 
 
 WRONG_USE = 2
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong, without the list of all options."""
+    """Says in one line what is wrong, without the list of all options; options and arguments may be mixed."""
+
+    _mixing = False
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As argparse has it, but ``NODE --json CONFIG.yaml`` is what ``NODE CONFIG.yaml --json`` is."""
+        if self._mixing or any(isinstance(action, argparse._SubParsersAction) for action in self._actions):
+            return super().parse_known_args(args, namespace)
+        self._mixing = True
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._mixing = False
 
     def error(self, message: str) -> NoReturn:
         """End with exit code 2."""

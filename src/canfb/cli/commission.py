@@ -11,17 +11,19 @@ from canfb.calibrate.choices import CalibrateOptions
 from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
     Commands,
-    add_answer_within,
     add_bus_options,
     add_command,
-    add_measured_nodes,
+    add_options,
+    add_timeout,
     bus_options,
-    node_number,
+    named_config,
+    option,
     refuse_idle,
 )
 from canfb.cli.progress import Progress, shown_progress
+from canfb.cli.subjects import add_measured_nodes
 from canfb.commission.commission_run import CommissionOptions, CommissionRun
-from canfb.configuration import Config, load_config
+from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.master.access import Master
 from canfb.master.all_or_nothing import Guard
@@ -34,7 +36,7 @@ def register(commands: Commands) -> None:
 
 def commission(options: argparse.Namespace) -> int:
     """Listen, propose, and with ``--write`` set; 0 when that is done."""
-    wishes, config = wishes_of(options), configuration_of(options)
+    wishes, config = wishes_of(options), named_config(options)
     if wishes.out:
         prepare(wishes.out)
     nodes_of_choices(options, config)  # says what cannot be before there is a bus
@@ -42,7 +44,7 @@ def commission(options: argparse.Namespace) -> int:
     guard, as_before = Guard(), "the limits of the module are as they were"
     with (
         shown_progress(quiet=options.json, interrupted=as_before) as progress,
-        sync_master(words, options.sync, options.answer_within, guard) as master,
+        sync_master(words, options.rate, options.timeout, guard) as master,
     ):
         return over_bus(master, options, config, progress, guard, date_and_time())
 
@@ -58,67 +60,44 @@ def over_bus(
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add(
-        "what",
-        metavar="NODE|CONFIG.yaml",
-        nargs="?",
-        help="node-ID of the module such as 0x20, or a configuration with the bus and the node-IDs",
-    )
-    add("--config", metavar="CONFIG.yaml", help="takes the bus and the node-IDs from this configuration")
     add_measured_nodes(parser)
-    add("--write", action="store_true", help="write the limits; undone if the module then flags samples")
-    add("--save", action="store_true", help="with --write: save them (1010h)")
-    add("--seconds", type=float, default=60.0, metavar="S", help="how long to listen to the machine (60)")
-    add("--margin", type=float, default=2.0, metavar="X", help="factor beyond what is seen (2)")
-    add(
-        "--acceleration",
-        type=float,
-        default=0.0,
-        metavar="RAD_S2",
-        help="an acceleration that the machine can do and may not show now, as an emergency stop",
+    add_options(
+        parser,
+        option(
+            "--write", action="store_true", help="write the limits; undone if the module then flags samples"
+        ),
+        option("--save", action="store_true", help="with --write: save them (1010h)"),
+        option(
+            "--seconds", type=float, default=60.0, metavar="S", help="how long to listen to the machine (60)"
+        ),
+        option("--margin", type=float, default=2.0, metavar="X", help="safety factor (2)"),
+        option(
+            "--acceleration",
+            type=float,
+            default=0.0,
+            metavar="RAD_S2",
+            help="an acceleration that the machine can do and may not show now, as an emergency stop",
+        ),
+        option(
+            "--watch",
+            type=float,
+            default=10.0,
+            dest="watch_s",
+            metavar="S",
+            help="with --write: how long to watch the machine with the new limits (10)",
+        ),
+        option(
+            "--source",
+            choices=("pdo", "recording"),
+            default="pdo",
+            help="pdo: the ADC PDO on the bus (default); recording: object 2050h of the module",
+        ),
+        option("--out", type=Path, metavar="DIR", help="folder for report and samples"),
+        option("--json", action="store_true", help="print the figures as JSON"),
+        option("--rate", type=float, metavar="HZ", help="produce the SYNC, on a bus without one"),
     )
-    add(
-        "--watch",
-        type=float,
-        default=10.0,
-        dest="watch_s",
-        metavar="S",
-        help="with --write: how long to watch the machine with the new limits (10)",
-    )
-    add(
-        "--source",
-        choices=("pdo", "recording"),
-        default="pdo",
-        help="pdo: the ADC PDO on the bus (default); recording: object 2050h of the module",
-    )
-    add("--out", type=Path, metavar="DIR", help="folder for report and samples")
-    add("--json", action="store_true", help="print the figures as JSON")
-    add("--sync", type=float, metavar="HZ", help="produce the SYNC, on a bus without one")
-    add_answer_within(parser)
+    add_timeout(parser)
     add_bus_options(parser)
-
-
-def configuration_of(options: argparse.Namespace) -> Config:
-    """The configuration that was named, or an empty one; the node that was named is ``options.module``.
-
-    ConfigError where what is named is neither, or is named twice.
-    """
-    what, path = options.what, options.config
-    if what is not None:
-        try:
-            node = node_number(what)
-        except argparse.ArgumentTypeError:
-            if not Path(what).is_file():
-                raise ConfigError(f"{what}: neither a node-ID (1 to 127) nor a file") from None
-            if path is not None:
-                raise ConfigError(f"--config {path}: {what} is a configuration already") from None
-            path = what
-        else:
-            if options.module not in (None, node):
-                raise ConfigError(f"--module {options.module}: the node is {node} already")
-            options.module = node
-    return load_config(path) if path else Config()
 
 
 def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
@@ -126,8 +105,8 @@ def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, 
     choices = CalibrateOptions(
         module=options.module,
         encoder_interface=options.encoder_interface,
-        sync=options.sync,
-        answer_within=options.answer_within,
+        rate=options.rate,
+        timeout=options.timeout,
     )
     choices.refuse_impossible()
     return choices.nodes(nodes_of(config))

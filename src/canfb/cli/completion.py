@@ -51,7 +51,7 @@ def asked_words(environment: Mapping[str, str]) -> list[str]:
 
 def nodes(action: argparse.Action, parsed_args: argparse.Namespace, **_: object) -> list[str]:
     """Node-IDs of the configuration on the line, of interfaces too; ``all`` where it may be given."""
-    found = ["all"] if _takes(action, "all") else []
+    found = ["all"] if "or all" in (action.help or "") else []
     name = getattr(parsed_args, "config", None)
     if name is None:
         return found
@@ -73,16 +73,6 @@ def can_interfaces(**_: object) -> list[str]:
     except OSError:
         return []
     return sorted(name for name, kind in types.items() if kind == CAN_HARDWARE)
-
-
-def _takes(action: argparse.Action, word: str) -> bool:
-    if not callable(action.type):
-        return False
-    try:
-        action.type(word)
-    except (argparse.ArgumentTypeError, TypeError, ValueError):
-        return False
-    return True
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:

@@ -9,19 +9,21 @@ from pathlib import Path
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.clocks import file_date_and_time
 from canfb.bus.opening import open_bus
-from canfb.cli.examples import examples_of
 from canfb.cli.options import (
     Commands,
-    add_answer_within,
     add_bus_options,
     add_command,
+    add_group,
+    add_options,
+    add_timeout,
     bus_options,
     chosen_module,
     named_config,
+    option,
     refuse_idle,
-    whole_number,
 )
 from canfb.cli.printing import report
+from canfb.cli.subjects import add_nodes
 from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.device.od.dcf import Reals
 from canfb.errors import ConfigError
@@ -77,13 +79,7 @@ EXAMPLE_BUS = "{interface: socketcan, channel: vcan0}"  # in it
 
 def register(commands: Commands) -> None:
     """Add the commands."""
-    parser = commands.add_parser(
-        "config",
-        help="check a configuration, print an example, write a DCF",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.epilog = examples_of(parser.prog)
-    parts = parser.add_subparsers(dest="part", required=True, metavar="check|example|dcf")
+    parts = add_group(commands, "config")
     add_command(parts, "check", check, "check a configuration").add_argument("config", metavar="CONFIG.yaml")
     add_command(parts, "example", example, "print an example")
     summary = "write a device configuration file (CiA 306) for a CANopen master"
@@ -109,33 +105,28 @@ def example(options: argparse.Namespace) -> int:
 
 
 def _add_dcf_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "config", metavar="CONFIG.yaml", nargs="?", help="configuration of the module; needs no bus"
+    text = "CONFIG.yaml, and which of its modules, if there are several; NODE alone is read on the bus"
+    add_nodes(parser, text, least=1, most=1, file="subject")
+    add_options(
+        parser,
+        option("--out", type=Path, metavar="FILE", help="the DCF (module-20h.dcf), overwritten"),
+        option("--concise", type=Path, metavar="FILE", help="the concise form, for object 1F22h"),
+        option(
+            "--table",
+            choices=(INLINE, FILE),
+            default=INLINE,
+            help="the correction table: in the DCF and in a file (default), or in the file only",
+        ),
+        option(
+            "--reals",
+            choices=[reals.value for reals in Reals],
+            default=Reals.DECIMAL.value,
+            help="format of REAL32: decimal (default), or the bits, as lely's tools read them",
+        ),
+        option("--name", default="", help="NodeName of the DCF (module_20h)"),
+        option("--json", action="store_true", help="print the summary as JSON"),
     )
-    parser.add_argument(
-        "--module",
-        type=whole_number,
-        metavar="ID",
-        help="node-ID of the module, if there are several",
-    )
-    parser.add_argument("--node", type=whole_number, metavar="ID", help="read this node on the bus instead")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="the DCF (module-20h.dcf), overwritten")
-    parser.add_argument("--concise", type=Path, metavar="FILE", help="the concise form, for object 1F22h")
-    parser.add_argument(
-        "--table",
-        choices=(INLINE, FILE),
-        default=INLINE,
-        help="the correction table: in the DCF and in a file (default), or in the file only",
-    )
-    parser.add_argument(
-        "--reals",
-        choices=[reals.value for reals in Reals],
-        default=Reals.DECIMAL.value,
-        help="format of REAL32: decimal (default), or the bits, as lely's tools read them",
-    )
-    parser.add_argument("--name", default="", help="NodeName of the DCF (module_20h)")
-    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
-    add_answer_within(parser)
+    add_timeout(parser)
     add_bus_options(parser)
 
 
@@ -147,7 +138,7 @@ def write_dcf(options: argparse.Namespace) -> int:
     if options.node is None:
         configuration = saved_configuration(_chosen(config, options))
     else:
-        with BusMaster(open_bus(words), options.answer_within) as master:
+        with BusMaster(open_bus(words), options.timeout) as master:
             configuration = read_configuration(NodeAccess(master, options.node, "node"))
     inline, reals = options.table == INLINE, Reals(options.reals)
     files = ConfigurationFiles(
@@ -169,18 +160,13 @@ def write_dcf(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     """ConfigError for options that cannot be, alone or together."""
-    if options.node is None and options.config is None:
-        raise ConfigError(
-            "CONFIG.yaml or --node ID is required: a module of a configuration, or one on a bus"
-        )
-    if options.node is not None and options.module is not None:
-        raise ConfigError("--module: only without --node, which names the module")
-    if options.node is not None and not 1 <= options.node <= 127:
-        raise ConfigError(f"--node {options.node}: must be 1 to 127")
+    options.node = None if options.subject else options.module  # to be read on the bus
     if options.node is None:
-        refuse_idle(options, ["answer_within"], "only with --node, which is read over the bus")
-    if not 0.01 <= options.answer_within <= 60.0:
-        raise ConfigError(f"--answer-within {options.answer_within:g}: must be 0.01 to 60")
+        refuse_idle(options, ["timeout"], "only with NODE alone, which is read over the bus")
+        refuse_idle(options, ["config"], "only with NODE alone, which is read over the bus")
+        options.config = options.subject
+    if not 0.01 <= options.timeout <= 60.0:
+        raise ConfigError(f"--timeout {options.timeout:g}: must be 0.01 to 60")
     if not options.name.isascii() or not options.name.isprintable() or ";" in options.name:
         raise ConfigError(f"--name {options.name!r}: must be printable ASCII without ';'")
     if options.out is not None and options.out == options.concise:
@@ -191,7 +177,7 @@ def _chosen(config: Config, options: argparse.Namespace) -> ModuleConfig:
     """The module of the configuration. ConfigError when it is not clear which."""
     if options.module is None and len(config.modules) > 1:
         there = ", ".join(f"{module.node_id} ({module.node_id:02X}h)" for module in config.modules)
-        raise ConfigError(f"{options.config}: --module ID is required, as there are several: {there}")
+        raise ConfigError(f"{options.config}: NODE is required, as there are several: {there}")
     try:
         return chosen_module(options, config)
     except ConfigError as error:

@@ -17,8 +17,9 @@ import sys
 import traceback
 from collections.abc import Sequence
 
+from canfb.cli.aliases import current
 from canfb.cli.commands import WRONG_USE, build_parser, named_command
-from canfb.cli.printing import printed_log
+from canfb.cli.printing import print_line, printed_log
 from canfb.errors import CanfbError, ConfigError
 
 FAILED = 1
@@ -57,12 +58,16 @@ def _complete() -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
+    line = shlex.join(["canfb", *(sys.argv[1:] if arguments is None else arguments)])  # for reports
+    arguments, said = current(arguments)
+    if said:
+        print_line(f"canfb: {said}", sys.stderr)
     parser = build_parser(named_command(arguments))
     try:
         options = parser.parse_args(arguments)
     except SystemExit as end:  # argparse has said what it has to say
         return int(end.code or 0)
-    options.line = shlex.join(["canfb", *(sys.argv[1:] if arguments is None else arguments)])  # for reports
+    options.line = line
     # python-can logs what it raises as well; an error is one line here.
     logging.basicConfig(level=logging.INFO if options.debug else logging.CRITICAL)
     try:

@@ -8,7 +8,9 @@ import io
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
@@ -17,21 +19,28 @@ from canfb.cli.options import (
     Commands,
     add_bus_options,
     add_command,
+    add_options,
+    add_ready_file,
     bus_options,
     named_config,
-    positive,
+    option,
     refuse_idle,
-    take_yaml,
 )
-from canfb.cli.printing import say
-from canfb.cli.watch_options import add_machine_unit, add_watched, bit_rate_of
+from canfb.cli.printing import report, say
+from canfb.cli.subjects import add_nodes, bit_rate_of, positive, units
 from canfb.errors import CanfbError, ConfigError
+from canfb.hosting.readiness import Readiness
 from canfb.monitoring.bus_model import BusModel
-from canfb.monitoring.layout import NodeLayout, assumed_layout, known_layouts
-from canfb.monitoring.lines import plain_lines
+from canfb.monitoring.layout import ModuleReading, NodeLayout, assumed_layout, known_layouts
+from canfb.monitoring.lines import MachineUnits, plain_lines
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.monitoring.watching import MessageReader, Watching
 
+if TYPE_CHECKING:
+    from canfb.scope.live_page import LivePage
+
+ANY_PORT = 0
+ONLY_SHOWS = "--write: the page only shows; canfb calibrate and canfb table change a module"
 FASTEST_HZ, RATE_HZ, LINES_RATE_HZ = 50.0, 5.0, 1.0
 Show = Callable[[BusSnapshot], None]
 
@@ -39,34 +48,78 @@ Show = Callable[[BusSnapshot], None]
 def register(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(commands, "monitor", monitor)
-    add_watched(parser)
-    parser.add_argument("--rate", metavar="HZ", type=positive, help="updates per second (5; 1 for lines)")
-    parser.add_argument("--seconds", metavar="S", type=positive, help="end after so long")
-    parser.add_argument(
-        "--sdo", action="store_true", help="read mapping and counters by SDO; without it, only listen"
+    add_nodes(parser, "node-IDs such as 32 or 0x20; or CONFIG.yaml, as with --config")
+    add_options(
+        parser,
+        option("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus"),
+        option("--speed", metavar="X", type=positive, help="of the log: 1 in its own time"),
+        option("--updates", metavar="HZ", type=positive, help="per second (5; 1 for lines)"),
+        option("--seconds", metavar="S", type=positive, help="end after so long"),
+        option("--sdo", action="store_true", help="read mapping and counters by SDO, not only listen"),
+        option("--per-revolution", metavar="'5 mm'", type=units, help="unit of the machine"),
+        option("--plain", action="store_true", help="lines, also on a terminal"),
+        option("--json", action="store_true", help="print one JSON object per update or frame"),
     )
-    add_machine_unit(parser)
-    parser.add_argument("--plain", action="store_true", help="lines, also on a terminal")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per update")
+    frames = parser.add_argument_group("a line for each frame")
+    add_options(
+        frames,
+        option("--frames", action="store_true", help="show frames, PDOs of modules decoded"),
+        option("--pdo", action="store_true", help="the PDOs of these modules alone"),
+        option("--listen", action="store_true", help="send nothing: mapping by configuration and EDS"),
+    )
+    page = parser.add_argument_group("a page in the browser")
+    add_options(
+        page,
+        option("--web", action="store_true", help="watch modules on a page of this computer"),
+        option("--write", action="store_true", help=argparse.SUPPRESS),
+        option("--port", metavar="N", type=int, default=ANY_PORT, help="default: any free port"),
+    )
+    add_ready_file(page)
     add_bus_options(parser)
+    parser.set_defaults(opened=lambda address: say(f"open {address}"), per_revolution=MachineUnits())
+
+
+IDLE = (
+    (("pdo", "listen"), ("frames",), "only with --frames"),
+    (("write", "port", "ready_file"), ("web",), "only with --web"),
+    (("updates", "plain"), ("",), "not with --frames or --web"),
+    (("sdo",), ("", "web"), "not with --frames, which reads the mapping at its start"),
+    (("seconds", "json"), ("", "frames"), "not with --web"),
+    (("per_revolution",), ("", "web"), "not with --frames"),
+    (("speed",), ("", "web"), "not with --frames, which does not wait"),
+)
 
 
 def monitor(options: argparse.Namespace) -> int:
-    """Show what there is to see until Ctrl-C, the end of the log, or --seconds."""
-    take_yaml(options)
-    config = named_config(options)
-    words = bus_options(options, config.bus)
+    """Show modules, frames or a page."""
+    if options.frames and options.web:
+        raise ConfigError("--frames, --web: one of them")
+    form = "frames" if options.frames else "web" if options.web else ""
+    for names, forms, why in IDLE:
+        if form not in forms:
+            refuse_idle(options, names, why)
     if options.log is None:
         refuse_idle(options, ["speed"], "goes with --log")
     else:
-        refuse_idle(options, ["sdo"], "a log answers no SDO")
+        refuse_idle(options, ["sdo", "write", "listen"], "a log answers no SDO")
+    if options.frames:
+        from canfb.cli.frames import show_frames  # here: neither the page nor the frames are always wanted
+
+        return show_frames(options)
+    return _serve_page(options) if options.web else _watch(options)
+
+
+def _watch(options: argparse.Namespace) -> int:
+    """Show what there is to see until Ctrl-C, the end of the log, or --seconds."""
+    config = named_config(options)
+    words = bus_options(options, config.bus)
     layouts = known_layouts(config, options.nodes)
     if options.sdo and not layouts:
         raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
     model = BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes))
     with output(options, "canfb monitor") as (show, rate_hz):
         reader = MessageReader(options.seconds)
-        watching = Watching(model, show, min(options.rate or rate_hz, FASTEST_HZ), reader)
+        watching = Watching(model, show, min(options.updates or rate_hz, FASTEST_HZ), reader)
         with ending_on_signals(watching.stop):
             if options.log is not None:
                 own_time = None if options.json or options.plain else 1.0
@@ -130,3 +183,57 @@ def _page(options: argparse.Namespace, title: str) -> Iterator[Show]:
         yield show
     if last is not None:  # the page has gone with its screen
         _say_lines(last, options)
+
+
+def _serve_page(options: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C, SIGTERM or SIGHUP."""
+    from canfb.monitoring.sdo_reading import only_reads  # here: canopen is for --sdo alone
+    from canfb.scope.live_page import LivePage  # here: the server is for the page alone
+
+    if options.write:
+        report(ONLY_SHOWS)
+    if not 0 <= options.port <= 65535:
+        raise ConfigError(f"--port {options.port}: must be 0 to 65535")
+    config = named_config(options)
+    with contextlib.ExitStack() as held:
+        words = bus_options(options, config.bus)
+        layouts = known_layouts(config, options.nodes)
+        if options.sdo and not layouts:
+            raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
+        bus = None if options.log else held.enter_context(SharedBus(open_bus(words), only_reads))
+        page = LivePage(options.port, options.per_revolution)
+        model = BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes))
+        watching = Watching(model, page.show, RATE_HZ)
+        server = held.enter_context(page.server)
+        if options.sdo and bus is not None:
+            held.enter_context(_reading(bus, layouts, watching, page))
+        readiness = held.enter_context(Readiness(options.ready_file))
+        held.enter_context(ending_on_signals(lambda: _end(watching.stop, page.server.stop)))
+        options.opened(server.address)
+        readiness.ready()
+        if bus is not None:
+            watching.opened(bus)
+        else:
+            watching.log(options.log, options.speed or 1.0)
+            server.wait()
+    return 0
+
+
+def _reading(
+    bus: SharedBus, layouts: Sequence[NodeLayout], watching: Watching, page: LivePage
+) -> AbstractContextManager[None]:
+    """The modules are read by SDO while a page is open."""
+    from canfb.monitoring.sdo_reading import ModuleReader, SdoThread  # here: as above
+
+    def take(reading: ModuleReading) -> None:
+        watching.put(reading)
+        page.know(reading)
+
+    readers = [ModuleReader(layout.node_id, with_table=True) for layout in layouts]
+    asking = SdoThread(bus, readers, lambda: watching.latest, take, lambda: page.server.viewers > 0)
+    return asking.running(watching.stop)
+
+
+def _end(*stops: Callable[[], None]) -> None:
+    for stop in stops:
+        stop()

@@ -11,8 +11,9 @@ from typing import Any
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import add_answer_within, add_bus_options, chosen_bus, node_number, yaml_file
+from canfb.cli.options import add_bus_options, add_options, add_timeout, chosen_bus, option
 from canfb.cli.printing import report
+from canfb.cli.subjects import node_number, yaml_file
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.master.access import Master
@@ -27,22 +28,29 @@ def add_node(parser: argparse.ArgumentParser) -> None:
 
 def add_access_options(parser: argparse.ArgumentParser, *, answers: bool = True) -> None:
     """The bus and ``--json``, and the time for an answer unless ``answers`` is False."""
-    parser.add_argument("--json", action="store_true", help="the result, for programs")
-    parser.add_argument("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
-    parser.add_argument(
-        "configuration", metavar="CONFIG.yaml", nargs="?", type=yaml_file, help="the same, without --config"
+    add_options(
+        parser,
+        option("--json", action="store_true", help="the result, for programs"),
+        option("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration"),
+        option(
+            "configuration",
+            metavar="CONFIG.yaml",
+            nargs="?",
+            type=yaml_file,
+            help="the same, without --config",
+        ),
     )
     if answers:
-        add_answer_within(parser)
+        add_timeout(parser)
     add_bus_options(parser)
 
 
 @contextlib.contextmanager
 def master_of(options: argparse.Namespace) -> Iterator[Master]:
     """A master on the bus of the options. ConfigError for wrong ones, BusError for a bus that fails."""
-    if not 0.01 <= options.answer_within <= 60.0:
-        raise ConfigError(f"--answer-within {options.answer_within:g}: must be 0.01 to 60")
-    with BusMaster(open_bus(chosen_bus(options)), options.answer_within) as master:
+    if not 0.01 <= options.timeout <= 60.0:
+        raise ConfigError(f"--timeout {options.timeout:g}: must be 0.01 to 60")
+    with BusMaster(open_bus(chosen_bus(options)), options.timeout) as master:
         yield master
 
 

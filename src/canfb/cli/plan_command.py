@@ -6,12 +6,13 @@ import argparse
 import json
 from dataclasses import fields
 
-from canfb.cli.options import Commands, add_command, refuse_idle, whole_number
+from canfb.cli.options import Commands, add_command, add_options, option, refuse_idle
+from canfb.cli.subjects import add_jitter, jitter_s, whole_number
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.hosting.hosting import saved_configuration
+from canfb.planning.hints import changes_of
 from canfb.planning.plan import Plan
-from canfb.planning.plan_changes import changes_of
 from canfb.planning.plan_input import PlanOptions, modules_alike, numbered, plan_input_of
 from canfb.planning.plan_rows import plan_figures, plan_lines
 
@@ -19,7 +20,6 @@ HOLDS, EXCEEDED = 0, 1
 # Option, field of PlanOptions, word for its value, help.
 NUMBERS = (
     ("--rate", "rate_hz", "HZ", "SYNC rate (that of sync_period_us, 1000)"),
-    ("--jitter", "jitter_us", "US", "jitter of the SYNC at its producer, ± µs"),
     ("--extra", "extra_load", "PART", "part of the bus that other nodes take, 0 to 1"),
     ("--heartbeat", "heartbeat_ms", "MS", "heartbeat of each node that has none"),
     ("--rpm", "rpm", "RPM", "largest speed"),
@@ -38,14 +38,51 @@ NUMBERS = (
 def register(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(commands, "plan", plan)
-    parser.add_argument("config", metavar="CONFIG.yaml", nargs="?", help="without it: options alone")
-    parser.add_argument(
-        "-b", "--bitrate", dest="bit_rate", type=whole_number, metavar="BIT/S", help="(that of bus, 1000000)"
+    add_options(
+        parser,
+        option("config", metavar="CONFIG.yaml", nargs="?", help="without it: options alone"),
+        option(
+            "-b",
+            "--bitrate",
+            dest="bit_rate",
+            type=whole_number,
+            metavar="BIT/S",
+            help="(that of bus, 1000000)",
+        ),
     )
-    for option, field, word, text in NUMBERS:
-        parser.add_argument(option, dest=field, type=float, metavar=word, help=text)
-    parser.add_argument(
-        "--cycles", dest="cycles_per_revolution", type=whole_number, metavar="N", help="per revolution (2500)"
+    for name, field, word, text in NUMBERS:
+        parser.add_argument(name, dest=field, type=float, metavar=word, help=text)
+    add_jitter(parser, "jitter of the SYNC at its producer")
+    add_options(
+        parser,
+        option(
+            "--cycles",
+            dest="cycles_per_revolution",
+            type=whole_number,
+            metavar="N",
+            help="per revolution (2500)",
+        ),
+        option(
+            "--samples-per-sync", type=whole_number, metavar="COUNT", help="1 to 4, of every interface (1)"
+        ),
+        option(
+            "--noise-margin",
+            type=whole_number,
+            metavar="FACTOR",
+            help="2010:09 of every module (0: fixed margin)",
+        ),
+        option("--times", action="store_true", help="the ADC PDO carries sample times"),
+        option("--table", action="store_true", help="a correction table is in force"),
+        option("--adc-bits", type=whole_number, default=12, metavar="BITS", help="of the converter (12)"),
+        option(
+            "--modules",
+            type=whole_number,
+            default=1,
+            metavar="COUNT",
+            help="that are alike, each with its interface (1)",
+        ),
+        option("--coverage", action="store_true", help="diagnostic coverage by fault (docs/faults.md)"),
+        option("--json", action="store_true", help="figures, for programs"),
     )
     parser.add_argument(
         "--samples-per-sync", type=whole_number, metavar="COUNT", help="1 to 8, of every interface (1)"
@@ -78,6 +115,7 @@ def plan(options: argparse.Namespace) -> int:
     """Print the plan; 0 if it holds, 1 if it does not."""
     try:
         config = _config(options)
+        options.jitter_us = options.jitter and jitter_s(options, options.rate_hz) * 1e6
         overrides = PlanOptions(**{field.name: getattr(options, field.name) for field in fields(PlanOptions)})
         found = Plan(plan_input_of(config, [saved_configuration(one) for one in config.modules], overrides))
     except ValueError as error:
@@ -100,9 +138,9 @@ def _config(options: argparse.Namespace) -> Config:
 
 def _named(message: str) -> str:
     """A message on a field as one on its option."""
-    name = message.split()[0]
-    options = {field: option for option, field, _, _ in NUMBERS}
+    first = message.split()[0]
+    options = {field: name for name, field, _, _ in NUMBERS}
     options |= {"bit_rate": "--bitrate", "cycles_per_revolution": "--cycles", "adc_bits": "--adc-bits"}
-    options |= {"modules": "--modules"}
+    options |= {"jitter_us": "--jitter", "modules": "--modules"}
     options |= {"samples_per_sync": "--samples-per-sync", "noise_margin": "--noise-margin"}
-    return message.replace(name, options.get(name, name), 1)
+    return message.replace(first, options.get(first, first), 1)

@@ -1,4 +1,4 @@
-"""``canfb replay LOG|FOLDER``: recorded frames through the same module."""
+"""``canfb log replay LOG|FOLDER``: recorded frames through the same module."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from canfb.cli.node_options import say_result
-from canfb.cli.options import Commands, add_command, chosen_module, refuse_idle, whole_number
+from canfb.cli.options import Commands, add_command, add_options, chosen_module, option, refuse_idle
 from canfb.cli.progress import Progress, shown_progress
+from canfb.cli.subjects import add_nodes, node_or_file, required_file, whole_number
 from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
 from canfb.logfile.bus_log import SentLog
@@ -30,16 +31,17 @@ OF_A_FILE = ("frames", "report", "json")
 OF_A_FOLDER = ("workers",)
 
 
-def register(commands: Commands) -> None:
-    """Add the command."""
-    _add_options(add_command(commands, "replay", replay))
+def add_to(commands: Commands) -> None:
+    """Add it to ``canfb log``."""
+    _add_options(add_command(commands, "replay", replay, "put a recorded bus log through the same module"))
 
 
 def replay(options: argparse.Namespace) -> int:
     """Replay a log, or a folder of them; 0 also if there were faults, 1 for a log without its end."""
+    options.log = required_file(options.log)
     settings = settings_of(options)
     if len(settings.modules) > 1 and (options.out or options.report) and not options.log.is_dir():
-        raise ConfigError("--out, --report: are for one module; choose it by --module")
+        raise ConfigError("--out, --report: are for one module; choose it by NODE")
     if options.report is not None:
         check_place("--report", options.report)
     replay_what = _folder if options.log.is_dir() else _one_log
@@ -72,35 +74,45 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("log", metavar="LOG|FOLDER", type=Path, help="what canfb record or candump -L wrote")
+    text = "what canfb log record or candump -L wrote; and NODE, to replay only this module"
+    add_nodes(parser, text, least=1, most=1, kind=node_or_file, file="log", name="LOG|FOLDER")
     module = parser.add_argument_group("module")
-    module.add_argument(
-        "--config", metavar="CONFIG.yaml", help="the modules; default: one with the node-ID 32"
+    add_options(
+        module,
+        option("--encoder-interface", type=whole_number, metavar="ID", help="sends the ADC counts"),
+        option(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="another value of a key of the module",
+        ),
+        option("--table", metavar="FILE", help="correction table to try in place of the saved one"),
+        option("--state", type=Path, metavar="DIR", help="state_dir of the module; only read"),
     )
-    module.add_argument("--module", type=whole_number, metavar="ID", help="only the module with this node-ID")
-    module.add_argument("--encoder-interface", type=whole_number, metavar="ID", help="sends the ADC counts")
-    module.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="another value of a key of the module"
-    )
-    module.add_argument("--table", metavar="FILE", help="correction table to try in place of the saved one")
-    module.add_argument("--state", type=Path, metavar="DIR", help="state_dir of the module; only read")
     log = parser.add_argument_group("log")
-    log.add_argument(
-        "--begin",
-        choices=[one.value for one in Begin if one is not Begin.BOOT_UP],
-        default=Begin.AUTO.value,
-        help="NMT state of the module at the beginning; auto: as the first frames show",
+    add_options(
+        log,
+        option(
+            "--begin",
+            choices=[one.value for one in Begin if one is not Begin.BOOT_UP],
+            default=Begin.AUTO.value,
+            help="NMT state of the module at the beginning; auto: as the first frames show",
+        ),
+        option("--channel", metavar="NAME", help="of a log of several buses (default: all, as one bus)"),
     )
-    log.add_argument("--channel", metavar="NAME", help="of a log of several buses (default: all, as one bus)")
     out = parser.add_argument_group("results")
-    out.add_argument("--out", type=Path, metavar="FILE", help="the samples: .csv, .npz, .parquet")
-    out.add_argument("--frames", type=Path, metavar="FILE", help="what the module sends, as a bus log")
-    out.add_argument("--report", type=Path, metavar="FILE.html", help="a page with pictures")
-    out.add_argument("--json", action="store_true", help="the figures, for programs")
-    out.add_argument(
-        "--drift",
-        action=argparse.BooleanOptionalAction,
-        help="how far the encoder has moved away from its table: takes seconds (default: of a folder)",
+    add_options(
+        out,
+        option("--out", type=Path, metavar="FILE", help="the samples: .csv, .npz, .parquet"),
+        option("--frames", type=Path, metavar="FILE", help="what the module sends, as a bus log"),
+        option("--report", type=Path, metavar="FILE.html", help="a page with pictures"),
+        option("--json", action="store_true", help="the figures, for programs"),
+        option(
+            "--drift",
+            action=argparse.BooleanOptionalAction,
+            help="how far the encoder has moved away from its table: takes seconds (default: of a folder)",
+        ),
     )
     folder = parser.add_argument_group("folder of logs")
     folder.add_argument(
@@ -139,7 +151,7 @@ def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
         given = {} if options.encoder_interface is None else {"encoder_interface": options.encoder_interface}
         modules = [replace(module, **given) for module in modules]
     except ValueError as error:
-        raise ConfigError(f"--module, --encoder-interface: {error}") from None
+        raise ConfigError(f"NODE, --encoder-interface: {error}") from None
     return [changed_module(module, options.set) for module in modules]
 
 

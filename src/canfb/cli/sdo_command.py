@@ -6,44 +6,57 @@ import argparse
 from pathlib import Path
 
 from canfb.cli import node_options
-from canfb.cli.options import Commands, add_command, is_yaml
+from canfb.cli.options import Commands, add_command, add_group, add_options, option
+from canfb.cli.subjects import is_yaml
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import ConfigError
 from canfb.marked_yaml import read_bytes
 from canfb.master.access import CommissioningError, Master, NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
-from canfb.rows import Result
+from canfb.rows import Result, Row, as_columns
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import SdoTasks, described_by, is_lost
 
 OBJECT = """the name in the EDS or its beginning, in any case ("residual limit", "supervision: residual"), \
 or index:sub as manuals have it, hexadecimal (2010:01)"""
 
+COLUMNS = ("object", "access", "name", "unit")
 LOST = "the position is lost: canfb why {:#04x} says why, and what brings it back"
 
 
 def register(commands: Commands) -> None:
     """Add the commands."""
-    parser = commands.add_parser(
-        "sdo",
-        help="read or write one object of a node, by name or number",
-        description="One object of a node by SDO. Names, types and units are those of its EDS.",
-    )
-    parts = parser.add_subparsers(dest="part", required=True, metavar="read|write")
+    description = "Objects of a node by SDO. Names, types and units are those of its EDS."
+    parts = add_group(commands, "sdo", description)
     part = _add(parts, "read", "read an object; without :sub, all of a record", read)
     part.add_argument("--out", type=Path, metavar="FILE", help="write the bytes to a file; replaced")
     _finish(part)
+    _add_list(parts)
     part = _add(parts, "write", "write an object, and read it back", write)
-    part.add_argument(
-        "value",
-        metavar="VALUE",
-        nargs="?",
-        help="12, 0x1F, -3.5, a text, bytes in hexadecimal, or a word (save, start); in the unit that read "
-        'shows: 0.2 or "0.2 cycle"',
+    add_options(
+        part,
+        option(
+            "value",
+            metavar="VALUE",
+            nargs="?",
+            help="12, 0x1F, -3.5, a text, bytes in hexadecimal, or a word (save); in the unit that read "
+            'shows: 0.2 or "0.2 cycle"',
+        ),
+        option("--raw", action="store_true", help="VALUE is the number of the object, in no unit"),
+        option("--file", type=Path, metavar="FILE", help="the bytes of a file instead of a VALUE"),
     )
-    part.add_argument("--raw", action="store_true", help="VALUE is the number of the object, in no unit")
-    part.add_argument("--file", type=Path, metavar="FILE", help="the bytes of a file instead of a VALUE")
     _finish(part)
+
+
+def _add_list(parts: Commands) -> None:
+    part = add_command(parts, "list", listed, "the objects of a node by its EDS: number, name, access, unit")
+    node_options.add_node(part)
+    add_options(
+        part,
+        option("object", metavar="OBJECT", nargs="?", default="", help="only those with this in the name"),
+        option("--eds", type=Path, metavar="FILE", help="EDS or DCF; without, the node is asked which"),
+    )
+    node_options.add_access_options(part)
 
 
 def _add(parts: Commands, name: str, summary: str, action: object) -> argparse.ArgumentParser:
@@ -63,6 +76,29 @@ def _tasks(master: Master, options: argparse.Namespace) -> SdoTasks:
     if options.eds is not None:
         return SdoTasks(node, ObjectDescriptions(options.eds, options.node))
     return SdoTasks(node, described_by(node, map(eds_path, EDS_NAMES), options.object))
+
+
+def listed(options: argparse.Namespace) -> int:
+    """Print what objects there are."""
+    if is_yaml(options.object) and options.configuration is None:
+        options.object, options.configuration = "", options.object
+    if options.eds is not None:
+        described = ObjectDescriptions(options.eds, options.node)
+    else:
+        with node_options.master_of(options) as master:
+            described = described_by(NodeAccess(master, options.node, "node"), map(eds_path, EDS_NAMES), "")
+    wanted = options.object.lower()
+    rows = [
+        Row(one.number, one.access, one.title, one.unit)
+        for one in described
+        if wanted in f"{one.number} {one.title}".lower()
+    ]
+    figures = [
+        dict(zip(("object", "access", "name", "unit"), (row.name, *row.words), strict=True)) for row in rows
+    ]
+    return node_options.say_result(
+        options, Result(figures, as_columns(rows, ("object", "access", "name", "unit")))
+    )
 
 
 def read(options: argparse.Namespace) -> int:

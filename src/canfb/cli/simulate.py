@@ -14,16 +14,16 @@ from canfb.cli.options import (
     Commands,
     add_bus_options,
     add_command,
-    add_jitter,
+    add_options,
     add_ready_file,
     bus_options,
     chosen_module,
-    jittered,
+    option,
     refuse_idle,
-    whole_number,
 )
 from canfb.cli.printing import printed_without_waiting, say
 from canfb.cli.recording_options import add_columns
+from canfb.cli.subjects import add_jitter, add_nodes, jittered
 from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
@@ -44,6 +44,8 @@ def register(commands: Commands) -> None:
 
 def simulate(options: argparse.Namespace) -> int:
     """Serve the encoder interface until Ctrl-C, SIGTERM, SIGHUP, --seconds or the end of the recording."""
+    if options.config is None:
+        raise ConfigError("CONFIG.yaml is required: its module and its simulation")
     config = load_config(options.config)
     words = bus_options(options, config.bus)
     check_device_bus(words)
@@ -72,7 +74,7 @@ def simulate(options: argparse.Namespace) -> int:
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("config", metavar="CONFIG.yaml")
+    add_nodes(parser, "CONFIG.yaml, and the node-ID of the module to serve (the first)", least=1, most=1)
     parser.add_argument(
         "--rate",
         type=float,
@@ -80,24 +82,21 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
     )
     add_jitter(parser)
-    parser.add_argument(
-        "--pace",
-        choices=PACES,
-        help="the machine turns in real time (time), or by one interval per SYNC, however late (sync)",
-    )
-    parser.add_argument(
-        "--module",
-        type=whole_number,
-        metavar="ID",
-        help="node-ID of the module to serve (the first)",
-    )
-    parser.add_argument("--rpm", type=float, help="speed after the ramp, instead of the configuration's")
-    parser.add_argument("--autostart", action="store_true", help="enter OPERATIONAL without a master")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after this machine time")
-    parser.add_argument(
-        "--record",
-        metavar="FILE",
-        help="write the samples to a CSV or NPZ file, to play them back (--samples) or to calibrate",
+    add_options(
+        parser,
+        option(
+            "--pace",
+            choices=PACES,
+            help="the machine turns in real time (time), or by one interval per SYNC, however late (sync)",
+        ),
+        option("--rpm", type=float, help="speed after the ramp, instead of the configuration's"),
+        option("--autostart", action="store_true", help="enter OPERATIONAL without a master"),
+        option("--seconds", type=float, metavar="S", help="end after this machine time"),
+        option(
+            "--record",
+            metavar="FILE",
+            help="write the samples to a CSV or NPZ file, to play them back (--samples) or to calibrate",
+        ),
     )
     add_ready_file(parser)
     play = parser.add_argument_group("playing a recording")
@@ -107,9 +106,10 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         help="CSV file with a header line, one row for each SYNC, or an NPZ file of canfb",
     )
     add_columns(play)
-    play.add_argument("--gap", type=float, default=0.1, metavar="S", help="a longer time step is a gap (0.1)")
-    play.add_argument(
-        "--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"
+    add_options(
+        play,
+        option("--gap", type=float, default=0.1, metavar="S", help="a longer time step is a gap (0.1)"),
+        option("--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"),
     )
     add_bus_options(parser)
 
@@ -128,10 +128,10 @@ def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfi
     if options.seconds is not None and not 0.0 < options.seconds <= 1e6:
         raise ConfigError(f"--seconds {options.seconds:g}: must be more than 0, at most 1e6")
     simulation = jittered(config, options).simulation
-    for option in ("samples", "rpm") if simulation.drive is not None else ():
-        if getattr(options, option) is not None:
+    for name in ("samples", "rpm") if simulation.drive is not None else ():
+        if getattr(options, name) is not None:
             raise ConfigError(
-                f"--{option}: the drive of the configuration moves the encoder; omit one of the two"
+                f"--{name}: the drive of the configuration moves the encoder; omit one of the two"
             )
     if options.rpm is not None:
         try:

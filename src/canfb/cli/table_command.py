@@ -1,4 +1,4 @@
-"""``canfb table show|upload|download|activate|clear``: the correction table of a module."""
+"""``canfb table show|read|write|activate|clear``: the correction table of a module."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
-from canfb.cli.options import Commands, add_command, node_number
+from canfb.cli.options import Commands, add_command, add_group, add_options, option
+from canfb.cli.subjects import node_number
 from canfb.errors import ConfigError
 from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import check_writable
@@ -22,25 +23,22 @@ FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
 
 def register(commands: Commands) -> None:
     """Add the commands."""
-    parser = commands.add_parser(
-        "table",
-        help="show, upload, download, activate or clear the correction table of a module",
-        description="The correction table (2020h) and the conditioning (2002h) of a module. upload is from a "
-        "file to the module, download from the module to a file; CiA 301 calls these SDO transfers the other "
-        "way round.",
-    )
-    parts = parser.add_subparsers(dest="part", required=True, metavar="show|upload|download|activate|clear")
+    description = "The correction table (2020h) and the conditioning (2002h) of a module."
+    parts = add_group(commands, "table", description)
     part = add_command(parts, "show", show, "show the table of a module or of a file")
     part.add_argument("what", metavar="NODE|FILE", help="node-ID such as 32 or 0x20, or a table file")
     node_options.add_access_options(part)
 
-    part = _add(parts, "upload", "write the table of a file to the module, and stage it", upload)
-    part.add_argument("file", metavar="FILE", type=Path, help=f"as canfb calibrate writes it: {FILES}")
-    part.add_argument("--activate", action="store_true", help="put it in force at once")
-    part.add_argument("--force", action="store_true", help=FORCE)
+    part = _add(parts, "write", "write the table of a file to the module, and stage it", write)
+    add_options(
+        part,
+        option("file", metavar="FILE", type=Path, help=f"as canfb calibrate writes it: {FILES}"),
+        option("--activate", action="store_true", help="put it in force at once"),
+        option("--force", action="store_true", help=FORCE),
+    )
     _finish(part, "with --activate: save it (1010h)")
 
-    part = _add(parts, "download", "write the active table of the module to a file", download)
+    part = _add(parts, "read", "read the active table of the module into a file", read)
     part.add_argument("file", metavar="FILE", type=Path, help=f"{FILES}; replaced")
     node_options.add_access_options(part)
 
@@ -78,7 +76,7 @@ def show(options: argparse.Namespace) -> int:
     return node_options.say_result(options, state.result())
 
 
-def upload(options: argparse.Namespace) -> int:
+def write(options: argparse.Namespace) -> int:
     """From the file to the module."""
     if options.save and not options.activate:
         raise ConfigError("--save: only with --activate, as a staged table is not saved")
@@ -89,7 +87,7 @@ def upload(options: argparse.Namespace) -> int:
     )
 
 
-def download(options: argparse.Namespace) -> int:
+def read(options: argparse.Namespace) -> int:
     """From the module to the file."""
     check_writable(options.file)
     return _do(options, lambda tasks: tasks.download(options.file, date_and_time()))

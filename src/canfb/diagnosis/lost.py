@@ -135,7 +135,7 @@ class LostPosition:
         node = f"{self.node_id:#04x}"
         if not self.sample_hz:
             yield (
-                f"no samples are processed now: is it OPERATIONAL (canfb nmt start {node}), does SYNC come, "
+                f"no samples are processed now: is it OPERATIONAL (canfb node start {node}), does SYNC come, "
                 "does the encoder interface send?"
             )
 
@@ -176,7 +176,7 @@ class LostPosition:
         """How a lost position becomes valid again, with what this module has."""
         node = f"{self.node_id:#04x}"
         return [
-            f"stand still, then canfb reset {node}: the count begins at 0, so reference the machine again",
+            f"stand still, then canfb node reset {node}: the count begins at 0; reference the machine again",
             "coarse track: finds the count by itself, in motion too"
             if self.coarse
             else "coarse track: not mapped (2000:03 and 2000:04 in an RPDO)",

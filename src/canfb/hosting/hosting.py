@@ -1,6 +1,6 @@
 """From a configuration to modules and encoder interfaces that are served on a bus.
 
-``canfb run`` and ``canfb interface`` do it. What cannot be on this machine (python-can, paths, processors) is
+``canfb run`` does it. What cannot be on this machine (python-can, paths, processors) is
 what ``canfb config check`` says; a module with what it has saved can also be had without a bus.
 """
 
@@ -10,17 +10,21 @@ import contextlib
 import logging
 import os
 import random
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from canfb.bus.opening import check_device_bus, check_words, describe
+from canfb.bus.runner import BusCounters, DeviceFailure
 from canfb.configuration import Config, NodeConfig, RealtimeConfig, line_of
+from canfb.device.device_protocol import Device
 from canfb.device.storage.image import ParameterGroup
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.captured_source import CapturedSource
 from canfb.hosting.event_log import (
+    EventLog,
     Served,
     duplicates_of,
     name_of,
@@ -30,7 +34,8 @@ from canfb.hosting.event_log import (
     title_of,
     what_is_saved,
 )
-from canfb.hosting.serving import ServedDevice, Serving
+from canfb.hosting.self_diagnosis import SelfDiagnosis
+from canfb.hosting.serving import OnBus
 from canfb.hosting.state_files import SavedParameters, StateFiles, ThreadedStore
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.interface_config import InterfaceConfig
@@ -85,26 +90,125 @@ def _check_cpu(realtime: RealtimeConfig) -> None:
 log = logging.getLogger(__name__)
 
 
-class Hosting(Serving):
-    """The modules of a configuration on a bus."""
+class ServedDevice(Served, Device, Protocol):
+    """A device around a node of ours."""
+
+
+class Hosting(OnBus):
+    """Modules and encoder interfaces of a configuration on a bus: a context manager around :meth:`run`.
+
+    ``words`` are python-can's own for the bus (interface, channel, ...), those of ``config`` if not given.
+    What there is to say goes to the loggers ``canfb.*``: information on what runs and what happens
+    (:class:`.EventLog`, which ``verbose`` makes say more), warnings on what fails and on what works again.
+    ConfigError for a bus on which a device would receive its own frames; CanfbError, on entering, for a bus,
+    a state_dir or a source that cannot be used.
+    """
 
     modules: list[FeedbackModule]
+    interfaces: list[EncoderInterface]
+
+    def __init__(
+        self, config: Config, words: Mapping[str, Any] | None = None, *, verbose: bool = False
+    ) -> None:
+        super().__init__(config.bus if words is None else words, config.realtime)
+        self.config = config
+        self._nodes: list[ServedDevice] = []
+        self._events = EventLog(verbose)
+        self._alive: Callable[[float], None] = lambda now: None
+        self._looked_s = 0.0
+        folders = [Path(one.state_dir) for _, _, one in config.nodes if one.state_dir is not None]
+        folder = folders[0] if folders else Path(tempfile.gettempdir())
+        self._diagnosis = SelfDiagnosis(config, self.words, self._bus_counters, folder)
 
     def _make_nodes(self, resources: contextlib.ExitStack) -> list[tuple[ServedDevice, NodeEvents]]:
-        config = self.config
-        self.modules = [
-            make_module(module, resources, self.words, config.simulation) for module in config.modules
+        config, simulation = self.config, self.config.simulation
+        self.modules = [make_module(one, resources, self.words, simulation) for one in config.modules]
+        self.interfaces = [
+            make_interface(one, resources, self.words, simulation) for one in config.interfaces
         ]
-        return [(module, module.events) for module in self.modules]
+        made: list[tuple[ServedDevice, NodeEvents]] = [(module, module.events) for module in self.modules]
+        for interface in self.interfaces:
+            interface.observer = events = NodeEvents()
+            made.append((interface, events))
+        return made
 
     def _at_start(self) -> list[str]:
         named = [(module, name_of(module)) for module in self.modules]
-        nodes = ", ".join(name for _, name in named)
+        modules = ", ".join(name for _, name in named)
+        interfaces = ", ".join(name_of(one) for one in self.interfaces)
+        lists = [f"running node {modules}"] * bool(named)
+        lists += [f"encoder interface: node {interfaces}"] * bool(interfaces)
         saved = [line for module, name in named for line in what_is_saved(module, name)]
-        return [f"running node {nodes} on {describe(self.words)}; end with Ctrl-C", *saved, *speeds_of(named)]
+        said = f"{', '.join(lists)} on {describe(self.words)}; end with Ctrl-C"
+        return [said, *saved, *(speeds_of(named) if named else [])]
 
     def _at_end(self) -> list[str]:
-        return [summary_of(module) for module in self.modules]
+        return [
+            *(summary_of(module) for module in self.modules),
+            *(
+                f"{short_title_of(one)}: {one.samples} samples sent"
+                f"{f'; {one.missed} SYNCs without one' if one.missed else ''}{duplicates_of(one)}"
+                for one in self.interfaces
+            ),
+        ]
+
+    def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
+        resources.enter_context(self._diagnosis.keeping_the_log())
+        made = self._make_nodes(resources)
+        for device, events in made:
+            self._events.watch(device, events)
+        self._nodes = [device for device, _ in made]
+        return list(self._nodes)
+
+    def _meanwhile(self, now: float) -> None:
+        self._looked_s = now
+        self._events.tick(now)
+        self._alive(now)
+        self._diagnosis.step(self._nodes)
+        super()._meanwhile(now)
+
+    def _bus_counters(self) -> BusCounters:
+        return BusCounters() if self._runner is None else self._runner.counters
+
+    def diagnose(self) -> None:
+        """Write a diagnosis soon, into the first state_dir, else the folder of temporary files.
+
+        A line of the log says where. It may be called by a signal handler.
+        """
+        self._diagnosis.request()
+
+    def run(
+        self,
+        ready: Callable[[], None] = lambda: None,
+        alive: Callable[[float], None] = lambda now: None,
+    ) -> None:
+        """Serve the nodes until :meth:`stop`. ``ready`` is called when they are on the bus.
+
+        ``alive`` is called again and again with the time, seconds (monotonic), as long as they are served.
+
+        A program error in one of them ends it for all, with CanfbError.
+        """
+        if self._runner is None:
+            name = type(self).__name__
+            raise RuntimeError(f"use {name} as a context manager: with {name}(config) as hosting")
+        self._alive = alive
+        lines = self._at_start()
+
+        def on_the_bus() -> None:
+            for line in lines:
+                log.info(line)
+            self._events.begin()
+            ready()
+
+        try:
+            self._runner.run(ready=on_the_bus)
+        except DeviceFailure as failure:
+            (failed,) = (device for device in self._nodes if device is failure.device)
+            raise CanfbError(f"{title_of(failed)}: {failure}; all nodes of the process end") from failure
+        finally:
+            self._events.close(max(self._looked_s, *(device.node.now for device in self._nodes)))
+            for line in self._at_end():
+                log.info(line)
 
 
 def make_module(
@@ -184,33 +288,6 @@ def open_source(
         except ValueError as error:
             raise ConfigError(f"with {source.adc_bits} bits of {settings.title}: {error}") from None
     return config, source
-
-
-class InterfaceHosting(Serving):
-    """The encoder interfaces of a configuration on a bus. ``verbose``: each EMCY is logged, too."""
-
-    interfaces: list[EncoderInterface]
-
-    def _make_nodes(self, resources: contextlib.ExitStack) -> list[tuple[ServedDevice, NodeEvents]]:
-        config = self.config
-        self.interfaces = [
-            make_interface(one, resources, self.words, config.simulation) for one in config.interfaces
-        ]
-        events = [NodeEvents() for _ in self.interfaces]
-        for interface, its in zip(self.interfaces, events, strict=True):
-            interface.observer = its
-        return list(zip(self.interfaces, events, strict=True))
-
-    def _at_start(self) -> list[str]:
-        nodes = ", ".join(name_of(one) for one in self.interfaces)
-        return [f"encoder interface: node {nodes} on {describe(self.words)}; end with Ctrl-C"]
-
-    def _at_end(self) -> list[str]:
-        return [
-            f"{short_title_of(one)}: {one.samples} samples sent"
-            f"{f'; {one.missed} SYNCs without one' if one.missed else ''}{duplicates_of(one)}"
-            for one in self.interfaces
-        ]
 
 
 def make_interface(

@@ -12,7 +12,6 @@ import contextlib
 import os
 import platform
 import socket
-import struct
 import tempfile
 import threading
 import time
@@ -20,24 +19,19 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Self
-from uuid import uuid4
 
 import can
 
-from canfb import objects as od
 from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE
 from canfb.bus.opening import MULTICAST, group_port, open_device_bus
 from canfb.bus.shared_bus import ListeningThread
-from canfb.cia301 import cob
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.configuration import Config
 from canfb.errors import BusError, reason
 from canfb.hosting.event_log import EventLog
 from canfb.hosting.hosting import make_module
 from canfb.hosting.serving import fed_module
-from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 from canfb.simulation.set_up import Play, set_up
 
 START_ALL = Frame(0x000, b"\x01\x00")  # NMT (CiA 301, 7.2.8.3.1)
@@ -182,39 +176,3 @@ class NetworkOnBus:
             self._bus.send(frame.can_id, bytes(frame.data), frame.rtr)
         except (can.CanError, OSError) as error:
             raise BusError(f"the bus fails: {reason(error)}") from error
-
-
-NODE, RATE_HZ = 0x20, 200.0
-# A mediocre encoder, on a machine whose speed varies.
-ENCODER = EncoderScenario(
-    amplitude=0.73,
-    sine_offset=0.04,
-    cosine_offset=-0.03,
-    sine_amplitude=1.03,
-    cosine_amplitude=0.96,
-    phase_error_rad=0.05,
-    harmonics=[HarmonicConfig(order=3, sine=0.012, cosine=0.01)],
-)
-SIMULATION = SimulationConfig(encoder=ENCODER, motion=MotionConfig(rpm=60.0, ripple_rpm=3.0, ripple_hz=0.15))
-
-
-# TPDO3 carries the velocity at each sample: measured from outside it would have the jitter of this computer.
-TPDO3, MAPPING = od.TPDO + 2, od.TPDO_MAPPING + 2
-BYTE, LONG = 0x2F, 0x23  # expedited downloads (CiA 301, 7.2.4.3.3)
-MAPPED = (
-    (LONG, MAPPING, 1, 0x20110720),
-    (BYTE, MAPPING, 0, 1),
-    (BYTE, TPDO3, 2, 254),
-    (LONG, TPDO3, 1, cob.TPDO3 + NODE),
-)
-DOWNLOAD = struct.Struct("<BHBI")
-
-
-class ScopeDemo(NetworkOnBus):
-    """Runs in a thread while it is entered; ``words`` are python-can's for its bus."""
-
-    def __init__(self) -> None:
-        words = {"interface": "virtual", "channel": f"canfb scope {uuid4()}"}
-        module = ModuleConfig(node_id=NODE, autostart=True)
-        first = [Frame(cob.SDO_REQUEST + NODE, DOWNLOAD.pack(*download)) for download in MAPPED]
-        super().__init__(Config(words, [module], simulation=SIMULATION), RATE_HZ, first=first)

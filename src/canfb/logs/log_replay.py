@@ -52,7 +52,7 @@ class ReplayOptions:
                     f"module {module.node_id} has a source of its own: its samples are not on the bus"
                 )
         if self.state_dir is not None and len(self.modules) != 1:
-            raise ConfigError("--state: is for one module; choose it by --module")
+            raise ConfigError("--state: is for one module; choose it by NODE")
         if self.state_dir is not None and not self.state_dir.is_dir():
             raise ConfigError(f"--state {self.state_dir}: there is no such folder")
 

@@ -241,7 +241,7 @@ class NodeAccess:
             if said == "No SDO response received":
                 said = (
                     "no answer; is the node on the bus, and is the bit rate right? A STOPPED node answers no "
-                    f"SDO: canfb nmt preop {self.node_id:#04x} (canfb bus scan shows who is there)"
+                    f"SDO: canfb node preop {self.node_id:#04x} (canfb node list shows who is there)"
                 )
             return CommissioningError(f"{what}: {said}")
         if isinstance(error, (can.CanError, OSError)):

@@ -164,7 +164,7 @@ class Listener:
         if now - self._last_sync_s > PATIENCE_S:
             raise CommissioningError(
                 f"no SYNC ({layout.sync_id:03X}h) for {PATIENCE_S:g} s: start the node that produces it, the "
-                "drive or the controller, or let canfb produce it (--sync HZ)"
+                "drive or the controller, or let canfb produce it (--rate HZ)"
             )
         if self._began_s is not None and now - self._last_sample_s > PATIENCE_S:
             raise self._no_samples()

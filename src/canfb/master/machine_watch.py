@@ -228,7 +228,7 @@ def check_valid(module: NodeAccess) -> None:
     if not status & (StatusBit.VALID | StatusBit.COASTING):
         raise CommissioningError(
             f"{module.name} has no valid position (2011:01 is {status:04X}h): it must be OPERATIONAL "
-            f"(NMT start, canfb nmt start {module.node_id:#04x}), and must receive SYNC and samples"
+            f"(NMT start, canfb node start {module.node_id:#04x}), and must receive SYNC and samples"
         )
 
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.master.access import CommissioningError, NodeAccess
+from canfb.master.access import CommissioningError, Master, NodeAccess, ObjectAbsentError
 from canfb.objects import StatusBit
 
 HEARTBEAT_TIME, GUARD_TIME = (0x1017, 0), (0x100C, 0)
@@ -143,7 +143,7 @@ def watch_standstill(module: NodeAccess) -> MachineLook:
     if len(seen) < LEAST_SAMPLES:
         raise CommissioningError(
             f"{module.name}: {len(seen)} samples in {WATCH_S:g} s, so it cannot be seen whether the machine "
-            "stands still: SYNC, encoder interface and module must run (canfb nmt start). --force resets it "
+            "stands still: SYNC, encoder interface and module must run (canfb node start). --force resets it "
             "nevertheless"
         )
     # A cycle more or less is a phase near 0, which goes to and fro with its noise.
@@ -151,19 +151,56 @@ def watch_standstill(module: NodeAccess) -> MachineLook:
     return MachineLook(high - low, len(seen), moved if abs(moved) > 1 else 0)
 
 
-def reset_module(module: NodeAccess, *, force: bool = False) -> dict[str, Any]:
+def reset_nodes(
+    master: Master, nodes: Sequence[int], command: NmtCommand = NmtCommand.RESET_NODE, *, force: bool = False
+) -> list[dict[str, Any]]:
+    """Reset nodes; none of them if the machine of one of the modules among them moves.
+
+    A module alone is started and its position waited for (:func:`reset_module`); others stay as they come up.
+    ``force``: without a look at the machines. What was done, for programs. CommissioningError if a machine
+    moves, or a node does not say by SDO whether it is a module.
+    """
+    found = [NodeAccess(master, node, "node") for node in nodes]
+    modules = [] if force and len(found) > 1 else [one for one in found if _is_module(one)]
+    if len(found) == len(modules) == 1:
+        return [reset_module(modules[0], command, force=force)]
+    for module in () if force else modules:
+        _refuse_motion(module)
+    for node in found:
+        master.send(0x000, struct.pack("BB", command, node.node_id))
+    return [
+        {"node": node.node_id, "forced": force, "spread_cycles": None, "position": None} for node in found
+    ]
+
+
+def _is_module(node: NodeAccess) -> bool:
+    try:
+        node.integer(*od.FEEDBACK_STATUS, "H")
+    except ObjectAbsentError:
+        return False
+    return True
+
+
+def _refuse_motion(module: NodeAccess) -> None:
+    look = watch_standstill(module)
+    if look.moves:
+        raise CommissioningError(
+            f"{module.name}: the machine moves, {look.text}: not reset. A start in motion may count wrong; "
+            "stop the machine first. --force resets it nevertheless"
+        )
+
+
+def reset_module(
+    module: NodeAccess, command: NmtCommand = NmtCommand.RESET_NODE, *, force: bool = False
+) -> dict[str, Any]:
     """Reset a module whose machine stands still, start it, and see that its position is valid.
 
     ``force``: without a look at the machine. CommissioningError if it moves, or if the module does not come
     back valid.
     """
-    before = None if force else watch_standstill(module)
-    if before is not None and before.moves:
-        raise CommissioningError(
-            f"{module.name}: the machine moves, {before.text}: not reset. A start in motion may count wrong; "
-            "stop the machine first. --force resets it nevertheless"
-        )
-    _restart(module)
+    if not force:
+        _refuse_motion(module)
+    _restart(module, command)
     status = _wait_for_valid(module)
     if not status & StatusBit.VALID:
         words = ", ".join([str(od.position_state(status)), *od.fault_words(status)])
@@ -185,10 +222,10 @@ def reset_module(module: NodeAccess, *, force: bool = False) -> dict[str, Any]:
     }
 
 
-def _restart(module: NodeAccess) -> None:
+def _restart(module: NodeAccess, command: NmtCommand) -> None:
     master, node = module.master, module.node_id
     with _received(module) as received:
-        master.send(0x000, struct.pack("BB", NmtCommand.RESET_NODE, node))
+        master.send(0x000, struct.pack("BB", command, node))
         end = master.now() + BOOT_UP_S
         while b"\0" not in received and master.now() < end:
             master.wait(EVERY_S)

@@ -8,6 +8,6 @@ Pure arithmetic over a module, its interface and a simulated motion::
     budget          what the residual limit of a module is used up by, and the limits that follow
     plan            margins, whether they hold, and which errors of the count cannot pass
     coverage        how much of the faults of an encoder the limits detect
-    change_table    the changes that a plan proposes, as a table; plan_changes tries them
+    hints           the changes that a plan proposes, each tried on it
     plan_rows       the plan for people and for programs
 """

@@ -157,11 +157,6 @@ class ResidualBudget:
         return self.is_narrowed and self.noise_margin_cycles < self._declared_cycles
 
     @property
-    def known_phase_error_cycles(self) -> float:
-        """The error of a phase that the module reckons with after missed samples."""
-        return self.bounds.phase_error
-
-    @property
     def asked_rad_s2(self) -> float | None:
         """The largest acceleration that the module has to follow; None: not given."""
         return self.plan_input.motion.acceleration_of(self.module)

@@ -23,8 +23,8 @@ from canfb.planning.coverage import (
     second_tolerance,
     window_of,
 )
+from canfb.planning.hints import PlanChange
 from canfb.planning.plan import CountDetection, Plan
-from canfb.planning.plan_changes import PlanChange
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.traffic import BusLoad, Message
 from canfb.rows import Row, as_figures

@@ -69,7 +69,7 @@ def backup_text(backup: Backup, described: ObjectDescriptions) -> str:
         "node_id": backup.node_id,
         "identity": backup.identity._asdict(),
     }
-    lines = ["# A backup of a canfb module: `canfb restore` writes it back. Values are those of the objects."]
+    lines = ["# A backup of a canfb module, for `canfb backup restore`. Values are those of the objects."]
     lines += [_dumped(head).rstrip(), "parameters:", *_block(backup.values, described)]
     lines += ["not_restored:  # of the machine, for information: set the preset again after an exchange"]
     lines += _block(backup.not_restored, described)

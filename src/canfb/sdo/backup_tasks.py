@@ -118,7 +118,7 @@ class Restoring:
             raise CommissioningError(f"{module.name} does not go to PRE-OPERATIONAL; nothing was written")
         raise CommissioningError(
             f"{module.name} is in OPERATIONAL: a restore switches its PDOs off meanwhile, and may move its "
-            f"position. Stop the machine, and give --preop (or canfb nmt preop {module.node_id:#04x})"
+            f"position. Stop the machine, and give --preop (or canfb node preop {module.node_id:#04x})"
         )
 
     def _write_and_prove(
@@ -232,7 +232,7 @@ def _notes(backup: Backup, done: Restored) -> list[str]:
         places = ", ".join(od.place_text(place) for place in done.untouched)
         notes.append(f"not in the backup, and as before: {places}")
     if done.wishes.preop and done.changes and not done.wishes.dry_run:
-        notes.append(f"the node is in PRE-OPERATIONAL: canfb nmt start {done.module.node_id:#04x}")
+        notes.append(f"the node is in PRE-OPERATIONAL: canfb node start {done.module.node_id:#04x}")
     return [f"note: {note}" for note in notes]
 
 

@@ -148,7 +148,7 @@ _TO_DO: dict[int, str] = {
     AbortCode.VALUE_TOO_HIGH: "write a lower value",
     AbortCode.VALUE_TOO_LOW: "write a higher value",
     AbortCode.INVALID_VALUE: "the node does not take this value; its manual says which ones it takes",
-    AbortCode.DEVICE_STATE: "not in this state of the node: try canfb nmt preop, or switch its PDO off first",
+    AbortCode.DEVICE_STATE: "not in this state of the node: try canfb node preop, or switch its PDO off",
     AbortCode.LOCAL_CONTROL: "the node is under local control: release it there",
     AbortCode.NOT_STORED: "the node cannot keep it (canfb run: state_dir), or wants the word save or load",
     AbortCode.HARDWARE: "its memory or its disk fails",

@@ -39,7 +39,7 @@ AS_IT_WAS = "the previous table and conditioning"
 class Advice:
     """What to do next; {node} stands for the node-ID."""
 
-    to_stage: str = "canfb table upload stages the table of a file"
+    to_stage: str = "canfb table write stages the table of a file"
     to_activate: str = "canfb table activate {node}"
     to_save: str = "--save keeps it"
 

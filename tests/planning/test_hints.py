@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning_kit import planned
 
+from canfb.planning.hints import changes_of
 from canfb.planning.plan import Plan
-from canfb.planning.plan_changes import changes_of
 
 
 def texts(plan: Plan) -> list[str]:

@@ -1,6 +1,6 @@
-"""``canfb why NODE`` and ``canfb diagnose``: why a position is not valid; one file for whoever is to help.
+"""``canfb why``: why a position is not valid, what a status word says; ``--bundle``: one file for support.
 
-Both read and listen only: nothing on the bus changes.
+It reads and listens only: nothing on the bus changes.
 """
 
 from __future__ import annotations
@@ -13,19 +13,21 @@ from canfb.bus.clocks import local_time
 from canfb.cli import node_options
 from canfb.cli.options import (
     Commands,
-    add_answer_within,
     add_bus_options,
     add_command,
+    add_options,
+    add_timeout,
     bus_options,
-    node_or_yaml,
-    positive,
-    take_yaml,
+    option,
+    refuse_idle,
 )
+from canfb.cli.subjects import add_nodes, positive, whole_number
 from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.diagnosis.lost import read_lost_position
 from canfb.diagnosis.nodes_on_bus import frame_counts, node_facts, scan
+from canfb.diagnosis.status_word import decoded
 from canfb.eds_files import EDS_NAMES, eds_path
-from canfb.errors import CanfbError
+from canfb.errors import CanfbError, ConfigError
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
 
@@ -33,24 +35,34 @@ LISTEN_S = 2.0
 
 
 def register(commands: Commands) -> None:
-    """Add the commands."""
+    """Add the command."""
     parser = add_command(commands, "why", why)
-    node_options.add_node(parser)
-    node_options.add_access_options(parser)
-
-    parser = add_command(commands, "diagnose", diagnose)
-    parser.add_argument(
-        "nodes",
-        metavar="NODE",
-        nargs="*",
-        type=node_or_yaml,
-        help="nodes to read, and CONFIG.yaml; without: those of the configuration, else all that answer",
+    add_nodes(parser, "node-ID of the module, or CONFIG.yaml")
+    add_options(
+        parser,
+        option("--status", metavar="WORD", type=_word, help="only decode this status word: 0x0006"),
+        option("--json", action="store_true", help="the result, for programs"),
     )
-    parser.add_argument("--config", metavar="CONFIG.yaml", help="the configuration, with the bus")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="(canfb-diagnose-DATE-TIME.json); replaced")
-    parser.add_argument("--seconds", metavar="S", type=positive, default=LISTEN_S, help="to listen (2)")
-    add_answer_within(parser)
+    group = parser.add_argument_group("one file for support (--bundle)")
+    add_options(
+        group,
+        option(
+            "--bundle",
+            action="store_true",
+            help="write versions, settings, objects and log of the nodes (all that answer)",
+        ),
+        option("--out", type=Path, metavar="FILE", help="(canfb-diagnose-DATE-TIME.json); replaced"),
+        option("--seconds", metavar="S", type=positive, default=LISTEN_S, help="to listen (2)"),
+    )
+    add_timeout(parser)
     add_bus_options(parser)
+
+
+def _word(text: str) -> int:
+    """A status word, 0x0006 or 6: a type for argparse."""
+    if not 0 <= (word := whole_number(text)) <= 0xFFFF:
+        raise argparse.ArgumentTypeError(f"{text!r} is no status word (0x0000 to 0xFFFF)")
+    return word
 
 
 def diagnose(options: argparse.Namespace) -> int:
@@ -59,7 +71,7 @@ def diagnose(options: argparse.Namespace) -> int:
         self_diagnosis as facts,
     )  # here: `why` needs nothing of a process that serves nodes
 
-    take_yaml(options)
+    refuse_idle(options, ["json"], "not with --bundle, which writes JSON")
     path = options.out or Path(f"canfb-diagnose-{local_time():%Y%m%d-%H%M%S}.json")
     check_writable(path)
     parts: dict[str, Any] = {"versions": facts.versions()}
@@ -77,14 +89,13 @@ def diagnose(options: argparse.Namespace) -> int:
         _ask(options, config, parts)
     except CanfbError as error:
         parts["bus"]["error"] = str(error)
-    write_whole(path, facts.diagnosis_text("canfb diagnose", parts).encode())
+    write_whole(path, facts.diagnosis_text("canfb why --bundle", parts).encode())
     _say(path, parts)
     return 0
 
 
 def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> None:
     """Listen to the bus, and read the nodes."""
-    options.configuration = None
     known = [eds_path(name) for name in EDS_NAMES]
     with node_options.master_of(options) as master:
         parts["bus"]["frames"] = frame_counts(master, options.seconds)
@@ -119,6 +130,14 @@ def _say(path: Path, parts: dict[str, Any]) -> None:
 
 def why(options: argparse.Namespace) -> int:
     """Read what the module keeps of its last loss, and say what to do."""
+    if options.bundle:
+        return diagnose(options)
+    refuse_idle(options, ["out", "seconds"], "only with --bundle")
+    if options.status is not None:
+        refuse_idle(options, ["nodes", "config"], "not with --status, which needs no bus")
+        return node_options.say_result(options, decoded(options.status))
+    if options.module is None:
+        raise ConfigError("NODE is required: a node-ID such as 32 or 0x20")
     with node_options.master_of(options) as master:
-        found = read_lost_position(NodeAccess(master, options.node, "module"))
+        found = read_lost_position(NodeAccess(master, options.module, "module"))
     return node_options.say_result(options, found.result())

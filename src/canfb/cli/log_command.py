@@ -1,4 +1,4 @@
-"""``canfb record FILE``: a log of the bus, in the formats of python-can."""
+"""``canfb log record FILE``: a log of the bus, in the formats of python-can; ``canfb log replay``."""
 
 from __future__ import annotations
 
@@ -8,8 +8,19 @@ from pathlib import Path
 
 from canfb.bus.opening import describe, open_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import Commands, add_bus_options, add_command, add_ready_file, chosen_bus, positive
+from canfb.cli import replay
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    add_group,
+    add_options,
+    add_ready_file,
+    chosen_bus,
+    option,
+)
 from canfb.cli.printing import say
+from canfb.cli.subjects import positive
 from canfb.hosting.readiness import Readiness
 from canfb.logfile.bus_log import BusLog
 
@@ -17,24 +28,29 @@ UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
-    parser = add_command(commands, "record", record)
-    parser.add_argument(
-        "file",
-        metavar="FILE",
-        type=Path,
-        help="the suffix says which format: .log (candump), .asc, .blf, ...",
+    """Add the commands."""
+    parts = add_group(commands, "log")
+    replay.add_to(parts)
+    parser = add_command(parts, "record", record, "write a log of the bus")
+    add_options(
+        parser,
+        option(
+            "file",
+            metavar="FILE",
+            type=Path,
+            help="the suffix says which format: .log (candump), .asc, .blf, ...",
+        ),
+        option("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration"),
+        option("--seconds", type=positive, metavar="S", help="how long (default: until Ctrl-C)"),
+        option(
+            "--max-size",
+            type=_size,
+            default=0,
+            metavar="BYTES",
+            help="begin another file at this size (500k, 100M, 2G); the full one is renamed",
+        ),
+        option("--force", action="store_true", help="overwrite a file that is there"),
     )
-    parser.add_argument("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
-    parser.add_argument("--seconds", type=positive, metavar="S", help="how long (default: until Ctrl-C)")
-    parser.add_argument(
-        "--max-size",
-        type=_size,
-        default=0,
-        metavar="BYTES",
-        help="begin another file when one is so large (500k, 100M, 2G); the full one is renamed",
-    )
-    parser.add_argument("--force", action="store_true", help="overwrite a file that is there")
     add_ready_file(parser)
     add_bus_options(parser)
 

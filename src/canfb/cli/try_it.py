@@ -5,20 +5,26 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import sys
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from canfb.bus.clocks import page_date
 from canfb.bus.opening import describe, group_port
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.commands import build_parser
-from canfb.cli.options import Commands, add_command, add_jitter, add_ready_file, jittered
+from canfb.cli.options import Commands, add_command, add_options, add_ready_file, option, refuse_idle
 from canfb.cli.printing import printed_as_json, say
+from canfb.cli.progress import Progress
+from canfb.cli.subjects import add_jitter, jittered
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
 from canfb.hosting.event_log import EventLog, summary_of
 from canfb.hosting.readiness import Readiness
 from canfb.hosting.trying import START_ALL, NetworkOnBus, end_main, private_bus
+from canfb.master.all_or_nothing import write_whole
 
 ANY_PORT = 0
 LEAST_HZ, MOST_HZ = 50.0, 1000.0  # below, the machine of the example accelerates too much from SYNC to SYNC
@@ -27,16 +33,36 @@ LEAST_HZ, MOST_HZ = 50.0, 1000.0  # below, the machine of the example accelerate
 def register(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(commands, "try", try_it)
+    story = parser.add_argument_group("the story (also as: canfb demo)")
+    add_options(
+        story,
+        option(
+            "--story",
+            action="store_true",
+            help="start, track, calibrate, verify and survive faults on an in-process bus, and end",
+        ),
+        option("--out", type=Path, metavar="DIR", help="folder for pictures (SVG) and report.html"),
+    )
     parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of SYNC, 50 to 1000 (100)")
     add_jitter(parser)
-    parser.add_argument("--no-scope", action="store_true", help="without the page")
-    parser.add_argument("--port", metavar="N", type=int, default=ANY_PORT, help="of the page (any free one)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object a line, for programs")
+    add_options(
+        parser,
+        option("--no-page", action="store_true", help="without the page"),
+        option("--port", metavar="N", type=int, default=ANY_PORT, help="of the page; default: any free port"),
+        option("--json", action="store_true", help="JSON, for programs"),
+        option("--write-config", type=Path, metavar="FILE", help="write its configuration, for log replay"),
+    )
     add_ready_file(parser)
 
 
 def try_it(options: argparse.Namespace) -> int:
     """Run the network until Ctrl-C, SIGTERM or SIGHUP; nothing of it is left."""
+    if options.story:
+        refuse_idle(
+            options, ("rate", "jitter", "no_page", "port", "ready_file", "write_config"), "not with --story"
+        )
+        return _tell_story(options)
+    refuse_idle(options, ["out"], "only with --story")
     from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS  # here: for this, no other command is imported
 
     if not LEAST_HZ <= options.rate <= MOST_HZ:
@@ -49,6 +75,8 @@ def try_it(options: argparse.Namespace) -> int:
         words = held.enter_context(private_bus())
         path = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-try-")), "feedback.yaml")
         path.write_text(EXAMPLE.replace(EXAMPLE_BUS, json.dumps(words)), encoding="utf-8")
+        if options.write_config is not None:
+            write_whole(options.write_config, path.read_bytes())
         config = jittered(load_config(path), options)
         with NetworkOnBus(config, options.rate, first=[START_ALL], events=EventLog()) as network:
             _serve(options, network, path)
@@ -59,21 +87,21 @@ def try_it(options: argparse.Namespace) -> int:
 
 def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> None:
     """Say what there is; then the page, or nothing more, until a signal."""
-    if options.no_scope:
+    if options.no_page:
         with Readiness(options.ready_file) as readiness, ending_on_signals(network.stop):
             readiness.ready()
             _tell(options, network, None)
             network.wait()
         return
-    from canfb.cli.scope import scope  # here: for this, no other command is imported
+    from canfb.cli.monitor import monitor  # here: for this, no other command is imported
 
     network.on_end = end_main
-    words = ["scope", "--config", str(path), "--sdo", "--port", str(options.port)]
+    words = ["monitor", "--web", "--config", str(path), "--sdo", "--port", str(options.port)]
     if options.ready_file is not None:
         words += ["--ready-file", options.ready_file]
-    page_options = build_parser("scope").parse_args(words)
+    page_options = build_parser("monitor").parse_args(words)
     page_options.opened = lambda address: _tell(options, network, address)
-    scope(page_options)
+    monitor(page_options)
 
 
 def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | None) -> None:
@@ -84,7 +112,7 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
     following = [
         f"canfb monitor 0x{module.node_id:02X} --sdo {bus}",
         f'canfb sdo read 0x{module.node_id:02X} "status word" {bus}',
-        f"canfb calibrate --module 0x{module.node_id:02X} --out measured {bus}",
+        f"canfb calibrate 0x{module.node_id:02X} --out measured {bus}",
     ]
     if options.json:
         said: dict[str, Any] = {
@@ -103,3 +131,30 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
     say("next, in another terminal:")
     for line in following:
         say(f"  {line}")
+
+
+def _tell_story(options: argparse.Namespace) -> int:
+    """Run it; 0 if everything held, else 1."""
+    from canfb.demo.account import account, figures  # here: the network of `try` needs none of it
+    from canfb.demo.demo_network import DemoNetwork
+    from canfb.demo.demo_page import prepare, write_files
+    from canfb.demo.story import run_story
+
+    if options.out:
+        prepare(options.out)
+    date = page_date() if options.out else ""
+    network = DemoNetwork()
+    show = None if options.json or not sys.stderr.isatty() else Progress().step
+    story = run_story(network, show) if show else run_story(network)
+    empty: tuple[list[Path], Path | None] = [], None
+    pictures, page = (
+        write_files(network, story, options.out, version("canfb"), date) if options.out else empty
+    )
+    written = {"figures": [str(path) for path in pictures]} | ({"report": str(page)} if page else {})
+    lines = [f"  picture  {path}" for path in pictures] + [f"  report   {page}"] * bool(page)
+    print(
+        json.dumps(figures(story) | written, indent=2)
+        if options.json
+        else "\n".join([account(story), *lines])
+    )
+    return 0 if story.held else 1

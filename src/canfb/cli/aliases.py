@@ -1,0 +1,87 @@
+"""Old commands and options, which stay for one release: each is replaced by the new words before parsing.
+
+A command line that begins with an old command gets one line on stderr that says the new one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+NODE = "NODE"
+"""Among the words of an old command: a node-ID, which stays."""
+
+COMMANDS = {
+    "dump": "monitor --frames",
+    "scope --demo": "try",
+    "scope": "monitor --web",
+    "diagnose": "why --bundle",
+    "bus scan": "node list",
+    "nmt reset-comm": "node reset --communication",
+    "nmt": "node",
+    "reset": "node reset",
+    "record": "log record",
+    "replay": "log replay",
+    "interface": "run",
+    "table upload": "table write",
+    "table download": "table read",
+    "restore": "backup restore",
+    f"backup {NODE}": "backup save",
+}
+SHORT = {"demo": "try --story"}
+"""Short forms that stay."""
+
+EVERYWHERE = ""
+POSITIONAL = "NODE"
+OPTIONS: dict[str, dict[str, str | None]] = {
+    EVERYWHERE: {"--answer-within": "--timeout"},
+    "try": {"--no-scope": "--no-page"},
+    "monitor": {"--rate": "--updates"},
+    "simulate": {"--module": POSITIONAL},
+    "config dcf": {"--module": POSITIONAL, "--node": POSITIONAL},
+    "log replay": {"--module": POSITIONAL},
+    "backup restore": {"--node": POSITIONAL},
+    "calibrate": {"--module": POSITIONAL, "--sync": "--rate", "--no-save": None},
+    "commission": {"--module": POSITIONAL, "--sync": "--rate"},
+}
+"""By command: an old option and the new one; POSITIONAL: its value alone; None: now the default."""
+
+
+def current(words: Sequence[str]) -> tuple[list[str], str]:
+    """The command line in the words of today; and what to say of an old command, "" for none."""
+    at = next((n for n, word in enumerate(words) if not word.startswith("-")), len(words))
+    before, line = list(words[:at]), list(words[at:])
+    said = ""
+    for old, new in (*SHORT.items(), *COMMANDS.items()):
+        pattern = old.split()
+        if _begins(line, pattern):
+            line = [*new.split(), *line[len(pattern) - (NODE in pattern) :]]
+            said = "" if old in SHORT else f"'canfb {old}' is now 'canfb {new}'"
+            break
+    for command, options in OPTIONS.items():
+        if _begins(line, command.split()):
+            line = _renamed(line, len(command.split()), options)
+    return before + line, said
+
+
+def _begins(line: Sequence[str], pattern: Sequence[str]) -> bool:
+    return len(line) >= len(pattern) and all(
+        word == old or (old == NODE and word[:1].isdecimal())
+        for word, old in zip(line, pattern, strict=False)
+    )
+
+
+def _renamed(line: Sequence[str], length: int, options: dict[str, str | None]) -> list[str]:
+    """The line with other options; what is positional now comes behind the command's ``length`` words."""
+    done: list[str] = []
+    nodes: list[str] = []
+    words = iter(line)
+    for word in words:
+        option, equals, value = word.partition("=")
+        new = options.get(option, option)
+        if option not in options:
+            done.append(word)
+        elif new == POSITIONAL:
+            nodes += [value if equals else next(words, "")]
+        elif new is not None:
+            done.append(f"{new}{equals}{value}")
+    return done[:length] + nodes + done[length:]

@@ -1,0 +1,123 @@
+"""``canfb node``: who is on a bus, and NMT commands (CiA 301, 7.2.8.3.1).
+
+``reset`` refuses while a machine moves: a module that starts on a turning machine may count wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from canfb.bus.bus_master import BusMaster
+from canfb.bus.opening import open_bus
+from canfb.cia301.nmt import NmtCommand
+from canfb.cli import node_options
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    add_group,
+    add_options,
+    add_timeout,
+    chosen_bus,
+    option,
+)
+from canfb.cli.subjects import add_nodes, node_or_yaml, positive
+from canfb.errors import ConfigError
+from canfb.master.node_state import reset_nodes
+from canfb.rows import Result
+
+WORDS = {
+    "start": (NmtCommand.START, "to OPERATIONAL: PDOs are sent and received"),
+    "stop": (NmtCommand.STOP, "to STOPPED: only NMT and error control remain"),
+    "preop": (NmtCommand.ENTER_PRE_OPERATIONAL, "to PRE-OPERATIONAL: SDO, no PDO"),
+}
+ALL, EVERYBODY = "all", 0
+SCAN_S = 1.2  # the heartbeat of most nodes comes once a second or more often
+
+
+def _node(text: str) -> int | str:
+    """A node-ID, decimal or as 0x20; `all` is 0; or a configuration."""
+    if text == ALL:
+        return EVERYBODY
+    try:
+        return node_or_yaml(text)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"{error}, nor 'all'") from None
+
+
+def register(commands: Commands) -> None:
+    """Add the commands."""
+    description = "Nodes of a bus. NMT is not confirmed: a node reports its state in its heartbeat."
+    parts = add_group(commands, "node", description)
+    part = add_command(parts, "list", listed, "list the nodes with NMT state and identity (1018h)")
+    part.add_argument("--seconds", metavar="S", type=positive, default=SCAN_S, help="to listen (1.2)")
+    node_options.add_access_options(part, answers=False)
+    for word, (command, summary) in WORDS.items():
+        part = add_command(parts, word, send, summary)
+        part.set_defaults(command_specifier=command)
+        _add_nodes(part)
+        add_bus_options(part)
+    part = add_command(parts, "reset", reset, "reset nodes as by a power cycle; modules at standstill only")
+    _add_nodes(part)
+    add_options(
+        part,
+        option(
+            "--communication", action="store_true", help="only the communication parameters (1000h to 1FFFh)"
+        ),
+        option("--force", action="store_true", help="do not look whether the machine moves"),
+        option("--json", action="store_true", help="the result, for programs"),
+    )
+    add_timeout(part)
+    add_bus_options(part)
+
+
+def _add_nodes(part: argparse.ArgumentParser) -> None:
+    text = "node-IDs such as 32 or 0x20, or all; and CONFIG.yaml, as with --config"
+    add_nodes(part, text, least=1, kind=_node)
+
+
+def _nodes(options: argparse.Namespace) -> list[int]:
+    """Those of the line, each once; [EVERYBODY] for all."""
+    if not options.nodes:
+        raise ConfigError("a node-ID, several, or all is required beside CONFIG.yaml")
+    return [EVERYBODY] if EVERYBODY in options.nodes else list(dict.fromkeys(options.nodes))
+
+
+def send(options: argparse.Namespace) -> int:
+    """Send the command to each node, in this order, and say so."""
+    nodes = _nodes(options)
+    with BusMaster(open_bus(chosen_bus(options))) as master:
+        for node in nodes:
+            master.send(0x000, bytes((options.command_specifier, node)))
+    names = "all nodes" if nodes == [EVERYBODY] else ", ".join(f"{node} ({node:02X}h)" for node in nodes)
+    print(f"{options.part}: {names}")
+    return 0
+
+
+def reset(options: argparse.Namespace) -> int:
+    """Look at the machine, reset the nodes, start them, and say what became of the positions."""
+    from canfb.diagnosis.nodes_on_bus import scan  # here: an NMT command needs no EDS
+
+    nodes = _nodes(options)
+    command = NmtCommand.RESET_COMMUNICATION if options.communication else NmtCommand.RESET_NODE
+    with node_options.master_of(options) as master:
+        if nodes == [EVERYBODY]:
+            nodes = [one.node_id for one in scan(master, SCAN_S)]
+        done = reset_nodes(master, nodes, command, force=options.force)
+    lines = [f"node {one['node']} ({one['node']:02X}h): reset" for one in done]
+    if len(done) == 1 and done[0]["position"]:
+        spread = done[0]["spread_cycles"]
+        machine = "not looked at" if spread is None else f"still, within {spread:.3f} cycle"
+        lines[0] += f" and started; position {done[0]['position']}, machine {machine}"
+    return node_options.say_result(options, Result(done[0] if len(done) == 1 else done, lines))
+
+
+def listed(options: argparse.Namespace) -> int:
+    """Ask all node-IDs, and say who is there."""
+    from canfb.diagnosis.nodes_on_bus import scan  # here: an NMT command needs no EDS
+
+    with BusMaster(open_bus(chosen_bus(options)), 0.3) as master:
+        found = scan(master, options.seconds)
+    nobody = "no node answers, and no heartbeat is heard: are the bus, its bit rate and its power right?"
+    lines = [one.line() for one in found] or [nobody]
+    return node_options.say_result(options, Result([one.figures() for one in found], lines))

@@ -1,0 +1,208 @@
+"""Arguments that several commands share: nodes, files, numbers, the jitter of the SYNC."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from canfb.cli.options import refuse_idle
+from canfb.errors import ConfigError
+
+if TYPE_CHECKING:
+    from canfb.configuration import Config
+    from canfb.monitoring.lines import MachineUnits
+
+
+class _Subjects(argparse.Action):
+    """Node-IDs and files in any order: ``nodes``, ``module`` (the first of them), ``config``.
+
+    ``most`` nodes are taken. ``file`` names what the first file is; without, a file is the configuration.
+    """
+
+    def __init__(self, *words: Any, most: int | None = None, file: str = "config", **more: Any) -> None:
+        super().__init__(*words, **more)
+        self._most, self._file = most, file
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, *_: object) -> None:
+        """Sort them. ArgumentError for one too many."""
+        nodes = [one for one in values if isinstance(one, int)]
+        files = [one for one in values if not isinstance(one, int)]
+        if self._most is not None and len(nodes) > self._most:
+            raise argparse.ArgumentError(self, f"{nodes[self._most]}: there is another node-ID already")
+        free = [one for one in dict.fromkeys((self._file, "config")) if getattr(namespace, one, None) is None]
+        if len(files) > len(free):
+            raise argparse.ArgumentError(self, f"{files[-1]}: there is another file already")
+        for name, file in zip(free, files, strict=False):
+            setattr(namespace, name, file)
+        namespace.nodes, namespace.module = nodes, nodes[0] if nodes else None
+
+
+def add_nodes(
+    parser: argparse.ArgumentParser,
+    text: str,
+    *,
+    least: int = 0,
+    most: int | None = None,
+    kind: Callable[[str], int | str] | None = None,
+    file: str = "config",
+    name: str = "NODE",
+) -> None:
+    """NODE and CONFIG.yaml in any order, and ``--config``: ``nodes``, ``module`` and ``config``.
+
+    ``kind`` of an argument, :func:`node_or_yaml` unless given; ``file``, called ``name``: what a file is.
+    """
+    parser.add_argument("--config", metavar="CONFIG.yaml", help="bus and modules")
+    parser.set_defaults(**{file: None})
+    parser.add_argument(
+        "nodes",
+        metavar=name,
+        nargs="+" if least else "*",
+        default=[],
+        type=kind or node_or_yaml,
+        action=_Subjects,
+        most=most,
+        file=file,
+        help=text,
+    )
+
+
+def add_measured_nodes(parser: argparse.ArgumentParser) -> None:
+    """NODE and ``--encoder-interface``, of the commands that measure."""
+    add_nodes(parser, "node-ID of the module (32), or CONFIG.yaml, whose first module is meant", most=1)
+    parser.add_argument(
+        "--encoder-interface",
+        type=whole_number,
+        metavar="ID",
+        help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
+    )
+
+
+def whole_number(text: str) -> int:
+    """A whole number, decimal or as 0x20: a type for argparse."""
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+
+
+def node_number(text: str) -> int:
+    """A node-ID, decimal or as 0x20: a type for argparse."""
+    try:
+        node = int(text, 0)
+    except ValueError:
+        node = -1
+    if not 1 <= node <= 127:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a node-ID (1 to 127, or 0x01 to 0x7F)")
+    return node
+
+
+def positive(text: str) -> float:
+    """A number above 0: a type for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return value
+
+
+def is_yaml(text: str) -> bool:
+    """It is named like a configuration."""
+    return text.endswith((".yaml", ".yml"))
+
+
+def yaml_file(text: str) -> str:
+    """A configuration, CONFIG.yaml: a type for argparse."""
+    if not is_yaml(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no CONFIG.yaml; a name of several words needs quotes")
+    return text
+
+
+def node_or_file(text: str) -> int | str:
+    """A node-ID, or a file: a type for argparse."""
+    return node_number(text) if text[:1].isdecimal() and "." not in text else text
+
+
+def required_file(name: str | None) -> Path:
+    """The file of a command. ConfigError without one."""
+    if name is None:
+        raise ConfigError("a file is required beside NODE")
+    return Path(name)
+
+
+def node_or_yaml(text: str) -> int | str:
+    """A node-ID, or a configuration; a type for argparse."""
+    return text if is_yaml(text) else node_number(text)
+
+
+UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "%": 0.01}
+
+
+class Jitter(NamedTuple):
+    """A jitter, ±, in seconds; or as a part of the period of the SYNC."""
+
+    value: float
+    is_part: bool
+
+
+def jitter(text: str) -> Jitter:
+    """20us, 0.1ms, 2e-5 or 2e-5s, or 30% of the period: a type for argparse."""
+    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?(?:e-?[0-9]{1,2})?) ?(%|[mu\u00b5]?s|)", text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no jitter; write 20us, 0.1ms, 2e-5 (seconds) or 30%")
+    return Jitter(float(found[1]) * UNITS_S[found[2]], found[2] == "%")
+
+
+def jitter_s(options: argparse.Namespace, rate_hz: float | None) -> float:
+    """``--jitter`` in seconds, with a SYNC at this rate. ConfigError for a part of a period not known."""
+    if options.jitter.is_part and rate_hz is None:
+        raise ConfigError("--jitter: a part of which period? give --rate, or a time")
+    return float(options.jitter.value / (rate_hz or 1.0) if options.jitter.is_part else options.jitter.value)
+
+
+def add_jitter(
+    parser: argparse.ArgumentParser, text: str = "have the SYNC jitter on purpose, uniformly"
+) -> None:
+    """``--jitter`` of the SYNC (docs/time.md)."""
+    parser.add_argument(
+        "--jitter", type=jitter, metavar="TIME", help=f"{text}, ±: 20us, 2e-5 (seconds), 30%% of the period"
+    )
+
+
+def jittered(config: Config, options: argparse.Namespace) -> Config:
+    """With a SYNC at ``--rate`` that jitters so. ConfigError for a bad one, or without a rate."""
+    from canfb.simulation.sync_producer import LARGEST_PART  # here: most commands simulate nothing
+
+    if options.jitter is None:
+        return config
+    if options.rate is None:
+        refuse_idle(options, ("jitter",), "only with --rate: the SYNC is that of the bus")
+    seconds = jitter_s(options, options.rate)
+    if seconds * options.rate > LARGEST_PART:
+        raise ConfigError(
+            f"--jitter: is {seconds * options.rate:.0%} of the period; at most {LARGEST_PART:.0%} "
+            f"({LARGEST_PART / options.rate * 1e6:.0f}us)"
+        )
+    simulation = replace(config.simulation, sync_jitter_us=seconds * 1e6, sync_jitter_rms_us=0.0)
+    return replace(config, simulation=simulation)
+
+
+def bit_rate_of(words: Mapping[str, Any]) -> int | None:
+    """The bit rate among python-can's words, bit/s; None without one."""
+    bit_rate = words.get("bitrate")
+    return bit_rate if isinstance(bit_rate, int) and bit_rate > 0 else None
+
+
+def units(text: str) -> MachineUnits:
+    """A unit of the machine such as "5 mm": a type for argparse."""
+    from canfb.monitoring.lines import MachineUnits  # here: for `monitor` alone
+
+    try:
+        return MachineUnits.parse(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None

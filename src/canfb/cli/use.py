@@ -1,0 +1,34 @@
+"""``canfb use``: the bus that commands use where neither options nor a configuration name one."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from canfb.bus.opening import check_interface, describe
+from canfb.cli.options import Commands, add_bus_options, add_command, default_bus_file, given_bus, remembered
+from canfb.errors import ConfigError
+from canfb.master.all_or_nothing import write_whole
+
+
+def register(commands: Commands) -> None:
+    """Add the command."""
+    parser = add_command(commands, "use", use)
+    parser.add_argument("--forget", action="store_true", help="no default bus any more")
+    add_bus_options(parser)
+
+
+def use(options: argparse.Namespace) -> int:
+    """Remember the bus of the options; without any, show which one is remembered."""
+    words = given_bus(options)
+    if options.forget:
+        default_bus_file().unlink(missing_ok=True)
+    elif words:
+        if "interface" not in words:
+            raise ConfigError("-i is required, for example: canfb use -i socketcan -c can0")
+        check_interface(words)
+        default_bus_file().parent.mkdir(parents=True, exist_ok=True)
+        write_whole(default_bus_file(), json.dumps(words, indent=2).encode())
+    known = remembered()
+    print(f"default bus: {describe(known)} ({default_bus_file()})" if known else "no default bus")
+    return 0

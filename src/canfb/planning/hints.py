@@ -1,0 +1,247 @@
+"""What to change: the hints for each limit, in the order of what they cost, each tried on the plan.
+
+A setting comes before another bus, and that before a gentler machine. A plan that holds has hints for a
+narrower residual limit, then for a detection that is sharp (docs/faults.md).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from canfb import objects as od
+from canfb.module.parameters import LIMIT_UNITS
+from canfb.planning.budget import RPM, WEIGHTS
+from canfb.planning.plan import WELL, Limited, Margin, Plan
+from canfb.planning.plan_input import PlanInput
+from canfb.planning.traffic import BIT_RATES
+from canfb.signal.sample import MOST_PER_SYNC
+from canfb.signal.tracker import RESIDUAL_LIMIT
+from canfb.simulation.demand import rounded_up
+
+LEAVES = 0.95  # of the largest SYNC rate, of what is sharp
+FASTER = 1.05
+MOST_FASTER = 40  # steps of FASTER: 7 times the rate
+JUST_BELOW = 1.0 - 1e-9
+KNOWN_ENOUGH = 1.1  # what the module knows over what is given
+NOISE_MARGIN = 6  # docs/faults.md
+NARROWED = 0.95  # of the residual limit: a gain
+DETECTION = "detection"
+NUMBERS = {2: "two", 3: "three", 4: "four"}
+Ways = Iterator[tuple[str, PlanInput]]
+"""What to do in one line, and the input of the plan then."""
+
+
+@dataclass(frozen=True)
+class PlanChange:
+    """One change: what it widens, what to do in one line, and the input of the plan then."""
+
+    for_what: str
+    text: str
+    plan_input: PlanInput
+
+
+def changes_of(plan: Plan) -> list[PlanChange]:
+    """What to change, in order: first what is exceeded most, at last what makes the detection sharp.
+
+    Each makes its limit hold, as long as one change can; a plan that needs more is left where the changes
+    end. Empty if nothing is to be gained.
+    """
+    steps: list[PlanChange] = []
+    while not plan.holds:
+        found = _for(plan, plan.tightest)
+        if found is None or found.for_what in (step.for_what for step in steps):
+            return steps
+        steps.append(found)
+        plan = Plan(found.plan_input)
+    limit = widest_limit(plan)
+    for ways, gains in ((_narrower, lambda one: widest_limit(one) < NARROWED * limit), (_sharper, is_sharp)):
+        if asked_acceleration(plan) and not (ways is _sharper and is_sharp(plan)):
+            good = (step for step in ways(plan) if Plan(step[1]).holds and gains(Plan(step[1])))
+            for text, after in list(good)[:1]:
+                steps.append(PlanChange(DETECTION, text, after))
+                plan = Plan(after)
+    return steps
+
+
+def _for(plan: Plan, margin: Margin) -> PlanChange | None:
+    """The first change that harms nothing else; where each one does, the first that helps."""
+    was = {one.limited: one.factor for one in reversed(plan.margins)}
+    ways = {Limited.BUS: _of_the_bus, Limited.SPEED: _of_the_speed}.get(margin.limited, _of_the_motion)
+    helping: list[PlanChange] = []
+    for text, given in ways(plan):
+        becomes = {one.limited: one.factor for one in reversed(Plan(given).margins)}
+        if becomes.get(margin.limited, math.inf) >= 1.0:
+            helping.append(PlanChange(margin.limited.value, text, given))
+            if all(factor >= min(1.0, was.get(one, 1.0)) for one, factor in becomes.items()):
+                return helping[-1]
+    return helping[0] if helping else None
+
+
+def _of_the_bus(plan: Plan) -> Ways:
+    given = plan.plan_input
+    for bit_rate in BIT_RATES:
+        if bit_rate > given.bit_rate:
+            yield f"raise the bit rate to {bit_rate} bit/s", _at(given, bit_rate)
+    rate_hz = LEAVES * given.bus.largest_sync_hz
+    if rate_hz > 0.0:
+        unit = 10.0 ** (math.floor(math.log10(rate_hz)) - 1)
+        rate_hz = math.floor(rate_hz / unit + 1e-9) * unit
+        yield f"lower the SYNC rate to {rate_hz:g} Hz", replace(given, sync_hz=rate_hz)
+    all_of_them = len(given.modules)
+    for count in range(all_of_them - 1, 0, -1):
+        text = f"{count} of the {all_of_them} modules fit on this bus: give the others a second one"
+        yield text, replace(given, modules=given.modules[:count])
+    yield "other nodes leave no room: move them to another bus", replace(given, extra_load=0.0)
+
+
+def _of_the_speed(plan: Plan) -> Ways:
+    yield from _times(plan)
+    yield from _table(plan)
+    rpm = min(one.largest_speed_rad_s for one in plan.budgets) * RPM * JUST_BELOW
+    if rpm > 0.0:
+        yield f"turn at {rpm:.4g} rpm at most", _moving(plan, speed_rad_s=rpm / RPM)
+
+
+def _of_the_motion(plan: Plan) -> Ways:
+    given, asked = plan.plan_input, asked_acceleration(plan)
+    yield from _times(plan)
+    if any(0.0 < one.known_acceleration_rad_s2 < asked for one in given.modules):
+        text = f"set max_acceleration_rad_s2 (2010:02) to {asked:.4g}, which is what the motion needs"
+        yield text, _with(given, od.SUPERVISION_ACCELERATION, asked)
+    limit = _needed_limit(plan)
+    if min(one.widest_limit_cycles for one in given.modules) < limit <= RESIDUAL_LIMIT:
+        yield f"raise residual_limit (2010:01) to {limit:.3f} cycle", _limited(given, limit)
+    yield from _table(plan)
+    yield from _faster(plan)
+    yield from _more_samples(plan)
+    most = min(one.largest_acceleration_rad_s2 for one in plan.budgets) * JUST_BELOW
+    if 0.0 < most < asked:
+        gentler = _moving(plan, acceleration_rad_s2=most, is_final=True)
+        yield f"accelerate by {most:.4g} rad/s^2 at most", gentler
+    quiet = replace(given, errors=replace(given.errors, noise_counts=0.0))
+    yield "average the tracks, or raise their amplitude: their noise alone exceeds the limit", quiet
+
+
+def _times(plan: Plan) -> Ways:
+    given = plan.plan_input
+    if not all(module.times for module in given.modules):
+        try:
+            after = replace(given, modules=tuple(module.with_times() for module in given.modules))
+        except ValueError:  # no RPDO has room for them
+            return
+        yield "send sample times with the ADC PDO (times: true)", after
+
+
+def _table(plan: Plan) -> Ways:
+    given = plan.plan_input
+    if given.errors.phase_cycles is None and not all(module.has_table for module in given.modules):
+        modules = tuple(replace(module, has_table=True) for module in given.modules)
+        yield "measure the correction table (canfb calibrate)", replace(given, modules=modules)
+
+
+def _faster(plan: Plan) -> Ways:
+    """A higher SYNC rate; with a higher bit rate, if the bus does not carry it."""
+    given = plan.plan_input
+    rate_hz = max(max(budget.least_sync_hz for budget in plan.budgets), given.sync_hz * 1.01)
+    for _ in range(MOST_FASTER if math.isfinite(rate_hz) else 0):
+        after = replace(given, sync_hz=float(rounded_up(rate_hz)))
+        if all(margin.holds for margin in Plan(after).margins if margin.limited is not Limited.BUS):
+            yield f"raise the SYNC rate to {after.sync_hz:g} Hz", after
+            for bit_rate in BIT_RATES:
+                if bit_rate > given.bit_rate:
+                    text = (
+                        f"raise the SYNC rate to {after.sync_hz:g} Hz, and the bit rate to {bit_rate} bit/s"
+                    )
+                    yield text, _at(after, bit_rate)
+            return
+        rate_hz *= FASTER
+
+
+def _more_samples(plan: Plan) -> Ways:
+    """More samples for each SYNC, with what they cost; only where all of the motion holds then."""
+    given = plan.plan_input
+    if all(module.samples_itself for module in given.modules):
+        return
+    for count in range(min(one.samples_per_sync for one in given.modules) + 1, MOST_PER_SYNC + 1):
+        try:
+            modules = tuple(one.with_samples(max(count, one.samples_per_sync)) for one in given.modules)
+            after = replace(given, modules=modules)
+        except ValueError:  # no RPDO is left
+            return
+        if all(one.holds for one in Plan(after).margins if one.limited not in (Limited.BUS, Limited.SPEED)):
+            more = sum(one.sample_bytes for one in modules) - sum(one.sample_bytes for one in given.modules)
+            load = 100.0 * (after.bus.load - given.bus.load)
+            cost = f"{more} bytes more for each SYNC, bus load +{load:.1f} %"
+            text = f"send {NUMBERS[count]} samples for each SYNC (samples_per_sync: {count}; {cost})"
+            yield f"{text}: that holds this move", after
+
+
+def _narrower(plan: Plan) -> Ways:
+    given, asked, limit = plan.plan_input, asked_acceleration(plan), _needed_limit(plan)
+    if not all(0.0 < one.known_acceleration_rad_s2 <= KNOWN_ENOUGH * asked for one in given.modules):
+        after = _with(given, od.SUPERVISION_ACCELERATION, asked)
+        becomes = widest_limit(Plan(after))
+        text = (
+            f"set max_acceleration_rad_s2 (2010:02) to {asked:.6g}: the residual limit becomes {becomes:.3f}"
+        )
+        yield text, after
+    if limit <= RESIDUAL_LIMIT and not any(one.known_acceleration_rad_s2 for one in given.modules):
+        yield f"lower residual_limit (2010:01) to {limit:.3f} cycle", _limited(given, limit)
+
+
+def _sharper(plan: Plan) -> Ways:
+    """A measured noise margin; the rate at which motion + margin + motion is sharp: the limit follows it."""
+    given = plan.plan_input
+    if not all(one.known_acceleration_rad_s2 for one in given.modules):
+        return
+    after = _with(given, od.SUPERVISION_NOISE_MARGIN, NOISE_MARGIN)
+    becomes = widest_limit(Plan(after))
+    yield f"set noise_margin (2010:09) to {NOISE_MARGIN}: the residual limit becomes {becomes:.3f}", after
+    declared = max(one.declared_phase_error_cycles for one in given.modules)
+    least = (WELL - WEIGHTS * declared) / 2.0 * LEAVES
+    taken = max(budget.motion_part.cycles for budget in plan.budgets)
+    if taken > least:
+        rate_hz = float(rounded_up(given.sync_hz * math.sqrt(taken / least)))
+        yield f"raise the SYNC rate to {rate_hz:g} Hz", replace(given, sync_hz=rate_hz)
+
+
+def _with(given: PlanInput, place: od.Multiplexer, value: float) -> PlanInput:
+    """The value in this object of every module."""
+    return replace(given, modules=tuple(one.with_values({place: value}) for one in given.modules))
+
+
+def _limited(given: PlanInput, limit_cycles: float) -> PlanInput:
+    return _with(given, od.SUPERVISION_RESIDUAL_LIMIT, int(limit_cycles * LIMIT_UNITS))
+
+
+def _moving(plan: Plan, **motion: Any) -> PlanInput:
+    return replace(plan.plan_input, motion=replace(plan.plan_input.motion, **motion))
+
+
+def _at(given: PlanInput, bit_rate: int) -> PlanInput:
+    """The frames of other nodes are as many, and each takes less time."""
+    return replace(given, bit_rate=bit_rate, extra_load=given.extra_load * given.bit_rate / bit_rate)
+
+
+def _needed_limit(plan: Plan) -> float:
+    """Above what is needed, in thousandths: 2010:01 rounds down by 1/65536."""
+    needed = max(budget.needed_cycles for budget in plan.budgets)
+    return math.floor(min(needed, 1.0) * 1000.0 + 1.1) / 1000.0
+
+
+def asked_acceleration(plan: Plan) -> float:
+    """The largest one, rad/s^2; 0.0: not given."""
+    return max(budget.asked_rad_s2 or 0.0 for budget in plan.budgets)
+
+
+def is_sharp(plan: Plan) -> bool:
+    """Its detection, for every module."""
+    return all(plan.detection(budget).is_sharp for budget in plan.budgets)
+
+
+def widest_limit(plan: Plan) -> float:
+    """The largest residual limit in force, cycles."""
+    return max(budget.limit_cycles for budget in plan.budgets)
