@@ -53,6 +53,7 @@ def dots(
     return ["".join(chr(BRAILLE + cell) for cell in line) for line in cells]
 
 
+HEAD_LINES = 3
 PANEL_LINES, HIGHEST_PANEL = 11, 18  # of a module, with its frame
 LEAST_FIGURES, LEAST_TRACKS = 56, 12  # characters
 LABEL = 10
@@ -61,7 +62,7 @@ NOT_READ = "scales and limits are assumed where they were not read: --sdo reads 
 NO_MODULE = "frames come, but none of a module: name it (canfb monitor NODE)"
 BAR = 60  # characters, of the residual: 30 s of it
 STYLES = {"good": "green", "doubtful": "yellow", "bad": "bold red", "faint": "dim", "": ""}
-GOOD, DOUBTFUL, BAD, FAINT = (STYLES[tone] for tone in ("good", "doubtful", "bad", "faint"))
+Modules = Sequence[tuple[NodeSnapshot, ModuleSnapshot]]
 
 
 class Page:
@@ -70,52 +71,35 @@ class Page:
     def __init__(
         self, snapshot: BusSnapshot, units: MachineUnits, title: str, *, plain: bool = False
     ) -> None:
-        self._snapshot = snapshot
-        self._units = units
-        self._title = title
-        self._plain = plain
+        self._snapshot, self._units, self._title, self._plain = snapshot, units, title, plain
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         yield self.layout(options.max_width, options.height or console.height)
 
     def layout(self, width: int, height: int) -> RenderableType:
         """All modules with their pictures where they fit, else a line for each."""
-        snapshot = self._snapshot
-        head = self._head(width)
-        modules = snapshot.modules
-        others = lines.other_nodes(snapshot)
-        left = height - len(head) - bool(others)
-        parts: list[RenderableType] = list(head)
+        snapshot, modules, others = self._snapshot, self._snapshot.modules, lines.other_nodes(self._snapshot)
+        room = height - HEAD_LINES - bool(others)
+        body: list[RenderableType]
         if not modules:
-            parts.append(Text(f"\n{NO_MODULE if snapshot.load.frames_per_s > 0.0 else 'no frame'}", DOUBTFUL))
-        elif len(modules) * PANEL_LINES <= left:
-            rows = min(HIGHEST_PANEL, left // len(modules))
-            parts += [self._panel(node, module, width, rows) for node, module in modules]
+            body = [self._text(f"\n{NO_MODULE if snapshot.load.frames_per_s else 'no frame'}", "doubtful")]
+        elif len(modules) * PANEL_LINES <= room:
+            rows = min(HIGHEST_PANEL, room // len(modules))
+            body = [self._panel(node, module, width, rows) for node, module in modules]
         else:
-            if any(module.assumed for _, module in modules) and left > LEAST_TABLE:
-                parts.append(Text(NOT_READ, FAINT))
-                left -= 1
-            shown = modules[: max(1, left - 2)]
-            parts.append(self._table(shown, width))
-            left -= 2 + len(shown)
-            if len(shown) < len(modules):
-                parts.append(Text(f"... and {len(modules) - len(shown)} more: make the window higher", FAINT))
-                left -= 1
-            parts += self._errors(modules, left, width)
-        if others:
-            parts.append(self._cut(Text.assemble(("other nodes  ", FAINT), others), width))
-        return Group(*parts)
+            body = self._overview(modules, width, room)
+        head = [self._row(line, 6) for line in lines.bus_lines(snapshot)]
+        foot = [self._row(lines.Line("other nodes  ", ((others, ""),)), 0)] if others else []
+        title = Text(f"{self._title}  {snapshot.time_s:.1f} s", "bold", no_wrap=True, overflow="crop")
+        return Group(title, *head, *body, *foot)
 
-    def _cut(self, text: Text, width: int) -> Text:
-        """One line of it."""
-        text.no_wrap = True
-        text.truncate(width, overflow="crop" if self._plain else "ellipsis")
-        return text
+    def _text(self, text: str, tone: lines.Tone = "") -> Text:
+        return self._row(lines.Line("", ((text, tone),)), 0)
 
-    def _head(self, width: int) -> list[Text]:
-        title = Text(f"{self._title}  {self._snapshot.time_s:.1f} s", style="bold")
-        rows = [_row(line, 6) for line in lines.bus_lines(self._snapshot)]
-        return [self._cut(one, width) for one in (title, *rows)]
+    def _row(self, line: lines.Line, width: int) -> Text:
+        """One line, cut where it is too long; the label in ``width`` characters."""
+        parts = [(text, STYLES[tone]) for text, tone in ((f"{line.label:<{width}}", "faint"), *line.parts)]
+        return Text.assemble(*parts, no_wrap=True, overflow="crop" if self._plain else "ellipsis")
 
     def _panel(self, node: NodeSnapshot, module: ModuleSnapshot, width: int, rows: int) -> Panel:
         """A frame of ``rows`` lines: figures, and tracks where there is room."""
@@ -123,16 +107,13 @@ class Page:
         wide = min(2 * high, inner - LEAST_FIGURES - 1)  # characters are about twice as high as wide
         with_tracks = bool(module.tracks_counts) and wide >= LEAST_TRACKS
         figures = inner - wide - 1 if with_tracks else inner
-        texts = self._figures(node, module, figures)
-        texts += self._more_errors(node, high - len(texts))
+        texts = self._figures(node, module, max(10, min(figures - LABEL - 12, BAR)))
+        for one in node.emergencies[1 : 1 + max(0, high - len(texts))]:
+            texts.append(self._row(lines.Line("", (lines.emergency_part(one),)), LABEL))
         table = Table.grid(padding=(0, 1, 0, 0))
         table.add_column(width=figures, no_wrap=True)
-        cells: list[RenderableType] = [Group(*(self._cut(one, figures) for one in texts))]
-        if with_tracks:
-            table.add_column(width=wide, no_wrap=True)
-            cells.append(self._lissajous(module, wide, wide // 2))
-        table.add_row(*cells)
-        rows = min(rows, max(len(texts), wide // 2 if with_tracks else 0) + 2)
+        table.add_column(width=wide if with_tracks else 0, no_wrap=True)
+        table.add_row(Group(*texts), self._lissajous(module, wide, wide // 2) if with_tracks else "")
         return Panel(
             table,
             title=f"{lines.name_of(node)}  {lines.state_words(node)}",
@@ -141,18 +122,19 @@ class Page:
             subtitle_align="right",
             border_style=STYLES[lines.tone_of(module)],
             box=box.ASCII if self._plain else box.ROUNDED,
-            height=rows,
+            height=min(rows, max(len(texts), wide // 2 if with_tracks else 0) + 2),
         )
 
-    def _figures(self, node: NodeSnapshot, module: ModuleSnapshot, width: int) -> list[Text]:
+    def _figures(self, node: NodeSnapshot, module: ModuleSnapshot, room: int) -> list[Text]:
         """The rows, and the residual as pictures; without the peak where a loss needs the room."""
         rows = lines.module_lines(node, module, self._units)
-        texts = {row.label: _row(row, LABEL) for row in rows}
-        room = _bar_width(width)
-        drawn = self._residual_history(module, room)
-        if "why" in texts:
-            return _behind(texts, "why", drawn)
-        return _behind(texts, "residual", self._peak(module, room, " " * LABEL, " peak {:.3f}"), drawn)
+        labels = [row.label for row in rows]
+        drawn = [self._residual_history(module, room)]
+        if "why" not in labels:
+            drawn.insert(0, self._peak(module, room, " " * LABEL, " peak {:.3f}"))
+        texts = [self._row(row, LABEL) for row in rows]
+        at = labels.index("amplitude")
+        return [*texts[:at], *drawn, *texts[at:]]
 
     def _peak(self, module: ModuleSnapshot, width: int, head: str = "", behind: str = "") -> Text:
         """The peak residual of the last second: single samples change faster than anybody reads."""
@@ -160,20 +142,17 @@ class Page:
         if not limit or peak is None:
             return Text("" if behind else "-")
         full = bar(peak / limit, width, plain=self._plain)
-        style = STYLES[lines.residual_tone(module, peak)] or GOOD
-        return Text.assemble(head.format(peak), (full, style), (behind.format(peak), FAINT))
+        tone = lines.residual_tone(module, peak) or "good"
+        return Text.assemble(head.format(peak), (full, STYLES[tone]), (behind.format(peak), "dim"))
 
     def _residual_history(self, module: ModuleSnapshot, room: int) -> Text:
         limit, values = module.residual_limit_cycles or 0.5, module.residual_history_cycles
-        seconds = min(room, len(values)) * module.history_bin_s
         drawn = history(values, limit, room, plain=self._plain)
-        text = Text.assemble(
-            (f"{'history':<{LABEL}}", FAINT), drawn, (f" last {seconds:.0f} s" if values else "", FAINT)
-        )
-        for place, value in enumerate(values[-room:], start=LABEL + room - len(values[-room:])):
-            if value is not None and value > limit * lines.NEAR:
-                text.stylize(BAD if value > limit else DOUBTFUL, place, place + 1)
-        return text
+        tones = [lines.residual_tone(module, value) for value in values[-room:]]
+        tones = [""] * (room - len(tones)) + tones
+        said = f" last {min(room, len(values)) * module.history_bin_s:.0f} s" if values else ""
+        parts = tuple(zip(drawn, tones, strict=True))
+        return self._row(lines.Line("history", (*parts, (said, "faint"))), LABEL)
 
     def _lissajous(self, module: ModuleSnapshot, width: int, height: int) -> Group:
         """Cosine to the right, sine upwards; the rim is the full scale."""
@@ -182,62 +161,43 @@ class Page:
         drawn = dots(points, limit, width, height, plain=self._plain)
         return Group(*(Text(line, style="cyan") for line in drawn))
 
-    def _more_errors(self, node: NodeSnapshot, room: int) -> list[Text]:
-        """The EMCYs before the last one."""
-        rest = node.emergencies[1 : 1 + max(0, room)]
-        return [_row(lines.Line("", (lines.emergency_part(one),)), LABEL) for one in rest]
+    def _overview(self, modules: Modules, width: int, room: int) -> list[RenderableType]:
+        """A line for each module, and the newest EMCYs where there is room for them."""
+        body: list[RenderableType] = []
+        if any(module.assumed for _, module in modules) and room > LEAST_TABLE:
+            body.append(self._text(NOT_READ, "faint"))
+        shown = modules[: max(1, room - len(body) - 2)]
+        body.append(self._table(shown, width))
+        if len(shown) < len(modules):
+            more = f"... and {len(modules) - len(shown)} more: make the window higher"
+            body.append(self._text(more, "faint"))
+        found = [(one.age_s, node.node_id, one) for node, _ in modules for one in node.emergencies]
+        found.sort(key=lambda entry: entry[0])
+        left = room - len(body) - len(shown) - 1
+        if left > 1 and found:
+            body.append(self._text("EMCY", "faint"))
+            for _, node_id, one in found[: left - 1]:
+                text, tone = lines.emergency_part(one)
+                body.append(self._text(f"  node {node_id:<3}  {text}", tone))
+        return body
 
-    def _table(self, modules: Sequence[tuple[NodeSnapshot, ModuleSnapshot]], width: int) -> Table:
-        """A line for each module."""
-        table = Table(box=None, padding=(0, 1, 0, 0), width=width, header_style=FAINT, pad_edge=False)
+    def _table(self, modules: Modules, width: int) -> Table:
+        table = Table(box=None, padding=(0, 1, 0, 0), width=width, header_style="dim", pad_edge=False)
         table.add_column("node", no_wrap=True, width=4, justify="right")
         for name, ratio in (("NMT", 3), ("status", 4), ("position", 4), ("velocity", 3)):
             table.add_column(name, no_wrap=True, ratio=ratio, justify="left", overflow="ellipsis")
         table.add_column("peak residual", no_wrap=True, width=15)
         table.add_column("counts", no_wrap=True, width=6, justify="right")
         for node, module in modules:
-            stale = lines.is_stale(module)
-            words = lines.position_words(module)
-            if module.faults and not stale:
-                words += f": {', '.join(module.faults)}"
+            status = lines.module_lines(node, module, self._units)[0].parts[0]
             amplitude = "-" if module.amplitude_counts is None else f"{module.amplitude_counts:.0f}"
             table.add_row(
                 str(node.node_id),
                 node.state or ("not heard" if node.heard_s is None else "-"),
-                Text(words, STYLES[lines.tone_of(module)]),
+                self._text(*status),
                 self._units.position(module.position_revolutions),
                 self._units.velocity(module.velocity_rad_s),
                 self._peak(module, 9, "{:.3f} "),
                 amplitude,
             )
         return table
-
-    def _errors(
-        self, modules: Sequence[tuple[NodeSnapshot, ModuleSnapshot]], room: int, width: int
-    ) -> list[Text]:
-        """The newest EMCYs of all modules."""
-        found = [(one.age_s, node.node_id, one) for node, _ in modules for one in node.emergencies]
-        found.sort(key=lambda entry: entry[0])
-        if room < 2 or not found:
-            return []
-        texts = [Text("EMCY", FAINT)]
-        for age_s, node_id, one in found[: room - 1]:
-            text = f"{lines.age(age_s):>8} ago  node {node_id:<3}  {one.code:04X}h {one.text}"
-            texts.append(self._cut(Text(text, "" if one.code == 0 else BAD), width))
-        return texts
-
-
-def _row(line: lines.Line, width: int) -> Text:
-    return Text.assemble(
-        (f"{line.label:<{width}}", FAINT), *((text, STYLES[tone]) for text, tone in line.parts)
-    )
-
-
-def _behind(texts: dict[str, Text], label: str, *more: Text) -> list[Text]:
-    """The rows, with ``more`` behind the one of this label."""
-    return [text for name, row in texts.items() for text in ((row, *more) if name == label else (row,))]
-
-
-def _bar_width(width: int) -> int:
-    """Of what is drawn behind a label, before a figure."""
-    return max(10, min(width - LABEL - 12, BAR))
