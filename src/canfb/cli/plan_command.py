@@ -63,7 +63,7 @@ def register(commands: Commands) -> None:
             help="per revolution (2500)",
         ),
         option(
-            "--samples-per-sync", type=whole_number, metavar="COUNT", help="1 to 4, of every interface (1)"
+            "--samples-per-sync", type=whole_number, metavar="COUNT", help="1 to 8, of every interface (1)"
         ),
         option(
             "--noise-margin",
@@ -84,31 +84,6 @@ def register(commands: Commands) -> None:
         option("--coverage", action="store_true", help="diagnostic coverage by fault (docs/faults.md)"),
         option("--json", action="store_true", help="figures, for programs"),
     )
-    parser.add_argument(
-        "--samples-per-sync", type=whole_number, metavar="COUNT", help="1 to 8, of every interface (1)"
-    )
-    parser.add_argument(
-        "--noise-margin",
-        type=whole_number,
-        metavar="FACTOR",
-        help="2010:09 of every module (0: fixed margin)",
-    )
-    parser.add_argument("--times", action="store_true", help="the ADC PDO carries sample times")
-    parser.add_argument("--table", action="store_true", help="a correction table is in force")
-    parser.add_argument(
-        "--adc-bits", type=whole_number, default=12, metavar="BITS", help="of the converter (12)"
-    )
-    parser.add_argument(
-        "--modules",
-        type=whole_number,
-        default=1,
-        metavar="COUNT",
-        help="that are alike, each with its interface (1)",
-    )
-    parser.add_argument(
-        "--coverage", action="store_true", help="diagnostic coverage by fault (docs/faults.md)"
-    )
-    parser.add_argument("--json", action="store_true", help="figures, for programs")
 
 
 def plan(options: argparse.Namespace) -> int:
