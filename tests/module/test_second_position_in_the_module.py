@@ -255,8 +255,8 @@ def test_with_several_samples_in_one_sync(order: int, pairs: int) -> None:
 
 def test_where_no_rpdo_is_left() -> None:
     with pytest.raises(ValueError, match="second_position: no RPDO is left"):
-        ModuleConfig(node_id=3, second_position=second(), samples_per_sync=4, times=True)
-    ModuleConfig(node_id=3, second_position=second(cob_id=None), samples_per_sync=4, times=True)
+        ModuleConfig(node_id=3, second_position=second(), samples_per_sync=7, times=True)
+    ModuleConfig(node_id=3, second_position=second(cob_id=None), samples_per_sync=7, times=True)
 
 
 class Turning:

@@ -200,7 +200,7 @@ def test_nothing_else_is_free() -> None:
         for entry in writable
         if machine.begin(0x20, entry.index, entry.subindex) != STATE
     }
-    process_data = {f"2000:{sub:02X}" for sub in range(1, 15)}
+    process_data = {f"2000:{sub:02X}" for sub in range(1, 23)}
     assert free == process_data | {"1003:00", "2030:0A", "2040:02", "2050:01", "6003:00", "6009:00"}
 
 

@@ -12,13 +12,13 @@ from canfb import objects as od
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.objects import Multiplexer
 from canfb.signal.chain_config import ChainLimits
+from canfb.signal.declared import Declared
 from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
 from canfb.view.limits_in_force import (
     LIMIT_UNITS,
     NOTHING_NARROWS,
     LimitSettings,
-    MotionBounds,
     limit_settings,
 )
 
@@ -101,7 +101,7 @@ class SupervisionLimits:
             phase_error_cycles=self.values[od.SUPERVISION_PHASE_ERROR] / LIMIT_UNITS,
         )
 
-    def bounds(self, interval_s: float) -> MotionBounds:
+    def bounds(self, interval_s: float) -> Declared:
         """What bounds the motion at this interval from sample to sample."""
         return self.settings.bounds(self.cycles_per_revolution, interval_s, self.noise_cycles)
 
@@ -110,7 +110,7 @@ class SupervisionLimits:
 
         ``motion_cycles`` is the largest acceleration of the machine.
         """
-        return self.chain_limits(interval_s).declared.kept_samples(motion_cycles)
+        return self.chain_limits(interval_s).kept_samples(motion_cycles)
 
     def changed(self, values: Mapping[Multiplexer, float]) -> SupervisionLimits:
         """With other values for some of the objects."""
@@ -122,7 +122,7 @@ class SupervisionLimits:
 
     def residual_limit(self, interval_s: float) -> float:
         """The residual limit in force, cycles: 2010:01, narrowed by 2010:02 and 2010:09."""
-        return self.bounds(interval_s).residual
+        return self.bounds(interval_s).residual_limit
 
     def chain_limits(self, interval_s: float) -> ChainLimits:
         """As the module puts them in force, for a chain that gets all samples one by one.
@@ -130,8 +130,8 @@ class SupervisionLimits:
         ``interval_s`` is that from sample to sample.
         """
         low, high = (self.values[place] for place in AMPLITUDES)
-        return self.bounds(interval_s).chain_limits(
-            self.settings.widest_cycles,
+        return ChainLimits.of(
+            self.bounds(interval_s),
             sample=SampleLimits(self.full_scale_counts, low, high),
             cycles_per_revolution=self.cycles_per_revolution,
             coast_samples=min(self.coast_samples * self.motion.samples_per_sync, 255),

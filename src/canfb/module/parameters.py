@@ -30,7 +30,7 @@ from canfb.module.module_config import (
     ModuleConfig,
 )
 from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import MOST_CORNER_HZ, ChainConfig
+from canfb.signal.chain_config import MOST_CORNER_HZ, ChainConfig, ChainLimits
 from canfb.signal.residual_noise import ResidualNoise
 from canfb.signal.supervision import SampleLimits
 from canfb.view.limits_in_force import limit_settings
@@ -294,8 +294,8 @@ class Limits:
         noise_cycles = usable if usable == usable else None
         bounds = settings.bounds(self._cycles_per_revolution.value, known_s / per_sync, noise_cycles)
         self._applied_s = known_s
-        self.in_force = bounds.chain_limits(
-            settings.widest_cycles,
+        self.in_force = ChainLimits.of(
+            bounds,
             sample=SampleLimits(self._full_scale.value, self._low.value, self._high.value),
             cycles_per_revolution=self._cycles_per_revolution.value,
             coast_samples=self._coast.value,

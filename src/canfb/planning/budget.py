@@ -17,7 +17,7 @@ squares for the rms.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from canfb.planning.plan_input import EncoderErrors, PlanInput
@@ -29,8 +29,6 @@ from canfb.signal.limits import (
     max_speed,
 )
 from canfb.signal.sample import TICK_S
-from canfb.signal.supervision import SampleLimits
-from canfb.view.limits_in_force import MotionBounds
 
 RAW_PHASE_ERROR_CYCLES = 0.0113  # of Table 1, without a correction table
 TABLE_PHASE_ERROR_CYCLES = 0.001  # of what a reference measurement leaves
@@ -115,26 +113,17 @@ class ResidualBudget:
     @cached_property
     def slow_limit_cycles(self) -> float:
         """The residual limit of a machine that turns slowly."""
-        return self.bounds.residual
+        return self.bounds.residual_limit
 
     @cached_property
-    def bounds(self) -> MotionBounds:
+    def bounds(self) -> Declared:
         """What the module has in force."""
         return self.module.bounds(self.interval_s, self.measured_noise_cycles)
 
     @cached_property
     def declared(self) -> Declared:
         """The declared limits of its estimator."""
-        module = self.module
-        settings = module.settings
-        return self.bounds.chain_limits(
-            settings.widest_cycles,
-            sample=SampleLimits(module.full_scale_counts, *module.amplitude_limits_counts),
-            cycles_per_revolution=module.cycles_per_revolution,
-            coast_samples=module.coast_samples,
-            frozen_samples=module.frozen_samples,
-            coarse_limit_revolutions=0.0,  # of no account here
-        ).declared
+        return replace(self.bounds, coast_samples=self.module.coast_samples)
 
     @property
     def is_narrowed(self) -> bool:

@@ -15,7 +15,8 @@ from canfb.cia301 import cob
 from canfb.cia301.frame import mapping_values
 from canfb.device.od.dcf import Place
 from canfb.planning.traffic import Values
-from canfb.view.limits_in_force import LimitSettings, MotionBounds, limit_settings
+from canfb.signal.declared import Declared
+from canfb.view.limits_in_force import LimitSettings, limit_settings
 from canfb.view.pdo_map import Pdo, valid_pdos
 
 NEWEST = (od.SAMPLE_SINE, od.SAMPLE_COSINE)
@@ -132,7 +133,7 @@ class PlannedModule:
         """All that bounds the motion."""
         return limit_settings(self.values.get)
 
-    def bounds(self, interval_s: float, noise_cycles: float) -> MotionBounds:
+    def bounds(self, interval_s: float, noise_cycles: float) -> Declared:
         """What is in force at this interval from sample to sample, with this rms noise of the residual."""
         return self.settings.bounds(self.cycles_per_revolution, interval_s, noise_cycles)
 

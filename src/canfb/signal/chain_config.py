@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 from canfb.checks import integer_in, number_in, within
 from canfb.signal.adaptation import AdaptConfig
@@ -31,53 +32,32 @@ LARGEST = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChainLimits:
+class ChainLimits(Declared):
     """What a sample is held against; it may change between two samples (2001h, 2010h).
 
-    As in :class:`ChainConfig` and :class:`Declared`. Intervals are those from sample to sample, of which
-    there are ``samples_per_sync`` in one of SYNC; ``coast_samples`` counts those of SYNC. ValueError for a
-    bad limit.
+    As in :class:`ChainConfig` and :class:`Declared`. ValueError for a bad limit.
     """
 
     sample: SampleLimits
     cycles_per_revolution: int
-    residual_limit: float
-    coast_samples: int
     frozen_samples: int
     coarse_limit_revolutions: float
-    acceleration: float | None = None
-    acceleration_waits: bool = False
-    samples_per_sync: int = 1
-    phase_error: float = PHASE_ERROR_CYCLES
-    instant_error: float = 0.0
-    widest_limit: float | None = None
-    bad_samples: int = 0
-    doubt_acceleration: float = DOUBT_ACCELERATION
     corners: Corners = NO_LOW_PASS
 
     def __post_init__(self) -> None:
         check_residual_limit(self.residual_limit)
         integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
 
+    @classmethod
+    def of(cls, declared: Declared, **others: Any) -> ChainLimits:
+        """What is declared, less ``others``, and these."""
+        known = {one.name: getattr(declared, one.name) for one in fields(Declared)}
+        return cls(**{**known, **others})
+
     @property
     def motion_residual(self) -> float:
         """What of ``residual_limit`` the motion may use, cycles; 0.0 if that is not known."""
         return self.acceleration or 0.0
-
-    @property
-    def declared(self) -> Declared:
-        """The same for the estimator."""
-        return Declared(
-            residual_limit=self.residual_limit,
-            widest_limit=self.widest_limit,
-            acceleration=self.acceleration,
-            acceleration_waits=self.acceleration_waits,
-            phase_error=self.phase_error,
-            instant_error=self.instant_error,
-            bad=self.bad_samples,
-            doubt_acceleration=self.doubt_acceleration,
-            coast_samples=self.coast_samples * self.samples_per_sync,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +173,7 @@ class ChainConfig:
             widest_limit=self.residual_limit,
             acceleration=acceleration,
             phase_error=self.phase_error_cycles,
-            bad_samples=self.bad_samples,
+            bad=self.bad_samples,
             doubt_acceleration=self.doubt_acceleration_cycles,
             coast_samples=self.coast_samples,
             frozen_samples=self.frozen_samples,

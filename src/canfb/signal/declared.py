@@ -30,7 +30,8 @@ class Declared:
     instant_error       largest of a sampling instant, intervals
     bad                 m: samples in a row that may be bad unnoticed; 0: as many as cannot do harm
     doubt_acceleration  assumed in doubt if ``acceleration`` is not known; 0: none is
-    coast_samples       intervals without a good sample until the position is lost
+    coast_samples       intervals of SYNC without a good sample until the position is lost
+    samples_per_sync    in one of SYNC: all other intervals are those from sample to sample
     """
 
     residual_limit: float = RESIDUAL_LIMIT
@@ -42,6 +43,12 @@ class Declared:
     bad: int = 0
     doubt_acceleration: float = DOUBT_ACCELERATION
     coast_samples: int = COAST_SAMPLES
+    samples_per_sync: int = 1
+
+    @property
+    def coasting(self) -> int:
+        """Samples without a good one until the position is lost."""
+        return self.coast_samples * self.samples_per_sync
 
     @property
     def first_limit(self) -> float:
@@ -76,7 +83,7 @@ class Declared:
         ``motion`` is the largest acceleration of the machine, None: :attr:`followed`.
         """
         largest = self.followed if motion is None else min(motion, self.followed)
-        most = min(self.coast_samples, MOST_IN_A_ROW)
+        most = min(self.coasting, MOST_IN_A_ROW)
         return kept_samples(self.followed, largest, self.phase_error, most)
 
     @cached_property

@@ -242,7 +242,7 @@ class Estimator:
             self._begin_places()
             # The next interval may be even by chance. What confirms the start confirms this sample.
             return track, COASTING if self._follows_speeds((1.0,)) else VALID
-        if self._coasted + max(0, round(options[0]) - 1) > self.declared.coast_samples + 0.5:
+        if self._coasted + max(0, round(options[0]) - 1) > self.declared.coasting + 0.5:
             self.lose(LossCause.COASTED)
             return self._count_on(phase, options[0])
         self._coasted = 0.0
@@ -345,7 +345,7 @@ class Estimator:
         if self.lost:
             return predicted, LOST
         self._coasted += elapsed
-        if self._coasted > self.declared.coast_samples + 0.5:
+        if self._coasted > self.declared.coasting + 0.5:
             self.lose(LossCause.COASTED)
             return predicted, LOST
         self._doubted().skip(options, not missed)

@@ -83,7 +83,7 @@ class Stages:
     def __init__(self, config: ChainConfig, table: CorrectionTable | None) -> None:
         check_config(config)
         limits = config.chain_limits
-        self.estimator = Estimator(limits.declared)
+        self.estimator = Estimator(limits)
         self._tracker = self.estimator.tracker
         self._supervision = Supervision(limits.sample)
         self._frozen = FrozenInput(limits.frozen_samples, limits.residual_limit)
@@ -108,7 +108,7 @@ class Stages:
 
     def set_limits(self, limits: ChainLimits) -> None:
         """Take new limits. Another encoder resets coarse track and zero pulse."""
-        self.estimator.declare(limits.declared)
+        self.estimator.declare(limits)
         self._supervision.set_limits(limits.sample)
         self._frozen.residual_limit_cycles = limits.residual_limit
         self._frozen.frozen_samples = limits.frozen_samples

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
 
 from canfb import objects as od
-from canfb.signal.chain_config import ChainLimits
-from canfb.signal.declared import DOUBT_ACCELERATION
+from canfb.signal.declared import DOUBT_ACCELERATION, Declared
 from canfb.signal.harmonics import NO_LOW_PASS, Corners
 from canfb.signal.limits import (
     PHASE_ERROR_CYCLES,
@@ -20,40 +18,6 @@ from canfb.signal.sample import TICK_S
 from canfb.view.pdo_map import Read, valid_pdos
 
 LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
-
-
-class MotionBounds(NamedTuple):
-    """What the chain is given at one sampling interval; cycles and intervals from sample to sample.
-
-    residual       limit
-    acceleration   of the machine, None: not known
-    acceleration_waits   2010:02 is set, and the interval in which it counts is not known yet
-    phase_error    largest error of a phase
-    instant_error  largest error of a sampling instant, intervals
-    bad_samples, doubt_acceleration   2010:0A, 2010:0B
-    """
-
-    residual: float
-    acceleration: float | None
-    phase_error: float
-    instant_error: float
-    bad_samples: int
-    doubt_acceleration: float
-    acceleration_waits: bool = False
-
-    def chain_limits(self, widest: float, **others: Any) -> ChainLimits:
-        """All limits of a chain: these, 2010:01 in cycles, and ``others``."""
-        return ChainLimits(
-            widest_limit=widest,
-            residual_limit=self.residual,
-            acceleration=self.acceleration,
-            acceleration_waits=self.acceleration_waits,
-            phase_error=self.phase_error,
-            instant_error=self.instant_error,
-            bad_samples=self.bad_samples,
-            doubt_acceleration=self.doubt_acceleration,
-            **others,
-        )
 
 
 @dataclass(frozen=True)
@@ -91,7 +55,7 @@ class LimitSettings:
         """
         sync_s = 1.0 / sync_hz if sync_hz else self.cycle_period_s
         interval_s = sync_s / self.samples_per_sync
-        limit = self.bounds(cycles_per_revolution, interval_s, noise_cycles).residual
+        limit = self.bounds(cycles_per_revolution, interval_s, noise_cycles).residual_limit
         if not interval_s:
             return limit
         if self.timed and velocity_rad_s:
@@ -107,7 +71,7 @@ class LimitSettings:
 
     def bounds(
         self, cycles_per_revolution: int, interval_s: float, noise_cycles: float | None = None
-    ) -> MotionBounds:
+    ) -> Declared:
         """All that bounds the motion, at this interval from sample to sample; 0.0: not known."""
         n, widest = cycles_per_revolution, self.widest_cycles
         margin = math.inf
@@ -115,16 +79,23 @@ class LimitSettings:
             margin = self.noise_margin * noise_cycles
         declared = self.phase_error_cycles
         phase_error = min(declared, margin / math.sqrt(RESIDUAL_WEIGHTS))
-        doubt = self.bad_samples, self.doubt_acceleration
+        known = Declared(
+            residual_limit=widest,
+            widest_limit=widest,
+            acceleration_waits=not interval_s and self.acceleration_rad_s2 > 0.0,
+            phase_error=phase_error,
+            bad=self.bad_samples,
+            doubt_acceleration=self.doubt_acceleration,
+        )
         if not interval_s:
-            waits = self.acceleration_rad_s2 > 0.0
-            return MotionBounds(widest, None, phase_error, 0.0, *doubt, waits)
-        return MotionBounds(
-            narrowed_residual_limit(widest, self.acceleration_rad_s2, n, interval_s, margin, declared),
-            cycles_per_interval_squared(self.acceleration_rad_s2, n, interval_s) or None,
-            phase_error,
-            TICK_S / 2.0 / interval_s if self.timed else 0.0,
-            *doubt,
+            return known
+        return replace(
+            known,
+            residual_limit=narrowed_residual_limit(
+                widest, self.acceleration_rad_s2, n, interval_s, margin, declared
+            ),
+            acceleration=cycles_per_interval_squared(self.acceleration_rad_s2, n, interval_s) or None,
+            instant_error=TICK_S / 2.0 / interval_s if self.timed else 0.0,
         )
 
 
