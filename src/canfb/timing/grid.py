@@ -172,6 +172,9 @@ class Grid:
     def set_again(self, instants: list[float]) -> bool:
         """These regular instants are the grid; True if its period is another one."""
         apart = _median_apart(instants)
+        if not apart > 0.0:  # frames of one instant say nothing of a period
+            self._first = instants[-1:]
+            return False
         places = [0.0]
         for before, after in pairwise(instants):
             places.append(places[-1] + max(1, round((after - before) / apart)))
