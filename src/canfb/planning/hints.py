@@ -29,7 +29,7 @@ KNOWN_ENOUGH = 1.1  # what the module knows over what is given
 NOISE_MARGIN = 6  # docs/faults.md
 NARROWED = 0.95  # of the residual limit: a gain
 DETECTION = "detection"
-NUMBERS = {2: "two", 3: "three", 4: "four"}
+NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}
 Ways = Iterator[tuple[str, PlanInput]]
 """What to do in one line, and the input of the plan then."""
 
