@@ -49,13 +49,6 @@ def test_the_next_time_it_is_told_again(bench: Bench) -> None:
         assert hexes(bench.node.bus_back(now + 1.0)) == RECOVERED
 
 
-def test_in_stopped_emcy_waits(bench: Bench) -> None:
-    bench.nmt(2)
-    bench.node.bus_off(1.0)
-    assert bench.node.bus_back(2.0) == []
-    assert bench.nmt(128) == RECOVERED
-
-
 def test_without_a_node_id_nobody_is_told(sample_path: Path) -> None:
     node = Node(Dictionary.load(sample_path, 255), 255)
     node.start(0.0)

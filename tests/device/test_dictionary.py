@@ -122,19 +122,6 @@ def test_hooks_run_around_the_store(dictionary: Dictionary) -> None:
     assert seen == [("before", 9, 3), ("after", 9)]
 
 
-def test_a_refusing_hook_leaves_the_value(dictionary: Dictionary) -> None:
-    entry = dictionary.entry(0x2025)
-    entry.value = 3
-
-    def refuse(value: object) -> None:
-        raise SdoAbort(AbortCode.DEVICE_STATE)
-
-    entry.on_check = refuse
-    entry.on_written = lambda: pytest.fail("the value was refused")
-    assert abort_of(entry.download, b"\x09") is AbortCode.DEVICE_STATE
-    assert entry.value == 3
-
-
 def test_an_act_that_is_not_possible_leaves_the_value(dictionary: Dictionary) -> None:
     entry = dictionary.entry(0x2025)
     entry.value = 3
@@ -168,23 +155,6 @@ def test_on_read_gives_the_live_value(dictionary: Dictionary) -> None:
     entry.value = b"stored"
     entry.on_read = lambda: b"live"
     assert entry.upload() == b"live"
-
-
-def test_a_value_that_does_not_fit_is_named(dictionary: Dictionary) -> None:
-    entry = dictionary.entry(0x1017)
-    entry.value = 70000
-    with pytest.raises(ValueError, match="1017h:00"):
-        entry.encode()
-
-
-def test_reset_by_range(dictionary: Dictionary) -> None:
-    communication, application = dictionary.entry(0x1017), dictionary.entry(0x2010, 7)
-    communication.value, application.value = 9, 9
-    communication.on_written = lambda: pytest.fail("a reset runs no hook")
-    dictionary.reset(0x1000, 0x1FFF)
-    assert (communication.value, application.value) == (0, 9)
-    dictionary.reset()
-    assert application.value == -5
 
 
 def test_compact_arrays_are_expanded(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from copy import deepcopy
 from pathlib import Path
 
 import pytest
-from device_kit import ID, OK, Bench, hexes
+from device_kit import ID, OK, Bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -71,19 +71,6 @@ def test_a_reset_forgets_it_and_the_next_frame_tells_it_again(shipped: Shipped, 
     assert shipped.count == 2
 
 
-def test_in_stopped_it_waits_for_emcy(shipped: Shipped) -> None:
-    shipped.nmt(2)
-    assert shipped.send(0x1A0, bytes(8)) == []
-    assert shipped.count == len(shipped.noticed) == 1
-    assert shipped.nmt(128) == emergency(0x1A0)
-
-
-def test_without_an_application() -> None:
-    node = Node(deepcopy(PRISTINE), ID)
-    node.start(0.0)
-    assert hexes(node.receive(Frame(0x720, b"\0"), 0.0)) == emergency(0x720)
-
-
 def set_cob_id(bench: Bench, index: int, subindex: int, value: int) -> None:
     """Off first, then the new one: as a master has to do it."""
     off = bench.dictionary.entry(index, subindex).value | 0x80000000
@@ -112,19 +99,6 @@ def test_a_node_that_watches_itself_hears_both(shipped: Shipped) -> None:
     assert shipped.send(0x720, "05") == emergency(0x720)
     shipped.now = 0.2
     assert [text[:8] for text in shipped.tick()] == ["0A0#3081"]
-
-
-def test_the_node_id_of_lss() -> None:
-    bench = Shipped()
-    for request in ("0401", "1121", "0400"):
-        bench.send(0x7E5, bytes.fromhex(request).ljust(8, b"\0"))
-    assert bench.node.own_can_ids == OWN, "until the reset"
-    bench.nmt(130)
-    assert bench.node.own_can_ids == {can_id + 1 for can_id in OWN}
-    for can_id in sorted(OWN):
-        bench.send(can_id, bytes(8))
-    assert bench.count == 0
-    assert bench.send(0x721, "00") == emergency(0x721, at=0x0A1)
 
 
 def test_without_a_node_id_nothing_is_its_own() -> None:

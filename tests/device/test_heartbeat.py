@@ -84,16 +84,6 @@ def test_a_malformed_heartbeat_does_not_count(bench: Bench) -> None:
     assert bench.node.deadline() is None
 
 
-def test_two_lost_nodes_are_two_errors(bench: Bench) -> None:
-    bench.write(0x1016, 1, watch(0x47, 100), 4)
-    bench.write(0x1016, 2, watch(0x48, 200), 4)
-    bench.send(0x747, "05")
-    bench.send(0x748, "05")
-    assert len(bench.run(1.0)) == 2
-    assert bench.send(0x747, "05") == ["0A0#0000110000000000"]
-    assert bench.send(0x748, "05") == ["0A0#0000000000000000"]
-
-
 def test_a_reset_forgets_the_errors(bench: Bench) -> None:
     bench.write(0x1016, 1, watch(0x47, 100), 4)
     bench.send(0x747, "05")

@@ -183,14 +183,6 @@ def test_an_impossible_node_id_is_refused(bench: LssBench, node_id: int) -> None
     assert bench.nmt(RESET_COMMUNICATION) == ["720#00"]
 
 
-def test_a_changed_cob_id_is_back_at_its_default_for_the_new_node_id(bench: LssBench) -> None:
-    bench.write(0x1800, 1, 0xC00001A0, 4)
-    bench.write(0x1800, 1, 0x400001B0, 4)
-    bench.configure().lss(0x11, 40)
-    bench.nmt(RESET_COMMUNICATION)
-    assert bench.value(0x1800, 1) == 0x400001A8
-
-
 # Without a node-ID.
 
 
@@ -259,10 +251,6 @@ def test_fastscan_finds_the_address_bit_by_bit(make: Callable[..., LssBench]) ->
     assert fastscan(bench, 0, 128, 0, 0) == []  # it has been found
 
 
-def test_fastscan_is_for_devices_without_a_node_id(bench: LssBench) -> None:
-    assert fastscan(bench, 0, 128, 0, 0) == []
-
-
 @pytest.mark.parametrize(("bit", "part", "following"), [(32, 0, 0), (127, 0, 0), (0, 4, 0), (0, 0, 4)])
 def test_an_impossible_fastscan_is_not_answered(
     make: Callable[..., LssBench], bit: int, part: int, following: int
@@ -323,15 +311,6 @@ def test_what_is_stored_comes_before_the_node_id_of_the_program(make: Callable[.
     assert again.lss(0x17) == ["17"]
     assert make(32, store).first == []  # type: ignore[attr-defined]
     assert set(store.images) == {ParameterGroup.LSS}
-
-
-def test_what_is_not_stored_is_gone_with_the_power(make: Callable[..., LssBench]) -> None:
-    store = MemoryStore()
-    bench = make(32, store)
-    bench.configure().lss(0x11, 40)
-    bench.nmt(RESET_COMMUNICATION)
-    assert hexes(bench.node.start(0.0)) == ["720#00"]
-    assert bench.value(0x1014) == 0xA0
 
 
 def test_parameters_follow_the_stored_node_id(make: Callable[..., LssBench]) -> None:

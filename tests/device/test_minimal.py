@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from device_kit import ID, Bench
 
-from canfb.cia301.codes import AbortCode, EmergencyCode
-from canfb.cia301.nmt import NmtState
+from canfb.cia301.codes import EmergencyCode
 from canfb.device.od.dictionary import Dictionary, Entry
 
 
@@ -15,27 +14,11 @@ def minimal() -> Bench:
     return bench
 
 
-def test_nmt_sdo_and_silence() -> None:
-    bench = minimal()
-    assert bench.read(0x1000) == 0
-    assert bench.read(0x1017) is AbortCode.NO_OBJECT
-    bench.operational()
-    assert bench.node.state is NmtState.OPERATIONAL
-    assert bench.node.deadline() is None
-    assert bench.nmt(129) == ["720#00"]
-
-
 def test_emergencies_use_the_default_can_id() -> None:
     bench = minimal()
     bench.node.emergency(EmergencyCode.SENSOR, 0x20, now=0.0)
     assert bench.tick() == [f"{0x80 + ID:03X}#0073210000000000"]
     assert bench.read(0x1001) == 0x21
-
-
-def test_sync_uses_the_default_can_id() -> None:
-    bench = minimal().operational()
-    bench.sync()
-    assert bench.application.told("sync_received") == [(None, bench.now)]
 
 
 def test_without_even_an_error_register() -> None:

@@ -3,7 +3,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import sample_eds
 from device_kit import ID, OK, Bench
 
 from canfb.cia301.codes import AbortCode
@@ -12,13 +11,6 @@ from canfb.device.od.dictionary import Dictionary
 
 COMMANDS = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}
 STATES = {state: command for command, state in COMMANDS.items()}
-
-
-def test_start_sends_the_boot_up(silent: Bench) -> None:
-    assert silent.node.state is NmtState.INITIALISING
-    assert silent.start() == ["720#00"]
-    assert silent.node.state is NmtState.PRE_OPERATIONAL
-    assert silent.node.deadline() is None
 
 
 def test_autostart(sample_path: Path) -> None:
@@ -71,17 +63,6 @@ def test_a_stored_1f80_starts_the_node(silent: Bench, command: int) -> None:
 def test_bits_of_1f80_for_masters_are_refused(bench: Bench, bit: int, more: int) -> None:
     assert bench.write(0x1F80, 0, 1 << bit | more, 4) is AbortCode.INVALID_VALUE
     assert bench.read(0x1F80) == 4
-
-
-def test_autostart_without_1f80(sample_path: Path, tmp_path: Path) -> None:
-    rows = [row for row in sample_eds.ROWS if row[0] != 0x1F80]
-    path = sample_eds.write(tmp_path / "no_startup.eds", rows)
-    for autostart in (False, True):
-        bench = Bench(Dictionary.load(path, ID), autostart=autostart)
-        bench.start()
-        assert bench.node.autostart is autostart
-        assert (bench.node.state is NmtState.OPERATIONAL) is autostart
-        assert bench.read(0x1F80) is AbortCode.NO_OBJECT
 
 
 @pytest.mark.parametrize(

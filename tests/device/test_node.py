@@ -8,7 +8,6 @@ from device_kit import ID, OK, Bench
 
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.device.od.dictionary import READABLE, WRITABLE, Dictionary
 
 SHIPPED = Path(__file__).parents[2] / "eds"
@@ -27,14 +26,6 @@ def test_frames_of_more_than_eight_bytes(bench: Bench) -> None:
     for can_id in (0x000, 0x080, 0x190, 0x620, 0x123):
         assert bench.send(can_id, bytes(9)) == []
     assert bench.node.counters.malformed_frames == 5
-
-
-def test_remote_frames_where_none_is_meant(bench: Bench) -> None:
-    bench.operational()
-    for can_id in (0x000, 0x080, 0x190, 0x620, 0x721, 0x123):
-        assert bench.send(can_id, rtr=True) == []
-    assert bench.node.counters.remote_frames == 6
-    assert bench.node.state is NmtState.OPERATIONAL
 
 
 @pytest.mark.parametrize("can_id", [0x123, 0x621, 0x5A1, 0x721, 0x1A1])
@@ -70,12 +61,6 @@ def test_the_deadline_is_the_earliest(bench: Bench) -> None:
     bench.sdo("40081000")
     bench.write(0x1016, 1, 0, 4)
     assert bench.node.deadline() is None
-
-
-def test_a_tick_too_early_does_nothing(bench: Bench) -> None:
-    bench.write(0x1017, 0, 100, 2)
-    bench.run(0.05)
-    assert bench.tick() == []
 
 
 def test_an_exception_of_the_program_loses_no_frame(bench: Bench) -> None:

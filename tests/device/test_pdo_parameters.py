@@ -100,10 +100,6 @@ def test_what_can_be_mapped(bench: Bench, index: int, mapping: int, expected: Ab
     assert bench.read(index + 0x200, 1) == (mapping if expected == OK else before)
 
 
-def test_an_empty_place_is_not_counted_in(bench: Bench) -> None:
-    assert only_refusal(remap(bench, 0x1400, [0x20000110, 0])) is NOT_MAPPABLE
-
-
 @pytest.mark.parametrize("index", OFF)
 def test_a_valid_pdo_keeps_its_can_id(bench: Bench, index: int) -> None:
     valid = OFF[index] & ~FREE
@@ -113,17 +109,6 @@ def test_a_valid_pdo_keeps_its_can_id(bench: Bench, index: int) -> None:
     assert bench.read(index, 1) == valid
     assert bench.write(index, 1, (valid + 1) | FREE, 4) == OK
     assert bench.write(index, 1, valid + 1, 4) == OK
-
-
-def test_another_can_id_is_listened_to(bench: Bench) -> None:
-    bench.operational()
-    bench.write(0x1400, 1, 0x80000191, 4)
-    bench.send(0x190, "01000200")
-    bench.send(0x191, "01000200")
-    assert bench.dictionary.entry(0x2000, 1).value == 0
-    bench.write(0x1400, 1, 0x191, 4)
-    bench.send(0x191, "01000200")
-    assert bench.dictionary.entry(0x2000, 1).value == 1
 
 
 @pytest.mark.parametrize(("subindex", "size", "value"), [(3, 2, 100), (6, 1, 3)])
@@ -138,14 +123,6 @@ def test_the_start_value_has_240_at_most(bench: Bench) -> None:
     bench.write(0x1800, 1, OFF[0x1800], 4)
     assert bench.write(0x1800, 6, 241, 1) is INVALID
     assert bench.write(0x1800, 6, 240, 1) == OK
-
-
-def test_a_reset_restores_the_mapping(bench: Bench) -> None:
-    remap(bench, 0x1400, [0x20000408])
-    bench.nmt(130)
-    bench.operational()
-    bench.send(0x190, "05000600")
-    assert bench.dictionary.entry(0x2000, 2).value == 6
 
 
 @pytest.mark.parametrize(

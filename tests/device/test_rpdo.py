@@ -35,16 +35,6 @@ def test_at_the_next_sync(bench: Bench, kind: int) -> None:
     assert calls == [(1, 0.0, 2)]
 
 
-def test_what_waits_is_dropped_with_operational(bench: Bench) -> None:
-    bench.write(0x1400, 2, 1, 1)
-    bench.operational()
-    bench.send(RPDO, "01000000")
-    bench.nmt(128)
-    bench.operational()
-    bench.sync()
-    assert sine(bench) == 0
-
-
 @pytest.mark.parametrize("kind", [255, 1])
 @pytest.mark.parametrize("length", [0, 1, 3])
 def test_too_short(bench: Bench, kind: int, length: int) -> None:
@@ -75,13 +65,6 @@ def test_the_error_outlives_operational(bench: Bench) -> None:
     assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
 
 
-def test_a_changed_rpdo_starts_without_error(bench: Bench) -> None:
-    bench.operational()
-    bench.send(RPDO, b"")
-    assert "0A0#0000000000000000" in bench.send(0x620, "2300140190010080")
-    assert bench.read(0x1001) == 0
-
-
 @pytest.mark.parametrize("kind", [255, 1])
 def test_too_long(bench: Bench, kind: int) -> None:
     bench.write(0x1400, 2, kind, 1)
@@ -98,14 +81,6 @@ def test_too_long(bench: Bench, kind: int) -> None:
     assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
     assert bench.send(RPDO, "05000600") == []
     assert bench.send(RPDO, "0500060000") == ["0A0#2082110105040000"]
-
-
-def test_short_and_long_take_turns(bench: Bench) -> None:
-    bench.operational()
-    assert bench.send(RPDO, "05") == ["0A0#1082110101040000"]
-    assert bench.send(RPDO, "0500060007") == ["0A0#2082110105040000", "0A0#0000110000000000"]
-    assert bench.send(RPDO, "05") == ["0A0#1082110101040000", "0A0#0000110000000000"]
-    assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
 
 
 def test_a_long_rpdo_is_in_time(bench: Bench) -> None:
@@ -178,14 +153,6 @@ def test_the_time_out(bench: Bench) -> None:
     assert len(bench.run(1.0)) == 1
 
 
-def test_the_time_out_ends_with_operational(bench: Bench) -> None:
-    bench.write(0x1400, 5, 50, 2)
-    bench.operational()
-    bench.send(RPDO, "01000200")
-    bench.nmt(128)
-    assert bench.run(1.0) == []
-
-
 def test_a_program_error_comes_out(bench: Bench) -> None:
     bench.operational()
 
@@ -202,14 +169,6 @@ def test_the_time_out_written_in_operational(bench: Bench) -> None:
     bench.write(0x1400, 5, 50, 2)
     bench.send(RPDO, "01000200")
     assert len(bench.run(1.0)) == 1
-
-
-def test_no_time_out_after_an_error_without_one(bench: Bench) -> None:
-    bench.operational()
-    bench.send(RPDO, b"")
-    bench.send(RPDO, "01000200")
-    assert bench.node.deadline() is None
-    assert bench.send(RPDO, "01000200") == []
 
 
 def test_a_mapped_entry_may_refuse(bench: Bench) -> None:

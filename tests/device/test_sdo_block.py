@@ -138,11 +138,6 @@ def test_upload_with_lost_segments(bench: Bench, lost: dict[int, int]) -> None:
     assert Uploader(bench).run([10, 7], lost) == content_of(300)
 
 
-def test_the_last_segment_is_lost(bench: Bench) -> None:
-    bench.dictionary.entry(0x2020).value = content_of(20)
-    assert Uploader(bench).run([10], {0: 3}) == content_of(20)
-
-
 def test_segments_are_paced(bench: Bench) -> None:
     bench.dictionary.entry(0x2020).value = content_of(700)
     bench.sdo(f"A0{TABLE}7F")
@@ -218,11 +213,6 @@ def test_a_gap_frame_by_frame(bench: Bench) -> None:
     assert bench.dictionary.entry(0x2020).value == data
 
 
-def test_the_first_segment_is_lost(bench: Bench) -> None:
-    bench.sdo(f"C2{TABLE}0E")
-    assert bench.sdo("82" + "11" * 7) == [f"A200{DOWNLOAD_BLOCK:02X}0000000000"]
-
-
 @pytest.mark.parametrize(
     ("announced", "code"),
     [
@@ -240,11 +230,6 @@ def test_another_size_than_announced(bench: Bench, announced: int, code: AbortCo
 def test_the_buffer_is_bounded(bench: Bench) -> None:
     answer = download(bench, bytes(70000), announced=None)
     assert answer == abort(TABLE, AbortCode.OUT_OF_MEMORY)[0]
-
-
-def test_a_value_beyond_the_limits(bench: Bench) -> None:
-    answer = download(bench, b"\xc9", multiplexer="252000")
-    assert answer == abort("252000", AbortCode.VALUE_TOO_HIGH)[0]
 
 
 def test_sequence_number_zero(bench: Bench) -> None:

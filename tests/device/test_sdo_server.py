@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from device_kit import ID, OK, Bench
 
-from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode
 from canfb.device.sdo.server import TIMEOUT_S
 
 SERVER = 0x600 + ID
@@ -124,23 +124,9 @@ def test_less_data_than_announced(bench: Bench) -> None:
     assert bench.dictionary.entry(0x2021).value == "text"
 
 
-def test_more_data_than_the_object_has(bench: Bench) -> None:
-    bench.sdo("20171000")
-    assert bench.sdo("00" + "41" * 7) == abort("171000", AbortCode.TOO_LONG)
-
-
 def test_the_buffer_is_bounded(bench: Bench) -> None:
     answer = download(bench, "202000", bytes(70000), announce=False)
     assert answer == abort("202000", AbortCode.OUT_OF_MEMORY)[0]
-
-
-def test_a_refusing_hook_aborts_with_its_code(bench: Bench) -> None:
-    def refuse(value: bytes) -> None:
-        raise SdoAbort(AbortCode.INVALID_VALUE)
-
-    bench.dictionary.entry(0x2020).on_check = refuse
-    assert download(bench, "202000", bytes(9)) == abort("202000", AbortCode.INVALID_VALUE)[0]
-    assert bench.dictionary.entry(0x2020).value == b""
 
 
 def test_a_raising_program_leaves_the_server_usable(bench: Bench) -> None:

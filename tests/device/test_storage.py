@@ -106,21 +106,6 @@ def test_a_store_that_fails_is_a_hardware_error_and_changes_nothing(path: Path) 
     assert bench.load() == OK  # there is nothing to forget
 
 
-def test_a_store_that_cannot_forget_is_a_hardware_error(
-    power_on: Callable[..., StoringBench], store: MemoryStore, path: Path
-) -> None:
-    first = power_on()
-    change(first)
-    first.save()
-    broken = BrokenStore()
-    broken.images = store.images
-    bench = StoringBench(path, broken)
-    bench.start()
-    assert bench.load() is AbortCode.HARDWARE
-    bench.nmt(RESET_NODE)
-    assert values(bench) == CHANGED
-
-
 # What is kept, and what comes back when.
 
 
@@ -167,36 +152,6 @@ def test_stored_values_are_checked_and_nothing_acts_on_them(power_on: Callable[.
     assert values(bench) == CHANGED
 
 
-def test_a_store_that_fails_leaves_the_entry_as_it_was(path: Path) -> None:
-    bench = StoringBench(path, BrokenStore())
-    bench.start()
-    assert bench.save() is AbortCode.HARDWARE
-    assert bench.dictionary.entry(SAVE, ALL).value == 0
-
-
-def test_a_restored_heartbeat_runs_from_the_one_boot_up_on(power_on: Callable[..., StoringBench]) -> None:
-    bench = power_on()
-    bench.write(0x1017, 0, 500, 2)
-    bench.save()
-    bench.now = 10.0
-    assert bench.nmt(RESET_NODE) == ["720#00"]
-    assert bench.run(1.2) == [(10.5, "720#7F"), (11.0, "720#7F")]
-
-
-def test_a_saved_sync_producer_starts_with_counter_1(power_on: Callable[..., StoringBench]) -> None:
-    bench = power_on()
-    bench.write(0x1019, 0, 5, 1)
-    bench.write(0x1006, 0, 100_000, 4)
-    bench.write(0x1005, 0, 0x40000080, 4)
-    bench.run(0.25)
-    assert bench.save() == OK
-    assert bench.nmt(RESET_NODE) == ["720#00"]
-    start = bench.now
-    assert [(round(at - start, 6), text) for at, text in bench.run(0.35)] == [
-        *((0.1, "080#01"), (0.2, "080#02"), (0.3, "080#03")),
-    ]
-
-
 def test_a_device_that_starts_by_itself_does_so_after_a_save(power_on: Callable[..., StoringBench]) -> None:
     bench = power_on()
     assert bench.write(0x1F80, 0, 0, 4) == OK
@@ -229,14 +184,6 @@ def test_defaults_of_communication_parameters_come_with_reset_communication(
     assert values(bench) == [0, 1234, 111]
     bench.nmt(RESET_NODE)
     assert values(bench) == DEFAULTS
-
-
-def test_save_after_load_keeps_what_is_there(power_on: Callable[..., StoringBench]) -> None:
-    bench = power_on()
-    change(bench)
-    bench.load()
-    bench.save()
-    assert values(power_on()) == CHANGED
 
 
 def test_process_data_history_and_constants_are_not_kept(
@@ -289,21 +236,6 @@ def test_cob_ids_follow_the_node_id_unless_they_were_set(power_on: Callable[...,
     assert other.value(0x1800, 1) == 0x400001A1
     assert other.value(0x1014) == 0xA1
     assert other.faults == []
-
-
-def test_a_saved_mapping_is_in_force_at_once(power_on: Callable[..., StoringBench]) -> None:
-    bench = power_on()
-    for index, sub, value, size in (
-        *((0x1800, 1, 0xC00001A0, 4), (0x1A00, 0, 0, 1), (0x1A00, 1, 0x20100620, 4)),
-        *((0x1A00, 1, 0x20100608, 4), (0x1A00, 0, 1, 1), (0x1800, 3, 50, 2), (0x1800, 6, 2, 1)),
-        *((0x1800, 2, 255, 1), (0x1800, 5, 100, 2), (0x1800, 1, 0x400001A0, 4)),
-    ):
-        bench.write(index, sub, value, size)
-    bench.save()
-    bench = power_on()
-    bench.dictionary.entry(0x2010, 6).value = 5
-    bench.nmt(1)
-    assert [text for _, text in bench.run(0.1)] == ["1A0#05"]
 
 
 def test_heartbeat_consumers_may_change_places(power_on: Callable[..., StoringBench]) -> None:
@@ -374,12 +306,4 @@ def test_a_later_change_takes_the_date_away(
     bench.write(index, 0, value, size)
     bench.save()
     bench.nmt(RESET_NODE)
-    assert verified(bench) == (0, 0)
-
-
-def test_so_does_load(power_on: Callable[..., StoringBench]) -> None:
-    bench = power_on()
-    bench.write(VERIFY, 1, 15000, 4)
-    bench.save()
-    bench.load()
     assert verified(bench) == (0, 0)

@@ -188,23 +188,6 @@ def test_the_window_for_rpdos(bench: Bench) -> None:
     assert sine.value == 4
 
 
-def test_without_a_window_every_rpdo_is_in_time(bench: Bench) -> None:
-    bench.write(0x1400, 2, 240, 1)
-    bench.operational()
-    bench.sync()
-    bench.now = 100.0
-    bench.send(0x190, "03000000")
-    bench.sync()
-    assert bench.dictionary.entry(0x2000, 1).value == 3
-
-
-def test_the_shortest_counter(bench: Bench) -> None:
-    assert bench.write(0x1019, 0, 2, 1) == OK
-    bench.write(0x1006, 0, 100_000, 4)
-    bench.write(0x1005, 0, 0x40000080, 4)
-    assert [text for _, text in bench.run(0.35)] == ["080#01", "080#02", "080#01"]
-
-
 def test_the_window_taken_away(bench: Bench) -> None:
     bench.write(0x1400, 2, 1, 1)
     bench.write(0x1007, 0, 10_000, 4)
@@ -215,18 +198,6 @@ def test_the_window_taken_away(bench: Bench) -> None:
     bench.send(0x190, "03000000")
     bench.sync()
     assert bench.dictionary.entry(0x2000, 1).value == 3
-
-
-def test_the_window_ends_with_a_reset(bench: Bench) -> None:
-    bench.write(0x1007, 0, 10_000, 4)
-    bench.operational()
-    bench.sync()
-    bench.nmt(130)
-    bench.write(0x1400, 2, 1, 1)
-    bench.operational()
-    bench.now = 1.0
-    bench.send(0x190, "03000000")
-    assert bench.node.counters.late_rpdos == 0
 
 
 def test_the_end_of_the_window_belongs_to_it(bench: Bench) -> None:
@@ -242,18 +213,6 @@ def test_the_end_of_the_window_belongs_to_it(bench: Bench) -> None:
     assert bench.dictionary.entry(0x2000, 1).value == 2
 
 
-def test_the_window_ends_with_stopped(bench: Bench) -> None:
-    bench.write(0x1400, 2, 1, 1)
-    bench.write(0x1007, 0, 10_000, 4)
-    bench.operational()
-    bench.sync()
-    bench.nmt(2)
-    bench.operational()
-    bench.now = 1.0
-    bench.send(0x190, "03000000")
-    assert bench.node.counters.late_rpdos == 0
-
-
 def test_a_producer_with_a_counter_acts_on_its_own_sync(bench: Bench) -> None:
     bench.write(0x1019, 0, 2, 1)
     bench.write(0x1006, 0, 100_000, 4)
@@ -264,23 +223,6 @@ def test_a_producer_with_a_counter_acts_on_its_own_sync(bench: Bench) -> None:
     assert [counter for counter, _ in seen] == [1, 2, 1]
 
 
-def test_what_others_send_to_a_producer_is_counted(bench: Bench) -> None:
-    bench.write(0x1006, 0, 100_000, 4)
-    bench.write(0x1005, 0, 0x40000080, 4)
-    assert bench.sync() == bench.sync(1) == []
-    assert bench.node.counters.malformed_frames == 2
-    assert bench.read(0x1001) == 0
-
-
-def test_the_period_does_not_drift(bench: Bench) -> None:
-    bench.write(0x1006, 0, 100_000, 4)
-    bench.write(0x1005, 0, 0x40000080, 4)
-    for number in range(1, 20):
-        bench.now = number * 0.1 + 0.03
-        assert bench.tick() == ["080#"]
-    assert bench.node.deadline() == pytest.approx(2.0)
-
-
 def test_an_error_of_length_ends_with_a_reset(bench: Bench) -> None:
     bench.operational()
     assert len(bench.sync(1)) == 1
@@ -288,17 +230,3 @@ def test_an_error_of_length_ends_with_a_reset(bench: Bench) -> None:
     bench.operational()
     assert bench.sync() == ["2A0#00000000"]
     assert len(bench.sync(1)) == 1
-
-
-def test_another_counter_ends_what_was_usual(bench: Bench) -> None:
-    """Each parameter takes effect on the next SYNC, in whatever order they are written."""
-    bench.operational()
-    seen = seen_by(bench)
-    bench.sync()
-    bench.write(0x1019, 0, 5, 1)
-    bench.sync()
-    bench.sync(3)
-    bench.write(0x1019, 0, 0, 1)
-    bench.sync(4)
-    bench.sync()
-    assert [counter for counter, _ in seen] == [None, 3, None]

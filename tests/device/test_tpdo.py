@@ -1,7 +1,16 @@
+"""Transmit PDOs by type; what an event, a remote frame and the timers send, against a model of them."""
+
 from __future__ import annotations
+
+from math import inf
+from pathlib import Path
 
 import pytest
 from device_kit import OK, Bench
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.device.od.dictionary import Dictionary
 
 OFF_1, ON_1 = 0xC00001A0, 0x400001A0
 OFF_2, ON_2 = 0x800002A0, 0x000002A0
@@ -55,20 +64,6 @@ def test_never_outside_of_operational(bench: Bench, kind: int, command: int) -> 
     assert bench.node.counters.remote_frames == 1
 
 
-def test_an_event_in_pre_operational_is_forgotten(bench: Bench) -> None:
-    set_up(bench, kind=0)
-    bench.node.trigger_tpdo(2, 0.0)
-    bench.operational()
-    assert bench.sync() == []
-
-
-def test_without_an_event_nothing_comes(bench: Bench) -> None:
-    set_up(bench, kind=254)
-    bench.operational()
-    assert bench.sync() == []
-    assert bench.run(10.0) == []
-
-
 def test_the_start_value(bench: Bench) -> None:
     bench.write(0x1019, 0, 10, 1)
     set_up(bench, kind=3, start=4)
@@ -103,27 +98,10 @@ def test_the_inhibit_time_sends_the_newest_data(bench: Bench) -> None:
     assert bench.run(1.0) == [(0.0, "2A0#01000000"), (0.01, "2A0#05000000")]
 
 
-def test_the_event_timer_waits_for_the_inhibit_time(bench: Bench) -> None:
-    set_up(bench, kind=255, inhibit=3000, timer=100)
-    bench.operational()
-    times = [time for time, _ in bench.run(1.0)]
-    assert times == [0.1, 0.4, 0.7, 1.0]
-
-
 def test_the_inhibit_time_does_not_hold_synchronous_ones(bench: Bench) -> None:
     set_up(bench, kind=1, inhibit=10000)
     bench.operational()
     assert bench.sync() == bench.sync() == ["2A0#00000000"]
-
-
-def test_the_inhibit_time_can_be_taken_away(bench: Bench) -> None:
-    set_up(bench, kind=255, inhibit=10000)
-    bench.operational()
-    bench.node.trigger_tpdo(2, 0.0)
-    bench.tick()
-    set_up(bench, kind=255)
-    bench.node.trigger_tpdo(2, 0.0)
-    assert bench.tick() == ["2A0#00000000"]
 
 
 @pytest.mark.parametrize("kind", [0, 1, 0xFD, 254, 255])
@@ -132,26 +110,6 @@ def test_a_remote_frame(bench: Bench, kind: int) -> None:
     bench.operational()
     set_value(bench, 9)
     assert bench.send(0x2A0, rtr=True) == ["2A0#09000000"]
-
-
-def test_a_remote_frame_keeps_the_inhibit_time(bench: Bench) -> None:
-    set_up(bench, kind=254, inhibit=100)
-    bench.operational()
-    assert bench.send(0x2A0, rtr=True) == ["2A0#00000000"]
-    bench.now = 0.004
-    set_value(bench, 1)
-    assert bench.send(0x2A0, rtr=True) == []
-    set_value(bench, 2)
-    assert bench.send(0x2A0, rtr=True) == []
-    assert bench.run(1.0) == [(0.01, "2A0#02000000")]
-
-
-def test_a_remote_frame_restarts_the_event_timer(bench: Bench) -> None:
-    set_up(bench, kind=254, timer=100)
-    bench.operational()
-    bench.run(0.05)
-    assert bench.send(0x2A0, rtr=True) == ["2A0#00000000"]
-    assert bench.run(0.12) == [(0.15, "2A0#00000000")]
 
 
 @pytest.mark.parametrize("kind", [0, 1, 240])
@@ -186,14 +144,6 @@ def test_sampled_at_the_sync_and_sent_on_a_remote_frame(bench: Bench) -> None:
     assert bench.send(0x2A0, rtr=True) == ["2A0#0A000000"]
 
 
-def test_remote_only_is_not_sent_by_events(bench: Bench) -> None:
-    set_up(bench, kind=0xFD, timer=10)
-    bench.operational()
-    bench.node.trigger_tpdo(2, 0.0)
-    assert bench.sync() == []
-    assert bench.run(1.0) == []
-
-
 def test_an_invalid_tpdo_is_silent(bench: Bench) -> None:
     bench.write(0x1800, 1, OFF_1, 4)
     bench.operational()
@@ -207,3 +157,51 @@ def test_an_invalid_tpdo_is_silent(bench: Bench) -> None:
 def test_trigger_of_a_tpdo_that_is_not_there(bench: Bench) -> None:
     with pytest.raises(ValueError, match=r"no TPDO 3.*\[1, 2\]"):
         bench.node.trigger_tpdo(3, 0.0)
+
+
+class TimerModel:
+    """When an event-driven TPDO is sent (CiA 301, 7.2.2): inhibit time and event timer, seconds; 0: none."""
+
+    def __init__(self, inhibit_s: float, timer_s: float) -> None:
+        self.inhibit_s, self.timer_s = inhibit_s, timer_s
+        self.sent: list[float] = []
+        self.waits, self.not_before, self.timer_end = False, -inf, timer_s or inf
+
+    def ask(self, now: float) -> None:
+        if now < self.not_before:
+            self.waits = True
+            return
+        self.waits = False
+        self.sent.append(now)
+        self.not_before = now + self.inhibit_s if self.inhibit_s else -inf
+        self.timer_end = now + self.timer_s if self.timer_s else inf
+
+    def advance(self, end: float) -> None:
+        while (due := min(self.not_before if self.waits else inf, self.timer_end)) <= end:
+            if due >= self.timer_end:
+                self.timer_end = inf
+            self.ask(due)
+
+
+STEPS = st.lists(st.tuples(st.integers(0, 40), st.sampled_from(["event", "remote", "none"])), max_size=25)
+
+
+@given(st.integers(0, 30), st.integers(0, 50), STEPS)
+def test_any_events_are_sent_as_the_model_says(
+    sample_path: Path, inhibit_ms: int, timer_ms: int, steps: list[tuple[int, str]]
+) -> None:
+    bench = Bench(Dictionary.load(sample_path, 32))
+    bench.start()
+    set_up(bench, kind=254, inhibit=10 * inhibit_ms, timer=timer_ms)
+    bench.operational()
+    model, seen = TimerModel(inhibit_ms / 1000, timer_ms / 1000), list[float]()
+    for wait_ms, what in steps:
+        seen += [at for at, _ in bench.run(wait_ms / 1000)]
+        model.advance(bench.now)
+        if what != "none":
+            model.ask(bench.now)
+            if what == "event":
+                bench.node.trigger_tpdo(2, bench.now)
+            frames = bench.tick() if what == "event" else bench.send(0x2A0, rtr=True)
+            seen += [bench.now] * len(frames)
+    assert seen == pytest.approx(model.sent)
