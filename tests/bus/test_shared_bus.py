@@ -8,12 +8,15 @@ from uuid import uuid4
 
 import can
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canfb.bus.bus_master import BusMaster
-from canfb.bus.shared_bus import SharedBus
+from canfb.bus.shared_bus import SharedBus, only_reads
 from canfb.errors import BusError
 
 AT_ONCE_S, PATIENCE_S = 0.0, 30.0
+UPLOAD = b"\x40" + bytes(7)
 
 
 def message(can_id: int = 0x1A0, data: bytes = b"\1\2") -> can.Message:
@@ -33,12 +36,8 @@ def other(channel: str) -> Iterator[can.BusABC]:
 
 @pytest.fixture
 def shared(channel: str) -> Iterator[SharedBus]:
-    with SharedBus(can.Bus(interface="virtual", channel=channel), forbidden) as bus:
+    with SharedBus(can.Bus(interface="virtual", channel=channel)) as bus:
         yield bus
-
-
-def forbidden(sent: can.Message) -> str:
-    return "not 666" if sent.arbitration_id == 0x666 else ""
 
 
 def test_all_hear_and_all_send(shared: SharedBus, other: can.BusABC) -> None:
@@ -48,10 +47,10 @@ def test_all_hear_and_all_send(shared: SharedBus, other: can.BusABC) -> None:
         heard = bus.recv(PATIENCE_S)
         assert heard is not None
         assert heard.arbitration_id == 0x1A0
-        bus.send(message(0x2A0))
+        bus.send(message(0x601, UPLOAD))
         sent = other.recv(PATIENCE_S)
         assert sent is not None
-        assert sent.arbitration_id == 0x2A0
+        assert sent.arbitration_id == 0x601
     branch.shutdown()
     other.send(message(0x1A1))
     assert shared.recv(PATIENCE_S) is not None  # it still runs
@@ -71,17 +70,32 @@ def test_a_branch_has_filters_of_its_own(shared: SharedBus, other: can.BusABC) -
     branch.shutdown()
 
 
-def test_what_is_refused_is_not_sent(shared: SharedBus, other: can.BusABC) -> None:
-    branch = shared.branch()
-    with pytest.raises(can.CanOperationError, match="not 666"):
-        shared.send(message(0x666))
-    with pytest.raises(can.CanOperationError, match="not 666"):
-        branch.send(message(0x666))
-    branch.send(message(0x601))
-    heard = other.recv(PATIENCE_S)
-    assert heard is not None
-    assert heard.arbitration_id == 0x601
-    branch.shutdown()
+def test_what_is_no_upload_is_not_sent(shared: SharedBus, other: can.BusABC) -> None:
+    for bus in (shared, shared.branch()):
+        with pytest.raises(can.CanOperationError, match="SDO uploads alone"):
+            bus.send(message(0x601, b"\x23" + UPLOAD[1:]))
+    assert other.recv(AT_ONCE_S) is None
+
+
+FRAMES = st.builds(
+    can.Message,
+    arbitration_id=st.one_of(st.integers(0, 0x7FF), st.integers(0x600, 0x680)),
+    data=st.binary(max_size=8),
+    is_extended_id=st.booleans(),
+    is_remote_frame=st.booleans(),
+)
+
+
+@given(FRAMES)
+def test_only_uploads_may_be_sent(sent: can.Message) -> None:
+    upload = (
+        0x601 <= sent.arbitration_id <= 0x67F
+        and len(sent.data) == 8
+        and sent.data[0] >> 5 in (2, 3, 4, 5)
+        and not sent.is_extended_id
+        and not sent.is_remote_frame
+    )
+    assert only_reads(sent) is upload
 
 
 def test_a_bus_that_fails_fails_for_all(channel: str, monkeypatch: pytest.MonkeyPatch) -> None:

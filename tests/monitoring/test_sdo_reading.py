@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import can
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from canfb import objects as od
 from canfb.configuration import Config
@@ -24,7 +21,6 @@ from canfb.monitoring.sdo_reading import (
     REPEATED,
     ModuleReader,
     ModuleReading,
-    only_reads,
 )
 from canfb.monitoring.snapshot import NodeSnapshot
 from canfb.signal.conditioning import Conditioning
@@ -138,24 +134,3 @@ def test_of_a_node_that_is_no_module_nothing_is_taken() -> None:
     reading = reader.read(bench.interface_access, 0.0, None)
     assert reading.values == {}
     assert reading.layout.assumed
-
-
-FRAMES = st.builds(
-    can.Message,
-    arbitration_id=st.one_of(st.integers(0, 0x7FF), st.integers(0x600, 0x680)),
-    data=st.binary(max_size=8),
-    is_extended_id=st.booleans(),
-    is_remote_frame=st.booleans(),
-)
-
-
-@given(FRAMES)
-def test_only_uploads_may_be_sent(sent: can.Message) -> None:
-    upload = (
-        0x601 <= sent.arbitration_id <= 0x67F
-        and len(sent.data) == 8
-        and sent.data[0] >> 5 in (2, 3, 4, 5)
-        and not sent.is_extended_id
-        and not sent.is_remote_frame
-    )
-    assert (only_reads(sent) == "") is upload

@@ -104,12 +104,12 @@ def test_the_stream_has_the_past_and_then_what_is_published(page: PageServer) ->
         got = connection.getresponse()
         assert got.headers["Content-Type"] == "text/event-stream"
         assert got.read(len(PAST)) == PAST
-        assert page.viewers == 1
+        assert page.is_seen()
         look = event("look", json.dumps({"text": "a\nb"}))
         page.publish(look)
         assert got.read(len(look)) == look == b'event: look\ndata: {"text": "a\\nb"}\n\n'
         got.close()
-    while page.viewers:  # it notices at the next event
+    while page.is_seen():  # it notices at the next event
         page.publish(look)
 
 

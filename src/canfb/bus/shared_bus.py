@@ -9,19 +9,29 @@ from typing import Any
 
 import can
 
-Refusal = Callable[[can.Message], str]
-"""Why a frame must not be sent; empty: it may."""
+from canfb.cia301 import cob
+
+READING = (2, 3, 4, 5)
+"""Client command specifiers that do not download: upload, segments, abort, block (CiA 301, 7.2.4.3)."""
+SDO_BYTES = 8
 Item = can.Message | Exception
+
+
+def only_reads(message: can.Message) -> bool:
+    """Whether it belongs to an SDO upload."""
+    data, node = message.data, message.arbitration_id - cob.SDO_REQUEST
+    classic = not (message.is_extended_id or message.is_remote_frame or message.is_fd)
+    return classic and 1 <= node <= 127 and len(data) == SDO_BYTES and data[0] >> 5 in READING
 
 
 class SharedBus(can.BusABC):
     """``bus``, of which one thread receives; each :meth:`branch` gets what is received from then on, too.
 
-    Frames for which ``refusal`` has a reason are not sent: can.CanOperationError, which has it.
+    It is for what only reads: frames of SDO uploads are sent, any other is a can.CanOperationError.
     """
 
-    def __init__(self, bus: can.BusABC, refusal: Refusal = lambda message: "") -> None:
-        self.under, self._refusal = bus, refusal
+    def __init__(self, bus: can.BusABC) -> None:
+        self.under = bus
         self._branches: list[_Branch] = []
         self._sending = threading.Lock()
         super().__init__(channel="")
@@ -39,9 +49,8 @@ class SharedBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """As in python-can; from any thread."""
-        why = self._refusal(msg)
-        if why:
-            raise can.CanOperationError(why)
+        if not only_reads(msg):
+            raise can.CanOperationError("this bus is for reading: it sends SDO uploads alone")
         with self._sending:
             self.under.send(msg, timeout)
 

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
@@ -124,20 +124,28 @@ def _watch(options: argparse.Namespace) -> int:
             if options.log is not None:
                 own_time = None if options.json or options.plain else 1.0
                 watching.log(options.log, options.speed or own_time)
-            elif not options.sdo:
-                watching.bus(words)
             else:
-                _with_sdo(words, layouts, watching)
+                with SharedBus(open_bus(words)) as bus, contextlib.ExitStack() as held:
+                    if options.sdo:
+                        held.enter_context(_reading(bus, layouts, watching))
+                    watching.opened(bus)
     return 0
 
 
-def _with_sdo(words: dict[str, Any], layouts: Sequence[NodeLayout], watching: Watching) -> None:
-    from canfb.monitoring.sdo_reading import ModuleReader, SdoThread, only_reads  # here: canopen is for this
+def _reading(
+    bus: SharedBus, layouts: Sequence[NodeLayout], watching: Watching, page: LivePage | None = None
+) -> AbstractContextManager[None]:
+    """The modules are read by SDO, for a page while it is open."""
+    from canfb.monitoring.sdo_reading import ModuleReader, SdoThread  # here: canopen is for --sdo alone
 
-    with SharedBus(open_bus(words), only_reads) as bus:
-        readers = [ModuleReader(layout.node_id) for layout in layouts]
-        with SdoThread(bus, readers, lambda: watching.latest, watching.put).running(watching.stop):
-            watching.opened(bus)
+    def take(reading: ModuleReading) -> None:
+        watching.put(reading)
+        if page is not None:
+            page.know(reading)
+
+    readers = [ModuleReader(layout.node_id, with_table=page is not None) for layout in layouts]
+    wanted = page.server.is_seen if page is not None else lambda: True
+    return SdoThread(bus, readers, lambda: watching.latest, take, wanted).running(watching.stop)
 
 
 @contextlib.contextmanager
@@ -187,7 +195,6 @@ def _page(options: argparse.Namespace, title: str) -> Iterator[Show]:
 
 def _serve_page(options: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C, SIGTERM or SIGHUP."""
-    from canfb.monitoring.sdo_reading import only_reads  # here: canopen is for --sdo alone
     from canfb.scope.live_page import LivePage  # here: the server is for the page alone
 
     if options.write:
@@ -200,7 +207,7 @@ def _serve_page(options: argparse.Namespace) -> int:
         layouts = known_layouts(config, options.nodes)
         if options.sdo and not layouts:
             raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
-        bus = None if options.log else held.enter_context(SharedBus(open_bus(words), only_reads))
+        bus = None if options.log else held.enter_context(SharedBus(open_bus(words)))
         page = LivePage(options.port, options.per_revolution)
         model = BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes))
         watching = Watching(model, page.show, RATE_HZ)
@@ -217,21 +224,6 @@ def _serve_page(options: argparse.Namespace) -> int:
             watching.log(options.log, options.speed or 1.0)
             server.wait()
     return 0
-
-
-def _reading(
-    bus: SharedBus, layouts: Sequence[NodeLayout], watching: Watching, page: LivePage
-) -> AbstractContextManager[None]:
-    """The modules are read by SDO while a page is open."""
-    from canfb.monitoring.sdo_reading import ModuleReader, SdoThread  # here: as above
-
-    def take(reading: ModuleReading) -> None:
-        watching.put(reading)
-        page.know(reading)
-
-    readers = [ModuleReader(layout.node_id, with_table=True) for layout in layouts]
-    asking = SdoThread(bus, readers, lambda: watching.latest, take, lambda: page.server.viewers > 0)
-    return asking.running(watching.stop)
 
 
 def _end(*stops: Callable[[], None]) -> None:

@@ -12,12 +12,9 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 
-import can
-
 from canfb import objects as od
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.shared_bus import ListeningThread, SharedBus
-from canfb.cia301 import cob
 from canfb.errors import CanfbError
 from canfb.master.access import NodeAccess, RefusedError
 from canfb.master.all_or_nothing import active_conditioning, read_active
@@ -41,19 +38,6 @@ REPEATED = (
     *COUNTERS,
 )
 """What is read every CYCLE_S where no PDO carries it."""
-
-READING = (2, 3, 4, 5)
-"""Client command specifiers that do not download: upload, segments, abort, block (CiA 301, 7.2.4.3)."""
-SDO_BYTES = 8
-
-
-def only_reads(message: can.Message) -> str:
-    """Why a frame must not be sent by what only reads; empty for an SDO upload."""
-    data, node = bytes(message.data), message.arbitration_id - cob.SDO_REQUEST
-    classic = not (message.is_extended_id or message.is_remote_frame or message.is_fd)
-    if classic and 1 <= node <= 127 and len(data) == SDO_BYTES and data[0] >> 5 in READING:
-        return ""
-    return "this only reads"
 
 
 class ModuleReader:

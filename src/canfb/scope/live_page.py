@@ -35,7 +35,7 @@ class LivePage:
         with self._lock:
             for node, module in snapshot.modules:
                 self._of(node.node_id).take(snapshot.time_s, module)
-            if not self.server.viewers:
+            if not self.server.is_seen():
                 return
             look = {
                 "time_s": snapshot.time_s,

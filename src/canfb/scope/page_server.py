@@ -100,10 +100,9 @@ class PageServer:
         self._thread.join()
         self._server.server_close()
 
-    @property
-    def viewers(self) -> int:
-        """Pages that are open."""
-        return len(self._viewers)
+    def is_seen(self) -> bool:
+        """A page is open."""
+        return bool(self._viewers)
 
     def wait(self) -> None:
         """Until :meth:`stop`."""
