@@ -12,7 +12,7 @@ import pytest
 from test_calibrate_on_a_bus import calibrate, position_errors
 from test_recordings_and_own_calibration import with_calculator
 
-from canfb.calibration.path_correction import sampled_together, speeds
+from canfb.calibration.over_speeds import sampled_together
 from canfb.calibration.recording import recording
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError
@@ -23,7 +23,7 @@ from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from commissioning_kit import MODULE_ID, Bench, recorded
+from commissioning_kit import MODULE_ID, Bench
 from folding import each
 from node_commands import Commands
 
@@ -195,24 +195,8 @@ def test_samples_as_if_taken_at_once(hertz: float) -> None:
     assert samples.together(0.0, hertz) is samples
 
 
-def test_the_speeds_of_a_sweep() -> None:
-    n = 4000
-    time = np.arange(n, dtype=float)
-    position = 20.0 * time + 0.5 * 5e-3 * time**2
-    sine, cosine = Encoder(noise_lsb=0.5).sample(position, np.random.default_rng(1))
-    record = recording(sine, cosine, None, None, 12)
-    true = 20.0 + 5e-3 * time
-    assert speeds(record, float(true.mean())) == pytest.approx(true, abs=0.03)
-
-
 def test_a_clipped_cosine_stays_clipped() -> None:
     sine, cosine = ENCODER.sample(np.arange(1000) * 0.37)
     cosine[100] = 2047
     record = recording(sine, cosine, None, None, 12)
     assert sampled_together(record, np.full(1000, 0.3))[100] == 2047
-
-
-def test_samples_without_a_rate_say_so() -> None:
-    samples = replace(recorded(ENCODER, 1000), rate_hz=None)
-    with pytest.raises(CommissioningError, match="rate"):
-        samples.together(DELAY_S, 100.0)

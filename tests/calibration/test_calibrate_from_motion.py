@@ -87,17 +87,6 @@ def test_vibration_is_followed(size_cycles, frequency_hz):
     _check(calibrate_from_motion(*encoder.sample(position, rng)), encoder, goal * PERCENT)
 
 
-def test_torque_ripple_is_followed():
-    rng = np.random.default_rng(3)
-    encoder = random_encoder(rng, 0.5)
-    turns = wandering(200.0, rng, 10.0) / CYCLES_PER_REVOLUTION
-    for per_turn, part in ((6, 0.01), (24, 0.003)):
-        omega = 2.0 * np.pi * per_turn
-        turns = turns + part / omega * np.sin(omega * turns)
-    result = calibrate_from_motion(*encoder.sample(turns * CYCLES_PER_REVOLUTION, rng))
-    _check(result, encoder, 0.002 * PERCENT)
-
-
 def test_unsteady_positions_are_averaged_and_told():
     rng = np.random.default_rng(4)
     encoder = random_encoder(rng, 0.5)
@@ -171,18 +160,6 @@ def test_faults_that_nobody_marked_are_left_out(part):
     assert result.samples_rejected >= 0.8 * np.sum(kind != 0)
 
 
-def test_samples_that_are_not_there_at_all():
-    rng = np.random.default_rng(8)
-    encoder = random_encoder(rng, 0.5)
-    sine, cosine = encoder.sample(wandering(2000.0, rng, 10.0), rng)
-    there = rng.random(len(sine)) > 0.003
-    blind = calibrate_from_motion(sine[there], cosine[there])
-    _check(blind, encoder, 0.003 * PERCENT)
-    timed = calibrate_from_motion(sine[there], cosine[there], time_s=_time(10.0)[there])
-    _check(timed, encoder, 0.002 * PERCENT)
-    assert timed.samples_used > blind.samples_used
-
-
 @pytest.mark.parametrize("jitter_s", [1e-6, 1e-4])
 @pytest.mark.parametrize("from_rest", [False, True])
 def test_uneven_sample_times_are_used(jitter_s, from_rest):
@@ -196,15 +173,6 @@ def test_uneven_sample_times_are_used(jitter_s, from_rest):
         position += 20.0 * np.sin(4.3 * time)
     sine, cosine = encoder.sample(position, rng)
     _check(calibrate_from_motion(sine, cosine, time_s=time + 77.7), encoder, 0.002 * PERCENT)
-
-
-def test_a_gap_in_the_recording_is_a_new_start():
-    rng = np.random.default_rng(9)
-    encoder = random_encoder(rng, 0.5)
-    time = _time(10.0)
-    time[4000:] += 3.21
-    position = 400.0 * time + 5.0 * np.sin(3.0 * time)
-    _check(calibrate_from_motion(*encoder.sample(position, rng), time_s=time), encoder, 0.002 * PERCENT)
 
 
 @pytest.mark.parametrize("kind", [random_encoder, extreme_encoder])
@@ -229,15 +197,6 @@ def test_tracks_that_do_not_circle_the_origin_need_the_fit():
     tracks = encoder.sample(wandering(700.0, rng, 10.0), rng)
     result = calibrate_from_motion(*tracks, "fit")
     _check(result, encoder, 0.004 * PERCENT)
-
-
-@pytest.mark.parametrize(("entries", "goal"), [(64, 0.12), (256, 0.01), (4096, 0.002)])
-def test_entries(entries, goal):
-    rng = np.random.default_rng(12)
-    encoder = extreme_encoder(rng, 0.5)
-    result = calibrate_from_motion(*encoder.sample(wandering(60.0, rng, 10.0), rng), entries=entries)
-    assert len(result.table) == entries
-    assert 0.02 * goal * PERCENT < np.abs(table_error(result.table, encoder)).max() < goal * PERCENT
 
 
 def test_progress_rises_to_one():

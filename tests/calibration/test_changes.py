@@ -26,12 +26,12 @@ def tracks(position: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
 
 
 def any_motion(n: int) -> FloatArray:
-    k = np.arange(n)
+    k = np.arange(float(n))
     return np.cumsum(np.minimum(k * 0.002, 1.37) * (1.0 + 0.01 * np.sin(k / 230.0)))
 
 
 def slow_motion(n: int) -> FloatArray:
-    return 0.0173 * np.arange(n)
+    return 0.0173 * np.arange(float(n))
 
 
 METHODS = {
@@ -95,7 +95,7 @@ def test_the_larger_figure_is_stated_for_a_small_drift() -> None:
 def test_tracks_that_change_from_one_speed_to_the_next_are_refused() -> None:
     measured = []
     for number, per_sample in enumerate((0.0317, 0.2371, 0.4123)):
-        sine, cosine = tracks(per_sample * np.arange(6000), number)
+        sine, cosine = tracks(per_sample * np.arange(6000.0), number)
         measured.append(TracksAtSpeed(sine + 50.0 * (number == 2), cosine, 1000.0, 1000.0 * per_sample))
     with pytest.raises(canfb.CalibrationError, match="tables of the speeds differ") as caught:
         calibrate_over_speeds(measured)

@@ -83,19 +83,6 @@ def test_the_same_encoder_shows_no_drift_whatever_the_conditionings(measured, se
     assert found.peak < 3e-5 * (1024 / min(n, 1024)) ** 2
 
 
-@given(st.integers(0, 1 << 30), conditionings, conditionings)
-def test_what_has_moved_does_not_depend_on_the_conditioning_of_the_fresh_measurement(
-    measured, seed, active, fresh
-) -> None:
-    rng = np.random.default_rng(seed)
-    before, after = random_encoder(rng, 0.0), random_encoder(rng, 0.0)
-    table = of_encoder(measured, before, active).table
-    same = drift(of_encoder(measured, after, active), table, active)
-    other = drift(of_encoder(measured, after, fresh), table, active)
-    assert other.rms == pytest.approx(same.rms, rel=5e-3, abs=1e-5)
-    assert other.peak == pytest.approx(same.peak, rel=2e-2, abs=3e-5)
-
-
 @given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))
 def test_an_offset_of_the_tracks_moves_the_position_as_theory_says(measured, sine, cosine) -> None:
     """Offsets a, b turn the phase by (a cos x - b sin x) / 2 pi in first order."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from canfb.calibration.ellipse import angle_cycles, fit_ellipse
+from canfb.calibration.ellipse import fit_ellipse
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.encoder import Encoder
@@ -65,27 +65,6 @@ def test_a_long_standstill_does_not_weigh():
     offset, ratio, phase = _error(fit_ellipse(*encoder.sample(position, rng)), encoder)
     assert offset < 0.3
     assert max(ratio, phase) < 5e-4
-
-
-def test_invalid_samples_are_left_out():
-    rng = np.random.default_rng(9)
-    encoder = _encoder(rng)
-    sine, cosine = encoder.sample(rng.random(3000), rng)
-    valid = rng.random(3000) < 0.3
-    clean = fit_ellipse(sine[valid], cosine[valid])
-    assert fit_ellipse(np.where(valid, sine, 2047), np.where(valid, cosine, -2048), valid) == clean
-    assert fit_ellipse(np.where(valid, sine, np.nan), cosine) == clean
-
-
-def test_angle_of_the_conditioned_tracks_is_the_phase():
-    rng = np.random.default_rng(11)
-    encoder = _encoder(rng, noise_lsb=0.0)
-    position = rng.random(4000)
-    tracks = encoder.tracks(position)
-    found = fit_ellipse(*tracks)
-    off = (angle_cycles(found, *tracks) - position + 0.5) % 1.0 - 0.5
-    assert np.abs(off).max() < 1e-6
-    assert math.isnan(angle_cycles(found, np.array([np.nan]), np.array([1.0]))[0])
 
 
 def _bad_tracks() -> dict[str, tuple[np.ndarray, np.ndarray, str]]:

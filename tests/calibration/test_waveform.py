@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from measurements import random_encoder, true_phases
 
-from canfb.calibration.waveform import (
+from canfb.calibration.joint import (
     Waveform,
     basis,
     grid_phases,

@@ -237,7 +237,7 @@ def test_the_account_of_the_chain_is_that_of_the_stream() -> None:
     samples = machine.samples(3000)
     found = supervise(samples, machine.used, machine.limits.chain_limits(1.0 / RATE_HZ), 0.0)
     config = config_of(machine, machine.limits)
-    (other,) = process_stream([(samples.sine, samples.cosine)], config, machine.used.table)
+    (other,) = process_stream([(samples.sine, samples.cosine)], config, machine.used.table, 0.0)
     assert np.array_equal(found.status, other.status)
     origin = other.cycles[0]
     assert np.array_equal(found.position, (other.cycles - origin) + other.phase)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from canfb.calibration.path_correction import with_track_harmonics
+from canfb.calibration.ellipse import with_track_harmonics
 from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
 from canfb.signal.front_end import FrontEnd
 from canfb.signal.harmonics import NO_LOW_PASS, PLACES, SPEEDS, Corners, corrected, harmonic_rows

@@ -58,7 +58,7 @@ def in_blocks(
     while edges[-1] < len(sine):
         edges.append(edges[-1] + lengths[(len(edges) - 1) % len(lengths)])
     blocks = [(sine[a:b], cosine[a:b]) for a, b in pairwise(edges)]
-    results = list(process_stream(blocks, config, table))
+    results = list(process_stream(blocks, config, table, 0.0))
     assert [len(result.phase) for result in results] == [len(block[0]) for block in blocks]
     return ChainResult(*(np.concatenate([getattr(one, name) for one in results]) for name in FIELDS))
 
@@ -332,7 +332,7 @@ def test_memory_is_that_of_one_block() -> None:
     def peak(blocks: int) -> int:
         tracemalloc.start()
         try:
-            for result in process_stream(block for _ in range(blocks)):
+            for result in process_stream((block for _ in range(blocks)), speed_cycles=0.0):
                 assert result.valid.all()
             return tracemalloc.get_traced_memory()[1]
         finally:

@@ -71,8 +71,8 @@ def test_what_are_no_tracks_is_refused_in_one_line(
     ],
 )
 def test_what_may_be_tracks_is_taken(sine: np.ndarray, cosine: np.ndarray) -> None:
-    assert len(process(sine, cosine).ok) == len(sine)
-    (result,) = process_stream([(sine, cosine)])
+    assert len(process(sine, cosine, speed_cycles=0.0).ok) == len(sine)
+    (result,) = process_stream([(sine, cosine)], speed_cycles=0.0)
     assert len(result.status) == len(sine)
 
 

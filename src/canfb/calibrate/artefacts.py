@@ -13,7 +13,7 @@ from canfb.calibrate.calibration_summary import comparison, coverage_warning, fa
 from canfb.calibrate.calibration_summary import figures as figures_of
 from canfb.calibrate.measurement import Measurement, SpeedMeasurement
 from canfb.calibrate.procedure import Installation
-from canfb.calibration.figures import BINS
+from canfb.calibration.motion_blocks import BINS, samples_in_bins
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import Provenance, origins
@@ -247,7 +247,7 @@ def _pictures(measured: Measurement, done: Installation) -> list[str]:
         (
             "Coverage",
             f"every phase must be covered{coverage_warning(measured)}",
-            pictures.coverage(on_samples.samples_over_phase()),
+            pictures.coverage(samples_in_bins(on_samples.phase)),
         ),
         ("Error over the phase", "mean in each 1/64 cycle, before and after", curves),
         ("Remaining error", f"on its own scale; noise alone gives {noise:.2g} % rms", left),

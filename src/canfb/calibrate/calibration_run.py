@@ -11,7 +11,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from canfb.calibrate import own_calibration
 from canfb.calibrate.artefacts import keep_samples, keep_speeds, write, write_refusal
 from canfb.calibrate.calibration_summary import drift_result, module_drift_result, result
 from canfb.calibrate.choices import MODULE, PDO, RECORDED, CalibrateOptions
@@ -24,7 +23,15 @@ from canfb.calibrate.measurement import (
     measure,
     measure_speeds,
 )
-from canfb.calibrate.procedure import Installation, check_as_predicted, install
+from canfb.calibrate.procedure import (
+    Installation,
+    accept,
+    check_as_predicted,
+    discard,
+    install,
+    let_check,
+    let_measure,
+)
 from canfb.calibrate.samples_through_chain import InForce, SpeedSamples, errors_at
 from canfb.calibration.deviation import Deviation
 from canfb.calibration.path_fit import check_apart
@@ -170,25 +177,25 @@ class CalibrationRun:
         self._steps.step("the module measures")
         if self._choices.check:
             session.check_interface()
-            drift = own_calibration.let_check(session.module, self._steps.part)
+            drift = let_check(session.module, self._steps.part)
             return module_drift_result(drift, session.active, self._where)
-        samples = own_calibration.let_measure(session.module, session.layout(), self._steps.part)
+        samples = let_measure(session.module, session.layout(), self._steps.part)
         samples = session.together(samples)
         self._look(session, before)
         accepted = False
 
-        def accept() -> Measurement:
-            return own_calibration.accept(session.module, ours, settings)
+        def put() -> Measurement:
+            return accept(session.module, ours, settings)
 
         try:
             ours = measured = self._measured(samples, session.active, settings)
             done = Installation()
             if not self._choices.dry_run:
-                measured, done = self._install(session, ours, source, settings, guard, accept)
+                measured, done = self._install(session, ours, source, settings, guard, put)
             accepted = done.active
         finally:
             if not accepted:
-                own_calibration.discard(session.module)
+                discard(session.module)
         return self._report(measured, done)
 
     def _measured(self, samples: TrackSamples, before: Correction, settings: Settings) -> Measurement:

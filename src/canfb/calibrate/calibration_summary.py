@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from canfb.calibrate.measurement import DriftCheck, Measurement, OverSpeeds, SpeedMeasurement
-from canfb.calibrate.own_calibration import ModuleDrift
-from canfb.calibrate.procedure import Installation
+from canfb.calibrate.procedure import Installation, ModuleDrift
 from canfb.calibrate.samples_through_chain import ErrorAtSpeed
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.result import Calibration
@@ -47,7 +46,7 @@ def speed_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
 
 def path_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
     """Delay between the tracks, low-pass, delay; how sure each is. Seconds, hertz."""
-    path, low_pass, corners = over.path, over.low_pass, over.after.corners
+    path, low_pass, corners = over.path, over.path.low_pass, over.after.corners
     seen, sigma_s = low_pass.is_detected, low_pass.delay_sigma_s
     between = f"{path.cosine_delay_s * 1e9:.4g} ± {path.cosine_delay_sigma_s * 1e9:.2g} ns (2002:06)"
     if not path.cosine_delay_s:
@@ -76,7 +75,7 @@ def path_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
             delay_estimate_two_poles_s=None if two_poles is None else two_poles.delay_s,
             delay_estimate_one_pole=low_pass.is_one_pole and low_pass.checked,
         ),
-        Row("delay, 2002:07", delay_set_words(over), delay_s=over.delay_s),
+        Row("delay, 2002:07", delay_set_words(over), delay_s=over.after.correction.conditioning.delay_s),
     ]
 
 
@@ -112,7 +111,7 @@ def delay_words(low_pass: LowPass, where: Provenance) -> str:
 
 def delay_set_words(over: OverSpeeds) -> str:
     """What 2002:07 is to be, and how to change that."""
-    estimate, delay_s = over.low_pass.delay_s, over.delay_s
+    estimate, delay_s = over.path.low_pass.delay_s, over.after.correction.conditioning.delay_s
     if delay_s and abs(delay_s - estimate) <= SAME_DELAY * estimate:
         return f"{delay_s * 1e6:.4g} µs, as estimated"
     if delay_s:
@@ -132,7 +131,7 @@ def _speed_json(one: ErrorAtSpeed) -> dict[str, Any]:
 
 
 def _low_pass_words(over: OverSpeeds, where: Provenance) -> str:
-    low_pass, corners = over.low_pass, over.after.corners
+    low_pass, corners = over.path.low_pass, over.after.corners
     if low_pass.rises:
         return "none: the amplitude rises with the speed"
     if not low_pass.is_detected:

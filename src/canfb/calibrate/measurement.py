@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 from canfb.calibrate.samples_through_chain import ErrorAtSpeed, InForce, SpeedSamples, errors_at
 from canfb.calibration.deviation import Deviation, best_deviation, drift
-from canfb.calibration.ellipse import fit_ellipse
+from canfb.calibration.ellipse import fit_ellipse, without_harmonics
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.over_speeds import SpeedCalibration, calibrate_over_speeds, measured_at_standstill
-from canfb.calibration.path_correction import without_harmonics
-from canfb.calibration.path_fit import NO_PATH, LowPass, PathFit
+from canfb.calibration.path_fit import NO_PATH, PathFit
 from canfb.calibration.result import Calibration, Method, Reason
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.errors import CalibrationError
@@ -138,16 +137,6 @@ class OverSpeeds:
     errors: tuple[ErrorAtSpeed, ...]
 
     @property
-    def low_pass(self) -> LowPass:
-        """That of the sine, which the position is late by."""
-        return self.path.low_pass
-
-    @property
-    def delay_s(self) -> float:
-        """2002:07 as it is to be."""
-        return self.after.correction.conditioning.delay_s
-
-    @property
     def peak_cycles(self) -> float:
         """The largest error about the mean, at any speed."""
         return max(one.deviation.peak for one in self.errors)
@@ -184,7 +173,7 @@ def measure_speeds(
     )
     found = found.with_delay(_delay(found, delay, before))
     corners = Corners(*map(as_real32, (found.path.corners.corner_hz, found.path.corners.cosine_corner_hz)))
-    after = InForce(found.correction, corners)
+    after = InForce(found.calibration.correction, corners)
     block, bits = found.calibration.block_samples, settings.adc_bits
     each = [errors_at(held, before, after, found.path, block, bits) for _, held in parts]
     errors = tuple(sorted(each, key=lambda one: one.hertz))

@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.calibration.deviation import Deviation, best_of_phases
-from canfb.calibration.figures import about_mean
-from canfb.calibration.over_speeds import TracksAtSpeed
-from canfb.calibration.path_correction import mean_speed
+from canfb.calibration.motion_blocks import about_mean
+from canfb.calibration.over_speeds import TracksAtSpeed, mean_speed
 from canfb.calibration.path_fit import PathFit
 from canfb.calibration.result import naming_speed
 from canfb.errors import CalibrationError
@@ -78,7 +77,7 @@ def supervise(
     ``speed_cycles`` is the speed at the first sample, cycles per interval, right to half a cycle. The
     samples have a rate.
     """
-    chain = SignalChain(ChainConfig(), used.table)
+    chain = SignalChain(ChainConfig())
     chain.set_limits(limits)
     chain.activate(used)
     if samples.rate_hz:

@@ -19,18 +19,20 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from canfb.calibration.figures import (
+from canfb.calibration.motion_blocks import (
     BINS,
+    Blocks,
+    BoolArray,
+    IntArray,
     about_mean,
     coverage,
+    cut,
     mean_in_bins,
     peak,
     root_mean,
     samples_in_bins,
 )
-from canfb.calibration.motion_blocks import Blocks, cut
 from canfb.calibration.recording import Recording, check_clipped
 from canfb.calibration.result import Calibration, Reason
 from canfb.errors import CalibrationError
@@ -73,14 +75,10 @@ class Deviation:
     before: FloatArray
     faulty: int
 
-    def samples_over_phase(self) -> NDArray[np.int64]:
-        """Samples in each of 64 bins of the phase."""
-        return samples_in_bins(self.phase)
-
     @property
     def spike(self) -> tuple[float, float] | None:
         """The fullest bin, if it stands out: how many times the mean it has, and its phase, cycles."""
-        count = self.samples_over_phase()
+        count = samples_in_bins(self.phase)
         mean, place = float(count.mean()), int(count.argmax())
         if count[place] <= max(SPIKE * mean, mean + SPIKE_SIGMAS * math.sqrt(mean)):
             return None
@@ -237,3 +235,34 @@ def _compared(active: FloatArray, fresh: FloatArray) -> Drift:
     first, last = off[:-1], off[1:]
     square = np.average((first * first + first * last + last * last) / 3.0, weights=moved)
     return Drift(float(np.sqrt(square)), float(np.abs(off).max()))
+
+
+SIGNIFICANT = 3.0
+THIRDS, FINE = 3, 9  # parts: thirds see a slow drift best, shorter ones what happens near either end
+MIN_RUN = 3
+
+
+class Change(NamedTuple):
+    """Largest significant difference of two tables, cycles, rms over the cycle and peak; 0: none."""
+
+    rms: float = 0.0
+    peak: float = 0.0
+
+
+def lasting(out: BoolArray) -> list[IntArray]:
+    """Runs of blocks or cycles that were left out: faults do not last, changed tracks do."""
+    edges = np.flatnonzero(np.diff(out, prepend=False, append=False)).reshape(-1, 2)
+    return [np.arange(first, last) for first, last in edges if last - first >= MIN_RUN]
+
+
+def largest_change(tables: FloatArray, noise: FloatArray) -> Change:
+    """Of tables, cycles, shape (parts, phases), uncertain by ``noise``, cycles rms, shape (parts,)."""
+    centred = tables - tables.mean(axis=1, keepdims=True)
+    found = Change()
+    for first, second in zip(*np.triu_indices(len(centred), 1), strict=True):
+        off = centred[first] - centred[second]
+        square, expected = float(np.mean(off**2)), float(noise[first] ** 2 + noise[second] ** 2)
+        if square > SIGNIFICANT**2 * expected:
+            one = Change(float(np.sqrt(square - expected)), float(np.abs(off).max()))
+            found = max(found, one)
+    return found

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
-from canfb.signal.conditioning import Conditioning
+from canfb.signal.conditioning import HARMONIC_ORDERS, LARGEST_HARMONIC, Conditioning
 from canfb.signal.phase import FloatArray
 
 ROUNDS = 8
@@ -213,3 +213,25 @@ def _radius(fit: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
 def as_real32(conditioning: Conditioning) -> Conditioning:
     """The same conditioning with values that objects 2002:01..07 and 2005h (REAL32) hold exactly."""
     return Conditioning(*(float(np.float32(value)) for value in conditioning.values))
+
+
+def without_harmonics(used: Conditioning) -> Conditioning:
+    """``used`` with none: its table is that of one speed."""
+    return used.with_harmonics([0j] * len(HARMONIC_ORDERS))
+
+
+def with_track_harmonics(used: Conditioning, tracks: FloatArray) -> Conditioning:
+    """``used`` with the harmonics of these mean tracks, ADC counts, shape (2, n), sine first, over one cycle.
+
+    Of cosine + i sine behind the conditioning, relative to the fundamental and its phase.
+    """
+    s, c = used.apply(*tracks)
+    spectrum = np.fft.fft(c + 1j * s) / np.size(s)
+    first = spectrum[1]
+    shift = first / abs(first)
+
+    def at(order: int) -> complex:
+        value = complex(spectrum[order] / abs(first) * shift ** (-order))
+        return value if abs(value) <= LARGEST_HARMONIC else 0j
+
+    return as_real32(used.with_harmonics([at(order) for order in HARMONIC_ORDERS]))

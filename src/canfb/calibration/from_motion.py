@@ -25,8 +25,21 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.changes import FINE, THIRDS, Change, largest_change, lasting
-from canfb.calibration.figures import (
+from canfb.calibration.deviation import FINE, THIRDS, Change, largest_change, lasting
+from canfb.calibration.ellipse import with_track_harmonics
+from canfb.calibration.joint import (
+    JointFit,
+    Waveform,
+    bound_covariance,
+    fit_jointly,
+    grid_phases,
+    origin_of,
+    raw_phase_curve,
+    table_of,
+    table_sensitivity,
+)
+from canfb.calibration.motion_blocks import (
+    Blocks,
     ErrorCurve,
     ErrorHarmonic,
     about_mean,
@@ -37,20 +50,9 @@ from canfb.calibration.figures import (
     root_mean,
     samples_in_bins,
 )
-from canfb.calibration.joint import JointFit, bound_covariance, fit_jointly
-from canfb.calibration.motion_blocks import Blocks
-from canfb.calibration.path_correction import with_track_harmonics
 from canfb.calibration.recording import Recording, prepared
-from canfb.calibration.result import TRACK_POINTS, Calibration, Method, judge
+from canfb.calibration.result import PEAK_SIGMAS, TRACK_POINTS, Calibration, Method, judge
 from canfb.calibration.solver import MIN_BLOCKS, Progress, Solution, Solver, no_progress, reject
-from canfb.calibration.waveform import (
-    Waveform,
-    grid_phases,
-    origin_of,
-    raw_phase_curve,
-    table_of,
-    table_sensitivity,
-)
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, raw_phases
@@ -97,7 +99,6 @@ def calibrate_from_motion(
     return result
 
 
-PEAK_SIGMAS = 4.0
 # The scatter of this many independent tables gives their error to some 15 %, that of two to some 30 %.
 PARTS = 8
 SCATTER, SCATTER_OF_TWO = 0.15, 0.3

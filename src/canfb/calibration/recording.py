@@ -18,9 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
-from canfb.calibration.figures import samples_in_bins
 from canfb.calibration.following import positions
-from canfb.calibration.motion_blocks import BoolArray, IntArray
+from canfb.calibration.motion_blocks import BoolArray, IntArray, samples_in_bins
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.objects import MISSED_COUNTS

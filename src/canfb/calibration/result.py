@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from canfb.calibration.figures import ErrorCurve, ErrorHarmonic
+from canfb.calibration.motion_blocks import ErrorCurve, ErrorHarmonic
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
@@ -72,6 +72,7 @@ class Method(StrEnum):
 
 
 TRACK_POINTS = 1024
+PEAK_SIGMAS = 4.0  # of the stated largest error of a table
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,6 +136,10 @@ class Calibration:
     curve: ErrorCurve
     block_samples: int
     tracks: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        # So that the table alone is not used without the conditioning by mistake.
+        object.__setattr__(self, "table", self.table.made_for(self.conditioning))
 
     @property
     def correction(self) -> Correction:

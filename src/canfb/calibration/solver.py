@@ -26,12 +26,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from canfb.calibration.figures import coverage
-from canfb.calibration.joint import JointFit, fit_jointly, information_loss, initial_waveform
-from canfb.calibration.motion_blocks import CUBIC, Blocks, BoolArray, cut
+from canfb.calibration.joint import (
+    JointFit,
+    Waveform,
+    fit_jointly,
+    grid_phases,
+    information_loss,
+    initial_waveform,
+    table_sensitivity,
+)
+from canfb.calibration.motion_blocks import CUBIC, Blocks, BoolArray, coverage, cut
 from canfb.calibration.recording import MIN_SAMPLES, Recording
 from canfb.calibration.result import LOCKED_LOSS, MAX_OFF_CYCLES, Reason, check_distance, check_smooth, no_fit
-from canfb.calibration.waveform import Waveform, grid_phases, table_sensitivity
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray

@@ -14,9 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.changes import THIRDS, Change, largest_change, lasting
-from canfb.calibration.figures import (
+from canfb.calibration.deviation import THIRDS, Change, largest_change, lasting
+from canfb.calibration.joint import grid_phases, table_from_phases
+from canfb.calibration.motion_blocks import (
+    BoolArray,
     ErrorHarmonic,
+    IntArray,
     about_mean,
     coverage,
     error_curve,
@@ -24,11 +27,9 @@ from canfb.calibration.figures import (
     peak,
     root_mean,
 )
-from canfb.calibration.motion_blocks import BoolArray, IntArray
 from canfb.calibration.recording import Recording, prepared
-from canfb.calibration.result import TRACK_POINTS, Calibration, Method, Reason, judge
+from canfb.calibration.result import PEAK_SIGMAS, TRACK_POINTS, Calibration, Method, Reason, judge
 from canfb.calibration.solver import Progress, no_progress
-from canfb.calibration.waveform import grid_phases, table_from_phases
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray, raw_phases
@@ -40,7 +41,6 @@ MAX_CYCLES = 4096  # more would only cost memory
 LARGEST_STEP_CYCLES = 0.125
 REJECT_CYCLE = 4.0
 CHUNK_CYCLES = 128
-PEAK_SIGMAS = 4.0
 
 
 def calibrate_from_zero_crossings(
@@ -65,7 +65,6 @@ def calibrate_from_zero_crossings(
     report(0.2)
     passage = _Passage.of(record, chosen)
     cycles = _find_cycles(passage)
-    report(0.4)
     nodes = _ideal_phase(np.arange(entries) / entries)
     curves = _resample(passage, cycles, nodes)
     change = _change(curves, _backwards(passage, nodes))

@@ -191,12 +191,12 @@ def limit_rows(done: Commissioned) -> list[Row]:
     interval_s, n = done.machine.interval_s, done.new.cycles_per_revolution
     return [
         Row(
-            f"{od.place_text(one.place)} {one.name}",
+            f"{od.place_text(one.place)} {KINDS[one.place].name}",
             value_words(one, one.before, interval_s, n),
             value_words(one, one.value, interval_s, n) if one.changes else "as it is",
             one.why,
             object=od.place_text(one.place),
-            name=one.name,
+            name=KINDS[one.place].name,
             unit=KINDS[one.place].unit,
             before=one.before,
             proposed=one.value,

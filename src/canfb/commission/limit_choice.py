@@ -14,7 +14,7 @@ from canfb.commission.machine_figures import (
     repeats_of_frozen_input,
 )
 from canfb.master.machine_watch import PERCENT
-from canfb.master.supervision_limits import CORNER, KINDS, SupervisionLimits, as_real32
+from canfb.master.supervision_limits import CORNER, SupervisionLimits, as_real32
 from canfb.objects import Multiplexer
 from canfb.signal.limits import (
     CALIBRATED_PHASE_ERROR_CYCLES,
@@ -50,11 +50,6 @@ class Choice:
     def changes(self) -> bool:
         """False if there is nothing to write."""
         return self.value != self.before
-
-    @property
-    def name(self) -> str:
-        """Of the object."""
-        return KINDS[self.place].name
 
 
 def choose(

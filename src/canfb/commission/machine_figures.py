@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.samples_through_chain import SupervisedSamples
-from canfb.calibration.figures import BINS, bins_of, mean_in_bins, peak, root_mean
+from canfb.calibration.motion_blocks import BINS, bins_of, mean_in_bins, peak, root_mean
 from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass
 from canfb.master.samples import TrackSamples
 from canfb.signal.harmonics import Corners

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.samples_through_chain import SupervisedSamples, supervise
-from canfb.calibration.figures import about_mean
+from canfb.calibration.motion_blocks import about_mean
 from canfb.commission.limit_choice import corner_choice
 from canfb.commission.machine_figures import (
     SIGMA_OF_MEDIAN,

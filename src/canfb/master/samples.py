@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.path_correction import sampled_together, speeds
+from canfb.calibration.over_speeds import sampled_together, speeds
 from canfb.calibration.recording import Recording, recording
 from canfb.master.access import CommissioningError
 from canfb.objects import MISSED_COUNTS

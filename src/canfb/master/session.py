@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from canfb import objects as od
-from canfb.calibration.path_correction import counts_at
+from canfb.calibration.over_speeds import counts_at
 from canfb.cia301 import cob
 from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
 from canfb.master.all_or_nothing import read_active

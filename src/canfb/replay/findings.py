@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from canfb.calibration.deviation import drift
 from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.path_correction import sampled_together
+from canfb.calibration.over_speeds import sampled_together
 from canfb.calibration.recording import recording
 from canfb.errors import CalibrationError
 from canfb.objects import StatusBit

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from canfb import objects as od
-from canfb.calibration.figures import peak, root_mean
+from canfb.calibration.motion_blocks import peak, root_mean
 from canfb.marked_yaml import MarkedYaml, read_bytes
 from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
 from canfb.master.all_or_nothing import read_active, read_conditioning

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from canfb.objects import LossCause
 from canfb.signal.adaptation import Adaptation, AdaptConfig, FollowedDrift
 from canfb.signal.bounded_motion import HOLE_INTERVALS
-from canfb.signal.chain_config import ChainConfig, ChainLimits
-from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.chain_config import ChainConfig, ChainLimits, with_correction
+from canfb.signal.correction import AnyTable, Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import SAME_INTERVAL
 from canfb.signal.pauses import Pauses
@@ -35,10 +35,11 @@ class SignalChain:
     interval is known.
 
     TypeError for a ``config`` that is not a :class:`ChainConfig` and a ``table`` that is not a
-    :class:`CorrectionTable` (None: the identity).
+    :class:`canfb.CorrectionTable` or a whole :class:`canfb.Calibration` (None: the identity).
     """
 
-    def __init__(self, config: ChainConfig, table: CorrectionTable | None = None) -> None:
+    def __init__(self, config: ChainConfig, table: AnyTable = None) -> None:
+        config, table = with_correction(config, table)
         self.stages = Stages(config, table)
         self.tracks = self.stages.tracks
         """What makes a phase of counts."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from canfb.checks import integer_in, number_in, within
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.correction import AnyTable, CorrectionTable, correction_of
 from canfb.signal.declared import COAST_SAMPLES, DOUBT_ACCELERATION, MOST_BAD_SAMPLES, Declared
 from canfb.signal.harmonics import NO_LOW_PASS, Corners
 from canfb.signal.limits import PHASE_ERROR_CYCLES
@@ -186,3 +187,13 @@ def check_config(config: object) -> None:
     """TypeError unless ``config`` is a :class:`ChainConfig`."""
     if not isinstance(config, ChainConfig):
         raise TypeError(f"config must be a ChainConfig, not {type(config).__name__}")
+
+
+def with_correction(config: ChainConfig, table: AnyTable) -> tuple[ChainConfig, CorrectionTable | None]:
+    """``config`` with the conditioning that ``table`` has if it is a calibration, and the table alone.
+
+    TypeError for what is no configuration; errors of :func:`.correction_of`.
+    """
+    check_config(config)
+    used = correction_of(table, None if config.conditioning.is_identity else config.conditioning)
+    return replace(config, conditioning=used.conditioning), used.table

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import zlib
 from dataclasses import dataclass
-from typing import Any, Self, overload
+from typing import Any, Protocol, Self, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +30,7 @@ class CorrectionTable:
     increasing including the wrap to ``entries[0] + 1``, and none is further than 0.25 cycle from ``n / N``.
     """
 
-    __slots__ = ("_bytes", "_first", "_lines", "_n", "_slope")
+    __slots__ = ("_bytes", "_first", "_lines", "_n", "_slope", "conditioning")
 
     def __init__(self, entries: npt.ArrayLike) -> None:
         try:
@@ -43,6 +44,8 @@ class CorrectionTable:
         # Raw phase 1.0 is raw phase 0.0, so entry 0 stands at the end once more.
         self._first: FloatArray = np.append(first, first[0])
         self._slope: FloatArray = np.append(np.diff(first, append=first[0] + 1.0), 0.0)
+        self.conditioning: Conditioning | None = None
+        """With which a calibration made it; None: not known. No part of the bytes."""
         self._lines: Lines = ()  # made for the first sample that needs them: an upload checks a table only
 
     @classmethod
@@ -56,6 +59,12 @@ class CorrectionTable:
         if len(data) % 4:
             raise ValueError(f"a correction table is N x REAL32: {len(data)} bytes is not a multiple of 4")
         return cls(np.frombuffer(bytes(data), dtype="<f4"))
+
+    def made_for(self, conditioning: Conditioning) -> Self:
+        """The same table, that of a calibration with this conditioning."""
+        made = copy.copy(self)
+        made.conditioning = conditioning
+        return made
 
     def to_bytes(self) -> bytes:
         """The table as object 2020:01 has it: N x REAL32, little-endian."""
@@ -169,6 +178,39 @@ def check_table(table: object) -> None:
             f"table must be a CorrectionTable or None, not {type(table).__name__}: "
             "make one of entries with canfb.CorrectionTable(entries)"
         )
+
+
+class Calibrated(Protocol):
+    """What has table and conditioning: :class:`canfb.Calibration`."""
+
+    @property
+    def correction(self) -> Correction:
+        """Both."""
+
+
+AnyTable = CorrectionTable | Correction | Calibrated | None
+
+
+def correction_of(table: AnyTable, conditioning: Conditioning | None = None) -> Correction:
+    """Table and conditioning to compute with; ``conditioning`` None: not given.
+
+    TypeError for what is neither a table nor a calibration. ValueError where the conditioning of a
+    calibration is missing, with which its table alone is wrong, or another one is given beside it.
+    """
+    found = table if isinstance(table, Correction) else getattr(table, "correction", None)
+    if not isinstance(found, Correction):
+        check_table(table)
+        assert table is None or isinstance(table, CorrectionTable)
+        made_for = None if table is None else table.conditioning
+        if conditioning is None and made_for not in (None, IDENTITY):
+            raise ValueError(
+                "this table belongs to a conditioning, without which it is wrong: pass the whole calibration "
+                "in its place, or its conditioning too"
+            )
+        return Correction(table, conditioning or IDENTITY)
+    if conditioning not in (None, found.conditioning):
+        raise ValueError("conditioning: the calibration has another one already; pass its table alone")
+    return found
 
 
 def _check(entries: npt.NDArray[np.float32]) -> None:

@@ -8,15 +8,16 @@ one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.blocks import BLOCK_SAMPLES, Scratch, aligned
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.correction import CorrectionTable
+from canfb.signal.chain_config import ChainConfig, with_correction
+from canfb.signal.correction import AnyTable, CorrectionTable
 from canfb.signal.phase import AnyArray, FloatArray, raw_phase_block, wrap_block
 from canfb.signal.stages import Stages
 from canfb.signal.supervision import LOST, RESIDUAL, TABLE_ACTIVE, VALID, SampleLimits
@@ -83,8 +84,8 @@ class ChainResult:
 def process_stream(
     blocks: Iterable[tuple[npt.ArrayLike, npt.ArrayLike]],
     config: ChainConfig | None = None,
-    table: CorrectionTable | None = None,
-    speed_cycles: float = 0.0,
+    table: AnyTable = None,
+    speed_cycles: float | None = None,
 ) -> Iterator[ChainResult]:
     """The supervised chain over blocks of samples that follow each other: one result for each.
 
@@ -94,10 +95,28 @@ def process_stream(
     :func:`canfb.process`.
 
     ``config`` None stands for the defaults of :class:`canfb.ChainConfig`, ``table`` None for the identity.
-    ``speed_cycles`` as for :func:`canfb.process`. TypeError or ValueError at once for a bad one of these.
+    ``table`` and ``speed_cycles`` as for :func:`canfb.process`. TypeError or ValueError at once for a bad
+    one of these.
     """
-    stream = Stream(ChainConfig() if config is None else config, table, speed_cycles)
-    return (stream.take(*stream.tracks(block)) for block in blocks)
+    config, alone = with_correction(ChainConfig() if config is None else config, table)
+    stream = Stream(config, alone, speed_cycles or 0.0)
+    results = (stream.take(*stream.tracks(block)) for block in blocks)
+    return from_standstill(results, config) if speed_cycles is None else results
+
+
+def from_standstill(results: Iterator[ChainResult], config: ChainConfig) -> Iterator[ChainResult]:
+    """All of them lost if the first samples show that the machine does not stand."""
+    first: list[float] = []
+    moves = is_known = False
+    for result in results:
+        if not is_known:
+            part = slice(FIRST - len(first))
+            first += result.phase[part].tolist()
+            is_known = len(first) == FIRST or not result.valid[part].all()
+            moves = is_known and bool(result.valid[part].all()) and begins_in_motion(first, config)
+        if moves:
+            result.status[:] = result.status & ~np.uint16(VALID) | LOST
+        yield result
 
 
 class Stream:
@@ -265,3 +284,25 @@ def _amplitudes(s: AnyArray, c: AnyArray, out: FloatArray, scratch: Scratch) -> 
             square *= square
     out += scratch.a
     np.sqrt(out, out=out)
+
+
+FIRST = 3  # samples
+
+
+def begins_in_motion(phases: Sequence[float], config: ChainConfig) -> bool:
+    """By the first three phases, cycles, of a position that is valid; False for fewer. Warns if so."""
+    if len(phases) < FIRST:
+        return False
+    before, now, after = phases[:FIRST]
+    first, second = math.remainder(now - before, 1.0), math.remainder(after - now, 1.0)
+    largest = config.max_acceleration_cycles or config.doubt_acceleration_cycles
+    if abs(first - (second - first) / 2.0) <= 4.0 * config.phase_error_cycles + largest / 2.0:
+        return False
+    warnings.warn(
+        "the tracks begin in motion, and several speeds fit their samples: no position is ok. Pass "
+        "speed_cycles, the speed at the first sample in cycles per sample, right to less than half a cycle "
+        "(0.0: the one nearest to standstill)",
+        UserWarning,
+        stacklevel=3,
+    )
+    return True

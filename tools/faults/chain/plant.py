@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb import AdaptConfig, CorrectionTable, SignalChain, phase_in_cycle
-from canfb.calibration.path_correction import with_track_harmonics
+from canfb.calibration.ellipse import with_track_harmonics
 from canfb.signal.adaptation import FollowedDrift
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.conditioning import IDENTITY, Conditioning

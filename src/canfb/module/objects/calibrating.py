@@ -18,9 +18,10 @@ from typing import NamedTuple
 
 from canfb import objects as od
 from canfb.calibration.deviation import Drift, drift
-from canfb.calibration.figures import BINS, covered
+from canfb.calibration.ellipse import without_harmonics
 from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.path_correction import counts_at, recorded_together, without_harmonics
+from canfb.calibration.motion_blocks import BINS, covered
+from canfb.calibration.over_speeds import counts_at, recorded_together
 from canfb.calibration.recording import NO_TIME, recorded_tracks, timed_tracks
 from canfb.calibration.result import Calibration, Reason
 from canfb.calibration.solver import no_progress
