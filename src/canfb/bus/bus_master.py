@@ -21,10 +21,9 @@ STOP_S = 1.0  # for the receiving thread to end
 
 
 class BusMaster:
-    """The master's side of a network, in the calling thread but for the reception.
+    """The master's side of a network; a context manager, which shuts the bus down.
 
-    Use it as a context manager: the bus is shut down at the end. Every method raises BusError, in one line,
-    when the bus does not work any more.
+    Every method raises BusError, in one line, when the bus does not work any more.
     """
 
     def __init__(self, bus: can.BusABC, answer_within_s: float = 1.0) -> None:

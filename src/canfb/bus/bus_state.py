@@ -52,10 +52,9 @@ class FailureWatch:
 class BusState:
     """Gone or there. The runner notes what happens; `lost` and `returned` say, once each, what that means.
 
-    Gone: an error frame of SocketCAN says bus-off, a failure says that the interface is down, or reading
-    fails for LASTING_S. There again: nothing of the kind for SETTLED_S after a first sign of life. That is a
-    frame, an error frame "restarted" (also of :class:`.RawCanBus`), and, unless the controller was bus-off, a
-    frame that could be sent.
+    Gone: an error frame says bus-off, a failure says that the interface is down, or reading fails for
+    LASTING_S. There again: nothing of the kind for SETTLED_S after a frame, an error frame "restarted" or,
+    unless the controller was bus-off, a frame that could be sent.
     """
 
     def __init__(self, report: Callable[[str], None]) -> None:

@@ -1,10 +1,9 @@
-"""Clocks: of durations, of the time of day, of CAN controllers; and receive times on that of durations.
+"""Clocks, and receive times on that of durations.
 
-The stamp of a frame is of another clock than ``now``: the time of day where the kernel stamps, the
-controller's own, or that of a USB adapter. A frame that was received at t and taken at t + d, d >= 0, shows
-the difference of two clocks as offset + d. So the least of many differences is the offset with the least
-delay, which does not matter. As clocks drift, it may rise: in windows (:class:`HardwareTimes`), or by DRIFT
-(:class:`OtherClock`). The time of day can be read beside the other clock, and is not estimated.
+The stamp of a frame is of another clock than ``now``: the time of day, the controller's own, or that of a USB
+adapter. A frame that was received at t and taken at t + d, d >= 0, shows the difference of two clocks as
+offset + d. So the least of many differences is the offset. As clocks drift, it may rise: in windows
+(:class:`HardwareTimes`), or by DRIFT (:class:`OtherClock`).
 """
 
 from __future__ import annotations
@@ -58,10 +57,9 @@ LONGEST_LATENCY_S = 0.01  # from the controller to the kernel; more: its clock w
 
 
 class HardwareTimes:
-    """The clock of a controller counts from an arbitrary instant, and drifts against that of the computer.
+    """The clock of a controller, against that of the computer.
 
-    The kernel sees each frame a little later: the least difference of the two stamps within the last one to
-    two windows is that of the clocks.
+    The least difference of the two stamps within the last one to two windows is that of the clocks.
     """
 
     def __init__(self) -> None:
@@ -92,11 +90,10 @@ LEARNED_FRAMES = 64
 
 
 class OtherClock:
-    """A clock that counts from an arbitrary instant, as a USB adapter does, against that of the runner.
+    """The clock of a USB adapter, say, against that of the runner.
 
-    The least difference of the two may rise by DRIFT, and falls with the frame that was taken sooner. It is
-    known once LEARNED_FRAMES have come that do not contradict it: where one is earlier than it allows by
-    LARGEST_STEP_S, or all of so many are later, it is learned again.
+    The least difference may rise by DRIFT. It is known once LEARNED_FRAMES do not contradict it, and learned
+    again where one is earlier than it allows by LARGEST_STEP_S, or so many are later.
     """
 
     def __init__(self) -> None:
@@ -131,10 +128,10 @@ class OtherClock:
 
 
 class ReceiveTimes:
-    """What python-can stamps is the time of day, as the kernel has it; a runner counts monotonic seconds.
+    """Monotonic seconds from python-can's stamps, which are the time of day.
 
-    A stamp says how long ago a frame came, by the wall clock. When that is set, the frames that wait have no
-    time until the queue was empty once. Other stamps are those of an :class:`OtherClock`, or not used.
+    When the wall clock is set, the frames that wait have no time until the queue was empty once. Other stamps
+    are those of an :class:`OtherClock`, or not used.
     """
 
     def __init__(self, clock: Callable[[], float], wall: Callable[[], float]) -> None:
@@ -156,10 +153,7 @@ class ReceiveTimes:
         return self.of(stamp_s, now)
 
     def compare(self, now: float) -> float:
-        """Look at the wall clock at ``now``, for :meth:`of` several frames.
-
-        The wall clock minus ``now``, seconds; not a number where stamps are not to be used.
-        """
+        """The wall clock minus ``now``, seconds; not a number where stamps are not to be used."""
         difference = self._wall() - now
         if not -LARGEST_STEP_S <= difference - self._difference_s <= CLOSE_S:
             difference = self._look()  # else the frames would seem to have come earlier than they did

@@ -1,9 +1,6 @@
 """The other process: takes one job, computes it, reports progress and result.
 
-    python -m canfb.bus.compute_process
-
-Standard input is a file with the pickled job, standard output a pipe for the messages of
-multiprocessing.connection. Only the process that started it talks to it.
+Standard input is a file with the pickled job, standard output a pipe for multiprocessing.connection.
 """
 
 from __future__ import annotations

@@ -22,11 +22,10 @@ COMMAND = (sys.executable, "-m", "canfb.bus.compute_process")
 
 
 class Computation:
-    """The computations of one ``device``, one at a time. The process is started when one comes.
+    """The computations of one ``device``, one at a time, each in a process.
 
     A fork would take bus and memory along, a thread the time of the SYNC cycle. A process that ends without a
-    result is reported to ``report``, and refuses the measurement. It may use the processors that were ours
-    when this was made.
+    result is reported, and refuses the measurement.
     """
 
     def __init__(

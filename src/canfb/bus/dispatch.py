@@ -1,12 +1,8 @@
 """Which device gets which frame, and which is due first.
 
-With n modules in a process a frame must not cost n calls. A device that is :class:`.Selective` says which
-CAN-IDs it listens to, so a frame is one look-up in ``data`` or ``remote``. The bus gets the union of all as
-acceptance filter, of any NMT state: a master that starts a node need not wait before it sends PDOs. When
-CAN-IDs move, the tables follow before anything is sent: an answer may be what the master waits for to use
-them.
-
-Likewise a device is asked for its deadline after each call of it. The earliest of all is looked for again
+A device that is :class:`.Selective` says which CAN-IDs it listens to, so a frame is one look-up. The bus gets
+the union of all as acceptance filter, of any NMT state. When CAN-IDs move, the tables follow before anything
+is sent: an answer may be what the master waits for to use them. The earliest deadline is looked for again
 only if the device that had it has moved it to later (``_stale``).
 """
 
@@ -61,9 +57,8 @@ class Port:
 class Dispatch:
     """The devices of a runner by the CAN-IDs that they listen to, and by their deadlines.
 
-    A device that is not :class:`.Selective` gets every frame, and is asked for its deadline each time; so is
-    one that is alone. A device that listens to other CAN-IDs is ``moved`` until :meth:`follow`, which
-    sets the filters of the bus as well.
+    A device that is not :class:`.Selective` gets every frame. One that listens to other CAN-IDs is ``moved``
+    until :meth:`follow`, which sets the filters of the bus as well.
     """
 
     def __init__(self, devices: list[Device], bus: FrameBus) -> None:

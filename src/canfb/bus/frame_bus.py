@@ -1,9 +1,7 @@
 """What the runner asks of a bus, any bus of python-can as that, and reception that outlasts its failures.
 
-There are two buses: :class:`.RawCanBus` for SocketCAN on Linux, :class:`PythonCanBus` for all else. A device
-must not get its own frames back: it would take them for a second node with its node-ID. A CAN controller does
-not receive what it sends. Other interfaces do: some mark such messages (``is_rx`` is false), and
-udp_multicast carries a channel name that is made unique here.
+A device must not get its own frames back: it would take them for a second node with its node-ID. Interfaces
+that do so mark them (``is_rx`` is false), or, as udp_multicast, carry a channel name that is made unique.
 """
 
 from __future__ import annotations
@@ -91,10 +89,10 @@ def enlarge_queue_of(bus: can.BusABC) -> None:
 
 
 class NamedInterface:
-    """The SocketCAN interface of a bus of python-can, by its name; of any other bus nothing is asked.
+    """The SocketCAN interface of a bus of python-can, by its name.
 
-    One that was removed and made again, as by an adapter that was unplugged, has another index: the kernel
-    has unbound the socket, which says so once and is silent from then on.
+    One that was removed and made again has another index: the kernel has unbound the socket, which says so
+    once and is silent from then on.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -116,10 +114,9 @@ class NamedInterface:
 
 
 class Reception:
-    """Receives from ``bus`` for as long as it takes.
+    """Receives from ``bus``, over failures of an interface that is down, or gone and has a name.
 
-    An interface that is down, or gone and can be opened by its name, is waited for; ``report`` gets a line
-    when it goes and comes. BusError for any other failure, unless it ``lasts``.
+    ``report`` gets a line when it goes and comes. BusError for any other failure, unless it ``lasts``.
     """
 
     def __init__(

@@ -25,10 +25,9 @@ LONGEST_DELAY_S = 0.1  # a position that is older helps nobody
 class FrameSender:
     """Sends the frames of devices, and notifies those with inhibit times when their frames have left.
 
-    A bus that takes no frame now keeps it and those that follow in a queue. A frame that has waited for
-    LONGEST_DELAY_S, or finds LONGEST_QUEUE others, is a failure like one that the bus refuses:
-    reported once, and counted in ``failures``. A boot-up that failed is sent as soon as the bus takes it,
-    before any other frame: a master that waits for it would never find the device.
+    A frame that the bus does not take now waits in a queue, up to LONGEST_DELAY_S and behind LONGEST_QUEUE
+    others; beyond, it is a failure, reported once and counted. A boot-up that failed is sent first: a master
+    waits for it.
     """
 
     def __init__(

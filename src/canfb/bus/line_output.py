@@ -11,11 +11,9 @@ MOST_LINES = 1000
 
 
 class LineOutput:
-    """Writes lines to ``descriptor`` as far as it takes them at once, and keeps the others in order.
+    """Writes lines to ``descriptor`` as far as it takes them at once; OSError as write(2) has it.
 
-    When
-    MOST_LINES wait further ones are left out; ``excuse`` makes the line that follows of their number.
-    OSError as write(2) has it.
+    When MOST_LINES wait further ones are left out; ``excuse`` makes the line of their number.
     """
 
     def __init__(self, descriptor: int, excuse: Callable[[int], str], encoding: str = "utf-8") -> None:

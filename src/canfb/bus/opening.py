@@ -47,11 +47,9 @@ _MISSING = re.compile(r"missing \d+ required [a-z -]+ arguments?: (.*)")
 
 
 def open_bus(options: dict[str, Any]) -> can.BusABC:
-    """A python-can bus from its own words (interface, channel, bitrate, ...).
+    """A python-can bus from its own words, environment variables and files; BusError without one.
 
-    What is not given comes from python-can's environment variables and configuration
-    files. A multicast group has the port of :func:`group_port` unless one is given. BusError when there is no
-    such bus.
+    A multicast group has the port of :func:`group_port` unless one is given.
     """
     words = {key: value for key, value in options.items() if key != FORCE_PYTHON_CAN}
     with _failing_in_one_line(options):
@@ -93,9 +91,8 @@ def _port_of(words: dict[str, Any]) -> dict[str, int]:
 
 
 def open_device_bus(options: dict[str, Any]) -> FrameBus:
-    """The bus for devices, from the same words: a raw socket for SocketCAN, python-can for all else.
+    """The bus for devices: a raw socket for SocketCAN, else, or with ``python_can: true``, python-can.
 
-    Python-can, too, where ``python_can: true`` or another word asks for what the raw socket does not have.
     ConfigError and BusError as from :func:`check_device_bus` and :func:`open_bus`.
     """
     check_device_bus(options)
@@ -149,10 +146,7 @@ def open_sync_bus(options: dict[str, Any], *, receives_own: bool) -> can.BusABC:
 
 
 def check_device_bus(options: dict[str, Any]) -> None:
-    """Refuse a bus on which a device would receive its own frames, and take them for a second node.
-
-    ConfigError for ``receive_own_messages``, and for a ``python_can`` that is neither true nor false.
-    """
+    """ConfigError for a bus on which a device would receive its own frames, or a bad ``python_can``."""
     forced = options.get(FORCE_PYTHON_CAN)
     if forced is not None and not isinstance(forced, bool):
         raise ConfigError(f"{FORCE_PYTHON_CAN} in bus must be true or false, not {forced!r}")
@@ -242,10 +236,7 @@ def _hint(word: str, known: list[str]) -> str:
 
 @cache
 def _words_of(interface: str) -> tuple[frozenset[str], frozenset[str]]:
-    """The parameters that its classes name, and all words that its source mentions.
-
-    A driver need not be installed for that, and keys that are read from ``**kwargs`` are found.
-    """
+    """The parameters that its classes name, and all words that its source mentions."""
     named, mentioned = set[str](), set[str]()
     for path in _sources(interface):
         for node in ast.walk(ast.parse(path.read_bytes())):

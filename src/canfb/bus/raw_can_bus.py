@@ -1,12 +1,8 @@
 """SocketCAN without python-can: a raw socket, filters of the kernel.
 
-All frames that wait are read with one system call, recvmmsg(2), each with its receive time as a control
-message: the kernel's, by the time of day, or the controller's where its driver has one. A process that did
-not run for a while has caught up after a few calls.
-
-The kernel drops what no filter passes, and does not wake the process for it. An exact 11-bit filter is a
-look-up there, so there is one for each CAN-ID. Filters are exchanged as a whole, new ones before old ones go:
-no frame is lost in between. Error frames pass always.
+All frames that wait are read with one system call, recvmmsg(2), each with its receive time: the kernel's, by
+the time of day, or the controller's. The kernel has one exact filter for each CAN-ID, which is a look-up, and
+does not wake the process for others. New filters are set before old ones go, so that no frame is lost.
 """
 
 from __future__ import annotations
@@ -70,10 +66,9 @@ _MESSAGE_BYTES = ctypes.sizeof(_Message)
 
 
 class FrameReader:
-    """Reads struct can_frame from a datagram socket without waiting.
+    """Reads struct can_frame from a datagram socket; AttributeError where there is no recvmmsg.
 
-    It turns on the receive times of ``source``, which must stay open as long as this is used.
-    AttributeError where there is no recvmmsg.
+    It turns on the receive times of ``source``, which must stay open.
     """
 
     def __init__(self, source: socket.socket) -> None:
@@ -145,11 +140,10 @@ _CAN_RAW_ERR_FILTER = 2  # python names it on Linux only
 
 
 class RawCanBus:
-    """A :class:`.FrameBus` on a SocketCAN interface. Own frames do not come back.
+    """A :class:`.FrameBus` on a SocketCAN interface. Own frames do not come back; sending never waits.
 
-    Sending never waits. An interface that is down or gone is an error of each :meth:`receive` until it is up,
-    where ``channel`` is known; one that was removed and made again is opened by its name, as it has another
-    index. An error frame "restarted" is then the first that is received.
+    An interface that is down or gone is an error of each :meth:`receive` until it is up, where ``channel`` is
+    known; the first frame is then an error frame "restarted".
     """
 
     def __init__(self, raw: socket.socket, channel: str = "") -> None:

@@ -6,17 +6,14 @@ The one loop that waits for devices:
     wait for frames, until the next deadline, and 0.1 s at most: a signal sets a flag that is looked at here
     give each frame to the devices that listen to it (dispatch), send what they answer (frame_sender)
 
-A module judges time: a SYNC that is late, a sample that did not come. A process that did not run for a while
-finds deadlines in the past, and frames that came before them still in the queue. Hence two rules. A frame has
-the time at which the bus received it (clocks). And a deadline D is kept only if no frame received before D
-can wait: the last frame that was read was received at R >= D, or the queue was empty at D or later. So that a
-flood cannot stop heartbeats, frames put a deadline off by 1 s at most; by 0.1 s on a bus without receive
+A process that did not run for a while finds deadlines in the past, and frames that came before them still in
+the queue. So a frame has the time at which the bus received it (clocks), and a deadline D is kept only if no
+frame received before D can wait: the last one was received at R >= D, or the queue was empty at D or later.
+Frames put a deadline off by 1 s at most, so that a flood cannot stop heartbeats; by 0.1 s without receive
 times.
 
-A bus that fails is read again until it works; what is lost is a gap in the frames. Boot-ups that could not
-leave are sent first when it is back, since a master waits for them.
-
-A device that raises ends the run for all: its state is unknown, and a drive must not get a position from it.
+A bus that fails is read again until it works. A device that raises ends the run for all: its state is
+unknown, and a drive must not get a position from it.
 """
 
 from __future__ import annotations
@@ -79,14 +76,11 @@ class BusCounters:
 
 
 class Runner:
-    """Runs devices on one bus in the calling thread until :meth:`stop`.
+    """Runs devices on one bus in the calling thread until :meth:`stop`; they hear each other.
 
-    Devices of this process hear each other. What happens to the bus is counted and given to ``report``, one
-    line each time it changes. Where a device raises, :meth:`run` raises DeviceFailure.
-
-    ``meanwhile`` is called now and then with the time, some hundred times a second at most.
-    ``busy_poll``: the bus is read without a wait; caches stay warm, one processor does nothing else.
-    ``clock``, ``sleep`` and ``wall`` (the time of day) are those of the system, but for tests.
+    ``report`` gets one line each time the state of the bus changes. Where a device raises, :meth:`run` raises
+    DeviceFailure. ``meanwhile`` is called some hundred times a second at most. ``busy_poll``: the bus is read
+    without a wait; caches stay warm, one processor does nothing else.
     """
 
     def __init__(
@@ -144,10 +138,7 @@ class Runner:
     def run(
         self, finished: Callable[[], bool] = lambda: False, ready: Callable[[], None] = lambda: None
     ) -> None:
-        """Power the devices on and serve them until :meth:`stop`, or until ``finished()``.
-
-        ``ready`` is called once, when they have been powered on and serve what comes from then on.
-        """
+        """Power the devices on, call ``ready``, and serve them until :meth:`stop` or ``finished()``."""
         try:
             for port in self._dispatch.ports:
                 self._spread(port, self._asked(port, port.device.start, self._clock()))
@@ -174,10 +165,7 @@ class Runner:
                     port.device.end(self._clock())
 
     def _wait(self) -> list[Received] | None:
-        """Keep the deadlines; then wait for frames until the next one, and not longer than a signal may wait.
-
-        None if no frame waits.
-        """
+        """Keep the deadlines; then wait for frames until the next one; None if none waits."""
         if self._dispatch.moved:
             self._dispatch.follow()
         self._now = asked = self._clock()
@@ -420,10 +408,9 @@ def ending_on_signals(stop: Callable[[], None]) -> contextlib.AbstractContextMan
 
 @contextlib.contextmanager
 def outside_collections() -> Iterator[None]:
-    """What there is when this is entered is left out of garbage collections, until the end.
+    """What there is now is left out of garbage collections, until the end.
 
-    With canopen and the dictionaries that is some 50 000 objects: a full collection takes 40 ms, in which
-    no frame is served, and 5 µs without them.
+    With some 50 000 objects a full collection takes 40 ms, in which no frame is served; without them 5 µs.
     """
     gc.freeze()
     try:

@@ -31,11 +31,10 @@ LONGEST_TURN_S = 30.0
 
 @contextlib.contextmanager
 def sdo_turn(bus: str, node_id: int, longest_s: float = LONGEST_TURN_S) -> Iterator[None]:
-    """Hold the SDO channel of a node against other programs of this computer; it ends with the process.
+    """Hold the SDO channel of a node against other programs of this computer.
 
     ``bus`` is the ``channel_info`` of a bus of :func:`canfb.bus.opening.open_bus`. BusError if another one
-    has the channel for longer than ``longest_s``; 0.0: if it is not free. Where no file can be made nobody
-    waits.
+    has it for longer than ``longest_s``. Where no file can be made nobody waits.
     """
     file = _opened(os.path.join(tempfile.gettempdir(), f"canfb-sdo-{zlib.crc32(bus.encode()):08x}-{node_id}"))
     try:

@@ -19,9 +19,8 @@ CLOSE_S = 5.0
 class CapturedSource(Closing):
     """Gives the scans of a converter that ``picked`` chooses for a SYNC; without it the newest.
 
-    ``opened`` opens it (:class:`canfb.sources.protocol.Capture`), at once: what it raises goes through.
-    One that fails later is opened again every ``reopen_s``, by the thread called ``name``. With a capture
-    that is fired, :meth:`next` fires it and waits for the scan, at most ``wait_s``; otherwise it never waits.
+    ``opened`` opens it, at once; one that fails later is opened again every ``reopen_s``. With a capture that
+    is fired, :meth:`next` waits for the scan, at most ``wait_s``; otherwise it never waits.
     """
 
     def __init__(

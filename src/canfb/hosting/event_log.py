@@ -1,8 +1,4 @@
-"""What a program says of the nodes that it serves: names, what was saved, events, counters at the end.
-
-Events are lines of a log, each with its time. What comes too often is counted, and the count is reported now
-and then: not more than a person can read.
-"""
+"""What a program says of the nodes that it serves; what comes too often is counted."""
 
 from __future__ import annotations
 
@@ -51,10 +47,9 @@ class _Window(Generic[T]):
 
 
 class Throttle(Generic[T]):
-    """Lets BURST items of a key pass in WINDOW_S, and counts the rest of them.
+    """Lets BURST items of a key pass in WINDOW_S, and counts the rest of them. Times are seconds.
 
-    While more come the window grows to LONGEST_WINDOW_S, and nothing passes but the counts. Keys are few:
-    nothing is forgotten of one before its window has ended. Times are seconds.
+    While more come the window grows to LONGEST_WINDOW_S, and nothing passes but the counts.
     """
 
     def __init__(self) -> None:
@@ -199,12 +194,10 @@ class _Noted(NamedTuple):
 
 
 class EventLog:
-    """Writes what happens in nodes to the logger, as information; with ``verbose`` single faults, too.
+    """Writes what happens in nodes to the logger; with ``verbose`` single faults, too.
 
-    An event is noted when it happens and written by the next :meth:`tick`: the position PDO of a bad sample
-    must not wait for a line of text. A record has the attribute `event`, a dict of plain values for programs.
-    What a node repeats within a second is counted, and reported by :meth:`tick`. What happens before
-    :meth:`begin` waits for it. ``wall`` is the time of day, for tests.
+    An event is written by the next :meth:`tick`: the position PDO of a bad sample must not wait for text. A
+    record has the attribute `event`, a dict of plain values. What happens before :meth:`begin` waits for it.
     """
 
     def __init__(self, verbose: bool = False, wall: Callable[[], datetime] = local_time) -> None:

@@ -1,8 +1,4 @@
-"""From a configuration to modules and encoder interfaces that are served on a bus.
-
-``canfb run`` does it. What cannot be on this machine (python-can, paths, processors) is
-what ``canfb config check`` says; a module with what it has saved can also be had without a bus.
-"""
+"""From a configuration to modules and encoder interfaces that are served on a bus."""
 
 from __future__ import annotations
 
@@ -97,11 +93,9 @@ class ServedDevice(Served, Device, Protocol):
 class Hosting(OnBus):
     """Modules and encoder interfaces of a configuration on a bus: a context manager around :meth:`run`.
 
-    ``words`` are python-can's own for the bus (interface, channel, ...), those of ``config`` if not given.
-    What there is to say goes to the loggers ``canfb.*``: information on what runs and what happens
-    (:class:`.EventLog`, which ``verbose`` makes say more), warnings on what fails and on what works again.
-    ConfigError for a bus on which a device would receive its own frames; CanfbError, on entering, for a bus,
-    a state_dir or a source that cannot be used.
+    ``words`` are python-can's own for the bus, default: those of ``config``. What there is to say goes to the
+    loggers ``canfb.*``. ConfigError for a bus on which a device would receive its own frames; CanfbError, on
+    entering, for a bus, a state_dir or a source that cannot be used.
     """
 
     modules: list[FeedbackModule]
@@ -171,10 +165,7 @@ class Hosting(OnBus):
         return BusCounters() if self._runner is None else self._runner.counters
 
     def diagnose(self) -> None:
-        """Write a diagnosis soon, into the first state_dir, else the folder of temporary files.
-
-        A line of the log says where. It may be called by a signal handler.
-        """
+        """Write a diagnosis soon, which a line of the log names; from a signal handler, too."""
         self._diagnosis.request()
 
     def run(
@@ -184,9 +175,8 @@ class Hosting(OnBus):
     ) -> None:
         """Serve the nodes until :meth:`stop`. ``ready`` is called when they are on the bus.
 
-        ``alive`` is called again and again with the time, seconds (monotonic), as long as they are served.
-
-        A program error in one of them ends it for all, with CanfbError.
+        ``alive`` is called again and again with the time, seconds. A program error in one of them ends it for
+        all, with CanfbError.
         """
         if self._runner is None:
             name = type(self).__name__

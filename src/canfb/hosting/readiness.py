@@ -22,11 +22,9 @@ WATCHDOG_PART = 0.25  # of the time that systemd waits: so often it is notified 
 class Readiness:
     """Use it as a context manager around the whole run, and call :meth:`ready` on the bus.
 
-    ``path`` is a file that is there while the program is on its bus, and holds the process id; None for
-    no file. One that a killed program has left is removed at the start. Where systemd has started the
-    program (``NOTIFY_SOCKET``, sd_notify(3)), it gets READY=1 and, at the end, STOPPING=1. ``report``
-    gets one line if that fails. With ``WATCHDOG_USEC``, too, :meth:`alive` sends WATCHDOG=1.
-    ConfigError at the start if the file cannot be, or is not such a file.
+    ``path`` is a file that holds the process id while the program is on its bus. Under systemd (sd_notify(3))
+    it sends READY=1, STOPPING=1 and, with ``WATCHDOG_USEC``, WATCHDOG=1 by :meth:`alive`. ConfigError at the
+    start if the file cannot be, or is not such a file.
     """
 
     def __init__(

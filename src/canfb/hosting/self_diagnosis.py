@@ -1,10 +1,7 @@
 """A diagnosis of the running process, on SIGUSR1, and what one says of computer, program and bus.
 
-The objects of some hundred entries are read in the loop that serves the bus, some of them at a time, between
-frames: no SYNC waits. What takes longer (versions, the state of the interface, the file) is done by a thread.
-
-Versions, configuration, interface and log are plain data for JSON, without secrets. A part that cannot be had
-says why, in place of it: a diagnosis is made where something is wrong.
+The objects are read in the loop that serves the bus, a few between two frames; a thread does what takes
+longer. All is plain data for JSON, without secrets; a part that cannot be had says why.
 """
 
 from __future__ import annotations
@@ -156,10 +153,9 @@ ENTRIES_AT_ONCE = 10
 
 
 class SelfDiagnosis:
-    """Writes ``canfb-diagnose-PID.json`` into ``folder`` when asked; a later one replaces it.
+    """Writes ``canfb-diagnose-PID.json`` into ``folder`` when asked.
 
-    ``counters`` gives those of the bus. :meth:`request` may be called by a signal handler; :meth:`step` is
-    called from the loop, some hundred times a second.
+    :meth:`request` may be called by a signal handler; :meth:`step` some hundred times a second.
     """
 
     def __init__(

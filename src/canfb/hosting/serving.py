@@ -1,15 +1,9 @@
 """Nodes on a bus: several modules or interfaces in one process, or a simulation.
 
-The nodes of a process share one bus, one loop (canfb.bus.runner) and one log. Each has its own dictionary,
-state, state folder and source, and none knows of the others: they exchange frames as on the wire. A frame
-that one of them sends is given to the others by the loop, as a CAN controller does not receive what it sends.
-
-Nothing that lasts is done in the loop. Saving is done by a thread (state_files), a reference measurement by a
-process (canfb.bus.computing), a converter is read by a thread (captured_source). Events are noted when they
-happen and written between frames (event_log); so a slow terminal delays no position.
-
-A program error in one node ends all of them: what it may have changed is unknown, and a service manager
-starts the process again, with the saved parameters of each.
+They share one bus, one loop (canfb.bus.runner) and one log, and exchange frames as on the wire. Nothing that
+lasts is done in the loop: saving (state_files) and converters (captured_source) have threads, a reference
+measurement a process (canfb.bus.computing); events are written between frames (event_log). A program error in
+one node ends all: what it may have changed is unknown.
 """
 
 from __future__ import annotations
@@ -35,10 +29,10 @@ log = logging.getLogger(__name__)
 
 
 class OnBus(ABC):
-    """A context manager that holds the bus, the runner, and what the devices need, while it is entered.
+    """A context manager that holds the bus, the runner, and what the devices need.
 
-    ``words`` are python-can's own for the bus. ConfigError for a bus on which a device would receive its own
-    frames; CanfbError, on entering, for one that cannot be opened.
+    ConfigError for a bus on which a device would receive its own frames; CanfbError for one that cannot be
+    opened.
     """
 
     def __init__(self, words: Mapping[str, Any], realtime: RealtimeConfig) -> None:
@@ -93,11 +87,10 @@ def fed_module(config: ModuleConfig) -> FedModule:
 
 
 class Simulating(OnBus):
-    """A simulation on a bus. Use it as a context manager around :meth:`run`.
+    """A simulation on a bus: a context manager around :meth:`run`.
 
-    ``words`` are python-can's own for the bus. What there is to say goes to the loggers ``canfb.*``.
-    ``seconds`` ends it after this machine time; else the end of a recording does, or
-    :meth:`stop`. ConfigError for a simulation that cannot be; errors of the bus as those of :class:`OnBus`.
+    ``seconds`` ends it after this machine time; else the end of a recording does, or :meth:`stop`.
+    ConfigError for a simulation that cannot be; errors of the bus as those of :class:`OnBus`.
     """
 
     def __init__(

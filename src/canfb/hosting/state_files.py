@@ -1,11 +1,8 @@
 """Stored parameters as files: one for each group in a folder, whole after a crash at any instant.
 
-A group alone is written beside its file and renamed over it. A change of several groups is first written as
-one file, ``pending.bin``, whose rename makes it valid, and then copied to the files of the groups; what a
-crash has left of it to do is done by the next save, and until then read from there. A file called ``….new``
-was never finished and is not looked at.
-
-A running module writes in a thread of its own: no SYNC waits for the disk. Who only reads takes no lock.
+A group is written beside its file and renamed over it. A change of several groups is first one file,
+``pending.bin``, whose rename makes it valid, then copied; what a crash has left is done by the next save. A
+file called ``….new`` was never finished. A running module writes in a thread: no SYNC waits for the disk.
 """
 
 from __future__ import annotations
@@ -62,8 +59,8 @@ class StateDirError(CanfbError):
 class StateFiles(Closing):
     """A store in a ``folder``, which is made if it is missing: what 1010h and LSS save, in files.
 
-    Give it to :class:`canfb.FeedbackModule` as ``store``. It belongs to one process until :meth:`close`, or
-    to the end of a ``with``. StateDirError when another one has it, or when it cannot be written to.
+    It belongs to one process until :meth:`close`, or to the end of a ``with``. StateDirError when another one
+    has it, or when it cannot be written to.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -250,8 +247,7 @@ def small_stack() -> Iterator[None]:
 class ThreadedStore(Closing):
     """``store``, written in one thread, a change after the other: a ``BackgroundStore`` of the device.
 
-    The thread begins here, so that a save needs no new one, and waits in system calls of the disk nearly all
-    of its time. :meth:`close`, or the end of a ``with``, waits for what was begun.
+    :meth:`close`, or the end of a ``with``, waits for what was begun.
     """
 
     def __init__(self, store: Store) -> None:

@@ -1,8 +1,7 @@
-"""A network in simulated time on a bus that other programs can open: what ``canfb try`` and a page show.
+"""A network in simulated time on a bus that other programs can open: what ``canfb try`` shows.
 
-Module, encoder interface and SYNC are in one process, on an :class:`.EmbeddedBus` whose frames go to a bus of
-python-can and back. Its time is that of the SYNC, not that of the computer: where that is late the machine
-turns more slowly, and nothing is lost. For the page, to look at it without a bus, the bus is a virtual one.
+Its time is that of the SYNC, not that of the computer: where that is late the machine turns more slowly, and
+nothing is lost.
 """
 
 from __future__ import annotations
@@ -42,10 +41,9 @@ PRIVATE_GROUPS = 16  # for one user of one computer, side by side
 
 @contextlib.contextmanager
 def private_bus() -> Iterator[dict[str, Any]]:
-    """python-can's words for a multicast group that nobody else uses, held for as long as this is entered.
+    """python-can's words for a multicast group that nobody else uses, held while this is entered.
 
-    It depends on the computer and its user: the next time it is the same one, unless another program of the
-    user has it. Its frames stay on this computer. BusError where all groups are taken.
+    It depends on the computer and its user; its frames stay here. BusError where all groups are taken.
     """
     user = f"{platform.node()} {os.getuid() if hasattr(os, 'getuid') else os.environ.get('USERNAME')}"
     for number in range(PRIVATE_GROUPS):
@@ -73,11 +71,10 @@ def end_main() -> None:
 
 
 class NetworkOnBus:
-    """The first module of ``config``, its encoder interface and the SYNC at ``rate_hz``, on its bus.
+    """The first module of ``config``, its encoder interface and the SYNC at ``rate_hz``, in a thread.
 
-    It runs in a thread while it is entered. ``first`` are frames that a master sends at the start. What the
-    module saves goes to a folder that is removed at the end. With ``events`` what happens is logged.
-    CanfbError, on entering, for a bus that cannot be opened; on leaving, for one that has failed.
+    ``first`` are frames that a master sends at the start. What the module saves is removed at the end. With
+    ``events`` what happens is logged. CanfbError for a bus that cannot be opened, or has failed.
     """
 
     def __init__(
