@@ -10,7 +10,7 @@ from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER, Core, Timed
-from canfb.device.od.dictionary import Entry
+from canfb.device.od.dictionary import Entry, refuse_if
 
 _EMERGENCY = struct.Struct("<HB5s")
 _WAITING = 8
@@ -147,7 +147,7 @@ class Emergency(Timed):
     def _install(self) -> None:
         self._cob_id.on_check = self._check_cob_id
         self._cob_id.on_written = self._changed
-        self._history_count.on_check = _check_clear
+        self._history_count.on_check = refuse_if(bool)  # 0 clears the history
         for entry in self._history:
             self._install_history(entry)
 
@@ -164,12 +164,6 @@ class Emergency(Timed):
             raise SdoAbort(AbortCode.INVALID_VALUE)
         old = self._cob_id.value
         cob.check(value, old, uses_new=cob.is_valid(value), uses_old=cob.is_valid(old))
-
-
-def _check_clear(value: int) -> None:
-    """Only 0, which clears the history, may be written to 1003h:00."""
-    if value:
-        raise SdoAbort(AbortCode.INVALID_VALUE)
 
 
 def check_error(code: int, register_bits: int, manufacturer: bytes) -> None:

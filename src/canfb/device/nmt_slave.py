@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.device.core import Core
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary, refuse_if
 
 COMMUNICATING = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 """The states with SDO, SYNC and EMCY."""
@@ -68,7 +67,7 @@ class Startup:
 
     def __init__(self, dictionary: Dictionary, *, autostart: bool) -> None:
         self._entry = entry = dictionary.assumed(0x1F80, value=WAIT_FOR_MASTER)
-        entry.on_check = _check_startup
+        entry.on_check = refuse_if(lambda value: value & ~WAIT_FOR_MASTER)  # the rest is for masters
         if autostart:
             entry.default = (entry.default or 0) & ~WAIT_FOR_MASTER
             entry.value &= ~WAIT_FOR_MASTER
@@ -79,12 +78,6 @@ class Startup:
         return not self._entry.value & WAIT_FOR_MASTER
 
 
-def _check_startup(value: int) -> None:
-    """All other bits are for masters, which this device is not."""
-    if value & ~WAIT_FOR_MASTER:
-        raise SdoAbort(AbortCode.INVALID_VALUE)
-
-
 class ErrorBehaviour:
     """Object 1029h: the NMT state that a communication error leads to."""
 
@@ -92,13 +85,8 @@ class ErrorBehaviour:
         self._entry = dictionary.assumed(0x1029, 1)
         for entry in dictionary:
             if entry.index == 0x1029 and entry.subindex:
-                entry.on_check = _check_behaviour
+                entry.on_check = refuse_if(lambda value: value not in REACTION)
 
     def reaction(self, state: NmtState) -> NmtState:
         """The state to enter from `state`."""
         return REACTION.get(self._entry.value, REACTION[0]).get(state, state)
-
-
-def _check_behaviour(value: int) -> None:
-    if value not in REACTION:
-        raise SdoAbort(AbortCode.INVALID_VALUE)

@@ -128,18 +128,19 @@ class Sync(Timed):
         if self._generates:
             self._counters.malformed_frames += 1
         elif len(data) != self._length:
-            self._refuse(len(data), now)
+            self._length_error = True
+            self._counters.malformed_frames += 1
+            code, register, length = (
+                EmergencyCode.SYNC_LENGTH,
+                ErrorRegister.COMMUNICATION,
+                bytes([len(data)]),
+            )
+            self._emergency.report(code, register, length, now, _SYNC_OBJECT)
         else:
             if self._length_error:
-                self._clear_length_error(now)
+                self._length_error = False
+                self._emergency.clear(EmergencyCode.SYNC_LENGTH, now, _SYNC_OBJECT)
             self._pdos.synchronise(data[0] if data else None, now)
-
-    def _refuse(self, length: int, now: float) -> None:
-        self._length_error = True
-        self._counters.malformed_frames += 1
-        self._emergency.report(
-            EmergencyCode.SYNC_LENGTH, ErrorRegister.COMMUNICATION, bytes([length]), now, _SYNC_OBJECT
-        )
 
     def tick(self, now: float) -> None:
         """Produce the SYNC that is due; missed periods are left out."""
@@ -148,17 +149,11 @@ class Sync(Timed):
         period = self._period_s
         following = self.deadline + period
         self.deadline = following if following > now else now + period
+        counter: int | None = None
         if self._length:
-            self._counter = self._counter % self._overflow.value + 1
-            self._emit(Frame(self.can_id, bytes([self._counter])))
-            self._pdos.synchronise(self._counter, now)
-        else:
-            self._emit(Frame(self.can_id, b""))
-            self._pdos.synchronise(None, now)
-
-    def _clear_length_error(self, now: float) -> None:
-        self._length_error = False
-        self._emergency.clear(EmergencyCode.SYNC_LENGTH, now, _SYNC_OBJECT)
+            counter = self._counter = self._counter % self._overflow.value + 1
+        self._emit(Frame(self.can_id, b"" if counter is None else bytes([counter])))
+        self._pdos.synchronise(counter, now)
 
     @property
     def _period_s(self) -> float:

@@ -183,6 +183,18 @@ class Entry:
             self.on_download()
 
 
+def refuse_if(
+    wrong: Callable[[Any], object], code: AbortCode = AbortCode.INVALID_VALUE
+) -> Callable[[Any], None]:
+    """An `on_check` that refuses the values for which ``wrong`` is true."""
+
+    def check(value: Any) -> None:
+        if wrong(value):
+            raise SdoAbort(code)
+
+    return check
+
+
 STORE_EDS = 0x1021
 """The EDS of the device, in the format that 1022h names (CiA 301, 7.5.2.24)."""
 

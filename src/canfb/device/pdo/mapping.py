@@ -145,11 +145,6 @@ class PdoParameters:
         """
         return self._slots() if self.is_valid else []
 
-    def refuse_while_valid(self, value: int) -> None:
-        """The check of a parameter that is fixed while the PDO is valid: 06090030h."""
-        if self.is_valid:
-            raise SdoAbort(AbortCode.INVALID_VALUE)
-
     def _install(self, changed: Callable[[], None]) -> None:
         self.cob_id.on_check = self._check_cob_id
         self.type.on_check = self._check_type

@@ -16,10 +16,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 
-from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER, Core, Timed
-from canfb.device.od.dictionary import Entry
+from canfb.device.od.dictionary import Entry, refuse_if
 from canfb.device.pdo.mapping import (
     EVENT_DRIVEN,
     SYNC_REMOTE,
@@ -53,7 +52,11 @@ class Tpdo(Timed):
         self._inhibit = self._parameters.further(3)
         self._event_timer = self._parameters.further(5)
         self._start_value = self._parameters.further(6)
-        self._install()
+        self._inhibit.on_check = refuse_if(lambda value: self._parameters.is_valid)
+        self._start_value.on_check = refuse_if(
+            lambda value: self._parameters.is_valid or value > _LARGEST_START
+        )
+        self._event_timer.on_written = self._written
         self._not_before = -NEVER
         self.enable(False, 0.0)
 
@@ -125,7 +128,7 @@ class Tpdo(Timed):
                 self._event = False
                 self._send(now)
         elif self._type == SYNC_REMOTE:
-            self._sampled = self._sample()
+            self._sampled = b"" if self._pack is None else self._pack()
         elif self._is_turn(counter):
             self._send(now)
 
@@ -174,9 +177,6 @@ class Tpdo(Timed):
         self._syncs = 0
         return True
 
-    def _sample(self) -> bytes:
-        return b"" if self._pack is None else self._pack()
-
     def _send(self, now: float) -> None:
         pack = self._pack
         if pack is None:
@@ -193,16 +193,6 @@ class Tpdo(Timed):
     def _schedule(self) -> None:
         waits = self._event and self._event_driven
         self.deadline = min(self._not_before if waits else NEVER, self._timer_end)
-
-    def _install(self) -> None:
-        self._inhibit.on_check = self._parameters.refuse_while_valid
-        self._start_value.on_check = self._check_start_value
-        self._event_timer.on_written = self._written
-
-    def _check_start_value(self, value: int) -> None:
-        self._parameters.refuse_while_valid(value)
-        if value > _LARGEST_START:
-            raise SdoAbort(AbortCode.INVALID_VALUE)
 
     def _written(self) -> None:
         self.enable(self._operational, self._core.call.now)

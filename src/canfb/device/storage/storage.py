@@ -14,6 +14,7 @@ from typing import Protocol, runtime_checkable
 
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.core import NEVER, Core, Pending, Timed
+from canfb.device.od.dictionary import refuse_if
 from canfb.device.storage.image import (
     Identity,
     ImageError,
@@ -144,8 +145,8 @@ class Storage:
         self.writing = None if store is None else Writing(store, lambda: core.call.now)
         self._images: dict[ParameterGroup, bytes] = {}
         self._verify = [dictionary.assumed(VERIFY, subindex) for subindex in (1, 2)]
-        self._install(SAVE, SAVES_ON_COMMAND if store is not None else 0, self._check_save, self._save)
-        self._install(LOAD, RESTORES, _check_load, self._load)
+        self._install(SAVE, SAVES_ON_COMMAND if store is not None else 0, SAVE_SIGNATURE, self._save)
+        self._install(LOAD, RESTORES, LOAD_SIGNATURE, self._load)
         for entry in self._verify:
             entry.on_download = None
 
@@ -213,18 +214,12 @@ class Storage:
     def _identity(self) -> Identity:
         return Identity(*(int(self._dictionary.assumed(0x1018, part).value) for part in (1, 2, 3)))
 
-    def _install(
-        self, index: int, ability: int, check: Callable[[int], None], command: Callable[[int], None]
-    ) -> None:
+    def _install(self, index: int, ability: int, signature: int, command: Callable[[int], None]) -> None:
         for subindex in (ALL_PARAMETERS, *PARAMETERS):
             entry = self._dictionary.assumed(index, subindex)
             entry.on_read = lambda: ability
-            entry.on_check = check
+            entry.on_check = refuse_if(lambda value: value != signature or not ability, AbortCode.NOT_STORED)
             entry.on_written = partial(command, subindex)
-
-    def _check_save(self, value: int) -> None:
-        if value != SAVE_SIGNATURE or self._store is None:
-            raise SdoAbort(AbortCode.NOT_STORED)
 
     def _save(self, subindex: int) -> None:
         self._command({group: self._image(group) for group in _groups(subindex)}, lambda: None)
@@ -284,11 +279,6 @@ class Storage:
 
 def _abort_code(error: OSError) -> AbortCode:
     return AbortCode.DEVICE_STATE if error.errno == errno.EBUSY else AbortCode.HARDWARE
-
-
-def _check_load(value: int) -> None:
-    if value != LOAD_SIGNATURE:
-        raise SdoAbort(AbortCode.NOT_STORED)
 
 
 def _groups(subindex: int) -> tuple[ParameterGroup, ...]:
