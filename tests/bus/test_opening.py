@@ -7,6 +7,7 @@ import os
 import struct
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -290,8 +291,9 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     def raw(channel: str) -> None:
         calls.append(channel)
 
-    def python_can(**words: object) -> None:
+    def python_can(**words: object) -> SimpleNamespace:
         calls.append(words)
+        return SimpleNamespace(channel_info="a bus")
 
     monkeypatch.setattr(RawCanBus, "open", raw)
     monkeypatch.setattr(can, "Bus", python_can)
