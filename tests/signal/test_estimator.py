@@ -231,38 +231,6 @@ def test_resume_goes_on_at_standstill() -> None:
     assert estimator.good(0.7, 1.0)[0].cycles == 0
 
 
-# Sets of elapsed times.
-
-
-def test_a_sample_after_one_or_two_intervals() -> None:
-    """0.37 cycle per interval: only one of them fits, at once."""
-    estimator = started(speed=0.37)
-    track, bits = estimator.good(phases(0.37, 1, 12)[0], (1.0, 2.0))
-    assert bits == VALID
-    assert track.cycles == math.floor(0.3 + 0.37 * 12)
-
-
-def test_a_whole_speed_leaves_two_counts_until_one_is_confirmed() -> None:
-    for truth in (1.0, 2.0):
-        estimator = started(speed=3.0)
-        first = 11 + int(truth)
-        assert estimator.good(0.3, (1.0, 2.0))[1] == COASTING
-        assert estimator.good(0.3, 1.0)[1] == COASTING
-        estimator.confirm(truth, 1)
-        track, bits = estimator.good(0.3, 1.0)
-        assert bits == VALID
-        assert track.cycles == 3 * (first + 2)
-
-
-def test_a_time_that_turns_out_wrong_loses_the_position() -> None:
-    estimator = started(speed=0.37)
-    take(estimator, phases(0.37, 1, 12), (1.0, 2.0))  # type: ignore[arg-type]
-    take(estimator, phases(0.37, 3, 13))
-    estimator.confirm(2.0, 3)
-    assert estimator.lost
-    assert estimator.loss_cause == LossCause.TIME
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.003])
 def test_an_input_that_stands_after_a_motion_is_not_valid(noise: float) -> None:
     """An open track shows one phase, with noise; the same of a machine that stood before is valid."""

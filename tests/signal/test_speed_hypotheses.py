@@ -143,7 +143,7 @@ def verdicts(
             unit, given = factor, later or machine
             starts.rescale(factor)
         time = float(interval) * unit
-        if starts.begin(given, True, (time,), True, [], 0.0):
+        if starts.begin(given, True, time, True, [], 0.0):
             found.append(starts.take(float(phase), time, True, None))
     before, last, apart = starts.last_two
     speed = (last[0] - before[0] + last[1] - before[1]) / apart * unit

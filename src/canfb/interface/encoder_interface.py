@@ -170,7 +170,7 @@ class EncoderInterface(NodeDevice):
 
     def _keep(self, sample: Sample) -> None:
         """Put the sample into 6401h and 2000h."""
-        sine, cosine, _, invalid, coarse_sine, coarse_cosine, pulse, time_100ns, pairs, _ = sample
+        sine, cosine, _, invalid, coarse_sine, coarse_cosine, pulse, time_100ns, pairs = sample
         self._sine.value, self._cosine.value = sine, cosine
         if coarse_sine is not None and coarse_cosine is not None:
             self._coarse_sine.value, self._coarse_cosine.value = coarse_sine, coarse_cosine

@@ -57,7 +57,6 @@ class SignalChain:
         """The clock of the encoder interface, by the sample times so far."""
         self._per_sync = 1
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
-        self._open_sample = 0  # number of the last sample that had several possible times
         self._untimed_unit_s = config.interval_s
         self.set_limits(config.chain_limits)
 
@@ -277,7 +276,7 @@ class SignalChain:
         """
         time_100ns, elapsed = sample.time_100ns, sample.elapsed
         if time_100ns is None:
-            return self.after(sample, elapsed, sample.options)
+            return self.after(sample, elapsed)
         times, stages = self._times, self.stages
         speed, unit_s = stages.estimator.tracker.step_cycles * self._per_sync, times.unit_s
         counted = elapsed + self._waited
@@ -332,48 +331,37 @@ class SignalChain:
         self,
         sample: Sample,
         elapsed: float,
-        options: tuple[float, ...] = (),
         *,
         placed: bool = True,
         next_one: bool = False,
     ) -> Feedback:
         """:meth:`step` where it is known when the sample was taken, whatever its own time says.
 
-        ``elapsed`` intervals of SYNC after the one before, or any of the ``options``; ``placed``: False if
-        that is not known, which makes it a bad sample; ``next_one``: by the count of SYNCs none was missed.
+        ``elapsed`` intervals of SYNC after the one before; ``placed``: False if that is not known, which
+        makes it a bad sample; ``next_one``: by the count of SYNCs none was missed.
         """
-        sine, cosine, _, invalid, coarse, _, pulse, time_100ns, _, _ = sample
+        sine, cosine, _, invalid, coarse, _, pulse, time_100ns, _ = sample
         bad, timed = invalid or not placed, time_100ns is not None
-        if options:
-            self._open_sample = self.stages.samples + 1
         if self._per_sync > 1:
-            return self._take_all(sample, elapsed, bad, not placed, next_one, options)
+            return self._take_all(sample, elapsed, bad, not placed, next_one)
         in_turn = elapsed == 1.0 or (timed and elapsed <= HOLE_INTERVALS)
-        if in_turn and not (bad or options) and coarse is pulse is None:
+        if in_turn and not bad and coarse is pulse is None:
             return self.stages.take(sine, cosine, elapsed, timed)
-        extras = Extras(sample, bad, not placed, next_one, options=options)
+        extras = Extras(sample, bad, not placed, next_one)
         return self.stages.take(sine, cosine, elapsed, timed, extras)
 
     def _take_all(
-        self,
-        sample: Sample,
-        elapsed: float,
-        bad: bool,
-        unplaced: bool,
-        next_one: bool,
-        options: tuple[float, ...],
+        self, sample: Sample, elapsed: float, bad: bool, unplaced: bool, next_one: bool
     ) -> Feedback:
         """The samples of one SYNC in their order, ``elapsed`` intervals of SYNC after those before."""
         stages, timed = self.stages, sample.time_100ns is not None
-        later = [(one - elapsed) * self._per_sync for one in options]  # than the first option
         samples = [sample] if bad else in_order(sample, elapsed * self._per_sync, self._per_sync)
         next_one = next_one and len(samples) == self._per_sync
         between: list[Feedback] = []
         pulse = None
         for one in samples[:-1]:
             before = stages.place
-            times = () if between else tuple(one.elapsed + more for more in later)
-            extras = Extras(one._replace(zero_pulse=None), next_one=next_one, newest=False, options=times)
+            extras = Extras(one._replace(zero_pulse=None), next_one=next_one, newest=False)
             feedback = stages.take(one.sine, one.cosine, one.elapsed, timed, extras)
             after = stages.place
             self.reference.passed(one.elapsed, after is not None)
@@ -384,8 +372,7 @@ class SignalChain:
             between.append(feedback)
         newest = samples[-1]
         whole = elapsed * self._per_sync if bad else newest.elapsed
-        times = () if between else tuple(whole + more for more in later)
-        extras = Extras(newest, bad, unplaced, next_one, pulse, options=times)
+        extras = Extras(newest, bad, unplaced, next_one, pulse)
         feedback = stages.take(newest.sine, newest.cosine, whole, timed, extras)
         if any(one.status & MISSED for one in between):
             feedback = stages.last = feedback._replace(status=feedback.status | MISSED)
@@ -397,12 +384,3 @@ class SignalChain:
         self._waited += 1.0
         self.between = ()
         return self.stages.miss(float(self._per_sync))
-
-    def confirm(self, elapsed: float) -> None:
-        """The last sample with several :attr:`canfb.Sample.options` came after this time ``elapsed``.
-
-        That is one of them. The position is lost if the sample was taken to have come after another.
-        """
-        # The first sample of an interval has the times.
-        intervals = (elapsed - 1.0) * self._per_sync + 1.0
-        self.stages.estimator.confirm(intervals, self.stages.samples - self._open_sample)

@@ -50,7 +50,6 @@ class Candidate(NamedTuple):
     chance     expected number of random phases that would have got so far
     joined     the same, up to the end of the junction
     residuals  of the samples behind the junction: how many, smallest, largest, cycles
-    took       elapsed times that were not certain: (number of the entry, intervals)
     """
 
     time: float
@@ -60,7 +59,6 @@ class Candidate(NamedTuple):
     chance: float = 1.0
     joined: float = 1.0
     residuals: tuple[int, float, float] = NO_RESIDUALS
-    took: tuple[tuple[int, float], ...] = ()
 
     @property
     def last(self) -> Spot:
@@ -105,36 +103,28 @@ class Candidate(NamedTuple):
             window = window.meet(motion.beyond(before, run, time))
         return window, False
 
-    def successors(
-        self, phase: float, options: Sequence[float], number: int, motion: BoundedMotion
-    ) -> Iterable[Candidate]:
-        """With a sample after one of the elapsed times ``options``: one for each count in its window."""
-        for elapsed in options:
-            uncertain = len(options) > 1
-            start = self.over_hole(0.0) if self.run and (uncertain or elapsed >= HOLE_INTERVALS) else self
-            time = self.time + elapsed
-            window, joins = start.window(time, motion)
-            chance = start.chance * window.width * len(options)
-            took = (*start.took, (number, elapsed)) if uncertain else start.took
-            for cycles in window.counts(phase):
-                residuals = start.residuals if joins else _noted(start.residuals, window, cycles + phase)
-                yield Candidate(
-                    time,
-                    (*start.spots[-SPOTS_KEPT:], Spot(time, cycles, phase)),
-                    start.run + 1,
-                    0,
-                    chance,
-                    chance if joins else start.joined,
-                    residuals,
-                    took,
-                )
+    def successors(self, phase: float, elapsed: float, motion: BoundedMotion) -> Iterable[Candidate]:
+        """With a sample ``elapsed`` intervals later: one for each count in its window."""
+        start = self.over_hole(0.0) if self.run and elapsed >= HOLE_INTERVALS else self
+        time = self.time + elapsed
+        window, joins = start.window(time, motion)
+        chance = start.chance * window.width
+        for cycles in window.counts(phase):
+            yield Candidate(
+                time,
+                (*start.spots[-SPOTS_KEPT:], Spot(time, cycles, phase)),
+                start.run + 1,
+                0,
+                chance,
+                chance if joins else start.joined,
+                start.residuals if joins else _noted(start.residuals, window, cycles + phase),
+            )
 
     def rescaled(self, factor: float) -> Candidate:
         """The same, in another unit of time."""
         return self._replace(
             time=self.time * factor,
             spots=tuple(spot._replace(time=spot.time * factor) for spot in self.spots),
-            took=tuple((number, elapsed * factor) for number, elapsed in self.took),
         )
 
     def future(self) -> tuple[object, ...]:
@@ -159,7 +149,6 @@ class Candidate(NamedTuple):
             chance=self.chance + other.chance,
             joined=self.joined + other.joined,
             residuals=(min(number, number_), min(least, least_), max(most, most_)),
-            took=tuple(dict.fromkeys(self.took + other.took)),
         )
 
 
@@ -191,10 +180,10 @@ def merged(candidates: Iterable[Candidate]) -> list[Candidate] | None:
 
 
 class LogEntry(NamedTuple):
-    """One sample or its absence: the phase of a good one, its elapsed times, the candidates before it."""
+    """One sample or its absence: the phase of a good one, intervals since the last, candidates before it."""
 
     phase: float | None
-    options: tuple[float, ...]
+    elapsed: float
     before: Sequence[Candidate]
 
 
@@ -234,10 +223,10 @@ class Doubt:
         """None was good since it began."""
         return not self._followed
 
-    def skip(self, options: tuple[float, ...], flagged: bool) -> None:
-        """No sample, or one that failed its checks (``flagged``), after one of these elapsed times."""
+    def skip(self, elapsed: float, flagged: bool) -> None:
+        """No sample, or one that failed its checks (``flagged``), after so many intervals."""
         self._only_missing &= not flagged
-        self._enter(None, options)
+        self._enter(None, elapsed)
         self._follow(self._advance(self.candidates, len(self.log) - 1))
 
     def suspect(self) -> None:
@@ -249,12 +238,10 @@ class Doubt:
             if not self._go_back(number):
                 self.candidates = []
 
-    def take(self, phase: float, options: tuple[float, ...], refused: bool = False) -> Decision:
-        """A good sample, after one of the elapsed times ``options``; ``refused``: over the limit of usual
-        samples.
-        """
-        self._followed += min(options)
-        self._enter(phase, options)
+    def take(self, phase: float, elapsed: float, refused: bool = False) -> Decision:
+        """A good sample ``elapsed`` intervals later; ``refused``: over the limit of usual samples."""
+        self._followed += elapsed
+        self._enter(phase, elapsed)
         number = len(self.log) - 1
         if not self._follow([] if refused else self._advance(self.candidates, number)):
             return Decision(lost=LossCause.UNDECIDED)
@@ -268,42 +255,20 @@ class Doubt:
                 return Decision(lost=LossCause.UNDECIDED)
         return self._decide()
 
-    def confirm(self, back: int, elapsed: float) -> bool:
-        """The entry ``back`` before the last one came after this elapsed time; False: no candidate did so."""
-        number = len(self.log) - 1 - back
-        if not 0 <= number < len(self.log) or len(self.log[number].options) == 1:
-            return True
-        self.log[number] = self.log[number]._replace(options=(elapsed,))
-        self.candidates = _confirmed(self.candidates, number, elapsed)
-        for later in range(number + 1, len(self.log)):
-            entry = self.log[later]
-            self.log[later] = entry._replace(before=_confirmed(entry.before, number, elapsed))
-        return bool(self.candidates)
-
     def declare(self, motion: BoundedMotion, bad_samples: int) -> None:
         """Take other bounds, between two samples."""
         self.motion, self.bad_samples = motion, bad_samples
-
-    def without_times_taken(self) -> list[LogEntry]:
-        """The log, its candidates without the numbers of its entries."""
-        return [
-            entry._replace(before=tuple(one._replace(took=()) for one in entry.before)) for entry in self.log
-        ]
 
     def rescale(self, factor: float) -> None:
         """Intervals are counted in another unit: all are ``factor`` times as many of it."""
         self.candidates = [one.rescaled(factor) for one in self.candidates]
         self.log = [
-            LogEntry(
-                phase,
-                tuple(one * factor for one in options),
-                tuple(one.rescaled(factor) for one in before),
-            )
-            for phase, options, before in self.log
+            LogEntry(phase, elapsed * factor, tuple(one.rescaled(factor) for one in before))
+            for phase, elapsed, before in self.log
         ]
 
-    def _enter(self, phase: float | None, options: tuple[float, ...]) -> None:
-        self.log.append(LogEntry(phase, options, tuple(self.candidates)))
+    def _enter(self, phase: float | None, elapsed: float) -> None:
+        self.log.append(LogEntry(phase, elapsed, tuple(self.candidates)))
 
     def _follow(self, found: Iterable[Candidate]) -> bool:
         """Go on with these; False if they are too many."""
@@ -313,14 +278,12 @@ class Doubt:
 
     def _advance(self, candidates: Iterable[Candidate], number: int) -> Iterable[Candidate]:
         """All of them over one entry of the log."""
-        phase, options, _ = self.log[number]
+        phase, elapsed, _ = self.log[number]
         for one in candidates:
             if phase is None or one.leaves:
-                for elapsed in options:
-                    took = (*one.took, (number, elapsed)) if len(options) > 1 else one.took
-                    yield one.over_hole(elapsed, left_out=phase is not None)._replace(took=took)
+                yield one.over_hole(elapsed, left_out=phase is not None)
             else:
-                yield from one.successors(phase, options, number, self.motion)
+                yield from one.successors(phase, elapsed, self.motion)
 
     def _go_back(self, contradicted: int) -> bool:
         """Leave m samples out, from each entry on that can have been the first bad one."""
@@ -370,10 +333,8 @@ class Doubt:
 
     def _is_inseparable(self) -> bool:
         """No later phase tells them apart."""
-        entries = self.log[self._begun :]
-        if any(len(entry.options) > 1 for entry in entries):
-            return False  # it may still be confirmed which it was
-        return all(abs(entry.options[0] - round(entry.options[0])) <= SAME_TIME for entry in entries)
+        times = (entry.elapsed for entry in self.log[self._begun :])
+        return all(abs(time - round(time)) <= SAME_TIME for time in times)
 
     def _is_jump(self, one: Candidate) -> bool:
         """After a contradiction: all samples fit the motion before, or the run extended backwards."""
@@ -383,7 +344,7 @@ class Doubt:
         spots = one.run_spots
         time = spots[0].time
         for number in range(len(self.log) - len(spots), first, -1):
-            time -= self.log[number].options[0]
+            time -= self.log[number].elapsed
             phase = self.log[number - 1].phase
             if phase is None:
                 continue
@@ -401,10 +362,10 @@ class Doubt:
         While no acceleration is declared, usual samples may be outside the window in doubt.
         """
         for number in range(max(0, contradicted - self._reach), contradicted):
-            phase, options, before = self.log[number]
-            if phase is None or len(before) != 1 or len(options) > 1:
+            phase, elapsed, before = self.log[number]
+            if phase is None or len(before) != 1:
                 continue
-            window, _ = before[0].window(before[0].time + options[0], self.motion)
+            window, _ = before[0].window(before[0].time + elapsed, self.motion)
             if not window.counts(phase):
                 return number
         return contradicted
@@ -413,12 +374,3 @@ class Doubt:
     def _reach(self) -> int:
         """So many samples before a contradiction may be bad."""
         return self.bad_samples + ORDER - 1
-
-
-def _confirmed(candidates: Sequence[Candidate], number: int, elapsed: float) -> list[Candidate]:
-    kept = []
-    for one in candidates:
-        times = [time for entry, time in one.took if entry == number]
-        if not times or any(abs(time - elapsed) <= SAME_TIME for time in times):
-            kept.append(one)
-    return kept

@@ -3,7 +3,7 @@
 Usually eq. 9 counts. All else is one question, which :mod:`canfb.signal.doubt` answers: which motions
 within what is declared are left?
 
-    counted --- missing, flagged, contradicted, or an interval of unknown length ---> in doubt
+    counted --- missing, flagged, or contradicted ---> in doubt
     in doubt --- one motion is left ---> counted
     in doubt --- none is left, or several that no sample can separate, or it takes too long ---> lost
     lost --- a start at standstill, or a witness ---> counted
@@ -194,26 +194,22 @@ class Estimator:
         """True while the next samples must decide where the position is; not when it is lost."""
         return self._doubt is not None
 
-    def good(self, phase: float, elapsed: float | tuple[float, ...]) -> tuple[Track, int]:
-        """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL.
-
-        ``elapsed`` intervals after the one before; several if it is not known which of them.
-        """
+    def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
+        """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
         second = self.timed and len(self.places) == 1
         if elapsed == 1.0 and not (second or self._doubt or self.lost or self._speeds.active):
             followed = self.tracker.follow(phase)
             if followed is not None:
                 self.places.append((followed[0], phase, 1.0))
                 return followed, VALID
-        options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
-        if self._follows_speeds(options):
-            return self._by_speed(phase, options)
-        return self._taken(phase, options)
+        if self._follows_speeds(elapsed):
+            return self._by_speed(phase, elapsed)
+        return self._taken(phase, elapsed)
 
-    def _by_speed(self, phase: float, options: tuple[float, ...]) -> tuple[Track, int]:
+    def _by_speed(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """The same, held against every speed at which the machine can have started, or turns while lost."""
-        track, bits = self._taken(phase, options)
-        elapsed, count = options[0], None if self._doubt else self.tracker.cycles
+        track, bits = self._taken(phase, elapsed)
+        count = None if self._doubt else self.tracker.cycles
         verdict = self._speeds.take(phase, elapsed, self.lost, count)
         if verdict is SpeedVerdict.FALSE_START:
             self.lose(LossCause.START)
@@ -232,38 +228,38 @@ class Estimator:
         self.confirm_count()
         return self.tracker.places[1], VALID
 
-    def _taken(self, phase: float, options: tuple[float, ...]) -> tuple[Track, int]:
+    def _taken(self, phase: float, elapsed: float) -> tuple[Track, int]:
         tracker = self.tracker
         if self.lost:
-            return self._count_on(phase, options[0])
+            return self._count_on(phase, elapsed)
         if not tracker.started:
             track = tracker.look(phase)
             tracker.accept(track)
             self._begin_places()
             # The next interval may be even by chance. What confirms the start confirms this sample.
-            return track, COASTING if self._follows_speeds((1.0,)) else VALID
-        if self._coasted + max(0, round(options[0]) - 1) > self.declared.coasting + 0.5:
+            return track, COASTING if self._follows_speeds(1.0) else VALID
+        if self._coasted + max(0, round(elapsed) - 1) > self.declared.coasting + 0.5:
             self.lose(LossCause.COASTED)
-            return self._count_on(phase, options[0])
+            return self._count_on(phase, elapsed)
         self._coasted = 0.0
         bits = 0
-        if self._doubt is None and options[-1] < LONG_INTERVAL:
-            counted = self._counted(phase, options)
+        if self._doubt is None and elapsed < LONG_INTERVAL:
+            counted = self._counted(phase, elapsed)
             if counted is not None:
-                tracker.accept(counted, options[0])
-                self.places.append((counted.cycles, phase, options[0]))
+                tracker.accept(counted, elapsed)
+                self.places.append((counted.cycles, phase, elapsed))
                 return counted, VALID
-            bits = RESIDUAL if options[-1] < HOLE_INTERVALS else 0
+            bits = RESIDUAL if elapsed < HOLE_INTERVALS else 0
             if bits and self._start_is_assumed:
                 self.lose(LossCause.START)
-                return self._count_on(phase, options[0], LOST | bits)
-        return self._decide(phase, options, bits)
+                return self._count_on(phase, elapsed, LOST | bits)
+        return self._decide(phase, elapsed, bits)
 
-    def _follows_speeds(self, options: tuple[float, ...]) -> bool:
+    def _follows_speeds(self, elapsed: float) -> bool:
         """The next sample is held against every speed that the machine can have."""
         begin, places = self._speeds.begin, self._start_places()
         return self.phases_keep and begin(
-            self.declared, self.timed, options, self.lost, places, self._coasted
+            self.declared, self.timed, elapsed, self.lost, places, self._coasted
         )
 
     def _start_places(self) -> list[Place]:
@@ -311,10 +307,9 @@ class Estimator:
         error = self._error + self._instant_error * abs(self.tracker.step_cycles)
         return self._largest * elapsed * (elapsed + last) / 2.0 + error * (2.0 + 2.0 * elapsed / last)
 
-    def _counted(self, phase: float, options: tuple[float, ...]) -> Track | None:
+    def _counted(self, phase: float, elapsed: float) -> Track | None:
         """The position of a sample in turn, if it is the only one that the machine can be at."""
-        elapsed = options[0]
-        if len(options) > 1 or elapsed >= LONG_INTERVAL:
+        if elapsed >= LONG_INTERVAL:
             return None
         if elapsed == 1.0 and self.tracker.is_steady and not (self.declared.instant_error or self.searches):
             if len(self.places) > 1:
@@ -334,11 +329,10 @@ class Estimator:
         counts = self.declared.usual.window(spots, spots[-1].time + elapsed).counts(phase)
         return track._replace(cycles=counts[0]) if len(counts) == 1 else None
 
-    def bad(self, elapsed: float | tuple[float, ...], missed: bool = False) -> tuple[Track, int]:
+    def bad(self, elapsed: float, missed: bool = False) -> tuple[Track, int]:
         """A sample that failed its checks, or none at all (``missed``): predicted position, status bits."""
-        options = elapsed if isinstance(elapsed, tuple) else (elapsed,)
-        self._speeds.skip(options)
-        predicted = self.tracker.predict(elapsed := options[0])
+        self._speeds.skip(elapsed)
+        predicted = self.tracker.predict(elapsed)
         if not self.tracker.started:  # no position yet: nothing to coast on, nothing to lose
             return predicted, LOST if self.lost else 0
         self.tracker.skip(elapsed)
@@ -348,19 +342,8 @@ class Estimator:
         if self._coasted > self.declared.coasting + 0.5:
             self.lose(LossCause.COASTED)
             return predicted, LOST
-        self._doubted().skip(options, not missed)
+        self._doubted().skip(elapsed, not missed)
         return predicted, COASTING
-
-    def confirm(self, elapsed: float, back: int = 0) -> None:
-        """The sample ``back`` before the last one came after this one of its elapsed times."""
-        if self._doubt is not None:
-            possible = self._doubt.confirm(back, elapsed)
-        elif self._past is not None and len(self.places) < REMEMBERED_SAMPLES:
-            possible = self._past.confirm(back - (len(self.places) - self._past_places), elapsed)
-        else:
-            return
-        if not possible:  # the samples were taken to have come after another time
-            self.lose(LossCause.TIME)
 
     def _count_on(self, phase: float, elapsed: float, bits: int = LOST) -> tuple[Track, int]:
         """A sample of a position that is lost."""
@@ -369,16 +352,16 @@ class Estimator:
         self.tracker.accept(track, elapsed)
         return track, bits if track.ok else bits | RESIDUAL
 
-    def _decide(self, phase: float, options: tuple[float, ...], bits: int) -> tuple[Track, int]:
+    def _decide(self, phase: float, elapsed: float, bits: int) -> tuple[Track, int]:
         """A sample in doubt; ``bits`` are those of one that brings it in doubt."""
-        verdict = self._doubted(bool(bits)).take(phase, options, bool(bits))
+        verdict = self._doubted(bool(bits)).take(phase, elapsed, bool(bits))
         if verdict.lost is not None:
             self.lose(verdict.lost)
-            return self._count_on(phase, options[0], LOST | bits)
+            return self._count_on(phase, elapsed, LOST | bits)
         if verdict.candidate is not None:
             return self._adopt(verdict), VALID
-        followed, predicted = (self.tracker.look(one, options[0]) for one in (phase, math.nan))
-        self.tracker.skip(options[0])
+        followed, predicted = (self.tracker.look(one, elapsed) for one in (phase, math.nan))
+        self.tracker.skip(elapsed)
         counts = [one.last.cycles for one in self._doubt.candidates if one.run] if self._doubt else []
         if counts:  # not valid, and so the likeliest will do
             nearest = min(counts, key=lambda cycles: abs(cycles - followed.cycles))
@@ -447,7 +430,7 @@ class Estimator:
         first = ORDER  # the first place that has what predicts it before it
         if self._past is not None:
             first = self._past_places if len(places) < REMEMBERED_SAMPLES else first
-            past = self._past.without_times_taken()
+            past = self._past.log
         time = 0.0
         entries: list[LogEntry] = []
         spots: list[Spot] = []
@@ -456,7 +439,7 @@ class Estimator:
             if number >= first:
                 before = tuple(spots[-SPOTS_KEPT:])
                 candidate = Candidate(time - elapsed, before, max(ORDER, len(before)))
-                entries.append(LogEntry(phase, (elapsed,), (candidate,)))
+                entries.append(LogEntry(phase, elapsed, (candidate,)))
             error = self.declared.start_error if places[number] is self._virtual else 0.0
             spots.append(Spot(time, cycles, phase, error))
         if len(places) == REMEMBERED_SAMPLES:

@@ -29,8 +29,6 @@ class Sample(NamedTuple):
                             elapsed time counts, and ``elapsed``, by the count of SYNCs, is a check
     earlier                 pairs (sine, cosine) that were taken before this one in the same interval, the
                             newest first: pair j of m - 1 was taken j/m of an interval before
-    options                 elapsed times that are possible if it is not known which one it was, ``elapsed``
-                            the first of them: the phases decide, or :meth:`SignalChain.confirm`
     """
 
     sine: float
@@ -42,7 +40,6 @@ class Sample(NamedTuple):
     zero_pulse: float | None = None
     time_100ns: int | None = None
     earlier: tuple[tuple[float, float], ...] = ()
-    options: tuple[float, ...] = ()
 
 
 def in_order(sample: Sample, passed: float, per_sync: int) -> list[Sample]:

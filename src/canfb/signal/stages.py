@@ -53,7 +53,6 @@ class Extras(NamedTuple):
     next_one  by the count of SYNCs none was missed before it
     pulse     a zero pulse that came before an earlier sample of the same interval of SYNC
     newest    it is the newest of its interval of SYNC
-    options   all elapsed times that are possible, if it is not known which; () if it is
     """
 
     sample: Sample
@@ -62,7 +61,6 @@ class Extras(NamedTuple):
     next_one: bool = False
     pulse: Pulse | None = None
     newest: bool = True
-    options: tuple[float, ...] = ()
 
 
 class Stages:
@@ -261,7 +259,7 @@ class Stages:
     ) -> Feedback:
         """A sample that is not usual; ``stages`` up to its phase, NaN if it does not keep its limits."""
         s, c, amplitude, raw, phase = stages
-        sample, bad, unplaced, next_one, pulse, newest, options = extras or Extras(Sample(sine, cosine))
+        sample, bad, unplaced, next_one, pulse, newest = extras or Extras(Sample(sine, cosine))
         faults = self._supervision.faults(sine, cosine, amplitude)
         if sine == self._sine and cosine == self._cosine:
             if self._frozen.repeated(0.0 if self._frozen.repeats else self._least_speed()):
@@ -274,9 +272,9 @@ class Stages:
         estimator.timed = timed
         measured = not (faults or bad) and phase == phase
         if measured:
-            track, bits = estimator.good(phase, options or elapsed)
+            track, bits = estimator.good(phase, elapsed)
         else:
-            track, bits = estimator.bad(options or elapsed, missed=unplaced)
+            track, bits = estimator.bad(elapsed, missed=unplaced)
         if bits & LOST and (not measured or bits & RESIDUAL):
             reference.slipped()
         jump = 0

@@ -51,16 +51,16 @@ class Starts:
         """Whatever comes, these speeds are not followed any more."""
         self.active, self._tried = None, True
 
-    def skip(self, options: tuple[float, ...]) -> None:
+    def skip(self, elapsed: float) -> None:
         """No usable phase after so many intervals."""
         if self.active is not None:
-            self.active.skip(options[0] / self._unit)
+            self.active.skip(elapsed / self._unit)
 
     def begin(
         self,
         declared: Declared,
         timed: bool,
-        options: tuple[float, ...],
+        elapsed: float,
         lost: bool,
         places: Sequence[Place],
         missed: float,
@@ -83,10 +83,10 @@ class Starts:
         self._acceleration_waits = declared.acceleration_waits
         self._is_declared = declared.acceleration is not None or declared.acceleration_waits
         self._may_be_uneven = timed and self._is_declared
-        even = abs(options[0] - 1.0) <= EVEN + 4.0 * declared.instant_error
+        even = abs(elapsed - 1.0) <= EVEN + 4.0 * declared.instant_error
         if self.origin is None and even and (lost or not self._may_be_uneven):
             return False
-        if len(options) > 1 or not (lost or places):
+        if not (lost or places):
             return False
         self.active = speeds = SpeedHypotheses(
             largest, declared.phase_error, declared.instant_error, _row(declared, largest)

@@ -83,7 +83,7 @@ class Player:
     def can_run(self, cell: Cell) -> bool:
         """Sets of elapsed times and uneven instants are those of one sample for each SYNC."""
         kind = kind_of(cell.fault)
-        special = bool(kind.elapsed or kind.jitter) or kind.stall is not None
+        special = bool(kind.jitter) or kind.stall is not None
         return not (special and (self.on_module or self.machine.samples_per_sync > 1))
 
     def misses(self, cell: Cell, sums: Sums) -> Iterator[str]:

@@ -151,29 +151,19 @@ def play(
     sine, cosine = episode.sine.tolist(), episode.cosine.tolist()
     state, instants = episode.state.tolist(), episode.instants.tolist()
     clock = instants[per_sync - 1] - per_sync
-    unconfirmed: list[tuple[int, float]] = []
     for k in range(per_sync - 1, samples, per_sync):
         if before is not None:
             before(chain, k)
         if k >= per_sync and state[k] == State.MISSING:
-            if episode.kind.elapsed:
-                continue
             said = [chain.miss()]
             clock += per_sync
         else:
             elapsed = (instants[k] - clock) / per_sync
-            options: tuple[float, ...] = ()
-            if episode.kind.elapsed and k >= episode.fault and not unconfirmed:
-                unconfirmed.append((k, (instants[k] - clock) / per_sync))
-                options = episode.kind.elapsed
-                elapsed = options[0]
             clock = instants[k]
             earlier = tuple((sine[k - j], cosine[k - j]) for j in range(1, per_sync))
             invalid = state[k] == State.FLAGGED
-            sample = Sample(sine[k], cosine[k], elapsed, invalid, earlier=earlier, options=options)
+            sample = Sample(sine[k], cosine[k], elapsed, invalid, earlier=earlier)
             said = _said(chain, sample)
-            if unconfirmed and k == unconfirmed[0][0] + episode.kind.confirmed > unconfirmed[0][0]:
-                chain.confirm(unconfirmed[0][1])
         for j, one in enumerate(reversed(said)):
             position[k - j], status[k - j] = one.cycles + one.phase, one.status
     first = per_sync - 1

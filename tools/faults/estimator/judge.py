@@ -65,16 +65,13 @@ def judge(episode: Episode, published: Published) -> Verdict:
     valid = published.valid
     wrong = valid & (np.abs(published.position - episode.truth) >= WRONG_CYCLES)
     newest = slice(per_sync - 1 + (fault // per_sync) * per_sync, None, per_sync)
-    spoken = np.ones(len(valid), np.bool_)
-    if episode.kind.elapsed:
-        spoken = episode.state != State.MISSING
     first = per_sync - 1
     early = not valid[first:fault].all() or bool(wrong[:fault].any())
     return Verdict(
         early=early,
         wrong=causes(episode, published, np.flatnonzero(wrong)) if wrong.any() and not early else {},
         kept=bool(valid[-1] and not wrong[-1]),
-        not_valid=int((~valid & spoken)[newest].sum()),
+        not_valid=int((~valid)[newest].sum()),
         lost=bool(published.status[-1] & LOST),
     )
 

@@ -40,8 +40,6 @@ class Kind:
     lasting     the fault stays to the end: only positions that are valid and wrong count
     jitter      of all instants, intervals, uniform
     stall       a pause of so many intervals before the first sample of the fault: shortest and longest
-    elapsed     the elapsed times that one sample may have had; empty: all are known
-    confirmed   samples later a set of elapsed times is resolved; 0: never
     """
 
     name: str
@@ -50,8 +48,6 @@ class Kind:
     lasting: bool = False
     jitter: float = 0.0
     stall: tuple[float, float] | None = None
-    elapsed: tuple[float, ...] = ()
-    confirmed: int = 0
 
     def is_covered(self, declared: Declared) -> bool:
         """What is declared holds during this fault, so that no position may be valid and wrong."""
@@ -118,9 +114,5 @@ KINDS: tuple[Kind, ...] = (
     Kind("jitter and a gap", _of(State.MISSING, 1, 2, 3), jitter=0.03),
     Kind("stall", _of(State.GOOD, 1), stall=(1.5, 10.0)),
     Kind("stall and jitter", _of(State.GOOD, 1), jitter=0.03, stall=(1.5, 10.0)),
-    Kind("set, truth 1", _of(State.GOOD, 1), elapsed=(1.0, 2.0)),
-    Kind("set, truth 2", _of(State.MISSING, 1), elapsed=(1.0, 2.0)),
-    Kind("set, truth 1, confirmed", _of(State.GOOD, 1), elapsed=(1.0, 2.0), confirmed=2),
-    Kind("set, truth 2, confirmed", _of(State.MISSING, 1), elapsed=(1.0, 2.0), confirmed=2),
 )
 NAMES = tuple(one.name for one in KINDS)

@@ -184,7 +184,6 @@ class SampleInput:
                 pulse,
                 self.time.value if self.timed else None,
                 tuple([(sine.value, cosine.value) for sine, cosine in earlier]) if earlier else (),
-                (),
             ),
         )
 
