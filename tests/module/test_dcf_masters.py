@@ -62,7 +62,6 @@ SOURCES: dict[str, tuple[dict[str, Any], list[Write]]] = {
         {"second_position": SecondPositionConfig(tolerance_revolutions=0.01, cob_id=0x1B0)},
         [],
     ),
-    "a servo": ({"prediction_order": 3, "max_jerk_rad_s3": 785_000.0}, []),
     "table": ({"conditioning": CONDITIONING, "adc_bits": 14}, WITH_TABLE),
     "not valid": ({}, [write(0x1801, 2, 1, 0xFC), write(0x1801, 1, 4, 0xC0000500)]),
     "PDOs": ({"coast_samples": 11, "autostart": True}, OTHER_PDOS),

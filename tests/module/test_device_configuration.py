@@ -96,7 +96,6 @@ def test_a_good_configuration_is_heard_of_at_all(modules: tuple[FeedbackModule, 
     {"adc_bits": 16, "cycles_per_revolution": 1024, "coast_samples": 7, "frozen_samples": 3},
     {"adc_bits": 14, "conditioning": Conditioning(12.5, -3.25, 1.07, 0.93, 0.021)},
     {"residual_limit": 0.25, "max_acceleration_rad_s2": 1234.5, "autostart": True, "encoder_interface": 17},
-    {"prediction_order": 3, "max_jerk_rad_s3": 785_000.0},
     {"second_position": SecondPositionConfig(increments=4096, revolutions=3, reversed=True, cob_id=0x1B0,
                                              tolerance_revolutions=0.01, invalidates=True, before_bytes=3)},
 ])  # fmt: skip

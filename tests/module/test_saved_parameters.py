@@ -265,8 +265,6 @@ configurations = st.fixed_dictionaries(
         "frozen_samples": st.integers(0, 255),
         "coarse_limit_revolutions": st.floats(1e-6, 0.25),
         "max_acceleration_rad_s2": st.floats(0, 1e9),
-        "max_jerk_rad_s3": st.floats(0, 1e15),
-        "prediction_order": st.sampled_from([2, 3]),
         "conditioning": st.builds(
             Conditioning, st.floats(-50, 50), st.floats(-50, 50), st.floats(0.5, 2), st.floats(0.5, 2)
         ),
