@@ -135,10 +135,14 @@ def test_samples_that_were_not_seen_leave_a_gap() -> None:
     assert len(places) <= SAMPLES
 
 
-def told(event: bytes | None) -> tuple[str, Any]:
-    assert event is not None
-    name, data = event.decode().removesuffix("\n\n").split("\n")
-    return name.removeprefix("event: "), json.loads(data.removeprefix("data: "))
+def told(events: bytes | None) -> dict[str, Any]:
+    """The data of these events, by name."""
+    assert events is not None
+    found = {}
+    for one in events.decode().split("\n\n")[:-1]:
+        name, data = one.split("\n")
+        found[name.removeprefix("event: ")] = json.loads(data.removeprefix("data: "))
+    return found
 
 
 def test_a_page_gets_the_past_then_each_look_with_what_was_read() -> None:
@@ -149,16 +153,16 @@ def test_a_page_gets_the_past_then_each_look_with_what_was_read() -> None:
             network.run(0.2)
             page.show(network.model.snapshot(network.bus.now))
         with page.server.viewer() as events:
-            name, past = told(events.get_nowait())
-            assert (name, past["units"]) == ("past", {"position": "mm", "velocity": "mm/s"})
-            assert len(past["points"][str(NODE)]) == 5
+            begin = told(events.get_nowait())
+            assert begin["past"]["units"] == {"position": "mm", "velocity": "mm/s"}
+            assert len(begin["past"]["points"][str(NODE)]) == 5
+            assert begin["look"]["modules"][0]["point"] == begin["past"]["points"][str(NODE)][-1]
             (layout,) = known_layouts(Config(), [NODE])
             page.know(ModuleReading(NODE, {}, layout, NO_CORRECTION))
             network.model.put(NODE, od.COUNTER_LOST, 4, network.bus.now)
             network.run(0.2)
             page.show(network.model.snapshot(network.bus.now))
-            name, look = told(events.get_nowait())
-    assert name == "look"
+            look = told(events.get_nowait())["look"]
     (module,) = look["modules"]
     assert (module["node"], module["tone"]) == (NODE, "good")
     assert module["point"][0] == pytest.approx(1.2)
@@ -166,4 +170,4 @@ def test_a_page_gets_the_past_then_each_look_with_what_was_read() -> None:
     assert ["lost", 4, 0] in module["counters"]
     assert len(module["tracks"]) == 400
     assert look["others"] == "16 OPERATIONAL"
-    assert "no table is active" in module["deviation"]["text"]
+    assert begin["look"]["modules"][0]["deviation"]["text"].startswith("no table is active")

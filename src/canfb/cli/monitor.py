@@ -215,14 +215,14 @@ def _serve_page(options: argparse.Namespace) -> int:
         if options.sdo and bus is not None:
             held.enter_context(_reading(bus, layouts, watching, page))
         readiness = held.enter_context(Readiness(options.ready_file))
-        held.enter_context(ending_on_signals(lambda: _end(watching.stop, page.server.stop)))
+        held.enter_context(ending_on_signals(lambda: _end(watching.stop, page.server.stopped.set)))
         options.opened(server.address)
         readiness.ready()
         if bus is not None:
             watching.opened(bus)
         else:
             watching.log(options.log, options.speed or 1.0)
-            server.wait()
+            server.stopped.wait()
     return 0
 
 

@@ -135,11 +135,6 @@ class BusModel:
         for layout in layouts:
             self.learn(layout)
 
-    @property
-    def now(self) -> float | None:
-        """The time of the last frame, seconds; None before the first."""
-        return self._now
-
     def learn(self, layout: NodeLayout) -> None:
         """Take, or replace, what is known of a module."""
         node = self._node(layout.node_id)

@@ -151,7 +151,7 @@ class Watching:
 
         ``speed``: so many times as fast as it was; None: as fast as it can be read.
         """
-        due = self._interval_s
+        now, due = 0.0, self._interval_s
         for now, frame in self._reader.log(path):
             if not abs(now - due) < LONGEST_GAP_S:
                 due = now + self._interval_s
@@ -161,14 +161,14 @@ class Watching:
                 self._look(due)
                 due += self._interval_s
             self._take(frame, now)
-        self._look(None)
+        self._look(now)
 
-    def _look(self, now: float | None) -> None:
+    def _look(self, now: float) -> None:
         while self._readings:
             reading = self._readings.popleft()
             self._model.learn(reading.layout)
             for place, value in reading.values.items():
-                self._model.put(reading.node_id, place, value, self._model.now or 0.0 if now is None else now)
+                self._model.put(reading.node_id, place, value, now)
         self.latest = self._model.snapshot(now)
         self._show(self.latest)
 

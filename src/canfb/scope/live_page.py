@@ -22,6 +22,7 @@ class LivePage:
         self._units = units
         self._traces: dict[int, ModuleTraces] = {}
         self._curves: dict[int, Curve] = {}
+        self._last: BusSnapshot | None = None
         self._lock = threading.Lock()
 
     def know(self, reading: ModuleReading) -> None:
@@ -33,24 +34,30 @@ class LivePage:
     def show(self, snapshot: BusSnapshot) -> None:
         """A look at the bus."""
         with self._lock:
+            self._last = snapshot
             for node, module in snapshot.modules:
                 self._of(node.node_id).take(snapshot.time_s, module)
             if not self.server.is_seen():
                 return
-            look = {
-                "time_s": snapshot.time_s,
-                "bus": [_plain(line) for line in lines.bus_lines(snapshot)],
-                "others": lines.other_nodes(snapshot),
-                "modules": [self._module(snapshot.time_s, *one) for one in snapshot.modules],
-            }
-        self.server.publish(event("look", json.dumps(look)))
+            look = self._look(snapshot)
+        self.server.publish(look)
 
     def first(self) -> Event:
-        """What a page begins with: units, and the points and deviations until now."""
+        """What a page begins with: units, the points and deviations until now, and the last look."""
         with self._lock:
             past = {node: list(traces.points) for node, traces in self._traces.items()}
             units = {"position": self._units.name, "velocity": self._units.speed_name}
-            return event("past", json.dumps({"units": units, "points": past, "deviations": self._curves}))
+            begin = event("past", json.dumps({"units": units, "points": past, "deviations": self._curves}))
+            return begin if self._last is None else begin + self._look(self._last)
+
+    def _look(self, snapshot: BusSnapshot) -> Event:
+        look = {
+            "time_s": snapshot.time_s,
+            "bus": [_plain(line) for line in lines.bus_lines(snapshot)],
+            "others": lines.other_nodes(snapshot),
+            "modules": [self._module(snapshot.time_s, *one) for one in snapshot.modules],
+        }
+        return event("look", json.dumps(look))
 
     def _of(self, node_id: int) -> ModuleTraces:
         return self._traces.setdefault(node_id, ModuleTraces(self._units))

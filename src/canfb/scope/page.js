@@ -185,22 +185,26 @@
     built = false;
   };
 
-  const look = ({ data }) => {
-    last = JSON.parse(data);
+  const render = () => {
     by("bus").textContent = last.bus.map(([label, parts]) => `${label} ${parts.map(([text]) => text).join("")}`).join("   ");
     const module = choose(last.modules);
     by("note").hidden = Boolean(module);
     document.querySelector("main").hidden = !module;
-    for (const one of last.modules) {
-      add(one.node, one.point);
-      if (one.deviation) curves[one.node] = one.deviation;
-    }
     if (!module) return;
-    if (!built) { build(); built = true; draw(); }
+    if (!built) { build(); built = true; }
     texts(last, module);
     drawTracks(module);
     draw();
     document.body.dataset.looks = Number(document.body.dataset.looks ?? 0) + 1;
+  };
+
+  const look = ({ data }) => {
+    last = JSON.parse(data);
+    for (const one of last.modules) {
+      add(one.node, one.point);
+      if (one.deviation) curves[one.node] = one.deviation;
+    }
+    render();
   };
 
   const connect = () => {
@@ -214,7 +218,7 @@
 
   addEventListener("resize", resize);
   addEventListener("hashchange", () => location.reload());  // another address was opened here: its token
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { built = false; });
-  by("node").addEventListener("change", draw);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { built = false; if (last) render(); });
+  by("node").addEventListener("change", render);
   addEventListener("DOMContentLoaded", connect);
 })();

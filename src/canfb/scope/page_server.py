@@ -73,7 +73,8 @@ class PageServer:
         self._first = first
         self._viewers: list[Events] = []
         self._lock = threading.Lock()
-        self._stopped = threading.Event()
+        self.stopped = threading.Event()
+        """For who waits for the end; set it from a signal handler, too."""
         try:
             self._server = _Server((LOOPBACK, port), self)
         except (OSError, OverflowError) as error:
@@ -92,7 +93,6 @@ class PageServer:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self.stop()
         with self._lock:
             for viewer in self._viewers:
                 _end(viewer)
@@ -103,14 +103,6 @@ class PageServer:
     def is_seen(self) -> bool:
         """A page is open."""
         return bool(self._viewers)
-
-    def wait(self) -> None:
-        """Until :meth:`stop`."""
-        self._stopped.wait()
-
-    def stop(self) -> None:
-        """End :meth:`wait`; may be called from a signal handler."""
-        self._stopped.set()
 
     def publish(self, one: Event) -> None:
         """Send it to each page."""
