@@ -1,4 +1,4 @@
-"""Whether the bus is there: from its failures and error frames, reported to the devices."""
+"""Whether the bus is there, from its failures and error frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ INTERFACE_DOWN = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO})
 
 
 class FailureWatch:
-    """Sending or receiving: reports a failure once, and that it is over once that has lasted."""
+    """Sending or receiving: reports a failure once, and its end once that has lasted."""
 
     def __init__(self, report: Callable[[str], None], trouble: str, recovered: str) -> None:
         self._report = report
@@ -33,7 +33,7 @@ class FailureWatch:
         """When it last failed; None once its end is reported: :meth:`worked` need not be called then."""
 
     def failed(self, error: Exception, now: float, *, known: bool = False) -> bool:
-        """Note a failure; True if the one before was only just now. ``known``: reported already."""
+        """Note a failure (``known``: reported already); True if the one before was only just now."""
         before, self.failed_s = self.failed_s, now
         if not (self._reported or known):
             self._reported = True
@@ -50,11 +50,11 @@ class FailureWatch:
 
 
 class BusState:
-    """Gone or there. The runner notes what happens; `lost` and `returned` say, once each, what that means.
+    """Gone or there; `lost` and `returned` say it once each.
 
-    Gone: an error frame says bus-off, a failure says that the interface is down, or reading fails for
-    LASTING_S. There again: nothing of the kind for SETTLED_S after a frame, an error frame "restarted" or,
-    unless the controller was bus-off, a frame that could be sent.
+    Gone: bus-off, an interface that is down, or reading that fails for LASTING_S. There again: nothing of the
+    kind for SETTLED_S after a frame, an error frame "restarted" or, unless bus-off, a frame that could be
+    sent.
     """
 
     def __init__(self, report: Callable[[str], None]) -> None:
@@ -106,7 +106,7 @@ class BusState:
             self._show_life(now)
 
     def lost(self) -> bool:
-        """True once for each failure of the bus, also one before its return was reported."""
+        """True once for each failure of the bus."""
         if self._notified:
             return False
         self._notified = True

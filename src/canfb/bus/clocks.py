@@ -1,9 +1,9 @@
 """Clocks, and receive times on that of durations.
 
-The stamp of a frame is of another clock than ``now``: the time of day, the controller's own, or that of a USB
-adapter. A frame that was received at t and taken at t + d, d >= 0, shows the difference of two clocks as
-offset + d. So the least of many differences is the offset. As clocks drift, it may rise: in windows
-(:class:`HardwareTimes`), or by DRIFT (:class:`OtherClock`).
+The stamp of a frame is of another clock than ``now``: the time of day, the controller's or an adapter's. A
+frame received at t and taken at t + d, d >= 0, shows the difference of two clocks as offset + d, so the least
+of many is the offset. As clocks drift, it may rise: in windows (:class:`HardwareTimes`), or by DRIFT
+(:class:`OtherClock`).
 """
 
 from __future__ import annotations
@@ -28,9 +28,8 @@ def date_and_time() -> str:
 
 
 def page_date() -> str:
-    """Of a page that can be made again, byte for byte: SOURCE_DATE_EPOCH (seconds since 1970, UTC), else now.
-
-    ConfigError where that is no number of seconds.
+    """Of a page that can be made again: SOURCE_DATE_EPOCH (seconds since 1970, UTC), else now. ConfigError
+    for no number.
     """
     said = os.environ.get("SOURCE_DATE_EPOCH")
     if said is None:
@@ -57,17 +56,14 @@ LONGEST_LATENCY_S = 0.01  # from the controller to the kernel; more: its clock w
 
 
 class HardwareTimes:
-    """The clock of a controller, against that of the computer.
-
-    The least difference of the two stamps within the last one to two windows is that of the clocks.
-    """
+    """The clock of a controller: the least difference within the last one to two windows."""
 
     def __init__(self) -> None:
         self._ends_s = -inf  # of the window, by the clock of the controller
         self._least_s = self._before_s = inf
 
     def received(self, hardware_s: float, kernel_s: float) -> float:
-        """When a frame with these two stamps was received, by the time of day; never after ``kernel_s``."""
+        """When a frame with these two stamps was received, never after ``kernel_s``."""
         difference_s = kernel_s - hardware_s
         if hardware_s >= self._ends_s or hardware_s < self._ends_s - 2 * WINDOW_S:
             self._before_s, self._least_s = self._least_s, difference_s
@@ -90,10 +86,10 @@ LEARNED_FRAMES = 64
 
 
 class OtherClock:
-    """The clock of a USB adapter, say, against that of the runner.
+    """The clock of a USB adapter, say.
 
     The least difference may rise by DRIFT. It is known once LEARNED_FRAMES do not contradict it, and learned
-    again where one is earlier than it allows by LARGEST_STEP_S, or so many are later.
+    again after a step of LARGEST_STEP_S.
     """
 
     def __init__(self) -> None:
@@ -103,7 +99,7 @@ class OtherClock:
         self._known = False
 
     def received(self, stamp_s: float, now: float) -> float | None:
-        """When a frame with this stamp was received, never after ``now``; None: that is not known."""
+        """When a frame with this stamp was received, never after ``now``, or None."""
         last, self._stamp_s = self._stamp_s, stamp_s
         passed_s, self._taken_s = now - self._taken_s, now
         difference_s = now - stamp_s
@@ -128,10 +124,9 @@ class OtherClock:
 
 
 class ReceiveTimes:
-    """Monotonic seconds from python-can's stamps, which are the time of day.
+    """Monotonic seconds from python-can's stamps, the time of day or those of an :class:`OtherClock`.
 
-    When the wall clock is set, the frames that wait have no time until the queue was empty once. Other stamps
-    are those of an :class:`OtherClock`, or not used.
+    When the wall clock is set, the frames that wait have no time until the queue was empty.
     """
 
     def __init__(self, clock: Callable[[], float], wall: Callable[[], float]) -> None:
@@ -142,18 +137,18 @@ class ReceiveTimes:
         self._difference_s = self._look()
 
     def emptied(self) -> None:
-        """No frame waits: what comes now has stamps of the wall clock as it is."""
+        """No frame waits."""
         if self._stepped:
             self._stepped = False
             self._difference_s = self._look()
 
     def received(self, stamp_s: float, now: float) -> float | None:
-        """When a frame with this stamp came, seconds on the clock of ``now``; None if that is not known."""
+        """When a frame with this stamp came, on the clock of ``now``, or None."""
         self.compare(now)
         return self.of(stamp_s, now)
 
     def compare(self, now: float) -> float:
-        """The wall clock minus ``now``, seconds; not a number where stamps are not to be used."""
+        """The wall clock minus ``now``, seconds; NaN where stamps are not to be used."""
         difference = self._wall() - now
         if not -LARGEST_STEP_S <= difference - self._difference_s <= CLOSE_S:
             difference = self._look()  # else the frames would seem to have come earlier than they did
@@ -172,7 +167,7 @@ class ReceiveTimes:
         return min(now, now - delay)
 
     def _look(self) -> float:
-        """The wall clock minus the other, read as close together as a few attempts bring it."""
+        """The wall clock minus the other, read close together."""
         looks = []
         for _ in range(LOOKS):
             before = self._clock()

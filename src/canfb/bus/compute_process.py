@@ -1,7 +1,4 @@
-"""The other process: takes one job, computes it, reports progress and result.
-
-Standard input is a file with the pickled job, standard output a pipe for multiprocessing.connection.
-"""
+"""The other process: takes one job from standard input, computes it, reports progress and result."""
 
 from __future__ import annotations
 

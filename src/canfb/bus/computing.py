@@ -22,10 +22,10 @@ COMMAND = (sys.executable, "-m", "canfb.bus.compute_process")
 
 
 class Computation:
-    """The computations of one ``device``, one at a time, each in a process.
+    """The computations of one ``device``, one at a time, each in a process: a fork would take bus and memory
+    along.
 
-    A fork would take bus and memory along, a thread the time of the SYNC cycle. A process that ends without a
-    result is reported, and refuses the measurement.
+    A process that ends without a result is reported, and refuses the measurement.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Computation:
         self._cpus = os.sched_getaffinity(0) if sys.platform == "linux" else set()
 
     def poll(self, now: float) -> list[Frame]:
-        """Start, read or end what there is, without waiting; the frames of the device."""
+        """Start, read or end what there is, without waiting."""
         if self._killed:
             self._killed = [process for process in self._killed if process.poll() is None]
         job = self._device.pending_job()

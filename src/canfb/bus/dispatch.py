@@ -1,9 +1,8 @@
 """Which device gets which frame, and which is due first.
 
-A device that is :class:`.Selective` says which CAN-IDs it listens to, so a frame is one look-up. The bus gets
-the union of all as acceptance filter, of any NMT state. When CAN-IDs move, the tables follow before anything
-is sent: an answer may be what the master waits for to use them. The earliest deadline is looked for again
-only if the device that had it has moved it to later (``_stale``).
+A :class:`.Selective` device says which CAN-IDs it listens to; the bus gets the union as acceptance filter, of
+any NMT state. When they move, the tables follow before anything is sent: an answer may be what the master
+waits for. The earliest deadline is looked for again only if its device has moved it to later (``_stale``).
 """
 
 from __future__ import annotations
@@ -55,10 +54,10 @@ class Port:
 
 
 class Dispatch:
-    """The devices of a runner by the CAN-IDs that they listen to, and by their deadlines.
+    """The devices of a runner by their CAN-IDs, and by their deadlines.
 
-    A device that is not :class:`.Selective` gets every frame. One that listens to other CAN-IDs is ``moved``
-    until :meth:`follow`, which sets the filters of the bus as well.
+    A device that is not :class:`.Selective` gets every frame; one with other CAN-IDs is ``moved`` until
+    :meth:`follow`.
     """
 
     def __init__(self, devices: list[Device], bus: FrameBus) -> None:
@@ -119,7 +118,7 @@ class Dispatch:
         return (self.remote if frame.rtr else self.data).get(frame.can_id, self.everyone)
 
     def follow(self) -> None:
-        """Take over the CAN-IDs of the devices that have moved, and set the filters of the bus."""
+        """Take over the CAN-IDs of the devices that have moved, and filter."""
         self.moved = False
         for port in self.ports:
             if port.moved and isinstance(port.device, Selective):

@@ -1,7 +1,7 @@
 """What the runner asks of a bus, any bus of python-can as that, and reception that outlasts its failures.
 
-A device must not get its own frames back: it would take them for a second node with its node-ID. Interfaces
-that do so mark them (``is_rx`` is false), or, as udp_multicast, carry a channel name that is made unique.
+A device must not get its own frames back, as a second node with its node-ID. Interfaces mark them (``is_rx``
+is false), or, as udp_multicast, carry a channel name that is made unique.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ Received = tuple[int, bytes, float]
 
 
 class FrameBus(Protocol):
-    """A bus as frames. Use it as a context manager. What fails raises CanError or OSError."""
+    """A bus as frames; a context manager. CanError or OSError for what fails."""
 
     def receive(self, wait_s: float) -> list[Received] | None:
-        """Wait so long for frames; those that are there, in their order. None: none waits, or can be had."""
+        """Wait so long for frames; those that are there, in order, or None."""
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
-        """Send a data or a remote frame; False if the bus takes none now: try again after :meth:`receive`."""
+        """Send a frame; False if the bus takes none now."""
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
-        """The CAN-IDs of the frames that are needed, None for all; others may be left out from now on."""
+        """The CAN-IDs that are needed, None for all."""
 
     def __enter__(self) -> Self:
         """The bus is open already."""
@@ -72,7 +72,7 @@ _SO_RCVBUFFORCE = 33  # asm-generic/socket.h
 
 
 def enlarge_queue(one: socket.socket) -> None:
-    """For the frames that wait while this process is busy or does not run; the kernel drops the others."""
+    """For frames that wait while this process is busy."""
     for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):
         with contextlib.suppress(OSError):
             one.setsockopt(socket.SOL_SOCKET, option, QUEUE_BYTES)
@@ -89,10 +89,9 @@ def enlarge_queue_of(bus: can.BusABC) -> None:
 
 
 class NamedInterface:
-    """The SocketCAN interface of a bus of python-can, by its name.
+    """The SocketCAN interface of a bus of python-can.
 
-    One that was removed and made again has another index: the kernel has unbound the socket, which says so
-    once and is silent from then on.
+    One that was removed and made again has another index: the kernel has unbound the socket.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -102,11 +101,11 @@ class NamedInterface:
             self._bus = under
 
     def comes_back(self, error: Exception) -> bool:
-        """Whether it may work again after this failure: it is down, or removed and :meth:`bind` finds it."""
+        """Whether it may work again after this failure."""
         return code_of(error) == errno.ENETDOWN or (self._bus is not None and is_down(error))
 
     def bind(self) -> None:
-        """Bind the socket again if the kernel has unbound it. OSError while there is no such interface."""
+        """Bind the socket again. OSError while there is no such interface."""
         bus = self._bus
         if bus is not None and bus.socket.getsockname()[0] != bus.channel:
             bus.socket.bind((bus.channel,))
@@ -114,7 +113,7 @@ class NamedInterface:
 
 
 class Reception:
-    """Receives from ``bus``, over failures of an interface that is down, or gone and has a name.
+    """Receives from ``bus``, over failures of an interface that is down or gone.
 
     ``report`` gets a line when it goes and comes. BusError for any other failure, unless it ``lasts``.
     """
@@ -135,7 +134,7 @@ class Reception:
         """How often it failed until now."""
 
     def receive(self, wait_s: float) -> can.Message | None:
-        """The next frame; None if there was none for so long, or the bus fails."""
+        """The next frame, or None."""
         try:
             message = self._bus.recv(wait_s)
             if message is None:
@@ -162,7 +161,7 @@ _ECHOING = frozenset({"GsUsbBus", "CantactBus", "VirtualBus"})
 
 
 class PythonCanBus:
-    """A :class:`.FrameBus` on python-can. It leaves out CAN FD, and its own frames if they come back."""
+    """A :class:`.FrameBus` on python-can, without CAN FD and its own frames."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
@@ -172,10 +171,7 @@ class PythonCanBus:
         self._echoes = marks_own_frames(bus)
 
     def receive(self, wait_s: float) -> list[Received] | None:
-        """One frame, or none of CANopen's; see :class:`.FrameBus`.
-
-        A SocketCAN interface that was removed and made again is opened again.
-        """
+        """One frame, or none of CANopen's. A SocketCAN interface that was made again is opened again."""
         message = self._bus.recv(wait_s)
         if message is None:
             self._interface.bind()
@@ -213,10 +209,10 @@ class PythonCanBus:
 
 
 def marks_own_frames(bus: can.BusABC) -> bool:
-    """True where a message with ``is_rx`` false was sent through this very bus: gs_usb and the like."""
+    """True where ``is_rx`` false marks what was sent through this very bus."""
     return type(bus).__name__ in _ECHOING
 
 
 def brings_own_frames_back(bus: can.BusABC) -> bool:
-    """True for udp_multicast, whose sender receives its own frames; a CAN controller does not."""
+    """True for udp_multicast."""
     return isinstance(bus, UdpMulticastBus)

@@ -1,4 +1,4 @@
-"""Sending: at once, or in order when the bus has room again; what fails is counted and reported."""
+"""Sending: at once, or in order when the bus has room again."""
 
 from __future__ import annotations
 
@@ -23,11 +23,10 @@ LONGEST_DELAY_S = 0.1  # a position that is older helps nobody
 
 
 class FrameSender:
-    """Sends the frames of devices, and notifies those with inhibit times when their frames have left.
+    """Sends the frames of devices, and notifies those with inhibit times when they have left.
 
-    A frame that the bus does not take now waits in a queue, up to LONGEST_DELAY_S and behind LONGEST_QUEUE
-    others; beyond, it is a failure, reported once and counted. A boot-up that failed is sent first: a master
-    waits for it.
+    What the bus does not take now waits, up to LONGEST_DELAY_S and behind LONGEST_QUEUE others; beyond, it is
+    a failure, reported once and counted. A boot-up that failed is sent first: a master waits for it.
     """
 
     def __init__(
@@ -45,7 +44,7 @@ class FrameSender:
         """Boot-ups that failed, by their CAN-ID: for :meth:`retry_owed`."""
 
     def send(self, port: Port, frame: Frame) -> None:
-        """Send a frame of the device at ``port``, or put it behind those that wait."""
+        """Send a frame of the device at ``port``, or queue it."""
         if self.owed:
             self.retry_owed()
         if self.waiting or not self._try(port, frame):

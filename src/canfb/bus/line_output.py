@@ -1,4 +1,4 @@
-"""Lines to a reader that may be slow: a program with a SYNC cycle does not wait for a terminal or a pipe."""
+"""Lines to a reader that may be slow: no SYNC cycle waits for a terminal or a pipe."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MOST_LINES = 1000
 
 
 class LineOutput:
-    """Writes lines to ``descriptor`` as far as it takes them at once; OSError as write(2) has it.
+    """Writes lines to ``descriptor`` as far as it takes them at once; OSError as write(2).
 
     When MOST_LINES wait further ones are left out; ``excuse`` makes the line of their number.
     """
@@ -32,7 +32,7 @@ class LineOutput:
         self.flush()
 
     def flush(self, wait_s: float = 0.0) -> None:
-        """Write what waits; wait at most so long each time that nothing can be written."""
+        """Write what waits."""
         while self._waiting:
             if not select.select([], [self._descriptor], [], wait_s)[1]:
                 return

@@ -1,7 +1,4 @@
-"""Opening a bus, of python-can or of our own, with one clear line when it does not work.
-
-What may stand in ``bus:`` are python-can's own words, looked up in python-can.
-"""
+"""Opening a bus with python-can's own words, and one clear line when it does not work."""
 
 from __future__ import annotations
 
@@ -61,9 +58,9 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
 
 
 def group_port(group: object) -> int | None:
-    """The UDP port of a multicast group: 61440 + CRC-32 of its address (4 or 16 bytes) modulo 4096.
+    """The UDP port of a multicast group: 61440 + CRC-32 of its address modulo 4096.
 
-    None for python-can's two default groups, which keep its port (43113), and for what is no address.
+    None for python-can's two default groups, which keep its port (43113), and for no address.
     """
     if not isinstance(group, str):
         return None
@@ -77,7 +74,7 @@ def group_port(group: object) -> int | None:
 
 
 def _port_of(words: dict[str, Any]) -> dict[str, int]:
-    """The port to add to python-can's words: that of the group, if neither they nor its files have one."""
+    """The port to add: that of the group, if none is given."""
     if words.get("interface") not in (None, MULTICAST):
         return {}
     try:
@@ -91,10 +88,7 @@ def _port_of(words: dict[str, Any]) -> dict[str, int]:
 
 
 def open_device_bus(options: dict[str, Any]) -> FrameBus:
-    """The bus for devices: a raw socket for SocketCAN, else, or with ``python_can: true``, python-can.
-
-    ConfigError and BusError as from :func:`check_device_bus` and :func:`open_bus`.
-    """
+    """The bus for devices: a raw socket for SocketCAN, else, or with ``python_can: true``, python-can."""
     check_device_bus(options)
     channel = _raw_channel(options)
     if channel is None:
@@ -106,7 +100,7 @@ def open_device_bus(options: dict[str, Any]) -> FrameBus:
 
 
 def _raw_channel(options: dict[str, Any]) -> str | None:
-    """The SocketCAN interface for a raw socket of our own; None if python-can has to open the bus."""
+    """The SocketCAN interface for a raw socket of our own, or None."""
     words = {key: value for key, value in options.items() if value is not None}
     if not sys.platform.startswith("linux") or words.get(FORCE_PYTHON_CAN) or words.keys() - _RAW_WORDS:
         return None
@@ -135,10 +129,7 @@ def _failing_in_one_line(options: dict[str, Any]) -> Iterator[None]:
 
 
 def open_sync_bus(options: dict[str, Any], *, receives_own: bool) -> can.BusABC:
-    """:func:`open_bus`, for a program that counts by the SYNC.
-
-    ``receives_own``: for a program that produces the SYNC, the bus receives its own frames, if it can.
-    """
+    """:func:`open_bus`, for a program that counts by the SYNC; ``receives_own``: that produces it."""
     if receives_own:
         with contextlib.suppress(BusError):  # udp_multicast always does, and has no such option
             return open_bus(options | {"receive_own_messages": True})
@@ -164,7 +155,7 @@ def describe(options: dict[str, Any]) -> str:
 
 
 def _advice(options: dict[str, Any], error: Exception) -> str:
-    """The reason, and what to do about it where the text of python-can does not say so."""
+    """The reason, and what to do where python-can does not say so."""
     interface, text = options.get("interface"), reason(error)
     if interface is None and UNNAMED in text:
         return (
@@ -202,7 +193,7 @@ _GENERAL = frozenset({
 
 
 def check_interface(words: Mapping[str, Any]) -> None:
-    """ConfigError for an ``interface`` that python-can does not have. None: that of its configuration."""
+    """ConfigError for an ``interface`` that python-can does not have."""
     interface = words.get("interface")
     if interface is not None and (not isinstance(interface, str) or interface not in can.VALID_INTERFACES):
         known = sorted(can.VALID_INTERFACES)
@@ -210,10 +201,7 @@ def check_interface(words: Mapping[str, Any]) -> None:
 
 
 def check_words(words: Mapping[str, Any]) -> None:
-    """ConfigError for a key that means nothing to this interface of python-can, or a bad bit rate.
-
-    An interface that is a plug-in of python-can may have any keys.
-    """
+    """ConfigError for a key that means nothing to this interface, or a bad bit rate."""
     check_interface(words)
     for key in ("bitrate", "data_bitrate"):
         value = words.get(key)

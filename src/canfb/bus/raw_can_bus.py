@@ -1,8 +1,7 @@
 """SocketCAN without python-can: a raw socket, filters of the kernel.
 
-All frames that wait are read with one system call, recvmmsg(2), each with its receive time: the kernel's, by
-the time of day, or the controller's. The kernel has one exact filter for each CAN-ID, which is a look-up, and
-does not wake the process for others. New filters are set before old ones go, so that no frame is lost.
+All frames that wait are read with one system call, recvmmsg(2), each with its receive time. One exact filter
+for each CAN-ID is a look-up for the kernel. New filters are set before old ones go: no frame is lost.
 """
 
 from __future__ import annotations
@@ -66,9 +65,9 @@ _MESSAGE_BYTES = ctypes.sizeof(_Message)
 
 
 class FrameReader:
-    """Reads struct can_frame from a datagram socket; AttributeError where there is no recvmmsg.
+    """Reads struct can_frame from a datagram socket, with receive times of ``source``, which stays open.
 
-    It turns on the receive times of ``source``, which must stay open.
+    AttributeError where there is no recvmmsg.
     """
 
     def __init__(self, source: socket.socket) -> None:
@@ -97,7 +96,7 @@ class FrameReader:
         )
 
     def read(self) -> list[Received] | None:
-        """The frames that wait, at most MOST_FRAMES; None for none. OSError as recv raises it."""
+        """The frames that wait, at most MOST_FRAMES, or None. OSError as recv."""
         count = self._receive_many(*self._arguments)
         if count <= 0:
             code = ctypes.get_errno()
@@ -119,7 +118,7 @@ class FrameReader:
         return frames
 
     def _of_the_hardware(self, at: int, stamp_s: float) -> float:
-        """The time of the hardware, by the time of day; the place is cleared for the next frame."""
+        """The time of the hardware; the place is cleared."""
         *_, seconds, nanoseconds = _HARDWARE.unpack_from(self._slots, at)
         self._slots[at : at + len(_NO_HARDWARE_TIME)] = _NO_HARDWARE_TIME
         return self._hardware_times.received(seconds + nanoseconds * 1e-9, stamp_s)
@@ -140,14 +139,14 @@ _CAN_RAW_ERR_FILTER = 2  # python names it on Linux only
 
 
 class RawCanBus:
-    """A :class:`.FrameBus` on a SocketCAN interface. Own frames do not come back; sending never waits.
+    """A :class:`.FrameBus` on a SocketCAN interface, without own frames; sending never waits.
 
-    An interface that is down or gone is an error of each :meth:`receive` until it is up, where ``channel`` is
-    known; the first frame is then an error frame "restarted".
+    An interface that is down or gone is an error of each :meth:`receive` until it is up; the first frame is
+    then an error frame "restarted".
     """
 
     def __init__(self, raw: socket.socket, channel: str = "") -> None:
-        """``raw`` is a raw CAN socket, bound, or another datagram socket that carries struct can_frame."""
+        """``raw`` is a bound raw CAN socket, or another that carries struct can_frame."""
         self._channel = channel
         self._down = False
         raw.setblocking(False)
@@ -210,7 +209,7 @@ class RawCanBus:
         return True
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
-        """Filters in the kernel. It adds new ones before it removes old ones: no frame is lost."""
+        """Filters in the kernel, new ones before old ones go."""
         if not self._is_can:
             return
         filters = _ANY_STANDARD

@@ -1,19 +1,16 @@
 """Devices on a bus: frames in, frames out, deadlines kept, a clean end on a signal.
 
-The one loop that waits for devices:
-
     keep the deadlines that are due (tick)
     wait for frames, until the next deadline, and 0.1 s at most: a signal sets a flag that is looked at here
     give each frame to the devices that listen to it (dispatch), send what they answer (frame_sender)
 
-A process that did not run for a while finds deadlines in the past, and frames that came before them still in
-the queue. So a frame has the time at which the bus received it (clocks), and a deadline D is kept only if no
-frame received before D can wait: the last one was received at R >= D, or the queue was empty at D or later.
-Frames put a deadline off by 1 s at most, so that a flood cannot stop heartbeats; by 0.1 s without receive
-times.
+A process that did not run for a while finds deadlines in the past, and frames from before them in the queue.
+So a deadline D is kept only if no frame received before D can wait: the last one was received at R >= D, or
+the queue was empty at D or later. Frames put a deadline off by 1 s at most (0.1 s without receive times), so
+that a flood cannot stop heartbeats.
 
 A bus that fails is read again until it works. A device that raises ends the run for all: its state is
-unknown, and a drive must not get a position from it.
+unknown.
 """
 
 from __future__ import annotations
@@ -78,9 +75,9 @@ class BusCounters:
 class Runner:
     """Runs devices on one bus in the calling thread until :meth:`stop`; they hear each other.
 
-    ``report`` gets one line each time the state of the bus changes. Where a device raises, :meth:`run` raises
-    DeviceFailure. ``meanwhile`` is called some hundred times a second at most. ``busy_poll``: the bus is read
-    without a wait; caches stay warm, one processor does nothing else.
+    ``report`` gets one line when the state of the bus changes. DeviceFailure where a device raises.
+    ``meanwhile`` is called some hundred times a second at most. ``busy_poll``: the bus is read without a
+    wait.
     """
 
     def __init__(
@@ -165,7 +162,7 @@ class Runner:
                     port.device.end(self._clock())
 
     def _wait(self) -> list[Received] | None:
-        """Keep the deadlines; then wait for frames until the next one; None if none waits."""
+        """Keep the deadlines; then wait for frames until the next one."""
         if self._dispatch.moved:
             self._dispatch.follow()
         self._now = asked = self._clock()
@@ -201,7 +198,7 @@ class Runner:
         return frames
 
     def _keep_deadlines(self, due: float) -> float:
-        """Tick what is due, unless frames that came before may still wait; the earliest deadline then."""
+        """Tick what is due, unless earlier frames may wait; the next deadline."""
         if self._waits_before(due):
             return due
         self._tick()
@@ -226,7 +223,7 @@ class Runner:
             self._sleep(BUS_RETRY_S)
 
     def _take_overdue(self, frames: list[Received]) -> None:
-        """As :meth:`_take`, frame by frame: a deadline that is due may lie between two of these frames."""
+        """As :meth:`_take`; a deadline may lie between two of these frames."""
         for number, frame in enumerate(frames):
             if number:
                 due = self._dispatch.due_s()
@@ -306,7 +303,7 @@ class Runner:
                 self._spread(port, self._asked(port, port.device.tick, now))
 
     def _notify_bus_state(self) -> None:
-        """Notify the devices that the bus has gone, or is back; not one whose boot-up has not left."""
+        """The bus has gone, or is back; not for one whose boot-up has not left."""
         self._now = now = self._clock()
         lost, returned = self._bus_state.lost(), self._bus_state.returned(now)
         starting = {port for port, _ in self._sender.owed.values()}
@@ -342,7 +339,7 @@ class Runner:
         return frames
 
     def _spread(self, sender: Port, frames: list[Frame]) -> None:
-        """Send frames, and give them to the other devices of this process that listen to them."""
+        """Send frames, also to the other devices of this process."""
         dispatch, send = self._dispatch, self._sender.send
         if dispatch.moved:
             dispatch.follow()  # before the master learns that it may send what is new
@@ -381,7 +378,7 @@ def _in_one_line(error: Exception) -> str:
 
 @contextlib.contextmanager
 def on_signals(call: Callable[[], None], numbers: Iterable[int]) -> Iterator[None]:
-    """Call ``call`` on these signals; the handlers before are put back at the end."""
+    """Call ``call`` on these signals."""
 
     def handle(number: int, frame: FrameType | None) -> None:
         call()
@@ -395,10 +392,7 @@ def on_signals(call: Callable[[], None], numbers: Iterable[int]) -> Iterator[Non
 
 
 def ending_on_signals(stop: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
-    """Call ``stop`` on Ctrl-C, SIGTERM and SIGHUP.
-
-    SIGHUP comes when the terminal goes. Where it is ignored already (nohup) it stays so.
-    """
+    """Call ``stop`` on Ctrl-C, SIGTERM and SIGHUP, unless that is ignored (nohup)."""
     endings = [signal.SIGINT, signal.SIGTERM]
     hangup = getattr(signal, "SIGHUP", None)  # not on every system
     if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
@@ -408,10 +402,7 @@ def ending_on_signals(stop: Callable[[], None]) -> contextlib.AbstractContextMan
 
 @contextlib.contextmanager
 def outside_collections() -> Iterator[None]:
-    """What there is now is left out of garbage collections, until the end.
-
-    With some 50 000 objects a full collection takes 40 ms, in which no frame is served; without them 5 µs.
-    """
+    """What there is now is left out of garbage collections, until the end: 5 µs in place of 40 ms."""
     gc.freeze()
     try:
         yield

@@ -1,8 +1,8 @@
 """The SDO client of a tool beside other clients of one node.
 
 A node has one SDO channel (CiA 301, 7.2.4.1), and all hear its answers. Programs of ours on one computer take
-turns: a locked file for each bus and node. An answer to a master elsewhere is ignored, and a transfer that it
-has broken is begun again by :class:`canfb.master.access.NodeAccess`.
+turns by a locked file. An answer to another master is ignored; a broken transfer is begun again by
+:class:`canfb.master.access.NodeAccess`.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def sdo_turn(bus: str, node_id: int, longest_s: float = LONGEST_TURN_S) -> Itera
 
 
 def _opened(path: str) -> int | None:
-    """The file, made if it is missing; None where that fails. To lock a file it need not be writable."""
+    """The file, made if it is missing, or None."""
     wanted = os.O_RDWR if sys.platform == "win32" else os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
     for flags in (wanted, wanted | os.O_CREAT | os.O_EXCL, wanted):
         with contextlib.suppress(OSError):
@@ -70,7 +70,7 @@ def _is_locked(file: int) -> bool:
 
 
 def lock_file(file: int) -> None:
-    """Lock an open file until it is closed, or the process ends. OSError if another has it."""
+    """Lock an open file until it is closed. OSError if another has it."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -88,7 +88,7 @@ _ANSWERS = {0: (1, False), 1: (3, True), 2: (2, True), 3: (0, False), 5: (6, Tru
 
 
 class SharedClient(SdoClient):
-    """python canopen's client for one node, which ignores answers to requests of others.
+    """python canopen's client, which ignores answers to requests of others.
 
     ``turn`` holds the channel for one transfer. ``disturbed`` is True once an answer was ignored.
     """
@@ -121,7 +121,7 @@ class SharedClient(SdoClient):
         return time.monotonic()
 
     def read_response(self, fits: Callable[[bytes], bool] = lambda data: True) -> bytes:
-        """As in canopen; an abort of another transfer, and what does not fit, is ignored."""
+        """As in canopen; what does not fit is ignored."""
         end = self.now() + self.RESPONSE_TIMEOUT
         said = "No SDO response received"
         while True:

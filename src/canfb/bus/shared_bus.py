@@ -1,4 +1,4 @@
-"""One bus for several users in a process: one of them receives, each may send; the thread of one."""
+"""One bus for several users in a process: one receives, each may send."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def only_reads(message: can.Message) -> bool:
 
 
 class SharedBus(can.BusABC):
-    """``bus``, of which one thread receives; each :meth:`branch` gets what is received from then on, too.
+    """``bus``, of which one thread receives; each :meth:`branch` gets that, too.
 
-    It is for what only reads: frames of SDO uploads are sent, any other is a can.CanOperationError.
+    For what only reads: frames of SDO uploads are sent, any other is a can.CanOperationError.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -109,7 +109,7 @@ END_S = 10.0
 
 
 class ListeningThread:
-    """Runs ``listen`` in a thread until it ends; ``ended`` is called then, from that thread."""
+    """Runs ``listen`` in a thread; ``ended`` is called then, from it."""
 
     def __init__(self, listen: Callable[[], None], stop: Callable[[], None]) -> None:
         self._listen, self._stop = listen, stop

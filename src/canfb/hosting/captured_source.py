@@ -19,8 +19,8 @@ CLOSE_S = 5.0
 class CapturedSource(Closing):
     """Gives the scans of a converter that ``picked`` chooses for a SYNC; without it the newest.
 
-    ``opened`` opens it, at once; one that fails later is opened again every ``reopen_s``. With a capture that
-    is fired, :meth:`next` waits for the scan, at most ``wait_s``; otherwise it never waits.
+    ``opened`` opens it, at once, and again every ``reopen_s`` after a failure. With a capture that is fired,
+    :meth:`next` waits for the scan, at most ``wait_s``.
     """
 
     def __init__(
@@ -59,10 +59,7 @@ class CapturedSource(Closing):
         self._thread.join(CLOSE_S)
 
     def next(self) -> Sample | None:
-        """The scans of this SYNC; None where there are none.
-
-        SourceError while the device does not work, or its scans do not fit.
-        """
+        """The scans of this SYNC, or None. SourceError while the device does not work."""
         with self._changed:
             capture = self._capture
             if capture is not None and capture.is_fired:

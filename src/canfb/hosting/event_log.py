@@ -27,7 +27,7 @@ LONGEST_WINDOW_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Held(Generic[T]):
-    """What was held back: how many in the last ``seconds``, and the last of them."""
+    """How many were held back in the last ``seconds``, and the last of them."""
 
     key: Hashable
     count: int
@@ -47,9 +47,8 @@ class _Window(Generic[T]):
 
 
 class Throttle(Generic[T]):
-    """Lets BURST items of a key pass in WINDOW_S, and counts the rest of them. Times are seconds.
-
-    While more come the window grows to LONGEST_WINDOW_S, and nothing passes but the counts.
+    """Lets BURST items of a key pass in WINDOW_S, and counts the rest; the window grows to
+    LONGEST_WINDOW_S.
     """
 
     def __init__(self) -> None:
@@ -164,7 +163,7 @@ def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
 
 
 def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:
-    """How fast the encoders may turn for a jitter of SYNC: a line for all modules with the same speeds."""
+    """How fast the encoders may turn for a jitter of SYNC."""
     names: dict[str, list[str]] = {}
     for module, name in modules:
         if text := module.speed_limit():
@@ -196,8 +195,8 @@ class _Noted(NamedTuple):
 class EventLog:
     """Writes what happens in nodes to the logger; with ``verbose`` single faults, too.
 
-    An event is written by the next :meth:`tick`: the position PDO of a bad sample must not wait for text. A
-    record has the attribute `event`, a dict of plain values. What happens before :meth:`begin` waits for it.
+    An event is written by the next :meth:`tick`: no position PDO waits for text. Its record has the attribute
+    `event`.
     """
 
     def __init__(self, verbose: bool = False, wall: Callable[[], datetime] = local_time) -> None:
@@ -218,7 +217,7 @@ class EventLog:
         self._write_noted()
 
     def tick(self, now: float) -> None:
-        """Write what has happened, and what was held back, when it is due; ``now`` is that of the nodes."""
+        """Write what has happened, and what was held back, when it is due."""
         self._note_held(self._throttle.ended(now))
         if self._begun:
             self._write_noted()

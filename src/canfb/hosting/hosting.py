@@ -45,7 +45,7 @@ from canfb.sources.protocol import Capture, Converter, Picked, Source, SourceCon
 
 
 def check_machine(path: Path, config: Config) -> None:
-    """ConfigError, in one line with file, line and key, for what cannot be on this machine."""
+    """ConfigError, with file, line and key, for what cannot be on this machine."""
     try:
         keys: tuple[str | int, ...] = ("bus",)
         check_words(config.bus)
@@ -93,9 +93,8 @@ class ServedDevice(Served, Device, Protocol):
 class Hosting(OnBus):
     """Modules and encoder interfaces of a configuration on a bus: a context manager around :meth:`run`.
 
-    ``words`` are python-can's own for the bus, default: those of ``config``. What there is to say goes to the
-    loggers ``canfb.*``. ConfigError for a bus on which a device would receive its own frames; CanfbError, on
-    entering, for a bus, a state_dir or a source that cannot be used.
+    ``words`` are python-can's own, default: those of ``config``. It logs to ``canfb.*``. ConfigError, and
+    CanfbError on entering, for a bus, a state_dir or a source that cannot be used.
     """
 
     modules: list[FeedbackModule]
@@ -165,7 +164,7 @@ class Hosting(OnBus):
         return BusCounters() if self._runner is None else self._runner.counters
 
     def diagnose(self) -> None:
-        """Write a diagnosis soon, which a line of the log names; from a signal handler, too."""
+        """Write a diagnosis soon; from a signal handler, too."""
         self._diagnosis.request()
 
     def run(
@@ -173,10 +172,10 @@ class Hosting(OnBus):
         ready: Callable[[], None] = lambda: None,
         alive: Callable[[float], None] = lambda now: None,
     ) -> None:
-        """Serve the nodes until :meth:`stop`. ``ready`` is called when they are on the bus.
+        """Serve the nodes until :meth:`stop`. ``ready`` is called when they are on the bus, ``alive`` again
+        and again.
 
-        ``alive`` is called again and again with the time, seconds. A program error in one of them ends it for
-        all, with CanfbError.
+        A program error in one of them ends it for all, with CanfbError.
         """
         if self._runner is None:
             name = type(self).__name__
@@ -207,7 +206,7 @@ def make_module(
     bus_words: Mapping[str, Any],
     simulation: SimulationConfig | None = None,
 ) -> FeedbackModule:
-    """The module with its state_dir and its source, if it has them, held until `resources` are closed."""
+    """The module with its state_dir and its source, held by `resources`."""
     store = open_store(config.state_dir, resources)
     source = None
     if config.source is not None:
@@ -226,7 +225,7 @@ def open_store(state_dir: str | None, resources: contextlib.ExitStack) -> Thread
 
 
 def bit_rates_of(bus_words: Mapping[str, Any]) -> list[int]:
-    """In kbit/s: the bit rate of the bus belongs to the system, and LSS may choose the one that it has."""
+    """In kbit/s, those that LSS may choose: the one of the system."""
     bit_rate = bus_words.get("bitrate")
     return [bit_rate // 1000] if isinstance(bit_rate, int) else []
 
@@ -238,7 +237,7 @@ class _Warning(Served, Protocol):
 
 
 def warn_about(device: _Warning, state_dir: str | None) -> None:
-    """Log stored parameters that were refused, another node with its node-ID, and a source that fails."""
+    """Log refused parameters, another node with its node-ID, and a source that fails."""
 
     def report_faults(faults: Mapping[ParameterGroup, str]) -> None:
         for group, why in faults.items():
@@ -264,7 +263,7 @@ def open_source(
 ) -> tuple[Sampling, Source]:
     """The source with these ``settings``, and the configuration with the bits of its converter.
 
-    What is open is closed with ``resources``. CanfbError, in one line, for a source that cannot be used.
+    ``resources`` closes it. CanfbError for one that cannot be used.
     """
 
     def captured(opened: Callable[[], Capture], name: str, wait_s: float, picked: Picked | None) -> Source:
@@ -286,10 +285,7 @@ def make_interface(
     bus_words: Mapping[str, Any],
     simulation: SimulationConfig | None = None,
 ) -> EncoderInterface:
-    """The interface with its source and its state_dir, held until `resources` are closed.
-
-    What its own clock shows at the start is arbitrary; a scan with a time stamp does not use it.
-    """
+    """The interface with its source and its state_dir, held by `resources`."""
     store = open_store(config.state_dir, resources)
     config, source = open_source(config, config.source, simulation or SimulationConfig(), resources)
     interface = EncoderInterface(
@@ -308,7 +304,7 @@ def make_interface(
 
 
 def saved_configuration(config: ModuleConfig) -> DeviceConfiguration:
-    """The module as it comes up: its configuration, and over it what is saved in its state_dir.
+    """The module as it comes up: its configuration, and over it what is saved.
 
     ConfigError when it has no node-ID, CanfbError when what is saved is refused.
     """

@@ -1,4 +1,4 @@
-"""Telling others that a program is on its bus, and goes on: a file, systemd's notification (sd_notify)."""
+"""Telling others that a program is on its bus: a file, systemd's notification."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ WATCHDOG_PART = 0.25  # of the time that systemd waits: so often it is notified 
 
 
 class Readiness:
-    """Use it as a context manager around the whole run, and call :meth:`ready` on the bus.
+    """A context manager around the whole run; call :meth:`ready` on the bus.
 
-    ``path`` is a file that holds the process id while the program is on its bus. Under systemd (sd_notify(3))
-    it sends READY=1, STOPPING=1 and, with ``WATCHDOG_USEC``, WATCHDOG=1 by :meth:`alive`. ConfigError at the
-    start if the file cannot be, or is not such a file.
+    ``path`` holds the process id while the program is on its bus. Under systemd (sd_notify(3)) it sends
+    READY=1, STOPPING=1 and, with ``WATCHDOG_USEC``, WATCHDOG=1 by :meth:`alive`. ConfigError if the file
+    cannot be.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Readiness:
             self._path.unlink(missing_ok=True)
 
     def ready(self) -> None:
-        """The program is on its bus. CanfbError if the file cannot be written: somebody waits for it."""
+        """The program is on its bus. CanfbError if the file cannot be written."""
         if self._path is not None:
             unfinished = self._path.with_name(f"{self._path.name}.{os.getpid()}")
             try:
@@ -62,7 +62,7 @@ class Readiness:
         self._notify(READY)
 
     def alive(self, now: float) -> None:
-        """The program goes on; call it from its loop, with the time (seconds, monotonic)."""
+        """The program goes on; ``now`` in seconds, monotonic."""
         if self._watched_s and now >= self._alive_s:
             self._alive_s = now + WATCHDOG_PART * self._watched_s
             self._notify(WATCHDOG)
@@ -81,7 +81,7 @@ class Readiness:
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float:
-    """How long systemd waits for WATCHDOG=1, seconds; 0 if it does not, or not for this process."""
+    """How long systemd waits for WATCHDOG=1, seconds; 0: not at all."""
     try:
         watched = int(environment.get("WATCHDOG_PID", os.getpid())) == os.getpid()
         return 1e-6 * int(environment.get("WATCHDOG_USEC", 0)) if watched else 0.0
@@ -90,7 +90,7 @@ def _watchdog_s(environment: Mapping[str, str]) -> float:
 
 
 def _clear(path: Path) -> None:
-    """Remove what a killed program has left; nothing else, whatever was named by mistake."""
+    """Remove what a killed program has left, and nothing else."""
     try:
         if path.exists() or path.is_symlink():
             if not (path.is_file() and OURS.fullmatch(path.read_bytes()[:16])):

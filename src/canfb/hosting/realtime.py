@@ -24,11 +24,11 @@ _RIGHTS = {
 
 
 class RealtimeThread(threading.Thread):
-    """A thread that the SYNC cycle waits for: priority and processor are its own, too."""
+    """A thread that the SYNC cycle waits for."""
 
 
 def apply_realtime(config: RealtimeConfig, report: Callable[[str], None] = log.warning) -> None:
-    """Request what ``config`` sets; a refusal of the system is reported, and the program continues."""
+    """Request what ``config`` sets; a refusal is reported."""
     if config.priority:
         _try("priority", report, lambda: _set_fifo(config.priority))
     if config.lock_memory:
@@ -69,7 +69,7 @@ def _set_cpu(cpu: int, threads: list[int]) -> None:
 
 
 def _threads() -> list[int]:
-    """The calling thread, and those that share its cycle; the system knows threads like processes."""
+    """The calling thread, and those that share its cycle."""
     others = [thread.native_id for thread in threading.enumerate() if isinstance(thread, RealtimeThread)]
     return [0, *(number for number in others if number is not None)]
 

@@ -1,7 +1,7 @@
-"""A diagnosis of the running process, on SIGUSR1, and what one says of computer, program and bus.
+"""A diagnosis of the running process, on SIGUSR1, and facts of computer, program and bus.
 
-The objects are read in the loop that serves the bus, a few between two frames; a thread does what takes
-longer. All is plain data for JSON, without secrets; a part that cannot be had says why.
+Objects are read in the loop that serves the bus, a few between two frames; a thread does the rest. All is
+plain data for JSON, without secrets.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def configuration_facts(config: Config) -> dict[str, Any]:
 
 
 def without_secrets(value: Any) -> Any:
-    """The same without passwords, keys, and what stands before the @ of an address."""
+    """Without passwords, keys, and what stands before the @ of an address."""
     if isinstance(value, Mapping):
         return {
             name: HIDDEN if SECRET.search(str(name)) and one is not None else without_secrets(one)
@@ -80,7 +80,7 @@ def without_secrets(value: Any) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """What JSON can hold: bytes in hexadecimal, and null for what is no number."""
+    """What JSON can hold: bytes in hexadecimal, null for no number."""
     if isinstance(value, Mapping):
         return {str(name): plain(one) for name, one in value.items()}
     if isinstance(value, (list, tuple)):
@@ -93,7 +93,7 @@ def plain(value: Any) -> Any:
 
 
 def interface_facts(words: Mapping[str, Any]) -> dict[str, Any]:
-    """Of the bus: its words, and for SocketCAN what ``ip`` says of the interface, state and counters."""
+    """Of the bus: its words, and what ``ip`` says of SocketCAN."""
     channel = words.get("channel")
     facts: dict[str, Any] = {"words": plain(without_secrets(dict(words)))}
     if words.get("interface") == "socketcan" and isinstance(channel, str):
@@ -142,7 +142,7 @@ class KeptLines(logging.Handler):
 
 
 def diagnosis_text(made_by: str, parts: Mapping[str, Any]) -> str:
-    """The file: who made it and when, and then the parts in their order."""
+    """The file: who made it and when, then the parts."""
     whole = {"canfb_diagnosis": 1, "made": date_and_time(), "made_by": made_by, **parts}
     return json.dumps(plain(whole), indent=1, ensure_ascii=False) + "\n"
 
@@ -153,9 +153,8 @@ ENTRIES_AT_ONCE = 10
 
 
 class SelfDiagnosis:
-    """Writes ``canfb-diagnose-PID.json`` into ``folder`` when asked.
-
-    :meth:`request` may be called by a signal handler; :meth:`step` some hundred times a second.
+    """Writes ``canfb-diagnose-PID.json`` into ``folder``: :meth:`request`, from a signal handler too, then
+    :meth:`step`.
     """
 
     def __init__(
@@ -186,7 +185,7 @@ class SelfDiagnosis:
         self._requested = True
 
     def step(self, nodes: Sequence[Served]) -> None:
-        """Go on with what was requested: ten microseconds as a rule, half a millisecond at most."""
+        """Go on: ten microseconds as a rule, half a millisecond at most."""
         if self._writing is not None:
             if self._writing.is_alive():
                 return
@@ -256,7 +255,7 @@ class SelfDiagnosis:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Write it whole, readable by its owner alone; a link of this name is not followed."""
+    """Write it whole, readable by its owner alone; no link is followed."""
     descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(descriptor, "w", encoding="utf-8") as file:

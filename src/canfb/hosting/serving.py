@@ -1,9 +1,8 @@
 """Nodes on a bus: several modules or interfaces in one process, or a simulation.
 
-They share one bus, one loop (canfb.bus.runner) and one log, and exchange frames as on the wire. Nothing that
-lasts is done in the loop: saving (state_files) and converters (captured_source) have threads, a reference
-measurement a process (canfb.bus.computing); events are written between frames (event_log). A program error in
-one node ends all: what it may have changed is unknown.
+They share one bus, one loop (canfb.bus.runner) and one log. Nothing that lasts is done in the loop: saving
+and converters have threads, a reference measurement a process; events are written between frames. A program
+error in one node ends all.
 """
 
 from __future__ import annotations
@@ -29,10 +28,8 @@ log = logging.getLogger(__name__)
 
 
 class OnBus(ABC):
-    """A context manager that holds the bus, the runner, and what the devices need.
-
-    ConfigError for a bus on which a device would receive its own frames; CanfbError for one that cannot be
-    opened.
+    """A context manager that holds the bus, the runner, and what the devices need. ConfigError and
+    CanfbError.
     """
 
     def __init__(self, words: Mapping[str, Any], realtime: RealtimeConfig) -> None:
@@ -45,7 +42,7 @@ class OnBus(ABC):
 
     @abstractmethod
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
-        """The devices; what they have open is closed with ``resources``. Before the bus is opened."""
+        """The devices; ``resources`` closes what they open. Before the bus is opened."""
 
     def _meanwhile(self, now: float) -> None:
         """Called now and then, between frames."""
@@ -89,8 +86,7 @@ def fed_module(config: ModuleConfig) -> FedModule:
 class Simulating(OnBus):
     """A simulation on a bus: a context manager around :meth:`run`.
 
-    ``seconds`` ends it after this machine time; else the end of a recording does, or :meth:`stop`.
-    ConfigError for a simulation that cannot be; errors of the bus as those of :class:`OnBus`.
+    ``seconds`` of machine time, the end of a recording or :meth:`stop` ends it. Errors as :class:`OnBus`.
     """
 
     def __init__(
@@ -115,7 +111,7 @@ class Simulating(OnBus):
         return list(self.network.devices)
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
-        """Serve the interface until the end. ``ready`` is called when it is on the bus."""
+        """Serve the interface until the end. ``ready`` is called on the bus."""
         if self._runner is None:
             raise RuntimeError("use Simulating as a context manager: with Simulating(...) as simulating")
         network = self.network

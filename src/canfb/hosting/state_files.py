@@ -2,7 +2,7 @@
 
 A group is written beside its file and renamed over it. A change of several groups is first one file,
 ``pending.bin``, whose rename makes it valid, then copied; what a crash has left is done by the next save. A
-file called ``….new`` was never finished. A running module writes in a thread: no SYNC waits for the disk.
+running module writes in a thread.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ class StateDirError(CanfbError):
 class StateFiles(Closing):
     """A store in a ``folder``, which is made if it is missing: what 1010h and LSS save, in files.
 
-    It belongs to one process until :meth:`close`, or to the end of a ``with``. StateDirError when another one
-    has it, or when it cannot be written to.
+    It belongs to one process until :meth:`close`. StateDirError when another one has it, or it cannot be
+    written.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -87,7 +87,7 @@ class StateFiles(Closing):
             self._lock = -1
 
     def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
-        """What is kept, by group; an OSError for a group that is there and cannot be read."""
+        """What is kept, by group, or an OSError."""
         kept: dict[ParameterGroup, bytes | OSError] = {}
         for group in ParameterGroup:
             try:
@@ -108,7 +108,7 @@ class StateFiles(Closing):
         return kept
 
     def save(self, changes: Changes) -> None:
-        """Keep the groups of ``changes``, forget those that are None: all or, with an OSError, none."""
+        """Keep ``changes``, None forgets: all or, with an OSError, none."""
         try:
             self._finish(self._pending())
         except OSError as error:
@@ -129,7 +129,7 @@ class StateFiles(Closing):
             self._finish(changes)
 
     def _pending(self) -> Changes:
-        """The change that is valid, but not yet in the files of its groups; OSError EBADMSG if damaged."""
+        """The valid change that is not yet copied; OSError EBADMSG if damaged."""
         data = self._read(PENDING)
         return {} if data is None else _unpack(data)
 
@@ -160,7 +160,7 @@ class StateFiles(Closing):
             os.close(handle)
 
     def _write(self, name: str, data: bytes) -> None:
-        """The whole file, or what it was before; the folder is still to be synchronised."""
+        """The whole file, or what it was before."""
         path, new = self.folder / name, self.folder / f"{name}.new"
         handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         try:
@@ -245,10 +245,7 @@ def small_stack() -> Iterator[None]:
 
 
 class ThreadedStore(Closing):
-    """``store``, written in one thread, a change after the other: a ``BackgroundStore`` of the device.
-
-    :meth:`close`, or the end of a ``with``, waits for what was begun.
-    """
+    """``store``, written in one thread, a change after the other; :meth:`close` waits for it."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -269,7 +266,7 @@ class ThreadedStore(Closing):
         return self._executor.submit(self._store.load).result()
 
     def save(self, changes: Changes) -> None:
-        """Keep ``changes`` behind those that were begun, and wait for it; OSError if that fails."""
+        """Keep ``changes``, and wait for it; OSError if that fails."""
         error = self._executor.submit(self._write, changes).result()
         if error is not None:
             raise error
@@ -294,14 +291,14 @@ class ThreadedStore(Closing):
 
 
 class SavedParameters(StateFiles):
-    """A store to read from: it takes no lock and makes no folder; where there is none, nothing was saved."""
+    """A store to read from: no lock, no new folder."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self._lock = -1
 
     def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
-        """What is kept, by group. Read until two readings agree, as a save may be in progress."""
+        """What is kept, read until two readings agree: a save may be in progress."""
         before = super().load()
         for _ in range(_MOST_READINGS):
             again = super().load()

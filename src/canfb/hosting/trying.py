@@ -1,7 +1,6 @@
 """A network in simulated time on a bus that other programs can open: what ``canfb try`` shows.
 
-Its time is that of the SYNC, not that of the computer: where that is late the machine turns more slowly, and
-nothing is lost.
+Its time is that of the SYNC: where the computer is late the machine turns more slowly.
 """
 
 from __future__ import annotations
@@ -41,9 +40,8 @@ PRIVATE_GROUPS = 16  # for one user of one computer, side by side
 
 @contextlib.contextmanager
 def private_bus() -> Iterator[dict[str, Any]]:
-    """python-can's words for a multicast group that nobody else uses, held while this is entered.
-
-    It depends on the computer and its user; its frames stay here. BusError where all groups are taken.
+    """python-can's words for a multicast group that nobody else uses, on this computer. BusError
+    without one.
     """
     user = f"{platform.node()} {os.getuid() if hasattr(os, 'getuid') else os.environ.get('USERNAME')}"
     for number in range(PRIVATE_GROUPS):
@@ -73,8 +71,8 @@ def end_main() -> None:
 class NetworkOnBus:
     """The first module of ``config``, its encoder interface and the SYNC at ``rate_hz``, in a thread.
 
-    ``first`` are frames that a master sends at the start. What the module saves is removed at the end. With
-    ``events`` what happens is logged. CanfbError for a bus that cannot be opened, or has failed.
+    ``first`` are frames of a master at the start; ``events``: what happens is logged. What is saved is
+    removed at the end. CanfbError for a bus that fails.
     """
 
     def __init__(
