@@ -6,7 +6,6 @@ import math
 import random
 import re
 import struct
-import time
 from pathlib import Path
 from typing import Any
 
@@ -288,14 +287,11 @@ def bus_of_the_page(monkeypatch: pytest.MonkeyPatch) -> FeedbackModule:
             pass
 
     monkeypatch.setattr(canopen, "Network", Connected)
-    monkeypatch.setattr(time, "sleep", lambda seconds: None)
     return module
 
 
-def test_the_python_examples_run(bus_of_the_page: FeedbackModule, capsys: pytest.CaptureFixture[str]) -> None:
-    scan, links = re.findall(r"```python\n(.*?)```", PAGE, re.S)
-    exec(scan, {})
-    assert capsys.readouterr().out == "in use: 20h\n"
+def test_the_python_example_runs(bus_of_the_page: FeedbackModule) -> None:
+    (links,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
     exec(links, {})
     entry = bus_of_the_page.dictionary.entry
     assert entry(0x1800, 1).value == NO_REMOTE | 0x2B5
