@@ -104,6 +104,8 @@ def test_the_table_has_one_state() -> None:
         (read, replace(active, table_active=False), NO_CORRECTION),
         (NO_CORRECTION, replace(module, table_crc32=0), NO_CORRECTION),
         (NO_CORRECTION, replace(active, table_crc32=0), None),
+        (None, replace(module, status=None), None),
+        (read, replace(module, status=None, table_crc32=table.crc32), read),
     ):
         traces = ModuleTraces(UNITS)
         if was_read is not None:

@@ -42,16 +42,12 @@ class NodeModel:
     def __init__(self, node_id: int, module: ModuleModel | None = None) -> None:
         self.node_id = node_id
         self.module = module
-        self._received_s: float | None = None
+        self.received_s: float | None = None
         self._state: NmtState | None = None
         self._source: str | None = None
         self._boot_ups = 0
         self._emergencies: deque[tuple[float, int, int, bytes]] = deque(maxlen=EMERGENCIES)
         self._emergency_count = 0
-
-    def received(self, now: float) -> None:
-        """A frame of its own."""
-        self._received_s = now
 
     def error_control(self, data: bytes, now: float) -> None:
         """Boot-up, heartbeat or the answer of node guarding (CiA 301, 7.2.8.3.2)."""
@@ -92,7 +88,7 @@ class NodeModel:
             self.node_id,
             None if self._state is None else self._state.name.replace("_", "-"),
             self._source,
-            None if self._received_s is None else max(0.0, now - self._received_s),
+            None if self.received_s is None else max(0.0, now - self.received_s),
             self._boot_ups,
             emergencies,
             self._emergency_count,
@@ -233,7 +229,7 @@ class BusModel:
         if node_id not in NODES or function not in SENT:
             return
         node = self._node(node_id)
-        node.received(now)
+        node.received_s = now
         if function == cob.ERROR_CONTROL:
             node.error_control(data, now)
         elif function == cob.EMERGENCY and can_id not in self._routes:
@@ -253,6 +249,6 @@ class BusModel:
 
 def _sent(node: NodeModel, module: ModuleModel, pdo: Pdo, data: bytes, now: float) -> None:
     """A PDO of a module, under whichever CAN-ID."""
-    node.received(now)
+    node.received_s = now
     if module.sent(pdo, data, now):
         node.sends_pdos()

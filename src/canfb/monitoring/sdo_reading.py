@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 
@@ -19,6 +20,7 @@ from canfb.errors import CanfbError
 from canfb.master.access import NodeAccess, RefusedError
 from canfb.master.all_or_nothing import active_conditioning, read_active
 from canfb.monitoring.layout import COUNTERS, VALUES, ModuleReading, NodeLayout, Origin, layout_of
+from canfb.monitoring.lines import is_stale
 from canfb.monitoring.snapshot import BusSnapshot, NodeSnapshot
 from canfb.objects import Multiplexer
 from canfb.signal.correction import Correction
@@ -69,7 +71,9 @@ class ModuleReader:
 
             self._layout = layout_of(self.node_id, read, Origin.MODULE)
             self._layout_due_s = now + LAYOUT_S
-        carried = {place for pdo in self._layout.tpdos for place in pdo.values(bytes(pdo.length_bytes))}
+        heard = node is not None and node.module is not None and not is_stale(node.module)
+        pdos = self._layout.tpdos if heard else ()
+        carried = {place for pdo in pdos for place in pdo.values(bytes(pdo.length_bytes))}
         values = {place: _value(module, place) for place in REPEATED if place not in carried}
         found = {place: value for place, value in values.items() if value is not None}
         if self._with_table:
@@ -115,26 +119,22 @@ class SdoThread:
         wanted: Callable[[], bool] = lambda: True,
     ) -> None:
         self._bus, self._readers, self._latest, self._take, self._wanted = bus, readers, latest, take, wanted
-        self._stopped = False
+        self._stopped = threading.Event()
 
     @contextlib.contextmanager
     def running(self, failed: Callable[[], None]) -> Iterator[None]:
         """It reads while this is entered; ``failed`` is called, from its thread, if it ends by an error."""
-        thread = ListeningThread(self._run, self._stop)
+        thread = ListeningThread(self._run, self._stopped.set)
         thread.begin(failed)
         try:
             yield
         finally:
             thread.end()
 
-    def _stop(self) -> None:
-        self._stopped = True
-
     def _run(self) -> None:
-        while not self._stopped:
+        while not self._stopped.wait(LOOK_S):
             if self._wanted():
                 self.look(time.monotonic())
-            time.sleep(LOOK_S)
 
     def look(self, now: float) -> None:
         """Read what is due ``now``, seconds."""

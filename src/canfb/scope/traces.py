@@ -78,10 +78,11 @@ class ModuleTraces:
         module, read = self._module, self._read
         assert module is not None
         before = self.correction
-        if read and read.crc32 == module.table_crc32 and bool(read.crc32) == module.table_active:
+        active = None if module.status is None else module.table_active
+        if read and read.crc32 == module.table_crc32 and active in (None, bool(read.crc32)):
             self.correction = read
         else:
-            self.correction = None if module.table_active else NO_CORRECTION
+            self.correction = NO_CORRECTION if active is False else None
         if self.correction != before:
             self._due_s = -math.inf
 
@@ -146,7 +147,7 @@ class ModuleTraces:
     def _words(self, without: float, with_it: float) -> str:
         """What is known of the table, once."""
         if self.correction is None:
-            return f"without a table {without:.3f} % rms; a table is active, --sdo reads it"
+            return f"without a table {without:.3f} % rms; the active table is not known, --sdo reads it"
         if self.correction == NO_CORRECTION:
             return f"no table is active: {without:.3f} % rms"
         name = f"table {self.correction.crc32:08X}h" if self.correction.table else "conditioning"
