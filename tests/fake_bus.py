@@ -125,16 +125,16 @@ class WiredBus:
         self._raw = RawCanBus(ours)
         self._fake = fake
 
-    def receive(self, wait_s: float) -> list[Received] | None:
+    def receive(self, wait_s: float) -> Received | None:
         planned = self._fake.recv(wait_s)
         if planned is None:
             return self._raw.receive(0.0)
         if planned.is_fd:
-            return []
+            return EXTENDED, b"", 0.0
         self._far.send(packed(planned))
-        frames = self._raw.receive(0.0)
-        assert frames is not None
-        return [(can_id, data, planned.timestamp) for can_id, data, _ in frames]
+        received = self._raw.receive(0.0)
+        assert received is not None
+        return (*received[:2], planned.timestamp)
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
         assert self._raw.send(can_id, data, remote)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -167,20 +167,23 @@ class Bus:
         self.sent: list[tuple[float, int, bytes, bool]] = []
         self.heard: frozenset[int] | None = None
         self.left_out = 0
+        self.taken: deque[Received] = deque()
 
-    def receive(self, wait_s: float) -> list[Received] | None:
-        if not self.plan or self.due_s > self.clock.now + wait_s:
-            self.clock.now += wait_s
-            return None
-        self.clock.now = max(self.clock.now, self.due_s)
-        batch = self.plan.pop(0)
-        self.due_s = self.clock.now + (self.plan[0].after_s if self.plan else 0.0)
-        first_s = self.clock.now - 1e-5 * len(batch.frames)
-        stamps = [first_s + 1e-5 * n + WALL_S if batch.stamped else 0.0 for n in range(len(batch.frames))]
-        taken = [frame for frame in batch.frames if self._passes(frame[0])]
-        self.left_out += len(batch.frames) - len(taken)
-        stamped = zip(batch.frames, stamps, strict=True)
-        return [(can_id, data, at) for (can_id, data), at in stamped if self._passes(can_id)]
+    def receive(self, wait_s: float) -> Received | None:
+        while not self.taken:
+            if not self.plan or self.due_s > self.clock.now + wait_s:
+                self.clock.now += wait_s
+                return None
+            self.clock.now = max(self.clock.now, self.due_s)
+            batch = self.plan.pop(0)
+            self.due_s = self.clock.now + (self.plan[0].after_s if self.plan else 0.0)
+            first_s = self.clock.now - 1e-5 * len(batch.frames)
+            for n, frame in enumerate(batch.frames):
+                if self._passes(frame[0]):
+                    self.taken.append((*frame, first_s + 1e-5 * n + WALL_S if batch.stamped else 0.0))
+                else:
+                    self.left_out += 1
+        return self.taken.popleft()
 
     def _passes(self, can_id: int) -> bool:
         return not self.filters or self.heard is None or can_id in self.heard
@@ -275,7 +278,7 @@ def test_a_new_cob_id_is_heard_before_its_answer_goes_out() -> None:
 
     bus.send = noted  # type: ignore[method-assign]
     runner = Runner(bus, list(modules()[:1]), clock=clock, sleep=clock.sleep)  # type: ignore[arg-type]
-    runner.run(finished=lambda: not bus.plan)
+    runner.run(finished=lambda: not (bus.plan or bus.taken))
     assert heard == [False, True], "the boot-up, and the answer"
 
 
@@ -316,7 +319,7 @@ def test_a_frame_costs_only_those_who_listen(count: int) -> None:
     frames = tuple((0x100 + n % 4, b"") for n in range(100))
     bus = Bus(clock, [Batch(0.001, frames)], False)
     runner = Runner(bus, list(devices), clock=clock, sleep=clock.sleep)  # type: ignore[arg-type]
-    runner.run(finished=lambda: not bus.plan)
+    runner.run(finished=lambda: not (bus.plan or bus.taken))
     assert sum(len(device.received) for device in devices) == 25 * min(count, 4)
     assert sum(device.asked for device in devices) <= 25 * min(count, 4) + 3 * count
     assert runner.counters.received == 100

@@ -14,7 +14,7 @@ import can
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from canfb.bus.frame_bus import PythonCanBus, brings_own_frames_back, marks_own_frames
+from canfb.bus.frame_bus import PythonCanBus, brings_own_frames_back
 from canfb.bus.opening import (
     check_device_bus,
     describe,
@@ -268,8 +268,6 @@ def test_a_device_may_not_hear_itself() -> None:
     with pytest.raises(ConfigError, match="receive_own_messages: omit it"):
         check_device_bus({**words, "receive_own_messages": True})
     check_device_bus({**words, "receive_own_messages": False})
-    with open_bus(words) as bus:
-        assert marks_own_frames(bus), "should it get them all the same"
 
 
 VIRTUAL = {"interface": "virtual", "channel": "canfb device bus"}
@@ -291,9 +289,9 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     def raw(channel: str) -> None:
         calls.append(channel)
 
-    def python_can(**words: object) -> SimpleNamespace:
+    def python_can(**words: object) -> Any:
         calls.append(words)
-        return SimpleNamespace(channel_info="a bus")
+        return SimpleNamespace(channel_info="opened")
 
     monkeypatch.setattr(RawCanBus, "open", raw)
     monkeypatch.setattr(can, "Bus", python_can)

@@ -1,4 +1,4 @@
-"""The SocketCAN of our own on a pair of sockets, which carry the same frames: batches, times, queues."""
+"""The SocketCAN of our own on a pair of sockets, which carry the same frames: times, queues, filters."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ import socket
 import struct
 import time
 from collections.abc import Iterator
-from itertools import pairwise
-from typing import Any
 
 import pytest
 
-from canfb.bus import raw_can_bus
+from canfb.bus.clocks import LEARNED_FRAMES
 from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE
 from canfb.bus.frame_sender import LONGEST_DELAY_S, LONGEST_QUEUE
-from canfb.bus.raw_can_bus import MOST_FILTERS, MOST_FRAMES, FrameReader, RawCanBus
+from canfb.bus.raw_can_bus import MOST_FILTERS, FrameReader, RawCanBus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from fake_bus import CAN_FRAME, FakeClock, FakeDevice
@@ -60,41 +58,17 @@ def wire() -> Iterator[Wire]:
         yield made
 
 
-def test_frames_that_wait_come_together_in_their_order_with_their_times(wire: Wire) -> None:
-    sent = [(0x080, b""), (0x190, b"\x01\x02\x03\x04"), (0x1A0, bytes(range(8))), (0x720 | REMOTE, b"")]
+def test_frames_come_in_their_order_with_flags_and_times(wire: Wire) -> None:
+    flagged = [0x081 | ERROR, 0x1FFF_FFFF | EXTENDED, 0x7FF | REMOTE, 0x7FF, 0]
+    sent = [(can_id, bytes(range(length))) for length, can_id in enumerate([0x190, 0x1A0, 0x1A1, *flagged])]
     before_s = time.time()
     for can_id, data in sent:
         wire.put(can_id, data)
-    frames = wire.bus.receive(PATIENCE_S)
-    assert frames is not None
+    frames = [frame for _ in sent if (frame := wire.bus.receive(PATIENCE_S)) is not None]
     assert [frame[:2] for frame in frames] == sent
-    stamps = [frame[2] for frame in frames]
-    assert before_s - 1e-3 <= stamps[0]
-    assert stamps[-1] <= time.time() + 1e-3
-    assert all(one <= other for one, other in pairwise(stamps))
+    stamps = [before_s - 1e-3, *(frame[2] for frame in frames), time.time() + 1e-3]
+    assert stamps == sorted(stamps)
     assert wire.bus.receive(0.0) is None
-
-
-@pytest.mark.parametrize("can_id", [0x081 | ERROR, 0x1FFF_FFFF | EXTENDED, 0x7FF | REMOTE, 0x7FF, 0])
-def test_flags_are_those_of_the_frame(wire: Wire, can_id: int) -> None:
-    wire.put(can_id, b"\x05")
-    frames = wire.bus.receive(PATIENCE_S)
-    assert frames is not None
-    assert [frame[:2] for frame in frames] == [(can_id, b"\x05")]
-
-
-def test_one_call_has_a_limit_and_the_next_has_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(raw_can_bus, "MOST_FRAMES", 3)
-    wire = Wire()
-    with wire.bus, wire.far:
-        for number in range(8):
-            wire.put(0x100 + number, bytes(number))
-        got = []
-        while (frames := wire.bus.receive(0.0)) is not None:
-            assert len(frames) <= 3
-            got += frames
-    assert [(can_id, len(data)) for can_id, data, _ in got] == [(0x100 + n, n) for n in range(8)]
-    assert MOST_FRAMES >= 8
 
 
 @pytest.mark.parametrize("wait_s", [0.0, 0.0004, 0.0042])
@@ -205,7 +179,7 @@ def test_frames_that_grow_old_are_given_up_and_reported_once(wire: Wire) -> None
     line = Line(wire)
     for _ in range(3):
         wire.put(0x200)
-    line.go(10, step_s=LONGEST_DELAY_S / 8)
+    line.go(14, step_s=LONGEST_DELAY_S / 8)
     assert len(wire.sent()) == filled, "nothing of what is old goes out"
     assert line.runner.counters.send_failures == 15
     assert line.lines == ["a frame could not be sent: No buffer space available"]
@@ -221,37 +195,26 @@ def test_the_queue_has_an_end(wire: Wire) -> None:
     assert len(line.lines) == 1
 
 
-def control(level_type: int, *numbers: int) -> bytes:
-    """A control message of Linux."""
-    body = struct.pack(f"@{len(numbers)}l", *numbers)
-    return struct.pack("@Nii", struct.calcsize("@Nii") + len(body), socket.SOL_SOCKET, level_type) + body
-
-
 def test_the_time_of_the_hardware_is_taken_where_it_is(wire: Wire) -> None:
-    """As the kernel writes it: SCM_TIMESTAMPNS, then SCM_TIMESTAMPING with the third of its times."""
+    """As the kernel writes it: SCM_TIMESTAMPNS, then SCM_TIMESTAMPING with the third of its times.
+
+    Once the two clocks are known, the frame has the least delay; a frame without such a time has the other.
+    """
     reader = FrameReader(wire.bus._socket)
-    plan = [(100.0, 5.0, 40e-6), (100.01, 5.01, 250e-6), (100.02, 5.02, 40e-6), (100.03, None, 90e-6)]
-    stamps = []
-    calls = iter(plan)
 
-    def receive_many(*arguments: Any) -> int:
-        true_s, hardware_s, delay_s = next(calls)
-        kernel_ns = round((true_s + delay_s) * 1e9)
-        slot = CAN_FRAME.pack(0x080, 0, b"") + control(35, *divmod(kernel_ns, 10**9))
-        if hardware_s is not None:
-            slot += control(37, 0, 0, 0, 0, *divmod(round(hardware_s * 1e9), 10**9))
-        reader._slots[: len(slot)] = slot
-        return 1
+    def late_s(true_s: float, delay_s: float, hardware: bool = True) -> float:
+        kernel = struct.pack("@2l", *divmod(round((true_s + delay_s) * 1e9), 10**9))
+        times = struct.pack("@6l", 0, 0, 0, 0, *divmod(round((true_s - 95.0) * 1e9), 10**9))
+        controls = [(socket.SOL_SOCKET, 35, kernel)] + [(socket.SOL_SOCKET, 37, times)] * hardware
+        reader._receive = lambda *arguments: (CAN_FRAME.pack(0x080, 0, b""), controls, 0, None)
+        received = reader.read()
+        assert received is not None
+        return received[2] - true_s
 
-    reader._receive_many = receive_many  # type: ignore[assignment]
-    for _ in plan:
-        frames = reader.read()
-        assert frames is not None
-        stamps.append(frames[0][2])
-    late_s = [stamp - true_s for stamp, (true_s, _, _) in zip(stamps, plan, strict=True)]
-    assert late_s == pytest.approx([40e-6, 40e-6, 40e-6, 90e-6], abs=1e-6), (
-        "a frame without one has the other"
-    )
+    delays_s = [late_s(100.0 + 0.01 * n, 250e-6 if n % 3 else 40e-6) for n in range(3 * LEARNED_FRAMES)]
+    assert delays_s[1] == pytest.approx(250e-6, abs=1e-6)
+    assert delays_s[LEARNED_FRAMES + 1 :] == pytest.approx([40e-6] * (2 * LEARNED_FRAMES - 1), abs=5e-6)
+    assert late_s(103.0, 90e-6, hardware=False) == pytest.approx(90e-6, abs=1e-6)
 
 
 class Filters:

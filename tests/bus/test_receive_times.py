@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.bus.clocks import LARGEST_STEP_S, LEARNED_FRAMES, LONGEST_DELAY_S, ReceiveTimes
+from canfb.bus.clocks import LARGEST_STEP_S, LEARNED_FRAMES, LONGEST_DELAY_S, OtherClock, ReceiveTimes
+from canfb.bus.raw_can_bus import LONGEST_LATENCY_S
 
 RESOLUTION_S = 1e-6  # of a float that holds a time of day
 STEPS = [-3600.0, -1.0, -0.01, -0.001, 0.001, 0.01, 1.0, 3600.0]
@@ -223,3 +224,25 @@ def test_stamps_that_stand_still_are_none() -> None:
     for _ in range(5 * LEARNED_FRAMES):
         clocks.now += 1e-3
         assert times.received(0.0, clocks.now) is None
+
+
+@given(st.floats(-100e-6, 100e-6), st.lists(st.floats(0.0, 2e-3), min_size=300, max_size=400))
+def test_the_jitter_of_a_controllers_delay_is_taken_off(drift: float, delays_s: list[float]) -> None:
+    """One frame of five is on time: the rest follow its delay, and the drift since then."""
+    clock = OtherClock(LONGEST_LATENCY_S)
+    for number, delay_s in enumerate(delays_s):
+        true_s = number * 1e-3
+        taken_s = 1.8e9 + true_s + 2e-5 + (delay_s if number % 5 else 0.0)
+        got = clock.received(77.0 + true_s * (1.0 + drift), taken_s)
+        assert (got is None) is (number < LEARNED_FRAMES)
+        assert got is None or got <= taken_s
+        assert got is None or got - 1.8e9 - true_s == pytest.approx(2e-5, abs=5e-3 * 3e-4 + RESOLUTION_S)
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, -0.02, 0.02, 1.0, 3600.0])
+def test_a_clock_of_a_controller_that_is_set_gives_no_time_until_it_is_learned(step_s: float) -> None:
+    """Nothing is later than its latency: either clock may be set, forwards or back."""
+    clock = OtherClock(LONGEST_LATENCY_S)
+    got = [clock.received(77.0 + n * 1e-3 + step_s * (n >= 200), 1.8e9 + n * 1e-3) for n in range(400)]
+    assert got[200 : 200 + LEARNED_FRAMES] == [None] * LEARNED_FRAMES
+    assert got[-1] == pytest.approx(1.8e9 + 0.399, abs=RESOLUTION_S)

@@ -103,7 +103,7 @@ def test_so_does_a_bus_of_python_can_for_devices() -> None:
     with pytest.raises(OSError, match="No such device"):
         bus.receive(0.1)
     assert bus.receive(0.1) is None
-    assert bus.receive(0.2) == [(2, b"", pytest.approx(0.0))]
+    assert bus.receive(0.2) == (2, b"", pytest.approx(0.0))
 
 
 def test_the_kernel_need_not_say_that_it_was_removed() -> None:

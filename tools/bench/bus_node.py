@@ -92,13 +92,13 @@ def serve_floor(bus: RawCanBus, realtime: RealtimeConfig) -> None:
     with outside_collections():
         print(READY, flush=True)
         while True:
-            for can_id, data, _ in bus.receive(wait_s) or ():
-                if can_id == SYNC:
-                    bus.send(SYNCHRONOUS_PDO, units, False)
-                elif can_id == ADC_PDO:
-                    angle = math.atan2(*PAIR.unpack(data)) / (2.0 * math.pi)
-                    units = (round(angle * UNITS_PER_CYCLE) % UNITS_PER_CYCLE).to_bytes(8, "little")
-                    bus.send(POSITION_PDO, units, False)
+            can_id, data, _ = bus.receive(wait_s) or (-1, b"", 0.0)
+            if can_id == SYNC:
+                bus.send(SYNCHRONOUS_PDO, units, False)
+            elif can_id == ADC_PDO:
+                angle = math.atan2(*PAIR.unpack(data)) / (2.0 * math.pi)
+                units = (round(angle * UNITS_PER_CYCLE) % UNITS_PER_CYCLE).to_bytes(8, "little")
+                bus.send(POSITION_PDO, units, False)
 
 
 def serve_module(bus: FrameBus, realtime: dict[str, Any]) -> int:

@@ -121,7 +121,8 @@ class Others:
                     continue
                 left_s = min(left_s, busy_s)
             if select.select([self._bus], [], [], left_s)[0]:
-                for frame in self._read() or ():
+                frame = self._read()
+                if frame is not None:
                     self._take(*frame)
 
     def _send_load(self) -> None:

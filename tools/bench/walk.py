@@ -113,7 +113,7 @@ class WalkedBus:
     def clock(self) -> float:
         return self.now
 
-    def receive(self, wait_s: float) -> list[Received] | None:
+    def receive(self, wait_s: float) -> Received | None:
         if self._walk is not None:
             self._walk.end()
         self.now, name, frame = next(self._frames, (self.now, "", None))
@@ -122,7 +122,7 @@ class WalkedBus:
         if self._walk is not None:
             self.walks.setdefault(name, []).append(self._walk)
             self._walk.begin()
-        return None if frame is None else [frame]
+        return frame
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
         return True

@@ -200,15 +200,13 @@ class _Socket:
         self._waiting.append(received)
         return True
 
-    def receive(self, wait_s: float) -> list[Received] | None:
+    def receive(self, wait_s: float) -> Received | None:
         """See :class:`canfb.bus.frame_bus.FrameBus`."""
         if wait_s > 0.0 and not self._waiting and not self._down:
             self._wait(wait_s)
         if self._down:
             raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
-        frames = list(self._waiting)
-        self._waiting.clear()
-        return frames or None
+        return self._waiting.popleft() if self._waiting else None
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
         """See :class:`canfb.bus.frame_bus.FrameBus`."""

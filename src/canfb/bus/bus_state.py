@@ -50,7 +50,7 @@ class FailureWatch:
 
 
 class BusState:
-    """Gone or there; `lost` and `returned` say it once each.
+    """Gone or there; `lost` and `returned` say it once each, and what changes is reported.
 
     Gone: bus-off, an interface that is down, or reading that fails for LASTING_S. There again: nothing of the
     kind for SETTLED_S after a frame, an error frame "restarted" or, unless bus-off, a frame that could be
@@ -59,6 +59,8 @@ class BusState:
 
     def __init__(self, report: Callable[[str], None]) -> None:
         self._report = report
+        self._reading = FailureWatch(report, BUS_FAILS, BUS_WORKS)
+        self._sending = FailureWatch(report, "a frame could not be sent", "frames can be sent again")
         self.gone = False
         self.troubled = False
         """Whether `reading_worked` and `sending_worked` must be called."""
@@ -71,77 +73,79 @@ class BusState:
     def error_frame(self, error_class: int, now: float) -> None:
         """An error frame of SocketCAN; `error_class` is its CAN-ID."""
         if error_class & ERROR_BUS_OFF:
-            self._say(_OFF, _ON)
+            self._lose(_OFF, _ON)
             self._bus_off = True
-            self._lose()
         elif error_class & ERROR_RESTARTED:
             self._show_life(now)
 
-    def reading_failed(self, error: Exception, now: float) -> None:
-        """The bus could not be read."""
+    def reading_failed(self, error: Exception, now: float) -> bool:
+        """The bus could not be read; True if the failure before was only just now."""
         self.troubled = True
         if self._failing_since_s is None:
             self._failing_since_s = now
         if is_down(error):
-            self._went_down(error)
+            self._lose(f"{BUS_FAILS}: {reason(error)}", BUS_WORKS)
         elif now - self._failing_since_s >= LASTING_S:
-            self._bus_off = False
             self._lose()
+        return self._reading.failed(error, now, known=is_down(error))
 
     def reading_worked(self, now: float, *, frame: bool) -> None:
         """The bus could be read; `frame`: and there was a frame."""
         self._failing_since_s = None
-        self.troubled = self.gone
         if frame:
+            self._reading.worked(now)
             self._show_life(now)
+        self._look()
 
     def sending_failed(self, error: Exception, now: float) -> None:
         """A frame could not be sent."""
+        self.troubled = True
         if is_down(error):
-            self._went_down(error)
+            self._lose(f"{BUS_FAILS}: {reason(error)}", BUS_WORKS)
+        self._sending.failed(error, now, known=self.gone)
 
     def sending_worked(self, now: float) -> None:
         """A frame could be sent, or was taken into a queue."""
+        self._sending.worked(now)
         if not self._bus_off:
             self._show_life(now)
+        self._look()
 
     def lost(self) -> bool:
         """True once for each failure of the bus."""
-        if self._notified:
-            return False
-        self._notified = True
-        return True
+        notified, self._notified = self._notified, True
+        return not notified
 
     def returned(self, now: float) -> bool:
         """Whether the bus is back; true once."""
         if not self.gone or self._alive_s is None or now - self._alive_s < SETTLED_S:
             return False
-        self.gone = self.troubled = self._bus_off = False
+        self.gone = self._bus_off = False
         self._alive_s = None
         if self._recovered:
             self._report(self._recovered)
             self._recovered = ""
+        self._look()
         return True
 
-    def _went_down(self, error: Exception) -> None:
-        self._say(f"{BUS_FAILS}: {reason(error)}", BUS_WORKS)
-        self._bus_off = False
-        self._lose()
-
-    def _say(self, trouble: str, recovered: str) -> None:
-        if not self._recovered:
+    def _lose(self, trouble: str = "", recovered: str = "") -> None:
+        """It is gone; a ``trouble`` is reported unless an earlier one is not over."""
+        if trouble and not self._recovered:
             self._recovered = recovered
             self._report(trouble)
-
-    def _lose(self) -> None:
         if not self.gone or self._alive_s is not None:
             self._notified = False
         self.gone = self.troubled = True
+        self._bus_off = False
         self._alive_s = None
 
     def _show_life(self, now: float) -> None:
         if self.gone and self._alive_s is None:
             self._alive_s = now
+
+    def _look(self) -> None:
+        failing = (self._failing_since_s, self._reading.failed_s, self._sending.failed_s)
+        self.troubled = self.gone or failing != (None, None, None)
 
 
 def is_down(error: Exception) -> bool:

@@ -2,8 +2,7 @@
 
 The stamp of a frame is of another clock than ``now``: the time of day, the controller's or an adapter's. A
 frame received at t and taken at t + d, d >= 0, shows the difference of two clocks as offset + d, so the least
-of many is the offset. As clocks drift, it may rise: in windows (:class:`HardwareTimes`), or by DRIFT
-(:class:`OtherClock`).
+of many is the offset, which rises as the clocks drift.
 """
 
 from __future__ import annotations
@@ -12,19 +11,19 @@ import os
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
-from math import inf, isfinite, nan
+from math import inf, isfinite
 
 from canfb.errors import ConfigError
 
 
 def now_s() -> float:
-    """Seconds since an arbitrary instant; no setting of the time of day moves it."""
+    """Seconds, monotonic."""
     return time.monotonic()
 
 
 def date_and_time() -> str:
     """Now, as reports have it (ISO 8601): yyyy-mm-dd hh:mm:ss and the offset to UTC."""
-    return datetime.now().astimezone().isoformat(" ", "seconds")
+    return local_time().isoformat(" ", "seconds")
 
 
 def page_date() -> str:
@@ -51,31 +50,6 @@ def local_time() -> datetime:
     return datetime.now().astimezone()
 
 
-WINDOW_S = 0.1  # in which the shortest delay is looked for: 100 ppm are 10 µs then
-LONGEST_LATENCY_S = 0.01  # from the controller to the kernel; more: its clock was set
-
-
-class HardwareTimes:
-    """The clock of a controller: the least difference within the last one to two windows."""
-
-    def __init__(self) -> None:
-        self._ends_s = -inf  # of the window, by the clock of the controller
-        self._least_s = self._before_s = inf
-
-    def received(self, hardware_s: float, kernel_s: float) -> float:
-        """When a frame with these two stamps was received, never after ``kernel_s``."""
-        difference_s = kernel_s - hardware_s
-        if hardware_s >= self._ends_s or hardware_s < self._ends_s - 2 * WINDOW_S:
-            self._before_s, self._least_s = self._least_s, difference_s
-            self._ends_s = hardware_s + WINDOW_S
-        elif difference_s < self._least_s:
-            self._least_s = difference_s
-        offset_s = min(self._least_s, self._before_s)
-        if difference_s - offset_s > LONGEST_LATENCY_S:  # one of the clocks was set
-            self._before_s = self._least_s = offset_s = difference_s
-        return hardware_s + offset_s
-
-
 LARGEST_STEP_S = 0.0005  # between two looks at both clocks; more is a step of the wall clock
 CLOSE_S = 1e-5  # so much later than the look before: the processor may have been away between the clocks
 LOOKS = 3
@@ -86,13 +60,14 @@ LEARNED_FRAMES = 64
 
 
 class OtherClock:
-    """The clock of a USB adapter, say.
+    """The clock of an adapter or a controller against another.
 
     The least difference may rise by DRIFT. It is known once LEARNED_FRAMES do not contradict it, and learned
-    again after a step of LARGEST_STEP_S.
+    again after a step of LARGEST_STEP_S, or a delay above ``longest_delay_s``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, longest_delay_s: float = LONGEST_DELAY_S) -> None:
+        self._longest_delay_s = longest_delay_s
         self._stamp_s = self._taken_s = -inf  # of the last frame
         self._offset_s = self._least_s = inf
         self._left = LEARNED_FRAMES  # until it is looked at how late all of them were
@@ -105,7 +80,8 @@ class OtherClock:
         difference_s = now - stamp_s
         self._offset_s += DRIFT * passed_s
         late_s = difference_s - self._offset_s
-        if not (isfinite(difference_s) and stamp_s >= last and -LARGEST_STEP_S <= late_s <= LONGEST_DELAY_S):
+        fits = stamp_s >= last and -LARGEST_STEP_S <= late_s <= self._longest_delay_s
+        if not (isfinite(difference_s) and fits):
             self._learn(difference_s)
             return None
         self._offset_s = min(self._offset_s, difference_s)
@@ -144,27 +120,18 @@ class ReceiveTimes:
 
     def received(self, stamp_s: float, now: float) -> float | None:
         """When a frame with this stamp came, on the clock of ``now``, or None."""
-        self.compare(now)
-        return self.of(stamp_s, now)
-
-    def compare(self, now: float) -> float:
-        """The wall clock minus ``now``, seconds; NaN where stamps are not to be used."""
-        difference = self._wall() - now
-        if not -LARGEST_STEP_S <= difference - self._difference_s <= CLOSE_S:
-            difference = self._look()  # else the frames would seem to have come earlier than they did
-            if abs(difference - self._difference_s) > LARGEST_STEP_S:
+        difference_s = self._wall() - now
+        if not -LARGEST_STEP_S <= difference_s - self._difference_s <= CLOSE_S:
+            difference_s = self._look()  # else the frames would seem to have come earlier than they did
+            if abs(difference_s - self._difference_s) > LARGEST_STEP_S:
                 self._stepped = True
-        self._difference_s = difference
-        return nan if self._stepped else difference
-
-    def of(self, stamp_s: float, now: float) -> float | None:
-        """:meth:`received`, where :meth:`compare` was called with this ``now``, or an earlier one."""
+        self._difference_s = difference_s
         if self._stepped:
             return None
-        delay = self._difference_s + now - stamp_s
-        if not -LARGEST_STEP_S <= delay <= LONGEST_DELAY_S:
+        delay_s = difference_s + now - stamp_s
+        if not -LARGEST_STEP_S <= delay_s <= LONGEST_DELAY_S:
             return self._other.received(stamp_s, now)
-        return min(now, now - delay)
+        return min(now, now - delay_s)
 
     def _look(self) -> float:
         """The wall clock minus the other, read close together."""

@@ -7,7 +7,8 @@ waits for. The earliest deadline is looked for again only if its device has move
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from canfb.bus.frame_bus import FrameBus
@@ -25,58 +26,45 @@ class Port:
 
     __slots__ = (
         "can_ids",
+        "deadline",
         "device",
-        "device_deadline",
-        "device_receive",
-        "device_sent",
         "due_s",
         "inhibited",
-        "is_selective",
-        "keeps_deadline",
         "moved",
         "number",
+        "receive",
+        "sent",
     )
 
     def __init__(self, number: int, device: Device) -> None:
         self.number = number
         self.device = device
-        self.device_receive = device.receive
-        self.device_deadline = device.deadline
+        self.receive = device.receive
+        self.deadline = device.deadline
         self.inhibited = device.inhibited if isinstance(device, Inhibited) else _NEVER_INHIBITED
-        self.device_sent: Callable[[int, float], None] = getattr(device, "sent", _never_called)
+        self.sent: Callable[[int, float], None] = getattr(device, "sent", lambda can_id, now: None)
         self.due_s = NEVER
-        """When the device is due, as far as it is known."""
-        self.is_selective = isinstance(device, Selective)
-        self.keeps_deadline = False
-        """Whether ``due_s`` holds until :meth:`Dispatch.called`."""
         self.can_ids = _NOTHING
-        self.moved = True
+        self.moved = isinstance(device, Selective)
 
 
 class Dispatch:
-    """The devices of a runner by their CAN-IDs, and by their deadlines.
+    """The devices of a runner by the CAN-IDs that they listen to, and by their deadlines.
 
-    A device that is not :class:`.Selective` gets every frame; one with other CAN-IDs is ``moved`` until
-    :meth:`follow`.
+    One that listens to other CAN-IDs is ``moved`` until :meth:`follow`, before anything is sent or received.
     """
 
     def __init__(self, devices: list[Device], bus: FrameBus) -> None:
         self.ports = tuple(Port(number, device) for number, device in enumerate(devices))
         self.moved = True
-        """Whether :meth:`follow` is to be called, before anything is sent or received."""
-        self.accepts_all = False
-        """Whether the bus is asked for all frames."""
         self.data: dict[int, Ports] = {}
         """Who gets a data frame; ``everyone`` gets those of other CAN-IDs."""
         self.remote: dict[int, Ports] = {}
-        self.everyone = tuple(port for port in self.ports if not port.is_selective)
+        self.everyone = tuple(port for port in self.ports if not port.moved)
         self._bus = bus
-        self._asked = self.ports if len(self.ports) == 1 else self.everyone
-        self._reporting = tuple(port for port in self.ports if port not in self._asked)
+        self._accepts_all = bool(self.everyone)
         self._earliest_s = NEVER
         self._stale = True
-        for port in self._reporting:
-            port.keeps_deadline = True
         for port in self.ports:
             if isinstance(port.device, Selective):
                 port.device.follow_can_ids(self._mover(port))
@@ -85,18 +73,12 @@ class Dispatch:
         """The earliest deadline of all devices, NEVER for none."""
         if self._stale:
             self._stale = False
-            self._earliest_s = min([port.due_s for port in self._reporting], default=NEVER)
-        due_s = self._earliest_s
-        for port in self._asked:
-            deadline_s = port.device_deadline()
-            port.due_s = NEVER if deadline_s is None else deadline_s
-            if port.due_s < due_s:
-                due_s = port.due_s
-        return due_s
+            self._earliest_s = min([port.due_s for port in self.ports], default=NEVER)
+        return self._earliest_s
 
     def called(self, port: Port) -> None:
-        """A method of a device that keeps its deadline was called."""
-        deadline_s = port.device_deadline()
+        """A method of this device was called."""
+        deadline_s = port.deadline()
         if deadline_s is None:
             deadline_s = NEVER
         before_s = port.due_s
@@ -108,11 +90,6 @@ class Dispatch:
         elif before_s <= self._earliest_s:
             self._stale = True
 
-    def ask_all(self) -> None:
-        """The program may have called devices by itself."""
-        for port in self._reporting:
-            self.called(port)
-
     def listeners(self, frame: Frame) -> Ports:
         """Who gets this frame."""
         return (self.remote if frame.rtr else self.data).get(frame.can_id, self.everyone)
@@ -123,42 +100,38 @@ class Dispatch:
         for port in self.ports:
             if port.moved and isinstance(port.device, Selective):
                 port.moved = False
-                old, port.can_ids = port.can_ids, port.device.can_ids()
-                self._change(self.data, port, old.data, port.can_ids.data)
-                self._change(self.remote, port, old.remote, port.can_ids.remote)
+                port.can_ids = port.device.can_ids()
+        self.data = self._table(lambda port: port.can_ids.data)
+        self.remote = self._table(lambda port: port.can_ids.remote)
         self._set_filters()
 
     def accept_all(self, enabled: bool) -> None:
         """Ask the bus for all frames, or for those that are listened to."""
-        if enabled is not self.accepts_all:
-            self.accepts_all = enabled
+        enabled = enabled or bool(self.everyone)
+        if enabled is not self._accepts_all:
+            self._accepts_all = enabled
             self._set_filters()
 
     def _set_filters(self) -> None:
-        if self.everyone or self.accepts_all:
+        if self._accepts_all:
             self._bus.accept(None, ())
             return
         data = frozenset[int]().union(*(port.can_ids.any_state for port in self.ports))
         remote = frozenset[int]().union(*(port.can_ids.any_state_remote for port in self.ports))
         self._bus.accept(data, remote)
 
-    def _change(self, table: dict[int, Ports], port: Port, old: frozenset[int], new: frozenset[int]) -> None:
-        for can_id in old - new:
-            rest = tuple(other for other in table[can_id] if other is not port)
-            if rest == self.everyone:
-                del table[can_id]
-            else:
-                table[can_id] = rest
-        for can_id in new - old:
-            together = (*table.get(can_id, self.everyone), port)
-            table[can_id] = tuple(sorted(together, key=lambda one: one.number))
+    def _table(self, can_ids: Callable[[Port], Iterable[int]]) -> dict[int, Ports]:
+        """Who gets a frame, by its CAN-ID, in the order of the devices."""
+        listening = defaultdict[int, list[Port]](lambda: list(self.everyone))
+        for port in self.ports:
+            for can_id in can_ids(port):
+                listening[can_id].append(port)
+        return {
+            can_id: tuple(sorted(some, key=lambda port: port.number)) for can_id, some in listening.items()
+        }
 
     def _mover(self, port: Port) -> Callable[[], None]:
         def moved() -> None:
             port.moved = self.moved = True
 
         return moved
-
-
-def _never_called(can_id: int, now: float) -> None:
-    """For a device without inhibit times."""

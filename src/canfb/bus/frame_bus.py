@@ -40,14 +40,14 @@ def flagged_id(message: can.Message) -> int:
 Received = tuple[int, bytes, float]
 """A frame: its CAN-ID with these flags, its data, and its receive time by the time of day, seconds.
 
-0.0, or any time of another clock, where the bus has none."""
+0.0, or any time of another clock, where the bus has none. One with EXTENDED is not of CANopen."""
 
 
 class FrameBus(Protocol):
     """A bus as frames; a context manager. CanError or OSError for what fails."""
 
-    def receive(self, wait_s: float) -> list[Received] | None:
-        """Wait so long for frames; those that are there, in order, or None."""
+    def receive(self, wait_s: float) -> Received | None:
+        """Wait so long for a frame; None: none came."""
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
         """Send a frame; False if the bus takes none now."""
@@ -158,6 +158,7 @@ class Reception:
 # Buses of python-can that hand out what was sent through them, and say so (`is_rx` is false). SocketCAN and
 # Kvaser say it of frames of other processes on the same computer, which are to be received.
 _ECHOING = frozenset({"GsUsbBus", "CantactBus", "VirtualBus"})
+_IGNORED: Received = EXTENDED, b"", 0.0
 
 
 class PythonCanBus:
@@ -168,22 +169,20 @@ class PythonCanBus:
         self._interface = NamedInterface(bus)
         # Such a bus carries the channel of a message along: it shows which frames are ours.
         self._mark = uuid4().hex if brings_own_frames_back(bus) else None
-        self._echoes = marks_own_frames(bus)
+        self._echoes = type(bus).__name__ in _ECHOING
 
-    def receive(self, wait_s: float) -> list[Received] | None:
-        """One frame, or none of CANopen's. A SocketCAN interface that was made again is opened again."""
+    def receive(self, wait_s: float) -> Received | None:
+        """See :class:`.FrameBus`. An interface that was removed and made again is bound again."""
         message = self._bus.recv(wait_s)
         if message is None:
             self._interface.bind()
             return None
-        if message.is_fd or (self._echoes and not message.is_rx):
-            return []
-        if self._mark is not None and message.channel == self._mark:
-            return []
+        if (self._echoes and not message.is_rx) or (self._mark and message.channel == self._mark):
+            return _IGNORED
         can_id = flagged_id(message)
         if message.is_remote_frame and can_id <= HIGHEST_ID:
             can_id |= REMOTE
-        return [(can_id, bytes(message.data), message.timestamp)]
+        return can_id, bytes(message.data), message.timestamp
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
         """See :class:`.FrameBus`; a bus that takes none raises."""
@@ -206,11 +205,6 @@ class PythonCanBus:
 
     def __exit__(self, *raised: object) -> None:
         self._bus.shutdown()
-
-
-def marks_own_frames(bus: can.BusABC) -> bool:
-    """True where ``is_rx`` false marks what was sent through this very bus."""
-    return type(bus).__name__ in _ECHOING
 
 
 def brings_own_frames_back(bus: can.BusABC) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import can
 
-from canfb.bus.bus_state import BusState, FailureWatch
+from canfb.bus.bus_state import BusState
 from canfb.bus.dispatch import Port
 from canfb.bus.frame_bus import FrameBus
 from canfb.cia301.cob import ERROR_CONTROL
@@ -23,19 +23,16 @@ LONGEST_DELAY_S = 0.1  # a position that is older helps nobody
 
 
 class FrameSender:
-    """Sends the frames of devices, and notifies those with inhibit times when they have left.
+    """Sends the frames of devices, and notifies those with inhibit times when their frames have left.
 
-    What the bus does not take now waits, up to LONGEST_DELAY_S and behind LONGEST_QUEUE others; beyond, it is
-    a failure, reported once and counted. A boot-up that failed is sent first: a master waits for it.
+    A bus that takes no frame now keeps it and those that follow in a queue, LONGEST_QUEUE of them for
+    LONGEST_DELAY_S. A boot-up that failed is sent before any other frame: a master waits for it.
     """
 
-    def __init__(
-        self, bus: FrameBus, clock: Callable[[], float], bus_state: BusState, report: Callable[[str], None]
-    ) -> None:
+    def __init__(self, bus: FrameBus, clock: Callable[[], float], bus_state: BusState) -> None:
         self._bus_send = bus.send
         self._clock = clock
         self._bus_state = bus_state
-        self._watch = FailureWatch(report, "a frame could not be sent", "frames can be sent again")
         self.sent = 0
         self.failures = 0
         self.waiting: deque[tuple[Port, Frame, float]] = deque()
@@ -61,11 +58,10 @@ class FrameSender:
                 return False
         except (can.CanError, OSError) as error:
             self._failed(port, frame, error)
-            return True
-        if self._watch.failed_s is None and not self._bus_state.troubled and can_id not in port.inhibited:
-            self.sent += 1
         else:
-            self._left(port, frame)
+            self.sent += 1
+            if self._bus_state.troubled or can_id in port.inhibited:
+                self._left(port, can_id)
         return True
 
     def retry(self, now: float) -> None:
@@ -88,26 +84,23 @@ class FrameSender:
             if not gone:
                 return
             del self.owed[can_id]
-            self._left(port, frame)
+            self.sent += 1
+            self._left(port, can_id)
 
-    def _left(self, port: Port, frame: Frame) -> None:
-        self.sent += 1
+    def _left(self, port: Port, can_id: int) -> None:
         if self._bus_state.troubled:
             self._bus_state.sending_worked(self._clock())
-        if self._watch.failed_s is not None:
-            self._watch.worked(self._clock())
-        if frame.can_id in port.inhibited:
-            port.device_sent(frame.can_id, self._clock())
+        if can_id in port.inhibited:
+            port.sent(can_id, self._clock())
 
     def _failed(self, port: Port, frame: Frame, error: Exception) -> None:
         self.failures += 1
         now = self._clock()
         self._bus_state.sending_failed(error, now)
-        self._watch.failed(error, now, known=self._bus_state.gone)
         if frame.data == BOOT_UP and frame.can_id & ~NODE_ID == ERROR_CONTROL:
             self.owed[frame.can_id] = (port, frame)
         if frame.can_id in port.inhibited:  # it counts from here: it may have left after all
-            port.device_sent(frame.can_id, now)
+            port.sent(frame.can_id, now)
 
 
 def _no_room() -> OSError:

@@ -44,17 +44,31 @@ _MISSING = re.compile(r"missing \d+ required [a-z -]+ arguments?: (.*)")
 
 
 def open_bus(options: dict[str, Any]) -> can.BusABC:
-    """A python-can bus from its own words, environment variables and files; BusError without one.
+    """A python-can bus from its own words, its environment and its files. BusError when there is no such bus.
 
     A multicast group has the port of :func:`group_port` unless one is given.
     """
     words = {key: value for key, value in options.items() if key != FORCE_PYTHON_CAN}
+    if words.get("interface") in (None, MULTICAST):
+        full = _completed(options)
+        if full.get("interface") == MULTICAST and full.get("port") is None:
+            port = group_port(full.get("channel"))
+            words |= {} if port is None else {"port": port}
     with _failing_in_one_line(options):
-        bus = can.Bus(**(words | _port_of(words)))
+        bus = can.Bus(**words)
     if bus.channel_info == can.BusABC.channel_info:  # some have none
         bus.channel_info = f"{type(bus).__name__} {getattr(bus, 'channel', '')}"
     enlarge_queue_of(bus)
     return bus
+
+
+def _completed(options: dict[str, Any]) -> dict[str, Any]:
+    """The words with those of python-can's environment and files; {} for what it will refuse."""
+    words = {key: value for key, value in options.items() if value is not None and key != FORCE_PYTHON_CAN}
+    try:
+        return dict(can.util.load_config(config=words))
+    except Exception:  # python-can says it better, when it opens the bus
+        return {}
 
 
 def group_port(group: object) -> int | None:
@@ -71,20 +85,6 @@ def group_port(group: object) -> int | None:
     if not address.is_multicast or address.packed in _GROUPS_OF_PYTHON_CAN:
         return None
     return _FIRST_GROUP_PORT + zlib.crc32(address.packed) % _GROUP_PORTS
-
-
-def _port_of(words: dict[str, Any]) -> dict[str, int]:
-    """The port to add: that of the group, if none is given."""
-    if words.get("interface") not in (None, MULTICAST):
-        return {}
-    try:
-        full = can.util.load_config(config={key: value for key, value in words.items() if value is not None})
-    except Exception:  # python-can says it better, when it opens the bus
-        return {}
-    if full.get("interface") != MULTICAST or full.get("port") is not None:
-        return {}
-    port = group_port(full.get("channel"))
-    return {} if port is None else {"port": port}
 
 
 def open_device_bus(options: dict[str, Any]) -> FrameBus:
@@ -105,18 +105,12 @@ def _raw_channel(options: dict[str, Any]) -> str | None:
     if not sys.platform.startswith("linux") or words.get(FORCE_PYTHON_CAN) or words.keys() - _RAW_WORDS:
         return None
     if "interface" not in words or "channel" not in words:
-        try:
-            words = can.util.load_config(
-                config={key: words[key] for key in words.keys() - {FORCE_PYTHON_CAN}}
-            )
-        except Exception:  # python-can says it better, when it opens the bus
-            return None
+        words = _completed(options)
         if words.keys() - _RAW_WORDS - {"ignore_config"}:
             return None
     channel = words.get("channel")
-    if words.get("interface") != "socketcan" or not isinstance(channel, str) or not channel:
-        return None
-    return channel
+    named = words.get("interface") == "socketcan" and isinstance(channel, str) and channel
+    return str(channel) if named else None
 
 
 @contextlib.contextmanager
@@ -224,21 +218,17 @@ def _hint(word: str, known: list[str]) -> str:
 
 @cache
 def _words_of(interface: str) -> tuple[frozenset[str], frozenset[str]]:
-    """The parameters that its classes name, and all words that its source mentions."""
+    """The parameters that its classes name, and all words that its source mentions; none for a plug-in."""
     named, mentioned = set[str](), set[str]()
-    for path in _sources(interface):
-        for node in ast.walk(ast.parse(path.read_bytes())):
+    module = BACKENDS[interface][0]
+    spec = find_spec(module) if module.startswith("can.interfaces.") else None
+    if spec is None or spec.origin is None:
+        return frozenset(), frozenset()
+    path = Path(spec.origin)
+    for file in path.parent.glob("*.py" if path.name == "__init__.py" else path.name):
+        for node in ast.walk(ast.parse(file.read_bytes())):
             if isinstance(node, ast.FunctionDef) and node.name == "__init__":
                 named.update(arg.arg for arg in (*node.args.args[1:], *node.args.kwonlyargs))
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 mentioned.add(node.value)
     return frozenset(named), frozenset(mentioned)
-
-
-def _sources(interface: str) -> Iterator[Path]:
-    module = BACKENDS[interface][0]
-    spec = find_spec(module) if module.startswith("can.interfaces.") else None
-    if spec is None or spec.origin is None:
-        return
-    path = Path(spec.origin)
-    yield from path.parent.glob("*.py") if path.name == "__init__.py" else [path]

@@ -1,13 +1,12 @@
-"""SocketCAN without python-can: a raw socket, filters of the kernel.
+"""SocketCAN without python-can: a raw socket, receive times of the kernel or the controller, filters.
 
-All frames that wait are read with one system call, recvmmsg(2), each with its receive time. One exact filter
-for each CAN-ID is a look-up for the kernel. New filters are set before old ones go: no frame is lost.
+The kernel drops what no filter passes: an exact 11-bit filter is a look-up there. Filters are exchanged as a
+whole, so that no frame is lost in between. Error frames pass always.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import errno
 import fcntl
 import os
@@ -18,10 +17,8 @@ from collections.abc import Iterable
 from typing import Any, Self
 
 from canfb.bus.bus_state import ERROR_RESTARTED, INTERFACE_DOWN
-from canfb.bus.clocks import HardwareTimes
+from canfb.bus.clocks import OtherClock
 from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE, Received, enlarge_queue
-
-MOST_FRAMES = 32  # of one call
 
 # Socket options of Linux that the module socket does not name (asm-generic/socket.h), and the flags of the
 # second (linux/net_tstamp.h): times of the hardware where a driver has them, as `candump -H` shows them.
@@ -29,99 +26,41 @@ _SO_TIMESTAMPNS = 35
 _SO_TIMESTAMPING = 37
 _RX_HARDWARE, _RAW_HARDWARE = 1 << 2, 1 << 6
 
-# A slot of the buffer holds a struct can_frame and its control messages: always the time of the kernel
-# (timespec), and that of the hardware if there is one (three of them, of which the last counts).
-_SLOT = struct.Struct("@IB3x8s Nii ll N")
-_HARDWARE_AT = _SLOT.size - struct.calcsize("@N")
-_HARDWARE = struct.Struct("@Nii llll ll")
-_FRAME_BYTES = 16
-_SLOT_BYTES = (_HARDWARE_AT + _HARDWARE.size + 15) & ~15
-_NO_HARDWARE_TIME = bytes(struct.calcsize("@N"))
-
-
-class _IoVector(ctypes.Structure):
-    _fields_ = (("base", ctypes.c_void_p), ("length", ctypes.c_size_t))
-
-
-class _MessageHeader(ctypes.Structure):
-    _fields_ = (
-        ("name", ctypes.c_void_p),
-        ("name_length", ctypes.c_uint32),
-        ("vectors", ctypes.c_void_p),
-        ("vectors_length", ctypes.c_size_t),
-        ("control", ctypes.c_void_p),
-        ("control_length", ctypes.c_size_t),
-        ("flags", ctypes.c_int),
-    )
-
-
-class _Message(ctypes.Structure):
-    """struct mmsghdr."""
-
-    _fields_ = (("header", _MessageHeader), ("received_bytes", ctypes.c_uint))
-
-
-_MESSAGE_BYTES = ctypes.sizeof(_Message)
+# Control messages with these options: a timespec of the kernel, and three of the hardware, of which the last
+# counts.
+_KERNEL = struct.Struct("@ll")
+_HARDWARE = struct.Struct("@6l")
+_CONTROL_BYTES = socket.CMSG_SPACE(_KERNEL.size) + socket.CMSG_SPACE(_HARDWARE.size)
+LONGEST_LATENCY_S = 0.01  # from the controller to the kernel; more: its clock was set
 
 
 class FrameReader:
-    """Reads struct can_frame from a datagram socket, with receive times of ``source``, which stays open.
-
-    AttributeError where there is no recvmmsg.
-    """
+    """Reads struct can_frame from a datagram socket ``source`` without waiting; it turns on receive times."""
 
     def __init__(self, source: socket.socket) -> None:
-        self._receive_many = ctypes.CDLL(None, use_errno=True).recvmmsg
         source.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         with contextlib.suppress(OSError):  # the times of the kernel are enough
             source.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, _RX_HARDWARE | _RAW_HARDWARE)
-        self._hardware_times = HardwareTimes()
-        self._slots = bytearray(_SLOT_BYTES * MOST_FRAMES)
-        base = ctypes.addressof(ctypes.c_char.from_buffer(self._slots))
-        starts = [base + number * _SLOT_BYTES for number in range(MOST_FRAMES)]
-        self._vectors = (_IoVector * MOST_FRAMES)(*(_IoVector(start, _FRAME_BYTES) for start in starts))
-        messages = (_Message * MOST_FRAMES)()
-        for message, start, vector in zip(messages, starts, self._vectors, strict=True):
-            header = message.header
-            header.vectors, header.vectors_length = ctypes.addressof(vector), 1
-            header.control, header.control_length = start + _FRAME_BYTES, _SLOT_BYTES - _FRAME_BYTES
-        self._messages = memoryview(messages).cast("B")
-        self._untouched = bytes(messages)  # the call changes the lengths
-        self._arguments = (
-            ctypes.c_int(source.fileno()),
-            ctypes.c_void_p(ctypes.addressof(messages)),
-            ctypes.c_uint(MOST_FRAMES),
-            ctypes.c_int(socket.MSG_DONTWAIT),
-            None,
-        )
+        self._receive = source.recvmsg
+        self._controller = OtherClock(LONGEST_LATENCY_S)
 
-    def read(self) -> list[Received] | None:
-        """The frames that wait, at most MOST_FRAMES, or None. OSError as recv."""
-        count = self._receive_many(*self._arguments)
-        if count <= 0:
-            code = ctypes.get_errno()
-            if count == 0 or code in (errno.EAGAIN, errno.EINTR):
-                return None
-            raise OSError(code, os.strerror(code))
-        frames: list[Received] = []
-        slots, unpack = self._slots, _SLOT.unpack_from
-        at = 0
-        for _ in range(count):
-            can_id, length, data, _, _, _, seconds, nanoseconds, hardware = unpack(slots, at)
-            stamp_s = seconds + nanoseconds * 1e-9
-            if hardware:
-                stamp_s = self._of_the_hardware(at + _HARDWARE_AT, stamp_s)
-            frames.append((can_id, data if length == 8 else data[:length], stamp_s))
-            at += _SLOT_BYTES
-        used = count * _MESSAGE_BYTES
-        self._messages[:used] = self._untouched[:used]
-        return frames
-
-    def _of_the_hardware(self, at: int, stamp_s: float) -> float:
-        """The time of the hardware; the place is cleared."""
-        *_, seconds, nanoseconds = _HARDWARE.unpack_from(self._slots, at)
-        self._slots[at : at + len(_NO_HARDWARE_TIME)] = _NO_HARDWARE_TIME
-        return self._hardware_times.received(seconds + nanoseconds * 1e-9, stamp_s)
+    def read(self) -> Received | None:
+        """The frame that has waited longest, or None. OSError as recv raises it."""
+        try:
+            frame, controls, _, _ = self._receive(_FRAME.size, _CONTROL_BYTES, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
+        can_id, length, data = _FRAME.unpack(frame)
+        stamp_s = 0.0
+        for _, kind, times in controls:
+            if kind == _SO_TIMESTAMPNS:
+                seconds, nanoseconds = _KERNEL.unpack(times)
+                stamp_s = seconds + nanoseconds * 1e-9
+            elif kind == _SO_TIMESTAMPING:
+                *_, seconds, nanoseconds = _HARDWARE.unpack(times)
+                received_s = self._controller.received(seconds + nanoseconds * 1e-9, stamp_s)
+                stamp_s = stamp_s if received_s is None else received_s
+        return can_id, data[:length], stamp_s
 
 
 _FRAME = struct.Struct("=IB3x8s")  # struct can_frame (linux/can.h)
@@ -175,7 +114,7 @@ class RawCanBus:
             opened.pop_all()
         return bus
 
-    def receive(self, wait_s: float) -> list[Received] | None:
+    def receive(self, wait_s: float) -> Received | None:
         """See :class:`.FrameBus`."""
         if self._down:
             return self._came_up()
@@ -226,7 +165,7 @@ class RawCanBus:
     def _note(self, error: OSError) -> None:
         self._down = bool(self._channel) and error.errno in INTERFACE_DOWN
 
-    def _came_up(self) -> list[Received]:
+    def _came_up(self) -> Received:
         """A frame that says "restarted" once the interface is up; OSError until then."""
         raw = self._socket
         if raw.getsockname()[0] != self._channel:  # unbound by the kernel when the interface went
@@ -238,7 +177,7 @@ class RawCanBus:
         if not _IFREQ.unpack(fcntl.ioctl(raw, _SIOCGIFFLAGS, request))[1] & _IFF_UP:
             raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
         self._down = False
-        return [(ERROR | ERROR_RESTARTED, b"", 0.0)]
+        return ERROR | ERROR_RESTARTED, b"", 0.0
 
     def __enter__(self) -> Self:
         return self

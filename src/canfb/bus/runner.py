@@ -1,16 +1,15 @@
 """Devices on a bus: frames in, frames out, deadlines kept, a clean end on a signal.
 
     keep the deadlines that are due (tick)
-    wait for frames, until the next deadline, and 0.1 s at most: a signal sets a flag that is looked at here
-    give each frame to the devices that listen to it (dispatch), send what they answer (frame_sender)
+    wait for a frame, until the next deadline, and 0.1 s at most: a signal sets a flag that is looked at here
+    give it to the devices that listen to it (dispatch), send what they answer (frame_sender)
 
 A process that did not run for a while finds deadlines in the past, and frames from before them in the queue.
 So a deadline D is kept only if no frame received before D can wait: the last one was received at R >= D, or
 the queue was empty at D or later. Frames put a deadline off by 1 s at most (0.1 s without receive times), so
 that a flood cannot stop heartbeats.
 
-A bus that fails is read again until it works. A device that raises ends the run for all: its state is
-unknown.
+A device that raises ends the run for all: its state is unknown, and a drive must not get a position from it.
 """
 
 from __future__ import annotations
@@ -25,12 +24,13 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import can
 
-from canfb.bus.bus_state import BUS_FAILS, BUS_WORKS, BusState, FailureWatch, is_down
 from canfb.bus.bus_state import RETRY_S as BUS_RETRY_S
-from canfb.bus.clocks import LONGEST_DELAY_S, ReceiveTimes
+from canfb.bus.bus_state import BusState
+from canfb.bus.clocks import ReceiveTimes
 from canfb.bus.computing import Computation
 from canfb.bus.dispatch import Dispatch, Port
 from canfb.bus.frame_bus import ERROR, EXTENDED, FrameBus, Received
@@ -98,20 +98,17 @@ class Runner:
         self._clock = clock
         self._sleep = sleep
         self._dispatch = Dispatch(devices, bus)
-        self._only = self._dispatch.ports[0] if len(devices) == 1 else None
         self._times = ReceiveTimes(clock, wall)
-        self._due_s = NEVER  # the earliest deadline, when frames were asked for
         self._received = self._error_frames = self._bus_failures = 0
         self._received_s: float | None = None  # when the last frame came, if frames may wait behind it
         self._empty_s = -NEVER  # when no frame waited, as far as it is known
         self._longest_drain_s = LONGEST_DRAIN_S
         self._put_off_s: float | None = None  # since when frames that wait put off deadlines
-        self._asked_s = self._now = clock()  # when frames were asked for; the last look at the clock
+        self._asked_s = self._now = clock()  # when a frame was asked for; the last look at the clock
         self._compute_s = -NEVER  # when to look for computations next
         self._stopped = False
-        self._receiving = FailureWatch(report, BUS_FAILS, BUS_WORKS)
         self._bus_state = BusState(report)
-        self._sender = FrameSender(bus, clock, self._bus_state, report)
+        self._sender = FrameSender(bus, clock, self._bus_state)
         self._owed_s = -NEVER  # when to try boot-ups that failed again
         self._off: set[Port] = set()  # whose devices know that the bus is gone
         self._computations = [
@@ -138,15 +135,12 @@ class Runner:
         """Power the devices on, call ``ready``, and serve them until :meth:`stop` or ``finished()``."""
         try:
             for port in self._dispatch.ports:
-                self._spread(port, self._asked(port, port.device.start, self._clock()))
+                self._ask(port, port.device.start, self._clock())
             ready()
             while not self._stopped and not finished():
-                frames = self._wait()
-                if frames:
-                    if self._due_s > self._now or len(frames) == 1:
-                        self._take(frames)
-                    else:
-                        self._take_overdue(frames)
+                received = self._wait()
+                if received is not None:
+                    self._take(*received)
                 if self._bus_state.gone:
                     self._notify_bus_state()
                 if self._sender.owed and self._now >= self._owed_s:
@@ -161,48 +155,38 @@ class Runner:
                 if isinstance(port.device, Ending):
                     port.device.end(self._clock())
 
-    def _wait(self) -> list[Received] | None:
-        """Keep the deadlines; then wait for frames until the next one."""
+    def _wait(self) -> Received | None:
+        """Keep the deadlines, then wait for a frame until the next one or LONGEST_WAIT_S; None: none came."""
         if self._dispatch.moved:
             self._dispatch.follow()
         self._now = asked = self._clock()
-        if self._only is None:
-            due = self._dispatch.due_s()
-        else:  # the same, without a look at others
-            deadline = self._only.device_deadline()
-            due = NEVER if deadline is None else deadline
-        if due <= asked:
-            due = self._keep_deadlines(due)
-            asked = self._now
-        self._asked_s, self._due_s = asked, due
+        due = self._dispatch.due_s()
+        if due <= asked and not self._waits_before(due):
+            self._tick()
+            asked, due = self._now, self._dispatch.due_s()
+        self._asked_s = asked
         wait = min(due - asked, self._longest_wait_s) if due > asked else 0.0
         if self._sender.waiting:
             wait = min(wait, RETRY_S)
+        received = None
         try:
-            frames = self._bus.receive(wait)
+            received = self._bus.receive(wait)
         except (can.CanError, OSError) as error:
-            self._reading_failed(error)
-            frames = None
+            self._bus_failures += 1
+            self._now = self._clock()
+            if self._bus_state.reading_failed(error, self._now):
+                self._sleep(BUS_RETRY_S)
         else:
-            self._now = now = self._clock()
+            self._now = self._clock()
             if self._bus_state.troubled:
-                self._bus_state.reading_worked(now, frame=False)
-            if frames and self._receiving.failed_s is not None:
-                self._receiving.worked(now)
-        if frames is None:
+                self._bus_state.reading_worked(self._now, frame=False)
+        if received is None:
             self._received_s = self._put_off_s = None
             self._empty_s = asked + (wait if wait < BUS_RESOLUTION_S else wait - BUS_RESOLUTION_S)
             self._times.emptied()
         if self._sender.waiting:
             self._sender.retry(self._now)
-        return frames
-
-    def _keep_deadlines(self, due: float) -> float:
-        """Tick what is due, unless earlier frames may wait; the next deadline."""
-        if self._waits_before(due):
-            return due
-        self._tick()
-        return self._dispatch.due_s()
+        return received
 
     def _waits_before(self, due: float) -> bool:
         """Frames that came before this deadline may still wait."""
@@ -215,92 +199,38 @@ class Runner:
             self._put_off_s = now
         return now - self._put_off_s < self._longest_drain_s
 
-    def _reading_failed(self, error: Exception) -> None:
-        self._bus_failures += 1
-        self._now = now = self._clock()
-        self._bus_state.reading_failed(error, now)
-        if self._receiving.failed(error, now, known=is_down(error)):
-            self._sleep(BUS_RETRY_S)
-
-    def _take_overdue(self, frames: list[Received]) -> None:
-        """As :meth:`_take`; a deadline may lie between two of these frames."""
-        for number, frame in enumerate(frames):
-            if number:
-                due = self._dispatch.due_s()
-                if due <= self._now:
-                    self._keep_deadlines(due)
-            self._take([frame])
-
-    def _take(self, frames: list[Received]) -> None:
-        """Give frames of one call of the bus to those who listen to them."""
-        dispatch, times = self._dispatch, self._times
-        alone, send = self._only is not None, self._sender.send
-        wall_minus_now_s = times.compare(self._now)
-        last_s: float | None = None
-        for can_id, data, stamp_s in frames:
-            if self._stopped:
+    def _take(self, can_id: int, data: bytes, stamp_s: float) -> None:
+        """Give a frame of the bus to those who listen to it."""
+        remote = False
+        if can_id > HIGHEST_ID:
+            if can_id & ERROR:
+                self._error_frames += 1
+                self._bus_state.error_frame(can_id & ~ERROR, self._now)
                 return
-            table, remote = dispatch.data, False
-            if can_id > HIGHEST_ID:
-                if not self._is_remote(can_id):
-                    continue
-                can_id &= HIGHEST_ID
-                table, remote, data = dispatch.remote, True, b""
-            received_s: float | None = stamp_s - wall_minus_now_s  # as `of`, without a call
-            if not 0.0 <= self._now - stamp_s + wall_minus_now_s <= LONGEST_DELAY_S:  # or it is not a number
-                received_s = times.of(stamp_s, self._now)
-            last_s = -NEVER if received_s is None else received_s
-            self._received += 1
-            if self._bus_state.troubled:
-                self._bus_state.reading_worked(self._now, frame=True)
-            ports = table.get(can_id, dispatch.everyone)
-            if not ports:
-                continue
-            frame = _new(Frame, (can_id, data, remote, received_s))
-            for port in ports:
-                try:
-                    answers = port.device_receive(frame, self._now)
-                except Exception as error:
-                    raise DeviceFailure(port.device, error) from error
-                if port.keeps_deadline:
-                    dispatch.called(port)
-                if answers:
-                    if alone and not dispatch.moved:
-                        for answer in answers:
-                            send(port, answer)
-                    else:
-                        self._spread(port, answers)
-            if dispatch.moved:
-                dispatch.follow()
-        if last_s is not None:
-            self._came(last_s)
-
-    def _is_remote(self, can_id: int) -> bool:
-        """A CAN-ID with flags: a remote frame, or one that is not of CANopen."""
-        if can_id & ERROR:
-            self._error_frames += 1
-            self._bus_state.error_frame(can_id & ~ERROR, self._now)
-            return False
-        return not can_id & EXTENDED  # others may share the bus
-
-    def _came(self, received_s: float) -> None:
-        """When the last frame was received; -NEVER if that is not known."""
-        self._received_s = received_s
-        if received_s == -NEVER:
-            self._longest_drain_s = LONGEST_BLIND_DRAIN_S
+            if can_id & EXTENDED:
+                return  # others may share the bus
+            can_id, data, remote = can_id & HIGHEST_ID, b"", True
+        self._received += 1
+        received_s = self._times.received(stamp_s, self._now)
+        if received_s is None:
+            self._received_s, self._longest_drain_s = -NEVER, LONGEST_BLIND_DRAIN_S
             waited_for = self._now - self._asked_s >= LEAST_WAIT_S
         else:
-            self._longest_drain_s = LONGEST_DRAIN_S
+            self._received_s, self._longest_drain_s = received_s, LONGEST_DRAIN_S
             waited_for = received_s >= self._asked_s
         if waited_for:
             self._put_off_s = None
+        if self._bus_state.troubled:
+            self._bus_state.reading_worked(self._now, frame=True)
+        dispatch, frame = self._dispatch, _new(Frame, (can_id, data, remote, received_s))
+        for port in (dispatch.remote if remote else dispatch.data).get(can_id, dispatch.everyone):
+            self._ask(port, port.receive, frame, self._now)
 
     def _tick(self) -> None:
         self._now = now = self._clock()
         for port in self._dispatch.ports:
-            deadline = port.due_s if port.keeps_deadline else port.device_deadline()
-            if deadline is not None and deadline <= now:
-                self._spread(port, self._asked(port, port.device.tick, now))
+            if port.due_s <= now:
+                self._ask(port, port.device.tick, now)
 
     def _notify_bus_state(self) -> None:
         """The bus has gone, or is back; not for one whose boot-up has not left."""
@@ -312,58 +242,51 @@ class Runner:
             if isinstance(device, BusWatching):
                 if lost and port not in starting:
                     self._off.add(port)
-                    self._spread(port, self._asked(port, device.bus_off, now))
+                    self._ask(port, device.bus_off, now)
                 if returned and port in self._off:
                     self._off.remove(port)
-                    self._spread(port, self._asked(port, device.bus_back, now))
+                    self._ask(port, device.bus_back, now)
         self._dispatch.accept_all(self._bus_state.gone)  # any frame is a sign of life
 
     def _compute(self) -> None:
         """Look for computations, at this rate only: they take seconds."""
         self._compute_s = self._asked_s + POLL_S
         for port, computation in self._computations:
-            frames = self._asked(port, computation.poll, self._clock())
-            if frames:
-                self._spread(port, frames)
+            self._ask(port, computation.poll, self._clock())
         self._meanwhile(self._asked_s)
-        self._dispatch.ask_all()
+        for port in self._dispatch.ports:
+            self._dispatch.called(port)  # the program may have called devices by itself
 
-    def _asked(self, port: Port, method: Callable[[float], list[Frame]], now: float) -> list[Frame]:
-        """What a method of the device gives; DeviceFailure for what it raises."""
-        try:
-            frames = method(now)
-        except Exception as error:
-            raise DeviceFailure(port.device, error) from error
-        if port.keeps_deadline:
-            self._dispatch.called(port)
-        return frames
-
-    def _spread(self, sender: Port, frames: list[Frame]) -> None:
-        """Send frames, also to the other devices of this process."""
+    def _ask(self, port: Port, method: Callable[..., list[Frame]], *arguments: Any) -> None:
+        """Call a method of the device; send its frames, and give them to the others that listen to them."""
         dispatch, send = self._dispatch, self._sender.send
+        frames = self._called(port, method, *arguments)
         if dispatch.moved:
             dispatch.follow()  # before the master learns that it may send what is new
-        if self._only is not None:
-            for frame in frames:
-                send(sender, frame)
+        if not frames:
             return
-        queue: deque[tuple[Port, Frame]] = deque([(sender, frame) for frame in frames])
+        queue = deque([(port, frames)])
         while queue:
-            origin, frame = queue.popleft()
-            if dispatch.moved:
-                dispatch.follow()
-            send(origin, frame)
-            for port in dispatch.listeners(frame):
-                if port is not origin:
-                    self._now = now = self._clock()
-                    try:
-                        answers = port.device_receive(frame, now)
-                    except Exception as error:
-                        raise DeviceFailure(port.device, error) from error
-                    if port.keeps_deadline:
-                        dispatch.called(port)
-                    if answers:
-                        queue.extend((port, answer) for answer in answers)
+            origin, frames = queue.popleft()
+            for frame in frames:
+                send(origin, frame)
+                for other in dispatch.listeners(frame):
+                    if other is not origin:
+                        self._now = now = self._clock()
+                        answers = self._called(other, other.receive, frame, now)
+                        if answers:
+                            queue.append((other, answers))
+                if dispatch.moved:
+                    dispatch.follow()
+
+    def _called(self, port: Port, method: Callable[..., list[Frame]], *arguments: Any) -> list[Frame]:
+        """What a method of the device gives; DeviceFailure for what it raises."""
+        try:
+            frames = method(*arguments)
+        except Exception as error:
+            raise DeviceFailure(port.device, error) from error
+        self._dispatch.called(port)
+        return frames
 
 
 def _in_one_line(error: Exception) -> str:

@@ -155,13 +155,13 @@ class NetworkOnBus:
     def _receive(self, wait_s: float) -> None:
         """Take what other programs send."""
         try:
-            frames = self._bus.receive(wait_s)
+            received = self._bus.receive(wait_s)
         except (can.CanError, OSError) as error:
             raise BusError(f"the bus fails: {reason(error)}") from error
-        for can_id, data, _ in frames or ():
-            if not can_id & (ERROR | EXTENDED):
-                self._received = Frame(can_id & HIGHEST_ID, data, bool(can_id & REMOTE))
-                self._network.send(self._received)
+        if received is not None and not received[0] & (ERROR | EXTENDED):
+            can_id, data, _ = received
+            self._received = Frame(can_id & HIGHEST_ID, data, bool(can_id & REMOTE))
+            self._network.send(self._received)
 
     def _send(self, frame: Frame, now: float) -> None:
         """What the network sends; not what it has received."""
