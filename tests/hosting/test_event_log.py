@@ -83,27 +83,26 @@ def test_a_fault_at_1_khz_does_not_flood(verbose: bool, logged: pytest.LogCaptur
 
 @given(st.lists(st.tuples(st.integers(0, 2), st.floats(0.0, 30.0)), max_size=200))
 def test_everything_passes_or_is_counted(steps: list[tuple[int, float]]) -> None:
-    throttle: Throttle[int] = Throttle()
-    now, given_, told, last = 0.0, 0, 0, dict[object, int]()
+    throttle = Throttle()
+    now, told, last = 0.0, 0, dict[int, tuple[int, int]]()
     for number, (key, pause_s) in enumerate(steps):
         now += pause_s
         for held in throttle.ended(now):
-            told += held.count
-            assert last[held.key] == held.last
-        given_ += 1
-        last[key] = number
-        told += throttle.admits(key, number, now)
-    told += sum(held.count for held in throttle.close(now))
-    assert told == given_
-    assert not throttle.close(now)
+            told += held.number
+            assert last[held.last[0]] == held.last
+        last[key] = key, number
+        told += throttle.admits(key, last[key], now)
+    told += sum(held.number for held in throttle.ended(now, closing=True))
+    assert told == len(steps)
+    assert not throttle.ended(now, closing=True)
 
 
 def test_after_a_quiet_time_the_next_one_passes_at_once() -> None:
-    throttle: Throttle[int] = Throttle()
+    throttle = Throttle()
     passed = [throttle.admits("k", n, n * 1e-3) for n in range(100)]
     assert sum(passed) == BURST
     (held,) = throttle.ended(WINDOW_S)
-    assert (held.count, held.last) == (100 - BURST, 99)
+    assert (held.number, held.last) == (100 - BURST, 99)
     assert throttle.ended(WINDOW_S + LONGEST_WINDOW_S) == []
     assert throttle.admits("k", 100, WINDOW_S + LONGEST_WINDOW_S)
 

@@ -22,7 +22,6 @@ from canfb.hosting.self_diagnosis import (
     diagnosing_on_signal,
     plain,
     versions,
-    without_secrets,
 )
 
 LIMIT_S = 60.0
@@ -133,7 +132,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path, caplog: pytest.
 
 
 def test_secrets_are_left_out() -> None:
-    assert without_secrets(
+    assert plain(
         {
             "channel": "tcp://me:apple@host:7",
             "key": 5,

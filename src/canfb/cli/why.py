@@ -79,7 +79,7 @@ def diagnose(options: argparse.Namespace) -> int:
     try:
         if options.config:
             config = load_config(options.config, ANY_NODES)
-            parts["configuration"] = facts.configuration_facts(config)
+            parts["configuration"] = config
             parts["log"] = facts.journal(Path(options.config).stem)
         words = bus_options(options, config.bus)
     except CanfbError as error:

@@ -7,62 +7,59 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
 from canfb import objects as od
 from canfb.bus.clocks import local_time
 from canfb.cia301.datatypes import encode
 from canfb.device.core import NEVER
+from canfb.device.device_protocol import NodeDevice
 from canfb.device.lss import UNCONFIGURED
-from canfb.device.node import Node
 from canfb.module.events import DETAILS, Event, NodeEvents
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.parameters import configured_defaults
 
-T = TypeVar("T")
 BURST = 5  # that pass in a window
 WINDOW_S = 1.0
 LONGEST_WINDOW_S = 10.0
 
 
-@dataclass(frozen=True, slots=True)
-class Held(Generic[T]):
+class Held(NamedTuple):
     """How many were held back in the last ``seconds``, and the last of them."""
 
-    key: Hashable
-    count: int
+    number: int
     seconds: float
-    last: T
+    last: Any
 
 
 @dataclass(slots=True)
-class _Window(Generic[T]):
+class _Window:
     """From ``began_s`` on, for ``length_s``."""
 
     began_s: float
-    length_s: float
-    passed: int
+    length_s: float = WINDOW_S
+    passed: int = 0
     held: int = 0
-    last: T | None = None
+    last: Any = None
+
+    @property
+    def ends_s(self) -> float:
+        return self.began_s + self.length_s
 
 
-class Throttle(Generic[T]):
+class Throttle:
     """Lets BURST items of a key pass in WINDOW_S, and counts the rest; the window grows to
     LONGEST_WINDOW_S.
     """
 
     def __init__(self) -> None:
-        self._windows: dict[Hashable, _Window[T]] = {}
-        self.deadline = NEVER
-        """When :meth:`ended` is to be called next."""
+        self._windows: dict[Hashable, _Window] = {}
+        self._due_s = NEVER
 
-    def admits(self, key: Hashable, item: T, now: float) -> bool:
+    def admits(self, key: Hashable, item: Any, now: float) -> bool:
         """Whether this one passes; else it is counted."""
-        window = self._windows.get(key)
-        if window is None:
-            self._windows[key] = _Window(now, WINDOW_S, 1)
-            self.deadline = min(self.deadline, now + WINDOW_S)
-            return True
+        window = self._windows.setdefault(key, _Window(now))
+        self._due_s = min(self._due_s, window.ends_s)
         if window.passed < BURST:
             window.passed += 1
             return True
@@ -70,29 +67,21 @@ class Throttle(Generic[T]):
         window.last = item
         return False
 
-    def ended(self, now: float) -> list[Held[T]]:
-        """What was held back in windows that have ended by ``now``."""
-        if now < self.deadline:
+    def ended(self, now: float, *, closing: bool = False) -> list[Held]:
+        """What was held back in windows that have ended by ``now``; ``closing``: in all."""
+        if now < self._due_s and not closing:
             return []
-        over = [key for key, window in self._windows.items() if now >= window.began_s + window.length_s]
-        return self._close(over, now, go_on=True)
-
-    def close(self, now: float) -> list[Held[T]]:
-        """What is held back at the end."""
-        return self._close(list(self._windows), now, go_on=False)
-
-    def _close(self, keys: list[Hashable], now: float, *, go_on: bool) -> list[Held[T]]:
-        lines = []
-        for key in keys:
-            window = self._windows.pop(key)
-            if window.last is not None:
-                lines.append(Held(key, window.held, now - window.began_s, window.last))
-                if go_on:
-                    length_s = min(2.0 * window.length_s, LONGEST_WINDOW_S)
-                    self._windows[key] = _Window(now, length_s, BURST)
-        ends = (window.began_s + window.length_s for window in self._windows.values())
-        self.deadline = min(ends, default=NEVER)
-        return lines
+        found = []
+        for key, window in list(self._windows.items()):
+            if closing or now >= window.ends_s:
+                del self._windows[key]
+                if window.held:
+                    found.append(Held(window.held, now - window.began_s, window.last))
+                    if not closing:
+                        length_s = min(2.0 * window.length_s, LONGEST_WINDOW_S)
+                        self._windows[key] = _Window(now, length_s, BURST)
+        self._due_s = min((window.ends_s for window in self._windows.values()), default=NEVER)
+        return found
 
 
 COUNTERS = {
@@ -105,47 +94,38 @@ COUNTERS = {
 """What the closing line counts."""
 
 
-class Served(Protocol):
-    """A device of ours around a node."""
-
-    @property
-    def node(self) -> Node:
-        """Its node."""
-
-
-def name_of(device: Served) -> str:
+def name_of(device: NodeDevice) -> str:
     """The node-ID that it has, or is going to have; before its start."""
-    node = device.node
-    node.storage.power_on()  # a node-ID stored by LSS takes precedence over the configuration
-    node.lss.power_on()
-    node_id = node.lss.pending_node_id
+    device.storage.power_on()  # a node-ID stored by LSS takes precedence over the configuration
+    device.lss.power_on()
+    node_id = device.lss.pending_node_id
     if node_id == UNCONFIGURED:
-        return f"without a node-ID yet (LSS, serial number {_serial_number(node)})"
+        return f"without a node-ID yet (LSS, serial number {_serial_number(device)})"
     return f"{node_id} ({node_id:02X}h)"
 
 
-def title_of(device: Served) -> str:
+def title_of(device: NodeDevice) -> str:
     """The node, by the node-ID that it has now."""
-    node_id = device.node.node_id
+    node_id = device.node_id
     if node_id == UNCONFIGURED:
-        return f"node without a node-ID (serial number {_serial_number(device.node)})"
+        return f"node without a node-ID (serial number {_serial_number(device)})"
     return f"node {node_id} ({node_id:02X}h)"
 
 
-def short_title_of(device: Served) -> str:
+def short_title_of(device: NodeDevice) -> str:
     """The same, for a line with figures."""
-    node_id = device.node.node_id
+    node_id = device.node_id
     return title_of(device) if node_id == UNCONFIGURED else f"node {node_id}"
 
 
-def duplicates_of(device: Served) -> str:
+def duplicates_of(device: NodeDevice) -> str:
     """Frames of another node with the same node-ID, "" for none."""
-    duplicates = device.node.counters.duplicate_frames
+    duplicates = device.counters.duplicate_frames
     return f"; {duplicates} frames of another node with this node-ID" if duplicates else ""
 
 
-def _serial_number(node: Node) -> int:
-    return int(node.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER).value)
+def _serial_number(device: NodeDevice) -> int:
+    return int(device.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER).value)
 
 
 def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
@@ -180,17 +160,6 @@ def summary_of(module: FeedbackModule) -> str:
 
 log = logging.getLogger(__name__)
 
-Occurrence = tuple[Served, Event]
-
-
-class _Noted(NamedTuple):
-    at: datetime
-    node_id: int
-    title: str
-    event: Event
-    text: str
-    more: Mapping[str, Any]
-
 
 class EventLog:
     """Writes what happens in nodes to the logger; with ``verbose`` single faults, too.
@@ -202,11 +171,11 @@ class EventLog:
     def __init__(self, verbose: bool = False, wall: Callable[[], datetime] = local_time) -> None:
         self._verbose = verbose
         self._wall = wall
-        self._throttle: Throttle[Occurrence] = Throttle()
-        self._noted: deque[_Noted] = deque()
+        self._throttle = Throttle()
+        self._noted: deque[tuple[datetime, int, str, Event, str, Mapping[str, Any]]] = deque()
         self._begun = False
 
-    def watch(self, device: Served, events: NodeEvents) -> None:
+    def watch(self, device: NodeDevice, events: NodeEvents) -> None:
         """Write the events of this device from now on."""
         events.detailed = self._verbose
         events.on_event = lambda event: self._take(device, event)
@@ -224,26 +193,24 @@ class EventLog:
 
     def close(self, now: float) -> None:
         """Write all there is, at the end."""
-        self._note_held(self._throttle.close(now))
+        self._note_held(self._throttle.ended(now, closing=True))
         self.begin()
 
-    def _take(self, device: Served, event: Event) -> None:
+    def _take(self, device: NodeDevice, event: Event) -> None:
         if event.kind in DETAILS and not self._verbose:
             return
         self._note_held(self._throttle.ended(event.time_s))
         if self._throttle.admits((id(device), event.kind), (device, event), event.time_s):
-            self._note((device, event), event.text, {})
+            self._note(device, event, event.text, {})
 
-    def _note_held(self, ended: list[Held[Occurrence]]) -> None:
-        for held in ended:
-            text = f"{held.count} more in the last {held.seconds:.3g} s; the last: {held.last[1].text}"
-            more = {"more": held.count, "seconds": round(held.seconds, 3)}
-            self._note(held.last, text, more)
+    def _note_held(self, ended: list[Held]) -> None:
+        for number, seconds, (device, event) in ended:
+            text = f"{number} more in the last {seconds:.3g} s; the last: {event.text}"
+            self._note(device, event, text, {"more": number, "seconds": round(seconds, 3)})
 
-    def _note(self, occurrence: Occurrence, text: str, more: Mapping[str, Any]) -> None:
-        device, event = occurrence  # whose node-ID may be another one soon
-        noted = _Noted(self._wall(), device.node.node_id, title_of(device), event, text, more)
-        self._noted.append(noted)
+    def _note(self, device: NodeDevice, event: Event, text: str, more: Mapping[str, Any]) -> None:
+        """With the node-ID of now, which may be another one soon."""
+        self._noted.append((self._wall(), device.node_id, title_of(device), event, text, more))
 
     def _write_noted(self) -> None:
         while self._noted:

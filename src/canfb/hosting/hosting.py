@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from canfb.bus.opening import check_device_bus, check_words, describe
 from canfb.bus.runner import BusCounters, DeviceFailure
@@ -21,7 +21,6 @@ from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.captured_source import CapturedSource
 from canfb.hosting.event_log import (
     EventLog,
-    Served,
     duplicates_of,
     name_of,
     short_title_of,
@@ -86,10 +85,6 @@ def _check_cpu(realtime: RealtimeConfig) -> None:
 log = logging.getLogger(__name__)
 
 
-class ServedDevice(Served, Device, Protocol):
-    """A device around a node of ours."""
-
-
 class Hosting(OnBus):
     """Modules and encoder interfaces of a configuration on a bus: a context manager around :meth:`run`.
 
@@ -105,7 +100,7 @@ class Hosting(OnBus):
     ) -> None:
         super().__init__(config.bus if words is None else words, config.realtime)
         self.config = config
-        self._nodes: list[ServedDevice] = []
+        self._nodes: list[FeedbackModule | EncoderInterface] = []
         self._events = EventLog(verbose)
         self._alive: Callable[[float], None] = lambda now: None
         self._looked_s = 0.0
@@ -113,17 +108,20 @@ class Hosting(OnBus):
         folder = folders[0] if folders else Path(tempfile.gettempdir())
         self._diagnosis = SelfDiagnosis(config, self.words, self._bus_counters, folder)
 
-    def _make_nodes(self, resources: contextlib.ExitStack) -> list[tuple[ServedDevice, NodeEvents]]:
+    def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
+        resources.enter_context(self._diagnosis.keeping_the_log())
         config, simulation = self.config, self.config.simulation
         self.modules = [make_module(one, resources, self.words, simulation) for one in config.modules]
         self.interfaces = [
             make_interface(one, resources, self.words, simulation) for one in config.interfaces
         ]
-        made: list[tuple[ServedDevice, NodeEvents]] = [(module, module.events) for module in self.modules]
+        for module in self.modules:
+            self._events.watch(module, module.events)
         for interface in self.interfaces:
             interface.observer = events = NodeEvents()
-            made.append((interface, events))
-        return made
+            self._events.watch(interface, events)
+        self._nodes = [*self.modules, *self.interfaces]
+        return list(self._nodes)
 
     def _at_start(self) -> list[str]:
         named = [(module, name_of(module)) for module in self.modules]
@@ -144,14 +142,6 @@ class Hosting(OnBus):
                 for one in self.interfaces
             ),
         ]
-
-    def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
-        resources.enter_context(self._diagnosis.keeping_the_log())
-        made = self._make_nodes(resources)
-        for device, events in made:
-            self._events.watch(device, events)
-        self._nodes = [device for device, _ in made]
-        return list(self._nodes)
 
     def _meanwhile(self, now: float) -> None:
         self._looked_s = now
@@ -195,7 +185,7 @@ class Hosting(OnBus):
             (failed,) = (device for device in self._nodes if device is failure.device)
             raise CanfbError(f"{title_of(failed)}: {failure}; all nodes of the process end") from failure
         finally:
-            self._events.close(max(self._looked_s, *(device.node.now for device in self._nodes)))
+            self._events.close(max(self._looked_s, *(device.now for device in self._nodes)))
             for line in self._at_end():
                 log.info(line)
 
@@ -230,20 +220,14 @@ def bit_rates_of(bus_words: Mapping[str, Any]) -> list[int]:
     return [bit_rate // 1000] if isinstance(bit_rate, int) else []
 
 
-class _Warning(Served, Protocol):
-    on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None]
-    on_duplicate: Callable[[int, float], None]
-    on_source: Callable[[str], None] | None
-
-
-def warn_about(device: _Warning, state_dir: str | None) -> None:
+def warn_about(device: FeedbackModule | EncoderInterface, state_dir: str | None) -> None:
     """Log refused parameters, another node with its node-ID, and a source that fails."""
 
     def report_faults(faults: Mapping[ParameterGroup, str]) -> None:
         for group, why in faults.items():
             name = group.name.lower()
             log.warning(
-                f"node {device.node.node_id}: stored {name} parameters in {state_dir} refused: {why}; "
+                f"node {device.node_id}: stored {name} parameters in {state_dir} refused: {why}; "
                 "the defaults are used"
             )
 
@@ -252,7 +236,7 @@ def warn_about(device: _Warning, state_dir: str | None) -> None:
 
     device.on_parameter_faults = report_faults
     device.on_duplicate = report_duplicate
-    device.on_source = lambda text: log.warning(f"node {device.node.node_id}: {text}")
+    device.on_source = lambda text: log.warning(f"node {device.node_id}: {text}")
 
 
 Sampling = TypeVar("Sampling", ModuleConfig, InterfaceConfig)

@@ -32,8 +32,9 @@ from canfb.bus.runner import on_signals
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.configuration import Config
+from canfb.device.device_protocol import NodeDevice
 from canfb.errors import reason
-from canfb.hosting.event_log import Served, title_of
+from canfb.hosting.event_log import title_of
 from canfb.hosting.state_files import SWITCH_S, small_stack
 
 PACKAGES = ("canfb", "python-can", "canopen", "numpy", "PyYAML", "rich", "pylibiio", "uvloop")
@@ -47,12 +48,10 @@ HIDDEN = "(left out)"
 
 def versions() -> dict[str, Any]:
     """Of canfb, Python, what canfb uses, and the system."""
-    packages: dict[str, str] = {}
+    packages = {}
     for name in PACKAGES:
-        try:
+        with contextlib.suppress(metadata.PackageNotFoundError):
             packages[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return {
         "packages": packages,
         "python": sys.version.split()[0],
@@ -61,41 +60,31 @@ def versions() -> dict[str, Any]:
     }
 
 
-def configuration_facts(config: Config) -> dict[str, Any]:
-    """All keys with their values, defaults included."""
-    facts: dict[str, Any] = plain(without_secrets(dataclasses.asdict(config)))
-    return facts
-
-
-def without_secrets(value: Any) -> Any:
-    """Without passwords, keys, and what stands before the @ of an address."""
-    if isinstance(value, Mapping):
-        return {
-            name: HIDDEN if SECRET.search(str(name)) and one is not None else without_secrets(one)
-            for name, one in value.items()
-        }
-    if isinstance(value, (list, tuple)):
-        return [without_secrets(one) for one in value]
-    return IN_ADDRESS.sub(f"//{HIDDEN}@", value) if isinstance(value, str) else value
-
-
 def plain(value: Any) -> Any:
-    """What JSON can hold: bytes in hexadecimal, null for no number."""
+    """What JSON can hold, without secrets: passwords, keys, and what stands before the @ of an address.
+
+    Bytes become hexadecimal, a dataclass a mapping, and what is no number null.
+    """
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = dataclasses.asdict(value)
     if isinstance(value, Mapping):
-        return {str(name): plain(one) for name, one in value.items()}
+        secret = {name for name, one in value.items() if one is not None and SECRET.search(str(name))}
+        return {str(name): HIDDEN if name in secret else plain(one) for name, one in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(one) for one in value]
     if isinstance(value, (bytes, bytearray)):
         return value.hex()
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value if value is None or isinstance(value, (bool, int, float, str)) else str(value)
+    if value is None or isinstance(value, (bool, int, float)):
+        return value
+    return IN_ADDRESS.sub(f"//{HIDDEN}@", str(value))
 
 
 def interface_facts(words: Mapping[str, Any]) -> dict[str, Any]:
     """Of the bus: its words, and what ``ip`` says of SocketCAN."""
     channel = words.get("channel")
-    facts: dict[str, Any] = {"words": plain(without_secrets(dict(words)))}
+    facts: dict[str, Any] = {"words": plain(words)}
     if words.get("interface") == "socketcan" and isinstance(channel, str):
         facts["interface"] = _said(["ip", "-details", "-statistics", "link", "show", "dev", channel])
     return facts
@@ -184,7 +173,7 @@ class SelfDiagnosis:
         """Write a diagnosis soon."""
         self._requested = True
 
-    def step(self, nodes: Sequence[Served]) -> None:
+    def step(self, nodes: Sequence[NodeDevice]) -> None:
         """Go on: ten microseconds as a rule, half a millisecond at most."""
         if self._writing is not None:
             if self._writing.is_alive():
@@ -202,45 +191,45 @@ class SelfDiagnosis:
         self._collecting = None
         self._begin_writing()
 
-    def _collect(self, nodes: Sequence[Served]) -> Iterator[None]:
+    def _collect(self, nodes: Sequence[NodeDevice]) -> Iterator[None]:
         self._nodes = []
-        for one in nodes:
+        for node in nodes:
             objects: dict[str, Any] = {}
-            node = one.node
             self._nodes.append(
                 {
                     "node_id": node.node_id,
-                    "title": title_of(one),
+                    "title": title_of(node),
                     "state": node.state.name,
-                    "counters": dataclasses.asdict(node.counters),
+                    "counters": node.counters,
                     "objects": objects,
                 }
             )
-            for number, entry in enumerate(list(node.dictionary)):
-                if entry.access == "wo" or entry.data_type == DataType.DOMAIN:
-                    continue
+            entries = [
+                one for one in node.dictionary if one.access != "wo" and one.data_type != DataType.DOMAIN
+            ]
+            for number, entry in enumerate(entries):
                 if not number % ENTRIES_AT_ONCE:
                     yield
                 try:
-                    objects[f"{entry.index:04X}:{entry.subindex:02X}"] = entry.current()
+                    value = entry.current()
                 except SdoAbort as abort:
-                    objects[f"{entry.index:04X}:{entry.subindex:02X}"] = f"refused: {abort}"
+                    value = f"refused: {abort}"
+                objects[f"{entry.index:04X}:{entry.subindex:02X}"] = value
 
     def _begin_writing(self) -> None:
-        counters = dataclasses.asdict(self._counters())
         self._writing = threading.Thread(
-            target=self._write, args=(counters,), name="canfb-diagnose", daemon=True
+            target=self._write, args=(self._counters(),), name="canfb-diagnose", daemon=True
         )
         with small_stack():
             self._writing.start()
 
-    def _write(self, counters: dict[str, int]) -> None:
+    def _write(self, counters: Any) -> None:
         switch_s = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH_S, switch_s))
         try:
             parts = {
                 "versions": versions(),
-                "configuration": configuration_facts(self._config),
+                "configuration": self._config,
                 "bus": {**interface_facts(self._words), "counters": counters},
                 "nodes": self._nodes,
                 "log": self._kept.lines(),
