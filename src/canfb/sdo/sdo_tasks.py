@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from pathlib import Path
@@ -16,6 +15,7 @@ from canfb.calibration.result import Reason
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, ErrorRegister
 from canfb.cia301.datatypes import DataType
+from canfb.device.od.dcf import Reals, real_as_text
 from canfb.errors import ConfigError
 from canfb.master.access import CommissioningError, NodeAccess, RefusedError
 from canfb.master.all_or_nothing import SAVE_WITHIN_S
@@ -82,39 +82,28 @@ def _real(data_type: int, value: Any) -> float:
 
 def parse_value(data_type: int, text: str, low: float | None = None, high: float | None = None) -> Any:
     """The value of a text (12, 0x1F, -3.5, on, DE AD BE EF), or ValueError."""
-    if data_type in datatypes.STRINGS:
-        return check_value(data_type, text)
+    value: Any = text
     if data_type in OCTETS or data_type not in datatypes.KNOWN:
-        try:
-            return bytes.fromhex(text)
-        except ValueError:
-            raise ValueError(f"must be bytes in hexadecimal such as 01FF, not {text!r}") from None
-    if data_type == DataType.BOOLEAN:
-        if text.lower() not in _TRUE + _FALSE:
-            raise ValueError(f"must be 1 or 0, not {text!r}")
-        return text.lower() in _TRUE
-    try:
-        value = float(text) if data_type in datatypes.FLOATS else int(text, 0)
-    except ValueError:
-        what = "a number" if data_type in datatypes.FLOATS else "a whole number"
-        raise ValueError(f"must be {what}, not {text!r}") from None
+        value = _parsed(bytes.fromhex, text, "bytes in hexadecimal such as 01FF")
+    elif data_type == DataType.BOOLEAN:
+        value = _parsed((_FALSE + _TRUE).index, text.lower(), "1 or 0") >= len(_FALSE)
+    elif data_type in datatypes.FLOATS:
+        value = _parsed(float, text, "a number")
+    elif data_type not in datatypes.STRINGS:
+        value = _parsed(lambda digits: int(digits, 0), text, "a whole number")
     return check_value(data_type, value, low, high)
+
+
+def _parsed(how: Callable[[str], Any], text: str, what: str) -> Any:
+    try:
+        return how(text)
+    except ValueError:
+        raise ValueError(f"must be {what}, not {text!r}") from None
 
 
 def short_real(value: float, data_type: int = DataType.REAL32) -> float:
     """The float with the fewest digits that is the same REAL32."""
-    if data_type != DataType.REAL32 or not math.isfinite(value):
-        return value
-    data = struct.pack("<f", value)
-    short = (float(f"{value:.{digits}g}") for digits in range(1, 10))
-    return next((one for one in short if _packed(one) == data), value)
-
-
-def _packed(value: float) -> bytes | None:
-    try:
-        return struct.pack("<f", value)
-    except OverflowError:  # rounded up beyond the largest number
-        return None
+    return float(real_as_text(data_type, value, Reals.DECIMAL)) if math.isfinite(value) else value
 
 
 MODULE, INTERFACE = "canfb drive feedback module", "canfb encoder interface"  # ProductName of the EDS

@@ -112,14 +112,12 @@ def read_table(path: str | Path) -> Correction:
 
 def read_table_file(path: str | Path) -> TableFile:
     """:func:`read_table`, with what else is known of it."""
-    return table_of_bytes(path, read_bytes(Path(path), CommissioningError))
-
-
-def table_of_bytes(path: str | Path, data: bytes) -> TableFile:
-    """:func:`read_table_file` of a content; the name says what it is."""
     path = Path(path)
+    data = read_bytes(path, CommissioningError)
     try:
-        return _from_yaml(path, data) if is_yaml(path) else _from_bytes(path, data)
+        if is_yaml(path):
+            return _from_yaml(path, data)
+        return TableFile(path, Correction(CorrectionTable.from_bytes(data), IDENTITY), False)
     except (ValueError, TypeError) as error:
         said = " ".join(str(error).split())[:200]
         raise CommissioningError(f"{path}: this is not a correction table: {said}") from None
@@ -128,10 +126,6 @@ def table_of_bytes(path: str | Path, data: bytes) -> TableFile:
 def is_yaml(path: Path) -> bool:
     """Whether a table file of this name is YAML."""
     return path.suffix in (".yaml", ".yml")
-
-
-def _from_bytes(path: Path, data: bytes) -> TableFile:
-    return TableFile(path, Correction(CorrectionTable.from_bytes(data), IDENTITY), False)
 
 
 def _from_yaml(path: Path, data: bytes) -> TableFile:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -35,22 +34,12 @@ LOOKS, LOOK_S = 10, 0.01
 AS_IT_WAS = "the previous table and conditioning"
 
 
-@dataclass(frozen=True)
-class Advice:
-    """What to do next; {node} stands for the node-ID."""
-
-    to_stage: str = "canfb table write stages the table of a file"
-    to_activate: str = "canfb table activate {node}"
-    to_save: str = "--save keeps it"
-
-
 class TableTasks:
     """The tasks on one module; ``guard`` keeps interruptions away from what puts things back."""
 
-    def __init__(self, module: NodeAccess, guard: Guard, advice: Advice | None = None) -> None:
+    def __init__(self, module: NodeAccess, guard: Guard) -> None:
         self._module = module
         self._guard = guard
-        self._advice = advice or Advice()
 
     def upload(self, file: TableFile, *, active: bool, keep: bool, force: bool = False) -> Result:
         """Stage the table of a file and prove it. ``active`` puts it in force, ``keep`` saves it.
@@ -77,7 +66,7 @@ class TableTasks:
         state = self._state_after(new, done)
         lines = [source, self._moves(state, before, new), *self._other_settings(file)]
         if not active:
-            how = self._advice.to_activate.format(node=f"{self._module.node_id:#04x}")
+            how = f"canfb table activate {self._module.node_id:#04x}"
             lines.append(f"staged in {self._module.name}, not in force yet: {how}")
         return _result(state, [*lines, *self._outcome(new, done)], done)
 
@@ -85,7 +74,9 @@ class TableTasks:
         """Put the staged table in force, with 2002h and 2005h."""
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
         if not staged:
-            raise CommissioningError(f"{self._module.name}: nothing is staged; {self._advice.to_stage}")
+            raise CommissioningError(
+                f"{self._module.name}: nothing is staged; canfb table write stages the table of a file"
+            )
         before = read_active(self._module)
         self._check_amplitude(before.conditioning, read_conditioning(self._module), force)
         done = self._in_force(before, None, keep, lambda: activate(self._module, staged))
@@ -224,7 +215,7 @@ class TableTasks:
         if not done["active"]:
             return []
         what = "no table" if used.table is None else f"table {used.crc32:08X}h"
-        saved = f"saved ({done['saved_as']})" if done["saved_as"] else f"not saved: {self._advice.to_save}"
+        saved = f"saved ({done['saved_as']})" if done["saved_as"] else "not saved: --save keeps it"
         return [f"{what} in force in {self._module.name}; {saved}"]
 
 
