@@ -24,6 +24,7 @@ from judged_session import check, new_judge
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+SESSION = (ROOT / "docs" / "vcan.md").read_text().partition("## Node by node")[2].partition("\n## ")[0]
 FIRST_HOUR = (ROOT / "docs" / "first-hour.md").read_text(encoding="utf-8")
 SIMULATION = (ROOT / "docs" / "simulation.md").read_text(encoding="utf-8")
 RECORDING = "docs/recording/tracks.csv"
@@ -35,7 +36,7 @@ def python_blocks() -> list[str]:
     return re.findall(r"```python\n(.*?)```", README + FIRST_HOUR, flags=re.S)
 
 
-def command_lines(page: str = README) -> list[list[str]]:
+def command_lines(page: str) -> list[list[str]]:
     """The canfb commands of a page, each in words."""
     blocks = re.findall(r"```sh\n(.*?)```", page, flags=re.S)
     lines = [line.partition("#")[0].strip(" &") for block in blocks for line in block.splitlines()]
@@ -126,12 +127,12 @@ def waited_for(condition: Callable[[], bool], *processes: Any) -> None:
 def test_the_first_session_holds_for_ten_seconds_with_real_processes(
     start: Callable[..., Any], multicast_bus: can.BusABC, multicast_words: dict[str, Any], tmp_path: Path
 ) -> None:
-    """The lines of the README on a multicast bus; then its master in Python, on the same bus."""
+    """The lines of docs/vcan.md on a multicast bus; then its master in Python, on the same bus."""
     example = subprocess.run(
         [sys.executable, "-m", "canfb", "config", "example"], capture_output=True, check=True, timeout=LIMIT_S
     )
     (tmp_path / "feedback.yaml").write_bytes(example.stdout)
-    session = [words for words in command_lines() if words[0] in ("run", "simulate", "node")]
+    session = [words for words in command_lines(SESSION) if words[0] in ("run", "simulate", "node")]
     module, interface, nmt = session
     running = start(*module), start(*interface)
     files = tmp_path / "module.ready", tmp_path / "interface.ready"
