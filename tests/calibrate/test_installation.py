@@ -112,7 +112,7 @@ def test_not_to_save_is_not_to_save(
     done = run_install(prepared(NO_CORRECTION, store=store), measured_first, fresh, settings, keep=False)
     assert done.saved_as is None
     assert store.images == {}
-    assert done.save_note.startswith("not saved, as requested")
+    assert done.save_note.startswith("not saved: the table is lost")
 
 
 PHASE_ERROR = (0x2010, 12)
