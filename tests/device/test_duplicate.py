@@ -134,15 +134,6 @@ def test_the_boot_up_of_the_second_is_noticed_by_the_first_and_its_answer_by_the
         assert node.state is NmtState.PRE_OPERATIONAL
 
 
-def test_two_that_answer_the_same_request_notice_each_other() -> None:
-    nodes = [Node(deepcopy(PRISTINE), ID) for _ in range(2)]
-    for node in nodes:
-        node.start(0.0)
-    seen = exchange(nodes, [Frame(0x620, bytes.fromhex("4000100000000000"))])
-    assert sorted(frame.can_id for frame in seen) == [0x0A0, 0x0A0, 0x5A0, 0x5A0, 0x620]
-    assert [node.counters.duplicate_frames for node in nodes] == [2, 2]
-
-
 any_frame = st.builds(
     Frame,
     st.integers(0, 0x7FF) | st.sampled_from([*sorted(OWN), 0x3A0, 0x190, 0x6C1]),

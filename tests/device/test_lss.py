@@ -77,15 +77,6 @@ def bench(make: Callable[..., LssBench]) -> LssBench:
 # Switching the state.
 
 
-def test_global_switch(bench: LssBench) -> None:
-    assert bench.lss(0x5E) == []
-    assert bench.configure().lss(0x5E) == ["5E2"]  # 20h, and zeros
-    assert bench.lss(0x04, 2) == []
-    assert bench.node.lss.state is LssState.CONFIGURATION
-    assert bench.lss(0x04, 0) == []
-    assert bench.lss(0x5E) == []
-
-
 def test_selective_switch(bench: LssBench) -> None:
     assert bench.select() == ["44"]
     assert bench.lss(0x5E) == ["5E2"]
@@ -109,16 +100,40 @@ def test_a_selection_with_a_part_left_out_is_none(bench: LssBench) -> None:
     assert bench.node.lss.state is LssState.WAITING
 
 
-# Inquiries.
+# Every command in every state, with and without a node-ID.
+
+ANY: tuple[tuple[LssState, int], ...] = tuple((state, node) for state in LssState for node in (32, NONE))
+CONFIGURATION = [(LssState.CONFIGURATION, node) for node in (32, NONE)]
+WAITING = [(LssState.WAITING, node) for node in (32, NONE)]
+TABLE: list[tuple[tuple[int, ...], list[tuple[LssState, int]], str]] = [
+    ((0x5A,), CONFIGURATION, "5A44332211"),
+    ((0x5B,), CONFIGURATION, "5B88776655"),
+    ((0x5C,), CONFIGURATION, "5C020001"),
+    ((0x5D,), CONFIGURATION, "5DEFBEADDE"),
+    ((0x5E,), CONFIGURATION[:1], "5E2"),
+    ((0x5E,), CONFIGURATION[1:], "5EFF"),
+    ((0x11, 40), CONFIGURATION, "11"),
+    *(((0x11, node_id), CONFIGURATION, "1101") for node_id in (0, 128, 200, 254)),
+    ((0x13, 0, 2), CONFIGURATION, "13"),
+    ((0x13, 0, 1), CONFIGURATION, "1301"),
+    ((0x13, 1, 2), CONFIGURATION, "1301"),
+    ((0x17,), CONFIGURATION, "1701"),
+    ((0x4C,), [(state, NONE) for state in LssState], "5"),
+    ((0x51, 0, 0, 0, 0, 128), WAITING[1:], "4F"),
+    *(((command,), [], "") for command in (0x00, 0x04, 0x15, 0x43, 0x4B, 0x5F, 0xFF)),
+]
 
 
-def test_the_identity(bench: LssBench) -> None:
-    for command in range(0x5A, 0x5E):
-        assert bench.lss(command) == []
-    bench.configure()
-    assert [bench.lss(command) for command in range(0x5A, 0x5E)] == [
-        *(["5A44332211"], ["5B88776655"], ["5C020001"], ["5DEFBEADDE"]),
-    ]
+@pytest.mark.parametrize("frame", sorted({frame for frame, _, _ in TABLE}))
+@pytest.mark.parametrize("where", ANY)
+def test_every_command_in_every_state(
+    make: Callable[..., LssBench], where: tuple[LssState, int], frame: tuple[int, ...]
+) -> None:
+    state, node = where
+    bench = make(node)
+    assert bench.lss(0x04, state) == []
+    expected = [answer for given, places, answer in TABLE if given == frame and where in places]
+    assert bench.lss(*frame) == expected
 
 
 def test_identify_remote_slave(bench: LssBench) -> None:
@@ -133,14 +148,6 @@ def test_identify_remote_slave(bench: LssBench) -> None:
     assert bench.identify(vendor, product + 1, 0, revision, 0, serial) == []
     bench.configure()
     assert bench.identify(vendor, product, 0, revision, 0, serial) == ["4F"]
-
-
-def test_identify_non_configured_slave(make: Callable[..., LssBench]) -> None:
-    assert make(32).lss(0x4C) == []
-    bench = make(NONE)
-    assert bench.lss(0x4C) == ["5"]  # 50h
-    bench.configure().lss(0x11, 5)
-    assert bench.lss(0x4C) == []
 
 
 # Node-ID.
@@ -175,12 +182,6 @@ def test_every_service_has_the_new_node_id(bench: LssBench) -> None:
     assert [text[:3] for text in bench.tick()] == ["1A8", "0A8"]
     assert bench.send(0x628, "2B17100064000000") == ["5A8#6017100000000000"]
     assert [text for _, text in bench.run(0.15)] == ["728#05", "728#05"]
-
-
-@pytest.mark.parametrize("node_id", [0, 128, 200, 254])
-def test_an_impossible_node_id_is_refused(bench: LssBench, node_id: int) -> None:
-    assert bench.configure().lss(0x11, node_id) == ["1101"]
-    assert bench.nmt(RESET_COMMUNICATION) == ["720#00"]
 
 
 # Without a node-ID.
