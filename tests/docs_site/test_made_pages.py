@@ -32,7 +32,6 @@ DIMENSIONLESS = {
     "cpu",
     "seed",
     "order",
-    "prediction_order",
 }
 DIMENSIONLESS |= {"sine_gain", "cosine_gain", "bus_load", "cob_id"}
 DIMENSIONLESS |= {name for name in canfb.Conditioning().words if name.startswith("harmonic")}

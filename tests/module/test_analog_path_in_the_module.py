@@ -92,7 +92,7 @@ def accelerating(top: float, acceleration: float = 0.1) -> Motion:
     return position
 
 
-@each("fields", [{}, {"times": True}, {"prediction_order": 3}, {"max_acceleration_rad_s2": 300.0}])
+@each("fields", [{}, {"times": True}, {"max_acceleration_rad_s2": 300.0}])
 def test_the_cosine_comes_later(fields: dict[str, Any]) -> None:
     """The issue: 0.064 cycle at 3000 rpm and 1 us."""
     speed = 125.037
@@ -104,7 +104,7 @@ def test_the_cosine_comes_later(fields: dict[str, Any]) -> None:
 
 
 @each("lag_s", [1.27e-6, -1e-6, 1e-4, 1.3e-3])
-@each("fields", [{}, {"times": True}, {"prediction_order": 3}])
+@each("fields", [{}, {"times": True}])
 def test_the_position_is_that_of_the_sync(fields: dict[str, Any], lag_s: float) -> None:
     """Also while the machine accelerates, but for the interval in which that begins or ends."""
     used = Conditioning(delay_s=lag_s)

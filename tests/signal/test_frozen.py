@@ -97,15 +97,6 @@ def test_at_rest_equal_samples_are_good(standstill: float) -> None:
     assert all(drive.chain.step(last).valid for _ in range(NEVER))
 
 
-def test_the_number_of_samples_can_be_changed_while_it_runs() -> None:
-    drive = Drive(5.0, coast_samples=255, frozen_samples=16)
-    last = drive.converter_dies()
-    drive.chain.set_limits(ChainConfig(coast_samples=255, frozen_samples=4).chain_limits)
-    assert [bool(drive.spoil(last).status & StatusBit.FROZEN) for _ in range(5)] == [False] * 3 + [True] * 2
-    drive.chain.set_limits(ChainConfig(coast_samples=255, frozen_samples=0).chain_limits)
-    assert not drive.spoil(last).status & StatusBit.FROZEN
-
-
 @pytest.mark.parametrize("track", [0, 1], ids=["sine moves", "cosine moves"])
 def test_one_track_that_moves_by_a_count_is_life(track: int) -> None:
     drive = Drive(3.2, frozen_samples=1)

@@ -491,6 +491,17 @@ def test_a_pulse_without_an_angle_does_not_align_the_coarse_track(coarse: dict[s
     assert made.zero.error_cycles(Edge(72, 0.5)) == 2
 
 
+def test_a_count_that_was_lost_is_not_known_by_a_pulse_whose_place_never_was() -> None:
+    recovery = Noted(lost=True)
+    made = reference(recovery)
+    made.range_known = made.had_position = True
+    assert [pulse_at(made, 70.5 + turn * N, LOST) for turn in range(3)] == [(LOST, 0)] * 3
+    assert (recovery.told, recovery.confirmed) == ([], 0)
+    made.zero.set_place(Edge(72, 0.5))
+    assert pulse_at(made, 70.5, LOST) == (LOST, 2)
+    assert recovery.confirmed == 1
+
+
 def test_a_pulse_that_cannot_tell_the_speed_yet_changes_nothing() -> None:
     recovery = Noted(lost=True)
     assert pulse(reference(recovery), 83.4, 100.0, 0.5, 1.0) == (LOST, 0)

@@ -198,7 +198,8 @@ class Reference:
         edge = Edge(pulse.cycles, pulse.phase, pulse.direction > 0)
         if bits & VALID:
             return self._pulse_of_valid(edge, bits, pair)
-        if not lost or not self.zero.knows(edge):
+        # A count that was lost is not known again by a pulse whose place was never known.
+        if not lost or not self.zero.knows(edge) or (self.had_position and not self.zero.referenced):
             return bits, 0
         jump = -self.zero.error_cycles(edge)
         if self._refutes(pair, jump):
