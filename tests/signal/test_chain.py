@@ -234,6 +234,17 @@ def test_a_machine_that_turns_at_a_pause_loses_its_position(
     assert not chain.lost
 
 
+@pytest.mark.parametrize("size", [0.03, 0.1])
+def test_a_machine_that_swings_at_a_pause_did_not_stand_still(size: float) -> None:
+    """Over the last 16 samples it has not moved on average."""
+    chain = SignalChain(ChainConfig(max_acceleration_cycles=0.02))
+    for k in range(-30, 46):
+        got = chain.step(sample_at(0.3 + size * math.sin(2.0 * math.pi * max(k, 0) / 15.0)))
+        assert got.valid
+    chain.resume(100.0)
+    assert chain.lost
+
+
 @pytest.mark.parametrize("seed", [1, 3, 4])
 def test_a_position_found_after_a_reset_in_motion_stays_lost_when_it_is_lost_at_standstill(seed: int) -> None:
     """The start at standstill, which was waited for, is over with the position that sample times found."""

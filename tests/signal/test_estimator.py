@@ -98,13 +98,6 @@ def test_another_period_at_a_start_leaves_its_speed_open() -> None:
         assert estimator.good((0.3 + 0.7 * n) % 1.0, 1.0)[1] == VALID
 
 
-def test_another_period_before_the_first_sample_changes_nothing() -> None:
-    """A start at 0.5625 cycle per interval, standstill assumed: over the limit."""
-    estimator = Estimator(Declared())
-    estimator.rescale(2.0)
-    assert take(estimator, phases(0.5625, 2)) == [VALID, LOST | RESIDUAL]
-
-
 # Coasting.
 
 

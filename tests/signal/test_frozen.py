@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from supervision_kit import Drive, above, at, below, flags, has
 
 from canfb.objects import StatusBit
-from canfb.signal.chain_config import ChainConfig
 from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.sample import Sample
 from folding import each
@@ -127,14 +126,6 @@ def test_a_glitch_at_rest_is_no_reason_to_call_the_next_samples_frozen(glitch: f
     assert not any(has(after, StatusBit.FROZEN))
     assert after[-1].valid
     assert abs(drive.error(after[-1])) < 1e-9
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("last_step", [0.019, 0.021, 0.05, 0.15, 0.3, 0.32])
-def test_a_machine_that_stops_at_once_is_not_frozen(last_step: float, sign: int) -> None:
-    drive = Drive(sign * last_step, frozen_samples=2)
-    drive.speed = 0.0
-    assert all(got.valid for got in drive.run(60)), "eq. 12 allows it, and nothing tells it from a freeze"
 
 
 def test_a_pause_forgets_the_counts() -> None:

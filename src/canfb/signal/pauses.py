@@ -10,7 +10,7 @@ for.
 from __future__ import annotations
 
 from canfb.signal import speeds
-from canfb.signal.speeds import STANDSTILL_CYCLES, STILL_CYCLES
+from canfb.signal.speeds import STILL_CYCLES
 from canfb.signal.stages import Stages
 
 FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
@@ -40,7 +40,7 @@ class Pauses:
     @property
     def creeps(self) -> bool:
         """The machine moves, by its last samples."""
-        return abs(speeds.steady_speed(self._stages.estimator.places)) >= STANDSTILL_CYCLES
+        return not speeds.stood_still(self._stages.estimator.places, least=0)
 
     def reset(self) -> None:
         """Start again at cycle count 0; the next :meth:`resume` considers that the machine may turn."""
@@ -101,7 +101,7 @@ class Pauses:
         speed, step = speeds.steady_speed(places), abs(estimator.tracker.step_cycles)
         if step >= FASTEST_STANDSTILL_CYCLES:
             return True
-        if abs(speed) < STANDSTILL_CYCLES:
+        if speeds.stood_still(places, least=0):
             return False
         acceleration = max(abs(speeds.acceleration(places)), estimator.declared.acceleration or 0.0)
         until = intervals + 1.0

@@ -40,9 +40,14 @@ def steady_speed(places: Sequence[Place]) -> float:
     return ((last_cycles - cycles) + (last_phase - phase)) / sum(place[2] for place in recent[1:])
 
 
-def stood_still(places: Sequence[Place]) -> bool:
-    """The last 16 places are known, and on average the machine did not move."""
-    return len(places) >= STEADY_SAMPLES and abs(steady_speed(places)) < STANDSTILL_CYCLES
+def stood_still(places: Sequence[Place], least: int = STEADY_SAMPLES) -> bool:
+    """So many places are known, ``least``, and over the last 16 the machine did not move, to nor fro."""
+    recent = list(places)[-STEADY_SAMPLES:]
+    moved = [(place[0] - recent[-1][0]) + (place[1] - recent[-1][1]) for place in recent]
+    still = (
+        abs(steady_speed(recent)) < STANDSTILL_CYCLES and max(map(abs, moved), default=0.0) <= STILL_CYCLES
+    )
+    return still and len(recent) >= least
 
 
 def least_speed(places: Sequence[Place], steps: int) -> float:

@@ -149,10 +149,6 @@ class Tracker:
             raise ValueError(f"phase must be 0 <= phase < 1 cycle, not {phase!r}")
         if not 0.0 < elapsed < math.inf:
             raise ValueError(f"elapsed must be a positive number of sampling intervals, not {elapsed!r}")
-        if elapsed == 1.0 and phase == phase:
-            followed = self.follow(phase)
-            if followed is not None:
-                return followed
         track = self.look(phase, elapsed)
         if phase == phase:
             self.accept(track, elapsed)
