@@ -57,7 +57,7 @@ class ChainLimits(Declared):
 
     @property
     def motion_residual(self) -> float:
-        """What of ``residual_limit`` the motion may use, cycles; 0.0 if that is not known."""
+        """What of ``residual_limit`` the motion may use, cycles; 0.0: not known."""
         return self.acceleration or 0.0
 
 

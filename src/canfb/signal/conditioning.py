@@ -146,7 +146,7 @@ class Conditioning:
     def apply_block(
         self, sine: npt.NDArray[Any], cosine: npt.NDArray[Any], scratch: Scratch
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """:meth:`apply` for a block of counts of any kind, into ``scratch.sine`` and ``scratch.cosine``."""
+        """:meth:`apply` for a block, into ``scratch.sine`` and ``scratch.cosine``."""
         offset_s, gain_s, offset_c, factor_c, skew = self.coefficients()
         s, c = scratch.sine, scratch.cosine
         np.subtract(sine, offset_s, out=s, dtype=np.float64)

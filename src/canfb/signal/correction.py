@@ -115,7 +115,7 @@ class CorrectionTable:
         return self._lines
 
     def correct(self, raw: float) -> float:
-        """Phase at one raw phase, which must lie in 0..1 (the hot path: unchecked)."""
+        """Phase at one raw phase, 0..1 (unchecked)."""
         place = raw * self._n
         index = int(place)
         first, slope = (self._lines or self.lines())[index]
@@ -127,7 +127,7 @@ class CorrectionTable:
         return phase
 
     def correct_array(self, raw: FloatArray) -> FloatArray:
-        """Phases at raw phases in 0..1, NaN allowed: the same operations as :meth:`correct`."""
+        """Phases at raw phases in 0..1, NaN allowed; the same bits."""
         phases = np.empty(raw.shape)
         flat_raw, flat = raw.reshape(-1), phases.reshape(-1)
         for part, scratch in blocks(len(flat)):

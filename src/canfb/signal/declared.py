@@ -1,4 +1,4 @@
-"""What the user declares of machine, encoder and bus, and what follows from it for the estimator."""
+"""What the user declares of machine, encoder and bus, and what follows from it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Declared:
 
     @property
     def first_limit(self) -> float:
-        """Residual limit of the second sample: how far the speed at a start may be from the one assumed."""
+        """Residual limit of the second sample."""
         return max(self.residual_limit, self.widest_limit or 0.0)
 
     @property
@@ -62,12 +62,12 @@ class Declared:
 
     @property
     def assumes(self) -> bool:
-        """In doubt an acceleration is assumed: the residual limit of usual samples is wider."""
+        """In doubt an acceleration is assumed."""
         return self.acceleration is None and self.doubt_acceleration > 0.0
 
     @cached_property
     def bad_samples(self) -> int:
-        """m of the estimator: as declared, or as many as cannot do harm at twice the bound; at least 1."""
+        """m: as declared, or as many as cannot do harm at twice the bound; at least 1."""
         if self.bad:
             return self.bad
         return max(1, min(samples_without_harm(2.0 * self.followed), MOST_BY_DEFAULT))

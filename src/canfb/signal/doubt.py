@@ -67,12 +67,12 @@ class Candidate(NamedTuple):
 
     @property
     def run_spots(self) -> tuple[Spot, ...]:
-        """The samples since the last hole, as far as they are kept."""
+        """The samples since the last hole."""
         return self.spots[-self.run :] if self.run else ()
 
     @property
     def is_settled(self) -> bool:
-        """The run determines the next sample, and nothing is to be left out."""
+        """The run determines the next sample."""
         return self.run >= ORDER and not self.leaves
 
     @property
@@ -93,7 +93,7 @@ class Candidate(NamedTuple):
         )
 
     def window(self, time: float, motion: BoundedMotion) -> tuple[Window, bool]:
-        """Where its next sample can be; and whether the hole before its run decides that."""
+        """Where its next sample can be; and whether the hole decides that."""
         run = self.run_spots
         before = self.spots[: len(self.spots) - len(run)]
         if self.run < ORDER and before:
@@ -128,13 +128,13 @@ class Candidate(NamedTuple):
         )
 
     def future(self) -> tuple[object, ...]:
-        """What its next windows depend on: the same for two candidates that cannot come apart."""
+        """What its next windows depend on."""
         recent = self.spots[-ORDER:] if self.run >= ORDER else self.spots[-ORDER - self.run :]
         places = tuple((round(spot.time - self.time, 9), spot.cycles, spot.phase) for spot in recent)
         return places, min(self.run, ORDER), self.leaves
 
     def joined_by(self, other: Candidate) -> Candidate:
-        """This one and ``other`` of the same future as one; what only one of them used is forgotten."""
+        """Both, of the same future, as one."""
         number, least, most = self.residuals
         number_, least_, most_ = other.residuals
         common = 0
@@ -188,7 +188,7 @@ class LogEntry(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """Result of the candidates: the one that is right, and whether the doubt has ended."""
+    """The candidate that is right, and whether the doubt has ended."""
 
     candidate: Candidate | None = None
     settled: bool = False
@@ -230,7 +230,7 @@ class Doubt:
         self._follow(self._advance(self.candidates, len(self.log) - 1))
 
     def suspect(self) -> None:
-        """Samples were counted by a wider bound than that in doubt: one that does not fit contradicts."""
+        """A sample counted by a wider bound than that in doubt contradicts."""
         number = self._first_misfit(len(self.log))
         if number < len(self.log):
             self._only_missing = False
@@ -260,7 +260,7 @@ class Doubt:
         self.motion, self.bad_samples = motion, bad_samples
 
     def rescale(self, factor: float) -> None:
-        """Intervals are counted in another unit: all are ``factor`` times as many of it."""
+        """Intervals are counted in another unit."""
         self.candidates = [one.rescaled(factor) for one in self.candidates]
         self.log = [
             LogEntry(phase, elapsed * factor, tuple(one.rescaled(factor) for one in before))
@@ -337,7 +337,6 @@ class Doubt:
         return all(abs(time - round(time)) <= SAME_TIME for time in times)
 
     def _is_jump(self, one: Candidate) -> bool:
-        """After a contradiction: all samples fit the motion before, or the run extended backwards."""
         first = self._contradicted
         if first is None:
             return False

@@ -151,7 +151,6 @@ class Estimator:
         self.places.append((last.cycles, last.phase, elapsed))
 
     def _remember_tracker(self) -> None:
-        """The two samples that eq. 9 stands on are the last places: the position goes on with its speed."""
         before, last, elapsed = self.tracker.places
         self._forget()
         self.places.append((before.cycles, before.phase, 1.0))
@@ -207,7 +206,6 @@ class Estimator:
         return self._taken(phase, elapsed)
 
     def _by_speed(self, phase: float, elapsed: float) -> tuple[Track, int]:
-        """The same, held against every speed at which the machine can have started, or turns while lost."""
         track, bits = self._taken(phase, elapsed)
         count = None if self._doubt else self.tracker.cycles
         verdict = self._speeds.take(phase, elapsed, self.lost, count)
@@ -263,7 +261,7 @@ class Estimator:
         )
 
     def _start_places(self) -> list[Place]:
-        """The samples since a start, while its speed is assumed; none later, or while others are in doubt."""
+        """The samples since a start, while its speed is assumed."""
         places, doubt = self.places, self._doubt
         in_doubt = doubt is not None and not doubt.is_without_samples
         if self._virtual is None or self._known or in_doubt or not 0 < len(places) <= START_SAMPLES:
@@ -296,11 +294,7 @@ class Estimator:
         return counted.residual
 
     def _usual_radius(self, elapsed: float) -> float:
-        """Half the window of a sample in turn, cycles, by eq. 9; 1.0 where that alone does not give it.
-
-        It is that of the last two samples, eq. 9, the only one unless their interval was short. Narrower
-        than a cycle it holds one count at most.
-        """
+        """Half the window of a sample in turn, cycles; 1.0 where two samples do not give it."""
         last = self.tracker.elapsed
         if last < SHORT_INTERVAL or elapsed >= LONG_INTERVAL or len(self.places) < 2:
             return 1.0
@@ -320,7 +314,6 @@ class Estimator:
         return None if counted is None else counted._replace(ok=True)
 
     def _in_window(self, phase: float, elapsed: float) -> Track | None:
-        """The position of a sample in turn, if it is the only one in the window of the last ones."""
         track = self.tracker.look(phase, elapsed)
         radius = self._usual_radius(elapsed)
         if radius < HALF_CYCLE:
@@ -411,7 +404,6 @@ class Estimator:
         return tuple(reversed(spots))
 
     def _doubted(self, refused: bool = False) -> Doubt:
-        """The doubt that is, or that begins with this sample."""
         if self._doubt is None:
             self._at_start = self._start_is_assumed
             log = self._log()

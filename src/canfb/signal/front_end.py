@@ -51,7 +51,7 @@ class FrontEnd:
         self.use_interval(0.0)
 
     def use_conditioning(self, conditioning: Conditioning) -> None:
-        """Offset, gain and phase error of this one from now on; delays and harmonics stay."""
+        """Offset, gain and phase error of this one; delays and harmonics stay."""
         used = tuple(map(float, conditioning.values[:5]))
         self._offsets, self._gains, self._phase_error = used[:2], used[2:4], used[4]
 
@@ -80,7 +80,7 @@ class FrontEnd:
         return () if self._rows is None else self._rows.row(speed_cycles * self._hertz)
 
     def lag_intervals(self, speed_cycles: float) -> float:
-        """2002:07 at this speed: a low-pass delays by arctan(u) / u as much as at standstill, u = f / fc."""
+        """2002:07 at this speed: a low-pass delays by arctan(u) / u of it, u = f / fc."""
         if not self._hertz:
             return 0.0
         lag = self._conditioning.delay_s * self._hertz

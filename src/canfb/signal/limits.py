@@ -1,4 +1,4 @@
-"""What the prediction of eq. 9 allows: limits of acceleration (paper, eq. 10 and 12)."""
+"""Limits of the acceleration that eq. 9 allows (paper, eq. 10 and 12)."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def safe_deviation(samples: int) -> float:
 
 
 def samples_without_harm(cycles: float) -> int:
-    """The largest number of samples that are safe (:func:`safe_deviation`) at L + a = ``cycles``, 0..255."""
+    """The largest number of samples that are safe at L + a = ``cycles``, 0..255."""
     count = 0
     while count < MOST_IN_A_ROW and cycles <= safe_deviation(count + 1) * (1.0 + ROUNDING):
         count += 1

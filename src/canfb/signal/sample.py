@@ -65,7 +65,6 @@ def in_order(sample: Sample, passed: float, per_sync: int) -> list[Sample]:
 
 
 def _place(pulse: float | None, begin: float, elapsed: float) -> tuple[float | None, float | None]:
-    """Where the ``pulse`` is in the interval from ``begin``, None: not there; and the pulse if it is left."""
     if pulse is None or pulse > begin + elapsed:
         return None, pulse
     return (pulse - begin) / elapsed, None

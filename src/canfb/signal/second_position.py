@@ -53,7 +53,7 @@ class SecondSensor:
 
 
 class SecondScale:
-    """Distances of the two sensors in cycles, for an encoder with so many cycles per revolution."""
+    """Distances of the two sensors in cycles."""
 
     slope = 1.0  # the other sensor drives the machine
     period_cycles = math.inf
@@ -68,15 +68,15 @@ class SecondScale:
         self.tolerance_cycles = sensor.tolerance_revolutions * cycles_per_revolution
 
     def difference_cycles(self, since: Pair, now: Pair) -> float:
-        """How much further the other sensor has moved than the encoder from one pair to another, cycles."""
+        """How much further the other sensor has moved than the encoder."""
         return self.moved_cycles(since, now, now.cycles - since.cycles) - (now.phase - since.phase)
 
     def moved_cycles(self, since: Pair, now: Pair, less_cycles: int = 0) -> float:
-        """How far the other sensor has moved, cycles, less so many: the nearest float of the exact result."""
+        """How far the other sensor has moved, cycles, less so many: the nearest float."""
         moved = (int(now.value) - int(since.value)) * self._cycles
         return (moved - less_cycles * self._per) / self._per
 
 
 def step_increments(before: int, value: int) -> int:
-    """From one value to another, over the wrap of 32 bits, at most half the range."""
+    """From one value to another over the wrap, at most half the range."""
     return (value - before + RANGE // 2) % RANGE - RANGE // 2

@@ -38,7 +38,7 @@ def longest_decidable_row(largest: float, phase_error: float) -> int:
 
 
 class BadRow:
-    """What is left if the m samples from here on are bad: ``speeds``, which does not take them."""
+    """``speeds`` if the m samples from here on are bad."""
 
     def __init__(self, speeds: SpeedSet, samples: int, has_assumed: bool) -> None:
         self.speeds = speeds
@@ -76,7 +76,7 @@ class SpeedHypotheses:
         """They are so even that they never will."""
 
     def expect_bad(self, bad_samples: int) -> None:
-        """m, after the first sample: what is declared may count from then on."""
+        """m, after the first sample."""
         for row in self._rows:
             row.waits += bad_samples - self._bad_samples
         self._bad_samples = bad_samples
@@ -98,7 +98,7 @@ class SpeedHypotheses:
             row.speeds.skip(elapsed)
 
     def feed(self, phase: float, elapsed: float) -> bool:
-        """A sample, ``elapsed`` intervals after the last entry; False: this cannot be decided any more."""
+        """A sample, ``elapsed`` intervals after the last entry; False: it cannot be decided any more."""
         self.samples += 1
         self._look_at_times(elapsed + self._gap)
         self._gap = 0.0
@@ -162,7 +162,7 @@ class SpeedHypotheses:
 
     @property
     def is_decided(self) -> bool:
-        """All that is left is at the same count, and was one sample before."""
+        """All that is left is at one count, for two samples."""
         return self._alone > 1
 
     @property
@@ -173,10 +173,7 @@ class SpeedHypotheses:
         return sets[0].last_two if self.is_decided and chance <= FALSE_ACCEPTANCE else None
 
     def holds(self, count: int) -> bool | None:
-        """Whether a speed that is left has this cycle count now; None: the next samples show it.
-
-        Asked for with each sample, it is that of the speed assumed.
-        """
+        """A speed that is left has this count, that of the speed assumed; None: not known yet."""
         self._has_assumed = self._good is not None and self._good.has(count)
         if any(one.has(count) for one in self._sets):
             return True

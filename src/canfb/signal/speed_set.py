@@ -79,7 +79,7 @@ class SpeedSet:
         self._gap += elapsed
 
     def skip_first(self, phase: float) -> None:
-        """The first sample, at whose place the counts begin; its ``phase`` may be off by half a cycle."""
+        """The first sample; its ``phase`` may be off by half a cycle."""
         self._origin, self._gap = (phase, 0.0), 0.0
 
     def copy(self) -> SpeedSet:
@@ -89,7 +89,7 @@ class SpeedSet:
         return other
 
     def unite(self, other: SpeedSet) -> None:
-        """Follow those of ``other`` as well, which has had the same samples as far back as they count."""
+        """Follow those of ``other`` as well."""
         both = np.hstack([np.stack(self._counts), np.stack(other._counts)])
         both = both[:, np.lexsort(both[::-1])]  # np.unique(axis=1) takes four times as long
         differs = (both[:, 1:] != both[:, :-1]).any(axis=0)
@@ -97,7 +97,7 @@ class SpeedSet:
         self.chance += other.chance
 
     def feed(self, phase: float, elapsed: float) -> bool:
-        """A sample, ``elapsed`` intervals after the last entry; False: this cannot be decided any more."""
+        """A sample, ``elapsed`` intervals after the last entry; False: it cannot be decided any more."""
         elapsed += self._gap
         self._gap = 0.0
         self.samples += 1
@@ -132,7 +132,6 @@ class SpeedSet:
     def _from_origin(
         self, phase: float, since: float, steps: npt.NDArray[np.int64], newest: float, elapsed: float
     ) -> npt.NDArray[np.int64]:
-        """After these ``steps`` between the first two samples: both are counted from one before them."""
         speeds = (steps + (newest - self._phases[0])) / elapsed
         first = np.rint(speeds * since + (phase - self._phases[0])).astype(np.int64)
         self._counts = [first]
@@ -141,13 +140,11 @@ class SpeedSet:
     def _branch(
         self, lowest: npt.NDArray[np.int64], possible: npt.NDArray[np.int64]
     ) -> npt.NDArray[np.int64]:
-        """Each goes on with so many counts, from ``lowest`` ahead of its last on; usually one, or none."""
         self._counts = [one.repeat(possible) for one in self._counts]
         number = np.arange(len(self._counts[0])) - (np.cumsum(possible) - possible).repeat(possible)
         return np.asarray(self._counts[0] + lowest.repeat(possible) + number)
 
     def _keep(self, kept: npt.NDArray[np.bool_], counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """These speeds stay; their counts of the sample that is looked at."""
         self._counts = [one[kept] for one in self._counts]
         return counts[kept]
 
@@ -166,7 +163,7 @@ class SpeedSet:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Of the only motion that is left: of the last sample, and of the one before."""
+        """Of the only motion left: of the last sample, and of the one before."""
         return int(self._counts[0][0]), int(self._counts[1][0])
 
     @property

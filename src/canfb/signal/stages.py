@@ -126,7 +126,7 @@ class Stages:
             self.use_second(self.second.sensor)
 
     def use_second(self, sensor: SecondSensor | None) -> None:
-        """Compare with another sensor from now on, or with none; nothing is known of it."""
+        """Compare with another sensor from now on, or with none."""
         self._nothing_in_doubt = False
         self.second = None if sensor is None else SecondPosition(sensor, self.reference)
 
@@ -152,7 +152,7 @@ class Stages:
         self._expect_present_speed()
 
     def sample_faster(self, factor: float) -> None:
-        """From now on there are so many times as many samples; the position stays."""
+        """There are so many times as many samples from now on."""
         self.estimator.rescale(factor)
         self.reference.slipped()
         self._speed /= factor
@@ -257,7 +257,7 @@ class Stages:
         timed: bool,
         extras: Extras | None,
     ) -> Feedback:
-        """A sample that is not usual; ``stages`` up to its phase, NaN if it does not keep its limits."""
+        """A sample that is not usual; ``stages`` up to its phase."""
         s, c, amplitude, raw, phase = stages
         sample, bad, unplaced, next_one, pulse, newest = extras or Extras(Sample(sine, cosine))
         faults = self._supervision.faults(sine, cosine, amplitude)
@@ -361,12 +361,10 @@ class Stages:
         return speeds.least_speed(self.estimator.places, self.estimator.declared.bad_samples + 1)
 
     def _learn(self, feedback: Feedback) -> None:
-        """A sample for the adaptation, whose result counts from the next one on."""
         if self.tracks.learn(feedback):
             self._expect(feedback.speed_cycles + AHEAD_INTERVALS * feedback.acceleration_cycles)
 
     def _expect(self, speed_cycles: float) -> None:
-        """The next sample is expected at this speed. While the position is lost it may be any other."""
         tracks = self.tracks
         if tracks.front is not None:
             known = not self.estimator.lost and (self._tracker.started or speed_cycles != 0.0)

@@ -44,7 +44,7 @@ class Starts:
         self._unit = 1.0  # that of the speeds, in intervals as they are counted now
 
     def rescale(self, factor: float) -> None:
-        """Intervals are counted in another unit from here on: all are this many times longer."""
+        """Intervals are counted in another unit."""
         self._unit *= factor
 
     def stop(self) -> None:

@@ -147,7 +147,7 @@ class Stream:
         self._ok = np.empty(BEFORE + BLOCK_SAMPLES, np.bool_)
 
     def tracks(self, block: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[AnyArray, AnyArray]:
-        """The arrays of the next block; ValueError if it is not such a pair."""
+        """The arrays of the next block, or ValueError."""
         if not hasattr(block, "__len__"):
             raise ValueError(f"a block must be a pair (sine, cosine), not {type(block).__name__}")
         if len(block) != 2:
@@ -194,7 +194,6 @@ class Stream:
                 k += 1
 
     def _compute(self, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> list[int]:
-        """All that depends on one sample alone; the samples that do not keep the limits."""
         scratch = self._scratch.head(len(sine))
         amplitude, raw = result.amplitude, result.raw_phase
         if not self._supervised:

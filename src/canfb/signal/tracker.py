@@ -80,13 +80,13 @@ class Tracker:
         """Speed between the last two samples, in cycles per sampling interval."""
 
     def halt(self) -> None:
-        """Keep the position and forget the speed: the next phase is less than half a cycle away."""
+        """Keep the position and forget the speed."""
         self._step, self._phase_before = 0, self._phase
         self._elapsed, self._gap = 1.0, 0.0
         self._find_speed()
 
     def rescale(self, factor: float) -> None:
-        """Count intervals in another unit: all are ``factor`` times as many of it. Nothing else changes."""
+        """Count intervals in another unit, ``factor`` times as many."""
         self._elapsed *= factor
         self._gap *= factor
         self._find_speed()
@@ -98,7 +98,7 @@ class Tracker:
 
     @property
     def places(self) -> tuple[Track, Track, float]:
-        """The last two samples that were taken, and the intervals between them; residuals not known."""
+        """The last two samples that were taken, and the intervals between them."""
         before = Track(self.cycles - self._step, self._phase_before, 0.0, True)
         return before, Track(self.cycles, self._phase, 0.0, True), self._elapsed
 
@@ -109,7 +109,7 @@ class Tracker:
 
     @property
     def is_steady(self) -> bool:
-        """True if the next sample is one interval after two that were one interval apart."""
+        """The next sample is one interval after two that were one interval apart."""
         return self._started and self._gap == 0.0 and self._elapsed == 1.0
 
     def state(self) -> tuple[float, float, int, int]:
@@ -196,7 +196,7 @@ class Tracker:
         return residual
 
     def follow(self, phase: float) -> Track | None:
-        """:meth:`advance` to a track; None where the sample is not a usual one."""
+        """:meth:`advance` to a track; None: not a usual sample."""
         residual = self.advance(phase)
         return None if residual < 0.0 else _new(Track, (self.cycles, phase, residual, True))
 

@@ -88,7 +88,7 @@ def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
 
 
 def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
-    """Write the places that a steady tracker stands on into ``result``, just before ``at``."""
+    """Write the places of a steady tracker into ``result``, just before ``at``."""
     cycles, phase = result.cycles, result.phase
     phase[at - 2], phase[at - 1], last, step = tracker.state()
     cycles[at - 1], cycles[at - 2] = last, last - step
@@ -118,7 +118,6 @@ def steady_run(tracker: Tracker, result: TrackResult, start: int, stop: int, scr
 
 
 def _round(c: FloatArray, turns: FloatArray, residual: FloatArray) -> None:
-    """``c`` is overwritten: results are written once, because their memory is not in the cache yet."""
     np.rint(c, out=turns)
     np.subtract(turns, c, out=c)
     np.abs(c, out=residual)
@@ -152,7 +151,6 @@ def cycle_counts(
 def _in_rows(
     turns: FloatArray, cycles: int, step: int, out: npt.NDArray[np.int64], scratch: Scratch
 ) -> tuple[int, int]:
-    """Turns of shape (products, rows, ROW); cycle count and step after them."""
     rows = turns.reshape(-1, ROW)
     totals = np.matmul(turns, _TOTALS).reshape(-1, 2)
     steps, counts = np.empty(len(rows) + 1), np.empty(len(rows) + 1)  # before each row, and after the last

@@ -67,13 +67,13 @@ class Reference:
         self.slipped()
 
     def position_lost(self) -> None:
-        """The position has been lost: what pulses said of its count does not matter any more."""
+        """What pulses said of its count does not matter any more."""
         self.in_doubt = False
         self.zero.forget_doubts()
         self.slipped()
 
     def speed_known(self) -> None:
-        """A lost position is counted at the speed of the machine: a zero pulse may set the count."""
+        """A zero pulse may set the count of a lost position."""
         self._speed_known = True
 
     def missed(self) -> None:
@@ -242,7 +242,6 @@ class Reference:
         return abs(away) > self.coarse.limit_cycles
 
     def _range_from_pulses(self, pulse: Pulse) -> None:
-        """Two pulses are -1, 0 or 1 revolution apart; what the count lacks to that is the missing speed."""
         first, self._first_pulse = self._first_pulse, pulse
         if first is None or pulse.time - first.time < 1.0:
             return
@@ -285,7 +284,6 @@ def pulse_between(
 
 
 def _creeping(places: Sequence[speeds.Place]) -> int:
-    """The direction of a machine that takes several samples for :data:`MOVED_CYCLES`; 0: it may turn back."""
     moved = time = step = 0.0
     for later, before in itertools.pairwise(reversed(places)):
         moved += (later[0] - before[0]) + (later[1] - before[1])

@@ -96,8 +96,8 @@ class SecondPosition:
     ) -> tuple[int, int]:
         """Status bits and jump in cycles after a sample, ``elapsed`` intervals after the one before.
 
-        ``track``, ``bits`` and ``jump`` are what the chain and its references made of it; ``taken``: it was
-        there and good. ``alone``: no coarse track determines the speed. ``newest``: of the samples of a SYNC.
+        ``taken``: it was there and good. ``alone``: no coarse track determines the speed. ``newest``: of
+        the samples of a SYNC.
         """
         elapsed += self._passed
         taken = taken and self._all_taken and not bits & (RESIDUAL | COASTING)

@@ -45,7 +45,7 @@ class SecondValues:
         self._still_pairs = 0
 
     def take(self, values: int, increments: int) -> int | None:
-        """The value of an interval in which so many came, unwrapped; None if it is not certain."""
+        """The value of an interval in which so many came, unwrapped; None: not certain."""
         self.is_ambiguous = False
         if values != 1:
             if self._begun:
@@ -74,10 +74,9 @@ class SecondValues:
             self.late = 0
 
     def is_stale(self, pair: Pair, moving: bool) -> bool:
-        """The value is the one before again, although the machine has moved: it says nothing.
+        """The value is the one before again, although the machine has moved.
 
-        ``moving``: the position of the pair is right. Otherwise only its phase is, and a value that stops
-        suddenly says nothing either.
+        ``moving``: the position of the pair is right; else only its phase is.
         """
         self._since = since = self._since or pair
         moved = (pair.cycles - since.cycles) + (pair.phase - since.phase)

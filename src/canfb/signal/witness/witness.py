@@ -87,7 +87,7 @@ class Witness:
         self.disagreeing = 0
 
     def restart_search(self) -> None:
-        """The count goes on from elsewhere: begin again to look for speed and count."""
+        """Begin again to look for speed and count."""
         self._search.restart()
         self._first: Pair | None = None
         self._agreeing, self._shift, self._away = 0, 0, 0.0
@@ -115,7 +115,7 @@ class Witness:
         return abs(self.away_cycles(pair)) <= self.limit_cycles * (HYSTERESIS if self.disagreeing else 1.0)
 
     def missing_speed(self, pair: Pair) -> int | None:
-        """What the counted speed lacks, cycles per interval; None as long as that is not certain."""
+        """What the counted speed lacks, cycles per interval; None: not certain."""
         self._first = first = self._first or pair
         scale = self.scale
         return self._search.feed(
@@ -136,6 +136,6 @@ class Witness:
 
 
 def only_count(away_cycles: float, limit_cycles: float) -> int | None:
-    """Whole cycles to add to the count for the rest to be within the limit; None unless just one."""
+    """Whole cycles that bring the rest within the limit; None unless just one."""
     low, high = -(-(away_cycles - limit_cycles) // 1), (away_cycles + limit_cycles) // 1
     return int(low) if low == high else None

@@ -35,7 +35,7 @@ the count has slipped since"
 
 
 class ZeroPulse:
-    """Knows at which cycle of the revolution the zero pulse comes, and weighs pulses that contradict it."""
+    """Knows where the zero pulse comes, and weighs pulses that contradict it."""
 
     def __init__(self, cycles_per_revolution: int) -> None:
         self.cycles_per_revolution = cycles_per_revolution
@@ -118,5 +118,4 @@ class ZeroPulse:
         return abs(away) <= self.cycles_per_revolution / 2.0 and self._is_near(seen, here)
 
     def _is_turns_from(self, seen: Edge, here: Edge) -> bool:
-        """Whole revolutions away, at least one: a false pulse may come again and again while it rests."""
         return self._is_near(seen, here) and not self._is_again(seen, here)
