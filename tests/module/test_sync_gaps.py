@@ -22,23 +22,28 @@ class Counted(Bench):
 
     def __init__(self, overflow: int = 20, **fields: Any) -> None:
         super().__init__(**fields)
-        self.overflow = overflow
+        self.overflow, self.timed = overflow, fields.get("times", False)
         self.sdo[0x1019].raw = overflow
         self.number = 0
         self.start()
         for _ in range(8):
             self.cycle()
 
-    def cycle(self, heard: bool = True) -> tuple[int, int] | None:
-        """The next SYNC and its sample, 6004h and status word; None where the module hears neither."""
+    def cycle(self, heard: bool = True, answered: bool = False) -> tuple[int, int] | None:
+        """The next SYNC and its sample, 6004h and status word; None where the module hears neither.
+
+        ``answered``: it hears the sample in any case.
+        """
         self.number += 1
         self.bus.run_until(self.bus.now + self.interval_s)
-        if not heard:
+        if heard:
+            self.sent(Frame(0x80, bytes([(self.number - 1) % self.overflow + 1])))
+        elif not answered:
             return None
-        self.sent(Frame(0x80, bytes([(self.number - 1) % self.overflow + 1])))
         angle = 2 * math.pi * SPEED * self.number
-        sample = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
-        return self.position(self.sent(Frame(0x190, sample)))[:2]
+        time = round(self.number * self.interval_s * 1e7)
+        sample = struct.pack("<hhI", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)), time)
+        return self.position(self.sent(Frame(0x190, sample if self.timed else sample[:4])))[:2]
 
     def count(self) -> float:
         return self.sdo[0x2011][4].raw + self.sdo[0x2011][3].raw / 2**32
@@ -95,6 +100,21 @@ def test_every_sync_that_was_not_heard_is_counted(heard: list[bool], overflow: i
     bench.cycle()
     if longest < overflow:
         assert bench.sdo[0x2012][1].raw == heard.count(False)
+
+
+@given(before=st.integers(0, 40), overflow=st.integers(2, 40), unheard=st.integers(1, 3))
+def test_samples_with_their_time_need_no_sync(before: int, overflow: int, unheard: int) -> None:
+    """The interface has answered SYNCs that the module did not hear."""
+    bench = Counted(overflow, times=True)
+    begin = bench.count() - SPEED * bench.number
+    for _ in range(before):
+        bench.cycle()
+    for n in range(unheard + 16):
+        found = bench.cycle(n >= unheard, answered=True)
+        assert found is not None
+        assert not found[1] & StatusBit.LOST
+    assert found[1] == StatusBit.VALID
+    assert bench.count() - begin == pytest.approx(SPEED * bench.number, abs=0.03)  # no table
 
 
 def test_without_a_counter_nothing_is_told() -> None:

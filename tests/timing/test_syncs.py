@@ -107,8 +107,11 @@ def test_another_phase_is_doubt_by_its_step(shift: float) -> None:
     assert doubt == pytest.approx(min(shift, 1.0 - shift), abs=1e-6)
 
 
-def test_a_counter_against_the_time_is_doubt() -> None:
-    assert Producer(overflow=10).sync(60, 63).doubt >= 1.0
+@BOTH
+@given(overflow=st.integers(2, 240), data=st.data())
+def test_a_counter_against_the_time_is_doubt(stamped: bool, overflow: int, data: st.DataObject) -> None:
+    skipped = data.draw(st.integers(1, overflow - 1))
+    assert Producer(stamped, overflow).sync(60, 60 + skipped).doubt >= 1.0
 
 
 @given(frames=st.lists(TIMES, max_size=40))

@@ -111,7 +111,7 @@ class Pairing(ProcessData):
         """Wait for the first sample, and for the first SYNC."""
         self.sampled = False
         """A sample came since OPERATIONAL."""
-        self._sample_came = False  # since the last SYNC
+        self._sample_came = 0  # since the last SYNC; with their times, how many
         self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
         self._synced = False  # a SYNC came since OPERATIONAL
         self._extra_came = False  # before the last SYNC, after the one before
@@ -179,8 +179,10 @@ class Pairing(ProcessData):
         self._ambiguous = False
         if doubt and not self.timed:  # sample times know how long it was
             self._lose_count(doubt, now)
-        if verdict.lost and counter is None and self.timed:  # and how many were not received
+        if counter is None and self.timed:  # and how many were not received
             self._accounted += verdict.lost
+        else:
+            self._pass_answered(verdict.lost)
         if syncs.place - 1 > self._accounted:
             self._miss_to(syncs.place - 1, now)
         return True
@@ -206,13 +208,19 @@ class Pairing(ProcessData):
                 self._miss_to(syncs.place, now)
             elif self._tracks_came:  # without the rest of the sample
                 self._miss(int(self._elapsed), now)
-        self._sample_came = self._tracks_came = self._stale = False
+        self._sample_came, self._tracks_came, self._stale = 0, False, False
         self._synced = True
         if self._source is not None:
             self._sample_source(self._source, now)
         if extrapolates:
             self._publishing.extrapolate()
         return extrapolates
+
+    def _pass_answered(self, unheard: int) -> None:
+        """Where several samples with their time came since the last SYNC, they answer those not received."""
+        answered = max(0, min(unheard, self._sample_came - 1))
+        self._accounted += answered
+        self._sample_came -= answered
 
     def tpdos_sampled(self) -> None:
         """The measured position again."""
@@ -242,6 +250,7 @@ class Pairing(ProcessData):
             syncs.until = NEVER
         if not passed or not self.sampled:
             return False
+        self._pass_answered(syncs.place - self._accounted)
         self._miss_to(syncs.place, now)
         self._tracks_came = False
         self._stale = self._input.is_synchronous
@@ -263,7 +272,7 @@ class Pairing(ProcessData):
         if number == parts.whole_timed and self._synced:
             received_s, synced_s = self._receptions()
             if self._take_usual_timed(received_s, synced_s, now):
-                self._sample_came = self.sampled = True
+                self._sample_came, self.sampled = self._sample_came + 1, True
                 self._answer(self.syncs.place)
                 return
         if number == parts.judged:
@@ -333,7 +342,7 @@ class Pairing(ProcessData):
             self.count_bad_frame()
         if self.sampled:
             _count(self._lost_syncs, syncs)
-        self._sample_came = False
+        self._sample_came = 0
         self._verdict = ON_TIME
 
     def _complete(self, sample: Sample, now: float) -> None:
@@ -344,7 +353,7 @@ class Pairing(ProcessData):
             answers_last = self._input.judged is None
             self._take(sample, self._answer(self.syncs.place) if answers_last else self._elapsed, now)
         elif self._timed(sample, now):
-            self._sample_came = True
+            self._sample_came += 1
         else:
             self.count_bad_frame()
 
@@ -369,7 +378,7 @@ class Pairing(ProcessData):
         if self._input.is_synchronous or self._source is not None:
             return None, None
         received_s = call.received if call.is_stamped else None
-        if self._synced and syncs.stamped == call.is_stamped and not syncs.extra_came:
+        if syncs.stamped == call.is_stamped and self._synced and not (self._sample_came or syncs.extra_came):
             return received_s, syncs.synced_s
         return received_s, None  # which SYNC it answers is open
 

@@ -223,9 +223,9 @@ class SignalChain:
         ``intervals`` is how long the pause was, in intervals of SYNC. If the machine was moving and
         at that speed could have left the cycle meanwhile, the position is lost; so is one that is in doubt
         and was not valid: the samples that would have decided do not come. One that was lost before the
-        pause starts again, at cycle count 0: at once if the machine stood when it was lost and its phases
-        did since, or if they did for STILL_SAMPLES; else once they have. Likewise after :meth:`reset`
-        while it turned, unless by the declared acceleration it has stayed below half a cycle per interval.
+        pause starts again, at cycle count 0, if the machine stood when it was lost and its phases did
+        since. After :meth:`reset` it does, unless the machine turned at it, by the declared acceleration to
+        half a cycle per interval and more; or it was lost, and its phases had not stood for STILL_SAMPLES.
         """
         if self._times.gap:  # the receptions that would decide do not come
             self.uncertain(self._times.gap)

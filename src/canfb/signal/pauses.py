@@ -2,9 +2,9 @@
 
 In a pause nobody counts. A machine that stood still then is less than half a cycle away, and its phase says
 where. One that was moving may be anywhere: at the speed that it had, and the acceleration that is declared,
-could it have left its cycle? If so the position is lost. After a reset the position is lost in any case, and
-starts again at cycle count 0; but eq. 9 starts from standstill, so a machine that may still turn is waited
-for.
+could it have left its cycle? If so the position is lost. After a reset it starts again at cycle count 0, but
+eq. 9 does from standstill: it is lost where the machine may still turn. Another reset ends that, if the
+phases before it were equal.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ class Pauses:
     def forget(self) -> None:
         """The position starts again, by itself or at a speed that is known."""
         self._turned = 0.0  # the speed at a reset, cycles per interval, where the position started again
+        self._waits = False  # at a reset it was lost, and the machine may have turned
 
     def slips(self, intervals: float) -> bool:
         """In so many intervals the machine goes so far that its phase could mislead."""
@@ -46,14 +47,11 @@ class Pauses:
         """Start again at cycle count 0; the next :meth:`resume` considers that the machine may turn."""
         stages, estimator = self._stages, self._stages.estimator
         if estimator.lost:
-            waits, turned = not estimator.stands_still, 0.0
+            self._waits, self._turned = not estimator.stands_still, 0.0
         elif estimator.tracker.started:
             step = abs(estimator.tracker.step_cycles)
-            waits, turned = False, step if step > STILL_CYCLES else 0.0
-        else:  # no sample since the last reset
-            waits, turned = stages.waits, self._turned
+            self._waits, self._turned = False, step if step > STILL_CYCLES else 0.0
         stages.restart()
-        stages.waits, self._turned = waits, turned
 
     def resume(self, intervals: float) -> bool:
         """Go on after so many intervals; True if the position goes on, and was not started again.
@@ -61,7 +59,7 @@ class Pauses:
         The rules are in :meth:`canfb.signal.chain.SignalChain.resume`.
         """
         stages, estimator = self._stages, self._stages.estimator
-        if estimator.lost or stages.waits or self._turned:
+        if estimator.lost or self._waits or self._turned:
             self._start_again(intervals)
             return False
         undecided = estimator.in_doubt and not stages.was_valid
@@ -69,26 +67,23 @@ class Pauses:
         return True
 
     def _start_again(self, intervals: float) -> None:
-        """From cycle count 0, now or at the next standstill.
+        """From cycle count 0, or not at all.
 
-        After a reset the first sample is cycle 0 at any speed that uneven times find. A position that was
-        lost in motion stays lost: equal phases do not exclude motion.
+        After a reset the first sample is cycle 0 at any speed that uneven times find.
         """
         stages, estimator = self._stages, self._stages.estimator
-        was_lost, declared = estimator.lost, estimator.declared
-        if was_lost and not (stages.waits or estimator.stays_still):
+        if estimator.lost and not estimator.stays_still:
             # Samples of whole cycles per interval equal those of a machine at rest, however many.
             stages.resume(moved=True, starts=False)
             return
+        declared = estimator.declared
         acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
         fastest = self._turned + acceleration * intervals
-        waits = not estimator.stands_still if was_lost else stages.waits
-        waits |= self._turned > 0.0 and fastest >= FASTEST_STANDSTILL_CYCLES
+        waits = self._waits or (self._turned > 0.0 and fastest >= FASTEST_STANDSTILL_CYCLES)
         self.forget()
         stages.restart()
         if waits:
-            stages.waits = True
-            stages.lose_after_pause(starts=not was_lost)
+            stages.lose_after_pause(starts=True)
 
     def _could_move(self, intervals: float) -> bool:
         """At the last speeds the machine leaves its cycle within so many intervals.

@@ -75,7 +75,6 @@ class Stages:
     last        its feedback, None after a start and after a run on arrays
     place       its place, if it was taken; ``was_valid``: not 0 if it was valid
     clock       sampling intervals since the start
-    waits       the position is lost until the machine stands, and starts again there
     """
 
     def __init__(self, config: ChainConfig, table: CorrectionTable | None) -> None:
@@ -91,7 +90,6 @@ class Stages:
         self.last: Feedback | None = None
         self.place: Track | Feedback | None = None
         self.clock = 0.0
-        self.waits = False
         self._nothing_in_doubt = False  # the next sample may be a usual one
         self._stands = False  # the counts repeat, and the machine stands still
         self._sine = self._cosine = nan  # counts of the last sample
@@ -166,7 +164,6 @@ class Stages:
         self.reference.restart()
         if self.second is not None:
             self.second.restart()
-        self.waits = False
         self._forget_sample()
         self._speed = float(speed_cycles)
         self._expect(self._speed)
@@ -210,8 +207,6 @@ class Stages:
         turn: after one interval, or where ``timed`` after no more than HOLE_INTERVALS.
         """
         usual = self._nothing_in_doubt and extras is None
-        if self.waits and not usual and self.estimator.stands_still:
-            self.restart()
         tracks = self.tracks
         offset_s, gain_s, offset_c, factor_c, skew = tracks.coefficients
         lowest, highest, smallest, largest = self._supervision.bounds
@@ -342,7 +337,6 @@ class Stages:
     def _look_again(self, feedback: Feedback) -> None:
         """After ``feedback``: may the next sample be a usual one?"""
         estimator, frozen = self.estimator, self._frozen
-        self.waits = self.waits and estimator.lost  # what was found goes on, and is not started again
         in_doubt = estimator.in_doubt or self.reference.in_doubt or self.second is not None
         self._stands = frozen.stands
         faulty = self._supervision.after_fault or (frozen.repeats and not self._stands)
@@ -384,8 +378,7 @@ class Stages:
     def continues(self, tracked: TrackResult, at: int) -> bool:
         """:meth:`follow_run` may begin at ``at``: what eq. 9 needs stands before, and nothing is in doubt."""
         doubts = (
-            self.waits
-            or self.estimator.in_doubt
+            self.estimator.in_doubt
             or self.estimator.searches
             or self._supervision.after_fault
             or self.reference.in_doubt

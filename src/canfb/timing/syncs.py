@@ -290,7 +290,7 @@ class Syncs:
         late_s = time_s - grid.due - lost * grid.period
         apart_s = time_s - self._received_s
         early, late = late_s < -HALF * grid.period, late_s > (turn - 1 + LATE) * grid.period
-        if early and missing is not None and missing and late_s < -grid.period:
+        if early and missing:
             # It was due much later: a counter that jumped, or one of another producer.
             doubt, lost, late_s = float(lost), 0, time_s - grid.due
         else:
