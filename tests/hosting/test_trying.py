@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -108,9 +109,9 @@ def test_a_bus_that_fails_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
     assert ended == ["end"]
 
 
-def test_a_bus_that_cannot_be_opened_leaves_nothing() -> None:
+def test_a_bus_that_cannot_be_opened_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     network = NetworkOnBus(example({"interface": "udp_multicast", "channel": "127.0.0.1"}), 100.0)
-    folder = Path(str(network.config.modules[0].state_dir))
     with pytest.raises(BusError, match="cannot open the bus"), network:
         pass
-    assert not folder.exists()
+    assert list(tmp_path.iterdir()) == []

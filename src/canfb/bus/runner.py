@@ -19,6 +19,7 @@ import gc
 import logging
 import signal
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -292,11 +293,11 @@ class Runner:
 def _in_one_line(error: Exception) -> str:
     """What was raised, and where."""
     text = " ".join(str(error).split())
-    last = error.__traceback__
-    while last is not None and last.tb_next is not None:
-        last = last.tb_next
-    where = "" if last is None else f" ({Path(last.tb_frame.f_code.co_filename).name}:{last.tb_lineno})"
-    return f"{type(error).__name__}{': ' if text else ''}{text}{where}"
+    where = [
+        f" ({Path(last.filename).name}:{last.lineno})"
+        for last in traceback.extract_tb(error.__traceback__)[-1:]
+    ]
+    return f"{type(error).__name__}{': ' if text else ''}{text}{''.join(where)}"
 
 
 @contextlib.contextmanager

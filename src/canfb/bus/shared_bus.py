@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import can
@@ -105,33 +107,17 @@ class _Branch(can.BusABC):
         self._shared.release(self)
 
 
-END_S = 10.0
+@contextlib.contextmanager
+def beside(work: Callable[[], None], stop: Callable[[], None], failed: Callable[[], None]) -> Iterator[None]:
+    """``work`` runs in a thread while this is entered; ``stop`` ends it.
 
-
-class ListeningThread:
-    """Runs ``listen`` in a thread; ``ended`` is called then, from it."""
-
-    def __init__(self, listen: Callable[[], None], stop: Callable[[], None]) -> None:
-        self._listen, self._stop = listen, stop
-        self._error: Exception | None = None
-        self._ended: Callable[[], None] = lambda: None
-        self._thread = threading.Thread(target=self._work, name="canfb monitor --web listening")
-
-    def begin(self, ended: Callable[[], None]) -> None:
-        """Begin; ``ended`` is called where it fails."""
-        self._ended = ended
-        self._thread.start()
-
-    def end(self) -> None:
-        """Stop it; what it has raised is raised here."""
-        self._stop()
-        self._thread.join(END_S)
-        if self._error is not None:
-            raise self._error
-
-    def _work(self) -> None:
+    What it raises is raised at the end; ``failed`` is called at once then, from the thread.
+    """
+    with ThreadPoolExecutor(1, "canfb listening") as threads:
+        future = threads.submit(work)
+        future.add_done_callback(lambda done: failed() if done.exception() else None)
         try:
-            self._listen()
-        except Exception as error:
-            self._error = error
-            self._ended()
+            yield
+        finally:
+            stop()
+    future.result()

@@ -154,10 +154,15 @@ class StateFiles(Closing):
             handle = os.open(self.folder / name, os.O_RDONLY)
         except FileNotFoundError:
             return None
+        data = b""
         try:
-            return _read_all(handle)
+            while part := os.read(handle, 1 << 16):
+                data += part
+                if len(data) > LARGEST_FILE:
+                    raise OSError(errno.EFBIG, "it is far too large")
         finally:
             os.close(handle)
+        return data
 
     def _write(self, name: str, data: bytes) -> None:
         """The whole file, or what it was before."""
@@ -179,15 +184,6 @@ class StateFiles(Closing):
 
 def _file_name(group: ParameterGroup) -> str:
     return f"{group.name.lower()}.bin"
-
-
-def _read_all(handle: int) -> bytes:
-    data = b""
-    while part := os.read(handle, 1 << 16):
-        data += part
-        if len(data) > LARGEST_FILE:
-            raise OSError(errno.EFBIG, "it is far too large")
-    return data
 
 
 def _pack(changes: Changes) -> bytes:
@@ -249,7 +245,7 @@ class ThreadedStore(Closing):
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._begun: deque[Future[OSError | None]] = deque()
+        self._begun: deque[Future[None]] = deque()
         self._executor = ThreadPoolExecutor(1, "canfb-save")
         self._switch_s = sys.getswitchinterval()
         sys.setswitchinterval(min(SWITCH_S, self._switch_s))
@@ -267,27 +263,21 @@ class ThreadedStore(Closing):
 
     def save(self, changes: Changes) -> None:
         """Keep ``changes``, and wait for it; OSError if that fails."""
-        error = self._executor.submit(self._write, changes).result()
-        if error is not None:
-            raise error
+        self._executor.submit(self._store.save, changes).result()
 
     def begin(self, changes: Changes) -> None:
         """Begin to keep ``changes``, behind those that were begun."""
-        self._begun.append(self._executor.submit(self._write, changes))
+        self._begun.append(self._executor.submit(self._store.save, changes))
 
     def ended(self) -> list[OSError | None]:
         """What has ended since the last call, in order."""
-        ended = []
+        ended: list[OSError | None] = []
         while self._begun and self._begun[0].done():
-            ended.append(self._begun.popleft().result())
+            try:
+                ended.append(self._begun.popleft().result())
+            except OSError as error:
+                ended.append(error)
         return ended
-
-    def _write(self, changes: Changes) -> OSError | None:
-        try:
-            self._store.save(changes)
-        except OSError as error:
-            return error
-        return None
 
 
 class SavedParameters(StateFiles):
@@ -302,7 +292,7 @@ class SavedParameters(StateFiles):
         before = super().load()
         for _ in range(_MOST_READINGS):
             again = super().load()
-            if _content(again) == _content(before):
+            if _comparable(again) == _comparable(before):
                 break
             before = again
         return before
@@ -312,6 +302,6 @@ class SavedParameters(StateFiles):
         raise OSError(errno.EROFS, f"{self.folder} is open for reading only")
 
 
-def _content(kept: Mapping[ParameterGroup, bytes | OSError]) -> dict[ParameterGroup, bytes | str]:
-    """What two readings are compared by: two errors are never equal as objects."""
-    return {group: str(image) if isinstance(image, OSError) else image for group, image in kept.items()}
+def _comparable(kept: Mapping[ParameterGroup, bytes | OSError]) -> dict[ParameterGroup, str]:
+    """Two errors are never equal as objects."""
+    return {group: str(image) for group, image in kept.items()}

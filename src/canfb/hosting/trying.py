@@ -20,9 +20,10 @@ from typing import Any, Self
 
 import can
 
+from canfb.bus.bus_state import BUS_FAILS
 from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE
 from canfb.bus.opening import MULTICAST, group_port, open_device_bus
-from canfb.bus.shared_bus import ListeningThread
+from canfb.bus.shared_bus import beside
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.configuration import Config
 from canfb.errors import BusError, reason
@@ -78,18 +79,13 @@ class NetworkOnBus:
     def __init__(
         self, config: Config, rate_hz: float, *, first: Sequence[Frame] = (), events: EventLog | None = None
     ) -> None:
-        self._held = contextlib.ExitStack()
-        folder = self._held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-"))
-        module = replace(config.modules[0], state_dir=folder)
-        self.config = replace(config, modules=[module])
-        self.module = make_module(module, self._held, config.bus)
+        self.config = config
         self.on_end: Callable[[], None] = lambda: None
         self._first, self._events = first, events
         self._rate_hz = rate_hz
         self._network = EmbeddedBus()
         self._received: Frame | None = None
         self._stopped = threading.Event()
-        self._thread = ListeningThread(self._run, self.stop)
 
     @property
     def words(self) -> dict[str, Any]:
@@ -97,36 +93,30 @@ class NetworkOnBus:
         return self.config.bus
 
     def __enter__(self) -> Self:
-        try:
-            self._bus = self._held.enter_context(open_device_bus(self.words))
-            (module,) = self.config.modules
+        network, events = self._network, self._events
+        with contextlib.ExitStack() as held:
+            folder = held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-"))
+            module = replace(self.config.modules[0], state_dir=folder)
+            self.config = replace(self.config, modules=[module])
+            self.module = make_module(module, held, self.words)
+            self._bus = held.enter_context(open_device_bus(self.words))
             play = Play(rate_hz=self._rate_hz, autostart=module.autostart)
             simulated = set_up(self.config.simulation, fed_module(module), play, lambda text: None)
-            if self._events is not None:
-                self._events.watch(self.module, self.module.events)
-            self._network.observers.append(self._send)
+            if events is not None:
+                events.watch(self.module, self.module.events)
+                held.callback(lambda: events.close(network.now))
+            network.observers.append(self._send)
             for device in (*simulated.devices, self.module):
-                self._network.attach(device)
+                network.attach(device)
             for frame in self._first:
-                self._network.send(frame)
-        except BaseException:
-            self.close()
-            raise
-        if self._events is not None:
-            self._events.begin()
-        self._thread.begin(self._failed)
+                network.send(frame)
+            if events is not None:
+                events.begin()
+            held.enter_context(beside(self._run, self.stop, self._failed))
+            self._held = held.pop_all()
         return self
 
     def __exit__(self, *raised: object) -> None:
-        try:
-            self._thread.end()
-        finally:
-            if self._events is not None:
-                self._events.close(self._network.now)
-            self.close()
-
-    def close(self) -> None:
-        """What it holds, also where it was never entered."""
         self._held.close()
 
     def stop(self) -> None:
@@ -142,6 +132,12 @@ class NetworkOnBus:
         self.on_end()
 
     def _run(self) -> None:
+        try:
+            self._play()
+        except (can.CanError, OSError) as error:
+            raise BusError(f"{BUS_FAILS}: {reason(error)}") from error
+
+    def _play(self) -> None:
         network, step_s, due = self._network, 1.0 / self._rate_hz, time.monotonic()
         while not self._stopped.is_set():
             self._receive(max(0.0, due - time.monotonic()))
@@ -154,10 +150,7 @@ class NetworkOnBus:
 
     def _receive(self, wait_s: float) -> None:
         """Take what other programs send."""
-        try:
-            received = self._bus.receive(wait_s)
-        except (can.CanError, OSError) as error:
-            raise BusError(f"the bus fails: {reason(error)}") from error
+        received = self._bus.receive(wait_s)
         if received is not None and not received[0] & (ERROR | EXTENDED):
             can_id, data, _ = received
             self._received = Frame(can_id & HIGHEST_ID, data, bool(can_id & REMOTE))
@@ -165,9 +158,5 @@ class NetworkOnBus:
 
     def _send(self, frame: Frame, now: float) -> None:
         """What the network sends; not what it has received."""
-        if frame is self._received:
-            return
-        try:
+        if frame is not self._received:
             self._bus.send(frame.can_id, bytes(frame.data), frame.rtr)
-        except (can.CanError, OSError) as error:
-            raise BusError(f"the bus fails: {reason(error)}") from error

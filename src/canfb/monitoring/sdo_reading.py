@@ -11,11 +11,11 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 from canfb import objects as od
 from canfb.bus.bus_master import BusMaster
-from canfb.bus.shared_bus import ListeningThread, SharedBus
+from canfb.bus.shared_bus import SharedBus, beside
 from canfb.errors import CanfbError
 from canfb.master.access import NodeAccess, RefusedError
 from canfb.master.all_or_nothing import active_conditioning, read_active
@@ -121,15 +121,9 @@ class SdoThread:
         self._bus, self._readers, self._latest, self._take, self._wanted = bus, readers, latest, take, wanted
         self._stopped = threading.Event()
 
-    @contextlib.contextmanager
-    def running(self, failed: Callable[[], None]) -> Iterator[None]:
+    def running(self, failed: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
         """It reads while this is entered; ``failed`` is called, from its thread, if it ends by an error."""
-        thread = ListeningThread(self._run, self._stopped.set)
-        thread.begin(failed)
-        try:
-            yield
-        finally:
-            thread.end()
+        return beside(self._run, self._stopped.set, failed)
 
     def _run(self) -> None:
         while not self._stopped.wait(LOOK_S):
