@@ -25,6 +25,7 @@ FULL = can.CanOperationError("Failed to transmit: No buffer space available", er
 OFF_LINE = "the CAN controller is bus-off"
 DOWN_LINE = f"the bus fails: {reason(DOWN)}"
 ON_LINE = "the CAN controller is on the bus again"
+FRAME = message(0x080)
 
 
 class Watching(FakeDevice):
@@ -44,172 +45,150 @@ class Watching(FakeDevice):
         return [Frame(0x0A0, bytes(8))]
 
 
-class Scene:
-    def __init__(self, *plan: tuple[float, can.Message | Exception]) -> None:
-        self.clock = FakeClock()
-        self.bus = FakeBus(self.clock, plan)
-        self.lines: list[str] = []
-        self.device = Watching(self.clock)
-        self.others: list[Any] = []
+def sending(refuse: Any, *periods_s: float) -> dict[str, Any]:
+    """What the bus refuses, by the time; and the periods of devices that send."""
+    return {"refuse": refuse, "periods_s": periods_s}
 
-    def run(self, duration_s: float) -> Scene:
-        bus: Any = self.bus
-        runner = Runner(
-            frame_bus(bus), [self.device, *self.others], self.lines.append, self.clock, self.clock.sleep
+
+def play(
+    plan: Any, duration_s: float, *others: Any, refuse: Any = lambda at: None, periods_s: Any = ()
+) -> tuple[Watching, FakeBus, list[str]]:
+    """A device that watches the bus, beside others; what was sent, and what was reported."""
+    clock = FakeClock()
+    bus = FakeBus(clock, plan)
+    bus.refuse, bus.end_s = refuse, duration_s
+    lines: list[str] = []
+    device = Watching(clock)
+    made = [one(clock) if callable(one) else one for one in others]
+    devices = [device, *made, *(FakeDevice(clock, period_s=period_s) for period_s in periods_s)]
+    fake: Any = bus
+    runner = Runner(frame_bus(fake), devices, lines.append, clock, clock.sleep)
+    runner.run(finished=lambda: bus.at >= duration_s)
+    return device, bus, lines
+
+
+GONE = can.CanOperationError("the adapter is gone")
+UNPACKED = can.CanOperationError("could not unpack")
+DOWNS = [DOWN, *(OSError(code, "down") for code in (errno.ENETDOWN, errno.ENODEV, errno.ENXIO))]
+SHORT = [(1.0 + 0.1 * n, RESTARTED if n % 2 else BUS_OFF) for n in range(20)]  # a short circuit, restart-ms
+
+# What happens; when the device hears of it: (off), (off, back), ...; and the lines, None: not looked at.
+SCENES: dict[str, tuple[list[Any], dict[str, Any], list[float], list[str] | None]] = {
+    "an automatic restart": (
+        [(1.0, BUS_OFF), (1.1, RESTARTED)],
+        {},
+        [1.0, 1.1 + SETTLED_S],
+        [OFF_LINE, ON_LINE],
+    ),
+    "twice": (
+        [(1.0, BUS_OFF), (1.1, RESTARTED), (5.0, BUS_OFF), (5.1, RESTARTED)],
+        {},
+        [1.0, 1.1 + SETTLED_S, 5.0, 5.1 + SETTLED_S],
+        [OFF_LINE, ON_LINE] * 2,
+    ),
+    "nobody restarts it": ([(1.0, BUS_OFF)], {}, [1.0], [OFF_LINE]),
+    "several are one": ([(1.0, BUS_OFF), (1.01, BUS_OFF), (1.02, BUS_OFF)], {}, [1.0], None),
+    "error frames are no life": ([(1.0, BUS_OFF), (1.1, WARNING), (1.2, WARNING)], {}, [1.0], None),
+    "a driver's queue is none": ([(1.0, BUS_OFF)], sending(lambda at: None, 0.1), [1.0], None),
+    "a frame that was received": ([(1.0, BUS_OFF), (3.0, FRAME)], {}, [1.0, 3.0 + SETTLED_S], None),
+    "warnings": ([(0.1 * n, WARNING) for n in range(1, 20)], {}, [], []),
+    "frames": ([(0.1 * n, FRAME) for n in range(1, 20)], {}, [], []),
+    # SocketCAN says it once to the reader; then nothing comes, and sending fails.
+    "down": (
+        [(1.0, DOWN)],
+        sending(lambda at: DOWN if 1.0 <= at < 4.0 else None, 0.5),
+        [1.0, 4.0 + SETTLED_S],
+        [DOWN_LINE, "the bus works again"],
+    ),
+    "reading fails on and on": (
+        [*((1.0, GONE) for _ in range(10)), (5.0, FRAME)],
+        {},
+        [1.0 + LASTING_S, 5.0 + SETTLED_S],
+        None,
+    ),
+    "bad datagrams": ([(0.1 * n, UNPACKED if n % 2 else FRAME) for n in range(1, 60)], {}, [], None),
+    **{
+        f"sending fails: {error!r}": (
+            [],
+            sending(lambda at, error=error: error if at < 1.05 else None, 0.5),
+            [0.5, 1.5 + SETTLED_S],
+            None,
         )
-        self.bus.end_s = duration_s
-        runner.run(finished=lambda: self.bus.at >= duration_s)
-        return self
-
-    @property
-    def words(self) -> list[str]:
-        return [word for word, _ in self.device.told]
-
-
-def test_bus_off_and_an_automatic_restart() -> None:
-    scene = Scene((1.0, BUS_OFF), (1.1, RESTARTED)).run(5.0)
-    (off, off_s), (back, back_s) = scene.device.told
-    assert (off, back) == ("off", "back")
-    assert off_s == 1.0
-    assert 1.1 + SETTLED_S <= back_s <= 1.1 + SETTLED_S + 0.11
-    assert scene.bus.sent_ids() == [0x0A0], "what it says to that goes out"
-    assert scene.lines == [OFF_LINE, ON_LINE]
+        for error in DOWNS
+    },
+    # With nobody on the bus who acknowledges the controller is passive, but not off.
+    **{
+        f"a full queue: {error}": ([], sending(lambda at, error=error: error, 0.1), [], None)
+        for error in (FULL, GONE)
+    },
+}
 
 
-def test_the_second_time_is_like_the_first() -> None:
-    scene = Scene((1.0, BUS_OFF), (1.1, RESTARTED), (5.0, BUS_OFF), (5.1, RESTARTED)).run(9.0)
-    assert scene.words == ["off", "back"] * 2
-    assert scene.lines == [OFF_LINE, ON_LINE] * 2
-
-
-@pytest.mark.parametrize(
-    ("plan", "told"),
-    [
-        ([(1.0, BUS_OFF)], ["off"]),
-        ([(1.0, BUS_OFF), (1.01, BUS_OFF), (1.02, BUS_OFF)], ["off"]),
-        ([(1.0, BUS_OFF), (1.1, WARNING), (1.2, WARNING)], ["off"]),
-        ([(1.0, BUS_OFF), (3.0, message(0x080))], ["off", "back"]),
-    ],
-)
-def test_what_is_a_sign_of_life(plan: list[tuple[float, can.Message]], told: list[str]) -> None:
-    assert Scene(*plan).run(9.0).words == told
-
-
-def test_a_frame_that_was_sent_proves_nothing_while_the_controller_is_off() -> None:
-    """Its driver takes some frames into a queue."""
-    scene = Scene((1.0, BUS_OFF))
-    scene.others = [FakeDevice(scene.clock, period_s=0.1)]
-    assert scene.run(10.0).words == ["off"]
-
-
-@pytest.mark.parametrize("frame", [WARNING, message(0x181)])
-def test_other_error_frames_and_frames_tell_nobody(frame: can.Message) -> None:
-    scene = Scene(*((0.1 * n, frame) for n in range(1, 20))).run(5.0)
-    assert (scene.device.told, scene.lines) == ([], [])
+@pytest.mark.parametrize("name", SCENES)
+def test_who_is_told_what_and_when(name: str) -> None:
+    plan, options, told_s, said = SCENES[name]
+    device, bus, lines = play(plan, 9.0, **options)
+    assert [word for word, _ in device.told] == (["off", "back"] * len(told_s))[: len(told_s)]
+    for (_, at), want_s in zip(device.told, told_s, strict=True):
+        assert want_s - 1e-6 <= at <= want_s + RETRY_S + 0.11
+    assert said is None or lines == said
+    assert bus.sent_ids().count(0x0A0) == len(told_s) // 2, "what it says to that goes out"
 
 
 def test_off_and_on_and_off_is_reported_once_and_each_time_it_is_an_error() -> None:
-    """A short circuit with restart-ms: a master may have started the nodes again in between."""
-    plan = [(1.0 + 0.1 * n, RESTARTED if n % 2 else BUS_OFF) for n in range(20)]
-    scene = Scene(*plan).run(6.0)
-    assert scene.words == ["off"] * 10 + ["back"]
-    assert scene.lines == [OFF_LINE, ON_LINE]
-
-
-def test_an_interface_that_is_down_fails_but_once_to_the_reader() -> None:
-    """So it is with SocketCAN; then nothing comes, and sending fails."""
-    scene = Scene((1.0, DOWN))
-    scene.bus.refuse = lambda at: DOWN if 1.0 <= at < 4.0 else None
-    scene.others = [FakeDevice(scene.clock, period_s=0.5)]
-    scene.run(8.0)
-    (_, off_s), (_, back_s) = scene.device.told
-    assert off_s == 1.0
-    assert 4.0 + SETTLED_S <= back_s <= 4.5 + SETTLED_S + 0.11
-    assert scene.lines == [DOWN_LINE, "the bus works again"], "an outage is one line"
-
-
-@pytest.mark.parametrize("code", [errno.ENETDOWN, errno.ENODEV, errno.ENXIO])
-@pytest.mark.parametrize("kind", ["can", "system"])
-def test_sending_tells_that_the_interface_is_down(code: int, kind: str) -> None:
-    scene = Scene()
-    error = OSError(code, "down") if kind == "system" else can.CanOperationError("down", code)
-    scene.bus.refuse = lambda at: error if at < 1.05 else None
-    scene.others = [FakeDevice(scene.clock, period_s=0.5)]
-    assert scene.run(5.0).words == ["off", "back"]
-
-
-@pytest.mark.parametrize("error", [FULL, can.CanOperationError("Transmit buffer full")])
-def test_a_full_queue_is_no_bus_off(error: Exception) -> None:
-    """As it is with nobody on the bus who acknowledges: the controller is passive, but not off."""
-    scene = Scene()
-    scene.bus.refuse = lambda at: error
-    scene.others = [FakeDevice(scene.clock, period_s=0.1)]
-    assert scene.run(5.0).device.told == []
-
-
-def test_reading_that_fails_on_and_on_is_a_bus_that_is_gone() -> None:
-    broken = can.CanOperationError("the adapter is gone")
-    scene = Scene(*((1.0, broken) for _ in range(10)), (5.0, message(0x080))).run(9.0)
-    (_, off_s), (_, back_s) = scene.device.told
-    assert 1.0 + LASTING_S <= off_s <= 1.0 + LASTING_S + RETRY_S
-    assert 5.0 + SETTLED_S <= back_s <= 5.0 + SETTLED_S + 0.11
-
-
-def test_single_bad_datagrams_are_not() -> None:
-    bad = can.CanOperationError("could not unpack")
-    plan = [(0.1 * n, bad if n % 2 else message(0x181)) for n in range(1, 60)]
-    assert Scene(*plan).run(8.0).device.told == []
+    """A master may have started the nodes again in between."""
+    device, _, lines = play(SHORT, 6.0)
+    assert [word for word, _ in device.told] == ["off"] * 10 + ["back"]
+    assert lines == [OFF_LINE, ON_LINE]
 
 
 def test_two_devices_and_one_that_does_not_want_to_know() -> None:
-    scene = Scene((1.0, BUS_OFF), (1.1, RESTARTED))
-    other, deaf = Watching(scene.clock), FakeDevice(scene.clock)
-    scene.others = [deaf, other]
-    scene.run(5.0)
+    others: list[Any] = []
+
+    def both(clock: FakeClock) -> Any:
+        others.extend((FakeDevice(clock), Watching(clock)))
+        return others[0]
+
+    play([(1.0, BUS_OFF), (1.1, RESTARTED)], 5.0, both, lambda clock: others[1])
+    deaf, other = others
     assert [word for word, _ in other.told] == ["off", "back"]
     assert deaf.heard_ids() == [0x0A0, 0x0A0]
     assert other.heard_ids() == [0x0A0], "each hears what the others say, not itself"
 
 
 def test_the_module_stops_and_says_that_the_bus_is_back() -> None:
-    scene = Scene((1.0, BUS_OFF), (1.5, RESTARTED))
     module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
     states: list[object] = []
     module.events.on_event = lambda event: states.append(event.values.get("state"))
-    scene.others = [module]
-    scene.run(5.0)
+    _, bus, _ = play([(1.0, BUS_OFF), (1.5, RESTARTED)], 5.0, module)
     assert states == ["PRE-OPERATIONAL", "OPERATIONAL", "PRE-OPERATIONAL"]
-    sent = [(sent.arbitration_id, bytes(sent.data).hex()) for _, sent in scene.bus.sent]
+    sent = [(sent.arbitration_id, bytes(sent.data).hex()) for _, sent in bus.sent]
     assert (0x0A0, "4081110000000000") in sent
     assert (0x0A0, "0000000000000000") in sent
-
-
-BOOT_UP = Frame(0x720, b"\0")
 
 
 @pytest.mark.parametrize("error", [DOWN, FULL])
 def test_a_boot_up_that_failed_is_sent_before_all_else_when_the_bus_is_there(error: Exception) -> None:
     """Once; its device was not on the bus before, so nothing has been lost for it."""
-    scene = Scene()
-    scene.bus.refuse = lambda at: error if at < 3.0 else None
-    starting = Watching(scene.clock, boot=(BOOT_UP, Frame(0x721, b"\x05")))
-    scene.others = [starting, FakeDevice(scene.clock, period_s=0.7)]
-    scene.run(8.0)
-    sent = [(at, one.arbitration_id) for at, one in scene.bus.sent]
+    starting: list[Watching] = []
+
+    def boots(clock: FakeClock) -> Watching:
+        starting.append(Watching(clock, boot=(Frame(0x720, b"\0"), Frame(0x721, b"\x05"))))
+        return starting[0]
+
+    device, bus, _ = play([], 8.0, boots, **sending(lambda at: error if at < 3.0 else None, 0.7))
+    sent = [(at, one.arbitration_id) for at, one in bus.sent]
     assert sent[0] == (pytest.approx(3.0, abs=RETRY_S + 0.1), 0x720)
     assert [can_id for _, can_id in sent].count(0x720) == 1
     assert 0x721 not in [can_id for _, can_id in sent], "a heartbeat that is late helps nobody"
-    assert starting.told == []
-    assert scene.words == (["off", "back"] if error is DOWN else [])
+    assert starting[0].told == []
+    assert [word for word, _ in device.told] == (["off", "back"] if error is DOWN else [])
 
 
 def test_a_module_that_starts_without_a_bus_starts_as_usual_when_it_is_there() -> None:
     """Nobody would start a module with autostart again."""
-    scene = Scene()
-    scene.bus.refuse = lambda at: DOWN if at < 3.0 else None
     module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
-    scene.others = [module]
-    scene.run(8.0)
-    assert scene.bus.sent_ids()[0] == 0x720
+    _, bus, lines = play([], 8.0, module, refuse=lambda at: DOWN if at < 3.0 else None)
+    assert bus.sent_ids()[0] == 0x720
     assert module.state is NmtState.OPERATIONAL
-    assert scene.lines == [DOWN_LINE, "the bus works again"]
+    assert lines == [DOWN_LINE, "the bus works again"]

@@ -84,17 +84,6 @@ def test_frames_that_wait_over_a_step_have_no_time(clocks: Clocks, step_s: float
     )
 
 
-@pytest.mark.parametrize("step_s", STEPS)
-def test_a_step_while_the_queue_is_empty_is_noticed_at_the_next_frame(clocks: Clocks, step_s: float) -> None:
-    times = clocks.times()
-    times.emptied()
-    clocks.ahead_s += step_s
-    times.emptied()
-    assert times.received(clocks.stamp(), clocks.now) is None, "it may have come before the step"
-    times.emptied()
-    assert times.received(clocks.stamp(), clocks.now) == pytest.approx(clocks.now, abs=RESOLUTION_S)
-
-
 @given(st.sampled_from(STEPS), st.sampled_from(STEPS), st.floats(0.0, 0.5))
 def test_no_frame_gets_a_time_of_the_wrong_clock(first_s: float, second_s: float, ago_s: float) -> None:
     clocks = Clocks()
@@ -138,15 +127,6 @@ def test_a_processor_that_is_away_between_two_looks_makes_no_step(clocks: Clocks
     assert got == pytest.approx(now - 0.002, abs=RESOLUTION_S)
     clocks.now += 0.01
     assert times.received(clocks.stamp(), clocks.now) == pytest.approx(clocks.now, abs=RESOLUTION_S)
-
-
-@pytest.mark.parametrize("away_s", [[0.01, 0.02], [0.0, 0.3, 0.0], [0.01, 0.01, 0.0]])
-def test_one_undisturbed_look_is_enough_at_the_start(clocks: Clocks, away_s: list[float]) -> None:
-    clocks.away_s = [*away_s]
-    times = clocks.times()
-    assert times.received(clocks.stamp(0.001), clocks.now) == pytest.approx(
-        clocks.now - 0.001, abs=RESOLUTION_S
-    )
 
 
 class Adapter:

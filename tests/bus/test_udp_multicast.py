@@ -126,22 +126,3 @@ def test_a_master_starts_both_sees_positions_and_a_signal_ends_both(
     assert len(places) > len(positions) // 2  # a busy machine may stall the bus
     assert places[-1] - places[0] > 2500 * 8192 // 20, "the machine has begun to turn"
     assert places == sorted(places)
-
-
-def test_a_recording_is_played_to_its_end_and_the_simulator_ends_by_itself(
-    bus: can.BusABC, start: Callable[..., subprocess.Popen[str]], tmp_path: Path
-) -> None:
-    rows = [(100 * n, -100 * n) for n in range(10)]
-    path = tmp_path / "tracks.csv"
-    path.write_text("sine,cosine\n" + "".join(f"{sine},{cosine}\n" for sine, cosine in rows))
-    simulator = start("simulate", "--rate", "500", "--samples", str(path), "--autostart")
-    played = []
-    for message in frames(bus):
-        if message.arbitration_id == ADC:
-            played.append(struct.unpack("<hh", message.data[:4]))
-            if len(played) == len(rows):
-                break
-    assert played == rows
-    status, output, errors = ended(simulator)
-    assert (status, errors) == (0, "")
-    assert output.splitlines()[-1] == "10 samples sent; end of the recording"

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import errno
-import os
 import shutil
 import threading
 from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from crashing_disk import RealDisk, Trouble
 
 from canfb.device.storage.image import ParameterGroup as Group
 from canfb.device.storage.storage import BackgroundStore, Changes, MemoryStore
-from canfb.hosting import state_files
 from canfb.hosting.state_files import StateFiles, ThreadedStore
 
 OLD: Changes = {Group.COMMUNICATION: b"old c" * 9, Group.MANUFACTURER: b"old table" * 20}
@@ -72,29 +69,6 @@ def test_the_end_waits_for_what_was_begun(tmp_path: Path) -> None:
             store.begin(NEW)
         assert files.load() == NEW
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("canfb-save")]
-
-
-@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EROFS, errno.EIO])
-def test_a_disk_that_fails_at_any_call_leaves_old_or_new(
-    error: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    at, finished = 0, False
-    while not finished:
-        at += 1
-        folder = tmp_path / str(at)
-        with StateFiles(folder) as files, ThreadedStore(files) as store:
-            store.save(OLD)
-            trouble = Trouble(at, lambda: OSError(error, os.strerror(error)))
-            with monkeypatch.context() as patched:
-                patched.setattr(state_files, "os", RealDisk(trouble))
-                store.begin(NEW)
-                (failed,) = all_ended(store, 1)
-            finished = trouble.calls < at
-            assert failed is None or failed.errno == error
-            assert files.load() == (OLD if failed else NEW), at
-            store.save(NEW)
-            assert files.load() == NEW
-    assert at > 20
 
 
 def test_a_folder_that_vanishes_and_comes_back(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import canfb
 from canfb.cli.main import main
 from canfb.hosting.event_log import BURST, LONGEST_WINDOW_S, WINDOW_S, EventLog, Throttle
 from canfb.hosting.hosting import Hosting
-from canfb.module.events import Event, EventKind
+from canfb.module.events import DETAILS, Event, EventKind
 
 WALL = datetime(2026, 5, 4, 12, 30, 1, 250000, UTC)
 
@@ -122,3 +123,12 @@ def test_run_prints_json_for_programs(
     assert err == ""
     assert main(["run", str(path)]) == 0
     assert "node 32 (20h): OPERATIONAL\n" in capsys.readouterr()[0], "lines again"
+
+
+def test_the_page_has_a_row_for_every_kind() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "service.md").read_text(encoding="utf-8")
+    rows = re.findall(
+        r"^\| `(\w+)` \| (.*) \|$", page.partition("\n## Events")[2].partition("\n## ")[0], re.M
+    )
+    assert [kind for kind, _ in rows] == ["event", *map(str, EventKind)]
+    assert {kind for kind, text in rows if "only with `-v`" in text} == {str(kind) for kind in DETAILS}

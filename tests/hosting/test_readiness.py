@@ -23,21 +23,19 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
         yield one
 
 
-def test_the_file_is_there_from_ready_to_the_end(tmp_path: Path) -> None:
+@pytest.mark.parametrize("left_by_a_killed_program", [None, "4711\n"])
+def test_the_file_is_there_from_ready_to_the_end(
+    tmp_path: Path, left_by_a_killed_program: str | None
+) -> None:
     path = tmp_path / "run.ready"
+    if left_by_a_killed_program is not None:
+        path.write_text(left_by_a_killed_program)
     with Readiness(path, environment={}) as readiness:
         assert not path.exists()
         readiness.ready()
         assert path.read_text() == f"{os.getpid()}\n"
         assert list(tmp_path.iterdir()) == [path], "nothing else is left there"
     assert not path.exists()
-
-
-def test_what_a_killed_program_has_left_does_not_count(tmp_path: Path) -> None:
-    path = tmp_path / "run.ready"
-    path.write_text("4711\n")
-    with Readiness(path, environment={}):
-        assert not path.exists()
 
 
 @pytest.mark.parametrize("content", ["modules: []\n", "", "12\n13\n"])

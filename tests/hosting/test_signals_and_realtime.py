@@ -30,30 +30,17 @@ ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def test_a_signal_stops_and_the_handlers_before_come_back(number: signal.Signals) -> None:
     before = [signal.getsignal(one) for one in ENDINGS]
     stops: list[str] = []
-    with ending_on_signals(lambda: stops.append("stop")):
-        signal.raise_signal(number)
-        assert stops == ["stop"]
-        signal.raise_signal(number)
-        assert stops == ["stop", "stop"]
-    assert [signal.getsignal(one) for one in ENDINGS] == before
-
-
-def test_handlers_come_back_after_an_error_too() -> None:
-    def mine(*arguments: object) -> None:
-        """A handler that was there before."""
 
     def failing() -> None:
-        with ending_on_signals(lambda: None):
-            assert signal.getsignal(signal.SIGTERM) is not mine
+        with ending_on_signals(lambda: stops.append("stop")):
+            signal.raise_signal(number)
+            signal.raise_signal(number)
             raise ZeroDivisionError
 
-    before = signal.signal(signal.SIGTERM, mine)
-    try:
-        with pytest.raises(ZeroDivisionError):
-            failing()
-        assert signal.getsignal(signal.SIGTERM) is mine
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with pytest.raises(ZeroDivisionError):
+        failing()
+    assert stops == ["stop", "stop"]
+    assert [signal.getsignal(one) for one in ENDINGS] == before
 
 
 def test_a_hangup_that_is_ignored_already_stays_so() -> None:
@@ -100,11 +87,17 @@ ALL_CALLS = [
 ]
 
 
-def test_what_is_granted_is_not_spoken_of(monkeypatch: pytest.MonkeyPatch) -> None:
-    system, lines = System(monkeypatch), list[str]()
-    apply_realtime(ALL, lines.append)
-    assert system.calls == ALL_CALLS
-    assert lines == []
+def test_what_is_granted_is_not_spoken_of_and_what_is_not_asked_for_left_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for config, calls in (
+        (ALL, ALL_CALLS),
+        (RealtimeConfig(), []),
+        (RealtimeConfig(cpu=0), [("affinity", 0, {0})]),
+    ):
+        system = System(monkeypatch)
+        apply_realtime(config, pytest.fail)
+        assert system.calls == calls
 
 
 def test_what_is_refused_is_reported_each_in_one_line_and_the_rest_is_still_asked_for(
@@ -158,59 +151,37 @@ def test_the_real_system_refuses_and_the_remedy_is_named(lockable_bytes: int) ->
     ]
 
 
-def test_what_is_not_asked_for_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    system, lines = System(monkeypatch), list[str]()
-    apply_realtime(RealtimeConfig(), lines.append)
-    assert system.calls == []
-    assert lines == []
-    apply_realtime(RealtimeConfig(cpu=0), lines.append)
-    assert system.calls == [("affinity", 0, {0})]
+BUSY = RealtimeConfig(lock_memory=True, cpu=3, busy_poll=True)
 
 
-def test_a_thread_of_the_sync_cycle_gets_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("config", [ALL, BUSY])
+def test_a_thread_of_the_sync_cycle_gets_the_same(
+    monkeypatch: pytest.MonkeyPatch, config: RealtimeConfig
+) -> None:
+    """But not the processor of a program that never sleeps: it would not run there."""
     system, over = System(monkeypatch), threading.Event()
     threads = [RealtimeThread(target=over.wait), threading.Thread(target=over.wait)]
     for thread in threads:
         thread.start()
     try:
-        apply_realtime(ALL, lambda line: None)
+        apply_realtime(config, pytest.fail)
         native_id = threads[0].native_id
         first, locked, affinity = ALL_CALLS
-        assert system.calls == [
-            first, ("scheduler", native_id, *first[2:]), locked, affinity, ("affinity", native_id, {3})
-        ]  # fmt: skip
+        own = [first, ("scheduler", native_id, *first[2:]), locked, affinity, ("affinity", native_id, {3})]
+        assert system.calls == (own if config is ALL else [locked, affinity])
     finally:
         over.set()
         for thread in threads:
             thread.join()
 
 
-def test_a_program_that_never_sleeps_keeps_its_processor_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thread that the cycle waits for would not run there."""
-    system, over = System(monkeypatch), threading.Event()
-    thread = RealtimeThread(target=over.wait)
-    thread.start()
-    try:
-        apply_realtime(RealtimeConfig(cpu=3, busy_poll=True), lambda line: None)
-        assert system.calls == [("affinity", 0, {3})]
-    finally:
-        over.set()
-        thread.join()
-
-
-def test_a_system_without_such_calls_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    lines: list[str] = []
-    monkeypatch.delattr(os, "sched_setscheduler")
-    apply_realtime(RealtimeConfig(priority=1), lines.append)
-    assert len(lines) == 1
-    assert lines[0].startswith("realtime: priority could not be set: ")
-
-
-def test_a_processor_that_there_is_not_is_refused_by_the_real_system() -> None:
+def test_what_the_real_system_does_not_have_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     lines: list[str] = []
     before = os.sched_getaffinity(0)
-    apply_realtime(RealtimeConfig(cpu=65535), lines.append)
-    assert lines == ["realtime: cpu could not be set: Invalid argument"]
+    monkeypatch.delattr(os, "sched_setscheduler")
+    apply_realtime(RealtimeConfig(priority=1, cpu=65535), lines.append)
+    assert lines[0].startswith("realtime: priority could not be set: ")
+    assert lines[1:] == ["realtime: cpu could not be set: Invalid argument"]
     assert os.sched_getaffinity(0) == before
 
 
