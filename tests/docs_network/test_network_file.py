@@ -34,6 +34,7 @@ def test_pdos_without_a_link_are_off(tmp_path: Path) -> None:
     assert [index for index, pdo in module.pdos.items() if pdo.cob_id is None] == [
         0x1401,
         0x1402,
+        0x1403,
         0x1801,
         0x1802,
         0x1803,
