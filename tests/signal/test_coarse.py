@@ -227,18 +227,6 @@ def test_three_disagreements_in_a_row_lose_the_position(amplitude: float) -> Non
     assert not has([machine.step(0.0)], StatusBit.VALID)[0]
 
 
-@pytest.mark.parametrize(("amplitude", "dead"), [(204.0, True), (205.0, False)])
-def test_a_coarse_track_below_a_tenth_is_dead(amplitude: float, dead: bool) -> None:
-    machine = Coarse()
-    assert has([machine.step(0.0, amplitude)], StatusBit.COARSE) == [dead]
-
-
-def test_disagreements_are_not_judged_while_the_fine_track_is_in_doubt() -> None:
-    machine = Coarse()
-    dead = machine.chain.step(Sample(0.0, 0.0, coarse_sine=1500.0, coarse_cosine=0.0))
-    assert flags(dead) == StatusBit.AMPLITUDE | StatusBit.COASTING
-
-
 @pytest.mark.parametrize(("n", "exact"), [(8, True), (15, True), (17, True), (32, False), (2500, False)])
 def test_where_just_one_count_is_within_its_limit_it_sets_the_count_right_alone(n: int, exact: bool) -> None:
     machine = Starting(0.0, error=0.0, cycles_per_revolution=n, coarse_limit_revolutions=1 / 32)
@@ -266,17 +254,6 @@ def test_a_restart_forgets_where_the_coarse_track_stands_and_a_pause_does_not() 
     machine.chain.restart()
     got = [machine.step(0.3) for _ in range(40)]
     assert flags(got[-1]) == StatusBit.VALID, "after a restart any place will do"
-
-
-@pytest.mark.parametrize("speed", [83.13, -83.13, 5.2, 1.0])
-def test_a_machine_that_turns_after_a_pause_is_not_called_valid_at_a_wrong_speed(speed: float) -> None:
-    machine = Starting(0.0)
-    machine.run(300)
-    machine.chain.resume()
-    machine.valid.clear()
-    machine.speed = speed
-    machine.run(1500)
-    assert not machine.valid or max(machine.valid) - min(machine.valid) < 0.03
 
 
 @pytest.mark.parametrize("half", [{"coarse_sine": 1500.0}, {"coarse_cosine": 1500.0}])

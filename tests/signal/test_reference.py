@@ -69,17 +69,6 @@ def starts_at_rest(coarse: bool, pulse: bool) -> tuple[SignalChain, Machine]:
     return chain, machine
 
 
-@pytest.mark.parametrize("speed", [83.4, -83.4, 1.2, 0.7, 125.0, -40.01])
-def test_started_on_a_turning_machine_no_wrong_speed_is_called_valid(speed: float) -> None:
-    chain, machine = SignalChain(ChainConfig()), Machine(speed, pulse=False)
-    got = run(chain, machine, 1500)
-    first = next(k for k, (feedback, _) in enumerate(got) if feedback.valid)
-    assert 2 < first < 700
-    moved = errors(got[first:])
-    assert len(moved) > 700
-    assert np.ptp(moved) < 0.04
-
-
 @pytest.mark.parametrize("outage", [4, 30, 500])
 def test_a_lost_position_is_set_right_by_coarse_track_and_zero_pulse(outage: int) -> None:
     chain, machine = starts_at_rest(coarse=True, pulse=True)
@@ -96,24 +85,6 @@ def test_a_lost_position_is_set_right_by_coarse_track_and_zero_pulse(outage: int
     shown = np.diff([feedback.cycles + feedback.phase - truth for feedback, truth in after])
     jumps = [k for k, step in enumerate(shown) if abs(step) > 90.0]
     assert all(after[k][0].jump_cycles != 0 for k in jumps), "a jump is reported by the sample before it"
-
-
-def test_without_either_a_lost_position_stays_lost() -> None:
-    chain, machine = starts_at_rest(coarse=False, pulse=False)
-    spoil(chain, machine, 10)
-    assert not errors(run(chain, machine, 3000)).size
-
-
-@pytest.mark.parametrize("coarse", [False, True])
-def test_an_outage_while_lost_ends_what_was_known_of_the_speed(coarse: bool) -> None:
-    chain, machine = starts_at_rest(coarse=coarse, pulse=True)
-    reference = np.median(errors(run(chain, machine, 100)))
-    spoil(chain, machine, 10)
-    run(chain, machine, 650 if coarse else 45)
-    for _ in range(200):
-        chain.step(machine.sample(0.02)._replace(sine=0, cosine=0))
-    wrong = errors(run(chain, machine, 1500)) - reference
-    assert np.abs(wrong - np.rint(wrong / N) * N).max(initial=0.0) < 0.04
 
 
 @pytest.mark.parametrize("speed", [5.0, 5.2])

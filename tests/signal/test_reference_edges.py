@@ -328,6 +328,20 @@ def test_lost_the_coarse_track_sets_speed_and_count_right(
     assert not found or seen.wrong == 0
 
 
+def test_eight_values_that_agree_in_a_row_set_a_count_right() -> None:
+    seen = Seen(lost=True, aligned=True)
+    seen.made.coarse.limit(2048, 0.3 / N)
+    seen.counted += 5
+    seen.until(lambda: seen.made.range_known)
+    for _ in range(2, 6):
+        seen.step(LOST)
+    seen.true += 1.0  # another count: they begin anew
+    for values in range(1, 8):
+        assert seen.step(LOST) == (LOST, 0), values
+    assert seen.step(LOST) == (LOST, -4)
+    assert not seen.recovery.lost
+
+
 @each("missing", [0, 4])
 def test_the_first_position_keeps_its_count(missing: int) -> None:
     seen = Seen(lost=False, aligned=False)

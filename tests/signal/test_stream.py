@@ -246,23 +246,6 @@ def test_a_frozen_input_is_found_at_the_same_sample(
             assert (wanted.status & StatusBit.FROZEN).any() == (0 < frozen_samples <= length)
 
 
-def test_a_lost_position_stays_lost_and_is_followed() -> None:
-    """Eq. 9 runs on over good and bad samples, with residuals over the limit marked."""
-    rng = np.random.default_rng(3)
-    n = 5000
-    sine, cosine = tracks_at(np.cumsum(rng.uniform(-0.1, 0.1, n)))
-    sine[1000:1050] = 0.0
-    angle = rng.uniform(0, 2 * np.pi, 500)
-    sine[2000:2500], cosine[2000:2500] = AMPLITUDE * np.sin(angle), AMPLITUDE * np.cos(angle)
-    sine[3000:3003], cosine[3000:3003] = sine[2999], cosine[2999]
-    sine[4000::100] = 0.0
-    wanted = one_by_one(sine, cosine, ChainConfig())
-    assert (wanted.status[1050:] & StatusBit.LOST).all()
-    assert (wanted.status[2000:2500] & StatusBit.RESIDUAL).any()
-    assert_same(in_blocks(sine, cosine, ChainConfig()), wanted)
-    assert_same(in_blocks(sine, cosine, ChainConfig(), None, [97, 500]), wanted)
-
-
 @pytest.mark.parametrize("kind", [np.int16, np.int32, np.float32, list])
 def test_kinds_of_numbers(kind: type) -> None:
     sine, cosine = (np.rint(track) for track in tracks_at(np.cumsum(np.linspace(0.0, 0.4, 300))))

@@ -57,17 +57,6 @@ def test_the_error_is_the_nearest_whole_number_of_cycles(
     assert pulse_at(2500, cycles, phase).error_cycles(Edge(*seen)) == error
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 1048575, 1048576])
-def test_a_revolution_of_few_cycles_even_or_odd(n: int) -> None:
-    zero = pulse_at(n, 5 * n, 0.25)
-    for error in range(-(n - 1) // 2 if n < 9 else -4, min(n // 2, 4) + 1):
-        wanted = error if error > -n / 2 else error + n
-        assert zero.error_cycles(Edge(error, 0.25)) == wanted, error
-        assert zero.error_cycles(Edge(error - 3 * n, 0.25)) == wanted
-    assert zero.error_cycles(Edge(n // 2, 0.25)) == n // 2
-    assert zero.error_cycles(Edge(n // 2 + 1, 0.25)) == n // 2 + 1 - n
-
-
 @given(
     st.integers(1, 1048576), st.integers(-(2**50), 2**50), st.floats(0, 0.999), st.integers(-(2**40), 2**40)
 )
@@ -215,42 +204,6 @@ def test_a_pulse_just_after_a_bad_sample_is_not_believed() -> None:
         assert got.jump_cycles == 0
 
 
-class Wandering(Turning):
-    """A machine that turns to and fro, with a pulse whose edges are ``width`` cycles apart by direction."""
-
-    def __init__(self, n: int, width: float, mark: float) -> None:
-        super().__init__(0.0, n)
-        self.width, self.mark = width, mark
-
-    def sample(self) -> Sample:
-        before = self.position
-        self.position += self.speed
-        edge = self.mark + (self.width if self.speed < 0.0 else 0.0)
-        low, high = sorted((before, self.position))
-        pulse = edge + np.floor((high - edge) / self.n) * self.n
-        place = (pulse - before) / self.speed if low < pulse <= high else None
-        return at(self.position, zero_pulse=place)
-
-
-@given(
-    st.sampled_from([20, 50, 100]), st.floats(0.0, 1.0), st.floats(0.0, 20.0),
-    st.lists(st.tuples(st.floats(-0.45, 0.45), st.integers(30, 400)), min_size=3, max_size=9),
-    st.integers(-3, 3),
-)  # fmt: skip
-def test_a_wide_pulse_never_moves_a_right_count_whichever_way_the_machine_turns(
-    n: int, width: float, mark: float, legs: list[tuple[float, int]], slip: int
-) -> None:
-    """And one that has slipped is never set to another wrong one."""
-    made = Wandering(n, width, mark)
-    for number, (speed, samples) in enumerate(legs):
-        if number == 2 and made.chain.reference.zero.referenced:
-            made.chain.stages.estimator.found(slip, 0)
-        for _ in range(samples):
-            made.speed += max(-0.01, min(0.01, speed - made.speed))
-            got = made.step()
-            assert got.jump_cycles in (0, -slip)
-
-
 def test_each_direction_has_a_place_of_its_own() -> None:
     zero = ZeroPulse(100)
     assert [zero.weigh(Edge(turn * 100, 0.5)) for turn in range(2)] == [NOTHING, AGREES]
@@ -262,23 +215,3 @@ def test_each_direction_has_a_place_of_its_own() -> None:
     assert [zero.weigh(Edge(turn * 100 + 1, 0.5, False)) for turn in (3, 2)] == [NOTHING, AGREES]
     assert zero.weigh(Edge(102, 0.5, False)) is CONTRADICTS
     assert zero.weigh(Edge(2, 0.5, False)) is WRONG
-
-
-@pytest.mark.parametrize("place", [0.0, 0.25, 0.5, 0.75, 0.99])
-def test_where_in_the_interval_the_pulse_was_counts(place: float) -> None:
-    chain = SignalChain(ChainConfig(cycles_per_revolution=10))
-    for k in range(5):
-        chain.step(at(0.2 * k))
-    chain.step(at(1.0, zero_pulse=place))  # at 0.8 + 0.2 place
-    for k in range(6, 153):
-        # One cycle too high from the second revolution on wherever it was; were the place not looked at, half
-        # a cycle of it would be missing.
-        got = chain.step(at(0.2 * k, zero_pulse=place if k == 55 else None))
-        assert got.valid
-    assert got.status & StatusBit.REFERENCED
-    chain.stages.estimator.found(1, 0)
-    jumps = [
-        chain.step(at(0.2 * k, zero_pulse=place if k % 50 == 5 else None)).jump_cycles
-        for k in range(153, 206)
-    ]
-    assert jumps == [0] * 52 + [-1]
