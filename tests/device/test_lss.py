@@ -126,7 +126,7 @@ TABLE: list[tuple[tuple[int, ...], list[tuple[LssState, int]], str]] = [
 
 @pytest.mark.parametrize("frame", sorted({frame for frame, _, _ in TABLE}))
 @pytest.mark.parametrize("where", ANY)
-def test_every_command_in_every_state(
+def test_every_service_in_every_state(
     make: Callable[..., LssBench], where: tuple[LssState, int], frame: tuple[int, ...]
 ) -> None:
     state, node = where
