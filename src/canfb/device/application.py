@@ -13,7 +13,7 @@ Groups = list[ParameterGroup]
 
 
 class Expiry(Protocol):
-    """Until when, seconds, the process data that the program has put into the dictionary holds."""
+    """Until when, seconds, the process data of the program holds."""
 
     until: float
 
@@ -26,24 +26,24 @@ class ProcessData:
     """
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
-        """Whether synchronous PDOs follow this SYNC; False drops it. `counter` is None without 1019h."""
+        """Whether synchronous PDOs follow this SYNC; `counter` is None without 1019h."""
         return True
 
     def rpdo_received(self, number: int, now: float) -> None:
-        """The data of RPDO `number` is in the dictionary."""
+        """RPDO `number` is in the dictionary."""
 
     def sync_received(self, counter: int | None, now: float) -> bool:
-        """An accepted SYNC in OPERATIONAL; True: call `tpdos_sampled` when the TPDOs are sampled."""
+        """An accepted SYNC; True: call `tpdos_sampled`."""
         return False
 
     def tpdos_sampled(self) -> None:
-        """The synchronous TPDOs of a SYNC are sampled."""
+        """The synchronous TPDOs are sampled."""
 
     def idle_sync_received(self, counter: int | None) -> None:
         """A SYNC in PRE-OPERATIONAL."""
 
     def rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
-        """RPDO `number` was dropped: `received` bytes, of `mapped`."""
+        """RPDO `number` was dropped."""
 
 
 class Application(ProcessData):
@@ -54,45 +54,43 @@ class Application(ProcessData):
     """
 
     def expired(self, now: float) -> None:
-        """A frame received after `Expiry.until` is about to be taken."""
+        """A frame after `Expiry.until` is about to be taken."""
 
     def overdue(self, now: float) -> None:
         """A `tick` at or after `Expiry.until`."""
 
     def time_received(self, days: int, milliseconds: int, now: float) -> None:
-        """TIME (1012h): days since 1984-01-01, and the milliseconds of the day."""
+        """TIME: days since 1984-01-01, milliseconds of the day."""
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
         """Another NMT state; `why` in words, "" for a command or a start."""
 
     def reset_done(self, communication_only: bool, now: float) -> None:
-        """A reset, or the start, before the boot-up: report again what persists; all errors are forgotten."""
+        """A reset, or the start, before the boot-up: report again what persists."""
 
     def configuration_changed(self) -> None:
         """PDO parameters or the NMT state have changed."""
 
     def check_write(self, entry: Entry | None) -> None:
-        """An SDO is about to write `entry`, or LSS to configure the node (None). SdoAbort refuses it."""
+        """SDO is about to write `entry`, or LSS to configure (None). SdoAbort refuses it."""
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
-        """Stored parameters of these groups were refused, and why: after each reset, and when that
-        changes.
-        """
+        """Stored parameters that were refused, and why: after a reset, and when it changes."""
 
     def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
         """These groups were saved, or dropped from the store."""
 
     def saving_failed(self, groups: Groups, reason: str, now: float) -> None:
-        """These groups were not saved; the store is as before."""
+        """These groups were not saved."""
 
     def emergency_sent(self, code: int, register: int, detail: bytes, now: float) -> None:
-        """An EMCY goes out, with 1001h and its 5 manufacturer bytes."""
+        """An EMCY goes out, with 1001h and 5 bytes."""
 
     def duplicate_received(self, can_id: int, now: float) -> None:
-        """Another node sends with a CAN-ID of this one: the first frame after each reset."""
+        """Another node uses a CAN-ID of this one, first time after a reset."""
 
     def communication_failed(self, now: float) -> None:
-        """A heartbeat, the guarding master or the bus is lost; the NMT state changes next."""
+        """Heartbeat, guarding master or bus is lost; the state changes next."""
 
     def bit_rate_activated(self, kbit_s: int, delay_s: float, now: float) -> None:
         """LSS activates this bit rate: change it at `now` + `delay_s`; the node is silent up to twice

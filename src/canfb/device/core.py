@@ -55,7 +55,7 @@ class CallContext:
 
 
 class Agenda:
-    """The services with a timer, in the order in which they are called."""
+    """The services with a timer, in their order."""
 
     __slots__ = ("_services", "earliest", "moved")
 
@@ -107,12 +107,12 @@ class Timed(ABC):
 
     @abstractmethod
     def tick(self, now: float) -> None:
-        """Do what is due at `now`, and move the deadline on."""
+        """Do what is due, and move the deadline on."""
 
 
 @dataclass(slots=True)
 class Counters:
-    """Frames and values from the bus without effect, by reason."""
+    """Frames and values without effect, by reason."""
 
     unknown_cob_ids: int = 0
     """Frames that no service listens to in the present NMT state; frames for others included."""
@@ -152,7 +152,7 @@ class Pending:
         self.on_end: Ended | None = None
 
     def end(self, code: AbortCode | None) -> None:
-        """The effect has come, or has failed with `code`."""
+        """The effect has come, or failed with `code`."""
         self.ended, self.code = True, code
         if self.on_end is not None:
             self.on_end(code)
@@ -205,7 +205,7 @@ class Routes:
         self.sent.clear()
 
     def add(self, can_id: int | None, handler: Handler) -> None:
-        """One more listener; None for none. Two on one CAN-ID both get it."""
+        """One more listener, if any; two on one CAN-ID both get it."""
         if can_id is not None:
             other = self.data.get(can_id)
             self.data[can_id] = handler if other is None else _both(other, handler)
@@ -222,7 +222,7 @@ class Routes:
 
 
 def _both(first: Handler, second: Handler) -> Handler:
-    """Two services on one CAN-ID, which the configuration allows."""
+    """Two services on one CAN-ID."""
 
     def handle(data: bytes, now: float) -> None:
         first(data, now)
@@ -232,7 +232,7 @@ def _both(first: Handler, second: Handler) -> Handler:
 
 
 class Reactions(ABC):
-    """What follows from what a service notices, beyond the service; `now` in seconds."""
+    """What follows from what a service notices; `now` in seconds."""
 
     @abstractmethod
     def state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
@@ -240,11 +240,11 @@ class Reactions(ABC):
 
     @abstractmethod
     def reset(self, communication_only: bool, now: float) -> None:
-        """The NMT master resets the node, or its communication only."""
+        """NMT resets the node, or its communication only."""
 
     @abstractmethod
     def communication_error(self, why: str, now: float) -> None:
-        """A heartbeat or the guarding master is lost."""
+        """Heartbeat or guarding master is lost."""
 
     @abstractmethod
     def heartbeat_changed(self) -> None:
@@ -264,7 +264,7 @@ class Reactions(ABC):
 
     @abstractmethod
     def lss_left(self, now: float) -> None:
-        """The LSS master has left the configuration state."""
+        """LSS leaves the configuration state."""
 
     @abstractmethod
     def silence_ended(self, now: float) -> None:

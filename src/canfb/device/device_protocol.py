@@ -37,18 +37,18 @@ class Device(Protocol):
 
 @runtime_checkable
 class Selective(Protocol):
-    """A device that says what it listens to: a host need not give it other frames."""
+    """It says what it listens to."""
 
     def can_ids(self) -> CanIds:
         """The CAN-IDs that it listens to."""
 
     def follow_can_ids(self, moved: Callable[[], None]) -> None:
-        """``moved`` is called when :meth:`can_ids` may give others."""
+        """``moved`` is called when that changes."""
 
 
 @runtime_checkable
 class Ending(Protocol):
-    """A device that has something to do when the program ends."""
+    """It has something to do when the program ends."""
 
     def end(self, now: float) -> None:
         """The program ends."""
@@ -56,18 +56,18 @@ class Ending(Protocol):
 
 @runtime_checkable
 class Inhibited(Protocol):
-    """A device with inhibit times, which count from when its frames leave."""
+    """Its inhibit times count from when its frames leave."""
 
     inhibited: Mapping[int | None, object]
     """By CAN-ID: the frames for which ``sent`` is called."""
 
     def sent(self, can_id: int, now: float) -> None:
-        """A frame of its own with this CAN-ID has left."""
+        """A frame of its own has left."""
 
 
 @runtime_checkable
 class BusWatching(Protocol):
-    """A device that is notified when the bus fails and is back."""
+    """It is notified when the bus fails and is back."""
 
     def bus_off(self, now: float) -> list[Frame]:
         """The bus is gone."""
@@ -78,10 +78,10 @@ class BusWatching(Protocol):
 
 @runtime_checkable
 class Computing(Protocol):
-    """A device with something to compute now and then."""
+    """It has something to compute now and then."""
 
     def pending_job(self) -> Any:
-        """The pending computation, None if there is none."""
+        """The pending computation, or None."""
 
     def finish_job(self, job: Any, result: Any, now: float) -> list[Frame]:
         """What came out, or an Exception."""
@@ -150,7 +150,7 @@ class NodeDevice(Node, Application):
         self.observer.saving_failed(groups, reason, now)
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
-        """EMCY 6310h while stored parameters are refused, with their groups; and to the program."""
+        """EMCY 6310h, with the groups; and to the program."""
         if faults:
             groups = bytes(sorted(faults))[:5]
             self.emergency(EmergencyCode.DATA_SET, self.register_bits, groups, now)

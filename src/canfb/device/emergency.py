@@ -45,7 +45,7 @@ class Emergency(Timed):
 
     @property
     def can_id(self) -> int | None:
-        """The CAN-ID of EMCY, None while 1014h switches it off."""
+        """The CAN-ID of EMCY, or None (1014h)."""
         return self._can_id() if self._is_valid() else None
 
     def reset(self) -> None:
@@ -58,7 +58,7 @@ class Emergency(Timed):
         self._history_count.value = 0
 
     def enable(self, allowed: bool, now: float) -> None:
-        """Whether the NMT state allows EMCY; what waited goes out."""
+        """Whether the NMT state allows EMCY."""
         self._allowed = allowed
         self.tick(now)
 
@@ -85,7 +85,7 @@ class Emergency(Timed):
         self._send(int(code), manufacturer, now)
 
     def clear(self, code: int, now: float, source: Hashable = APPLICATION) -> None:
-        """An error is gone: EMCY 0000h with what is left in 1001h."""
+        """An error is gone: EMCY 0000h."""
         if self._active.pop((int(code), source), None) is None:
             return
         self._set_register()
@@ -105,7 +105,7 @@ class Emergency(Timed):
         self.deadline = self._not_before if self._waiting and self._allowed else NEVER
 
     def sent(self, now: float) -> None:
-        """An EMCY went onto the bus later than it was given out: 1015h counts from here."""
+        """An EMCY has left: 1015h counts from here."""
         inhibit = self._inhibit_s()
         if inhibit:
             self._not_before = now + inhibit
@@ -167,7 +167,7 @@ class Emergency(Timed):
 
 
 def check_error(code: int, register_bits: int, manufacturer: bytes) -> None:
-    """ValueError for what a program cannot report as an error."""
+    """ValueError for what is no error."""
     if not 0 <= register_bits <= 0xFF:
         raise ValueError(f"register_bits {register_bits:#x} do not fit the 8 bits of 1001h")
     if len(manufacturer) > 5:

@@ -31,7 +31,7 @@ class HeartbeatProducer(Timed):
         return float(self._entry.value / 1000)
 
     def boot_up(self, now: float) -> None:
-        """Send the boot-up message and begin the period."""
+        """Boot-up; the period begins."""
         self._core.emit(Frame(self._can_id, b"\x00"))
         period = self._period_s
         self.deadline = now + period if period else NEVER
@@ -41,7 +41,7 @@ class HeartbeatProducer(Timed):
         self.deadline = NEVER
 
     def tick(self, now: float) -> None:
-        """Send the heartbeat that is due; one for several that were missed."""
+        """Send one heartbeat, also for several that were missed."""
         if now < self.deadline:
             return
         self._core.emit(Frame(self._can_id, bytes([self._core.state])))
@@ -55,7 +55,7 @@ class HeartbeatProducer(Timed):
 
 
 class HeartbeatMonitor(Timed):
-    """One sub-index of 1016h: watches one node from its first heartbeat on."""
+    """A sub-index of 1016h: watches a node from its first heartbeat on."""
 
     def __init__(self, core: Core, entry: Entry, watched: Callable[[], Iterable[HeartbeatMonitor]]) -> None:
         self.entry = entry
@@ -73,7 +73,7 @@ class HeartbeatMonitor(Timed):
         return watched_node(self.entry.value)
 
     def forget(self, now: float) -> None:
-        """Wait for the first heartbeat again, with no error."""
+        """Wait for the first heartbeat, with no error."""
         self.deadline = NEVER
         self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
 
@@ -86,7 +86,7 @@ class HeartbeatMonitor(Timed):
         self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
 
     def tick(self, now: float) -> None:
-        """Report a heartbeat that did not come in time, once."""
+        """The heartbeat did not come in time."""
         self.deadline = NEVER
         lost = bytes([self.node_id])
         self._emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, lost, now, self._source)
@@ -105,14 +105,14 @@ class HeartbeatMonitor(Timed):
 
 
 class HeartbeatConsumer:
-    """Object 1016h: watches the heartbeats of other nodes."""
+    """Object 1016h."""
 
     def __init__(self, core: Core) -> None:
         entries = [entry for entry in core.dictionary if entry.index == 0x1016 and entry.subindex]
         self.monitors = [HeartbeatMonitor(core, entry, lambda: self.monitors) for entry in entries]
 
     def configure(self, now: float) -> None:
-        """Read 1016h again and wait for each first heartbeat."""
+        """Wait for each first heartbeat."""
         for monitor in self.monitors:
             monitor.forget(now)
 
@@ -122,7 +122,7 @@ class HeartbeatConsumer:
 
 
 def watched_node(value: int) -> int:
-    """Node-ID of a value of 1016h, 0 for one that watches nothing."""
+    """Node-ID of a value of 1016h, 0 for none."""
     node_id = value >> 16 & 0xFF
     return node_id if value & 0xFFFF and 1 <= node_id <= 127 else 0
 
@@ -155,12 +155,12 @@ class NodeGuarding(Timed):
 
     @property
     def can_id(self) -> int | None:
-        """The CAN-ID on which it answers remote frames now, or None."""
+        """Where it answers remote frames now, or None."""
         return self._can_id if self._can_guard and not self._heartbeat.is_active else None
 
     @property
     def life_time_s(self) -> float:
-        """How long a master may be silent, seconds; 0 for any time."""
+        """How long a master may be silent, 0 for ever."""
         return int(self._guard_time.value) * int(self._factor.value) / 1000
 
     def configure(self, now: float) -> None:
@@ -192,6 +192,6 @@ class NodeGuarding(Timed):
         self._emergency.clear(EmergencyCode.HEARTBEAT, now, _GUARDING)
 
     def _written(self) -> None:
-        """Another life time holds from now on; none ends an error."""
+        """None ends an error."""
         if self._guarded or not self.life_time_s:
             self._start(self._core.call.now)

@@ -36,7 +36,7 @@ class Silence(Timed):
         self._reactions = core.reactions
 
     def begin(self, until: float) -> None:
-        """Silent until this time (seconds), or that of one that is running."""
+        """Silent until this time (seconds), or later if it is already."""
         self.deadline = max(until, self.deadline) if self.active else until
         self.active = True
 
@@ -71,7 +71,7 @@ class DuplicateWatch:
         self._reported = False
 
     def handler(self, can_id: int) -> Handler:
-        """Who takes the data frames with this CAN-ID."""
+        """Takes frames with this CAN-ID."""
 
         def handle(data: bytes, now: float) -> None:
             self._counters.duplicate_frames += 1
@@ -96,7 +96,7 @@ NMT_COMMAND = 0x000
 
 
 class Services:
-    """All services of one node-ID; `configure` and `enter` follow the NMT state machine."""
+    """All services of one node-ID."""
 
     def __init__(self, core: Core, silence: Silence) -> None:
         self._core = core
@@ -115,7 +115,7 @@ class Services:
         self.sync = Sync(core, self.pdos)
 
     def timed(self) -> list[Timed]:
-        """Those with a timer, in the order in which they are called."""
+        """Those with a timer, in order."""
         return [
             self._silence,
             self.sync,
@@ -129,7 +129,7 @@ class Services:
         ]
 
     def configure(self, now: float) -> None:
-        """Restart with the values in the dictionary, after a reset."""
+        """Restart with the values in the dictionary."""
         self.forget()
         self.guarding.configure(now)
         self.consumer.configure(now)
@@ -138,13 +138,13 @@ class Services:
             channel.configure()
 
     def forget(self) -> None:
-        """No heartbeat until the next boot-up, and no error."""
+        """No heartbeat until the boot-up, no error."""
         self.producer.stop()
         self.emergency.reset()
         self.duplicates.reset()
 
     def enter(self, old: NmtState, new: NmtState, now: float) -> None:
-        """What a change of the NMT state allows and forbids (CiA 301, 7.3.2.2.5)."""
+        """What a NMT state allows and forbids (CiA 301, 7.3.2.2.5)."""
         operational = new is NmtState.OPERATIONAL
         if old is NmtState.INITIALISING:
             self._silence.boot_up_pending = self._silence.active
@@ -156,12 +156,12 @@ class Services:
         self._allow_emergency(now)
 
     def silenced(self, now: float) -> None:
-        """The silence has begun: SDO transfers are given up, EMCY waits."""
+        """SDO transfers are given up, EMCY waits."""
         self._drop_transfers()
         self._allow_emergency(now)
 
     def silence_ended(self, now: float) -> None:
-        """The silence has ended: a boot-up that fell into it goes out, then EMCY."""
+        """A boot-up that fell into it, then EMCY."""
         if self._silence.boot_up_pending:
             self.producer.boot_up(now)
         self._allow_emergency(now)
@@ -174,7 +174,7 @@ class Services:
         self.emergency.enable(self._core.state in COMMUNICATING and not self._silence.active, now)
 
     def route(self) -> None:
-        """Who listens to which CAN-ID, in this NMT state and with these COB-IDs."""
+        """Who listens to which CAN-ID now."""
         state, routes = self._core.state, self._core.routes
         self.pdos.choose()
         routes.clear()
@@ -208,7 +208,7 @@ class Services:
         return _without_none(sent - self._received_in_any_state() | {self._error_control_id})
 
     def can_ids_in_any_state(self) -> frozenset[int]:
-        """The CAN-IDs of data frames that do anything in some NMT state."""
+        """CAN-IDs of data frames that do anything in some NMT state."""
         return _without_none(self._received_in_any_state()) | self.own_can_ids()
 
     def remote_can_ids_in_any_state(self) -> frozenset[int]:
@@ -217,7 +217,7 @@ class Services:
         return _without_none(asked | {self.guarding.can_id})
 
     def _received_in_any_state(self) -> set[int | None]:
-        """What is listened to in some NMT state; None for what is not in use."""
+        """What is listened to in some NMT state."""
         return {
             NMT_COMMAND,
             self.sync.can_id,
@@ -236,7 +236,7 @@ LAST_COMMUNICATION_INDEX = 0x1FFF
 
 
 class LifeCycle(Reactions):
-    """Makes the core and all services of a node, and reacts to what they notice."""
+    """Makes core and services, and reacts to what they notice."""
 
     def __init__(
         self,
@@ -264,14 +264,14 @@ class LifeCycle(Reactions):
         self.core.agenda.fill([*([] if writing is None else [writing]), *self.services.timed()])
 
     def power_on(self, now: float) -> None:
-        """To the boot-up, with what the store keeps; see `Node.start`."""
+        """To the boot-up; see `Node.start`."""
         self.storage.power_on()
         self.lss.power_on()
         self._change_node_id(now)
         self._power_up(now)
 
     def can_ids(self) -> CanIds:
-        """Which CAN-IDs are listened to, now and in any NMT state."""
+        """Which CAN-IDs are listened to."""
         data, remote = frozenset(self.core.routes.data), frozenset(self.core.routes.remote)
         always = frozenset({REQUEST_ID})
         if self.core.node_id == UNCONFIGURED:
@@ -285,11 +285,11 @@ class LifeCycle(Reactions):
         )
 
     def enter(self, state: NmtState, now: float) -> None:
-        """Go to an NMT state; nothing happens when the node is in it."""
+        """Go to an NMT state."""
         self.services.nmt.enter(state, now)
 
     def _power_up(self, now: float) -> None:
-        """With a node-ID: to the boot-up. Without one there is LSS only (CiA 305)."""
+        """To the boot-up; without a node-ID there is LSS only."""
         self.enter(NmtState.INITIALISING, now)
         if self.core.node_id == UNCONFIGURED:
             self._wait_for_node_id()
@@ -313,7 +313,7 @@ class LifeCycle(Reactions):
         self._make_services()
 
     def _begin(self, communication_only: bool, now: float) -> None:
-        """INITIALISING, from the values in the dictionary, up to the state after the boot-up."""
+        """INITIALISING up to the state after the boot-up."""
         self.enter(NmtState.INITIALISING, now)
         self.services.configure(now)
         self.lss.reset()
@@ -328,13 +328,13 @@ class LifeCycle(Reactions):
     # Reactions
 
     def state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
-        """Services begin or end with the NMT state."""
+        """Services begin or end."""
         self.services.enter(old, new, now)
         self.pdo_changed()
         self._application.state_changed(old, new, now, self._reason)
 
     def reset(self, communication_only: bool, now: float) -> None:
-        """To the boot-up again, from the defaults and what is stored."""
+        """To the boot-up again."""
         last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
         self.core.dictionary.reset(0x1000, last)
         self._change_node_id(now)
@@ -345,7 +345,7 @@ class LifeCycle(Reactions):
         self._begin(communication_only, now)
 
     def communication_error(self, why: str, now: float) -> None:
-        """The NMT state that 1029h:01 names; `why` is the reason of the change."""
+        """The NMT state of 1029h:01, and ``why``."""
         self._application.communication_failed(now)
         self._reason = why
         self.enter(self.services.error_behaviour.reaction(self.core.state), now)
@@ -363,7 +363,7 @@ class LifeCycle(Reactions):
         self._application.configuration_changed()
 
     def routes_changed(self) -> None:
-        """All listeners again; LSS listens in every state."""
+        """All listeners again."""
         self.services.route()
         self.core.routes.add(REQUEST_ID, self.lss.handle)
 
@@ -382,7 +382,7 @@ class LifeCycle(Reactions):
         self.routes_changed()
 
     def lss_left(self, now: float) -> None:
-        """A first node-ID is in force at once; another one, from the next reset on."""
+        """A first node-ID is in force at once."""
         if self.core.node_id == UNCONFIGURED != self.lss.pending_node_id:
             self._change_node_id(now)
             self._power_up(now)

@@ -40,7 +40,7 @@ _NO_BIT_RATE = 0xFF
 
 
 class LssState(IntEnum):
-    """The state of the slave, with the value of the service "switch state global"."""
+    """The state, by its value in "switch state global"."""
 
     WAITING = 0
     CONFIGURATION = 1
@@ -60,7 +60,7 @@ class LssCommand(IntEnum):
 
 
 class Error(IntEnum):
-    """What a service answers; 1 is its own kind of refusal."""
+    """What a service answers."""
 
     NONE = 0
     NOT_POSSIBLE = 1
@@ -68,12 +68,12 @@ class Error(IntEnum):
 
 
 def is_node_id(value: int) -> bool:
-    """Whether a device may have this node-ID: 1 to 127, or 255 for none."""
+    """Whether this is 1 to 127, or 255 for none."""
     return 1 <= value <= 127 or value == UNCONFIGURED
 
 
 def _collected(parts: list[int], part: int, number: int) -> list[int]:
-    """The parts so far and this one, if it is their next; the first one restarts."""
+    """The parts so far and their next; the first one restarts."""
     if part == 0:
         return [number]
     return [*parts, number] if len(parts) == part else []
@@ -104,11 +104,11 @@ class LssSlave:
 
     @property
     def address(self) -> list[int]:
-        """The LSS address of the device; parts that 1018h does not have are 0."""
+        """The LSS address, 0 for missing parts."""
         return [int(entry.value) for entry in self._identity]
 
     def power_on(self) -> None:
-        """Take what is stored, or else the node-ID that the program gave."""
+        """Take what is stored, or the node-ID of the program."""
         self.pending_node_id, self.bit_rate_kbit_s = self._own_node_id, None
         records = self._storage.records(ParameterGroup.LSS)
         if records is None:
@@ -123,14 +123,14 @@ class LssSlave:
         self.bit_rate_kbit_s = BIT_RATES_KBIT_S.get(timing)
 
     def reset(self) -> None:
-        """The state after an NMT reset; what was asked so far is forgotten."""
+        """After an NMT reset."""
         self.state = LssState.WAITING
         self._selection: list[int] = []
         self._range: list[int] = []
         self._scanned = 0  # the part of the address that the fastscan is at
 
     def handle(self, data: bytes, now: float) -> None:
-        """A frame of the master; one that is not 8 bytes long is dropped."""
+        """A frame of the master."""
         configuring = self.state is LssState.CONFIGURATION
         if len(data) != _LENGTH:
             self._core.counters.malformed_frames += 1
@@ -149,7 +149,7 @@ class LssSlave:
             self._identify(data[0], int.from_bytes(data[1:5], "little"), data)
 
     def _change(self, data: bytes) -> None:
-        """A service that changes something; it is refused while the node is locked."""
+        """A service that changes something, unless the node is locked."""
         try:
             self._core.application.check_write(None)
         except SdoAbort:
@@ -166,7 +166,7 @@ class LssSlave:
             self._core.reactions.lss_left(now)
 
     def _identify(self, command: int, number: int, data: bytes) -> None:
-        """The services that look for devices; what they ask over several frames is kept between them."""
+        """The services that look for devices."""
         unconfigured = self._core.node_id == self.pending_node_id == UNCONFIGURED
         waiting = self.state is LssState.WAITING
         if command in SELECT and waiting:
@@ -192,7 +192,7 @@ class LssSlave:
         return same and low <= revision <= high and serial_low <= serial <= serial_high
 
     def _fastscan(self, number: int, bit: int, part: int, following: int) -> None:
-        """Compare the part down to `bit`; the master goes on with the part `following`."""
+        """Compare the part down to `bit`; `following` comes next."""
         if bit == _CONFIRM:
             self._scanned = 0
             self._answer(IDENTIFIED)

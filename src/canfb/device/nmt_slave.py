@@ -30,13 +30,13 @@ WAIT_FOR_MASTER = 1 << 2
 
 
 class Nmt:
-    """Obeys the NMT master: changes the NMT state, or asks for a reset."""
+    """Obeys the NMT master."""
 
     def __init__(self, core: Core) -> None:
         self._core = core
 
     def handle(self, data: bytes, now: float) -> None:
-        """An NMT command; one for another node changes nothing."""
+        """An NMT command."""
         if len(data) != 2:
             self._core.counters.malformed_frames += 1
             return
@@ -51,7 +51,7 @@ class Nmt:
             self._core.counters.malformed_frames += 1
 
     def enter(self, state: NmtState, now: float) -> None:
-        """Go to a state; nothing happens when the node is in it."""
+        """Go to a state."""
         core = self._core
         old = core.state
         if state is not old:

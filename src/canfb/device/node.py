@@ -99,7 +99,7 @@ class Node:
 
     @property
     def process(self) -> ProcessData:
-        """What SYNCs and PDOs go to: the application, unless another object is set before the start."""
+        """What SYNCs and PDOs go to, set before the start."""
         return self._core.process
 
     @process.setter
@@ -108,7 +108,7 @@ class Node:
 
     @property
     def node_id(self) -> int:
-        """The node-ID, 1 to 127, or 255 for none yet."""
+        """1 to 127, or 255 for none yet."""
         return self._core.node_id
 
     @property
@@ -118,17 +118,17 @@ class Node:
 
     @property
     def own_can_ids(self) -> frozenset[int]:
-        """The CAN-IDs that only this node may send now; leave their frames out of a replay."""
+        """The CAN-IDs that only this node may send now."""
         return frozenset() if self.node_id == UNCONFIGURED else self._life.services.own_can_ids()
 
     @property
     def route_changes(self) -> int:
-        """How often the CAN-IDs that are received, or own, may have changed."""
+        """How often CAN-IDs may have changed."""
         return self._core.routes.changes
 
     @property
     def received_can_ids(self) -> frozenset[int]:
-        """The CAN-IDs of data frames that do anything now, but for the own ones."""
+        """CAN-IDs of data frames that do anything now, without its own."""
         return frozenset(self._routes) - self.own_can_ids
 
     def can_ids(self) -> CanIds:
@@ -136,7 +136,7 @@ class Node:
         return self._life.can_ids()
 
     def follow_can_ids(self, moved: Callable[[], None]) -> None:
-        """Have ``moved`` called whenever :meth:`can_ids` may give others."""
+        """Have ``moved`` called when :meth:`can_ids` may change."""
         self._core.routes.on_change = moved
 
     @property
@@ -146,7 +146,7 @@ class Node:
 
     @property
     def autostart(self) -> bool:
-        """Whether the next boot-up leads to OPERATIONAL (1F80h)."""
+        """Whether a boot-up leads to OPERATIONAL (1F80h)."""
         return self._life.startup.autostart
 
     def start(self, now: float) -> list[Frame]:
@@ -185,7 +185,7 @@ class Node:
         return sent
 
     def tick(self, now: float) -> list[Frame]:
-        """Do what is due at `now`; gives what is to be sent."""
+        """Do what is due; gives what is to be sent."""
         call = self.call
         call.now = call.received = now
         call.is_stamped = True  # a SYNC of its own goes out now
@@ -195,7 +195,7 @@ class Node:
         return self._sent()
 
     def deadline(self) -> float | None:
-        """When `tick` is due next, seconds; None when nothing is waiting."""
+        """When `tick` is due, seconds, or None."""
         if self._outbox:
             return self.call.now
         agenda, until = self._agenda, self._expiry.until
@@ -211,11 +211,11 @@ class Node:
             follow(now)
 
     def rpdo_with(self, *objects: tuple[int, int]) -> int | None:
-        """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
+        """Number of the first valid RPDO with all these objects, or None."""
         return rpdo_with(self.dictionary, objects)
 
     def synchronous_rpdo(self, number: int) -> Rpdo | None:
-        """RPDO `number` if it is taken over at the next SYNC (types 0 to F0h), else None."""
+        """RPDO `number` if its type is 0 to F0h, else None."""
         return self._life.services.pdos.synchronous_rpdo(number)
 
     def trigger_tpdo(self, number: int, now: float) -> None:
@@ -228,7 +228,7 @@ class Node:
         self.tpdo_trigger(number)(now)
 
     def tpdo_trigger(self, number: int) -> Callable[[float], None]:
-        """What `trigger_tpdo` calls, until the node-ID changes. ValueError when there is no such TPDO."""
+        """What `trigger_tpdo` calls, until the node-ID changes; ValueError for no TPDO."""
         tpdos = self._life.services.pdos.tpdos
         if number not in tpdos:
             raise ValueError(f"there is no TPDO {number}; the EDS has {sorted(tpdos)}")
@@ -253,20 +253,20 @@ class Node:
         self._core.emergency.report(code, register_bits, manufacturer, self._at(now), again=again)
 
     def clear_emergency(self, code: int, now: float | None = None) -> None:
-        """End an error: EMCY 0000h. Nothing when it is not active."""
+        """End an error: EMCY 0000h."""
         self._core.emergency.clear(code, self._at(now))
 
     def communication_error(self, now: float) -> None:
-        """The device had a communication error: the NMT state that 1029h:01 names."""
+        """The NMT state that 1029h:01 names."""
         self._communication_error("a communication error", now)
 
     def bus_off(self, now: float) -> list[Frame]:
-        """The CAN controller is bus-off, or its interface is down: see 1029h:01."""
+        """Bus-off, or interface down: see 1029h:01."""
         self._communication_error("the bus is gone", now)
         return self._sent()
 
     def bus_back(self, now: float) -> list[Frame]:
-        """The bus is back: EMCY 8140h, then 0000h. The NMT state stays."""
+        """EMCY 8140h, then 0000h. The state stays."""
         self.call.now = now
         if self._core.state is not NmtState.INITIALISING:
             code, emergency = EmergencyCode.BUS_OFF_RECOVERED, self._core.emergency
@@ -289,7 +289,7 @@ class Node:
         return sent
 
     def _receive_other(self, can_id: int, data: bytes, rtr: bool, now: float) -> None:
-        """A remote frame, or one that nobody listens to."""
+        """Remote, malformed or unknown."""
         if rtr:
             self._receive_remote(can_id, now)
         elif len(data) > LONGEST_DATA or not 0 <= can_id <= HIGHEST_ID:

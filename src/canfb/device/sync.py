@@ -48,11 +48,11 @@ class Pdos:
             tpdo.enable(operational, now)
 
     def synchronous_rpdo(self, number: int) -> Rpdo | None:
-        """RPDO `number` if it is taken over at a SYNC now, else None."""
+        """RPDO `number` if it waits for SYNC now, else None."""
         return next((rpdo for rpdo in self._sync_rpdos if rpdo.number == number), None)
 
     def add_routes(self, routes: Routes) -> None:
-        """Who listens to which CAN-ID in OPERATIONAL, and who follows what leaves."""
+        """Who listens in OPERATIONAL, and follows what leaves."""
         for rpdo in self.rpdos.values():
             routes.add(rpdo.can_id, rpdo.handle)
         for tpdo in self.tpdos.values():
@@ -61,12 +61,12 @@ class Pdos:
                 routes.add_sent(tpdo.configured_can_id, tpdo.sent)
 
     def choose(self) -> None:
-        """Look which of them act at a SYNC, with these parameters."""
+        """Which of them act at a SYNC."""
         self._sync_rpdos = [rpdo for rpdo in self.rpdos.values() if rpdo.is_synchronous]
         self._sync_tpdos = [tpdo for tpdo in self.tpdos.values() if tpdo.is_synchronous]
 
     def synchronise(self, counter: int | None, now: float) -> None:
-        """A SYNC, with its counter if it has one."""
+        """A SYNC."""
         core, process = self._core, self._core.process
         if core.window_s:
             core.window_end = now + core.window_s
@@ -117,7 +117,7 @@ class Sync(Timed):
         self._read()
 
     def enable(self, enabled: bool, now: float) -> None:
-        """Whether the NMT state allows SYNC; a producer starts or stops."""
+        """Whether the state allows SYNC."""
         if enabled != self._enabled:
             self._enabled = enabled
             self._core.window_end = NEVER
@@ -212,7 +212,7 @@ _MILLISECOND_BITS = 0x0FFFFFFF
 
 
 class TimeStamp:
-    """Takes the time of day to the program; a TIME that is malformed is dropped and counted."""
+    """Takes the time of day to the program."""
 
     def __init__(self, core: Core) -> None:
         self._entry = entry = core.dictionary.assumed(0x1012)
@@ -223,7 +223,7 @@ class TimeStamp:
 
     @property
     def can_id(self) -> int | None:
-        """The CAN-ID that it listens to now, None when it does not."""
+        """Where it listens now, or None."""
         value: int = self._entry.value
         return value & cob.CAN_ID if value & CONSUME else None
 

@@ -24,7 +24,7 @@ Place = tuple[int, int]
 
 
 class Reals(Enum):
-    """How REAL32 and REAL64 are written: CiA 306 does not say it, and readers differ."""
+    """How reals are written: CiA 306 does not say it."""
 
     DECIMAL = "decimal"
     IEEE754 = "ieee754"
@@ -81,7 +81,7 @@ def dcf_text(
 
 
 def real_as_text(data_type: int, value: float, reals: Reals) -> str:
-    """A REAL32 or REAL64: the shortest decimal number that is it, or its bits."""
+    """The shortest decimal number that is it, or its bits."""
     data = datatypes.encode(data_type, value)
     if reals is Reals.IEEE754:
         return f"0x{data[::-1].hex().upper()}"

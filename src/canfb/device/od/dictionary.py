@@ -114,11 +114,11 @@ class Entry:
         return datatypes.byte_length(self.data_type)
 
     def current(self) -> Any:
-        """The live value where there is an `on_read`, else `value`."""
+        """The live value."""
         return self.value if self.on_read is None else self.on_read()
 
     def encode(self) -> bytes:
-        """Bytes of the current value. ValueError when it does not fit the data type."""
+        """Bytes of the current value, or ValueError."""
         value = self.current()
         try:
             return datatypes.encode(self.data_type, value)
@@ -126,7 +126,7 @@ class Entry:
             raise ValueError(f"{self!r}: {error}") from error
 
     def decode(self, data: bytes) -> Any:
-        """Value of bytes from the bus. SdoAbort for a wrong size or a value beyond the limits."""
+        """Value of bytes from the bus, or SdoAbort."""
         size = self.byte_length
         if size and len(data) != size:
             raise SdoAbort(AbortCode.TOO_LONG if len(data) > size else AbortCode.TOO_SHORT)
@@ -171,12 +171,12 @@ class Entry:
                 raise
 
     def upload(self) -> bytes:
-        """What an SDO read gives; SdoAbort when it is refused."""
+        """An SDO read, or SdoAbort."""
         self.check_readable()
         return self.encode()
 
     def download(self, data: bytes) -> None:
-        """What an SDO write does; SdoAbort when it is refused, the value then untouched."""
+        """An SDO write, or SdoAbort."""
         self.check_writable()
         self.store(self.decode(data))
         if self.on_download is not None:
@@ -242,7 +242,7 @@ class Dictionary:
         return dictionary
 
     def entry(self, index: int, subindex: int = 0) -> Entry:
-        """The entry, for code that knows its device. KeyError when there is none."""
+        """The entry, or KeyError."""
         try:
             return self._entries[index, subindex]
         except KeyError:
@@ -251,16 +251,16 @@ class Dictionary:
             ) from None
 
     def find(self, index: int, subindex: int = 0) -> Entry | None:
-        """The entry, or None when the device does not have it."""
+        """The entry, or None."""
         return self._entries.get((index, subindex))
 
     def assumed(self, index: int, subindex: int = 0, value: int = 0) -> Entry:
-        """The entry; where the device does not have it one that nobody can reach, with this value."""
+        """The entry, or one that nobody can reach, with this value."""
         found = self.find(index, subindex)
         return Entry(index, subindex, DataType.UNSIGNED32, default=value) if found is None else found
 
     def lookup(self, index: int, subindex: int) -> Entry:
-        """The entry, for a request from the bus. SdoAbort when there is none."""
+        """The entry, or SdoAbort."""
         found = self._entries.get((index, subindex))
         if found is None:
             raise SdoAbort(AbortCode.NO_SUBINDEX if index in self._objects else AbortCode.NO_OBJECT)
@@ -280,12 +280,12 @@ class Dictionary:
         return iter(self._objects.values())
 
     def indices(self, area: range) -> Sequence[int]:
-        """The indices of the objects within ``area``, ascending."""
+        """The indices within ``area``, ascending."""
         first, end = (bisect_left(self._indices, index) for index in (area.start, area.stop))
         return self._indices[first:end]
 
     def change_node_id(self, old: int, new: int) -> None:
-        """Make the defaults that have the node-ID in them, and the values that are such defaults, new."""
+        """Defaults with the node-ID in them, and values at such defaults, move."""
         for entry in self._entries.values():
             if entry.follows_node_id and isinstance(entry.default, int):
                 is_default = entry.value == entry.default
@@ -294,7 +294,7 @@ class Dictionary:
                     entry.value = entry.default
 
     def reset(self, first: int = 0x1000, last: int = 0xFFFF) -> None:
-        """Values of the indices `first` to `last`, both included, back to their defaults. No hook runs."""
+        """Values of `first` to `last` back to their defaults. No hook runs."""
         for entry in self._entries.values():
             if first <= entry.index <= last:
                 entry.reset()
@@ -302,7 +302,7 @@ class Dictionary:
 
 @lru_cache(maxsize=32)
 def _template(content: bytes, node_id: int) -> tuple[Entry, ...]:
-    """The entries that a dictionary begins with. They are never given away: each one gets copies."""
+    """Entries of which each dictionary gets copies."""
     return tuple(_entry(one, node_id) for one in eds.content_described(content).entries)
 
 
@@ -330,7 +330,7 @@ def _entry(described: Description, node_id: int) -> Entry:
 
 
 def _guess_objects(entries: Iterable[tuple[int, int]]) -> list[ObjectInfo]:
-    """For a dictionary made of entries alone: one sub-index 0 is a VAR, more are a RECORD."""
+    """Of entries alone: sub-index 0 is a VAR, more are a RECORD."""
     subindices: dict[int, list[int]] = {}
     for index, subindex in entries:
         subindices.setdefault(index, []).append(subindex)

@@ -21,7 +21,7 @@ TURNS = range(5)
 
 
 def turn(entry: Entry) -> int:
-    """When the entry is to be written, after everything is switched off: one of `TURNS`."""
+    """When the entry is to be written, of `TURNS`."""
     if _is_mapping_count(entry):
         return 1
     if entry.index == _CYCLE_PERIOD:
@@ -65,7 +65,7 @@ _HEADER = struct.Struct("<HBI")  # index, sub-index, bytes of data
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """One SDO write: the object, and its data as SDO has it, little-endian."""
+    """One SDO write, little-endian."""
 
     index: int
     subindex: int
@@ -73,13 +73,13 @@ class Write:
 
 
 def encode_concise(writes: Iterable[Write]) -> bytes:
-    """The writes in their order: their number, then index, sub-index, size and data of each."""
+    """Their number, then index, sub-index, size and data of each."""
     parts = [_HEADER.pack(one.index, one.subindex, len(one.data)) + one.data for one in writes]
     return _COUNT.pack(len(parts)) + b"".join(parts)
 
 
 def decode_concise(data: bytes) -> list[Write]:
-    """The writes of a concise DCF. ValueError for bytes that are none."""
+    """The writes of a concise DCF, or ValueError."""
     if len(data) < _COUNT.size:
         raise ValueError("a concise DCF begins with the number of its entries, 4 bytes")
     writes: list[Write] = []

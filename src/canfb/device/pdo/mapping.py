@@ -21,7 +21,7 @@ from canfb.device.od.dictionary import RPDO_ACCESS, TPDO_ACCESS, Dictionary, Ent
 
 
 class Direction(Enum):
-    """Whether the device receives or transmits the PDO."""
+    """Seen from the device."""
 
     RECEIVE = "RPDO"
     TRANSMIT = "TPDO"
@@ -31,7 +31,7 @@ ACCESS = {Direction.RECEIVE: RPDO_ACCESS, Direction.TRANSMIT: TPDO_ACCESS}
 
 
 class Slot(NamedTuple):
-    """One mapped object: its entry (None for a dummy), data type and length in bits."""
+    """A mapped object; entry None for a dummy."""
 
     entry: Entry | None
     data_type: int
@@ -57,7 +57,7 @@ def resolve(dictionary: Dictionary, mapping: int, direction: Direction) -> Slot:
 
 
 def resolve_all(dictionary: Dictionary, mappings: Sequence[int], direction: Direction) -> list[Slot]:
-    """All objects of a PDO. SdoAbort 06040042h when they are longer than a frame."""
+    """All objects of a PDO, or SdoAbort."""
     slots = [resolve(dictionary, mapping, direction) for mapping in mappings]
     if sum(slot.bits for slot in slots) > LONGEST_BITS:
         raise SdoAbort(AbortCode.PDO_LENGTH)
@@ -77,13 +77,13 @@ PDO_NUMBERS = range(1, 513)
 
 
 def numbers(dictionary: Dictionary, direction: Direction) -> list[int]:
-    """Numbers of the PDOs that the dictionary has, from 1."""
+    """The PDOs that the dictionary has, from 1."""
     first = COMMUNICATION[direction]
     return [index - first + 1 for index in dictionary.indices(range(first, first + len(PDO_NUMBERS)))]
 
 
 def rpdo_with(dictionary: Dictionary, objects: Iterable[tuple[int, int]]) -> int | None:
-    """Number of the first valid RPDO whose mapping holds all these objects (index, sub-index)."""
+    """The first valid RPDO with all these objects, or None."""
     required = {index << 8 | subindex for index, subindex in objects}
     for number in numbers(dictionary, Direction.RECEIVE):
         mapping = MAPPING[Direction.RECEIVE] + number - 1
@@ -136,13 +136,11 @@ class PdoParameters:
         return not self.cob_id.value & cob.NO_RTR
 
     def further(self, subindex: int) -> Entry:
-        """A further communication parameter, 0 when the device does not have it."""
+        """A further communication parameter, or 0."""
         return self._dictionary.assumed(self._communication, subindex)
 
     def active_slots(self) -> list[Slot]:
-        """The mapped objects; none while the PDO is not valid. ValueError when the program made it
-        impossible.
-        """
+        """The mapped objects of a valid PDO. ValueError for the impossible."""
         return self._slots() if self.is_valid else []
 
     def _install(self, changed: Callable[[], None]) -> None:

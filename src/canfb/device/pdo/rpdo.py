@@ -48,16 +48,16 @@ class Rpdo(Timed):
 
     @property
     def can_id(self) -> int | None:
-        """The CAN-ID it listens to now, or None."""
+        """Where it listens now, or None."""
         return None if self._unpack is None else self._parameters.can_id
 
     @property
     def configured_can_id(self) -> int | None:
-        """The CAN-ID it has, None while it is not valid."""
+        """Its CAN-ID while it is valid."""
         return self._parameters.can_id if self._parameters.is_valid else None
 
     def enable(self, operational: bool, now: float) -> None:
-        """Whether the NMT state allows PDOs; compiles the mapping."""
+        """Whether the state allows PDOs; compiles the mapping."""
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
         self._length = length_of(slots)
@@ -91,7 +91,7 @@ class Rpdo(Timed):
         self._core.process.rpdo_received(self.number, now)
 
     def synchronise(self, now: float) -> None:
-        """Take over what came since the last SYNC."""
+        """Take over what came since."""
         data, unpack = self._pending, self._unpack
         self.waiting = 0
         if data is not None and unpack is not None:
@@ -100,7 +100,7 @@ class Rpdo(Timed):
             self._core.process.rpdo_received(self.number, now)
 
     def tick(self, now: float) -> None:
-        """Report that the PDO did not come in time, once."""
+        """The PDO did not come in time."""
         if now >= self.deadline:
             self.deadline = NEVER
             self._report(EmergencyCode.RPDO_TIMEOUT, bytes([self.number & 0xFF]), now)
@@ -120,7 +120,7 @@ class Rpdo(Timed):
         self._core.process.rpdo_too_short(self.number, received, mapped, now)
 
     def _accept_long(self, received: int, mapped: int, now: float) -> None:
-        """The data is there, and in time; only its length is an error."""
+        """Only its length is an error."""
         self._counters.long_rpdos += 1
         self._report(EmergencyCode.RPDO_LENGTH_EXCEEDED, bytes([self.number & 0xFF, received, mapped]), now)
         self._clear(EmergencyCode.RPDO_LENGTH, now)
@@ -132,7 +132,7 @@ class Rpdo(Timed):
         self._emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
 
     def _supervise(self, now: float) -> None:
-        """A good PDO: errors are over, the time-out restarts."""
+        """Errors are over, the time-out restarts."""
         if self._failed:
             self._clear_errors(now)
             self._supervised = self._timeout_s > 0
@@ -202,7 +202,7 @@ def unpacker(slots: Sequence[Slot]) -> Unpack:
 
 
 def bit_unpacker(slots: Sequence[Slot]) -> Unpack:
-    """Any lengths, one after the other without gaps, least significant bit first."""
+    """Any lengths, without gaps."""
 
     def unpack(data: bytes) -> int:
         word = int.from_bytes(data, "little")

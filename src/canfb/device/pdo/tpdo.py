@@ -62,14 +62,14 @@ class Tpdo(Timed):
 
     @property
     def remote_can_id(self) -> int | None:
-        """The CAN-ID on which it answers remote frames now, or None."""
+        """Where it answers remote frames now, or None."""
         if self._pack is None or not self._parameters.allows_remote:
             return None
         return self._can_id
 
     @property
     def configured_can_id(self) -> int | None:
-        """The CAN-ID it has, None while it is not valid."""
+        """Its CAN-ID while it is valid."""
         return self._parameters.can_id if self._parameters.is_valid else None
 
     @property
@@ -78,7 +78,7 @@ class Tpdo(Timed):
         return self._pack is not None and (self._type in SYNCHRONOUS or self._type == SYNC_REMOTE)
 
     def enable(self, operational: bool, now: float) -> None:
-        """Whether the NMT state allows PDOs; compiles the mapping."""
+        """Whether the state allows PDOs; compiles the mapping."""
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
         self._pack: Pack | None = packer(slots) if slots else None  # while it is active
@@ -118,7 +118,7 @@ class Tpdo(Timed):
             self._event = True
 
     def synchronise(self, counter: int | None, now: float) -> None:
-        """A SYNC, with its counter if it has one."""
+        """A SYNC."""
         pack = self._pack_each_sync
         if pack is not None:
             emit = self._emit
@@ -148,13 +148,13 @@ class Tpdo(Timed):
         return self._event_driven and self._inhibit_s > 0
 
     def sent(self, now: float) -> None:
-        """It went onto the bus at `now`, later than given out: the inhibit time counts from here."""
+        """It has left: the inhibit time counts from here."""
         if self.is_inhibited:
             self._not_before = now + self._inhibit_s
             self._schedule()
 
     def tick(self, now: float) -> None:
-        """Send what waited for the inhibit time, or what the event timer asks for."""
+        """Inhibit time or event timer is over."""
         timer_over = now >= self._timer_end
         if (self._event and self._event_driven) or timer_over:
             if now >= self._not_before:
@@ -245,7 +245,7 @@ def _packer_of_any(pack: Callable[..., bytes], entries: tuple[Entry, ...]) -> Pa
 
 
 def _unfit(entries: tuple[Entry, ...]) -> ValueError:
-    """The error that names the entry whose value does not fit."""
+    """Names the entry whose value does not fit."""
     for entry in entries:
         try:
             entry.encode()
@@ -255,7 +255,7 @@ def _unfit(entries: tuple[Entry, ...]) -> ValueError:
 
 
 def bit_packer(slots: Sequence[Slot]) -> Pack:
-    """Any lengths, one after the other without gaps, least significant bit first; the rest is 0."""
+    """Any lengths, without gaps; the rest is 0."""
     length = (sum(slot.bits for slot in slots) + 7) // 8
 
     def pack() -> bytes:

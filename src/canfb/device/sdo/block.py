@@ -54,7 +54,7 @@ _END, _ACKNOWLEDGE, _START = 1, 2, 3
 
 
 class BlockUpload(Transfer):
-    """Server to client. The data is what it was at the first frame."""
+    """Server to client."""
 
     def __init__(
         self, multiplexer: bytes, data: bytes, block_size: int, *, with_crc: bool, reply: Reply
@@ -72,7 +72,7 @@ class BlockUpload(Transfer):
         reply(bytes([answer]) + multiplexer + len(data).to_bytes(4, "little"))
 
     def accepts(self, command: int) -> bool:
-        """All that belongs to a block upload, but a new one."""
+        """Of a block upload, but no new one."""
         return command >> 5 == BLOCK_UPLOAD and bool(command & 0x03)
 
     def handle(self, data: bytes) -> bool:
@@ -132,7 +132,7 @@ class BlockUpload(Transfer):
 
 
 class BlockDownload(Download):
-    """Client to server. Segments after a gap are dropped and asked for again."""
+    """Client to server. Segments after a gap are asked for again."""
 
     def __init__(
         self,
@@ -151,13 +151,13 @@ class BlockDownload(Download):
         reply(bytes([answer]) + multiplexer + bytes([DOWNLOAD_BLOCK]))
 
     def accepts(self, command: int) -> bool:
-        """Segments, and the end when they are complete."""
+        """Segments, then the end."""
         if self._complete:
             return command >> 5 == BLOCK_DOWNLOAD and bool(command & 0x01)
         return command != ABORT_COMMAND and command & _SEQUENCE <= DOWNLOAD_BLOCK
 
     def handle(self, data: bytes) -> bool:
-        """Take a segment, or the end, which writes the entry."""
+        """Take a segment; the end writes the entry."""
         if self._complete:
             self._end(data[0] >> 2 & 0x07, int.from_bytes(data[1:3], "little"))
             return False

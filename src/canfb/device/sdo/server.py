@@ -57,7 +57,7 @@ class SdoServer(Timed):
         }
 
     def drop(self) -> None:
-        """Give the running transfer up without a word (NMT reset or stop)."""
+        """Give the transfer up without a word."""
         self._transfer = None
         self._forget_answer()
         self.deadline = NEVER
@@ -89,7 +89,7 @@ class SdoServer(Timed):
         self._schedule(now)
 
     def tick(self, now: float) -> None:
-        """Send what a block upload has to send next, or give a silent client up."""
+        """The next segments, or a silent client is given up."""
         transfer = self._transfer
         if transfer is None or now < self.deadline:
             return
@@ -113,7 +113,7 @@ class SdoServer(Timed):
         self._emit(Frame(self.response_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
 
     def _written(self, multiplexer: bytes, payload: bytes, code: AbortCode | None) -> None:
-        """What the answer has waited for is done, or has failed with `code`."""
+        """What the answer has waited for is done, or failed."""
         self._pending = None
         if code is None:
             self._reply(payload)
@@ -121,7 +121,7 @@ class SdoServer(Timed):
             self._abort(multiplexer, code)
 
     def _forget_answer(self) -> None:
-        """The client does not wait for it any more; what it has written goes on."""
+        """The client does not wait any more."""
         pending, self._pending = self._pending, None
         if pending is not None:
             pending.on_end = None
@@ -134,7 +134,7 @@ class SdoServer(Timed):
         return self._dictionary.lookup(data[1] | data[2] << 8, data[3])
 
     def _writable(self, data: bytes) -> Entry:
-        """The entry that a download writes. SdoAbort if it does not exist, or must not be written."""
+        """The entry of a download, or SdoAbort."""
         entry = self._entry(data)
         entry.check_writable()
         self._core.application.check_write(entry)
@@ -202,7 +202,7 @@ class SdoChannel:
 
     @property
     def request_id(self) -> int | None:
-        """The CAN-ID that the server listens to, or None."""
+        """Where the server listens, or None."""
         if self._index == FIRST_INDEX:
             return cob.SDO_REQUEST + self._core.node_id
         if not (cob.is_valid(self._request.value) and cob.is_valid(self._response.value)):
@@ -215,7 +215,7 @@ class SdoChannel:
         return None if self.request_id is None else self.server.response_id
 
     def configure(self) -> None:
-        """Read the parameters again; a running transfer is given up."""
+        """Read the parameters again."""
         self.server.drop()
         if self._index != FIRST_INDEX:
             self.server.response_id = self._response.value & cob.CAN_ID
@@ -236,6 +236,6 @@ class SdoChannel:
 
 
 def channel_indices(dictionary: Dictionary) -> list[int]:
-    """The channels of the device: the first, and those that the dictionary has."""
+    """The first, and those that the dictionary has."""
     further = range(FIRST_INDEX + 1, LAST_INDEX + 1)
     return [FIRST_INDEX, *(index for index in further if (index, 1) in dictionary)]

@@ -44,11 +44,11 @@ class Transfer(ABC):
 
     @abstractmethod
     def accepts(self, command: int) -> bool:
-        """Whether a frame with this first byte belongs to the transfer."""
+        """Whether this first byte belongs to it."""
 
     @abstractmethod
     def handle(self, data: bytes) -> bool:
-        """Take a frame of the client; False when the transfer is complete. SdoAbort to end it."""
+        """Take a frame; False: complete. SdoAbort ends it."""
 
     def proceed(self) -> None:  # noqa: B027  (most never pause)
         """Go on sending after the pause."""
@@ -80,12 +80,12 @@ def finish_download(entry: Entry, data: bytes, announced: int | None) -> None:
 
 
 def expedited_upload(multiplexer: bytes, data: bytes) -> bytes:
-    """The answer that carries 1 to 4 bytes itself."""
+    """The answer with 1 to 4 bytes."""
     return bytes([0x43 | (4 - len(data)) << 2]) + multiplexer + data
 
 
 def expedited_data(entry: Entry, frame: bytes) -> bytes:
-    """The data in an expedited download request; without a size, as much as the entry has."""
+    """The data of an expedited request; without a size, as the entry has."""
     size_indicated = frame[0] & 0x01
     size = 4 - (frame[0] >> 2 & 0x03) if size_indicated else min(entry.byte_length or 4, 4)
     return frame[4 : 4 + size]
@@ -97,7 +97,7 @@ _LAST = 0x01
 
 
 class SegmentedUpload(Transfer):
-    """Server to client. The data is what it was at the first frame."""
+    """Server to client."""
 
     def __init__(self, multiplexer: bytes, data: bytes, reply: Reply) -> None:
         super().__init__(multiplexer, reply)
@@ -124,7 +124,7 @@ class SegmentedUpload(Transfer):
 
 
 class Download(Transfer):
-    """Client to server. The entry is written when all is there."""
+    """Client to server; written when all is there."""
 
     def __init__(self, multiplexer: bytes, entry: Entry, announced: int | None, reply: Reply) -> None:
         if announced is not None:
@@ -136,7 +136,7 @@ class Download(Transfer):
 
 
 class SegmentedDownload(Download):
-    """Segments of seven bytes, each of them acknowledged."""
+    """Segments of seven bytes, acknowledged."""
 
     def __init__(self, multiplexer: bytes, entry: Entry, announced: int | None, reply: Reply) -> None:
         super().__init__(multiplexer, entry, announced, reply)
@@ -148,7 +148,7 @@ class SegmentedDownload(Download):
         return command >> 5 == DOWNLOAD_SEGMENT
 
     def handle(self, data: bytes) -> bool:
-        """Take a segment; the last one writes the entry."""
+        """The last segment writes the entry."""
         command = data[0]
         if command & _TOGGLE != self._toggle:
             raise SdoAbort(AbortCode.TOGGLE)

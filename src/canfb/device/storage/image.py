@@ -33,20 +33,20 @@ class ParameterGroup(IntEnum):
 
 
 class Identity(NamedTuple):
-    """Which device an image belongs to: vendor-ID, product code and revision number of 1018h."""
+    """Vendor-ID, product code and revision number (1018h)."""
 
     vendor: int
     product: int
     revision: int
 
     def accepts(self, other: Identity) -> bool:
-        """Whether an image of `other` fits: all but the minor revision, the low word, is the same."""
+        """All but the minor revision is the same."""
         return self[:2] == other[:2] and self.revision >> 16 == other.revision >> 16
 
 
 @dataclass(frozen=True, order=True, slots=True)
 class Record:
-    """One entry: its data as SDO has it, little-endian; with `relative` the node-ID is taken off."""
+    """One entry, little-endian; `relative`: without the node-ID."""
 
     index: int
     subindex: int
@@ -55,11 +55,11 @@ class Record:
 
 
 class ImageError(ValueError):
-    """Stored parameters that cannot be used; the text says why."""
+    """Stored parameters that cannot be used."""
 
 
 def encode_image(group: ParameterGroup, identity: Identity, records: Iterable[Record]) -> bytes:
-    """The bytes to be kept: header, records and a CRC-32 over both."""
+    """Header, records and CRC-32."""
     ordered = sorted(records)
     parts = [_HEADER.pack(_MAGIC, FORMAT_VERSION, group, 0, *identity, len(ordered))]
     for record in ordered:

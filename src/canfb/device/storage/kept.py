@@ -66,25 +66,25 @@ class KeptEntries:
         self._saved_value[index, subindex] = saved
 
     def of(self, group: ParameterGroup) -> Iterator[Entry]:
-        """The entries of a group, in ascending order."""
+        """The entries of a group, ascending."""
         indices = RANGES[group]
         for index, subindex in sorted(self._places):
             if index in indices:
                 yield self._dictionary.lookup(index, subindex)
 
     def settings(self) -> Iterator[Entry]:
-        """The parameters that SDO sets, in ascending order: without those of `keep`."""
+        """The parameters that SDO sets, ascending."""
         for index, subindex in sorted(self._places - self._added):
             yield self._dictionary.lookup(index, subindex)
 
     def find(self, group: ParameterGroup, index: int, subindex: int) -> Entry | None:
-        """The entry, None when it is not a stored parameter of the group."""
+        """A stored parameter of the group, or None."""
         if (index, subindex) not in self._places or index not in RANGES[group]:
             return None
         return self._dictionary.lookup(index, subindex)
 
     def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
-        """The present values of a group on node `node_id`, of those within their limits."""
+        """The present values of a group, within their limits."""
         values = ((entry, self._value(entry)) for entry in self.of(group))
         return [_record(entry, value, node_id) for entry, value in values if _is_within_limits(entry, value)]
 
@@ -101,7 +101,7 @@ def _record(entry: Entry, value: Any, node_id: int) -> Record:
 
 
 def restored_value(entry: Entry, record: Record, node_id: int) -> Any:
-    """The value of a record on node `node_id`. SdoAbort when its size is wrong, or its limits."""
+    """The value of a record, or SdoAbort."""
     if not record.relative:
         return entry.decode(record.data)
     value = (int.from_bytes(record.data, "little") + node_id) & _FLAGS_AND_ID
@@ -117,7 +117,7 @@ def _is_within_limits(entry: Entry, value: Any) -> bool:
 
 
 def _has_default_can_id(entry: Entry, value: Any) -> bool:
-    """Whether a COB-ID follows the node-ID: its default does, and flags are all that was changed."""
+    """Whether a COB-ID follows the node-ID: at most its flags were changed."""
     if not entry.follows_node_id or entry.byte_length != 4:
         return False
     return not (int(value) ^ int(entry.default)) & _CAN_ID
@@ -177,7 +177,7 @@ def _write(values: list[Value]) -> None:
 
 
 def _refusal(entry: Entry, value: Any) -> str:
-    """Write one value; why it is refused, or nothing."""
+    """Write one value; why not, or nothing."""
     try:
         entry.check(value)
     except SdoAbort as abort:

@@ -34,28 +34,28 @@ Done = Callable[[OSError | None], None]
 
 
 class Store(Protocol):
-    """Memory that outlives the power. What it keeps are bytes, which the device makes and checks."""
+    """Memory that outlives the power."""
 
     def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
-        """What is kept, by group; an OSError for a group that is there and cannot be read."""
+        """What is kept, by group, or an OSError."""
 
     def save(self, changes: Changes) -> None:
-        """Keep these groups, or forget those that are None: all of them or, with an OSError, none."""
+        """Keep these groups, None forgets: all or, with an OSError, none."""
 
 
 @runtime_checkable
 class BackgroundStore(Store, Protocol):
-    """A store that writes while the device goes on."""
+    """It writes while the device goes on."""
 
     def begin(self, changes: Changes) -> None:
-        """Begin to keep `changes`, behind those that were begun before."""
+        """Begin to keep `changes`, in order."""
 
     def ended(self) -> Sequence[OSError | None]:
-        """What has ended since the last call, in order: None for kept, or why not."""
+        """What has ended since: None for kept, or why not."""
 
 
 class Writing(Timed):
-    """Gives changes to a store, one after the other, and says when each is kept."""
+    """Gives changes to a store one by one."""
 
     def __init__(self, store: Store, now: Callable[[], float]) -> None:
         self.deadline = NEVER
@@ -120,7 +120,7 @@ class MemoryStore:
 
 
 def keep(images: dict[ParameterGroup, bytes], changes: Mapping[ParameterGroup, bytes | None]) -> None:
-    """Put the images of ``changes`` among ``images``; None forgets one."""
+    """Put ``changes`` among ``images``."""
     for group, image in changes.items():
         if image is None:
             images.pop(group, None)
@@ -183,7 +183,7 @@ class Storage:
                 self.refuse(group, str(error))
 
     def records(self, group: ParameterGroup) -> list[Record] | None:
-        """The stored records of a group, None for none."""
+        """The stored records of a group, or None."""
         image = self._images.get(group)
         if image is None:
             return None
@@ -203,12 +203,12 @@ class Storage:
             entry.value = 0
 
     def refuse(self, group: ParameterGroup, reason: str) -> None:
-        """Do not use the stored parameters of this group."""
+        """Do not use these stored parameters."""
         del self._images[group]
         self.faults[group] = reason
 
     def report_faults(self) -> None:
-        """Tell the program which groups were refused, and why."""
+        """Tell the program."""
         self._core.application.parameters_refused(dict(self.faults), self._core.call.now)
 
     def _identity(self) -> Identity:
@@ -233,12 +233,12 @@ class Storage:
         self._command(dict.fromkeys(there), self.configuration_changed)
 
     def _image(self, group: ParameterGroup) -> bytes | None:
-        """The present values of a group; None for a device without parameters in it."""
+        """The present values of a group, or None."""
         records = self.entries.records(group, self._core.node_id)
         return encode_image(group, self._identity(), records) if records else None
 
     def _command(self, changes: Changes, kept: Callable[[], None]) -> None:
-        """Write `changes`, then call `kept`; the answer to SDO waits. SdoAbort if it fails at once."""
+        """Write `changes`, then call `kept`; SDO waits."""
         pending = Pending()
 
         def done(error: OSError | None) -> None:
@@ -261,7 +261,7 @@ class Storage:
             self.writing.write(changes, partial(self._written, changes, done))
 
     def _written(self, changes: Changes, done: Done, error: OSError | None) -> None:
-        """The store has kept the changes, or has failed with `error`."""
+        """The store has kept the changes, or failed."""
         now, application = self._core.call.now, self._core.application
         if error is not None:
             application.saving_failed(list(changes), error.strerror or str(error), now)
