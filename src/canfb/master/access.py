@@ -85,11 +85,11 @@ SETTLE_S = 0.05  # for frames of an aborted block transfer that are still in tra
 
 
 class CommissioningError(CanfbError):
-    """A step that did not work; the text says how the module is left."""
+    """A step that did not work."""
 
 
 class RefusedError(CommissioningError):
-    """The node has refused an access with the abort ``code`` (CiA 301, 7.2.4.3.17)."""
+    """The node has refused an access, with abort ``code``."""
 
     def __init__(self, text: str, code: int = AbortCode.GENERAL) -> None:
         super().__init__(text)
@@ -101,13 +101,13 @@ class ObjectAbsentError(RefusedError):
 
 
 class Master(Protocol):
-    """A bus as the master sees it, see :class:`canfb.bus.bus_master.BusMaster`."""
+    """A bus, see :class:`canfb.bus.bus_master.BusMaster`."""
 
     def sdo(self, node_id: int) -> Client:
         """SDO client for a node."""
 
     def subscribe(self, can_id: int, on_frame: OnFrame) -> None:
-        """Call ``on_frame`` with CAN-ID, data and time stamp (s) of each data frame."""
+        """Call ``on_frame`` with CAN-ID, data, time stamp (s)."""
 
     def unsubscribe(self, can_id: int, on_frame: OnFrame) -> None:
         """No more of it."""
@@ -134,7 +134,7 @@ class NodeAccess:
         self.name = f"{name} {node_id} ({node_id:02X}h)"
 
     def read(self, index: int, subindex: int, layout: str) -> int | float:
-        """A number; ``layout`` as in struct: B, H, I, h, f ..."""
+        """A number; ``layout`` as in struct."""
         data = self.read_bytes(index, subindex)
         size = struct.calcsize(f"<{layout}")
         if len(data) < size:
@@ -149,7 +149,7 @@ class NodeAccess:
         return int(self.read(index, subindex, layout))
 
     def read_known(self, place: od.Multiplexer) -> int | float | None:
-        """A number for :mod:`canfb.view`; None where the node refuses it."""
+        """A number, or None where it is refused."""
         try:
             data = self.read_bytes(*place)
         except RefusedError:
@@ -179,17 +179,17 @@ class NodeAccess:
         self._transfer("writing", index, subindex, send)
 
     def read_bytes(self, index: int, subindex: int) -> bytes:
-        """The bytes of an object, by expedited or segmented transfer."""
+        """The bytes of an object."""
         return self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
 
     def upload_domain(self, index: int, subindex: int, progress: Progress = lambda part: None) -> bytes:
-        """A DOMAIN, by block transfer or else segmented; ``progress`` gets 0..1."""
+        """By block transfer or segmented; ``progress`` gets 0..1."""
         return self._by_blocks(
             "reading", index, subindex, lambda client, block: _fetch(client, index, subindex, block, progress)
         )
 
     def download_domain(self, index: int, subindex: int, data: bytes) -> None:
-        """A DOMAIN, by block transfer where the server has it, else segmented."""
+        """By block transfer or segmented."""
         self._by_blocks(
             "writing", index, subindex, lambda client, block: _store(client, index, subindex, data, block)
         )
@@ -217,7 +217,7 @@ class NodeAccess:
         return self._transfer(doing, index, subindex, lambda client: act(client, False))
 
     def _transfer(self, doing: str, index: int, subindex: int, act: Callable[[Client], bytes]) -> bytes:
-        """One transfer, again if another master on the SDO channel has broken it."""
+        """One transfer, again if another master has broken it."""
         what = f"{self.name}: {doing} {index:04X}:{subindex:02X}"
         for attempt in itertools.count(1):
             client = self.master.sdo(self.node_id)

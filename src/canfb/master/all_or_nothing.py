@@ -97,14 +97,14 @@ def activate(module: NodeAccess, crc32: int) -> None:
 
 
 def put_in_force_again(module: NodeAccess, before: Correction) -> None:
-    """Activate the old set, and prove it. CommissioningError if that fails."""
+    """Activate the old set, and prove it."""
     put_in_force(module, before)
     if read_active(module) != before:
         raise CommissioningError(f"{module.name}: the previous table and conditioning are not active")
 
 
 def check_unlocked(module: NodeAccess) -> None:
-    """CommissioningError while the write lock (2040h) refuses every write: before a long measurement."""
+    """CommissioningError while the write lock (2040h) refuses writes."""
     if module.read_known(od.WRITE_LOCK_LOCKED):
         raise CommissioningError(
             f"{module.name} is locked (2040h): canfb sdo write {module.node_id:#04x} 2040:02 CODE unlocks "
@@ -132,7 +132,7 @@ def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str |
 
 
 def check_can_save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> None:
-    """CommissioningError if the module cannot save, before anything is written."""
+    """CommissioningError if the module cannot save."""
     if saving_object(module, stores) is None:
         raise CommissioningError(
             f"--save: {module.name} cannot save (1010h; canfb run needs a state_dir for it)"
@@ -188,7 +188,7 @@ class Guard:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """No interruption in here: what is done here is the end anyway."""
+        """No interruption in here."""
         self._held = True
         try:
             yield

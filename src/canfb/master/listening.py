@@ -64,7 +64,7 @@ class PdoRecorder:
         self.on_part(can_id, data, time_s)
 
     def on_part(self, can_id: int, data: bytes, time_s: float) -> None:
-        """A PDO with earlier pairs, or the sample time."""
+        """A PDO with earlier pairs, or the time."""
         if not self._pairs:
             return
         layout, earlier = self._layout, self._earlier[-1]
@@ -75,13 +75,13 @@ class PdoRecorder:
             self._stamps[-1] = layout.timed_by.sample_time(data)
 
     def on_coarse(self, can_id: int, data: bytes, time_s: float) -> None:
-        """A PDO with the coarse track; it may be the one with the sample."""
+        """A PDO with the coarse track."""
         layout = self._layout.coarse
         if self._coarse and layout is not None and self._coarse[-1] is None:
             self._coarse[-1] = layout.unpack(data)
 
     def result(self, origin: str) -> TrackSamples:
-        """What came, in the order of sampling, without the last interval, which may be open."""
+        """What came, in order, without the open interval."""
         last, per_sync = len(self._pairs) - 1, 1 + len(self._layout.earlier)
         rate_hz = self._rate_hz()
         in_order = [
@@ -115,7 +115,7 @@ class PdoRecorder:
 
 
 class Listener:
-    """Hears SYNC and PDO while it is entered; call :meth:`look` now and then."""
+    """Hears SYNC and PDO; call :meth:`look` now and then."""
 
     def __init__(self, master: Master, layout: PdoLayout) -> None:
         self._master = master
@@ -170,7 +170,7 @@ class Listener:
             raise self._no_samples()
 
     def result(self) -> TrackSamples:
-        """What came. CommissioningError if it is full of gaps."""
+        """What came, or CommissioningError."""
         can_id = self._layout.can_id
         if not self._recorder.samples:
             raise self._no_samples()

@@ -60,7 +60,7 @@ class LockWatch:
         return True
 
     def raise_found(self) -> None:
-        """CalibrationError, with a speed that would do, if a lock was found."""
+        """CalibrationError, with a speed that would do."""
         if self.found is not None:
             raise self.found
 
@@ -85,7 +85,7 @@ class LockWatch:
 
 
 def _near(speed: float, lock: Lock) -> float:
-    """The module's speed, averaged over little, put on the lock."""
+    """The module's speed, put on the lock."""
     part = lock.numerator / lock.denominator
     return round(speed - part) + part
 
@@ -116,7 +116,7 @@ MORE_THAN_BEFORE = 3.0
 
 @dataclass(frozen=True)
 class Look:
-    """The module at one time: 2011:01, 2011:04, counters of 2012h."""
+    """2011:01, 2011:04 and counters at one time."""
 
     status: int
     cycles: int
@@ -130,19 +130,19 @@ class Look:
 
 @dataclass(frozen=True)
 class Meanwhile:
-    """The module before and after samples were collected."""
+    """The module before and after."""
 
     before: Look
     after: Look
 
     @property
     def is_lost(self) -> bool:
-        """The position was lost before, or is so now."""
+        """Lost before, or now."""
         return self.before.is_lost or self.after.is_lost
 
     @property
     def counted(self) -> dict[str, int]:
-        """What it counted in between, of what it counted at all."""
+        """What it counted in between."""
         return counted(self.before.counters, self.after.counters)
 
     @property
@@ -152,7 +152,7 @@ class Meanwhile:
 
     @property
     def cycles(self) -> int | None:
-        """Distance between both; None where a position was not valid."""
+        """Distance, or None."""
         valid = self.before.status & self.after.status & StatusBit.VALID
         if not valid or LOST in self.counted:
             return None
@@ -160,7 +160,7 @@ class Meanwhile:
 
 
 def look_at(module: NodeAccess) -> Look | None:
-    """The module now; None if it does not answer."""
+    """The module now, or None."""
     try:
         return Look(
             module.integer(*od.FEEDBACK_STATUS, "H"),
@@ -172,7 +172,7 @@ def look_at(module: NodeAccess) -> Look | None:
 
 
 def lost_words(module: NodeAccess, status: int) -> str:
-    """That its position is lost, why, and who knows more."""
+    """That its position is lost, and why."""
     causes = fault_words(status)
     why = f" ({', '.join(causes)})" if causes else ""
     return (
@@ -189,9 +189,7 @@ class SpeedReading:
 
 
 class SpeedReadings:
-    """Reads the speed of the module while samples are collected. CommissioningError if its position is not
-    valid.
-    """
+    """Speeds while samples are collected. CommissioningError without a valid position."""
 
     def __init__(self, module: NodeAccess) -> None:
         self._module = module
@@ -199,7 +197,7 @@ class SpeedReadings:
         self.found: list[SpeedReading] = []
 
     def __call__(self, listening: Listener) -> bool:
-        """Read, if it is time for it. False: the collection goes on."""
+        """Read, if it is time; False."""
         if listening.elapsed_s < self._next_s or not listening.intervals:
             return False
         self._next_s = listening.elapsed_s + READINGS_EVERY_S
@@ -218,7 +216,7 @@ class SpeedReadings:
 
 
 def check_valid(module: NodeAccess) -> None:
-    """CommissioningError, with what to do, unless the position is valid."""
+    """CommissioningError unless the position is valid."""
     status = module.integer(*od.FEEDBACK_STATUS, "H")
     if status & StatusBit.LOST:
         raise CommissioningError(
@@ -233,7 +231,7 @@ def check_valid(module: NodeAccess) -> None:
 
 
 def read_counters(module: NodeAccess) -> dict[str, int]:
-    """The counters of the module, of those that it has."""
+    """The counters that it has."""
     found = {}
     for name, place in COUNTERS.items():
         try:
@@ -244,7 +242,7 @@ def read_counters(module: NodeAccess) -> dict[str, int]:
 
 
 def counted(before: Mapping[str, int], after: Mapping[str, int]) -> dict[str, int]:
-    """What was counted in between, of what was counted at all."""
+    """What was counted in between."""
     steps = {name: (after[name] - count) % U32 for name, count in before.items() if name in after}
     return {name: step for name, step in steps.items() if step}
 
@@ -320,12 +318,12 @@ class Provenance:
     meanwhile: Meanwhile | None = None
 
     def arc_seconds(self, cycles: float) -> float | None:
-        """A part of the cycle as an angle of the shaft."""
+        """A part of the cycle at the shaft."""
         return cycles * ARC_SECONDS / self.cycles_per_revolution if self.cycles_per_revolution else None
 
 
 def origins(where: Provenance) -> list[Row]:
-    """With what it was measured: nodes by their identity, program, command."""
+    """Nodes, program, command."""
     module, interface = where.module, where.encoder_interface
     rows = [
         Row("module", None if module is None else _node(module, where.identity)),
@@ -365,7 +363,7 @@ def _listed(identity: tuple[int, ...] | None) -> list[int] | None:
 
 
 def percent(cycles: float, where: Provenance) -> str:
-    """A part of the cycle in percent, and as an angle of the shaft."""
+    """A part of the cycle in percent and at the shaft."""
     arc = where.arc_seconds(cycles)
     words = f"{PERCENT * cycles:.3g} %"
     return words if arc is None else f"{words} ({arc:.2g}″)"

@@ -71,7 +71,7 @@ def without_restart(node: NodeAccess) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _received(node: NodeAccess) -> Iterator[list[bytes]]:
-    """The data of all frames with the CAN-ID 700h + id from now on."""
+    """The data of frames at 700h + id from now on."""
     received: list[bytes] = []
 
     def on_frame(can_id: int, data: bytes, at: float) -> None:
@@ -235,7 +235,7 @@ def _restart(module: NodeAccess, command: NmtCommand) -> None:
 
 
 def _wait_for_valid(module: NodeAccess) -> int:
-    """The status word once the position is valid, or after a while."""
+    """The status word once it is valid, or late."""
     master = module.master
     end = master.now() + VALID_S
     while True:

@@ -53,7 +53,7 @@ class TrackSamples:
 
     @classmethod
     def from_bytes(cls, data: bytes, rate_hz: float | None, origin: str) -> TrackSamples:
-        """From object 2050:03: pairs of INTEGER16, sine and cosine, little-endian."""
+        """From 2050:03: pairs of INTEGER16, little-endian."""
         pairs = np.frombuffer(data[: len(data) // 4 * 4], "<i2").reshape(-1, 2)
         return cls.of(pairs[:, 0], pairs[:, 1], rate_hz, origin)
 
@@ -71,7 +71,7 @@ class TrackSamples:
         return replace(self, time_s=np.interp(np.arange(len(stamps)), ends, times) * TICK_S)
 
     def recording(self, adc_bits: int | None) -> Recording:
-        """As a recording of this converter, for :mod:`canfb.calibration`."""
+        """For :mod:`canfb.calibration`."""
         return recording(self.sine, self.cosine, self.time_s, None, adc_bits)
 
     def together(self, cosine_delay_s: float, cycles_per_s: float) -> TrackSamples:
@@ -112,7 +112,7 @@ class TrackSamples:
 
     @property
     def duration_s(self) -> float | None:
-        """How long it took, pauses included; None: not known."""
+        """With pauses; None: not known."""
         times = self.received_s if self.time_s is None else self.time_s
         if times is not None and len(times) > 1 and times[-1] > times[0]:
             return float(times[-1] - times[0]) * len(times) / (len(times) - 1)
@@ -120,12 +120,12 @@ class TrackSamples:
 
     @property
     def mean_rate_hz(self) -> float | None:
-        """Samples per second of the whole duration; ``rate_hz`` is that between pauses."""
+        """Samples per second, pauses included."""
         return len(self) / self.duration_s if self.duration_s else None
 
     @property
     def skipped(self) -> int:
-        """Intervals without a SYNC, by the times; 0 where they are not known."""
+        """Intervals without a SYNC, by the times."""
         if not self.rate_hz or not self.duration_s:
             return 0
         more = round(self.duration_s * self.rate_hz) - len(self)
@@ -165,7 +165,7 @@ def write_csv(path: Path, samples: TrackSamples) -> None:
 
 
 def read_speed(path: Path) -> float | None:
-    """cycles_per_s of an NPZ file, None where it has none. CanfbError as :func:`read_npz`."""
+    """cycles_per_s of an NPZ file, or None."""
     return read_tracks(path).cycles_per_s
 
 

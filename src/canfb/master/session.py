@@ -88,7 +88,7 @@ class Session:
         return lambda seconds, least, progress: listen(self.master, layout, seconds, least, progress, enough)
 
     def speed_rad_s(self) -> float:
-        """What the module says of its speed (2011:07), 0.0 where it says nothing."""
+        """2011:07, 0.0 for none."""
         try:
             speed = float(self.module.read(*od.FEEDBACK_VELOCITY, "f"))
         except CommissioningError:
@@ -122,22 +122,22 @@ class Session:
         return replace(samples.together(delay_s, hertz), at_speed=at_speed)
 
     def check_interface(self) -> None:
-        """CommissioningError if the module takes its samples from another interface than the one named."""
+        """CommissioningError if the module takes its samples from another interface."""
         if self.named and module_layout(self.module.read_known) is not None:
             self.layout()
 
     def layout(self) -> PdoLayout:
-        """The PDO with the samples; the errors of :func:`agreed_layout`."""
+        """The PDO with the samples; see :func:`agreed_layout`."""
         return agreed_layout(self.module, self.interface)
 
 
 def read_corners(module: NodeAccess) -> Corners:
-    """2001:05 and 2001:06; none where the module does not have them."""
+    """2001:05 and 2001:06, if any."""
     return Corners(*(float(module.read_known(place) or 0.0) for place in CORNERS))
 
 
 def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
-    """1018h, as far as it has it; None without an answer."""
+    """1018h, or None."""
     found: list[int] = []
     for place in od.IDENTITY:
         try:

@@ -70,7 +70,7 @@ class SupervisionLimits:
 
     @classmethod
     def read(cls, module: NodeAccess) -> SupervisionLimits:
-        """From the module. CommissioningError if an object cannot be read, or holds no number."""
+        """From the module, or CommissioningError."""
         values = {}
         for place, layout, name, _ in LIMITS:
             values[place] = module.read(*place, layout)
@@ -102,7 +102,7 @@ class SupervisionLimits:
         )
 
     def bounds(self, interval_s: float) -> Declared:
-        """What bounds the motion at this interval from sample to sample."""
+        """What bounds the motion at this interval."""
         return self.settings.bounds(self.cycles_per_revolution, interval_s, self.noise_cycles)
 
     def kept_samples(self, interval_s: float, motion_cycles: float) -> int:
@@ -113,15 +113,15 @@ class SupervisionLimits:
         return self.chain_limits(interval_s).kept_samples(motion_cycles)
 
     def changed(self, values: Mapping[Multiplexer, float]) -> SupervisionLimits:
-        """With other values for some of the objects."""
+        """With other values."""
         return replace(self, values={**self.values, **values})
 
     def acceleration_cycles(self, interval_s: float) -> float:
-        """2010:02 in cycles per interval squared; 0.0: not known."""
+        """2010:02, cycles per interval squared, 0.0 for none."""
         return self.bounds(interval_s).acceleration or 0.0
 
     def residual_limit(self, interval_s: float) -> float:
-        """The residual limit in force, cycles: 2010:01, narrowed by 2010:02 and 2010:09."""
+        """In force, cycles."""
         return self.bounds(interval_s).residual_limit
 
     def chain_limits(self, interval_s: float) -> ChainLimits:
@@ -170,7 +170,7 @@ def write_limits(module: NodeAccess, limits: Mapping[Multiplexer, float]) -> Non
 def _about_the_corner(
     module: NodeAccess, places: list[Multiplexer], limits: Mapping[Multiplexer, float]
 ) -> list[Multiplexer]:
-    """The corner between both limits of the amplitude, so that it is within them before and after."""
+    """The corner between both limits of the amplitude, valid before and after."""
     low, high = AMPLITUDES
     before, after = float(module.read(*CORNER.place, CORNER.layout)), limits[CORNER.place]
     rises = after > 0.0 and (before == 0.0 or after < before)
@@ -180,6 +180,6 @@ def _about_the_corner(
 
 
 def as_real32(value: float) -> float:
-    """The value that a REAL32 holds in its place."""
+    """The value that a REAL32 holds."""
     held: float = struct.unpack("<f", struct.pack("<f", value))[0]
     return held
