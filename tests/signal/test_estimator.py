@@ -167,15 +167,6 @@ def test_causes_of_losses() -> None:
     assert estimator.lost
 
 
-def test_a_loss_is_told_once() -> None:
-    losses = []
-    estimator = started()
-    estimator.on_lost = lambda: losses.append(estimator.loss_cause)
-    for _ in range(6):
-        estimator.bad(1.0)
-    assert losses == [LossCause.COASTED]
-
-
 # What is known from outside.
 
 

@@ -328,17 +328,19 @@ def test_lost_the_coarse_track_sets_speed_and_count_right(
     assert not found or seen.wrong == 0
 
 
-def test_eight_values_that_agree_in_a_row_set_a_count_right() -> None:
+@each("off", [0, 5])
+def test_eight_values_that_agree_in_a_row_set_a_count_right(off: int) -> None:
     seen = Seen(lost=True, aligned=True)
     seen.made.coarse.limit(2048, 0.3 / N)
-    seen.counted += 5
+    seen.counted += off
     seen.until(lambda: seen.made.range_known)
-    for _ in range(2, 6):
-        seen.step(LOST)
-    seen.true += 1.0  # another count: they begin anew
-    for values in range(1, 8):
-        assert seen.step(LOST) == (LOST, 0), values
-    assert seen.step(LOST) == (LOST, -4)
+    for _ in range(6 if off else 3):
+        assert seen.step(LOST) == (LOST, 0)
+    if not off:
+        seen.true += 1.0  # another count: they begin anew
+        assert [seen.step(LOST) for _ in range(7)] == [(LOST, 0)] * 7
+    assert seen.recovery.lost
+    assert seen.step(LOST) == (LOST, -off if off else 1)
     assert not seen.recovery.lost
 
 

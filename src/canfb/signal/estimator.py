@@ -26,7 +26,7 @@ from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
 from canfb.signal.speeds import STILL_SAMPLES, Place, StillPhase
 from canfb.signal.starts import START_SAMPLES, SpeedVerdict, Starts
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
-from canfb.signal.tracker import NOT_USUAL, Track, Tracker
+from canfb.signal.tracker import NOT_USUAL, Track, Tracker, TrackResult
 
 HALF_CYCLE = 0.5
 REMEMBERED_SAMPLES = 20  # r + 2 (m + r - 1): to go back behind m = 8 bad samples, r = 2
@@ -172,6 +172,15 @@ class Estimator:
         self._virtual = virtual
         self.places.clear()
         self.places.extend(place for place in places if place is not None)
+
+    def go_on(self, tracked: TrackResult, start: int, stop: int) -> None:
+        """Samples start..stop of a run on arrays, one at least, were counted by eq. 9."""
+        new = slice(max(start, stop - REMEMBERED_SAMPLES), stop)
+        counts, phases = tracked.cycles[new].tolist(), tracked.phase[new].tolist()
+        before = float(tracked.phase[stop - 2])
+        self.tracker.set_state(before, phases[-1], counts[-1], counts[-1] - int(tracked.cycles[stop - 2]))
+        if not self.lost:
+            self.places.extend((count, phase, 1.0) for count, phase in zip(counts, phases, strict=True))
 
     @property
     def stands_still(self) -> bool:

@@ -18,7 +18,6 @@ from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.conditioner import Conditioner
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.estimator import Estimator
-from canfb.signal.estimator_runs import follow_run, take_run
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import AHEAD_INTERVALS
 from canfb.signal.frozen import FrozenInput, repeats
@@ -36,7 +35,7 @@ from canfb.signal.supervision import (
     Supervision,
 )
 from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
-from canfb.signal.tracking import continues, write_places_before
+from canfb.signal.tracking import continues, steady_run, write_places_before
 from canfb.signal.witness.coarse import CoarseTrack
 from canfb.signal.witness.reference import Pulse, Reference
 from canfb.signal.witness.second import SecondPosition
@@ -398,19 +397,17 @@ class Stages:
         cycles, phase = tracked.cycles, tracked.phase
         estimator, tracker = self.estimator, self._tracker
         state = tracker.state()
-        stop = follow_run(estimator, tracked, run, scratch)
-        if stop > start:
+        steady_run(tracker, tracked, start, run.stop, scratch)
+        followed = estimator.lost or tracked.ok[run].all()
+        stop: int = run.stop if followed else start + int(tracked.ok[run].argmin())
+        if stop > start and self._frozen.frozen_samples:
             before = self._sine, self._cosine
-            equal = None
-            if self._frozen.frozen_samples:
-                equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
+            equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
             if equal is None:
                 self._frozen.moved()
             else:
-                places, doubtful = (
-                    () if estimator.lost else estimator.places,
-                    estimator.declared.bad_samples + 1,
-                )
+                places = () if estimator.lost else estimator.places
+                doubtful = estimator.declared.bad_samples + 1
                 least = speeds.least_speeds(places, cycles[start:stop], phase[start:stop], doubtful)
                 stop = start + self._frozen.take_run(equal, least)
         if stop == start:
@@ -418,7 +415,7 @@ class Stages:
             return 0
         last = stop - 1
         self.place = Track(int(cycles[last]), float(phase[last]), float(tracked.residual[last]), True)
-        take_run(estimator, state, tracked, start, stop)
+        estimator.go_on(tracked, start, stop)
         self._sine, self._cosine = float(sine[last - start]), float(cosine[last - start])
         self.last = None
         self._speed = tracker.step_cycles
