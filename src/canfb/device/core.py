@@ -176,10 +176,6 @@ class CanIds(NamedTuple):
     any_state_remote: frozenset[int]
 
 
-def _nobody_follows() -> None:
-    """Nobody asked."""
-
-
 class Routes:
     """The listeners of the present NMT state, by CAN-ID.
 
@@ -191,7 +187,7 @@ class Routes:
 
     def __init__(self) -> None:
         self.changes = 0
-        self.on_change: Callable[[], None] = _nobody_follows
+        self.on_change: Callable[[], None] = lambda: None
         self.data: dict[int, Handler] = {}
         self.remote: dict[int, RemoteHandler] = {}
         self.sent: dict[int | None, Callable[[float], None]] = {}

@@ -155,7 +155,7 @@ def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, An
     values, others = one.values(), other.values()
     places = sorted((values.keys() | others.keys()) - set(LEFT_ALONE))
     pairs = {place: (values.get(place), others.get(place)) for place in places}
-    return {place: pair for place, pair in pairs.items() if pair[0] != pair[1] and not _both_nan(*pair)}
+    return {place: pair for place, pair in pairs.items() if _differ(*pair)}
 
 
 def shown(changes: dict[Place, tuple[Any, Any]]) -> str:
@@ -167,8 +167,8 @@ def shown(changes: dict[Place, tuple[Any, Any]]) -> str:
     return ", ".join(texts[:MOST_SHOWN]) + more
 
 
-def _both_nan(one: Any, other: Any) -> bool:
-    return bool(one != one and other != other)
+def _differ(one: Any, other: Any) -> bool:
+    return bool(one != other and (one == one or other == other))  # two NaN are the same
 
 
 def backup_result(backup: Backup, path: Path) -> Result:

@@ -184,7 +184,7 @@ def unpacker(slots: Sequence[Slot]) -> Unpack:
             entry.value = value
         return 0
 
-    if not all(_is_plain(entry) for entry in entries):
+    if any((one.low, one.high, one.on_check, one.on_written) != (None,) * 4 for one in entries):
         return unpack_any
     if len(entries) not in (2, 3):
         return unpack_plain
@@ -215,11 +215,6 @@ def bit_unpacker(slots: Sequence[Slot]) -> Unpack:
         return refused
 
     return unpack
-
-
-def _is_plain(entry: Entry) -> bool:
-    no_limits = entry.low is None and entry.high is None
-    return no_limits and entry.on_check is None and entry.on_written is None
 
 
 def _store(entry: Entry, value: Any) -> bool:

@@ -16,7 +16,8 @@ RANGES = {
     ParameterGroup.MANUFACTURER: range(0x2000, 0x6000),
     ParameterGroup.APPLICATION: range(0x6000, 0xA000),
 }
-"""The indices of each group (CiA 301, 7.5.2.13)."""
+"""The indices of each group (CiA 301, 7.5.2.13), without gaps between them."""
+PARAMETER_INDICES = range(0x1000, 0xA000)
 
 NO_PARAMETERS = frozenset({0x1003, 0x1010, 0x1011})
 """Objects that SDO reads and writes, and that are commands."""
@@ -40,7 +41,7 @@ class KeptEntries:
         self._places = {
             (entry.index, entry.subindex)
             for entry in dictionary
-            if entry.access == "rw" and entry.index not in NO_PARAMETERS and _group(entry) is not None
+            if entry.access == "rw" and entry.index not in NO_PARAMETERS and entry.index in PARAMETER_INDICES
         }
         for place in self._places:
             dictionary.lookup(*place).on_download = written
@@ -85,12 +86,9 @@ class KeptEntries:
 
     def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
         """The present values of a group, within their limits."""
-        values = ((entry, self._value(entry)) for entry in self.of(group))
+        saved = {place: value() for place, value in self._saved_value.items()}
+        values = ((entry, saved.get((entry.index, entry.subindex), entry.value)) for entry in self.of(group))
         return [_record(entry, value, node_id) for entry, value in values if _is_within_limits(entry, value)]
-
-    def _value(self, entry: Entry) -> Any:
-        saved = self._saved_value.get((entry.index, entry.subindex))
-        return entry.value if saved is None else saved()
 
 
 def _record(entry: Entry, value: Any, node_id: int) -> Record:
@@ -121,10 +119,6 @@ def _has_default_can_id(entry: Entry, value: Any) -> bool:
     if not entry.follows_node_id or entry.byte_length != 4:
         return False
     return not (int(value) ^ int(entry.default)) & _CAN_ID
-
-
-def _group(entry: Entry) -> ParameterGroup | None:
-    return next((group for group, indices in RANGES.items() if entry.index in indices), None)
 
 
 Value = tuple[Entry, Any]
