@@ -90,6 +90,14 @@ def test_off_the_grid_the_instant_is_bad_by_as_much(off: float, declared: float)
     assert verdict.off == pytest.approx(min(off, 1.0 - off), abs=1e-6)
 
 
+@given(early=st.floats(0.22, 0.45))
+def test_without_receive_times_one_that_is_early_brings_no_sample_in_motion(early: float) -> None:
+    """A call is later than its frame, never sooner; with a counter it is the next one."""
+    verdict = Producer(stamped=False, jitter_s=1e-4).sync(60 - early)
+    assert verdict.extra or verdict.off == pytest.approx(early, abs=1e-6)
+    assert Producer(stamped=False, overflow=10).sync(60 - early) == ON_TIME
+
+
 @BOTH
 @pytest.mark.parametrize("rate", [0.5, 0.7, 1.35, 2.0, 10.0])
 def test_another_rate_is_followed_and_lost_in_motion(rate: float, stamped: bool) -> None:
@@ -158,6 +166,15 @@ def test_a_pdo_that_fits_none_is_not_used_until_it_is_the_usual_one(delay: float
         moved.append(answers.has_moved(syncs.grid))
     assert moved == [False] * (ROW - 1) + [True]
     assert answers.place((delay + late) * T, syncs.grid) == 0
+
+
+@given(early=st.floats(0.15, 0.4))
+def test_a_pdo_before_the_place_of_its_sync_is_not_that_of_a_timer(early: float) -> None:
+    answers, syncs = learned(0.3 * T)
+    syncs.declare(0.45 * T)
+    assert syncs.sync(BEGIN + (60 - early) * T, True, None) == ON_TIME
+    assert answers.is_early(0.3 * T, syncs.grid)
+    assert not answers.is_early((early + 0.3) * T, syncs.grid)
 
 
 def test_sooner_than_the_interface_can_measure_it_answers_the_sync_before() -> None:

@@ -27,6 +27,8 @@ FOUND = (
     "SYNC, second producer:plain/rx:54001000007",
     "SYNC doubled, later:plain/rx:56001000010",
     "PDO replayed:counter:57001000007",
+    "PDO replayed:counter:424001000000",
+    "1006h wrong:counter:515001000000",
 )
 """Each was valid and wrong."""
 AIMED = ("stamp, bad again", "stamp, bad again after reset", "stamp, bad at the start")

@@ -10,13 +10,14 @@ from canfb.timing.syncs import Syncs
 SECONDS_PER_US = 1e-6
 SAME_GRID = 2e-6  # of the interval
 EXACT_SYNCS = 512  # from then on a lock is more exact than the drift of a clock
+AGREES = 0.3  # of 1006h: the median of a few SYNCs that jitter
 CLOSE = 2e-3  # of the interval: as far as the first lock may be from 1006h
 
 
 class SamplingInterval:
     """The interval of SYNC, seconds, and that from one sample to the next; 0.0 while it is not known.
 
-    The communication cycle period 1006h counts until SYNC is measured, and as long as SYNC agrees with it.
+    The communication cycle period 1006h counts until SYNC is measured, as long as SYNC agrees with it.
     """
 
     __slots__ = ("_period_us", "_syncs", "samples_per_sync", "speed_unit_s")
@@ -39,8 +40,12 @@ class SamplingInterval:
 
     @property
     def known_s(self) -> float:
-        """Where it is certain enough for limits."""
-        return self.speed_unit_s * self.samples_per_sync or self._syncs.period_s or self.nominal_s
+        """Where it is certain enough for limits: 1006h only while no SYNC shows that it is wrong."""
+        measured_s = self.speed_unit_s * self.samples_per_sync or self._syncs.period_s
+        if measured_s:
+            return measured_s
+        rough_s, nominal_s = self._syncs.rough_s, self.nominal_s
+        return nominal_s if abs(rough_s - nominal_s) <= AGREES * nominal_s or not rough_s else 0.0
 
     @property
     def seconds(self) -> float:

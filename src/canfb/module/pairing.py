@@ -55,6 +55,7 @@ class Pairing(ProcessData):
         "_interval",
         "_limits",
         "_lost_syncs",
+        "_off",
         "_observers",
         "_overflow",
         "_periods",
@@ -119,6 +120,7 @@ class Pairing(ProcessData):
         """The last SYNC counts as none, but PDOs follow it."""
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
         self._verdict = ON_TIME  # on the last SYNC
+        self._off = 0.0  # the grid, so far was the last sample taken, intervals
         self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
         self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
         self.syncs.pause()
@@ -148,6 +150,7 @@ class Pairing(ProcessData):
         syncs.overflow, syncs.periods = self._overflow.value, self._periods.value
         self._extra_came = syncs.extra_came
         self._verdict = syncs.sync(call.received, call.is_stamped, counter)
+        self._off = self._verdict.off
 
     def accepts_sync(self, counter: int | None, now: float) -> bool:
         """Before anything is done with a SYNC: is it on the bus for the first time, and were others missed?
@@ -297,6 +300,8 @@ class Pairing(ProcessData):
             place = syncs.place if not verdict.extra else self._answered
         elif call.is_stamped and syncs.stamped:
             delay_s = call.received - syncs.synced_s
+            if answers.is_early(delay_s, syncs.grid):
+                self._off = max(self._off, syncs.grid.lead / syncs.grid.period)
             if place == self._accounted + 1 and answers.is_usual(delay_s, syncs.grid):
                 return self._answer(place)
             later = answers.place(delay_s, syncs.grid)
@@ -343,7 +348,7 @@ class Pairing(ProcessData):
         if self.sampled:
             _count(self._lost_syncs, syncs)
         self._sample_came = 0
-        self._verdict = ON_TIME
+        self._verdict, self._off = ON_TIME, 0.0
 
     def _complete(self, sample: Sample, now: float) -> None:
         """All parts of a sample are there."""
@@ -403,7 +408,7 @@ class Pairing(ProcessData):
             or self._observers.open
             or parts.flags.value
             or self._is_open
-            or self._verdict.off
+            or self._off
         ):
             self._take(parts.sample(), 1.0, now)
             return
@@ -425,7 +430,7 @@ class Pairing(ProcessData):
         """A sample without a time through the chain, and out."""
         if self._limits.narrowed:
             self._limits.follow()
-        placed = not (self._verdict.off and self._chain.slips(self._verdict.off))
+        placed = not (self._off and self._chain.slips(self._off))
         feedback = self._chain.after(sample, elapsed, placed=placed)
         if feedback.status & VALID and (self.unconfirmed or (self._is_open and self._chain.slips(1.0))):
             feedback = self._withheld(feedback)

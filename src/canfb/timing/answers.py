@@ -41,6 +41,10 @@ class Answers:
         self.least_s += FORGETTING * later_s
         return not self._refused
 
+    def is_early(self, delay_s: float, grid: Grid) -> bool:
+        """It answers a SYNC before its place on the grid as soon as no timer would: it was sampled then, too."""
+        return grid.lead > 0.0 and delay_s < grid.lead + SOONEST * self.least_s < inf
+
     def place(self, delay_s: float, grid: Grid) -> int | None:
         """Places after the last SYNC that it answers: 0 that one, -1 the one before; None: it fits none.
 

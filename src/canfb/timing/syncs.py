@@ -34,6 +34,7 @@ SAME_FRAME_S = 47e-6
 TOGETHER = 8
 HALF = 0.5
 LATE = 0.9  # of a turn
+EARLY = 0.2  # of a period: the line follows the earliest of eight calls, which may be late, too
 FASTER = 0.75  # of a period: without receive times, early SYNCs of another rate
 MOST_INTERVALS = 1 << 20
 UNSETTLED_S = 0.5  # taken for a period where none is known
@@ -190,8 +191,9 @@ class Syncs:
         """What a usual SYNC is, from now on."""
         grid = self.grid
         self._low_s, self._high_s = inf, -inf
+        counted = self._counter is not None and self.overflow > 1
         if grid.period and not self.late_s and not grid.row:
-            self._low_s = -grid.allowed if self.stamped else -HALF * grid.period
+            self._low_s = -grid.allowed if self.stamped else self._early_s(counted)
             self._high_s = grid.allowed if self.stamped else LATE * grid.period
 
     def _judged(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
@@ -289,7 +291,7 @@ class Syncs:
         turn = self.overflow if missing is not None else 1
         late_s = time_s - grid.due - lost * grid.period
         apart_s = time_s - self._received_s
-        early, late = late_s < -HALF * grid.period, late_s > (turn - 1 + LATE) * grid.period
+        early, late = late_s < self._early_s(missing is not None), late_s > (turn - 1 + LATE) * grid.period
         if early and missing:
             # It was due much later: a counter that jumped, or one of another producer.
             doubt, lost, late_s = float(lost), 0, time_s - grid.due
@@ -306,7 +308,8 @@ class Syncs:
             self.late_s = 0.0  # all came
         elif late or self.late_s:
             self.late_s = max(late_s, grid.period * 1e-9)
-        verdict = self._taken(time_s, False, counter, lost, doubt=doubt)
+        off = -late_s / grid.period if early else 0.0
+        verdict = self._taken(time_s, False, counter, lost, off, doubt)
         if in_time and late_s < LATE * grid.period:  # a host that is late says nothing of the grid
             self._follow(1 + lost, late_s)
         else:
@@ -325,6 +328,11 @@ class Syncs:
         lost = max(0, behind) if verdict.doubt == abs(late_s) / self.grid.period else 0
         self.place += lost
         return verdict._replace(lost=verdict.lost + lost, doubt=max(1.0, verdict.doubt))
+
+    def _early_s(self, counted: bool) -> float:
+        """Off its place, of a SYNC that is early: as no counter says that it is the next one."""
+        period_s = self.grid.period
+        return -HALF * period_s if counted else -max(self.grid.allowed, EARLY * period_s)
 
     # Silence.
 
