@@ -55,8 +55,8 @@ class Pairing(ProcessData):
         "_interval",
         "_limits",
         "_lost_syncs",
-        "_off",
         "_observers",
+        "_off",
         "_overflow",
         "_periods",
         "_prediction",
@@ -403,13 +403,7 @@ class Pairing(ProcessData):
     def _take_usual(self, now: float) -> None:
         """Two counts that answer the last SYNC, as they stand in the dictionary."""
         parts = self._input
-        if (
-            self.unconfirmed
-            or self._observers.open
-            or parts.flags.value
-            or self._is_open
-            or self._off
-        ):
+        if self.unconfirmed or self._observers.open or parts.flags.value or self._is_open or self._off:
             self._take(parts.sample(), 1.0, now)
             return
         limits = self._limits

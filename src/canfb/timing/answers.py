@@ -42,7 +42,7 @@ class Answers:
         return not self._refused
 
     def is_early(self, delay_s: float, grid: Grid) -> bool:
-        """It answers a SYNC before its place on the grid as soon as no timer would: it was sampled then, too."""
+        """Its SYNC came before its place on the grid, and it sooner than from a timer: so did its sample."""
         return grid.lead > 0.0 and delay_s < grid.lead + SOONEST * self.least_s < inf
 
     def place(self, delay_s: float, grid: Grid) -> int | None:
