@@ -1,7 +1,7 @@
-"""Frames wait for a host that stalls, and some are dropped: only the sample times say how long it was.
+"""Frames wait for a host that stalls, and some are dropped: nobody says how long it was.
 
-The machine turns by whole cycles in each period, so that its phases fit any number of periods. Nothing may be
-called valid before the receptions show that the clock of the interface was not set meanwhile.
+The machine turns by whole cycles in each period, so that its phases fit any number of periods: the sample
+times may be those of a clock that was set meanwhile.
 """
 
 from __future__ import annotations
@@ -61,26 +61,16 @@ class Interface:
         return self
 
 
-def burst(interface: Interface, waiting: int, dropped: int, behind: int) -> list[Feedback]:
-    """So many frames wait for the host, then some are missing, and others wait behind them."""
-    end_s = (interface.n + waiting + dropped + behind + 1) * PERIOD_S + 1e-4
-    got = [interface.sample(end_s + 16e-6 * k) for k in range(waiting)]
-    interface.n += dropped
-    return got + [interface.sample(end_s + 16e-6 * (waiting + k)) for k in range(behind)]
-
-
-@given(st.integers(1, 20), st.integers(1, 8), st.integers(1, 20))
-def test_frames_that_were_dropped_are_known_when_none_waits_any_more(
-    waiting: int, dropped: int, behind: int
-) -> None:
+@given(st.integers(1, 20), st.integers(1, 8), st.integers(4, 20))
+def test_frames_dropped_among_others_cost_the_position(waiting: int, dropped: int, behind: int) -> None:
     interface = Interface().running()
-    got = burst(interface, waiting, dropped, behind)
-    assert not any(one.status & (VALID | LOST) for one in got[waiting:]), "not proved yet, and not given up"
-    got = [interface.sample() for _ in range(6)]
-    assert not got[0].status & VALID, "a host that was interrupted may take the first as late as this"
-    for one in got[3:]:
-        assert one.status & VALID
-    assert interface.error_cycles(got[-1]) < 0.1
+    end_s = (interface.n + waiting + dropped + behind + 1) * PERIOD_S + 1e-4
+    for k in range(waiting):
+        interface.sample(end_s + 16e-6 * k)
+    interface.n += dropped
+    got = [interface.sample(end_s + 16e-6 * (waiting + k)) for k in range(behind)]
+    assert not any(one.status & VALID for one in got)
+    assert got[-1].status & LOST
 
 
 @given(st.integers(1, 20), st.integers(1, 20), st.integers(1, 20))
@@ -92,10 +82,7 @@ def test_a_clock_that_was_set_meanwhile_is_never_believed(waiting: int, behind: 
             interface.set_periods = periods
         feedback = interface.sample(end_s + 16e-6 * k)
         assert not feedback.status & VALID or interface.error_cycles(feedback) < 0.1
-    for _ in range(40):
-        feedback = interface.sample()
-        assert not feedback.status & VALID
-    assert feedback.status & LOST
+    assert not any(interface.sample().status & VALID for _ in range(40))
 
 
 @pytest.mark.parametrize("periods", [1, 3, 9])
@@ -109,10 +96,3 @@ def test_a_time_that_is_wrong_once_in_a_burst_is_never_believed(periods: int) ->
     for _ in range(40):
         feedback = interface.sample()
         assert not feedback.status & VALID or interface.error_cycles(feedback) < 0.1
-
-
-def test_a_pause_before_the_proof_leaves_nothing_to_go_on_with() -> None:
-    interface = Interface().running()
-    burst(interface, 5, 3, 4)
-    interface.chain.resume(0.1)
-    assert interface.chain.lost

@@ -92,7 +92,6 @@ def test_off_the_grid_the_instant_is_bad_by_as_much(off: float, declared: float)
 
 @given(early=st.floats(0.22, 0.45))
 def test_without_receive_times_one_that_is_early_brings_no_sample_in_motion(early: float) -> None:
-    """A call is later than its frame, never sooner; with a counter it is the next one."""
     verdict = Producer(stamped=False, jitter_s=1e-4).sync(60 - early)
     assert verdict.extra or verdict.off == pytest.approx(early, abs=1e-6)
     assert Producer(stamped=False, overflow=10).sync(60 - early) == ON_TIME

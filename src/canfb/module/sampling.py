@@ -38,8 +38,6 @@ class Sampling:
         pairing = self._pairing
         if pairing.unconfirmed:
             return f"{CONFIRMING_SAMPLES} samples must confirm it after the pause"
-        if self._chain.gap:
-            return "frames were dropped while others waited: the next SYNCs show whether the times are right"
         if self._syncs.late_s:
             late_ms = self._syncs.late_s * 1e3
             return f"SYNC {late_ms:.3g} ms late, one may have been missed: the next SYNCs decide"

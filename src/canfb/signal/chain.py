@@ -141,11 +141,6 @@ class SignalChain:
         return self.stages.estimator.lost
 
     @property
-    def gap(self) -> float:
-        """Intervals for which only sample times say that they have passed, of frames that were dropped."""
-        return self._times.gap
-
-    @property
     def searches(self) -> bool:
         """Uneven sample times may still tell at what speed the machine turns."""
         return self.stages.estimator.searches
@@ -227,8 +222,6 @@ class SignalChain:
         since. After :meth:`reset` it does, unless the machine turned at it, by the declared acceleration to
         half a cycle per interval and more; or it was lost, and its phases had not stood for STILL_SAMPLES.
         """
-        if self._times.gap:  # the receptions that would decide do not come
-            self.uncertain(self._times.gap)
         if self._pauses.resume(intervals * self._per_sync):
             self._times.forget()
             self._waited = 0.0
@@ -294,10 +287,7 @@ class SignalChain:
         if self.measures_intervals:
             elapsed = passed - self._waited  # what was waited for is counted already
         self._waited = 0.0
-        feedback = self.after(sample, elapsed, next_one=next_one)
-        if times.gap and feedback.status & VALID:  # receptions are still to show that its time is right
-            stages.last = feedback = self.withheld(feedback)
-        return feedback
+        return self.after(sample, elapsed, next_one=next_one)
 
     def withheld(self, feedback: Feedback) -> Feedback:
         """The last sample, which was valid, as one that is not confirmed: nothing is learned from it."""

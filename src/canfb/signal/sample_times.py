@@ -32,7 +32,6 @@ LINE_PART, HEARD_PART = 0.5, 0.75
 SAME_PACE = 0.002  # of the interval: a limit of acceleration counts with its square
 DRIFT = 2e-4  # of two clocks, 100 ppm each
 RELOCK = 6  # times in a row that are off the line, and right: SYNC has another rate, or another phase
-PACED, PACE_PART = 2, 0.5  # so many SYNCs, each taken half an interval after another: none waits any more
 REPEATED, SUSPECT, RESTARTED, CROWDED = -1.0, -2.0, -3.0, -4.0
 
 
@@ -47,8 +46,6 @@ class SampleTimes:
         "_earlier",
         "_earlier_counted",
         "_earlier_times",
-        "_gap_ever_s",
-        "_gap_s",
         "_heard",
         "_jitter",
         "_last",
@@ -58,7 +55,6 @@ class SampleTimes:
         "_off_line",
         "_on_line",
         "_pace_s",
-        "_paced",
         "_received_s",
         "_suspect",
         "_suspected",
@@ -94,9 +90,6 @@ class SampleTimes:
         self._synced_s: float | None = None  # when its SYNC was
         self._late_s = 0.0  # so late the host took it, at least, by the sample times; 0 with receive times
         self._late_spare_s = 0.0  # and so much more at most: the drift of two clocks while frames waited
-        self._gap_s = 0.0  # the shortest one that only the sample times show, 0.0: none
-        self._gap_ever_s = 0.0  # so late a SYNC was at most before it
-        self._paced = 0  # SYNCs since that were taken in time, in a row
         self._odd_s: float | None = None  # the deviation of a SUSPECT time after it, seconds
         self._suspect: int | None = None
         self._suspected = 0.0  # intervals counted up to it
@@ -108,15 +101,6 @@ class SampleTimes:
     def unit_s(self) -> float:
         """The interval in which elapsed times are given, seconds; 0.0 before it is known."""
         return self.sync_interval_s or self._pace_s
-
-    @property
-    def gap(self) -> float:
-        """Intervals for which only the sample times say that they have passed; 0.0: none.
-
-        Frames waited for a host that stalled, and some were dropped; or the clock was set. The receptions
-        tell as soon as no frame waits any more.
-        """
-        return self._gap_s / self.unit_s if self._gap_s else 0.0
 
     def _follow_pace(self) -> None:
         """Speeds are in intervals: they get another unit only where the interval is another one."""
@@ -130,7 +114,7 @@ class SampleTimes:
         It deviates by less than usual from its line, by its own clock and by that of the receptions.
         """
         last, line, unit, jitter = self._last, self.nominal_sync, self._pace_s, self._jitter
-        if last is None or self.sync_interval_s or self._gap_s:
+        if last is None or self.sync_interval_s:
             return 0.0
         if not line.seen or jitter.learned < LEARNED_SAMPLES:
             return 0.0
@@ -212,10 +196,6 @@ class SampleTimes:
         error_s = self._error_s(ticks * TICK_S, received_s, synced_s)
         late_s = self._lateness_s(ticks, received_s, synced_s)
         spare_s = self._spare_s(ticks * TICK_S, late_s)
-        if self._gap_s and self._comes_before(ticks, synced_s, self._gap_ever_s):
-            self.passed = intervals
-            self._restart(time_100ns, received_s, synced_s)
-            return RESTARTED
         # The receptions say how long it was even where SYNCs came too near together to count well, and so
         # does the line after a SYNC that was late.
         goes_on = counted < 1.5 or error_s < CLOSE * unit or not self._is_off(ticks, counted)
@@ -224,8 +204,7 @@ class SampleTimes:
         nominal = abs(intervals - counted) <= NOMINAL  # also where a simulation is slower than true time
         in_turn = least <= intervals <= counted + SPARE_AFTER and (agrees or nominal or apart is None)
         witnessed = intervals >= CLOSEST and self._is_witnessed(ticks, counted, received_s, synced_s)
-        longer = received_s is None and intervals > counted + SPARE_BEFORE
-        if witnessed or (longer and self._may_be_gap(ticks, counted, synced_s)):
+        if witnessed:
             self.passed = intervals
             if self.nominal_sync.seen:
                 self.nominal_sync.skip(ticks)
@@ -255,42 +234,6 @@ class SampleTimes:
             return self._repeated(time_100ns, counted, unit, received_s)
         self.passed = intervals
         return self._doubted(time_100ns, counted, unit, received_s)
-
-    def _comes_before(self, ticks: int, synced_s: float | None, ever_s: float) -> bool:
-        """By this time SYNC came later than it was taken; usually it is taken up to ``ever_s`` late."""
-        apart_s = self._synced_apart_s(synced_s)
-        return apart_s is not None and ticks * TICK_S - apart_s > ever_s + self._late_spare_s
-
-    def _may_be_gap(self, ticks: int, counted: float, synced_s: float | None) -> bool:
-        """Frames were dropped while others waited for the host: nothing is against this time.
-
-        It lies on the line, and the host took its SYNC no sooner than it came. :attr:`gap` is open then.
-        """
-        line, ever_s = self.nominal_sync, self._gap_ever_s if self._gap_s else self._heard.ever_s
-        if synced_s is None or not line.seen or self._heard.learned < LEARNED_SAMPLES:
-            return False
-        gap_s = ticks * TICK_S - counted * self.unit_s
-        if gap_s <= 2.0 * ever_s or self._comes_before(ticks, synced_s, ever_s):
-            return False
-        if self._is_off(ticks, round((ticks - line.lead_ticks) / line.period_ticks)):
-            return False
-        self._gap_s, self._gap_ever_s = min(gap_s, self._gap_s or math.inf), ever_s
-        self._paced = 0
-        return True
-
-    def _prove_gap(self, synced_s: float | None, late_s: float) -> None:
-        """Another time is right: was its SYNC taken in time, so that all since the last such one is known?
-
-        The time between the two is that of the receptions then, and no clock was set in between.
-        """
-        before_s = self._synced_s
-        if synced_s is None or before_s is None:
-            return
-        paced = synced_s - before_s >= PACE_PART * self.unit_s
-        in_time = late_s <= min(self._gap_ever_s, self._gap_s - self._gap_ever_s)
-        self._paced = self._paced + 1 if paced and in_time else 0
-        if self._paced >= PACED:
-            self._gap_s = 0.0
 
     def _follow(self, ticks: int, whole: float) -> None:
         """The line goes on through a time that is right, or begins again where none lies on it any more."""
@@ -434,8 +377,6 @@ class SampleTimes:
         late_s: float = 0.0,
         spare_s: float = 0.0,
     ) -> None:
-        if self._gap_s:
-            self._prove_gap(synced_s, late_s)
         self._last, self._received_s, self._suspect = time_100ns, received_s, None
         self._synced_s, self._odd_s = synced_s, None
         self._late_s, self._late_spare_s = late_s, spare_s
@@ -443,7 +384,6 @@ class SampleTimes:
     def _restart(self, time_100ns: int, received_s: float | None, synced_s: float | None = None) -> None:
         """The clock was started again or set, or SYNC is on another grid: a line begins here."""
         self.nominal_sync.restart()
-        self._gap_s = 0.0
         self._accept(time_100ns, received_s, synced_s)
 
     def _repeated(self, time_100ns: int, counted: float, unit: float, received_s: float | None) -> float:
