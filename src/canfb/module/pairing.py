@@ -180,12 +180,12 @@ class Pairing(ProcessData):
             _count(self._lost_syncs, verdict.lost)
         doubt = verdict.doubt or (verdict.lost if self._ambiguous else 0.0)
         self._ambiguous = False
-        if doubt and not self.timed:  # sample times know how long it was
+        if doubt and not self.timed:
             self._lose_count(doubt, now)
-        if counter is None and self.timed:  # and how many were not received
-            self._accounted += verdict.lost
-        else:
-            self._pass_answered(verdict.lost)
+        elif doubt:  # sample times know how long it was
+            self._chain.nominal_sync.expect(syncs.period_s / TICK_S)
+        answered = self._take_answered(verdict.lost)
+        self._accounted += verdict.lost if counter is None and self.timed else answered
         if syncs.place - 1 > self._accounted:
             self._miss_to(syncs.place - 1, now)
         return True
@@ -219,11 +219,11 @@ class Pairing(ProcessData):
             self._publishing.extrapolate()
         return extrapolates
 
-    def _pass_answered(self, unheard: int) -> None:
-        """Where several samples with their time came since the last SYNC, they answer those not received."""
+    def _take_answered(self, unheard: int) -> int:
+        """How many SYNCs not received are answered, by several samples with their time since the last one."""
         answered = max(0, min(unheard, self._sample_came - 1))
-        self._accounted += answered
         self._sample_came -= answered
+        return answered
 
     def tpdos_sampled(self) -> None:
         """The measured position again."""
@@ -253,7 +253,7 @@ class Pairing(ProcessData):
             syncs.until = NEVER
         if not passed or not self.sampled:
             return False
-        self._pass_answered(syncs.place - self._accounted)
+        self._accounted += self._take_answered(syncs.place - self._accounted)
         self._miss_to(syncs.place, now)
         self._tracks_came = False
         self._stale = self._input.is_synchronous

@@ -228,7 +228,7 @@ class SampleTimes:
                     self._follow(ticks, whole if self.nominal_sync.seen else counted)
                 self._accept(time_100ns, received_s, synced_s, late_s, spare_s)
             return odd or intervals
-        if agrees and 0.0 < intervals < CLOSEST:
+        if 0.0 < intervals < CLOSEST:
             return CROWDED
         if -OLDEST <= intervals < least:
             return self._repeated(time_100ns, counted, unit, received_s)

@@ -27,7 +27,7 @@ from collections.abc import Callable
 from math import inf, isfinite
 from typing import NamedTuple
 
-from canfb.timing.grid import ROW, Grid
+from canfb.timing.grid import Grid
 
 USUAL_JITTER_S = 0.2e-3
 SAME_FRAME_S = 47e-6
@@ -300,7 +300,7 @@ class Syncs:
         in_time = not early and not late and not self.extra_came
         if in_time and not doubt:
             grid.is_in_turn(time_s)
-        elif grid.refuse(time_s) and (apart_s > HALF * grid.period or self._is_faster()):
+        elif grid.refuse(time_s) and (early or apart_s > HALF * grid.period):
             return self._relocked(time_s, counter, late_s, turn, missing)
         if early and missing is None and apart_s < FASTER * grid.period:
             return self._extra(time_s)
@@ -315,10 +315,6 @@ class Syncs:
         else:
             grid.skip(1 + lost)
         return verdict
-
-    def _is_faster(self) -> bool:
-        """The last ones, not a burst behind a stall: each came sooner than it was due."""
-        return self.grid.row[0] < self.grid.due - (ROW + 1) * HALF * self.grid.period
 
     def _relocked(
         self, time_s: float, counter: int | None, late_s: float, turn: int, missing: int | None
