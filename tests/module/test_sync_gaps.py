@@ -117,13 +117,6 @@ def test_samples_with_their_time_need_no_sync(before: int, overflow: int, unhear
     assert bench.count() - begin == pytest.approx(SPEED * bench.number, abs=0.03)  # no table
 
 
-def test_without_a_counter_nothing_is_told() -> None:
-    bench = Counted()
-    bench.sdo[0x1019].raw = 0
-    bench.at(SPEED * bench.number)
-    assert bench.sdo[0x2012][1].raw == 0
-
-
 def test_a_module_that_stays_operational_without_a_bus_has_lost_its_position() -> None:
     bench = Counted()
     bench.sdo[0x1029][1].raw = 1

@@ -34,11 +34,6 @@ class SamplingInterval:
         return float(self._period_us.value) * SECONDS_PER_US
 
     @property
-    def measured_s(self) -> float:
-        """As it is measured."""
-        return self._syncs.period_s
-
-    @property
     def known_s(self) -> float:
         """Where it is certain enough for limits: 1006h only while no SYNC shows that it is wrong."""
         measured_s = self.speed_unit_s * self.samples_per_sync or self._syncs.period_s

@@ -124,9 +124,7 @@ class Pairing(ProcessData):
         self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
         self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
         self.syncs.pause()
-        self._accounted = self._answered = (
-            self.syncs.place
-        )  # the last place with a sample, or a miss; a sample
+        self._accounted = self._answered = self.syncs.place  # the last with a sample or a miss; a sample
 
     @property
     def timed(self) -> bool:
@@ -184,8 +182,7 @@ class Pairing(ProcessData):
             self._lose_count(doubt, now)
         elif doubt:  # sample times know how long it was
             self._chain.nominal_sync.expect(syncs.period_s / TICK_S)
-        answered = self._take_answered(verdict.lost)
-        self._accounted += verdict.lost if counter is None and self.timed else answered
+        self._accounted += verdict.lost if counter is None and self.timed else self._heard_of(verdict.lost)
         if syncs.place - 1 > self._accounted:
             self._miss_to(syncs.place - 1, now)
         return True
@@ -219,7 +216,7 @@ class Pairing(ProcessData):
             self._publishing.extrapolate()
         return extrapolates
 
-    def _take_answered(self, unheard: int) -> int:
+    def _heard_of(self, unheard: int) -> int:
         """How many SYNCs not received are answered, by several samples with their time since the last one."""
         answered = max(0, min(unheard, self._sample_came - 1))
         self._sample_came -= answered
@@ -253,7 +250,7 @@ class Pairing(ProcessData):
             syncs.until = NEVER
         if not passed or not self.sampled:
             return False
-        self._accounted += self._take_answered(syncs.place - self._accounted)
+        self._accounted += self._heard_of(syncs.place - self._accounted)
         self._miss_to(syncs.place, now)
         self._tracks_came = False
         self._stale = self._input.is_synchronous
@@ -293,7 +290,7 @@ class Pairing(ProcessData):
 
     def _judged(self, now: float) -> float | None:
         """One pair of tracks for each SYNC: intervals up to this one. None: it is not to be used."""
-        call, syncs, answers = self._call, self.syncs, self.answers
+        call, syncs, answers, chain = self._call, self.syncs, self.answers, self._chain
         place = syncs.place
         if not self._synced:
             verdict = syncs.sync(call.received, call.is_stamped, None)  # each is its own
@@ -304,13 +301,16 @@ class Pairing(ProcessData):
                 self._off = max(self._off, syncs.grid.lead / syncs.grid.period)
             if place == self._accounted + 1 and answers.is_usual(delay_s, syncs.grid):
                 return self._answer(place)
-            later = answers.place(delay_s, syncs.grid)
+            later = answers.place(delay_s, syncs.grid, self._accounted - place)
+            if answers.has_moved(syncs.grid):
+                self._lose_count(1.0, now)
+            elif later is None and self._next_may_have_come:
+                self._publishing.withhold()  # it may answer a SYNC that was not received
+            free = later is not None and place + later > self._accounted
+            if not (free or chain.lost or chain.slips(1.0)):
+                later = 0  # at standstill it is the same
             if later is None:
                 self.count_bad_frame()
-                if answers.has_moved(syncs.grid):
-                    self._lose_count(1.0, now)
-                elif self._next_may_have_come:
-                    self._publishing.withhold()  # it may answer a SYNC that was not received
                 return None
             if later > 0:
                 self._pass_lost(later)
@@ -355,8 +355,8 @@ class Pairing(ProcessData):
         self.sampled = True
         if sample.time_100ns is None:
             self._sample_came = True
-            answers_last = self._input.judged is None
-            self._take(sample, self._answer(self.syncs.place) if answers_last else self._elapsed, now)
+            judged = self._input.judged is not None
+            self._take(sample, self._elapsed if judged else self._answer(self.syncs.place), now)
         elif self._timed(sample, now):
             self._sample_came += 1
         else:

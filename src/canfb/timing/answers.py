@@ -45,10 +45,10 @@ class Answers:
         """Its SYNC came before its place on the grid, and it sooner than from a timer: so did its sample."""
         return grid.lead > 0.0 and delay_s < grid.lead + SOONEST * self.least_s < inf
 
-    def place(self, delay_s: float, grid: Grid) -> int | None:
+    def place(self, delay_s: float, grid: Grid, answered: int = -1) -> int | None:
         """Places after the last SYNC that it answers: 0 that one, -1 the one before; None: it fits none.
 
-        ``delay_s`` after the last SYNC.
+        ``delay_s`` after the last SYNC; the place that is ``answered`` needs no other.
         """
         if self.least_s == inf:
             self.least_s = delay_s
@@ -56,12 +56,13 @@ class Answers:
         early_s = max((1.0 - SOONEST) * self.least_s, min(NOISE_S, 0.1 * grid.period))
         places = round((later_s + early_s) // grid.period) if grid.period else 0
         within_s = later_s - places * grid.period
-        if -early_s <= within_s <= _most_s(grid) or not grid.period:
+        fits = -early_s <= within_s <= _most_s(grid) or not grid.period
+        if fits and places > answered:
             self.least_s += (FORGETTING if within_s >= 0.0 else 1.0) * within_s
             self._refused.clear()
-            return places
-        self._refused.append(delay_s)
-        return None
+        else:
+            self._refused.append(delay_s)
+        return places if fits else None
 
     def has_moved(self, grid: Grid) -> bool:
         """ROW were refused in a row, with much the same delay: that is the delay from now on."""
