@@ -436,3 +436,37 @@ def test_module_interface_and_sync_in_one_process() -> None:
     assert module.feedback.cycles + module.feedback.phase == pytest.approx(source.position_cycles, abs=0.02)
     assert runner.counters.sent == len(bench.bus.sent)
     assert bench.reported == []
+
+
+ASKED = [Frame(0x620, b"\x40\x00\x10\x00\0\0\0\0")]
+
+
+@pytest.mark.parametrize(
+    ("plan", "heard", "until_s"),
+    [
+        ([(0.03, message(0x720, b"\x05")), (0.04, message(0x5A0))], 0x720, 0.03),
+        ([(0.05, message(0x5A0, b"\x43"))], 0x5A0, 0.05),
+        ([(0.01, message(0x721, b"\x05")), (0.02, message(0x1A0)), (0.15, message(0x720))], None, 0.1),
+        ([(0.02, BROKEN), (0.03, message(0x720, b"\x05"))], None, 0.02),
+        ([], None, 0.1),
+    ],
+)
+def test_other_nodes_are_heard_before_the_devices_start(
+    plan: list[tuple[float, can.Message | Exception]], heard: int | None, until_s: float
+) -> None:
+    bench = Bench(*plan)
+    device = bench.device(boot=(Frame(0x720, b"\0"),))
+    runner = Runner(frame_bus(cast(Any, bench.bus)), [device], clock=bench.clock, sleep=bench.clock.sleep)
+    assert runner.hears({0x5A0, 0x720}, 0.1, ASKED) == heard
+    assert bench.bus.at == pytest.approx(until_s)
+    assert bench.bus.sent_ids() == [0x620]
+    assert device.heard == []
+
+
+def test_an_error_frame_before_the_start_is_reported() -> None:
+    off = can.Message(arbitration_id=0x040, is_error_frame=True, data=bytes(8), is_extended_id=False)
+    bench = Bench((0.01, off))
+    report = bench.lines.append
+    runner = Runner(frame_bus(cast(Any, bench.bus)), [], lambda text: report((0.0, text)), bench.clock)
+    assert runner.hears({0x720}, 0.1) is None
+    assert bench.reported == ["the CAN controller is bus-off"]

@@ -181,7 +181,7 @@ def test_a_recording_is_played_onto_the_bus_and_ends_by_itself(
         "0 rad/s^2, the module follows 5.24e+03 at 500 Hz (eq. 10)",
         "4 samples sent; end of the recording",
     ]
-    assert heard[0] == (0x711, "00")
+    assert heard[:2] == [(0x611, "4000100000000000"), (0x711, "00")], "is the node-ID free?"
     sync = (0x80, "")
     want = [
         sync,
@@ -193,7 +193,7 @@ def test_a_recording_is_played_onto_the_bus_and_ends_by_itself(
         sync,
         (0x191, "900170fe"),
     ]
-    assert heard[1:] == [*want, sync], "the SYNC after the last sample ends it"
+    assert heard[2:] == [*want, sync], "the SYNC after the last sample ends it"
 
 
 @pytest.mark.parametrize("how", ["option", "key"])

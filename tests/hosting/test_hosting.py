@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import signal
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -95,3 +98,35 @@ def test_the_program_of_the_page_runs(
     config.rename("axes.yaml")
     exec(compile(program, "several-modules.md", "exec"), {})
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.fixture
+def running(config: Path) -> Iterator[Path]:
+    """Both modules of the configuration, on their bus."""
+    ready = threading.Event()
+    with Hosting(load_config(config)) as hosting:
+        thread = threading.Thread(target=hosting.run, args=(ready.set,))
+        thread.start()
+        assert ready.wait(60.0)
+        yield config
+        assert [module.node.counters.duplicate_frames for module in hosting.modules] == [0, 0]
+        hosting.stop()
+        thread.join()
+
+
+@pytest.mark.parametrize("command", ["run", "simulate"])
+def test_a_second_node_with_the_node_id_leaves_before_its_boot_up(
+    running: Path, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ready = tmp_path / "run.ready"
+    ready.write_text(f"{os.getppid()}\n")
+    second = tmp_path / "second.yaml"
+    module = "{node_id: 33}" if command == "run" else "{node_id: 40, encoder_interface: 33}"
+    second.write_text(f"bus: {{interface: virtual, channel: hosting}}\nmodules: [{module}]\n")
+    assert main([command, str(second), "--ready-file", str(ready)]) == 1
+    assert capsys.readouterr() == (
+        "",
+        "canfb: node 33 (21h): another node on virtual hosting has this node-ID (5A1h received); "
+        "stop it, or set another node_id\n",
+    )
+    assert ready.read_text() == f"{os.getppid()}\n", "that of the first"

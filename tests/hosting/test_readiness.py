@@ -23,7 +23,7 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
         yield one
 
 
-@pytest.mark.parametrize("left_by_a_killed_program", [None, "4711\n"])
+@pytest.mark.parametrize("left_by_a_killed_program", [None, "999999999\n"])
 def test_the_file_is_there_from_ready_to_the_end(
     tmp_path: Path, left_by_a_killed_program: str | None
 ) -> None:
@@ -35,6 +35,19 @@ def test_the_file_is_there_from_ready_to_the_end(
         readiness.ready()
         assert path.read_text() == f"{os.getpid()}\n"
         assert list(tmp_path.iterdir()) == [path], "nothing else is left there"
+    assert not path.exists()
+
+
+def test_the_file_of_a_program_that_runs_is_replaced_when_ready_and_not_before(tmp_path: Path) -> None:
+    path, other = tmp_path / "run.ready", f"{os.getppid()}\n"
+    path.write_text(other)
+    with Readiness(path, environment={}):
+        """It leaves before it is ready."""
+    assert path.read_text() == other
+    with Readiness(path, environment={}) as readiness:
+        assert path.read_text() == other
+        readiness.ready()
+        assert path.read_text() == f"{os.getpid()}\n"
     assert not path.exists()
 
 

@@ -21,7 +21,7 @@ import signal
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -129,6 +129,26 @@ class Runner:
     def stop(self) -> None:
         """End :meth:`run`; may be called from a signal handler or another thread."""
         self._stopped = True
+
+    def hears(self, can_ids: Collection[int], wait_s: float, asked: Iterable[Frame] = ()) -> int | None:
+        """Send ``asked`` and listen, before :meth:`run`: the first of these CAN-IDs, None after ``wait_s``.
+
+        A bus that fails is silent.
+        """
+        end_s = self._clock() + wait_s
+        try:
+            for can_id, data, remote, _ in asked:
+                self._bus.send(can_id, data, remote)
+            while (now := self._clock()) < end_s:
+                self._now = now
+                received = self._bus.receive(end_s - now)
+                if received is not None and received[0] in can_ids:
+                    return received[0]
+                if received is not None and received[0] & ERROR:
+                    self._take(*received)  # the state of the bus
+        except (can.CanError, OSError):
+            pass  # run() meets it again, and reports it
+        return None
 
     def run(
         self, finished: Callable[[], bool] = lambda: False, ready: Callable[[], None] = lambda: None

@@ -101,7 +101,7 @@ def monitor(options: argparse.Namespace) -> int:
     if options.log is None:
         refuse_idle(options, ["speed"], "goes with --log")
     else:
-        refuse_idle(options, ["sdo", "write", "listen"], "a log answers no SDO")
+        refuse_idle(options, ["sdo", "listen"], "a log answers no SDO")
     if options.frames:
         from canfb.cli.frames import show_frames  # here: neither the page nor the frames are always wanted
 

@@ -265,10 +265,15 @@ class LifeCycle(Reactions):
 
     def power_on(self, now: float) -> None:
         """To the boot-up; see `Node.start`."""
-        self.storage.power_on()
-        self.lss.power_on()
+        self.node_id_at_power_on()
         self._change_node_id(now)
         self._power_up(now)
+
+    def node_id_at_power_on(self) -> int:
+        """Read what the store keeps: the node-ID with which the node comes up."""
+        self.storage.power_on()
+        self.lss.power_on()
+        return self.lss.pending_node_id
 
     def can_ids(self) -> CanIds:
         """Which CAN-IDs are listened to."""

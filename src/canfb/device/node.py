@@ -111,6 +111,10 @@ class Node:
         """1 to 127, or 255 for none yet."""
         return self._core.node_id
 
+    def node_id_at_power_on(self) -> int:
+        """The node-ID of the next :meth:`start`: what LSS has stored, or else that of the program."""
+        return self._life.node_id_at_power_on()
+
     @property
     def state(self) -> NmtState:
         """The NMT state."""

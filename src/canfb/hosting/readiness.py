@@ -46,7 +46,7 @@ class Readiness:
 
     def __exit__(self, *raised: object) -> None:
         self._notify(STOPPING)
-        if self._path is not None:
+        if self._path is not None and _process_of(self._path) == os.getpid():
             self._path.unlink(missing_ok=True)
 
     def ready(self) -> None:
@@ -90,16 +90,39 @@ def _watchdog_s(environment: Mapping[str, str]) -> float:
 
 
 def _clear(path: Path) -> None:
-    """Remove what a killed program has left, and nothing else."""
+    """Remove what a killed program has left, and nothing else.
+
+    The file of a program that runs stays until this one is ready: it may have to leave before.
+    """
     try:
         if path.exists() or path.is_symlink():
-            if not (path.is_file() and OURS.fullmatch(path.read_bytes()[:16])):
+            process = _process_of(path)
+            if process is None:
                 raise ConfigError(
                     f"--ready-file {path}: exists, and is not a ready file; choose another name"
                 )
-            path.unlink()
+            if not _runs(process):
+                path.unlink()
         elif not os.access(path.parent, os.W_OK):
             os.stat(path.parent)  # says so if it is not there
             raise ConfigError(f"--ready-file {path}: Permission denied")
     except OSError as error:
         raise ConfigError(f"--ready-file {path}: {error.strerror}") from None
+
+
+def _process_of(path: Path) -> int | None:
+    """The process id in a ready file; None for any other file, or none."""
+    content = path.read_bytes()[:16] if path.is_file() else b""
+    return int(content) if OURS.fullmatch(content) else None
+
+
+def _runs(process: int) -> bool:
+    if os.name != "posix":  # there signal 0 is Ctrl-C
+        return False
+    try:
+        os.kill(process, 0)  # sends nothing
+    except PermissionError:
+        return True
+    except (OSError, OverflowError):
+        return False
+    return process != os.getpid()

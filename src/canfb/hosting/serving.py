@@ -16,8 +16,11 @@ from typing import Any, Self
 
 from canfb.bus.opening import check_device_bus, describe, open_device_bus
 from canfb.bus.runner import Runner, outside_collections
+from canfb.cia301 import cob
+from canfb.cia301.frame import Frame
 from canfb.configuration import RealtimeConfig
 from canfb.device.device_protocol import Device
+from canfb.errors import CanfbError
 from canfb.hosting.realtime import apply_realtime
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults
@@ -25,6 +28,10 @@ from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.set_up import FedModule, Play, SimulatedNetwork, set_up
 
 log = logging.getLogger(__name__)
+
+# A running SDO transfer shows within LISTEN_S, and is not disturbed; else a node has ANSWER_S for a response.
+LISTEN_S, ANSWER_S = 0.02, 0.1
+READ_DEVICE_TYPE = b"\x40\x00\x10\x00\0\0\0\0"  # SDO upload of 1000h (CiA 301, 7.2.4.3.5)
 
 
 class OnBus(ABC):
@@ -44,6 +51,26 @@ class OnBus(ABC):
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         """The devices; ``resources`` closes what they open. Before the bus is opened."""
 
+    @abstractmethod
+    def _node_ids(self) -> list[int]:
+        """The node-IDs of the devices, those that have one."""
+
+    def _refuse_used_node_ids(self, runner: Runner) -> None:
+        """CanfbError if another node has one of the node-IDs: a second boot-up would stop a machine.
+
+        Not noticed: a node that is STOPPED and has no heartbeat.
+        """
+        node_ids = self._node_ids()
+        signs = {base + node: node for node in node_ids for base in (cob.SDO_RESPONSE, cob.ERROR_CONTROL)}
+        asked = [Frame(cob.SDO_REQUEST + node, READ_DEVICE_TYPE) for node in node_ids]
+        heard = runner.hears(signs, LISTEN_S) or runner.hears(signs, ANSWER_S, asked)
+        if heard is not None:
+            node = signs[heard]
+            raise CanfbError(
+                f"node {node} ({node:02X}h): another node on {describe(self.words)} has this node-ID "
+                f"({heard:03X}h received); stop it, or set another node_id"
+            )
+
     def _meanwhile(self, now: float) -> None:
         """Called now and then, between frames."""
         for handler in self._log_handlers:
@@ -54,6 +81,7 @@ class OnBus(ABC):
             devices = self._make_devices(opened)
             bus = opened.enter_context(open_device_bus(self.words))
             self._runner = Runner(bus, devices, meanwhile=self._meanwhile, busy_poll=self._realtime.busy_poll)
+            self._refuse_used_node_ids(self._runner)
             apply_realtime(self._realtime)
             opened.enter_context(outside_collections())
             self._resources = opened.pop_all()
@@ -101,7 +129,7 @@ class Simulating(OnBus):
         super().__init__(words, realtime)
         self.network: SimulatedNetwork = set_up(simulation, module, play, log.warning)
         self._intervals = math.inf if seconds is None else seconds * self.network.rate_hz
-        node = module.encoder_interface
+        self._interface_id = node = module.encoder_interface
         self._node = f"{node} ({node:02X}h)"
         self.network.interface.on_duplicate = lambda can_id, now: log.warning(
             f"encoder interface {self._node}: another node on the bus uses this node-ID ({can_id:03X}h)"
@@ -109,6 +137,10 @@ class Simulating(OnBus):
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         return list(self.network.devices)
+
+    def _node_ids(self) -> list[int]:
+        axis = self.network.axis
+        return [self._interface_id, *([] if axis is None else [axis.drive.node.node_id])]
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serve the interface until the end. ``ready`` is called on the bus."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import _thread
 import contextlib
+import logging
 import os
 import platform
 import socket
@@ -32,6 +33,8 @@ from canfb.hosting.hosting import make_module
 from canfb.hosting.serving import fed_module
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.set_up import Play, set_up
+
+log = logging.getLogger(__name__)
 
 START_ALL = Frame(0x000, b"\x01\x00")  # NMT (CiA 301, 7.2.8.3.1)
 LONGEST_LAG_S = 0.5  # a computer that is later than that has a slow machine
@@ -101,7 +104,7 @@ class NetworkOnBus:
             self.module = make_module(module, held, self.words)
             self._bus = held.enter_context(open_device_bus(self.words))
             play = Play(rate_hz=self._rate_hz, autostart=module.autostart)
-            simulated = set_up(self.config.simulation, fed_module(module), play, lambda text: None)
+            simulated = set_up(self.config.simulation, fed_module(module), play, log.warning)
             if events is not None:
                 events.watch(self.module, self.module.events)
                 held.callback(lambda: events.close(network.now))

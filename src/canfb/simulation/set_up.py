@@ -35,8 +35,7 @@ from canfb.simulation.sync_producer import (
     IN_SLOW_MOTION,
     IN_TRUE_TIME,
     SilentDevice,
-    SyncProducer,
-    SyncRateWatch,
+    WatchedSyncProducer,
 )
 from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
@@ -314,8 +313,7 @@ def set_up(
     if play.recorded:
         devices.append(recorder)
     if play.rate_hz is not None:
-        producer = SyncProducer(1.0 / play.rate_hz, simulation, simulation.seed)
-        devices += [SyncRateWatch(play.rate_hz, report, advice), producer]
+        devices.append(WatchedSyncProducer(1.0 / play.rate_hz, report, advice, simulation, simulation.seed))
     return SimulatedNetwork(interface, devices, axis, demand, recorder, rate_hz)
 
 

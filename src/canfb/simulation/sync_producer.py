@@ -1,4 +1,4 @@
-"""Producers of the SYNC, with drift and jitter: for a bus that has none, or a drive; and a watch on its rate.
+"""Producers of the SYNC, with drift and jitter: for a bus that has none, or a drive; one watches its rate.
 
 A SYNC goes out at its nominal time n T, T = ``period_s`` / (1 + drift), plus a deviation: the jitter of the
 producer, and the rest of the frame that is on the wire, which no CAN-ID interrupts. A deviation is at most
@@ -226,49 +226,67 @@ IN_TRUE_TIME = "; set a lower --rate, or --pace sync"
 IN_SLOW_MOTION = ", and the machine turns slower in proportion"
 
 
-class SyncRateWatch(SilentDevice):
-    """Receives the SYNC, and calls ``report`` with one line if its rate is not ``asked_hz``; sans-I/O.
+class WatchedSyncProducer(SyncProducer):
+    """Calls ``report`` with one line if the SYNC is not as intended, once a minute at most.
 
-    ``advice`` is what it says of a computer that does not keep up.
-
-    It says so after the first window with a rate that is off by more than 2 %, and then once a minute
-    at most. ValueError unless the rate is positive.
+    Another node sends it too (a device does not receive its own frames); or its own rate is off by more than
+    2 % over a window: then the caller came late, and ``advice`` is the end of the line. While the bus is gone
+    nothing is judged.
     """
 
-    def __init__(self, asked_hz: float, report: Callable[[str], None], advice: str = IN_TRUE_TIME) -> None:
-        if not asked_hz > 0.0:
-            raise ValueError(f"asked_hz must be positive, not {asked_hz!r}")
-        self.held_hz: float | None = None
-        """Of the last window; None before its end."""
-        self._asked_hz = asked_hz
+    def __init__(
+        self,
+        period_s: float,
+        report: Callable[[str], None],
+        advice: str = IN_TRUE_TIME,
+        timing: SyncTiming = REGULAR,
+        seed: int = 1,
+    ) -> None:
+        super().__init__(period_s, timing, seed)
         self._report = report
         self._advice = advice
-        self._window_s = max(WINDOW_S, WINDOW_SYNCS / asked_hz)
+        self._window_s = max(WINDOW_S, WINDOW_SYNCS * period_s)
         self._began_s: float | None = None
-        self._syncs = 0
-        self._said_s: float | None = None
+        self._own = self._foreign = 0
+        self._bus_gone = False
+        self._said_s = -math.inf
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Count the SYNC at ``now`` (seconds)."""
-        if frame.can_id != cob.SYNC or frame.rtr:
-            return []
-        if self._began_s is None:
-            self._began_s = now
-            return []
-        self._syncs += 1
-        passed = now - self._began_s
-        if passed >= self._window_s:
-            self.held_hz = self._syncs / passed
-            self._judge(self.held_hz, now)
-            self._began_s, self._syncs = now, 0
+        """Count a SYNC of another node."""
+        self._foreign += frame.can_id == cob.SYNC and not frame.rtr
         return []
 
-    def _judge(self, held_hz: float, now: float) -> None:
-        if abs(held_hz / self._asked_hz - 1.0) <= TOLERANCE:
+    def bus_off(self, now: float) -> list[Frame]:
+        """Nothing is judged from now on."""
+        self._bus_gone = True
+        return []
+
+    def bus_back(self, now: float) -> list[Frame]:
+        """A new window begins with the next SYNC."""
+        self._bus_gone, self._began_s = False, None
+        return []
+
+    def _due(self, due_s: float, now: float) -> Frame:
+        if self._began_s is None:
+            self._began_s, self._own, self._foreign = now, 0, 0
+        else:
+            self._own += 1
+            passed = now - self._began_s
+            if passed >= self._window_s:
+                self._judge(self._own / passed, self._foreign / passed, now)
+                self._began_s, self._own, self._foreign = now, 0, 0
+        return super()._due(due_s, now)
+
+    def _judge(self, own_hz: float, foreign_hz: float, now: float) -> None:
+        asked_hz = 1.0 / self.period_s
+        if foreign_hz:
+            said = f"another node sends it too, {foreign_hz:.4g} Hz beside the {asked_hz:.4g} Hz sent here; "
+            said += "end one of the two"
+        elif abs(own_hz / asked_hz - 1.0) > TOLERANCE:
+            said = f"{own_hz:.4g} Hz reached, {asked_hz:.4g} Hz requested: "
+            said += f"this computer does not keep up{self._advice}"
+        else:
             return
-        if self._said_s is None or now - self._said_s >= AGAIN_S:
+        if not self._bus_gone and now - self._said_s >= AGAIN_S:
             self._said_s = now
-            self._report(
-                f"SYNC: {held_hz:.4g} Hz reached, {self._asked_hz:g} Hz requested: "
-                f"this computer does not keep up{self._advice}"
-            )
+            self._report(f"SYNC: {said}")
