@@ -68,14 +68,15 @@ def test_so_does_the_file_of_python_can_on_the_page(tmp_path: Path, monkeypatch:
     assert heard("node", "start", "all") == [b"\x01\x00"]
 
 
-@pytest.mark.parametrize("option", [True, False])
-def test_nmt_takes_a_configuration_as_run_does(config: str, option: bool) -> None:
-    assert heard("node", "start", "0x10", *["--config"] * option, config) == [b"\x01\x10"]
+def test_nmt_takes_the_bus_of_a_configuration(config: str) -> None:
+    assert heard("node", "start", "0x10", "--config", config) == [b"\x01\x10"]
 
 
-@pytest.mark.parametrize("arguments", [["start"], ["start", "a.yaml"], ["start", "1", "a.yaml", "b.yaml"]])
-def test_nmt_needs_a_node(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["node", *arguments]) == 2
+@pytest.mark.parametrize(
+    "line", ["node start", "node start a.yaml", "node start 1 a.yaml", "sdo read 1 residual limit"]
+)
+def test_beside_a_node_a_configuration_is_an_option(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(line.split()) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -95,26 +96,10 @@ def test_so_do_the_commands_of_a_node(
     options = ["--timeout", "0.02"]
     if arguments[0] == "sdo":
         options += ["--eds", str(Path(__file__).parents[2] / "eds" / "canfb-module.eds")]
-    assert main([*arguments, config, *options]) == 1
+    assert main([*arguments, "--config", config, *options]) == 1
     err = capsys.readouterr().err
     assert "no answer; is the node on the bus" in err
     assert "A STOPPED node answers no SDO: canfb node preop 0x20" in err
-
-
-def test_a_file_goes_with_a_configuration(
-    config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = tmp_path / "value.bin"
-    data.write_bytes(b"\x04")
-    eds = str(Path(__file__).parents[2] / "eds" / "canfb-module.eds")
-    words = ["sdo", "write", "0x20", "2010:03", config, "--file", str(data), "--eds", eds]
-    assert main([*words, "--timeout", "0.02"]) == 1
-    assert "no answer" in capsys.readouterr().err
-
-
-def test_a_name_without_quotes_is_no_configuration(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["sdo", "read", "0x20", "residual", "limit"]) == 2
-    assert "'limit' is no CONFIG.yaml; a name of several words needs quotes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["node start", "sdo read", "monitor", "log record", "run"])
@@ -150,7 +135,7 @@ def test_the_default_bus_is_remembered_and_said(
     assert capsys.readouterr().err == f"canfb: bus: virtual {CHANNEL} (canfb use)\n"
     other = tmp_path / "other.yaml"
     other.write_text("bus: {interface: virtual, channel: other}\nmodules: [{node_id: 32}]\n")
-    assert heard("node", "start", "all", str(other)) == [], "a configuration goes before it"
+    assert heard("node", "start", "all", "--config", str(other)) == [], "a configuration goes before it"
     assert heard("node", "start", "all", "-c", "other") == [], "and so do options"
     monkeypatch.setenv("CAN_CHANNEL", "other")
     assert heard("node", "start", "all") == [], "and so does the environment"

@@ -28,10 +28,6 @@ WRONG = {
         "bus: {interface: socketcann}\n" + MODULES,
         ":1: unknown interface 'socketcann' in bus; did you mean 'socketcan'?",
     ),
-    "a list": (
-        "bus: {interface: [socketcan]}\n" + MODULES,
-        ":1: unknown interface ['socketcan'] in bus; did you mean 'socketcan'?",
-    ),
     "key": (
         "bus:\n  interface: socketcan\n  chanel: can0\n" + MODULES,
         ":3: unknown key 'chanel' in bus for socketcan; did you mean 'channel'?",

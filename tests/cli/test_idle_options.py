@@ -32,7 +32,6 @@ IDLE = {
     "bundle": ("why 5 --out x.json", "--out: only with --bundle"),
     "frames": ("monitor --frames --updates 3", "--updates: not with --frames"),
     "pdo": ("monitor --pdo", "--pdo: only with --frames"),
-    "page": ("monitor --write", "--write: only with --web"),
     "both": ("monitor --frames --web", "--frames, --web: one of them"),
     "story": ("try --story --rate 200", "--rate: not with --story"),
     "no story": ("try --out x", "--out: only with --story"),

@@ -16,10 +16,8 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.cli.main import main
-from canfb.cli.printing import printed_log
 from canfb.eds_files import eds_path
 from canfb.hosting.hosting import make_module
-from canfb.hosting.state_files import StateDirError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 
@@ -56,27 +54,6 @@ def test_without_a_state_dir_it_says_that_nothing_is_kept() -> None:
     assert exchanged(ModuleConfig(node_id=32), SAVE) == ["8010100120000008"]
 
 
-def test_parameters_that_are_refused_are_told_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config = ModuleConfig(node_id=32, state_dir=str(tmp_path))
-    (tmp_path / "manufacturer.bin").write_bytes(b"?")
-    with printed_log():
-        exchanged(config)
-    assert capsys.readouterr().err == (
-        f"canfb: node 32: stored manufacturer parameters in {tmp_path} refused: no stored parameters, "
-        "or truncated; the defaults are used\n"
-    )
-
-
-def test_two_modules_in_one_folder_are_refused(tmp_path: Path) -> None:
-    config = ModuleConfig(node_id=32, state_dir=str(tmp_path))
-    with contextlib.ExitStack() as resources:
-        make_module(config, resources, {})
-        with pytest.raises(StateDirError, match="uses it"):
-            make_module(config, resources, {})
-
-
 def test_a_state_dir_that_cannot_be_used_is_one_line_and_exit_code_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -85,32 +62,6 @@ def test_a_state_dir_that_cannot_be_used_is_one_line_and_exit_code_1(
     config.write_text(f"modules: [{{node_id: 32, state_dir: {tmp_path}/file}}]\n")
     assert main(["run", str(config), "-i", "virtual", "-c", "state"]) == 1
     assert capsys.readouterr().err == f"canfb: state_dir {tmp_path}/file cannot be used: File exists\n"
-
-
-@pytest.mark.parametrize(
-    ("modules", "line", "text"),
-    [
-        ("- {node_id: 3, state_dir: a}\n- {node_id: 4, state_dir: a/}\n", 3, "state_dir of modules[1] is"),
-        ("- {node_id: 3, state_dir: ''}\n", 2, "state_dir must be the name of a folder"),
-        ('- {node_id: 3, state_dir: "a\\0"}\n', 2, "state_dir must be the name of a folder"),
-        (
-            "- {node_id: 255}\n- {node_id: 255}\n",
-            3,
-            "serial_number 0 of modules[1] is also that of modules[0]",
-        ),
-        ("- {node_id: 3, serial_number: -1}\n", 2, "serial_number must be a whole number 0..4294967295"),
-        ("- {node_id: 255.0}\n", 2, "node_id must be a whole number 1..127, not 255.0"),
-    ],
-)
-def test_what_a_configuration_may_not_say(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], modules: str, line: int, text: str
-) -> None:
-    config = tmp_path / "feedback.yaml"
-    config.write_text(f"modules:\n{modules}")
-    assert main(["config", "check", str(config)]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"canfb: {config}:{line}: ")
-    assert text in error
 
 
 # In processes of their own.

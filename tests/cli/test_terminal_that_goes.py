@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import pty
 import select
@@ -77,12 +76,3 @@ def test_it_ends_cleanly_and_leaves_no_ready_file(tmp_path: Path, command: list[
     assert not (tmp_path / "ready").exists()
     if command == ["run"]:
         assert any((tmp_path / "state").iterdir()), "the operating time was saved at the end"
-
-
-def test_what_a_closed_terminal_answers_is_known() -> None:
-    """EIO, in place of the EPIPE of a pipe."""
-    ours, theirs = pty.openpty()
-    os.close(ours)
-    with pytest.raises(OSError, match=os.strerror(errno.EIO)):
-        os.write(theirs, b"x")
-    os.close(theirs)

@@ -53,18 +53,12 @@ def test_a_rate_that_is_not_reached_is_said_once_a_minute(
                              "; set a lower --rate, or --pace sync")  # fmt: skip
 
 
-def test_the_sync_of_another_node_is_named_and_not_taken_for_a_slow_computer() -> None:
+@pytest.mark.parametrize("foreign", [True, False])
+def test_the_sync_of_another_node_is_named_and_not_taken_for_a_slow_computer(foreign: bool) -> None:
     watched = Watched(100.0)
-    watched.run(10.0, 1000.0, SYNC, Frame(0x181, b""), Frame(cob.SYNC, b"", rtr=True))
-    assert watched.lines == [
-        "SYNC: another node sends it too, 100 Hz beside the 100 Hz sent here; end one of the two"
-    ]
-
-
-def test_other_frames_do_not_count() -> None:
-    watched = Watched(100.0)
-    watched.run(10.0, 1000.0, Frame(0x181, b""), Frame(cob.SYNC, b"", rtr=True))
-    assert watched.lines == []
+    watched.run(10.0, 1000.0, Frame(0x181, b""), Frame(cob.SYNC, b"", rtr=True), *[SYNC] * foreign)
+    said = "SYNC: another node sends it too, 100 Hz beside the 100 Hz sent here; end one of the two"
+    assert watched.lines == [said] * foreign
 
 
 def test_while_the_bus_is_gone_nothing_is_said_and_then_a_new_window_begins() -> None:

@@ -43,7 +43,7 @@ def register(commands: Commands) -> None:
     node_options.add_access_options(parser)
 
     parser = add_command(parts, "restore", restore, "write a backup to a module, and verify it or roll back")
-    text = "what canfb backup save wrote; and NODE, the module (default: that of the file), or CONFIG.yaml"
+    text = "what canfb backup save wrote; and NODE, the module (default: that of the file)"
     add_nodes(parser, text, least=1, most=1, kind=node_or_file, file="file", name="FILE")
     add_options(
         parser,

@@ -46,10 +46,107 @@ from canfb.rows import Result
 def register(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(commands, "calibrate", calibrate)
-    _add_nodes_and_results(parser)
-    _add_measurement(parser)
-    _add_speeds(parser)
-    _add_file(parser)
+    add_measured_nodes(parser)
+    add_options(
+        parser,
+        option("--dry-run", action="store_true", help="measure only, write nothing to the module"),
+        option(
+            "--check", action="store_true", help="only measure how far the encoder has drifted from its table"
+        ),
+        option("--out", type=Path, metavar="DIR", help="folder for table, samples and report"),
+        option("--json", action="store_true", help="print the figures as JSON"),
+        option("--save", action="store_true", help="save it (1010h); without, lost at a restart"),
+    )
+    group = add_options(
+        parser,
+        option(
+            "--method",
+            choices=(MOTION, ZERO_CROSSINGS),
+            default=MOTION,
+            help="motion (default): any speed, one sample per SYNC; zero-crossings: slow, many per cycle",
+        ),
+        option(
+            "--source",
+            choices=(PDO, RECORDING, MODULE),
+            help="pdo: the ADC PDO on the bus (default); recording: object 2050h (zero-crossings); "
+            "module: the module calibrates itself (2030h)",
+        ),
+        option(
+            "--recorder",
+            choices=("interface", "module"),
+            default="interface",
+            help="node whose object 2050h records (default: interface)",
+        ),
+        option(
+            "--seconds",
+            type=float,
+            metavar="S",
+            help="duration of the measurement (20; 4 for a recording, 10 for a speed)",
+        ),
+        option(
+            "--least-samples",
+            type=int,
+            default=LEAST_SAMPLES,
+            metavar="N",
+            help=f"minimum number of samples; measure up to six times longer to reach it ({LEAST_SAMPLES})",
+        ),
+        option(
+            "--verify", type=float, metavar="S", help="duration of the verification (4; 1 for a recording)"
+        ),
+        option(
+            "--conditioning",
+            choices=("fit", "none"),
+            default="fit",
+            help="fit offset, gain and phase error first (default), or correct all by the table",
+        ),
+        option("--entries", type=int, default=1024, metavar="N", help="length of the table (1024)"),
+        option("--adc-bits", type=int, metavar="N", help="bits of the converter (from 2001:02)"),
+        option("--sample-rate", type=float, metavar="HZ", help="samples per second, if not known otherwise"),
+        option("--rate", type=float, metavar="HZ", help="produce the SYNC, on a bus without one"),
+        option("--encoder", default="", metavar="NAME", help="name or serial number of the encoder"),
+        group="measurement",
+    )
+    add_timeout(group)
+    add_options(
+        parser,
+        option(
+            "--speeds",
+            metavar="RPM,RPM,...",
+            help="measure at each of these speeds, in any order, as soon as the machine turns at it; "
+            'with --samples DIR: the speeds of its files in their order, or "recorded"',
+        ),
+        option(
+            "--delay",
+            metavar="estimate|S",
+            help="write the delay of the analog path (2002:07): as estimated, or so many seconds (as it is)",
+        ),
+        option(
+            "--wait",
+            type=float,
+            default=120.0,
+            metavar="S",
+            help="how long to wait for the machine to turn at the next speed (120)",
+        ),
+        group="several speeds (the analog path)",
+    )
+    group = add_options(
+        parser,
+        option(
+            "--samples",
+            type=Path,
+            metavar="FILE",
+            help="NPZ file, or CSV with a header line; with --speeds a folder of them",
+        ),
+        group="samples of a file (no bus is used)",
+    )
+    add_columns(group)
+    add_options(
+        group,
+        option("--table", type=Path, metavar="FILE", help="the active table, YAML or bytes of 2020:01"),
+        option(
+            "--cycles-per-revolution", type=int, metavar="N", help="also give errors as angles of the shaft"
+        ),
+    )
     add_bus_options(parser)
 
 
@@ -96,73 +193,6 @@ def _say(result: Result, options: argparse.Namespace, progress: Progress) -> int
     return say_result(options, result)
 
 
-def _add_nodes_and_results(parser: argparse.ArgumentParser) -> None:
-    add_measured_nodes(parser)
-    add_options(
-        parser,
-        option("--dry-run", action="store_true", help="measure only, write nothing to the module"),
-        option(
-            "--check", action="store_true", help="only measure how far the encoder has drifted from its table"
-        ),
-        option("--out", type=Path, metavar="DIR", help="folder for table, samples and report"),
-        option("--json", action="store_true", help="print the figures as JSON"),
-        option("--save", action="store_true", help="save it (1010h); without, lost at a restart"),
-    )
-
-
-def _add_measurement(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("measurement")
-    add_options(
-        group,
-        option(
-            "--method",
-            choices=(MOTION, ZERO_CROSSINGS),
-            default=MOTION,
-            help="motion (default): any speed, one sample per SYNC; zero-crossings: slow, many per cycle",
-        ),
-        option(
-            "--source",
-            choices=(PDO, RECORDING, MODULE),
-            help="pdo: the ADC PDO on the bus (default); recording: object 2050h (zero-crossings); "
-            "module: the module calibrates itself (2030h)",
-        ),
-        option(
-            "--recorder",
-            choices=("interface", "module"),
-            default="interface",
-            help="node whose object 2050h records (default: interface)",
-        ),
-        option(
-            "--seconds",
-            type=float,
-            metavar="S",
-            help="duration of the measurement (20; 4 for a recording, 10 for a speed)",
-        ),
-        option(
-            "--least-samples",
-            type=int,
-            default=LEAST_SAMPLES,
-            metavar="N",
-            help=f"minimum number of samples; measure up to six times longer to reach it ({LEAST_SAMPLES})",
-        ),
-        option(
-            "--verify", type=float, metavar="S", help="duration of the verification (4; 1 for a recording)"
-        ),
-        option(
-            "--conditioning",
-            choices=("fit", "none"),
-            default="fit",
-            help="fit offset, gain and phase error first (default), or correct all by the table",
-        ),
-        option("--entries", type=int, default=1024, metavar="N", help="length of the table (1024)"),
-        option("--adc-bits", type=int, metavar="N", help="bits of the converter (from 2001:02)"),
-        option("--sample-rate", type=float, metavar="HZ", help="samples per second, if not known otherwise"),
-        option("--rate", type=float, metavar="HZ", help="produce the SYNC, on a bus without one"),
-        option("--encoder", default="", metavar="NAME", help="name or serial number of the encoder"),
-    )
-    add_timeout(group)
-
-
 def choices_of(options: argparse.Namespace) -> CalibrateOptions:
     """The options, checked. ConfigError for those that cannot be, alone or together."""
     names = [field.name for field in fields(CalibrateOptions) if hasattr(options, field.name)]
@@ -170,46 +200,3 @@ def choices_of(options: argparse.Namespace) -> CalibrateOptions:
     refuse_combinations(choices, partial(refuse_idle, options), (*BUS_WORDS, "bus_kwargs"))
     choices.refuse_impossible()
     return choices
-
-
-def _add_speeds(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("several speeds (the analog path)")
-    add_options(
-        group,
-        option(
-            "--speeds",
-            metavar="RPM,RPM,...",
-            help="measure at each of these speeds, in any order, as soon as the machine turns at it; "
-            'with --samples DIR: the speeds of its files in their order, or "recorded"',
-        ),
-        option(
-            "--delay",
-            metavar="estimate|S",
-            help="write the delay of the analog path (2002:07): as estimated, or so many seconds (as it is)",
-        ),
-        option(
-            "--wait",
-            type=float,
-            default=120.0,
-            metavar="S",
-            help="how long to wait for the machine to turn at the next speed (120)",
-        ),
-    )
-
-
-def _add_file(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("samples of a file (no bus is used)")
-    group.add_argument(
-        "--samples",
-        type=Path,
-        metavar="FILE",
-        help="NPZ file, or CSV with a header line; with --speeds a folder of them",
-    )
-    add_columns(group)
-    add_options(
-        group,
-        option("--table", type=Path, metavar="FILE", help="the active table, YAML or bytes of 2020:01"),
-        option(
-            "--cycles-per-revolution", type=int, metavar="N", help="also give errors as angles of the shaft"
-        ),
-    )

@@ -31,35 +31,7 @@ from canfb.master.all_or_nothing import Guard
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    _add_options(add_command(commands, "commission", commission))
-
-
-def commission(options: argparse.Namespace) -> int:
-    """Listen, propose, and with ``--write`` set; 0 when that is done."""
-    wishes, config = wishes_of(options), named_config(options)
-    if wishes.out:
-        prepare(wishes.out)
-    nodes_of_choices(options, config)  # says what cannot be before there is a bus
-    words = bus_options(options, config.bus)
-    guard, as_before = Guard(), "the limits of the module are as they were"
-    with (
-        shown_progress(quiet=options.json, interrupted=as_before) as progress,
-        sync_master(words, options.rate, options.timeout, guard) as master,
-    ):
-        return over_bus(master, options, config, progress, guard, date_and_time())
-
-
-def over_bus(
-    master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
-) -> int:
-    """The command on an open bus; the exit code. ``date`` is ISO 8601, the time of day behind a space."""
-    run = CommissionRun(wishes_of(options), progress, date)
-    result = run.over_bus(master, *nodes_of_choices(options, config), guard)
-    progress.clear()
-    return say_result(options, result)
-
-
-def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser = add_command(commands, "commission", commission)
     add_measured_nodes(parser)
     add_options(
         parser,
@@ -98,6 +70,31 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_timeout(parser)
     add_bus_options(parser)
+
+
+def commission(options: argparse.Namespace) -> int:
+    """Listen, propose, and with ``--write`` set; 0 when that is done."""
+    wishes, config = wishes_of(options), named_config(options)
+    if wishes.out:
+        prepare(wishes.out)
+    nodes_of_choices(options, config)  # says what cannot be before there is a bus
+    words = bus_options(options, config.bus)
+    guard, as_before = Guard(), "the limits of the module are as they were"
+    with (
+        shown_progress(quiet=options.json, interrupted=as_before) as progress,
+        sync_master(words, options.rate, options.timeout, guard) as master,
+    ):
+        return over_bus(master, options, config, progress, guard, date_and_time())
+
+
+def over_bus(
+    master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
+) -> int:
+    """The command on an open bus; the exit code. ``date`` is ISO 8601, the time of day behind a space."""
+    run = CommissionRun(wishes_of(options), progress, date)
+    result = run.over_bus(master, *nodes_of_choices(options, config), guard)
+    progress.clear()
+    return say_result(options, result)
 
 
 def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:

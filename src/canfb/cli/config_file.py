@@ -6,9 +6,8 @@ import argparse
 import json
 from pathlib import Path
 
-from canfb.bus.bus_master import BusMaster
 from canfb.bus.clocks import file_date_and_time
-from canfb.bus.opening import open_bus
+from canfb.cli.node_options import master_of
 from canfb.cli.options import (
     Commands,
     add_bus_options,
@@ -83,28 +82,7 @@ def register(commands: Commands) -> None:
     add_command(parts, "check", check, "check a configuration").add_argument("config", metavar="CONFIG.yaml")
     add_command(parts, "example", example, "print an example")
     summary = "write a device configuration file (CiA 306) for a CANopen master"
-    _add_dcf_options(add_command(parts, "dcf", write_dcf, summary))
-
-
-def check(options: argparse.Namespace) -> int:
-    """Say what is in the configuration, or what is wrong with it, on this machine."""
-    config = load_config(options.config, ANY_NODES)
-    check_machine(Path(options.config), config)
-    nodes: dict[str, list[str]] = {}
-    for key, _, one in config.nodes:
-        nodes.setdefault(key, []).append(f"{one.node_id:02X}h")
-    lists = [f"; {key}: {', '.join(ids)}" for key, ids in nodes.items()]
-    print(f"{options.config}: valid{''.join(lists)}")
-    return 0
-
-
-def example(options: argparse.Namespace) -> int:
-    """Print an example configuration."""
-    print(EXAMPLE, end="")
-    return 0
-
-
-def _add_dcf_options(parser: argparse.ArgumentParser) -> None:
+    parser = add_command(parts, "dcf", write_dcf, summary)
     text = "CONFIG.yaml, and which of its modules, if there are several; NODE alone is read on the bus"
     add_nodes(parser, text, least=1, most=1, file="subject")
     add_options(
@@ -130,6 +108,24 @@ def _add_dcf_options(parser: argparse.ArgumentParser) -> None:
     add_bus_options(parser)
 
 
+def check(options: argparse.Namespace) -> int:
+    """Say what is in the configuration, or what is wrong with it, on this machine."""
+    config = load_config(options.config, ANY_NODES)
+    check_machine(Path(options.config), config)
+    nodes: dict[str, list[str]] = {}
+    for key, _, one in config.nodes:
+        nodes.setdefault(key, []).append(f"{one.node_id:02X}h")
+    lists = [f"; {key}: {', '.join(ids)}" for key, ids in nodes.items()]
+    print(f"{options.config}: valid{''.join(lists)}")
+    return 0
+
+
+def example(options: argparse.Namespace) -> int:
+    """Print an example configuration."""
+    print(EXAMPLE, end="")
+    return 0
+
+
 def write_dcf(options: argparse.Namespace) -> int:
     """Write the files; 0 when it is done."""
     _check(options)
@@ -138,7 +134,7 @@ def write_dcf(options: argparse.Namespace) -> int:
     if options.node is None:
         configuration = saved_configuration(_chosen(config, options))
     else:
-        with BusMaster(open_bus(words), options.timeout) as master:
+        with master_of(options) as master:
             configuration = read_configuration(NodeAccess(master, options.node, "node"))
     inline, reals = options.table == INLINE, Reals(options.reals)
     files = ConfigurationFiles(
@@ -162,11 +158,8 @@ def _check(options: argparse.Namespace) -> None:
     """ConfigError for options that cannot be, alone or together."""
     options.node = None if options.subject else options.module  # to be read on the bus
     if options.node is None:
-        refuse_idle(options, ["timeout"], "only with NODE alone, which is read over the bus")
-        refuse_idle(options, ["config"], "only with NODE alone, which is read over the bus")
+        refuse_idle(options, ["timeout", "config"], "only with NODE alone, which is read over the bus")
         options.config = options.subject
-    if not 0.01 <= options.timeout <= 60.0:
-        raise ConfigError(f"--timeout {options.timeout:g}: must be 0.01 to 60")
     if not options.name.isascii() or not options.name.isprintable() or ";" in options.name:
         raise ConfigError(f"--name {options.name!r}: must be printable ASCII without ';'")
     if options.out is not None and options.out == options.concise:

@@ -39,7 +39,7 @@ _EXAMPLES = {
   canfb node reset all --config feedback.yaml""",
     "canfb node list": """
   canfb node list -i socketcan -c can0
-  canfb node list feedback.yaml --json""",
+  canfb node list --config feedback.yaml --json""",
     "canfb node start": """
   canfb node start all -i socketcan -c vcan0
   canfb node start 0x10 0x20 --config feedback.yaml""",

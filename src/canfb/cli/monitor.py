@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
@@ -26,7 +26,7 @@ from canfb.cli.options import (
     option,
     refuse_idle,
 )
-from canfb.cli.printing import report, say
+from canfb.cli.printing import say
 from canfb.cli.subjects import add_nodes, bit_rate_of, positive, units
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from canfb.scope.live_page import LivePage
 
 ANY_PORT = 0
-ONLY_SHOWS = "--write: the page only shows; canfb calibrate and canfb table change a module"
 FASTEST_HZ, RATE_HZ, LINES_RATE_HZ = 50.0, 5.0, 1.0
 Show = Callable[[BusSnapshot], None]
 
@@ -60,19 +59,18 @@ def register(commands: Commands) -> None:
         option("--plain", action="store_true", help="lines, also on a terminal"),
         option("--json", action="store_true", help="print one JSON object per update or frame"),
     )
-    frames = parser.add_argument_group("a line for each frame")
     add_options(
-        frames,
+        parser,
         option("--frames", action="store_true", help="show frames, PDOs of modules decoded"),
         option("--pdo", action="store_true", help="the PDOs of these modules alone"),
         option("--listen", action="store_true", help="send nothing: mapping by configuration and EDS"),
+        group="a line for each frame",
     )
-    page = parser.add_argument_group("a page in the browser")
-    add_options(
-        page,
+    page = add_options(
+        parser,
         option("--web", action="store_true", help="watch modules on a page of this computer"),
-        option("--write", action="store_true", help=argparse.SUPPRESS),
         option("--port", metavar="N", type=int, default=ANY_PORT, help="default: any free port"),
+        group="a page in the browser",
     )
     add_ready_file(page)
     add_bus_options(parser)
@@ -81,7 +79,7 @@ def register(commands: Commands) -> None:
 
 IDLE = (
     (("pdo", "listen"), ("frames",), "only with --frames"),
-    (("write", "port", "ready_file"), ("web",), "only with --web"),
+    (("port", "ready_file"), ("web",), "only with --web"),
     (("updates", "plain"), ("",), "not with --frames or --web"),
     (("sdo",), ("", "web"), "not with --frames, which reads the mapping at its start"),
     (("seconds", "json"), ("", "frames"), "not with --web"),
@@ -111,12 +109,7 @@ def monitor(options: argparse.Namespace) -> int:
 
 def _watch(options: argparse.Namespace) -> int:
     """Show what there is to see until Ctrl-C, the end of the log, or --seconds."""
-    config = named_config(options)
-    words = bus_options(options, config.bus)
-    layouts = known_layouts(config, options.nodes)
-    if options.sdo and not layouts:
-        raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
-    model = BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes))
+    words, layouts, model = _model(options)
     with output(options, "canfb monitor") as (show, rate_hz):
         reader = MessageReader(options.seconds)
         watching = Watching(model, show, min(options.updates or rate_hz, FASTEST_HZ), reader)
@@ -130,6 +123,20 @@ def _watch(options: argparse.Namespace) -> int:
                         held.enter_context(_reading(bus, layouts, watching))
                     watching.opened(bus)
     return 0
+
+
+def _model(options: argparse.Namespace) -> tuple[dict[str, Any], list[NodeLayout], BusModel]:
+    """python-can's words, the modules that are known, and what is seen of them."""
+    config = named_config(options)
+    words = bus_options(options, config.bus)
+    layouts = known_layouts(config, options.nodes)
+    if options.sdo and not layouts:
+        raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
+    return (
+        words,
+        layouts,
+        BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes)),
+    )
 
 
 def _reading(
@@ -197,19 +204,12 @@ def _serve_page(options: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C, SIGTERM or SIGHUP."""
     from canfb.scope.live_page import LivePage  # here: the server is for the page alone
 
-    if options.write:
-        report(ONLY_SHOWS)
     if not 0 <= options.port <= 65535:
         raise ConfigError(f"--port {options.port}: must be 0 to 65535")
-    config = named_config(options)
+    words, layouts, model = _model(options)
     with contextlib.ExitStack() as held:
-        words = bus_options(options, config.bus)
-        layouts = known_layouts(config, options.nodes)
-        if options.sdo and not layouts:
-            raise ConfigError("--sdo: name the nodes that may be asked, or give --config")
         bus = None if options.log else held.enter_context(SharedBus(open_bus(words)))
         page = LivePage(options.port, options.per_revolution)
-        model = BusModel(layouts, assumed_layout, bit_rate_of(words), only_known=bool(options.nodes))
         watching = Watching(model, page.show, RATE_HZ)
         server = held.enter_context(page.server)
         if options.sdo and bus is not None:

@@ -21,8 +21,7 @@ from canfb.cli.options import (
     chosen_bus,
     option,
 )
-from canfb.cli.subjects import add_nodes, node_or_yaml, positive
-from canfb.errors import ConfigError
+from canfb.cli.subjects import add_nodes, node_number, positive
 from canfb.master.node_state import reset_nodes
 from canfb.rows import Result
 
@@ -36,11 +35,11 @@ SCAN_S = 1.2  # the heartbeat of most nodes comes once a second or more often
 
 
 def _node(text: str) -> int | str:
-    """A node-ID, decimal or as 0x20; `all` is 0; or a configuration."""
+    """A node-ID, decimal or as 0x20; `all` is 0."""
     if text == ALL:
         return EVERYBODY
     try:
-        return node_or_yaml(text)
+        return node_number(text)
     except argparse.ArgumentTypeError as error:
         raise argparse.ArgumentTypeError(f"{error}, nor 'all'") from None
 
@@ -72,14 +71,11 @@ def register(commands: Commands) -> None:
 
 
 def _add_nodes(part: argparse.ArgumentParser) -> None:
-    text = "node-IDs such as 32 or 0x20, or all; and CONFIG.yaml, as with --config"
-    add_nodes(part, text, least=1, kind=_node)
+    add_nodes(part, "node-IDs such as 32 or 0x20, or all", least=1, kind=_node)
 
 
 def _nodes(options: argparse.Namespace) -> list[int]:
     """Those of the line, each once; [EVERYBODY] for all."""
-    if not options.nodes:
-        raise ConfigError("a node-ID, several, or all is required beside CONFIG.yaml")
     return [EVERYBODY] if EVERYBODY in options.nodes else list(dict.fromkeys(options.nodes))
 
 

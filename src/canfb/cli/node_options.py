@@ -13,7 +13,7 @@ from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import add_bus_options, add_options, add_timeout, chosen_bus, option
 from canfb.cli.printing import report
-from canfb.cli.subjects import node_number, yaml_file
+from canfb.cli.subjects import node_number
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.master.access import Master
@@ -32,13 +32,6 @@ def add_access_options(parser: argparse.ArgumentParser, *, answers: bool = True)
         parser,
         option("--json", action="store_true", help="the result, for programs"),
         option("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration"),
-        option(
-            "configuration",
-            metavar="CONFIG.yaml",
-            nargs="?",
-            type=yaml_file,
-            help="the same, without --config",
-        ),
     )
     if answers:
         add_timeout(parser)
@@ -47,7 +40,7 @@ def add_access_options(parser: argparse.ArgumentParser, *, answers: bool = True)
 
 @contextlib.contextmanager
 def master_of(options: argparse.Namespace) -> Iterator[Master]:
-    """A master on the bus of the options. ConfigError for wrong ones, BusError for a bus that fails."""
+    """A master on the bus of the options. ConfigError, BusError."""
     if not 0.01 <= options.timeout <= 60.0:
         raise ConfigError(f"--timeout {options.timeout:g}: must be 0.01 to 60")
     with BusMaster(open_bus(chosen_bus(options)), options.timeout) as master:
@@ -86,5 +79,6 @@ def say_result(options: argparse.Namespace, result: Result) -> int:
 
 def nodes_of(config: Config) -> list[tuple[int, int | None]]:
     """Module and encoder interface of each, None for a module that samples itself."""
-    modules = config.modules
-    return [(one.node_id, None if one.source is not None else one.encoder_interface) for one in modules]
+    return [
+        (one.node_id, None if one.source is not None else one.encoder_interface) for one in config.modules
+    ]

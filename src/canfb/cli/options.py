@@ -68,10 +68,15 @@ def option(*names: str, **settings: Any) -> tuple[tuple[str, ...], dict[str, Any
     return names, settings
 
 
-def add_options(parser: argparse._ActionsContainer, *options: tuple[tuple[str, ...], dict[str, Any]]) -> None:
-    """Add the options of a table."""
+def add_options(
+    parser: argparse._ActionsContainer, *options: tuple[tuple[str, ...], dict[str, Any]], group: str = ""
+) -> argparse._ActionsContainer:
+    """Add the options of a table, in a ``group``; where they are now."""
+    if group:
+        parser = parser.add_argument_group(group)
     for names, settings in options:
         parser.add_argument(*names, **settings)
+    return parser
 
 
 def add_group(commands: Commands, name: str, description: str = "") -> Commands:
@@ -108,10 +113,7 @@ def add_timeout(parser: argparse._ActionsContainer) -> None:
 
 
 def chosen_module(options: argparse.Namespace, config: Config) -> ModuleConfig:
-    """The module of the configuration with the node-ID ``options.module``, or the first.
-
-    ConfigError where no module has this node-ID, or several have it: those that LSS is to give one.
-    """
+    """The module with the node-ID ``options.module``, or the first; ConfigError if several have it."""
     node_id, modules = options.module, config.modules
     found = [module for module in modules if node_id in (None, module.node_id)]
     if len(found) == 1 or (found and node_id is None):
@@ -123,15 +125,15 @@ def chosen_module(options: argparse.Namespace, config: Config) -> ModuleConfig:
 
 def given(options: argparse.Namespace, names: Iterable[str]) -> list[str]:
     """Those options, of these names (``time_column``), that are not at their defaults."""
-    parser: argparse.ArgumentParser = options.parser
-    missing = object()
     return [
-        name for name in names if getattr(options, name, missing) not in (missing, parser.get_default(name))
+        name
+        for name in names
+        if hasattr(options, name) and getattr(options, name) != options.parser.get_default(name)
     ]
 
 
 def refuse_idle(options: argparse.Namespace, names: Iterable[str], why: str) -> None:
-    """ConfigError if one of these options is given, which would do nothing: ``why`` says so."""
+    """ConfigError, with ``why``, if one of these options is given."""
     for name in given(options, names):
         option = ARGUMENTS.get(name) or f"--{name.replace('_', '-')}"
         raise ConfigError(f"{option}: {why}")
@@ -150,10 +152,7 @@ def default_bus_file() -> Path:
 
 
 def remembered() -> dict[str, Any]:
-    """python-can's words of the default bus, less those that an environment variable has; {} without one.
-
-    ConfigError for a file that is damaged.
-    """
+    """python-can's words of the default bus, less those of environment variables. ConfigError if damaged."""
     if "CAN_INTERFACE" in os.environ:
         return {}
     path = default_bus_file()
@@ -167,11 +166,7 @@ def remembered() -> dict[str, Any]:
 
 
 def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict[str, Any]:
-    """python-can's words: the configuration's, replaced by those of the command line.
-
-    Where neither names an interface: those of ``canfb use``, which is said once. ConfigError for an interface
-    that python-can does not have.
-    """
+    """python-can's words: those of ``canfb use``, of the configuration, of the command line. ConfigError."""
     from canfb.bus.opening import check_interface, describe
 
     words = configured | given_bus(options)
@@ -185,11 +180,10 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
 
 
 def chosen_bus(options: argparse.Namespace) -> dict[str, Any]:
-    """:func:`bus_options` with the configuration of ``--config`` or CONFIG.yaml, if there is one."""
+    """:func:`bus_options` with the configuration, if there is one."""
     from canfb.configuration import ANY_NODES, load_config
 
-    chosen = options.config or getattr(options, "configuration", None)
-    return bus_options(options, load_config(chosen, ANY_NODES).bus if chosen else {})
+    return bus_options(options, load_config(options.config, ANY_NODES).bus if options.config else {})
 
 
 def named_config(options: argparse.Namespace) -> Config:

@@ -49,10 +49,7 @@ PATIENCE_S = 0.5  # at the end, for a reader
 
 @contextlib.contextmanager
 def printed_as_json() -> Iterator[None]:
-    """Print what the loggers say as JSON on stdout, an object a line, within :func:`printed_log`.
-
-    An event has its own values; what else there is to say is {"event": "message", "level": ..., "text": ...}.
-    """
+    """Print what the loggers say as JSON on stdout, an object a line, within :func:`printed_log`."""
     printing = [one for one in logging.getLogger("canfb").handlers if isinstance(one, _Printing)]
     for one in printing:
         one.as_json = True
@@ -80,10 +77,7 @@ def printed_log() -> Iterator[None]:
 
 @contextlib.contextmanager
 def printed_without_waiting() -> Iterator[None]:
-    """Within :func:`printed_log`: the program does not wait for a terminal or a reader that takes no lines.
-
-    What is not written at the end of this waits for PATIENCE_S, and is lost then.
-    """
+    """Within :func:`printed_log`: the program does not wait for a reader that takes no lines."""
     printing = [one for one in logging.getLogger("canfb").handlers if isinstance(one, _Printing)]
     for one in printing:
         one.outputs = {

@@ -37,7 +37,7 @@ class Progress:
     """One line a step; on a terminal a bar with the remaining time, else now and then a line with both.
     Says nothing if ``quiet``.
 
-    It never fails: a terminal that has gone must not end the work, nor what puts things right.
+    It never fails: a terminal that has gone must not end the work.
     """
 
     def __init__(

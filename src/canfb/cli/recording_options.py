@@ -4,21 +4,30 @@ from __future__ import annotations
 
 import argparse
 
+from canfb.cli.options import add_options, option
 
-def add_columns(group: argparse._ArgumentGroup) -> None:
+
+def add_columns(group: argparse._ActionsContainer) -> None:
     """Add them; :func:`canfb.sources.recording_source.chosen_layout` checks them."""
-    group.add_argument(
-        "--columns",
-        default="sine,cosine",
-        metavar="SINE,COSINE",
-        help="names or numbers (from 0) of the two columns",
-    )
-    group.add_argument(
-        "--mid-scale", type=float, default=0.0, metavar="READING", help="reading of a zero signal (0)"
-    )
-    group.add_argument(
-        "--scale", type=float, default=1.0, metavar="COUNTS", help="ADC counts for each volt of the file (1)"
-    )
-    group.add_argument(
-        "--time-column", metavar="NAME", help="column of times in seconds; gaps become missed samples"
+    add_options(
+        group,
+        option(
+            "--columns",
+            default="sine,cosine",
+            metavar="SINE,COSINE",
+            help="names or numbers (from 0) of the two columns",
+        ),
+        option(
+            "--mid-scale", type=float, default=0.0, metavar="READING", help="reading of a zero signal (0)"
+        ),
+        option(
+            "--scale",
+            type=float,
+            default=1.0,
+            metavar="COUNTS",
+            help="ADC counts for each volt of the file (1)",
+        ),
+        option(
+            "--time-column", metavar="NAME", help="column of times in seconds; gaps become missed samples"
+        ),
     )

@@ -33,7 +33,57 @@ OF_A_FOLDER = ("workers",)
 
 def add_to(commands: Commands) -> None:
     """Add it to ``canfb log``."""
-    _add_options(add_command(commands, "replay", replay, "put a recorded bus log through the same module"))
+    parser = add_command(commands, "replay", replay, "put a recorded bus log through the same module")
+    text = "what canfb log record or candump -L wrote; and NODE, to replay only this module"
+    add_nodes(parser, text, least=1, most=1, kind=node_or_file, file="log", name="LOG|FOLDER")
+    add_options(
+        parser,
+        option("--encoder-interface", type=whole_number, metavar="ID", help="sends the ADC counts"),
+        option(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="another value of a key of the module",
+        ),
+        option("--table", metavar="FILE", help="correction table to try in place of the saved one"),
+        option("--state", type=Path, metavar="DIR", help="state_dir of the module; only read"),
+        group="module",
+    )
+    add_options(
+        parser,
+        option(
+            "--begin",
+            choices=[one.value for one in Begin if one is not Begin.BOOT_UP],
+            default=Begin.AUTO.value,
+            help="NMT state of the module at the beginning; auto: as the first frames show",
+        ),
+        option("--channel", metavar="NAME", help="of a log of several buses (default: all, as one bus)"),
+        group="log",
+    )
+    add_options(
+        parser,
+        option("--out", type=Path, metavar="FILE", help="the samples: .csv, .npz, .parquet"),
+        option("--frames", type=Path, metavar="FILE", help="what the module sends, as a bus log"),
+        option("--report", type=Path, metavar="FILE.html", help="a page with pictures"),
+        option("--json", action="store_true", help="the figures, for programs"),
+        option(
+            "--drift",
+            action=argparse.BooleanOptionalAction,
+            help="how far the encoder has moved away from its table: takes seconds (default: of a folder)",
+        ),
+        group="results",
+    )
+    add_options(
+        parser,
+        option(
+            "--workers",
+            type=whole_number,
+            metavar="N",
+            help="processes (default: one per processor; 1: this one)",
+        ),
+        group="folder of logs",
+    )
 
 
 def replay(options: argparse.Namespace) -> int:
@@ -71,56 +121,6 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
     lines = [*as_lines(about), *(line for one in replayed.results for line in one.lines())]
     say_result(options, Result(figures, [*lines, *(f"written  {path}" for path in written)]))
     return int(log.trouble is not None)
-
-
-def _add_options(parser: argparse.ArgumentParser) -> None:
-    text = "what canfb log record or candump -L wrote; and NODE, to replay only this module"
-    add_nodes(parser, text, least=1, most=1, kind=node_or_file, file="log", name="LOG|FOLDER")
-    module = parser.add_argument_group("module")
-    add_options(
-        module,
-        option("--encoder-interface", type=whole_number, metavar="ID", help="sends the ADC counts"),
-        option(
-            "--set",
-            action="append",
-            default=[],
-            metavar="KEY=VALUE",
-            help="another value of a key of the module",
-        ),
-        option("--table", metavar="FILE", help="correction table to try in place of the saved one"),
-        option("--state", type=Path, metavar="DIR", help="state_dir of the module; only read"),
-    )
-    log = parser.add_argument_group("log")
-    add_options(
-        log,
-        option(
-            "--begin",
-            choices=[one.value for one in Begin if one is not Begin.BOOT_UP],
-            default=Begin.AUTO.value,
-            help="NMT state of the module at the beginning; auto: as the first frames show",
-        ),
-        option("--channel", metavar="NAME", help="of a log of several buses (default: all, as one bus)"),
-    )
-    out = parser.add_argument_group("results")
-    add_options(
-        out,
-        option("--out", type=Path, metavar="FILE", help="the samples: .csv, .npz, .parquet"),
-        option("--frames", type=Path, metavar="FILE", help="what the module sends, as a bus log"),
-        option("--report", type=Path, metavar="FILE.html", help="a page with pictures"),
-        option("--json", action="store_true", help="the figures, for programs"),
-        option(
-            "--drift",
-            action=argparse.BooleanOptionalAction,
-            help="how far the encoder has moved away from its table: takes seconds (default: of a folder)",
-        ),
-    )
-    folder = parser.add_argument_group("folder of logs")
-    folder.add_argument(
-        "--workers",
-        type=whole_number,
-        metavar="N",
-        help="processes (default: one per processor; 1: this one)",
-    )
 
 
 def settings_of(options: argparse.Namespace) -> ReplayOptions:

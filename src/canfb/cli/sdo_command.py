@@ -7,7 +7,6 @@ from pathlib import Path
 
 from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command, add_group, add_options, option
-from canfb.cli.subjects import is_yaml
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import ConfigError
 from canfb.marked_yaml import read_bytes
@@ -80,25 +79,18 @@ def _tasks(master: Master, options: argparse.Namespace) -> SdoTasks:
 
 def listed(options: argparse.Namespace) -> int:
     """Print what objects there are."""
-    if is_yaml(options.object) and options.configuration is None:
-        options.object, options.configuration = "", options.object
     if options.eds is not None:
         described = ObjectDescriptions(options.eds, options.node)
     else:
         with node_options.master_of(options) as master:
             described = described_by(NodeAccess(master, options.node, "node"), map(eds_path, EDS_NAMES), "")
-    wanted = options.object.lower()
     rows = [
         Row(one.number, one.access, one.title, one.unit)
         for one in described
-        if wanted in f"{one.number} {one.title}".lower()
+        if options.object.lower() in f"{one.number} {one.title}".lower()
     ]
-    figures = [
-        dict(zip(("object", "access", "name", "unit"), (row.name, *row.words), strict=True)) for row in rows
-    ]
-    return node_options.say_result(
-        options, Result(figures, as_columns(rows, ("object", "access", "name", "unit")))
-    )
+    figures = [dict(zip(COLUMNS, (row.name, *row.words), strict=True)) for row in rows]
+    return node_options.say_result(options, Result(figures, as_columns(rows, COLUMNS)))
 
 
 def read(options: argparse.Namespace) -> int:
@@ -120,8 +112,6 @@ def read(options: argparse.Namespace) -> int:
 
 def write(options: argparse.Namespace) -> int:
     """Write an object, and print what it holds now."""
-    if options.file is not None and options.configuration is None and is_yaml(options.value or ""):
-        options.value, options.configuration = None, options.value
     if (options.value is None) == (options.file is None):
         raise ConfigError("a VALUE or --file FILE is required, one of them")
     value = options.value if options.file is None else read_bytes(options.file, CommissioningError)

@@ -39,41 +39,7 @@ WRITERS = {".csv": write_csv, ".npz": write_npz}
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    _add_options(add_command(commands, "simulate", simulate))
-
-
-def simulate(options: argparse.Namespace) -> int:
-    """Serve the encoder interface until Ctrl-C, SIGTERM, SIGHUP, --seconds or the end of the recording."""
-    if options.config is None:
-        raise ConfigError("CONFIG.yaml is required: its module and its simulation")
-    config = load_config(options.config)
-    words = bus_options(options, config.bus)
-    check_device_bus(words)
-    what = chosen(options, config)
-    record = None if options.record is None else check_record(options.record)
-    simulating = Simulating(*what, words, config.realtime, options.seconds)
-    network = simulating.network
-    with (
-        printed_without_waiting(),
-        Readiness(options.ready_file) as readiness,
-        simulating,
-        ending_on_signals(simulating.stop),
-    ):
-        try:
-            simulating.run(readiness.ready)
-        finally:
-            if record is not None:
-                write_record(record, network.recorder, network.rate_hz)
-    interface = network.interface
-    say(f"{interface.samples} samples sent{'; end of the recording' if interface.ended else ''}")
-    if record is not None:
-        say(f"written  {record}")
-    if network.axis is not None:
-        say(network.axis.summary())
-    return 0
-
-
-def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser = add_command(commands, "simulate", simulate)
     add_nodes(parser, "CONFIG.yaml, and the node-ID of the module to serve (the first)", least=1, most=1)
     parser.add_argument(
         "--rate",
@@ -112,6 +78,37 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
         option("--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"),
     )
     add_bus_options(parser)
+
+
+def simulate(options: argparse.Namespace) -> int:
+    """Serve the encoder interface until Ctrl-C, SIGTERM, SIGHUP, --seconds or the end of the recording."""
+    if options.config is None:
+        raise ConfigError("CONFIG.yaml is required: its module and its simulation")
+    config = load_config(options.config)
+    words = bus_options(options, config.bus)
+    check_device_bus(words)
+    what = chosen(options, config)
+    record = None if options.record is None else check_record(options.record)
+    simulating = Simulating(*what, words, config.realtime, options.seconds)
+    network = simulating.network
+    with (
+        printed_without_waiting(),
+        Readiness(options.ready_file) as readiness,
+        simulating,
+        ending_on_signals(simulating.stop),
+    ):
+        try:
+            simulating.run(readiness.ready)
+        finally:
+            if record is not None:
+                write_record(record, network.recorder, network.rate_hz)
+    interface = network.interface
+    say(f"{interface.samples} samples sent{'; end of the recording' if interface.ended else ''}")
+    if record is not None:
+        say(f"written  {record}")
+    if network.axis is not None:
+        say(network.axis.summary())
+    return 0
 
 
 def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfig, FedModule, Play]:

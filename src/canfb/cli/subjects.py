@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class _Subjects(argparse.Action):
     """Node-IDs and files in any order: ``nodes``, ``module`` (the first of them), ``config``.
 
-    ``most`` nodes are taken. ``file`` names what the first file is; without, a file is the configuration.
+    ``most`` nodes and one file are taken; ``file`` is what it is, the configuration unless named.
     """
 
     def __init__(self, *words: Any, most: int | None = None, file: str = "config", **more: Any) -> None:
@@ -33,11 +33,10 @@ class _Subjects(argparse.Action):
         files = [one for one in values if not isinstance(one, int)]
         if self._most is not None and len(nodes) > self._most:
             raise argparse.ArgumentError(self, f"{nodes[self._most]}: there is another node-ID already")
-        free = [one for one in dict.fromkeys((self._file, "config")) if getattr(namespace, one, None) is None]
-        if len(files) > len(free):
+        if len(files) > (getattr(namespace, self._file) is None):
             raise argparse.ArgumentError(self, f"{files[-1]}: there is another file already")
-        for name, file in zip(free, files, strict=False):
-            setattr(namespace, name, file)
+        if files:
+            setattr(namespace, self._file, files[0])
         namespace.nodes, namespace.module = nodes, nodes[0] if nodes else None
 
 
@@ -51,9 +50,9 @@ def add_nodes(
     file: str = "config",
     name: str = "NODE",
 ) -> None:
-    """NODE and CONFIG.yaml in any order, and ``--config``: ``nodes``, ``module`` and ``config``.
+    """NODE and a file in any order, and ``--config``: ``nodes``, ``module`` and ``config``.
 
-    ``kind`` of an argument, :func:`node_or_yaml` unless given; ``file``, called ``name``: what a file is.
+    ``kind`` of an argument, :func:`node_or_yaml` unless given; ``file``, called ``name``: what the file is.
     """
     parser.add_argument("--config", metavar="CONFIG.yaml", help="bus and modules")
     parser.set_defaults(**{file: None})
@@ -111,18 +110,6 @@ def positive(text: str) -> float:
     return value
 
 
-def is_yaml(text: str) -> bool:
-    """It is named like a configuration."""
-    return text.endswith((".yaml", ".yml"))
-
-
-def yaml_file(text: str) -> str:
-    """A configuration, CONFIG.yaml: a type for argparse."""
-    if not is_yaml(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no CONFIG.yaml; a name of several words needs quotes")
-    return text
-
-
 def node_or_file(text: str) -> int | str:
     """A node-ID, or a file: a type for argparse."""
     return node_number(text) if text[:1].isdecimal() and "." not in text else text
@@ -137,7 +124,7 @@ def required_file(name: str | None) -> Path:
 
 def node_or_yaml(text: str) -> int | str:
     """A node-ID, or a configuration; a type for argparse."""
-    return text if is_yaml(text) else node_number(text)
+    return text if text.endswith((".yaml", ".yml")) else node_number(text)
 
 
 UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "%": 0.01}

@@ -33,15 +33,15 @@ LEAST_HZ, MOST_HZ = 50.0, 1000.0  # below, the machine of the example accelerate
 def register(commands: Commands) -> None:
     """Add the command."""
     parser = add_command(commands, "try", try_it)
-    story = parser.add_argument_group("the story (also as: canfb demo)")
     add_options(
-        story,
+        parser,
         option(
             "--story",
             action="store_true",
             help="start, track, calibrate, verify and survive faults on an in-process bus, and end",
         ),
         option("--out", type=Path, metavar="DIR", help="folder for pictures (SVG) and report.html"),
+        group="the story (also as: canfb demo)",
     )
     parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of SYNC, 50 to 1000 (100)")
     add_jitter(parser)

@@ -43,9 +43,8 @@ def register(commands: Commands) -> None:
         option("--status", metavar="WORD", type=_word, help="only decode this status word: 0x0006"),
         option("--json", action="store_true", help="the result, for programs"),
     )
-    group = parser.add_argument_group("one file for support (--bundle)")
     add_options(
-        group,
+        parser,
         option(
             "--bundle",
             action="store_true",
@@ -53,6 +52,7 @@ def register(commands: Commands) -> None:
         ),
         option("--out", type=Path, metavar="FILE", help="(canfb-diagnose-DATE-TIME.json); replaced"),
         option("--seconds", metavar="S", type=positive, default=LISTEN_S, help="to listen (2)"),
+        group="one file for support (--bundle)",
     )
     add_timeout(parser)
     add_bus_options(parser)

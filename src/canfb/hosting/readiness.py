@@ -101,7 +101,7 @@ def _clear(path: Path) -> None:
                 raise ConfigError(
                     f"--ready-file {path}: exists, and is not a ready file; choose another name"
                 )
-            if not _runs(process):
+            if process == os.getpid() or not Path("/proc", str(process)).exists():
                 path.unlink()
         elif not os.access(path.parent, os.W_OK):
             os.stat(path.parent)  # says so if it is not there
@@ -114,15 +114,3 @@ def _process_of(path: Path) -> int | None:
     """The process id in a ready file; None for any other file, or none."""
     content = path.read_bytes()[:16] if path.is_file() else b""
     return int(content) if OURS.fullmatch(content) else None
-
-
-def _runs(process: int) -> bool:
-    if os.name != "posix":  # there signal 0 is Ctrl-C
-        return False
-    try:
-        os.kill(process, 0)  # sends nothing
-    except PermissionError:
-        return True
-    except (OSError, OverflowError):
-        return False
-    return process != os.getpid()

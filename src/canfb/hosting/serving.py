@@ -56,10 +56,7 @@ class OnBus(ABC):
         """The node-IDs of the devices, those that have one."""
 
     def _refuse_used_node_ids(self, runner: Runner) -> None:
-        """CanfbError if another node has one of the node-IDs: a second boot-up would stop a machine.
-
-        Not noticed: a node that is STOPPED and has no heartbeat.
-        """
+        """CanfbError if another node, not STOPPED or with a heartbeat, has one of the node-IDs."""
         node_ids = self._node_ids()
         signs = {base + node: node for node in node_ids for base in (cob.SDO_RESPONSE, cob.ERROR_CONTROL)}
         asked = [Frame(cob.SDO_REQUEST + node, READ_DEVICE_TYPE) for node in node_ids]

@@ -227,11 +227,9 @@ IN_SLOW_MOTION = ", and the machine turns slower in proportion"
 
 
 class WatchedSyncProducer(SyncProducer):
-    """Calls ``report`` with one line if the SYNC is not as intended, once a minute at most.
+    """Calls ``report``, once a minute at most, if another node sends SYNC or its own rate is off by 2 %.
 
-    Another node sends it too (a device does not receive its own frames); or its own rate is off by more than
-    2 % over a window: then the caller came late, and ``advice`` is the end of the line. While the bus is gone
-    nothing is judged.
+    ``advice`` ends the line on the rate. While the bus is gone nothing is judged.
     """
 
     def __init__(
@@ -248,7 +246,6 @@ class WatchedSyncProducer(SyncProducer):
         self._window_s = max(WINDOW_S, WINDOW_SYNCS * period_s)
         self._began_s: float | None = None
         self._own = self._foreign = 0
-        self._bus_gone = False
         self._said_s = -math.inf
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
@@ -258,12 +255,12 @@ class WatchedSyncProducer(SyncProducer):
 
     def bus_off(self, now: float) -> list[Frame]:
         """Nothing is judged from now on."""
-        self._bus_gone = True
+        self._said_s = math.inf
         return []
 
     def bus_back(self, now: float) -> list[Frame]:
         """A new window begins with the next SYNC."""
-        self._bus_gone, self._began_s = False, None
+        self._said_s, self._began_s = -math.inf, None
         return []
 
     def _due(self, due_s: float, now: float) -> Frame:
@@ -287,6 +284,6 @@ class WatchedSyncProducer(SyncProducer):
             said += f"this computer does not keep up{self._advice}"
         else:
             return
-        if not self._bus_gone and now - self._said_s >= AGAIN_S:
+        if now - self._said_s >= AGAIN_S:
             self._said_s = now
             self._report(f"SYNC: {said}")
