@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import pytest
 
 from canfb.bus.clocks import LEARNED_FRAMES
+from canfb.bus.dispatch import LONGEST_DELAY_S, LONGEST_QUEUE
 from canfb.bus.frame_bus import ERROR, EXTENDED, REMOTE
-from canfb.bus.frame_sender import LONGEST_DELAY_S, LONGEST_QUEUE
 from canfb.bus.raw_can_bus import MOST_FILTERS, FrameReader, RawCanBus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame

@@ -2,7 +2,7 @@
 
     keep the deadlines that are due (tick)
     wait for a frame, until the next deadline, and 0.1 s at most: a signal sets a flag that is looked at here
-    give it to the devices that listen to it (dispatch), send what they answer (frame_sender)
+    give it to the devices that listen to it (dispatch), send what they answer
 
 A process that did not run for a while finds deadlines in the past, and frames from before them in the queue.
 So a deadline D is kept only if no frame received before D can wait: the last one was received at R >= D, or
@@ -33,9 +33,8 @@ from canfb.bus.bus_state import RETRY_S as BUS_RETRY_S
 from canfb.bus.bus_state import BusState
 from canfb.bus.clocks import ReceiveTimes
 from canfb.bus.computing import Computation
-from canfb.bus.dispatch import Dispatch, Port
+from canfb.bus.dispatch import RETRY_S, Dispatch, FrameSender, Port
 from canfb.bus.frame_bus import ERROR, EXTENDED, FrameBus, Received
-from canfb.bus.frame_sender import RETRY_S, FrameSender
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.device.core import NEVER
 from canfb.device.device_protocol import BusWatching, Computing, Device, Ending

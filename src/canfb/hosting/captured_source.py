@@ -65,40 +65,32 @@ class CapturedSource(Closing):
             if capture is not None and capture.is_fired:
                 self._picked.forget()  # what is of an earlier SYNC, and late
                 before = self.scans
-                self._fire(capture)
+                try:
+                    capture.fire()
+                except OSError as error:
+                    raise SourceError(f"the trigger cannot be fired: {reason(error)}") from error
                 self._changed.wait_for(lambda: self.scans != before or self._trouble, self._wait_s)
             sample = self._picked.take()
             if sample is None and self._trouble:
                 raise SourceError(self._trouble)
             return sample
 
-    @staticmethod
-    def _fire(capture: Capture) -> None:
-        try:
-            capture.fire()
-        except OSError as error:
-            raise SourceError(f"the trigger cannot be fired: {reason(error)}") from error
-
     def _run(self) -> None:
         while not self._stopping.is_set():
-            if self._capture is None:
-                if not self._stopping.wait(self._reopen_s):
+            try:
+                if self._capture is not None:
+                    self._take(self._capture.refill())
+                elif not self._stopping.wait(self._reopen_s):
                     self._reopen()
-            else:
-                self._take(self._capture)
+            except Exception as error:  # a thread that dies would leave no trace
+                with self._changed:
+                    self._capture, self._trouble = None, reason(error)
+                    self._changed.notify()
         with self._changed:
             self._capture = None  # which closes it
 
-    def _take(self, capture: Capture) -> None:
-        """Wait for a scan, and leave it for the next SYNC."""
-        try:
-            scan = capture.refill()
-        except Exception as error:  # a thread that dies would leave no trace
-            with self._changed:
-                self._capture = None
-                self._trouble = reason(error)
-                self._changed.notify()
-            return
+    def _take(self, scan: Sample | None) -> None:
+        """Leave a scan for the next SYNC."""
         if scan is not None:
             with self._changed:
                 self._picked.came(scan)
@@ -106,14 +98,9 @@ class CapturedSource(Closing):
                 self._changed.notify()
 
     def _reopen(self) -> None:
-        try:
-            capture = self._opened()
-            if capture.adc_bits != self.adc_bits:
-                raise SourceError(f"the converter has {capture.adc_bits} bits now, not {self.adc_bits}")
-        except Exception as error:  # as above
-            with self._changed:
-                self._trouble = reason(error)
-            return
+        capture = self._opened()
+        if capture.adc_bits != self.adc_bits:
+            raise SourceError(f"the converter has {capture.adc_bits} bits now, not {self.adc_bits}")
         with self._changed:
             self._capture, self._trouble = capture, ""
             self._picked.forget()

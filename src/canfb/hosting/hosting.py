@@ -171,9 +171,7 @@ class Hosting(OnBus):
 
         A program error in one of them ends it for all, with CanfbError.
         """
-        if self._runner is None:
-            name = type(self).__name__
-            raise RuntimeError(f"use {name} as a context manager: with {name}(config) as hosting")
+        runner = self._entered()
         self._alive = alive
         lines = self._at_start()
 
@@ -184,7 +182,7 @@ class Hosting(OnBus):
             ready()
 
         try:
-            self._runner.run(ready=on_the_bus)
+            runner.run(ready=on_the_bus)
         except DeviceFailure as failure:
             (failed,) = (device for device in self._nodes if device is failure.device)
             raise CanfbError(f"{title_of(failed)}: {failure}; all nodes of the process end") from failure

@@ -152,7 +152,7 @@ class SelfDiagnosis:
         self._config, self._words, self._counters, self._folder = config, words, counters, folder
         self._kept = KeptLines()
         self._requested = False
-        self._collecting: Iterator[None] | None = None
+        self._working: Iterator[None] = iter(())
         self._writing: threading.Thread | None = None
         self._nodes: list[dict[str, Any]] = []
         self._outcome = ""
@@ -175,21 +175,25 @@ class SelfDiagnosis:
 
     def step(self, nodes: Sequence[NodeDevice]) -> None:
         """Go on: ten microseconds as a rule, half a millisecond at most."""
-        if self._writing is not None:
-            if self._writing.is_alive():
-                return
-            self._writing = None
-            log.info(self._outcome)
-        if self._collecting is None:
-            if not self._requested:
-                return
-            self._requested = False
-            self._collecting = self._collect(nodes)
         with contextlib.suppress(StopIteration):
-            next(self._collecting)
+            next(self._working)
             return
-        self._collecting = None
-        self._begin_writing()
+        if self._requested:
+            self._requested = False
+            self._working = self._work(nodes)
+
+    def _work(self, nodes: Sequence[NodeDevice]) -> Iterator[None]:
+        yield from self._collect(nodes)
+        thread = self._writing = threading.Thread(
+            target=self._write, args=(self._counters(),), name="canfb-diagnose", daemon=True
+        )
+        with small_stack():
+            thread.start()
+        yield
+        while thread.is_alive():
+            yield
+        self._writing = None
+        log.info(self._outcome)
 
     def _collect(self, nodes: Sequence[NodeDevice]) -> Iterator[None]:
         self._nodes = []
@@ -215,13 +219,6 @@ class SelfDiagnosis:
                 except SdoAbort as abort:
                     value = f"refused: {abort}"
                 objects[f"{entry.index:04X}:{entry.subindex:02X}"] = value
-
-    def _begin_writing(self) -> None:
-        self._writing = threading.Thread(
-            target=self._write, args=(self._counters(),), name="canfb-diagnose", daemon=True
-        )
-        with small_stack():
-            self._writing.start()
 
     def _write(self, counters: Any) -> None:
         switch_s = sys.getswitchinterval()

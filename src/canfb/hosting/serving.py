@@ -87,6 +87,13 @@ class OnBus(ABC):
     def __exit__(self, *raised: object) -> None:
         self._resources.close()
 
+    def _entered(self) -> Runner:
+        """The runner. RuntimeError before the bus is open."""
+        if self._runner is None:
+            name = type(self).__name__
+            raise RuntimeError(f"use {name} as a context manager: with {name}(...) as it")
+        return self._runner
+
     def stop(self) -> None:
         """End the run; may be called from a signal handler or another thread."""
         if self._runner is not None:
@@ -141,9 +148,7 @@ class Simulating(OnBus):
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serve the interface until the end. ``ready`` is called on the bus."""
-        if self._runner is None:
-            raise RuntimeError("use Simulating as a context manager: with Simulating(...) as simulating")
-        network = self.network
+        runner, network = self._entered(), self.network
 
         def on_the_bus() -> None:
             log.info(f"encoder interface: node {self._node} on {describe(self.words)}; end with Ctrl-C")
@@ -156,6 +161,4 @@ class Simulating(OnBus):
                     log.warning(warning)
             ready()
 
-        self._runner.run(
-            lambda: network.interface.ended or len(network.recorder) >= self._intervals, on_the_bus
-        )
+        runner.run(lambda: network.interface.ended or len(network.recorder) >= self._intervals, on_the_bus)
