@@ -29,8 +29,8 @@ def budget(**stated: object) -> ResidualBudget:
     return planned(**stated).budgets[0]
 
 
-def known(plan: Plan, acceleration: float) -> ResidualBudget:
-    module = plan.plan_input.modules[0].with_values({(0x2010, 2): acceleration})
+def known(plan: Plan, value: float, subindex: int = 2) -> ResidualBudget:
+    module = plan.plan_input.modules[0].with_values({(0x2010, subindex): value})
     return ResidualBudget(plan.plan_input, module)
 
 
@@ -45,7 +45,8 @@ def test_the_figures_are_those_that_run_and_simulate_print() -> None:
     module = FeedbackModule(ModuleConfig(node_id=0x20))
     for us, rpm in ((10.0, "200"), (100.0, "20")):
         assert f"{rpm} rpm at ±{us:g} µs" in module.speed_limit()
-        assert f"{budget(jitter_us=us).equation_speed_rad_s * RPM:.3g}" == rpm
+        for one in budget(jitter_us=us), known(planned(), us * 1e-6, 0x0D):
+            assert f"{one.equation_speed_rad_s * RPM:.3g}" == rpm
     demand = of_motion(MotionConfig(rpm=600.0, ramp_s=0.2), ModuleConfig(node_id=1), 1000.0)
     found = budget(rpm=600.0, acceleration_rad_s2=demand.acceleration_rad_s2)
     assert found.equation_rad_s2 == pytest.approx(demand.allowed_rad_s2, rel=1e-4)

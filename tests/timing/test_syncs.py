@@ -64,7 +64,6 @@ def test_a_late_host_loses_nothing_that_waited(overflow: int, stall: int) -> Non
 
 @given(lost=st.integers(1, 30))
 def test_syncs_that_stay_late_are_missing_and_nobody_knows_where(lost: int) -> None:
-    """Nothing is certain from the first of them on; then it is doubt, which at standstill is none."""
     producer = Producer(stamped=False)
     got = []
     for n in range(60 + lost, 70 + lost):

@@ -138,7 +138,7 @@ class ResidualBudget:
     @cached_property
     def noise_margin_cycles(self) -> float:
         """2010:09 times the noise that the module will measure; inf while it is 0."""
-        return self.module.noise_margin * self.measured_noise_cycles or math.inf
+        return self.module.settings.noise_margin * self.measured_noise_cycles or math.inf
 
     @property
     def has_noise_margin(self) -> bool:
@@ -152,8 +152,10 @@ class ResidualBudget:
 
     @cached_property
     def sync_jitter_s(self) -> float:
-        """Half the range of the SYNC on the bus: that of its producer, and of the frames before it."""
-        return self.plan_input.jitter_s + self.plan_input.bus.sync_delay_s / 2.0
+        """Half the range of the SYNC on the bus: of its producer, and of frames before it; or 2010:0D."""
+        return max(
+            self.plan_input.jitter_s + self.plan_input.bus.sync_delay_s / 2.0, self.module.declared_jitter_s
+        )
 
     @cached_property
     def uncertainty_s(self) -> float:
@@ -302,7 +304,7 @@ class ResidualBudget:
     @property
     def _declared_cycles(self) -> float:
         """What the module allows for errors of the phases: each of the size of 2010:0C."""
-        return WEIGHTS * self.module.declared_phase_error_cycles
+        return WEIGHTS * self.module.settings.phase_error_cycles
 
     @property
     def left_in_force_cycles(self) -> float:

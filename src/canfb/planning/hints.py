@@ -200,7 +200,7 @@ def _sharper(plan: Plan) -> Ways:
     after = _with(given, od.SUPERVISION_NOISE_MARGIN, NOISE_MARGIN)
     becomes = widest_limit(Plan(after))
     yield f"set noise_margin (2010:09) to {NOISE_MARGIN}: the residual limit becomes {becomes:.3f}", after
-    declared = max(one.declared_phase_error_cycles for one in given.modules)
+    declared = max(one.settings.phase_error_cycles for one in given.modules)
     least = (WELL - WEIGHTS * declared) / 2.0 * LEAVES
     taken = max(budget.motion_part.cycles for budget in plan.budgets)
     if taken > least:

@@ -196,7 +196,7 @@ def _module_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
             times=module.times,
             table=module.has_table,
             residual_limit_cycles=budget.limit_cycles,
-            noise_margin=module.noise_margin,
+            noise_margin=module.settings.noise_margin,
             measured_noise_cycles=_finite(budget.measured_noise_cycles),
             sync_jitter_s=budget.sync_jitter_s,
         ),
@@ -265,8 +265,10 @@ def _instants(budget: ResidualBudget) -> str:
     if budget.module.samples_per_sync > 1:
         return "the interface samples by its own timer: the jitter of SYNC does not limit the speed"
     bus_us, own_us = budget.plan_input.bus.sync_delay_s / 2.0 * 1e6, budget.plan_input.jitter_s * 1e6
-    said = f"no sample times; SYNC ±{own_us + bus_us:.3g} µs"
-    return f"{said}: producer {own_us:.3g}, frames before it {bus_us:.3g}"
+    parts = f"producer {own_us:.3g}, frames before it {bus_us:.3g}"
+    said = f"no sample times; SYNC ±{own_us + bus_us:.3g} µs: {parts}"
+    declared_us = budget.module.declared_jitter_s * 1e6
+    return f"{said}; declared ±{declared_us:.3g} µs" if declared_us else said
 
 
 def _motion_rows(budget: ResidualBudget) -> list[Row]:

@@ -123,11 +123,6 @@ class PlannedModule:
         """2010:02, 0.0: not known."""
         return self.settings.acceleration_rad_s2
 
-    @property
-    def noise_margin(self) -> int:
-        """2010:09, 0: the fixed margin."""
-        return self.settings.noise_margin
-
     @cached_property
     def settings(self) -> LimitSettings:
         """All that bounds the motion."""
@@ -143,9 +138,9 @@ class PlannedModule:
         return int(self.values[od.SUPERVISION_COAST]) * self.samples_per_sync
 
     @property
-    def declared_phase_error_cycles(self) -> float:
-        """2010:0C."""
-        return self.settings.phase_error_cycles
+    def declared_jitter_s(self) -> float:
+        """2010:0D, 0.0: not declared."""
+        return float(self.values[od.SUPERVISION_SYNC_JITTER])
 
     @cached_property
     def times(self) -> bool:
