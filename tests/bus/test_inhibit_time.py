@@ -9,7 +9,7 @@ from typing import Any
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from canfb.bus.runner import Runner
@@ -66,6 +66,7 @@ def played(delays_s: list[float], samples: int = 60) -> SlowBus:
 
 
 @given(st.lists(st.floats(0.0, 0.009), min_size=1, max_size=9))
+@example([0.0])
 @settings(max_examples=20)
 def test_no_two_frames_are_closer_than_the_inhibit_time(delays_s: list[float]) -> None:
     bus = played(delays_s)
@@ -74,9 +75,4 @@ def test_no_two_frames_are_closer_than_the_inhibit_time(delays_s: list[float]) -
         assert len(times) >= 3
         gaps = [later - earlier for earlier, later in itertools.pairwise(times)]
         assert min(gaps) >= 0.999999 * INHIBIT_S
-
-
-@pytest.mark.parametrize("can_id", [POSITION, EMCY])
-def test_frames_that_leave_at_once_are_that_far_apart(can_id: int) -> None:
-    times = played([0.0]).times_of(can_id)
-    assert times[2] - times[1] == pytest.approx(INHIBIT_S, abs=1e-6)
+        assert max(delays_s) > 0.0 or gaps[1] == pytest.approx(INHIBIT_S, abs=1e-6)

@@ -45,18 +45,25 @@ class Computation:
 
     def poll(self, now: float) -> list[Frame]:
         """Start, read or end what there is, without waiting."""
-        if self._killed:
-            self._killed = [process for process in self._killed if process.poll() is None]
+        self._killed = [process for process in self._killed if process.poll() is None]
         job = self._device.pending_job()
-        if job is not self._job:
-            self._kill()
-            self._job = job
-            if job is not None:
-                try:
+        try:
+            if job is not self._job:
+                self._kill()
+                self._job = job
+                if job is not None:
                     self._start(job)
-                except Exception as error:  # no process, or a job that cannot be sent
-                    return self._finish(error, now)
-        return self._read(now)
+            result = self._read()
+        except EOFError:
+            result = ChildProcessError("the process ended without a result")
+        except Exception as error:  # no process, a job that cannot be sent, or what is no message
+            result = error
+        if result is None:
+            return []
+        self._kill()
+        if isinstance(result, Exception):
+            self._report(f"the computation of a reference measurement failed: {result}")
+        return self._device.finish_job(self._job, result, now)
 
     def close(self) -> None:
         """Kill the process, if there is one, and wait for its end."""
@@ -94,22 +101,11 @@ class Computation:
             with contextlib.suppress(OSError):  # it has ended, which its pipe says
                 os.sched_setaffinity(process.pid, self._cpus)
 
-    def _read(self, now: float) -> list[Frame]:
-        answers = self._answers
-        try:
-            while answers is not None and answers.poll():
-                message = answers.recv()
-                if not isinstance(message, float):
-                    return self._finish(message, now)
-                self._device.job_progress(self._job, message)
-        except EOFError:
-            return self._finish(ChildProcessError("the process ended without a result"), now)
-        except Exception as error:  # what it sent is no message
-            return self._finish(error, now)
-        return []
-
-    def _finish(self, result: Any, now: float) -> list[Frame]:
-        self._kill()
-        if isinstance(result, Exception):
-            self._report(f"the computation of a reference measurement failed: {result}")
-        return self._device.finish_job(self._job, result, now)
+    def _read(self) -> Any:
+        """None: not yet."""
+        while self._answers is not None and self._answers.poll():
+            message = self._answers.recv()
+            if not isinstance(message, float):
+                return message
+            self._device.job_progress(self._job, message)
+        return None

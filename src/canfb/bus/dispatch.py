@@ -127,7 +127,6 @@ class Dispatch:
         self._bus.accept(data, remote)
 
     def _table(self, can_ids: Callable[[Port], Iterable[int]]) -> dict[int, Ports]:
-        """Who gets a frame, by its CAN-ID, in the order of the devices."""
         listening = defaultdict[int, list[Port]](lambda: list(self.everyone))
         for port in self.ports:
             for can_id in can_ids(port):

@@ -220,7 +220,6 @@ class Runner:
         return now - self._put_off_s < self._longest_drain_s
 
     def _take(self, can_id: int, data: bytes, stamp_s: float) -> None:
-        """Give a frame of the bus to those who listen to it."""
         remote = False
         if can_id > HIGHEST_ID:
             if can_id & ERROR:
