@@ -209,8 +209,8 @@ def test_each_direction_has_a_place_of_its_own() -> None:
     assert [zero.weigh(Edge(turn * 100, 0.5)) for turn in range(2)] == [NOTHING, AGREES]
     assert zero.weigh(Edge(101, 0.5, False)) is NOTHING
     assert not zero.knows(Edge(101, 0.5, False)), "a lost count is not set by it"
-    assert zero.weigh(Edge(203, 0.5, False)) is CONTRADICTS
-    assert zero.weigh(Edge(303, 0.5, False)) is CONTRADICTS, "twice, and yet it is not known by how many"
+    assert zero.weigh(Edge(202, 0.5, False)) is CONTRADICTS
+    assert zero.weigh(Edge(302, 0.5, False)) is CONTRADICTS, "twice, and yet it is not known by how many"
     assert zero.weigh(Edge(300, 0.6)) is AGREES
     assert [zero.weigh(Edge(turn * 100 + 1, 0.5, False)) for turn in (3, 2)] == [NOTHING, AGREES]
     assert zero.weigh(Edge(102, 0.5, False)) is CONTRADICTS
