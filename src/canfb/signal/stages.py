@@ -285,6 +285,8 @@ class Stages:
         self.place = track if measured and jump == 0 else None
         if elapsed > HOLE_INTERVALS and not (next_one and bits & VALID):
             bits |= MISSED
+        if bits & VALID and newest:  # what a witness has not seen is not confirmed
+            reference.had_position = True
         feedback = self._feedback((s, c, amplitude, raw), track, bits | faults, jump)
         self._look_again(feedback)
         return feedback
@@ -313,8 +315,6 @@ class Stages:
         cycles, phase, residual, _ = track
         speed, places = self._tracker.step_cycles, self.estimator.places
         valid = bits & VALID
-        if valid:
-            self.reference.had_position = True
         # The speed of a sample that was not valid may be wrong by whole cycles.
         known = self.was_valid or not valid
         acceleration = speed - self._speed if known else speeds.acceleration(places)
