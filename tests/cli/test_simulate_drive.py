@@ -18,7 +18,7 @@ from canfb.cli.simulate import chosen
 from canfb.configuration import Config, parse_config
 from canfb.device.device_protocol import Device
 from canfb.errors import ConfigError
-from canfb.hosting.serving import fed_module
+from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.plant import DriveConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from canfb.configuration import Config, parse_config
-from canfb.hosting.serving import fed_module
+from canfb.hosting.simulating import fed_module
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.set_up import Play, SimulatedNetwork, set_up

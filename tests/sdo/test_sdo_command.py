@@ -162,10 +162,8 @@ WRONG = [
         ("read", "command"),
         "'command' means several objects: 2030:01 Reference measurement in the module: Command",
     ),
-    (
-        ("read", "largest amplitude"),
-        "has no object of this name; is it one of these: 2001:03 Encoder and ADC",
-    ),
+    (("read", "largest amplitude"), "has no object of this name; did you mean 2001:03 Encoder and ADC"),
+    (("read", "residul limit"), "no object of this name; did you mean 2010:01 Supervision: Residual limit?"),
     (("read", "zebra"), "canfb drive feedback module has no object of this name; canfb-module.eds has"),
     (("read", "2099"), "2099: canfb drive feedback module has no such object (canfb-module.eds)"),
     (("read", "2010:77"), "2010:77: canfb drive feedback module has no such sub-index"),

@@ -11,7 +11,7 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
-from canfb.hosting.serving import fed_module
+from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_instants import TRUE_TIME, SampleClock
 from canfb.simulation.embedded_bus import EmbeddedBus

@@ -10,7 +10,7 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.configuration import load_config
-from canfb.hosting.serving import fed_module
+from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.objects import MachineCommand
 from canfb.signal.sample import Sample

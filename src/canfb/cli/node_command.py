@@ -34,14 +34,9 @@ ALL, EVERYBODY = "all", 0
 SCAN_S = 1.2  # the heartbeat of most nodes comes once a second or more often
 
 
-def _node(text: str) -> int | str:
+def _node(text: str) -> int:
     """A node-ID, decimal or as 0x20; `all` is 0."""
-    if text == ALL:
-        return EVERYBODY
-    try:
-        return node_number(text)
-    except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(f"{error}, nor 'all'") from None
+    return EVERYBODY if text == ALL else node_number(text)
 
 
 def register(commands: Commands) -> None:

@@ -30,7 +30,14 @@ def register(commands: Commands) -> None:
     part = _add(parts, "read", "read an object; without :sub, all of a record", read)
     part.add_argument("--out", type=Path, metavar="FILE", help="write the bytes to a file; replaced")
     _finish(part)
-    _add_list(parts)
+    part = add_command(parts, "list", listed, "the objects of a node by its EDS: number, name, access, unit")
+    node_options.add_node(part)
+    add_options(
+        part,
+        option("object", metavar="OBJECT", nargs="?", default="", help="only those with this in the name"),
+        option("--eds", type=Path, metavar="FILE", help="EDS or DCF; without, the node is asked which"),
+    )
+    node_options.add_access_options(part)
     part = _add(parts, "write", "write an object, and read it back", write)
     add_options(
         part,
@@ -45,17 +52,6 @@ def register(commands: Commands) -> None:
         option("--file", type=Path, metavar="FILE", help="the bytes of a file instead of a VALUE"),
     )
     _finish(part)
-
-
-def _add_list(parts: Commands) -> None:
-    part = add_command(parts, "list", listed, "the objects of a node by its EDS: number, name, access, unit")
-    node_options.add_node(part)
-    add_options(
-        part,
-        option("object", metavar="OBJECT", nargs="?", default="", help="only those with this in the name"),
-        option("--eds", type=Path, metavar="FILE", help="EDS or DCF; without, the node is asked which"),
-    )
-    node_options.add_access_options(part)
 
 
 def _add(parts: Commands, name: str, summary: str, action: object) -> argparse.ArgumentParser:

@@ -30,7 +30,7 @@ from canfb.configuration import Config
 from canfb.errors import BusError, reason
 from canfb.hosting.event_log import EventLog
 from canfb.hosting.hosting import make_module
-from canfb.hosting.serving import fed_module
+from canfb.hosting.simulating import fed_module
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.set_up import Play, set_up
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -138,10 +139,11 @@ class ObjectDescriptions:
                 several = [f"{one.number} {one.title}" for one in outside]
                 several += [f"{index:04X} {self.of_object(index)[0].parent}" for index in whole]
                 raise ConfigError(f"{text!r} means several objects: {_listed(sorted(several))}")
-        near = [
-            f"{one.number} {one.title}" for one in self if set(query.split()) & set(_words(one.title).split())
-        ]
-        hint = f"; is it one of these: {_listed(near)}?" if near else f"; {self.path.name} has the names"
+        names = {_words(name): f"{one.number} {one.title}" for one in self for name in (one.title, one.name)}
+        near = [names[name] for name in get_close_matches(query, names, n=3, cutoff=0.8)]
+        near = near or [names[name] for name in names if set(query.split()) & set(name.split())]
+        listed = _listed(list(dict.fromkeys(near)))
+        hint = f"; did you mean {listed}?" if near else f"; {self.path.name} has the names"
         raise ConfigError(f"{text!r}: {self.product} has no object of this name{hint}")
 
 

@@ -1,0 +1,84 @@
+"""``canfb simulate``: a simulation on a bus."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from canfb.bus.opening import describe
+from canfb.configuration import RealtimeConfig
+from canfb.device.device_protocol import Device
+from canfb.hosting.serving import OnBus
+from canfb.module.module_config import ModuleConfig
+from canfb.module.parameters import configured_defaults
+from canfb.simulation.scenario import SimulationConfig
+from canfb.simulation.set_up import FedModule, Play, SimulatedNetwork, set_up
+
+log = logging.getLogger(__name__)
+
+
+def fed_module(config: ModuleConfig) -> FedModule:
+    """The module, as the simulation knows it."""
+    scale = configured_defaults(config)
+    return FedModule(
+        chain=config,
+        node_id=config.node_id,
+        encoder_interface=config.encoder_interface,
+        times=config.times,
+        samples_per_sync=config.samples_per_sync,
+        autostart=config.autostart,
+        increments_per_revolution=scale[0x6001, 0],
+        total_range=scale[0x6002, 0],  # without scaling, too
+    )
+
+
+class Simulating(OnBus):
+    """A simulation on a bus; a context manager around :meth:`run`.
+
+    ``seconds`` of machine time, the end of a recording or :meth:`stop` ends it. Errors as :class:`OnBus`.
+    """
+
+    def __init__(
+        self,
+        simulation: SimulationConfig,
+        module: FedModule,
+        play: Play,
+        words: Mapping[str, Any],
+        realtime: RealtimeConfig,
+        seconds: float | None = None,
+    ) -> None:
+        super().__init__(words, realtime)
+        self.network: SimulatedNetwork = set_up(simulation, module, play, log.warning)
+        self._intervals = math.inf if seconds is None else seconds * self.network.rate_hz
+        self._interface_id = node = module.encoder_interface
+        self._node = f"{node} ({node:02X}h)"
+        self.network.interface.on_duplicate = lambda can_id, now: log.warning(
+            f"encoder interface {self._node}: another node on the bus uses this node-ID ({can_id:03X}h)"
+        )
+
+    def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
+        return list(self.network.devices)
+
+    def _node_ids(self) -> list[int]:
+        axis = self.network.axis
+        return [self._interface_id, *([] if axis is None else [axis.drive.node.node_id])]
+
+    def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Serve the interface until the end. ``ready`` is called on the bus."""
+        runner, network = self._entered(), self.network
+
+        def on_the_bus() -> None:
+            log.info(f"encoder interface: node {self._node} on {describe(self.words)}; end with Ctrl-C")
+            if network.axis is not None:
+                log.info(network.axis.describe())
+            if network.demand is not None:
+                log.info(network.demand.describe())
+                warning = network.demand.warning()
+                if warning is not None:
+                    log.warning(warning)
+            ready()
+
+        runner.run(lambda: network.interface.ended or len(network.recorder) >= self._intervals, on_the_bus)
