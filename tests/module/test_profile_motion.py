@@ -12,9 +12,8 @@ from module_bench import Bench
 
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
-from canfb.module.cia406.position import MotionObjects, PositionScale, saturated
+from canfb.module.cia406.position import STILL, PositionScale, saturated, show_motion
 from canfb.module.interval import SamplingInterval
-from canfb.module.objects.publication import NOTHING
 from canfb.timing.syncs import Syncs
 
 U32 = st.integers(0, 0xFFFFFFFF)
@@ -48,10 +47,10 @@ def test_speed_and_acceleration_are_scaled_and_saturated(
     dictionary.entry(0x1006).value = period_us
     for subindex, factor in enumerate(factors, 1):
         dictionary.entry(0x2003, subindex).value = factor
-    last = NOTHING._replace(speed_cycles=speed, acceleration_cycles=acceleration)
+    last = STILL._replace(speed_cycles=speed, acceleration_cycles=acceleration)
     scale = PositionScale(cycles, units, 0xFFFFFFFF, reverse, 0)
     interval = SamplingInterval(dictionary.entry(0x1006), Syncs())
-    MotionObjects(dictionary, interval, lambda: last, lambda: scale)
+    show_motion(dictionary, interval, lambda: last, lambda: scale)
     period, sign = Fraction(period_us, 1_000_000), -1 if reverse else 1
     for index, value, time, factor, divisor in (
         (0x6030, speed, period, factors[0], factors[1]),

@@ -87,11 +87,11 @@ class ConfigurationFiles:
             "node_id": configuration.node_id,
             "serial_number": configuration.serial_number,
             "parameters": len(configuration.settings),
-            "changed": {_name(place): value for place, value in configuration.changed().items()},
+            "changed": {od.place_text(place): value for place, value in configuration.changed().items()},
             "table_crc32": f"{configuration.table_crc32:08X}",
             "table_entries": len(configuration.table) // 4,
             "concise_writes": len(configuration.writes()),
-            "refused_in_index_order": [_name(place) for place in configuration.refused_in_index_order()],
+            "refused_in_index_order": list(map(od.place_text, configuration.refused_in_index_order())),
         }
 
     def lines(self) -> list[str]:
@@ -111,11 +111,7 @@ class ConfigurationFiles:
 
 def place_names(places: list[Place]) -> str:
     """Objects, for people: 1017:00, 2010:03."""
-    return ", ".join(_name(place) for place in places)
-
-
-def _name(place: Place) -> str:
-    return f"{place[0]:04X}:{place[1]:02X}"
+    return ", ".join(od.place_text(place) for place in places)
 
 
 def _put(path: Path, data: bytes) -> None:

@@ -1,8 +1,7 @@
 """All parameters of a module as SDO writes: of a running one, of one on a bus, of a backup.
 
-A configuration is what `save` keeps and SDO can write, whether it differs from a default or not, and the
-table. A master writes it (DCF), a backup holds it. The order matters: the module refuses, as CiA 301
-demands, a mapping of a valid PDO, or a lower limit above the upper one.
+A configuration is what `save` keeps and SDO can write, and the table. The order matters: the module refuses,
+as CiA 301 demands, a mapping of a valid PDO, or a lower limit above the upper one.
 """
 
 from __future__ import annotations
@@ -25,11 +24,10 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import EDS
 
+# Always accepted, and lets others be written: the lower one of two amplitudes.
 OPENING: dict[Place, int] = {od.ENCODER_LOWEST_AMPLITUDE: 0}
-"""Values that are always accepted and let others be written: the lower one of two amplitudes."""
-
+# What follows the other parameters: any lower amplitude is accepted after the full scale.
 LAST_PARAMETERS: tuple[Place, ...] = (od.ENCODER_FULL_SCALE, od.ENCODER_LOWEST_AMPLITUDE)
-"""What follows the other parameters: any lower amplitude is accepted after the full scale."""
 
 _PDOS = range(0x1400, 0x1C00)
 
@@ -45,13 +43,28 @@ class Setting(NamedTuple):
         """Index and sub-index."""
         return self.entry.index, self.entry.subindex
 
+    @property
+    def off(self) -> Any:
+        """The value that switches it off, or lets others be written; None: it has none."""
+        opening = OPENING.get(self.place)
+        return switched_off(self.entry, self.value) if opening is None else opening
+
+    @property
+    def rank(self) -> int:
+        """Its place among the parameters: most come first."""
+        return LAST_PARAMETERS.index(self.place) + 1 if self.place in LAST_PARAMETERS else 0
+
+    def write(self, value: Any) -> Write:
+        """The SDO write of a ``value``."""
+        return Write(*self.place, datatypes.encode(self.entry.data_type, value))
+
 
 @dataclass(frozen=True)
 class DeviceConfiguration:
     """All parameters of one module that SDO can write, whether they differ from a default or not.
 
-    `table` is the content of 2020:01, empty for the identity. The preset (6003h, 6009h, 6509h) is not
-    among them: it needs a position, and belongs to the machine.
+    `table` is the content of 2020:01, empty for the identity. The preset (6003h, 6009h, 6509h), which needs a
+    position, is not among them.
     """
 
     node_id: int
@@ -82,20 +95,12 @@ class DeviceConfiguration:
         with the conditioning, the numbers of mapped objects, 1006h, the COB-IDs, and at last 1020h, which
         any other write would clear.
         """
-        off = {setting.place: value for setting in self.settings if (value := _off(setting)) is not None}
-        first = [
-            Setting(setting.entry, off[setting.place]) for setting in self.settings if setting.place in off
-        ]
-        rest = [setting for setting in self.settings if off.get(setting.place) != setting.value]
-        rest.sort(key=lambda setting: _rank(setting.place))
-        turns = [[_write(setting) for setting in rest if turn(setting.entry) == this] for this in TURNS]
-        parameters, *later = turns
-        return [
-            *(_write(setting) for setting in first),
-            *parameters,
-            *self._table_writes(),
-            *(write for writes in later for write in writes),
-        ]
+        first = [setting.write(setting.off) for setting in self.settings if setting.off is not None]
+        rest = [setting for setting in self.settings if setting.off != setting.value]
+        rest.sort(key=lambda setting: (TURNS.index(turn(setting.entry)), setting.rank))
+        parameters = [setting.write(setting.value) for setting in rest if turn(setting.entry) == TURNS[0]]
+        later = [setting.write(setting.value) for setting in rest if turn(setting.entry) != TURNS[0]]
+        return [*first, *parameters, *self._table_writes(), *later]
 
     def changed(self) -> dict[Place, Any]:
         """The parameters whose value is not the factory default."""
@@ -121,8 +126,9 @@ class DeviceConfiguration:
         ]
 
     def _ascending(self) -> Iterator[Write]:
-        entries = [_write(setting) for setting in self.settings if setting.entry.index not in _PDOS]
-        yield from sorted([*entries, *self._table_writes()], key=lambda write: (write.index, write.subindex))
+        writes = [setting.write(setting.value) for setting in self.settings]
+        others = [write for write in writes if write.index not in _PDOS]
+        yield from sorted([*others, *self._table_writes()], key=lambda write: (write.index, write.subindex))
 
     def _table_writes(self) -> list[Write]:
         activate = Write(*od.TABLE_ACTIVATE, self.table_crc32.to_bytes(4, "little"))
@@ -168,20 +174,6 @@ def _is_within_limits(setting: Setting) -> bool:
     return True
 
 
-def _off(setting: Setting) -> Any:
-    opening = OPENING.get(setting.place)
-    return switched_off(setting.entry, setting.value) if opening is None else opening
-
-
-def _rank(place: Place) -> int:
-    return LAST_PARAMETERS.index(place) + 1 if place in LAST_PARAMETERS else 0
-
-
-def _write(setting: Setting) -> Write:
-    data = datatypes.encode(setting.entry.data_type, setting.value)
-    return Write(setting.entry.index, setting.entry.subindex, data)
-
-
 def _is_taken(module: FeedbackModule, write: Write) -> bool:
     try:
         module.dictionary.lookup(write.index, write.subindex).download(write.data)
@@ -216,8 +208,8 @@ class Objects(Protocol):
 def read_configuration(objects: Objects) -> DeviceConfiguration:
     """The active configuration of a module on a bus. CanfbError if it cannot be read, or is not of canfb.
 
-    Table and conditioning are those in force, one set: between an upload and its activation 2002h and 2005h
-    hold values of another table.
+    Table and conditioning are those in force: between an upload and its activation 2002h and 2005h hold
+    values of another table.
     """
     dictionary = Dictionary.load(eds_path(EDS), objects.node_id)
     for place in IDENTITY:
@@ -260,8 +252,8 @@ def _read_table(objects: Objects, dictionary: Dictionary) -> bytes:
     return table
 
 
+# What `save` keeps as well, and no master can write back: a preset needs a valid position at standstill.
 OF_THE_MACHINE = (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE)
-"""What `save` keeps as well, and no master can write back: a preset needs a valid position at standstill."""
 _CAN_ID = 0x1FFFFFFF
 
 

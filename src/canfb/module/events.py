@@ -2,8 +2,7 @@
 
 An :class:`Event` is a line of a log and the same for programs. :class:`NodeEvents` makes those that any
 node has: its NMT state, its errors, what it saves. :class:`EventWatch` adds those of a module: SYNC, first
-sample, the state of the position with all faults since it was valid, the table. It is called where a state
-changes; what it costs when nobody has set ``on_event`` is one comparison a change.
+sample, the state of the position with all faults since it was valid, the table.
 """
 
 from __future__ import annotations
@@ -21,9 +20,12 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.image import ParameterGroup
 from canfb.module.objects.publication import LastLoss
 from canfb.module.parameters import Limits
+from canfb.objects import PositionState
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import FAULT_BITS, Feedback
 from canfb.signal.supervision import AMPLITUDE, MISSED, REFERENCED, RESIDUAL, SECOND_POSITION
+
+Value = bool | float | int | str | list[str] | None
 
 
 class EventKind(StrEnum):
@@ -42,24 +44,18 @@ class EventKind(StrEnum):
     EMCY = "emcy"
 
 
+# What comes with single samples, or repeats what another event says.
 DETAILS = frozenset({EventKind.FAULT, EventKind.EMCY})
-"""What comes with single samples, or repeats what another event says."""
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that has happened in a node.
-
-    kind    what it was
-    time_s  when, seconds on the clock of `now`
-    text    in words, without the node
-    values  the same for programs: names and plain values
-    """
+    """``text``, without the node, and the same for programs, at ``time_s`` on the clock of `now`."""
 
     kind: EventKind
     time_s: float
     text: str
-    values: Mapping[str, bool | float | int | str | list[str] | None] = field(default_factory=dict)
+    values: Mapping[str, Value] = field(default_factory=dict)
 
 
 class NodeEvents(Application):
@@ -74,10 +70,10 @@ class NodeEvents(Application):
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
         """A change of the NMT state, and ``why`` if it was not commanded."""
-        boot_up = "boot-up, " if old is NmtState.INITIALISING else ""
+        boot_up = old is NmtState.INITIALISING
         name = new.name.replace("_", "-")
-        text = f"{boot_up}{name}{': ' if why else ''}{why}"
-        self._report(EventKind.NMT, now, text, state=name, boot_up=bool(boot_up), reason=why or None)
+        text = f"{'boot-up, ' if boot_up else ''}{name}{': ' if why else ''}{why}"
+        self._report(EventKind.NMT, now, text, state=name, boot_up=boot_up, reason=why or None)
 
     def emergency_sent(self, code: int, register: int, detail: bytes, now: float) -> None:
         """An EMCY goes out."""
@@ -88,22 +84,20 @@ class NodeEvents(Application):
 
     def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
         """Parameters were saved, or their defaults loaded."""
-        for groups, what in ((saved, "saved"), (forgotten, "dropped, the defaults come with the next reset")):
-            names = [group.name.lower() for group in groups if group is not ParameterGroup.OPERATING_TIME]
-            if names:
-                text = f"parameters {what}: {', '.join(names)}"
-                self._report(EventKind.SAVED, now, text, groups=names, dropped=groups is forgotten)
+        self._parameters(EventKind.SAVED, saved, "saved", now, dropped=False)
+        what = "dropped, the defaults come with the next reset"
+        self._parameters(EventKind.SAVED, forgotten, what, now, dropped=True)
 
     def saving_failed(self, groups: Groups, reason: str, now: float) -> None:
         """Parameters could not be saved, or their defaults not loaded: the store has what it had."""
+        self._parameters(EventKind.SAVE_FAILED, groups, f"not saved ({reason})", now, reason=reason)
+
+    def _parameters(self, kind: EventKind, groups: Groups, what: str, now: float, **values: Value) -> None:
         names = [group.name.lower() for group in groups if group is not ParameterGroup.OPERATING_TIME]
         if names:
-            text = f"parameters not saved ({reason}): {', '.join(names)}"
-            self._report(EventKind.SAVE_FAILED, now, text, groups=names, reason=reason)
+            self._report(kind, now, f"parameters {what}: {', '.join(names)}", groups=names, **values)
 
-    def _report(
-        self, kind: EventKind, now: float, text: str, **values: bool | float | int | str | list[str] | None
-    ) -> None:
+    def _report(self, kind: EventKind, now: float, text: str, **values: Value) -> None:
         if self.on_event is not None:
             self.on_event(Event(kind, now, text, values))
 
@@ -116,21 +110,16 @@ class EventWatch(NodeEvents):
     """Calls ``on_event`` with each :class:`.Event`; without it nothing is made.
 
     ``detailed``: single faults, too, and each EMCY. For the hot path: :meth:`follow` must see each sample
-    whose status word is not :attr:`status`, and nothing else.
+    whose status word is not ``status``, and nothing else. ``unconfirmed()`` says why a position without a
+    fault is not valid yet, "": not known.
     """
 
     def __init__(self, dictionary: Dictionary, limits: Limits, loss: LastLoss) -> None:
         super().__init__()
         self.unconfirmed: Callable[[], str] = lambda: ""
-        """Why a position without a fault is not valid yet, in words; "" if it is not known."""
-        self.status = NO_STATUS
-        self._limits, self._loss = limits, loss
-        self._low, self._high = (
-            dictionary.entry(*one) for one in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
-        )
-        self._difference, self._tolerance = (
-            dictionary.entry(*one) for one in (od.SECOND_DIFFERENCE, od.SECOND_TOLERANCE)
-        )
+        self._limits, self._loss, entry = limits, loss, dictionary.entry
+        self._low, self._high = entry(*od.ENCODER_LOWEST_AMPLITUDE), entry(*od.ENCODER_HIGHEST_AMPLITUDE)
+        self._difference, self._tolerance = entry(*od.SECOND_DIFFERENCE), entry(*od.SECOND_TOLERANCE)
         self._rate_hz = 0.0
         self._corrected = False
         self.reset()
@@ -139,16 +128,13 @@ class EventWatch(NodeEvents):
         """After a reset of the node: no sample."""
         self.status = NO_STATUS
         self._sampled = self._disagrees = False
-        self._state: od.PositionState | None = None
+        self._state: PositionState | None = None
         self._causes = 0
         self._not_valid_s = 0.0
         self._was_valid = False  # the position, at any time
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """A change of the NMT state, and ``why`` if it was not commanded.
-
-        The next SYNC and the next sample are the first.
-        """
+        """A change of the NMT state, after which the next SYNC and the next sample are the first."""
         self._rate_hz = 0.0
         self.reset()
         super().state_changed(old, new, now, why)
@@ -165,11 +151,9 @@ class EventWatch(NodeEvents):
     def sync_lost(self, synced_s: float, now: float) -> None:
         """No SYNC and no sample for 2010:06 periods, since ``synced_s``."""
         if self._rate_hz:
-            self._rate_hz = 0.0
-            silent_s = now - synced_s
-            self._report(
-                EventKind.SYNC_LOST, now, f"SYNC lost, none for {_time(silent_s)}", silent_s=silent_s
-            )
+            self._rate_hz, silent_s = 0.0, now - synced_s
+            text = f"SYNC lost, none for {_time(silent_s)}"
+            self._report(EventKind.SYNC_LOST, now, text, silent_s=silent_s)
 
     def follow(self, feedback: Feedback, now: float) -> None:
         """The status word is another one now."""
@@ -179,36 +163,34 @@ class EventWatch(NodeEvents):
         if not (self._sampled or feedback.status & MISSED):
             self._sampled = True
             values = {"sine_counts": feedback.sine, "cosine_counts": feedback.cosine}
-            self._report(EventKind.FIRST_SAMPLE, now, f"first sample, {self._amplitude(feedback)}", **values)
+            self._report(EventKind.FIRST_SAMPLE, now, f"first sample, {_amplitude(feedback)}", **values)
         self._causes |= feedback.status & FAULT_BITS
         state = od.position_state(feedback.status)
         if state is not self._state:
             self._changed(state, feedback, now)
         elif before != NO_STATUS and feedback.status & ~before & REFERENCED:
-            self._report(
-                EventKind.POSITION, now, "referenced to the zero pulse", state=state, referenced=True
-            )
-        if bool(feedback.status & SECOND_POSITION) is not self._disagrees:
-            self._second(not self._disagrees, now)
+            text = "referenced to the zero pulse"
+            self._report(EventKind.POSITION, now, text, state=state, referenced=True)
+        disagrees = bool(feedback.status & SECOND_POSITION)
+        if disagrees is not self._disagrees:
+            self._disagrees = disagrees
+            self._second(disagrees, now)
 
     def _second(self, disagrees: bool, now: float) -> None:
         """The other sensor contradicts the position, or does so no longer."""
-        self._disagrees = disagrees
-        away, tolerance = self._difference.current(), self._tolerance.value
+        away, text = self._difference.current(), "second position disagrees no longer"
         if disagrees:
+            tolerance = self._tolerance.value
             text = f"second position disagrees: {away:+.4g} revolutions, tolerance {tolerance:.4g}"
-        else:
-            text = "second position disagrees no longer"
         known = None if math.isnan(away) else away
         self._report(EventKind.SECOND_POSITION, now, text, disagrees=disagrees, difference_revolutions=known)
 
     def outdated(self, now: float) -> None:
         """What was published is not the position any more, and nothing takes its place."""
-        if self._state is od.PositionState.VALID:
-            self._state, self.status, self._not_valid_s = od.PositionState.NOT_VALID, NO_STATUS, now
-            self._report(
-                EventKind.POSITION, now, "position not valid: no SYNC and no sample", state=self._state
-            )
+        if self._state is PositionState.VALID:
+            self._state, self.status, self._not_valid_s = PositionState.NOT_VALID, NO_STATUS, now
+            text = "position not valid: no SYNC and no sample"
+            self._report(EventKind.POSITION, now, text, state=self._state)
 
     def fault(self, feedback: Feedback, now: float) -> None:
         """A sample without a valid position, if `detailed`."""
@@ -220,30 +202,24 @@ class EventWatch(NodeEvents):
         """A table, or none, has come into force."""
         table, before = correction.table, self._corrected
         self._corrected = table is not None
-        if self.on_event is None:
-            return
         if table is not None:
             text = f"table in force: {len(table)} entries, CRC {table.crc32:08X}h"
             self._report(EventKind.TABLE, now, text, entries=len(table), crc32=table.crc32)
         elif before:
             self._report(EventKind.TABLE, now, "table in force: none, the identity", entries=0, crc32=0)
 
-    def _changed(self, state: od.PositionState, feedback: Feedback, now: float) -> None:
+    def _changed(self, state: PositionState, feedback: Feedback, now: float) -> None:
         """Another state of the position; a reason is all that went wrong since it was valid."""
         before, self._state = self._state, state
-        if state is od.PositionState.VALID:
+        if state is PositionState.VALID:
             self._causes = 0
-            again = f" again, after {_time(now - self._not_valid_s)}" if self._was_valid else ""
-            text, reasons, self._was_valid = f"position valid{again}", [], True
+            text = f"position valid again, after {_time(now - self._not_valid_s)}"
+            text, self._was_valid = text if self._was_valid else "position valid", True
         else:
-            if before in (None, od.PositionState.VALID):
+            if before in (None, PositionState.VALID):
                 self._not_valid_s = now
-            reasons = self._reasons(feedback, self._causes)
-            if state is od.PositionState.LOST:
-                text = f"position lost: {'; '.join(self._loss_words(reasons))}"
-            else:
-                text = f"position {state}: {', '.join(reasons) or self._without_fault(state)}"
-        residual = feedback.residual if feedback.residual == feedback.residual else None
+            text = f"position {state}: {self._why_not_valid(state, feedback)}"
+        lost = state is PositionState.LOST
         self._report(
             EventKind.POSITION,
             now,
@@ -251,21 +227,19 @@ class EventWatch(NodeEvents):
             state=str(state),
             faults=od.fault_words(feedback.status | self._causes),
             status=feedback.status,
-            residual_cycles=residual,
+            residual_cycles=None if math.isnan(feedback.residual) else feedback.residual,
             residual_limit_cycles=self._limits.in_force.residual_limit,
             sample=feedback.samples,
-            cause=self._loss.cause.name.lower() if state is od.PositionState.LOST else None,
+            cause=self._loss.cause.name.lower() if lost else None,
         )
 
-    def _loss_words(self, reasons: list[str]) -> list[str]:
-        """Faults, cause and advice of a loss."""
-        cause = self._loss.cause
-        return [*[", ".join(reasons)] * bool(reasons), cause.text, "see canfb why"]
-
-    def _without_fault(self, state: od.PositionState) -> str:
-        if state is od.PositionState.COASTING:
-            return self.unconfirmed() or "not confirmed yet"
-        return "no reference yet"
+    def _why_not_valid(self, state: PositionState, feedback: Feedback) -> str:
+        faults = ", ".join(self._reasons(feedback, self._causes))
+        if state is PositionState.LOST:
+            return f"{faults}{'; ' if faults else ''}{self._loss.cause.text}; see canfb why"
+        if state is PositionState.COASTING:
+            return faults or self.unconfirmed() or "not confirmed yet"
+        return faults or "no reference yet"
 
     def _reasons(self, feedback: Feedback, bits: int) -> list[str]:
         """In words; with figures where they are those of this sample."""
@@ -275,18 +249,15 @@ class EventWatch(NodeEvents):
         fits_not = f"residual {residual:.3f} cycle, within {limit:.3f}: contradicts the samples before"
         figures = {
             RESIDUAL: over if residual >= limit else fits_not,
-            AMPLITUDE: f"{self._amplitude(feedback)} outside of {self._low.value} to {self._high.value}",
+            AMPLITUDE: f"{_amplitude(feedback)} outside of {self._low.value} to {self._high.value}",
         }
-        now = feedback.status
-        return [
-            figures.get(bit, words) if now & bit else words
-            for bit, words in od.FAULT_WORDS.items()
-            if bits & bit
-        ]
+        known = {bit: words for bit, words in figures.items() if bit & feedback.status}
+        return [known.get(bit, words) for bit, words in od.FAULT_WORDS.items() if bits & bit]
 
-    def _amplitude(self, feedback: Feedback) -> str:
-        amplitude = feedback.amplitude
-        return f"amplitude {amplitude:.0f} counts" if math.isfinite(amplitude) else "no amplitude"
+
+def _amplitude(feedback: Feedback) -> str:
+    amplitude = feedback.amplitude
+    return f"amplitude {amplitude:.0f} counts" if math.isfinite(amplitude) else "no amplitude"
 
 
 def _time(seconds: float) -> str:

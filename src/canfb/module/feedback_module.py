@@ -13,7 +13,7 @@ from canfb.device.od.dictionary import Entry
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import Store
 from canfb.module.cia406.alarms import REGISTER
-from canfb.module.cia406.profile import CyclicTimer, OperatingTime
+from canfb.module.cia406.profile import OperatingTime, make_cyclic_timer
 from canfb.module.events import EventWatch
 from canfb.module.interval import InterfaceGrid, SamplingInterval
 from canfb.module.jitter_watch import JitterWatch
@@ -52,9 +52,8 @@ class FeedbackModule(NodeDevice):
     A ``source`` provides the sample of each SYNC in OPERATIONAL at that SYNC; RPDO1 is then off.
     ``on_source`` is called with one line when it fails, works again or has ended; ``on_warning``
     when the speed approaches the limit set by the SYNC jitter; ``events`` has what happens as
-    :class:`.Event`. ValueError if ``config.source``
-    names a source and none is given; TypeError for a ``config`` that is not a
-    :class:`canfb.ModuleConfig`.
+    :class:`.Event`. ValueError if ``config.source`` names a source and none is given; TypeError for a
+    ``config`` that is not a :class:`canfb.ModuleConfig`.
     """
 
     register_bits = REGISTER
@@ -102,9 +101,9 @@ class FeedbackModule(NodeDevice):
         self._limits = Limits(dictionary, chain, interval)
         self._input = SampleInput(dictionary, self)
         self._second = SecondInput(dictionary, self, chain)
-        self._source = None
+        self._source: LocalSource | None = None
         if source is not None:
-            self._source = LocalSource(source, dictionary, self._input, self._source_message)
+            self._source = LocalSource(source, self._input, self._source_message)
         self._observers = SampleObservers()
         self._publishing = Publishing(dictionary, self, interval, self._limits, chain, self._input)
         self.observer = self.events
@@ -140,7 +139,7 @@ class FeedbackModule(NodeDevice):
         self._tables.on_in_force = self._on_correction
         self._adapting = Adapting(dictionary, self.chain, self._limits, storage)
         self._operating_time = OperatingTime(dictionary, storage, lambda: self.now)
-        CyclicTimer(dictionary, storage)
+        make_cyclic_timer(dictionary, storage)
         self._calibrating = Calibrating(
             dictionary, self.chain, self._tables, self._observers, self._publishing.objects.calibrating
         )
@@ -204,11 +203,10 @@ class FeedbackModule(NodeDevice):
         return frames
 
     def pending_job(self) -> CalibrationJob | None:
-        """A pending computation of several seconds, or None.
+        """A pending computation of several seconds, or None; poll it: another one makes the last obsolete.
 
-        The module continues meanwhile. Poll this: another job, or None, means that the previous one
-        is obsolete. Call the job, in another process if frames must not wait, and pass its result,
-        or the Exception that it raised, to :meth:`finish_job`.
+        Call the job, in another process if frames must not wait, and pass its result, or the Exception that
+        it raised, to :meth:`finish_job`.
         """
         return self._calibrating.pending_job
 
@@ -227,9 +225,8 @@ class FeedbackModule(NodeDevice):
     def _choose_parameters(self) -> None:
         """What `save` keeps beside the entries that it keeps anyway, and what is not a parameter."""
         entries = self.storage.entries
-        for preset in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET):
-            entries.keep(*preset)  # its value alone: 6509h is what it led to
-        entries.keep(*od.OFFSET_VALUE)
+        for kept in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE):
+            entries.keep(*kept)  # a preset by its value alone: 6509h is what it led to
         for entry in self.dictionary:
             if entry.index in COMMANDS and entry.access == "rw":
                 entries.leave_out(entry.index, entry.subindex)

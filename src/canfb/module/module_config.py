@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from canfb.checks import flag, integer_in, within
@@ -15,7 +14,8 @@ from canfb.sources.protocol import SourceConfig
 
 LOWEST_COB_ID, HIGHEST_COB_ID = 0x181, 0x57F
 MOST_GAP_BYTES = 4  # of a PDO with an INTEGER32
-GAPS = ((4, 0x00070020), (2, 0x00060010), (1, 0x00050008))  # dummy objects (CiA 301, 7.4.4), by their bytes
+BYTE, TWO_BYTES, FOUR_BYTES = 0x00050008, 0x00060010, 0x00070020  # dummy objects (CiA 301, 7.4.4)
+GAPS = ((), (BYTE,), (TWO_BYTES,), (TWO_BYTES, BYTE), (FOUR_BYTES,))  # by their bytes
 VALUE = 0x20000E20
 
 
@@ -43,16 +43,7 @@ class SecondPositionConfig(SecondSensor):
     @property
     def mapping(self) -> list[int]:
         """The mapping entries of its RPDO: the value, and dummy objects around it."""
-        return [*_gap(self.before_bytes), VALUE, *_gap(self.after_bytes)]
-
-
-def _gap(size: int) -> list[int]:
-    entries = []
-    for width, entry in GAPS:
-        if size >= width:
-            entries.append(entry)
-            size -= width
-    return entries
+        return [*GAPS[self.before_bytes], VALUE, *GAPS[self.after_bytes]]
 
 
 RPDOS = 4
@@ -60,6 +51,10 @@ MOST_ACCELERATION_RAD_S2 = 1e9  # 2010:02
 MOST_SYNC_JITTER_S = 1.0  # 2010:0D
 
 
+WITHOUT_BUS = {  # and what a module has instead
+    "max_acceleration_cycles": "max_acceleration_rad_s2",
+    "interval_s": "a module measures it, or reads 1006h",
+}
 WRITE_LOCKS = {"none": WriteLockMode.OFF, "preop": WriteLockMode.PREOP, "code": WriteLockMode.CODE}
 
 
@@ -123,53 +118,43 @@ class ModuleConfig(ChainConfig):
         within(
             self,
             serial_number=(0, 0xFFFFFFFF),
+            unlock_code=(0, 0xFFFFFFFF),
             encoder_interface=(1, 127),
             samples_per_sync=(1, MOST_PER_SYNC - bool(self.times and self.source is None)),
             noise_margin=(0, 255),
             sync_timeout_periods=(2, 255),
         )
-        if self.source is not None and not isinstance(self.source, SourceConfig):
-            raise ValueError(f"source must be a configuration of a source, not {self.source!r}")
-        if self.second_position is not None and not isinstance(self.second_position, SecondPositionConfig):
-            raise ValueError(f"second_position must be a SecondPositionConfig, not {self.second_position!r}")
-        if self.second_position is not None and self.second_position.cob_id and self.adc_pdos >= RPDOS:
+        source, second = self.source, self.second_position
+        if source is not None and not isinstance(source, SourceConfig):
+            raise ValueError(f"source must be a configuration of a source, not {source!r}")
+        if second is not None and not isinstance(second, SecondPositionConfig):
+            raise ValueError(f"second_position must be a SecondPositionConfig, not {second!r}")
+        if second is not None and second.cob_id and self.adc_pdos >= RPDOS:
             raise ValueError(
                 "second_position: no RPDO is left for cob_id beside the samples and their time: "
                 "leave out times, or take fewer samples_per_sync"
             )
         if self.source is None and self.encoder_interface == self.node_id:
             raise ValueError(f"encoder_interface must differ from node_id {self.node_id}")
-        if self.max_acceleration_cycles:
-            raise ValueError(
-                "max_acceleration_cycles belongs to a chain without a bus: max_acceleration_rad_s2"
-            )
-        if self.interval_s:
-            raise ValueError(
-                "interval_s belongs to a chain without a bus: a module measures it, or reads 1006h"
-            )
-        _check_largest("max_acceleration_rad_s2", self.max_acceleration_rad_s2, MOST_ACCELERATION_RAD_S2)
+        for name, instead in WITHOUT_BUS.items():
+            if getattr(self, name):
+                raise ValueError(f"{name} belongs to a chain without a bus: {instead}")
+        largest = self.max_acceleration_rad_s2
+        if not isinstance(largest, (int, float)) or not 0.0 <= largest <= MOST_ACCELERATION_RAD_S2:
+            raise ValueError("max_acceleration_rad_s2 must be 0 (not known) or positive, at most 1e9")
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
         for name in ("times", "nominal_sync", "autostart"):
             flag(name, getattr(self, name))
         if self.write_lock not in WRITE_LOCKS:
             raise ValueError(f"write_lock must be none, preop or code, not {self.write_lock!r}")
-        integer_in("unlock_code", self.unlock_code, 0, 0xFFFFFFFF)
         if self.write_lock == "code" and not self.unlock_code:
             raise ValueError("write_lock: code needs an unlock_code, 1 to 4294967295")
-        if self.state_dir is not None and not _is_folder_name(self.state_dir):
+        folder = self.state_dir
+        if folder is not None and not (isinstance(folder, str) and folder.strip() and "\0" not in folder):
             raise ValueError(f"state_dir must be the name of a folder, not {self.state_dir!r}")
 
     @property
     def adc_pdos(self) -> int:
         """RPDOs with the samples of the encoder interface: two pairs, or one and the time, fill one."""
         return (self.samples_per_sync + self.times + 1) // 2
-
-
-def _is_folder_name(name: object) -> bool:
-    return isinstance(name, str) and bool(name.strip()) and "\0" not in name
-
-
-def _check_largest(name: str, value: object, most: float) -> None:
-    if not isinstance(value, (int, float)) or not 0.0 <= value <= most:
-        raise ValueError(f"{name} must be 0 (not known) or positive, at most 1e{round(math.log10(most))}")

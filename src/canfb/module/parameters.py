@@ -2,8 +2,7 @@
 
 A configuration replaces defaults of the EDS (:func:`configured_defaults`); after that the dictionary alone
 is read. :class:`Limits` hands its values to the chain, whenever an SDO write, the interval of SYNC or the
-measured noise changes one. What they narrow the residual limit to is worked out in
-:mod:`canfb.view.limits_in_force`.
+measured noise changes one. What they narrow the residual limit to: :mod:`canfb.view.limits_in_force`.
 """
 
 from __future__ import annotations
@@ -11,15 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from operator import eq
 from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.frame import mapping_values
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.eds_files import eds_path
 from canfb.module.cia406.position import distinguishable_revolutions, single_turn_resolution
 from canfb.module.interval import SamplingInterval
@@ -33,9 +29,44 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import MOST_CORNER_HZ, ChainConfig, ChainLimits
 from canfb.signal.residual_noise import ResidualNoise
 from canfb.signal.supervision import SampleLimits
-from canfb.view.limits_in_force import limit_settings
+from canfb.view.limits_in_force import LIMIT_UNITS, limit_settings
 
 EDS = "canfb-module"
+Values = dict[tuple[int, int], Any]  # of objects, by index and sub-index
+
+# Fields of canfb.AdaptConfig, in units of 0.1 % or 1 mrad.
+ADAPTATION_BOUNDS = {
+    "offset": od.ADAPTATION_OFFSET_LIMIT,
+    "gain": od.ADAPTATION_GAIN_LIMIT,
+    "phase_rad": od.ADAPTATION_PHASE_LIMIT,
+    "rate_per_hour": od.ADAPTATION_RATE_LIMIT,
+}
+ADAPTATION_UNIT = 1e-3
+
+# Fields of SecondSensor.
+SECOND_SENSOR = {
+    "increments": od.SECOND_INCREMENTS,
+    "revolutions": od.SECOND_REVOLUTIONS,
+    "reversed": od.SECOND_REVERSED,
+    "tolerance_revolutions": od.SECOND_TOLERANCE,
+    "invalidates": od.SECOND_INVALIDATES,
+}
+
+# Fields of ModuleConfig that an object holds in the same unit.
+SAME_UNIT = {
+    "serial_number": od.IDENTITY_SERIAL_NUMBER,
+    "cycles_per_revolution": od.ENCODER_CYCLES_PER_REVOLUTION,
+    "corner_hz": od.ENCODER_CORNER_FREQUENCY,
+    "cosine_corner_hz": od.ENCODER_COSINE_CORNER_FREQUENCY,
+    "max_acceleration_rad_s2": od.SUPERVISION_ACCELERATION,
+    "coast_samples": od.SUPERVISION_COAST,
+    "frozen_samples": od.SUPERVISION_FROZEN,
+    "noise_margin": od.SUPERVISION_NOISE_MARGIN,
+    "bad_samples": od.SUPERVISION_BAD_SAMPLES,
+    "sync_jitter_s": od.SUPERVISION_SYNC_JITTER,
+    "sync_timeout_periods": od.SUPERVISION_PERIODS,
+    "unlock_code": od.WRITE_LOCK_NEW_UNLOCK_CODE,
+}
 
 
 def factory_dictionary(config: ModuleConfig, *, samples_itself: bool = False) -> Dictionary:
@@ -50,55 +81,28 @@ def factory_dictionary(config: ModuleConfig, *, samples_itself: bool = False) ->
     return dictionary
 
 
-SAME_NARROWED, SAME_ANALOG = 0.002, 2e-4  # of the interval: no reason for new limits, other coefficients
-SAME_NOISE = 0.02  # of it: no reason for new limits
-LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
-ADAPTATION_BOUNDS = {
-    "offset": od.ADAPTATION_OFFSET_LIMIT,
-    "gain": od.ADAPTATION_GAIN_LIMIT,
-    "phase_rad": od.ADAPTATION_PHASE_LIMIT,
-    "rate_per_hour": od.ADAPTATION_RATE_LIMIT,
-}
-"""The fields of :class:`canfb.AdaptConfig`, in units of 0.1 % or 1 mrad."""
-ADAPTATION_UNIT = 1e-3
-
-
-def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
-    """The defaults of the EDS that a configuration replaces, by index and sub-index."""
+def configured_defaults(config: ModuleConfig) -> Values:
+    """The defaults of the EDS that a configuration replaces."""
     limits = config.limits
     resolution = single_turn_resolution(config.cycles_per_revolution)
     revolutions = distinguishable_revolutions(resolution)
-    conditioning: dict[tuple[int, int], float] = dict(
-        zip(od.CONDITIONING, config.conditioning.values, strict=True)
-    )
     return {
         **adc_pdos(config),
         **_second_position(config),
-        od.IDENTITY_SERIAL_NUMBER: config.serial_number,
+        **{place: getattr(config, name) for name, place in SAME_UNIT.items()},
+        **dict(zip(od.CONDITIONING, config.conditioning.values, strict=True)),
+        **_adaptation(config),
         od.SERIAL_NUMBER: config.serial_number,
-        od.ENCODER_CYCLES_PER_REVOLUTION: config.cycles_per_revolution,
         od.ENCODER_FULL_SCALE: limits.full_scale_counts,
         od.ENCODER_LOWEST_AMPLITUDE: limits.amplitude_low_counts,
         od.ENCODER_HIGHEST_AMPLITUDE: limits.amplitude_high_counts,
-        od.ENCODER_CORNER_FREQUENCY: config.corner_hz,
-        od.ENCODER_COSINE_CORNER_FREQUENCY: config.cosine_corner_hz,
-        **conditioning,
-        **_adaptation(config),
         od.SUPERVISION_RESIDUAL_LIMIT: int(config.residual_limit * LIMIT_UNITS),
-        od.SUPERVISION_ACCELERATION: config.max_acceleration_rad_s2,
-        od.SUPERVISION_COAST: config.coast_samples,
-        od.SUPERVISION_FROZEN: config.frozen_samples,
         od.SUPERVISION_COARSE_LIMIT: max(1, round(config.coarse_limit_revolutions * LIMIT_UNITS)),
-        od.SUPERVISION_NOISE_MARGIN: config.noise_margin,
-        od.SUPERVISION_BAD_SAMPLES: config.bad_samples,
         od.SUPERVISION_DOUBT_ACCELERATION: round(config.doubt_acceleration_cycles * LIMIT_UNITS),
         od.SUPERVISION_PHASE_ERROR: max(1, round(config.phase_error_cycles * LIMIT_UNITS)),
-        od.SUPERVISION_SYNC_JITTER: config.sync_jitter_s,
-        od.SUPERVISION_PERIODS: config.sync_timeout_periods,
         od.PREDICTION_POSITION: int(config.predict),
         od.PREDICTION_NOMINAL_SYNC: int(config.nominal_sync),
         od.WRITE_LOCK_MODE: int(WRITE_LOCKS[config.write_lock]),
-        od.WRITE_LOCK_NEW_UNLOCK_CODE: config.unlock_code,
         od.UNITS_PER_REVOLUTION: resolution,
         od.TOTAL_RANGE: resolution * revolutions,
         od.SINGLE_TURN_RESOLUTION: resolution,
@@ -106,7 +110,7 @@ def configured_defaults(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     }
 
 
-def _adaptation(config: ModuleConfig) -> dict[tuple[int, int], Any]:
+def _adaptation(config: ModuleConfig) -> Values:
     """2002:08, and its bounds if there are any."""
     used = config.adaptation
     if used is None:
@@ -118,41 +122,32 @@ def _adaptation(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     }
 
 
-def adc_pdos(config: ModuleConfig) -> dict[tuple[int, int], Any]:
+def adc_pdos(config: ModuleConfig) -> Values:
     """The RPDOs of what the encoder interface sends: its TPDO1, and others for what that has no room for."""
     pairs = [(od.SAMPLE_SINE, od.SAMPLE_COSINE), *od.SAMPLE_EARLIER][: config.samples_per_sync]
     objects = [one.mapped(16) for pair in pairs for one in pair]
     if config.times:
         objects.append(od.SAMPLE_TIME.mapped(32))
-    mapping: dict[tuple[int, int], Any] = dict(mapping_values(od.RPDO_MAPPING, objects))
-    for index in {index for index, _ in mapping}:
-        number = index - od.RPDO_MAPPING
-        mapping[od.RPDO + number, 1] = cob.TPDOS[number] + config.encoder_interface
-    return mapping
+    mapping: Values = dict(mapping_values(od.RPDO_MAPPING, objects))
+    numbers = {index - od.RPDO_MAPPING for index, _ in mapping}
+    return mapping | {(od.RPDO + one, 1): cob.TPDOS[one] + config.encoder_interface for one in numbers}
 
 
-def _second_position(config: ModuleConfig) -> dict[tuple[int, int], Any]:
+def _second_position(config: ModuleConfig) -> Values:
     """2014h, and the first RPDO after those of the encoder interface if it is to bring 2000:0E."""
     second = config.second_position
     if second is None:
         return {}
-    defaults: dict[tuple[int, int], Any] = {
-        od.SECOND_INCREMENTS: second.increments,
-        od.SECOND_REVOLUTIONS: second.revolutions,
-        od.SECOND_REVERSED: int(second.reversed),
-        od.SECOND_TOLERANCE: second.tolerance_revolutions,
-        od.SECOND_INVALIDATES: int(second.invalidates),
-    }
+    defaults: Values = {place: getattr(second, name) for name, place in SECOND_SENSOR.items()}
     if second.cob_id is not None:
         number = config.adc_pdos
         defaults[od.RPDO + number, 1] = second.cob_id
-        mapping = second.mapping
-        defaults[od.RPDO_MAPPING + number, 0] = len(mapping)
-        defaults |= {(od.RPDO_MAPPING + number, n): entry for n, entry in enumerate(mapping, 1)}
+        mapping = [len(second.mapping), *second.mapping]
+        defaults |= {(od.RPDO_MAPPING + number, n): entry for n, entry in enumerate(mapping)}
     return defaults
 
 
-def without_adc_pdo(config: ModuleConfig) -> dict[tuple[int, int], Any]:
+def without_adc_pdo(config: ModuleConfig) -> Values:
     """What :func:`configured_defaults` becomes for a module with its own ADC: RPDO1 is not valid."""
     return {
         place: cob.NOT_VALID | value
@@ -161,7 +156,7 @@ def without_adc_pdo(config: ModuleConfig) -> dict[tuple[int, int], Any]:
     }
 
 
-def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any]) -> None:
+def apply_defaults(dictionary: Dictionary, defaults: Values) -> None:
     """Replace defaults and values of the dictionary: a reset comes back to these.
 
     They hold whatever the node-ID is: a COB-ID of another node does not move with that of this one.
@@ -172,72 +167,69 @@ def apply_defaults(dictionary: Dictionary, defaults: dict[tuple[int, int], Any])
         entry.reset()
 
 
+SAME_NARROWED, SAME_ANALOG = 0.002, 2e-4  # of the interval: no reason for new limits, other coefficients
+SAME_NOISE = 0.02  # of it: no reason for new limits
+
+# What each of these objects may be; those without a range of their own take whatever the EDS allows.
+RANGES: dict[od.Multiplexer, tuple[float, float]] = {
+    od.ENCODER_CORNER_FREQUENCY: (0.0, MOST_CORNER_HZ),
+    od.ENCODER_COSINE_CORNER_FREQUENCY: (0.0, MOST_CORNER_HZ),
+    od.SUPERVISION_ACCELERATION: (0.0, MOST_ACCELERATION_RAD_S2),
+    od.SUPERVISION_ORDER: (2, 2),
+    od.SUPERVISION_JERK: (0.0, 0.0),
+    od.SUPERVISION_SYNC_JITTER: (0.0, MOST_SYNC_JITTER_S),
+}
+APPLIED = (
+    od.ENCODER_LOWEST_AMPLITUDE,
+    od.ENCODER_CORNER_FREQUENCY,
+    od.ENCODER_COSINE_CORNER_FREQUENCY,
+    od.SUPERVISION_RESIDUAL_LIMIT,
+    od.SUPERVISION_ACCELERATION,
+    od.SUPERVISION_COAST,
+    od.SUPERVISION_FROZEN,
+    od.SUPERVISION_COARSE_LIMIT,
+    od.SUPERVISION_NOISE_MARGIN,
+    od.SUPERVISION_BAD_SAMPLES,
+    od.SUPERVISION_DOUBT_ACCELERATION,
+    od.SUPERVISION_PHASE_ERROR,
+)
+
+
 class Limits:
-    """Objects 2001:02..06 and 2010h: written by SDO, in force from the next sample on."""
+    """Objects 2001:02..06 and 2010h: written by SDO, in force from the next sample on.
+
+    ``noise``     measured, of the residual; :meth:`measured` is called with each block of it
+    ``timed``     samples bring their time
+    ``narrowed``  limits or analog path depend on the sampling interval, which may change
+    ``in_force``  what the chain has: the same object until :meth:`apply`
+    """
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, interval: SamplingInterval) -> None:
-        self._chain = chain
-        self._dictionary, entry = dictionary, dictionary.entry
-        self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
-        self._full_scale = entry(*od.ENCODER_FULL_SCALE)
-        self._low, self._high = entry(*od.ENCODER_LOWEST_AMPLITUDE), entry(*od.ENCODER_HIGHEST_AMPLITUDE)
-        self._corner, self._cosine_corner = (
-            entry(*od.ENCODER_CORNER_FREQUENCY),
-            entry(*od.ENCODER_COSINE_CORNER_FREQUENCY),
-        )
-        self._residual = entry(*od.SUPERVISION_RESIDUAL_LIMIT)
-        self._acceleration = entry(*od.SUPERVISION_ACCELERATION)
-        self._coast, self._frozen = entry(*od.SUPERVISION_COAST), entry(*od.SUPERVISION_FROZEN)
-        self._coarse, self._margin = entry(*od.SUPERVISION_COARSE_LIMIT), entry(*od.SUPERVISION_NOISE_MARGIN)
-        self._bad, self._assumed = (
-            entry(*od.SUPERVISION_BAD_SAMPLES),
-            entry(*od.SUPERVISION_DOUBT_ACCELERATION),
-        )
-        self._phase_error = entry(*od.SUPERVISION_PHASE_ERROR)
+        self._chain, self._dictionary, self.interval = chain, dictionary, interval
+        entry = dictionary.entry
+        full_scale, high = entry(*od.ENCODER_FULL_SCALE), entry(*od.ENCODER_HIGHEST_AMPLITUDE)
+        low = entry(*od.ENCODER_LOWEST_AMPLITUDE)
+        self._margin = entry(*od.SUPERVISION_NOISE_MARGIN)
         self.noise = ResidualNoise()
-        """Of the residual, as measured; :meth:`measured` is called with each block of it."""
         self._applied_noise = math.nan
-        self.timed = False
-        """Samples bring their time, in units of 100 ns."""
-        self.interval = interval
         self._applied_s = 0.0
         self._shortest_s = self._longest_s = 0.0  # while the interval is between them, all stays
-        self.narrowed = False
-        """The limits, or what the analog path does, depend on the sampling interval, which may change."""
+        self.timed = self.narrowed = False
         self.in_force = ChainConfig().chain_limits
-        """What the chain has, narrowed or not: the same object until :meth:`apply`."""
         self.on_applied: Callable[[], None] | None = None
         self._upper_is_old = False
-        self._full_scale.on_check = self._check(lambda full_scale: full_scale > 0)
-        self._low.on_check = self._check(lambda low: low < self._high.value or self._upper_is_old)
-        self._high.on_check = self._check(lambda high: high > self._low.value)
-        self._acceleration.on_check = self._check(lambda value: 0.0 <= value <= MOST_ACCELERATION_RAD_S2)
-        for gone, only in ((od.SUPERVISION_ORDER, 2), (od.SUPERVISION_JERK, 0.0)):
-            entry(*gone).on_check = self._check(partial(eq, only))
-        entry(*od.SUPERVISION_SYNC_JITTER).on_check = self._check(
-            lambda value: 0.0 <= value <= MOST_SYNC_JITTER_S
-        )
-        for corner in (self._corner, self._cosine_corner):
-            corner.on_check = self._check(lambda value: 0.0 <= value <= MOST_CORNER_HZ)
-        for changed in (
-            self._full_scale,
-            self._low,
-            self._high,
-            self._residual,
-            self._acceleration,
-            self._coast,
-            self._frozen,
-            self._coarse,
-            self._margin,
-            self._bad,
-            self._assumed,
-            self._phase_error,
-            self._corner,
-            self._cosine_corner,
-        ):
-            changed.on_written = self.apply
-        self._full_scale.on_written = self._full_scale_written
-        self._high.on_written = self._upper_written
+        for place, (least, most) in RANGES.items():
+            entry(*place).on_check = _within(least, most)
+        full_scale.on_check = refuse_if(lambda value: value <= 0)
+        low.on_check = refuse_if(lambda value: value >= high.value and not self._upper_is_old)
+        high.on_check = refuse_if(lambda value: value <= low.value)
+        for place in APPLIED:
+            entry(*place).on_written = self.apply
+        # After another full scale the upper amplitude is that of another converter until it is written: a
+        # lower one may pass it, so that a master can write the sub-indices in their order. No amplitude is
+        # accepted meanwhile.
+        full_scale.on_written = lambda: self._scale_written(upper_is_old=True)
+        high.on_written = lambda: self._scale_written(upper_is_old=False)
 
     def reset(self) -> None:
         """After a reset of the node: the values of the dictionary belong together."""
@@ -245,7 +237,7 @@ class Limits:
         self.noise_changes()
 
     def noise_changes(self) -> None:
-        """Another table, or other samples: the noise is another one, and not known yet."""
+        """Another table, or other samples: the noise is not known yet."""
         self.noise.forget()
         self.apply()
 
@@ -256,7 +248,7 @@ class Limits:
             self.follow()
 
     def follow(self) -> None:
-        """Before a sample, if it is :attr:`narrowed`: take limits and analog path along with the interval."""
+        """Before a sample, if :attr:`narrowed`: take limits and analog path along with the interval."""
         known_s = self.interval.known_s
         if self._shortest_s < known_s < self._longest_s:
             return
@@ -282,50 +274,43 @@ class Limits:
         if self._margin.value and not abs(usable - applied) <= SAME_NOISE * applied:
             self.apply()
 
-    def _read(self, place: od.Multiplexer) -> Any:
+    def _read(self, place: tuple[int, int]) -> Any:
         """The value of an object; None if it does not exist."""
-        return self._dictionary.entry(*place).value if place in self._dictionary else None
+        entry = self._dictionary.find(*place)
+        return None if entry is None else entry.value
 
     def apply(self) -> None:
         """Put the values of the dictionary in force."""
-        known_s, per_sync = self.interval.known_s, self.interval.samples_per_sync
+        read, per_sync = self._read, self.interval.samples_per_sync
+        self._applied_s = known_s = self.interval.known_s
         self._applied_noise = usable = self.noise.usable_cycles
-        settings = replace(limit_settings(self._read), samples_per_sync=per_sync, timed=self.timed)
+        cycles_per_revolution = read(od.ENCODER_CYCLES_PER_REVOLUTION)
+        settings = replace(limit_settings(read), samples_per_sync=per_sync, timed=self.timed)
         noise_cycles = usable if usable == usable else None
-        bounds = settings.bounds(self._cycles_per_revolution.value, known_s / per_sync, noise_cycles)
-        self._applied_s = known_s
         self.in_force = ChainLimits.of(
-            bounds,
-            sample=SampleLimits(self._full_scale.value, self._low.value, self._high.value),
-            cycles_per_revolution=self._cycles_per_revolution.value,
-            coast_samples=self._coast.value,
-            frozen_samples=self._frozen.value,
-            coarse_limit_revolutions=self._coarse.value / LIMIT_UNITS,
+            settings.bounds(cycles_per_revolution, known_s / per_sync, noise_cycles),
+            sample=SampleLimits(
+                read(od.ENCODER_FULL_SCALE),
+                read(od.ENCODER_LOWEST_AMPLITUDE),
+                read(od.ENCODER_HIGHEST_AMPLITUDE),
+            ),
+            cycles_per_revolution=cycles_per_revolution,
+            coast_samples=read(od.SUPERVISION_COAST),
+            frozen_samples=read(od.SUPERVISION_FROZEN),
+            coarse_limit_revolutions=read(od.SUPERVISION_COARSE_LIMIT) / LIMIT_UNITS,
             samples_per_sync=per_sync,
             corners=settings.corners,
         )
         self._chain.set_limits(self.in_force)
         self._use_interval()
-        self.narrowed = self._acceleration.value > 0.0 or self._chain.tracks.needs_unit
+        self.narrowed = settings.acceleration_rad_s2 > 0.0 or self._chain.tracks.needs_unit
         if self.on_applied is not None:
             self.on_applied()
 
-    def _full_scale_written(self) -> None:
-        """The upper amplitude is that of another converter until it is written: a lower one may pass it.
-
-        So a master can write the sub-indices in their order. Meanwhile no amplitude is accepted.
-        """
-        self._upper_is_old = True
+    def _scale_written(self, *, upper_is_old: bool) -> None:
+        self._upper_is_old = upper_is_old
         self.apply()
 
-    def _upper_written(self) -> None:
-        self._upper_is_old = False
-        self.apply()
 
-    @staticmethod
-    def _check(good: Callable[[Any], bool]) -> Callable[[Any], None]:
-        def check(value: Any) -> None:
-            if not good(value):
-                raise SdoAbort(AbortCode.INVALID_VALUE)
-
-        return check
+def _within(least: float, most: float) -> Callable[[Any], None]:
+    return refuse_if(lambda value: not least <= value <= most)

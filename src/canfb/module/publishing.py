@@ -32,13 +32,7 @@ FLAGGED_AND_VALID = FLAGGED_BITS | VALID
 
 
 class Publishing:
-    """Takes each :class:`Feedback` of the chain to all who want to know of it.
-
-    Status, residual and number of the sample (2011h), 6004h and 6008h are written at once; all else of
-    2011h and of the encoder profile is computed when it is read. Then the shift to the nominal SYNC
-    (Prediction) and event-driven TPDOs. One that is flagged or not valid is also counted (2012h), and goes to
-    EMCY 7300h (PositionAlarm); a change of the status word goes to events and warnings.
-    """
+    """Takes each :class:`Feedback` to dictionary, alarm, warnings, events and event-driven TPDOs."""
 
     def __init__(
         self,
@@ -61,7 +55,7 @@ class Publishing:
         self.warnings = Warnings(
             dictionary,
             node,
-            lambda: self.last,
+            self.latest,
             lambda: parts.expects_pulse,
             lambda: limits.in_force.residual_limit,
             lambda: chain.adaptation.at_limit,
@@ -78,7 +72,7 @@ class Publishing:
 
     @property
     def last(self) -> Feedback | None:
-        """The last feedback, None before the first one."""
+        """The last feedback; None: none yet."""
         return self.latest.feedback
 
     def publish(self, feedback: Feedback, now: float, send: bool = True) -> None:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from canfb import objects as od
-from canfb.module.parameters import LIMIT_UNITS
 from canfb.planning.budget import RPM, WEIGHTS
 from canfb.planning.plan import WELL, Limited, Margin, Plan
 from canfb.planning.plan_input import PlanInput
@@ -20,6 +19,7 @@ from canfb.planning.traffic import BIT_RATES
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.simulation.demand import rounded_up
+from canfb.view.limits_in_force import LIMIT_UNITS
 
 LEAVES = 0.95  # of the largest SYNC rate, of what is sharp
 FASTER = 1.05

@@ -18,7 +18,6 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
-from canfb.module.parameters import LIMIT_UNITS
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.traffic import (
     HEARTBEAT,
@@ -38,6 +37,7 @@ from canfb.simulation.demand import MotionDemand, of_motion
 from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.set_up import drive_demand, sync_rate
 from canfb.simulation.sync_producer import CUT_OFF
+from canfb.view.limits_in_force import LIMIT_UNITS
 
 ROUNDED_AMPLITUDE = 0.75  # of full scale, as the simulated encoder has it
 

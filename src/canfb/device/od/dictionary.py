@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from functools import lru_cache
 from pathlib import Path
@@ -249,6 +249,11 @@ class Dictionary:
             raise KeyError(
                 f"{index:04X}h:{subindex:02X} is not in this object dictionary; add it to the EDS"
             ) from None
+
+    def read_live(self, values: Mapping[tuple[int, int], Callable[[], Any]]) -> None:
+        """Objects whose value is computed when it is read."""
+        for place, read in values.items():
+            self.entry(*place).on_read = read
 
     def find(self, index: int, subindex: int = 0) -> Entry | None:
         """The entry, or None."""

@@ -8,14 +8,13 @@ comes later is reported with an EMCY of its own. A warning says that the positio
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 from canfb import objects as od
 from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.module.objects.publication import LastLoss
+from canfb.module.objects.publication import LastLoss, Latest
 from canfb.signal.feedback import Feedback
 from canfb.signal.supervision import LOST, REFERENCED, SECOND_POSITION, VALID
 
@@ -51,30 +50,18 @@ class PositionAlarm:
 
 
 FREQUENCY, AMPLITUDE_LOW, NOT_REFERENCED, DISAGREES, DRIFT = (1 << n for n in (0, 1, 5, 12, 13))  # 6505h
-EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW | DRIFT
-"""Warnings that each sample can bring or end."""
-CODES = {
+EVERY_SAMPLE = FREQUENCY | AMPLITUDE_LOW | DRIFT  # what each sample can bring or end
+CODES = {  # EMCY of each warning
     FREQUENCY: od.EncoderEmergency.FREQUENCY,
     AMPLITUDE_LOW: od.EncoderEmergency.AMPLITUDE_LOW,
     NOT_REFERENCED: od.EncoderEmergency.NOT_REFERENCED,
     DISAGREES: od.EncoderEmergency.SECOND_POSITION,
     DRIFT: od.EncoderEmergency.DRIFT,
 }
-"""EMCY of each warning."""
 NEAR_LIMIT = 0.8  # residual over this part of the limit
 AMPLITUDE_RESERVE = 1.15  # amplitude below this multiple of the lowest accepted one
 WARNINGS = 0x6505
 NO_STATUS = -1  # no status word
-
-
-class Reporter(Protocol):
-    """Who sends EMCY: the node."""
-
-    def emergency(self, code: int, register_bits: int, manufacturer: bytes, now: float, /) -> None:
-        """An error appeared."""
-
-    def clear_emergency(self, code: int, now: float, /) -> None:
-        """It is gone."""
 
 
 class Warnings:
@@ -83,16 +70,15 @@ class Warnings:
     A warning is reported once, with the sample that causes it, and ends when it was absent for
     2004:02 (ms). While the position is not valid, nothing is reported: the alarm does that.
 
-    For the hot path: :meth:`follow` must see samples whose residual is above
-    :attr:`near_cycles`, whose amplitude is below :attr:`reserve_counts`, or whose status word is not
-    :attr:`last_status`.
+    For the hot path: :meth:`follow` must see samples whose residual is above ``near_cycles``, whose amplitude
+    is below ``reserve_counts``, or whose status word is not ``last_status``.
     """
 
     def __init__(
         self,
         dictionary: Dictionary,
-        reporter: Reporter,
-        last: Callable[[], Feedback | None],
+        node: Node,
+        latest: Latest,
         expects_pulse: Callable[[], bool],
         residual_limit: Callable[[], float],
         drift_at_limit: Callable[[], bool],
@@ -102,9 +88,8 @@ class Warnings:
         ``drift_at_limit()``: the tracks have drifted as far as the adaptation may follow; where that changes,
         :meth:`look_again`.
         """
-        self._reporter, self._last = reporter, last
-        self._expects_pulse, self._residual_limit = expects_pulse, residual_limit
-        self._drift_at_limit = drift_at_limit
+        self._node, self._expects_pulse = node, expects_pulse
+        self._residual_limit, self._drift_at_limit = residual_limit, drift_at_limit
         self._low = dictionary.entry(*od.ENCODER_LOWEST_AMPLITUDE)
         self._mask = dictionary.entry(*od.WARNINGS_BY_EMCY)
         self._hold_ms = dictionary.entry(*od.WARNING_OVER_TIME)
@@ -112,7 +97,7 @@ class Warnings:
         self._present_s = dict.fromkeys(CODES, 0.0)
         self.near_cycles = self.reserve_counts = 0.0
         self.last_status = NO_STATUS
-        dictionary.entry(WARNINGS).on_read = lambda: self._present(self._last())
+        dictionary.entry(WARNINGS).on_read = lambda: self._present(latest.feedback)
         self._mask.on_written = self.look_again
 
     def reset(self) -> None:
@@ -144,10 +129,10 @@ class Warnings:
                 self._present_s[bit] = now
                 if not self._reported & bit:
                     self._reported |= bit
-                    self._reporter.emergency(code, REGISTER, present.to_bytes(2, "little"), now)
+                    self._node.emergency(code, REGISTER, present.to_bytes(2, "little"), now)
             elif self._reported & bit and self._is_over(bit, now):
                 self._reported &= ~bit
-                self._reporter.clear_emergency(code, now)
+                self._node.clear_emergency(code, now)
         self.limits_changed()
 
     def _is_over(self, bit: int, now: float) -> bool:
@@ -158,16 +143,14 @@ class Warnings:
         return now - self._present_s[bit] >= hold_s
 
     def _present(self, last: Feedback | None) -> int:
-        warnings = 0
-        if last is not None and last.valid:
-            if last.residual > NEAR_LIMIT * self._residual_limit():
-                warnings = FREQUENCY
-            if last.amplitude < AMPLITUDE_RESERVE * self._low.value:
-                warnings |= AMPLITUDE_LOW
-            if last.status & SECOND_POSITION:
-                warnings |= DISAGREES
-            if self._drift_at_limit():
-                warnings |= DRIFT
-        if self._expects_pulse() and not (last is not None and last.status & REFERENCED):
-            warnings |= NOT_REFERENCED
-        return warnings
+        unreferenced = last is None or not last.status & REFERENCED
+        warnings = NOT_REFERENCED if unreferenced and self._expects_pulse() else 0
+        if last is None or not last.valid:
+            return warnings
+        found = {
+            FREQUENCY: last.residual > NEAR_LIMIT * self._residual_limit(),
+            AMPLITUDE_LOW: last.amplitude < AMPLITUDE_RESERVE * self._low.value,
+            DISAGREES: last.status & SECOND_POSITION,
+            DRIFT: self._drift_at_limit(),
+        }
+        return warnings | sum(bit for bit, is_there in found.items() if is_there)

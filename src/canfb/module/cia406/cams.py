@@ -1,7 +1,6 @@
-"""Cams and work area of one channel (CiA 406, 6300h to 6337h, 6400h to 6402h): limits of the position.
+"""Cams and work area of one channel (CiA 406, 6300h to 6337h, 6400h to 6402h).
 
-Limits are INTEGER32 beside a position that is UNSIGNED32; :func:`limit_position` is what they mean. Both go
-over the wrap of the range as the position does.
+Limits are INTEGER32 beside a position that is UNSIGNED32. Both go over the wrap of the range.
 """
 
 from __future__ import annotations
@@ -23,9 +22,7 @@ class Span(NamedTuple):
     def holds(self, position: int) -> bool:
         """Whether the position is in the span."""
         low, high = self
-        if low <= high:
-            return low <= position <= high
-        return position >= low or position <= high
+        return low <= position <= high if low <= high else not high < position < low
 
 
 def limit_position(limit: int, total_range: int) -> int:
@@ -73,17 +70,14 @@ class Cam:
     def configure(self, low: int, high: int, hysteresis: int, total_range: int) -> None:
         """Take limits (INTEGER32) and hysteresis (measuring units). Others than before forget the state.
 
-        The switching band goes over the wrap of the range as the position does. One that covers the
-        whole range keeps the cam on once it was on.
+        A switching band that covers the whole range keeps the cam on once it was on.
         """
         span = release = span_of(low, high, total_range)
         if span is not None and hysteresis:
             width = (span.high - span.low) % total_range + 2 * hysteresis
+            release = Span((span.low - hysteresis) % total_range, (span.high + hysteresis) % total_range)
             if width >= total_range - 1:
                 release = Span(0, total_range - 1)
-            else:
-                first, last = span.low - hysteresis, span.high + hysteresis
-                release = Span(first % total_range, last % total_range)
         if (span, release) != (self._span, self._release):
             self._span, self._release = span, release
             self.active = False
@@ -102,13 +96,12 @@ class Cams:
     state, and before the first valid position 6300h is 0. A change of its limits, hysteresis or enable
     bit, of the scaling, and a preset make a cam forget that it was on.
 
-    Only :attr:`follows` needs every sample; without it the state is computed when it is read.
+    ``follows``: a cam in use has a hysteresis, and :meth:`follow` must see each valid sample. Without it the
+    state is computed when it is read. ``position()`` is the last valid position, None for none yet.
     """
 
     def __init__(self, dictionary: Dictionary, position: Callable[[], int | None]) -> None:
-        """``position()`` is the last valid position, None for none yet."""
-        entry = dictionary.entry
-        self._position = position
+        entry, self._position = dictionary.entry, position
         self._enable, self._polarity = entry(ENABLE, CHANNEL), entry(POLARITY, CHANNEL)
         self._limits = [
             (entry(LOW + n, CHANNEL), entry(HIGH + n, CHANNEL), entry(HYSTERESIS + n, CHANNEL))
@@ -118,7 +111,6 @@ class Cams:
         self._followed: list[Cam] = []
         self._total_range = 1
         self.follows = False
-        """A cam in use has a hysteresis: :meth:`follow` must see each valid sample."""
         entry(STATE, CHANNEL).on_read = self._state
         self._enable.on_written = self._configure
         for limits in self._limits:
@@ -154,10 +146,8 @@ class Cams:
         position = self._position()
         if position is None:
             return 0
-        enabled, bits = int(self._enable.value), 0
-        for n, cam in enumerate(self._cams):
-            if enabled >> n & 1 and cam.update(position):
-                bits |= 1 << n
+        enabled = int(self._enable.value)
+        bits = sum(1 << n for n, cam in enumerate(self._cams) if enabled >> n & 1 and cam.update(position))
         return (bits ^ int(self._polarity.value)) & enabled
 
 
@@ -181,19 +171,17 @@ def work_area_state(position: int, low: int, high: int, total_range: int) -> int
     return OUT_OF_RANGE | (OVERFLOW if position - last <= first - position else UNDERFLOW)
 
 
-class WorkArea:
-    """Object 6400h of channel 1, computed when it is read. It keeps its state without a valid position."""
+def show_work_area(
+    dictionary: Dictionary, position: Callable[[], int | None], total_range: Callable[[], int]
+) -> None:
+    """Object 6400h of channel 1, computed when it is read.
 
-    def __init__(
-        self, dictionary: Dictionary, position: Callable[[], int | None], total_range: Callable[[], int]
-    ) -> None:
-        """``position()`` is the last valid position, None for none yet: 6400h is 0 then."""
-        self._low, self._high = dictionary.entry(AREA_LOW, CHANNEL), dictionary.entry(AREA_HIGH, CHANNEL)
-        self._position, self._total_range = position, total_range
-        dictionary.entry(AREA_STATE, CHANNEL).on_read = self._state
+    ``position()`` is the last valid position, None for none yet: 6400h is 0 then.
+    """
+    low, high = dictionary.entry(AREA_LOW, CHANNEL), dictionary.entry(AREA_HIGH, CHANNEL)
 
-    def _state(self) -> int:
-        position = self._position()
-        if position is None:
-            return 0
-        return work_area_state(position, self._low.value, self._high.value, self._total_range())
+    def state() -> int:
+        at = position()
+        return 0 if at is None else work_area_state(at, low.value, high.value, total_range())
+
+    dictionary.entry(AREA_STATE, CHANNEL).on_read = state

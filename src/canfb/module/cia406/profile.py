@@ -8,16 +8,16 @@ from functools import partial
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary, Entry
+from canfb.device.od.dictionary import Dictionary, Entry, refuse_if
 from canfb.device.storage.image import ParameterGroup, Record
 from canfb.device.storage.storage import Storage
-from canfb.module.cia406.cams import Cams, WorkArea
+from canfb.module.cia406.cams import Cams, show_work_area
 from canfb.module.cia406.position import (
     CODE_SEQUENCE,
     SCALING,
-    MotionObjects,
     PositionScale,
     distinguishable_revolutions,
+    show_motion,
     single_turn_resolution,
 )
 from canfb.module.interval import SamplingInterval
@@ -28,16 +28,14 @@ CYCLIC_TIMER = 0x6200
 EVENT_TIMER = (0x1800, 5)
 
 
-class CyclicTimer:
+def make_cyclic_timer(dictionary: Dictionary, storage: Storage) -> None:
     """6200h reads and writes 1800:05, in ms (0 = off), and is saved with it, as a communication parameter."""
-
-    def __init__(self, dictionary: Dictionary, storage: Storage) -> None:
-        timer, alias = dictionary.entry(*EVENT_TIMER), dictionary.entry(CYCLIC_TIMER)
-        alias.on_read = timer.current
-        alias.on_check = timer.check
-        alias.on_written = lambda: timer.store(alias.value)
-        storage.entries.leave_out(CYCLIC_TIMER)  # one value, kept once
-        alias.on_download = storage.configuration_changed
+    timer, alias = dictionary.entry(*EVENT_TIMER), dictionary.entry(CYCLIC_TIMER)
+    alias.on_read = timer.current
+    alias.on_check = timer.check
+    alias.on_written = lambda: timer.store(alias.value)
+    alias.on_download = storage.configuration_changed
+    storage.entries.leave_out(CYCLIC_TIMER)  # one value, kept once
 
 
 OPERATING_TIME = 0x6508
@@ -48,17 +46,14 @@ _SECONDS = struct.Struct("<Q")
 
 
 class OperatingTime:
-    """Counts from the first :meth:`begin` on, beyond what the store has kept.
+    """Object 6508h: counts from the first :meth:`begin` on, beyond what the store has kept.
 
-    Writing takes milliseconds, in which a store that does not write in the background answers no SYNC. So
-    :meth:`keep` is called when none is due, and what has passed since the last one is lost with
-    the power. Without a store the time is not counted: 6508h reads FFFFFFFFh. ``now()`` is the time of the
-    running call.
+    Writing takes milliseconds, so :meth:`keep` is called when no SYNC is due, and what has passed since is
+    lost with the power. Without a store 6508h reads FFFFFFFFh. ``now()`` is the time of the running call.
     """
 
     def __init__(self, dictionary: Dictionary, storage: Storage, now: Callable[[], float]) -> None:
-        self._storage = storage
-        self._now = now
+        self._storage, self._now = storage, now
         self._since_s: float | None = None  # power-on
         self._before_s = self._kept_s = 0
         dictionary.entry(OPERATING_TIME).on_read = self._tenths
@@ -72,10 +67,10 @@ class OperatingTime:
         if records is None:
             return
         data = {(record.index, record.subindex): record.data for record in records}.get((OPERATING_TIME, 0))
-        if data is None or len(data) != _SECONDS.size:
+        if data is not None and len(data) == _SECONDS.size:
+            self._before_s = self._kept_s = _SECONDS.unpack(data)[0]
+        else:
             self._storage.refuse(ParameterGroup.OPERATING_TIME, "it contains no time")
-            return
-        self._before_s = self._kept_s = _SECONDS.unpack(data)[0]
 
     def keep(self, now: float) -> None:
         """Into the store, if a minute has passed. A disk that fails is tried again next time."""
@@ -107,9 +102,8 @@ STANDSTILL_CYCLES = 0.05  # per sample: what counts as standstill for a preset
 class EncoderProfile:
     """Objects 6000h to 650Bh over the feedback of a signal chain.
 
-    What the default PDOs do not hold is computed when it is read, because few samples are asked for
-    it. Cams, work area, speed and acceleration hold the last valid position. The warnings 6505h are
-    those of :class:`canfb.module.cia406.alarms.Warnings`.
+    What the default PDOs do not hold is computed when it is read. Cams, work area, speed and acceleration
+    hold the last valid position.
     """
 
     def __init__(self, dictionary: Dictionary, interval: SamplingInterval, latest: Latest) -> None:
@@ -123,24 +117,22 @@ class EncoderProfile:
         self._offset = entry(*od.OFFSET_VALUE)
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         self._latest = latest
-        self._standing_alarms = 0
-        """Bits of 6503h that no sample ends."""
         self._presets = entry(*od.PRESET_VALUE), entry(*od.HIGH_PRECISION_PRESET)
         for preset in self._presets:
             preset.on_written = partial(self._preset, preset)
         entry(0x600C).on_read = self._raw_position
-        self._operating.on_check = self._check_operating
+        self._operating.on_check = refuse_if(lambda value: value & ~(CODE_SEQUENCE | SCALING))
         for changed in (self._operating, self._units_per_rev, self._range):
             changed.on_written = self.rescale
         self._module_range = entry(0x650A, 2), entry(0x650A, 3)
         self.cams = Cams(dictionary, self._valid_position)
-        WorkArea(dictionary, self._valid_position, lambda: self.scale.total_range)
-        MotionObjects(dictionary, interval, lambda: self._latest.valid, lambda: self.scale)
+        show_work_area(dictionary, self._valid_position, lambda: self.scale.total_range)
+        show_motion(dictionary, interval, lambda: latest.valid, lambda: self.scale)
         self.reset()
 
     def reset(self) -> None:
         """No position, no alarm; the preset is that of 6509h."""
-        self._standing_alarms = self._alarms.value = 0
+        self._alarms.value = 0
         self.rescale()
 
     def rescale(self) -> None:
@@ -174,12 +166,11 @@ class EncoderProfile:
 
     def alarm_position(self, active: bool) -> None:
         """Bit 0 of 6503h: the position is not valid."""
-        self._alarms.value = self._standing_alarms | (ALARM_POSITION if active else 0)
+        self._alarms.value = self._alarms.value & ALARM_PARAMETERS | (ALARM_POSITION if active else 0)
 
     def alarm_parameters(self, refused: bool) -> None:
         """Bit 12 of 6503h: stored parameters were refused, the defaults are in force."""
-        self._standing_alarms = ALARM_PARAMETERS if refused else 0
-        self._alarms.value = self._alarms.value & ~ALARM_PARAMETERS | self._standing_alarms
+        self._alarms.value = self._alarms.value & ALARM_POSITION | (ALARM_PARAMETERS if refused else 0)
 
     def position_at(self, cycles: int, phase: float) -> int:
         """What 6004h is at this place: cycle count and phase, 0 <= phase < 1."""
@@ -194,10 +185,6 @@ class EncoderProfile:
         if last is None:
             return 0
         return scale.units(*self._latest.place(last)) % scale.total_range
-
-    def _check_operating(self, value: int) -> None:
-        if value & ~(CODE_SEQUENCE | SCALING):
-            raise SdoAbort(AbortCode.INVALID_VALUE)
 
     def _preset(self, written: Entry) -> None:
         """Move the position. A preset that `save` has kept does not: 6509h holds what it led to."""

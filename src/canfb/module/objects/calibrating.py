@@ -26,29 +26,23 @@ from canfb.calibration.recording import NO_TIME, recorded_tracks, timed_tracks
 from canfb.calibration.result import Calibration, Reason
 from canfb.calibration.solver import no_progress
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.errors import CalibrationError
 from canfb.module.objects.recorder import SampleObservers
 from canfb.module.objects.table_store import TableStore
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
-from canfb.objects import Multiplexer
 from canfb.signal.chain import SignalChain
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.harmonics import Corners
-from canfb.signal.sample import Sample
+from canfb.signal.sample import TICKS, Sample
 from canfb.signal.sample_recording import SampleRecording
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL
 
 
 class Outcome(NamedTuple):
-    """What came out of a :class:`CalibrationJob`.
-
-    reason        a :class:`canfb.calibration.result.Reason`
-    calibration   the measurement; if it was refused, for diagnosis only, and None where there is none
-    text          one line for people
-    """
+    """What came out of a :class:`CalibrationJob`. A refused ``calibration`` is for diagnosis only."""
 
     reason: Reason
     calibration: Calibration | None
@@ -60,13 +54,12 @@ class CalibrationJob:
     """Samples, and what to make of them: a call computes it, in seconds. It can be pickled.
 
     samples     as 2050:03 has them
-    times       sample times in 100 ns, rising, INTEGER64 of this machine, NO_TIME for none;
-                None: one sample per interval
+    times       sample times in 100 ns, rising, INTEGER64, NO_TIME for none; None: one sample per interval
     adc_bits    4..16
-    turned      by how much the machine turned from the sine of each sample to its cosine, rad, REAL32 of this
-                machine; None: both are sampled at once
+    turned      how far the machine turned from the sine of each sample to its cosine, rad, REAL32;
+                None: both are sampled at once
+    delays_s    2002:06 and 2002:07, which are kept: they do not show at one speed
     at_speed    the analog path counts at the speed of the samples
-    delays_s    2002:06 and 2002:07, which stay as they are: they do not show at one speed
     """
 
     samples: bytes
@@ -78,11 +71,11 @@ class CalibrationJob:
 
     def __call__(self, progress: Callable[[float], None] = no_progress) -> Outcome:
         """Table and conditioning from the samples; ``progress`` is called with 0..1."""
-        time_s = None
-        if self.times is None:
-            sine, cosine = recorded_tracks(self.samples)
-        else:
-            sine, cosine, time_s = timed_tracks(self.samples, self.times)
+        sine, cosine, time_s = (
+            (*recorded_tracks(self.samples), None)
+            if self.times is None
+            else timed_tracks(self.samples, self.times)
+        )
         try:
             if self.turned is not None:
                 cosine = recorded_together(sine, cosine, time_s, self.adc_bits, self.turned, self.times)
@@ -100,9 +93,6 @@ class CalibrationJob:
 RECORDING_PART = 80.0  # per cent of the progress; the rest is the computation
 COMPUTING_PART = 99.0
 UNKNOWN = Drift(math.nan, math.nan)
-TICKS = 1 << 32
-
-
 AT_WORK = frozenset({State.RECORDING, State.COMPUTING})
 
 
@@ -120,10 +110,8 @@ class Calibrating:
         observers: SampleObservers,
         working: Callable[[bool], None],
     ) -> None:
-        self._chain = chain
-        self._tables = tables
-        self._observers = observers
-        self._working = working
+        self._chain, self._tables = chain, tables
+        self._observers, self._working = observers, working
         self._requested = dictionary.entry(*od.MEASUREMENT_SAMPLES)
         self._full_scale = dictionary.entry(*od.ENCODER_FULL_SCALE)
         self._corners = [
@@ -140,22 +128,22 @@ class Calibrating:
             Command.FINISH: self._finish,
         }
         self.reset()
-        self._command = command = dictionary.entry(*od.MEASUREMENT_COMMAND)
-        command.on_check = self._check_command
-        command.on_written = self._obey
-        command.on_read = lambda: int(self._task) if self.state in AT_WORK else 0
-        live: dict[Multiplexer, Callable[[], float]] = {
-            od.MEASUREMENT_STATE: lambda: int(self.state),
-            od.MEASUREMENT_PROGRESS: self._progress,
-            od.MEASUREMENT_COVERAGE: lambda: int(100.0 * self._coverage()),
-            od.MEASUREMENT_RESIDUAL_RMS: lambda: self._figure("residual_rms"),
-            od.MEASUREMENT_RESIDUAL_PEAK: lambda: self._figure("residual_peak"),
-            od.MEASUREMENT_REASON: lambda: self._reason.number,
-            od.MEASUREMENT_DRIFT_RMS: lambda: self._drift().rms,
-            od.MEASUREMENT_DRIFT_PEAK: lambda: self._drift().peak,
-        }
-        for place, on_read in live.items():
-            dictionary.entry(*place).on_read = on_read
+        command = dictionary.entry(*od.MEASUREMENT_COMMAND)
+        command.on_check = refuse_if(lambda value: value not in self._commands)
+        command.on_written = lambda: self._commands[command.value]()
+        dictionary.read_live(
+            {
+                od.MEASUREMENT_COMMAND: lambda: int(self._task) if self.state in AT_WORK else 0,
+                od.MEASUREMENT_STATE: lambda: int(self.state),
+                od.MEASUREMENT_PROGRESS: self._progress,
+                od.MEASUREMENT_COVERAGE: self._coverage,
+                od.MEASUREMENT_RESIDUAL_RMS: lambda: self._figure("residual_rms"),
+                od.MEASUREMENT_RESIDUAL_PEAK: lambda: self._figure("residual_peak"),
+                od.MEASUREMENT_REASON: lambda: self._reason.number,
+                od.MEASUREMENT_DRIFT_RMS: lambda: self._drift().rms,
+                od.MEASUREMENT_DRIFT_PEAK: lambda: self._drift().peak,
+            }
+        )
 
     def reset(self) -> None:
         """Idle: nothing is recorded, computed or known; what is in force stays so."""
@@ -180,8 +168,7 @@ class Calibrating:
         if job is not self._job:
             return
         if not isinstance(result, Outcome):
-            self._refuse(Reason.FAILED)
-            return
+            result = Outcome(Reason.FAILED, None, str(result))
         self._calibration = result.calibration
         if result.reason == Reason.ACCEPTED:
             self._enter(State.CHECKED if self._task is Command.CHECK else State.READY)
@@ -189,7 +176,7 @@ class Calibrating:
             self._refuse(result.reason)
 
     def computed(self, job: CalibrationJob, part: float) -> None:
-        """So much of ``job``, 0..1, is done."""
+        """The fraction ``part`` of ``job`` is done, 0..1."""
         if job is self._job:
             self._part = min(max(part, 0.0), 1.0)
 
@@ -197,8 +184,9 @@ class Calibrating:
         """One sample of a recording; one that the supervision flags is left out."""
         status = feedback.status
         self._add_time(sample.time_100ns)
-        turned = self._chain.tracks.turned_rad(feedback.speed_cycles)
-        self._fastest_hz = max(self._fastest_hz, abs(self._chain.tracks.hertz(feedback.speed_cycles)))
+        tracks = self._chain.tracks
+        turned = tracks.turned_rad(feedback.speed_cycles)
+        self._fastest_hz = max(self._fastest_hz, abs(tracks.hertz(feedback.speed_cycles)))
         self._turned.append(turned)
         if sample.invalid or _left_out(status) or (turned and status & LOST):  # the speed is not known then
             self._samples.miss()
@@ -214,13 +202,6 @@ class Calibrating:
         self._turned.append(0.0)
         self._samples.miss()
         self._complete()
-
-    def _check_command(self, value: int) -> None:
-        if value not in self._commands:
-            raise SdoAbort(AbortCode.INVALID_VALUE)
-
-    def _obey(self) -> None:
-        self._commands[self._command.value]()
 
     def _start(self, task: Command) -> None:
         self._task = task
@@ -249,11 +230,11 @@ class Calibrating:
         self._fastest_hz = 0.0
         self._timed = True
         self._last_tick: int | None = None
-        self._bins = [0] * BINS
+        self._bins: list[int] = [0] * BINS
         self._part = 0.0
         self._job: CalibrationJob | None = None
         self._calibration = None
-        self._reason = Reason.ACCEPTED
+        self._reason: Reason = Reason.ACCEPTED
         self._compared: tuple[Correction, Drift] | None = None
 
     def _enter(self, state: State) -> None:
@@ -288,8 +269,8 @@ class Calibrating:
 
     def _add_time(self, time_100ns: int | None) -> None:
         """Sample times without their wrap; all samples have one, or none is used."""
+        self._timed &= time_100ns is not None
         if time_100ns is None:
-            self._timed = False
             self._times.append(NO_TIME)
             return
         last = self._last_tick
@@ -304,16 +285,16 @@ class Calibrating:
         return -full if counts < 0 else full - 1
 
     def _progress(self) -> int:
-        if self.state is State.IDLE:
-            return 0
-        if self.state is State.RECORDING:
-            return int(RECORDING_PART * len(self._samples) / self._samples.capacity)
-        if self.state is State.COMPUTING:
-            return int(RECORDING_PART + (COMPUTING_PART - RECORDING_PART) * self._part)
-        return 100
+        parts = {
+            State.IDLE: 0.0,
+            State.RECORDING: RECORDING_PART * len(self._samples) / self._samples.capacity,
+            State.COMPUTING: RECORDING_PART + (COMPUTING_PART - RECORDING_PART) * self._part,
+        }
+        return int(parts.get(self.state, 100.0))
 
-    def _coverage(self) -> float:
-        return covered(self._bins) if self._calibration is None else self._calibration.coverage
+    def _coverage(self) -> int:
+        found = self._calibration
+        return int(100.0 * (covered(self._bins) if found is None else found.coverage))
 
     def _figure(self, name: str) -> float:
         """A figure of the measurement in cycles; NaN while there is none, never a wrong 0."""

@@ -13,8 +13,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICK_S
 from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
 
-OFF, CONSTANT_SPEED, CONSTANT_ACCELERATION = 0, 1, 2
-"""What 2013:01 may be."""
+OFF, CONSTANT_SPEED, CONSTANT_ACCELERATION = 0, 1, 2  # 2013:01
 KNOWN_ACCELERATION = 3  # successive valid samples that determine one
 
 
@@ -32,10 +31,10 @@ class Prediction:
 
     v is the speed of half an interval ago, so a counts whole, not half. docs/latency.md has more.
 
-    :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it: whoever
-    else reads the objects finds the measured position. Bit 12 of the status word stands for as long as
-    the extrapolated position does. Bit 0 is never set by it. While coasting the position goes on at the
-    last valid speed; a lost one stays as eq. 9 counts it.
+    :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it, which puts
+    ``measured`` back: 6004h, 6008h and 2011:01. Bit 12 of the status word stands as long as the extrapolated
+    position does. Bit 0 is never set by it. While coasting the position goes on at the last valid speed; a
+    lost one stays as eq. 9 counts it.
 
     With 2013:02 and sample times the position belongs to the nominal SYNC of its sample, d intervals
     after it: x + v d. :meth:`shift` puts it into the objects for good, once the lock is good enough. From
@@ -59,7 +58,6 @@ class Prediction:
         self._status = entry(*od.FEEDBACK_STATUS)
         self._profile = profile
         self.measured: tuple[int, int, int] | None = None
-        """6004h, 6008h and 2011:01 of the last sample, while the extrapolated ones stand in their place."""
         self.pause(None)
 
     def pause(self, last: Feedback | None) -> None:
@@ -69,13 +67,11 @@ class Prediction:
 
     def forget(self) -> None:
         """No SYNC was seen: 2013h was written, the node was reset, or OPERATIONAL begins."""
-        self.extrapolates = bool(self._kind.value != OFF)
-        """2013:01 is not 0: :meth:`extrapolate` and :meth:`withdraw` are to be called."""
+        # Whether extrapolate and withdraw, and shift, are to be called.
+        self.extrapolates, self.follows = bool(self._kind.value != OFF), bool(self._nominal.value)
         self._at_sync: int | None = None  # samples up to the last SYNC
         self._speed_cycles = 0.0  # of the last valid sample
         self._valid_samples = 0  # in a row
-        self.follows = bool(self._nominal.value)
-        """2013:02 is 1: :meth:`shift` is to be called."""
 
     def shift(self, last: Feedback) -> None:
         """``last`` was published: from now on its position is that at its nominal SYNC."""

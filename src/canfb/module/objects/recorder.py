@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from canfb import objects as od
-from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.module.interval import SamplingInterval
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICKS, Sample
@@ -33,18 +32,13 @@ class SampleObservers:
         self.open: tuple[SampleObserver, ...] = ()
 
     def add(self, observer: SampleObserver) -> None:
-        """It gets the samples from the next one on; nothing happens when it does already."""
+        """It gets the samples from the next one on."""
         if observer not in self.open:
             self.open = (*self.open, observer)
 
     def remove(self, observer: SampleObserver) -> None:
         """No more samples for it."""
         self.open = tuple(one for one in self.open if one is not observer)
-
-    def take(self, sample: Sample, feedback: Feedback) -> None:
-        """A sample for all of them."""
-        for observer in self.open:
-            observer.take(sample, feedback)
 
     def take_all(
         self, sample: Sample, feedback: Feedback, between: Sequence[Feedback], per_sync: int, apart_ticks: int
@@ -58,8 +52,10 @@ class SampleObservers:
             at = None if time is None else (time - place * apart_ticks) % TICKS
             sine, cosine = sample.earlier[place - 1]
             earlier = Sample(sine, cosine, invalid=sample.invalid, time_100ns=at)
-            self.take(earlier, between[len(between) - place])
-        self.take(sample, feedback)
+            for observer in self.open:
+                observer.take(earlier, between[len(between) - place])
+        for observer in self.open:
+            observer.take(sample, feedback)
 
     def miss(self) -> None:
         """No sample, for all of them."""
@@ -73,29 +69,27 @@ COMMANDS = frozenset(od.RecordingCommand)
 class Recorder:
     """Records raw counts, one pair for each sampling interval, from the next sample on.
 
-    Start (2050:01 = 1) drops what was recorded, stop (2) keeps it; when the memory is full
-    (2050:02 = 2050:05) the recording ends by itself, and so it does when the module leaves
-    OPERATIONAL, because time would be lost. 2050:03 gives the samples so far at any time.
+    Start (2050:01 = 1) drops what was recorded, stop (2) keeps it. The recording ends when the memory is full
+    (2050:02 = 2050:05), or when the module leaves OPERATIONAL, because time would be lost. 2050:03 gives the
+    samples so far at any time.
     """
 
     def __init__(
         self, dictionary: Dictionary, interval: SamplingInterval, observers: SampleObservers
     ) -> None:
-        self._interval = interval
-        self._observers = observers
-        self._recording = SampleRecording(dictionary.entry(*od.RECORDING_CAPACITY).value)
+        self._interval, self._observers = interval, observers
+        self._recording = recording = SampleRecording(dictionary.entry(*od.RECORDING_CAPACITY).value)
         self._command = command = dictionary.entry(*od.RECORDING_COMMAND)
-        command.on_check = _check_command
+        command.on_check = refuse_if(lambda value: value not in COMMANDS)
         command.on_written = self._obey
-        command.on_read = lambda: int(self.is_recording)
-        dictionary.entry(*od.RECORDING_RECORDED).on_read = lambda: len(self._recording)
-        dictionary.entry(*od.RECORDING_SAMPLES).on_read = self._recording.to_bytes
-        dictionary.entry(*od.RECORDING_RATE).on_read = self._rate
-
-    @property
-    def is_recording(self) -> bool:
-        """True while samples are taken."""
-        return self in self._observers.open
+        dictionary.read_live(
+            {
+                od.RECORDING_COMMAND: lambda: int(self in self._observers.open),
+                od.RECORDING_RECORDED: lambda: len(recording),
+                od.RECORDING_SAMPLES: recording.to_bytes,
+                od.RECORDING_RATE: self._rate,
+            }
+        )
 
     def reset(self) -> None:
         """Nothing is recorded, and nothing was."""
@@ -109,30 +103,26 @@ class Recorder:
     def take(self, sample: Sample, feedback: Feedback) -> None:
         """One sample, whatever the checks say of it; what the encoder interface calls invalid is none."""
         if sample.invalid:
-            self._recording.miss()
-        else:
-            self._recording.take(int(sample.sine), int(sample.cosine))
-        if self._recording.is_full:
-            self.stop()
+            self.miss()
+            return
+        self._recording.take(int(sample.sine), int(sample.cosine))
+        self._stop_if_full()
 
     def miss(self) -> None:
         """A SYNC without a sample."""
         self._recording.miss()
+        self._stop_if_full()
+
+    def _stop_if_full(self) -> None:
         if self._recording.is_full:
             self.stop()
 
     def _obey(self) -> None:
+        self.stop()
         if self._command.value == od.RecordingCommand.START:
             self._recording.clear()
             self._observers.add(self)
-        else:
-            self.stop()
 
     def _rate(self) -> int:
         interval_s = self._interval.sample_s
         return min(round(1.0 / interval_s), 0xFFFFFFFF) if interval_s > 0.0 else 0
-
-
-def _check_command(value: int) -> None:
-    if value not in COMMANDS:
-        raise SdoAbort(AbortCode.INVALID_VALUE)

@@ -17,15 +17,6 @@ from canfb.device.pdo.rpdo import Rpdo
 from canfb.signal.sample import TICK_S, TICKS, Sample
 from canfb.sources.protocol import Grouped, Source, SourceWatch
 
-PARTS = (
-    od.SAMPLE_SINE,
-    od.SAMPLE_COSINE,
-    od.SAMPLE_COARSE_SINE,
-    od.SAMPLE_COARSE_COSINE,
-    od.SAMPLE_TIME,
-    od.SAMPLE_FLAGS,
-    od.SAMPLE_ZERO_PULSE_PLACE,
-)
 # Plain integers for the hot path.
 ZERO_PULSE, SAMPLE_INVALID = int(od.SampleFlag.ZERO_PULSE), int(od.SampleFlag.INVALID)
 NEW_ORDER = 3  # intervals in a row
@@ -38,87 +29,83 @@ class SampleInput:
 
     Both tracks must come in one RPDO: they belong to one instant. So must those of each earlier pair, which
     are used up to the first that no RPDO brings. What no RPDO brings is not used, but for 2000:06 bit 1:
-    SDO may set it. ``sine``, ``cosine``, ``time`` and ``flags`` are the entries of 2000:01, :02, :05 and :06.
+    SDO may set it.
+
+    ``sine`` ... ``place``  the entries of 2000:01..07
+    ``arrived``             RPDOs of this sample that have come, bit n: RPDO n
+    ``alone``               the RPDO that brings the whole sample, if one does
+    ``whole``               the RPDO that brings two counts and no more, at once; else NO_RPDO
+    ``whole_timed``         the same with their time
+    ``timed``               each sample brings its time
+    ``judged``              the RPDO with the tracks, if only its arrival says to which SYNC they belong
+    ``is_synchronous``      the tracks are taken over at the SYNC after they came
+    ``on_mixed``            called for a part that is not used
+    ``pulses``              zero pulses so far
     """
 
     def __init__(self, dictionary: Dictionary, node: Node) -> None:
-        self._node = node
-        self.sine, self.cosine, self._coarse_sine, self._coarse_cosine, *rest = (
-            dictionary.entry(*part) for part in PARTS
+        self._node, entry = node, dictionary.entry
+        self.sine, self.cosine = entry(*od.SAMPLE_SINE), entry(*od.SAMPLE_COSINE)
+        self.coarse_sine, self.coarse_cosine = entry(*od.SAMPLE_COARSE_SINE), entry(*od.SAMPLE_COARSE_COSINE)
+        self.time, self.flags = entry(*od.SAMPLE_TIME), entry(*od.SAMPLE_FLAGS)
+        self.place = entry(*od.SAMPLE_ZERO_PULSE_PLACE)
+        self.all_earlier = [(entry(*sine), entry(*cosine)) for sine, cosine in od.SAMPLE_EARLIER]
+        self.on_mixed: Callable[[], None] = lambda: None
+        self.pulses = 0
+        self._use(tracks=None)
+
+    def configure(self) -> None:
+        """Find out which RPDOs bring what; called when PDO parameters or the NMT state change."""
+        with_ = self._node.rpdo_with
+        earlier = [with_(*pair) for pair in od.SAMPLE_EARLIER]
+        self._use(
+            tracks=with_(od.SAMPLE_SINE, od.SAMPLE_COSINE),
+            coarse=with_(od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE),
+            time=with_(od.SAMPLE_TIME),
+            flags=with_(od.SAMPLE_FLAGS),
+            place=with_(od.SAMPLE_ZERO_PULSE_PLACE),
+            earlier=list(itertools.takewhile(lambda number: number is not None, earlier)),
         )
-        self.time, self.flags, self._place = rest
-        self._all_earlier = [tuple(dictionary.entry(*part) for part in pair) for pair in od.SAMPLE_EARLIER]
-        self._earlier = self._all_earlier[:0]
-        self._required = 0  # bit n: RPDO n
+
+    def _use(
+        self,
+        tracks: int | None,
+        coarse: int | None = None,
+        time: int | None = None,
+        flags: int | None = None,
+        place: int | None = None,
+        earlier: list[int | None] | None = None,
+    ) -> None:
+        """The numbers of the RPDOs with each part, None: no RPDO brings it."""
+        self._earlier = self.all_earlier[: len(earlier or ())]
+        parts = {tracks, coarse, time, flags, place, *(earlier or ())} - {None}
+        self._required = 0 if tracks is None else sum(1 << number for number in parts if number is not None)
+        self.alone = tracks if len(parts) == 1 else None
+        self._with_coarse, self.timed = coarse is not None, time is not None
+        self.expects_pulse, self._with_place = flags is not None, place is not None
+        self._waiting: Rpdo | None = None if tracks is None else self._node.synchronous_rpdo(tracks)
+        self.is_synchronous = self._waiting is not None
+        self.judged = None if self.timed or self.is_synchronous else tracks
+        at_once = self.alone is not None and coarse is flags is None and not earlier
+        only = tracks if tracks is not None and at_once and not self.is_synchronous else NO_RPDO
+        self.whole, self.whole_timed = (NO_RPDO, only) if self.timed else (only, NO_RPDO)
         self.arrived = 0
-        """RPDOs of this sample that have come, bit n: RPDO n."""
-        self.alone: int | None = None
-        """The RPDO that brings the whole sample, if one does: no need to wait for others."""
-        self.whole = NO_RPDO
-        """The RPDO that brings a whole sample of two counts and no more, at once; else NO_RPDO."""
-        self.whole_timed = NO_RPDO
-        """The same with their time; else NO_RPDO."""
-        self.timed = False
-        """Each sample brings its time."""
-        self.judged: int | None = None
-        """The RPDO with the tracks, if only its own arrival says to which SYNC they belong."""
-        self.is_synchronous = False
-        """The tracks are taken over at the SYNC after they came."""
-        self.on_mixed: Callable[[], None] = _nothing
-        """Called for a part that is not used."""
         self._first: int | None = None  # the RPDO that begins a sample
         self._early = self._earliest = 0  # bit n: RPDO n came before that one; the first of them
         self._others_first = 0  # intervals in a row in which the missing parts came before the others
         self._is_mixed = False  # a part came twice
-        self._waiting: Rpdo | None = None
-        self._with_flags = False
-        self.pulses = 0
-        """Zero pulses so far."""
 
     @property
     def samples_per_sync(self) -> int:
         """Pairs of sine and cosine in an interval of SYNC."""
         return 1 + len(self._earlier)
 
-    @property
-    def expects_pulse(self) -> bool:
-        """An RPDO carries 2000:06, which brings the zero pulse."""
-        return self._with_flags
-
-    def configure(self) -> None:
-        """Find out which RPDOs bring what; called when PDO parameters or the NMT state change."""
-        with_ = self._node.rpdo_with
-        tracks = with_(od.SAMPLE_SINE, od.SAMPLE_COSINE)
-        coarse = with_(od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE)
-        time, flags, place = with_(od.SAMPLE_TIME), with_(od.SAMPLE_FLAGS), with_(od.SAMPLE_ZERO_PULSE_PLACE)
-        earlier = list(itertools.takewhile(_is_there, (with_(*pair) for pair in od.SAMPLE_EARLIER)))
-        self._earlier = self._all_earlier[: len(earlier)]
-        self._required = 0
-        if tracks is not None:
-            parts = {
-                number for number in (tracks, coarse, time, flags, place, *earlier) if number is not None
-            }
-            self._required = sum(1 << number for number in parts)
-        self.alone = tracks if tracks is not None and self._required == 1 << tracks else None
-        plain = tracks is not None and coarse is flags is None and not earlier
-        self._with_coarse, self.timed = coarse is not None, time is not None
-        self._with_flags, self._with_place = flags is not None, place is not None
-        self.arrived = 0
-        self._first, self._is_mixed = None, False
-        self._early = self._others_first = 0
-        self._waiting = None if tracks is None else self._node.synchronous_rpdo(tracks)
-        self.is_synchronous = self._waiting is not None
-        self.judged = None if self.timed or self.is_synchronous else tracks
-        at_once = plain and self.alone is not None and not self.is_synchronous
-        only = self.alone if at_once and self.alone is not None else NO_RPDO
-        self.whole, self.whole_timed = (NO_RPDO, only) if self.timed else (only, NO_RPDO)
-
     def take(self, number: int) -> bool:
         """RPDO ``number`` has come; True if the sample is complete with it.
 
-        Parts of two samples must not make one. A part that comes twice before the others leaves open which
-        of the two belongs to them: the sample is dropped. A part that comes before the one that usually
-        begins a sample is left over from the sample before, or comes doubled.
+        A part that comes twice before the others leaves open which of the two belongs to them: the sample is
+        dropped. A part that comes before the one that usually begins a sample is left over from the sample
+        before, or comes doubled.
         """
         part = 1 << number
         if not self._required & part:
@@ -168,9 +155,9 @@ class SampleInput:
         flags = self.flags.value
         invalid = flags & SAMPLE_INVALID != 0
         pulse = None
-        if self._with_flags and flags & ZERO_PULSE:
+        if self.expects_pulse and flags & ZERO_PULSE:
             self.pulses += 1
-            pulse = self._place.value / PLACES if self._with_place else 1.0
+            pulse = self.place.value / PLACES if self._with_place else 1.0
         earlier = self._earlier
         return tuple.__new__(  # without its slow constructor
             Sample,
@@ -179,8 +166,8 @@ class SampleInput:
                 self.cosine.value,
                 1.0,
                 invalid,
-                self._coarse_sine.value if self._with_coarse else None,
-                self._coarse_cosine.value if self._with_coarse else None,
+                self.coarse_sine.value if self._with_coarse else None,
+                self.coarse_cosine.value if self._with_coarse else None,
                 pulse,
                 self.time.value if self.timed else None,
                 tuple([(sine.value, cosine.value) for sine, cosine in earlier]) if earlier else (),
@@ -188,36 +175,18 @@ class SampleInput:
         )
 
 
-def _is_there(number: int | None) -> bool:
-    """Whether there is an RPDO with this number."""
-    return number is not None
-
-
-def _nothing() -> None:
-    pass
-
-
 class LocalSource:
     """Asks a :class:`canfb.sources.protocol.Source` at each SYNC; nothing that it does raises.
 
     ``report`` gets one line when the source fails, when it works again, and when it has ended.
+    ``samples_per_sync`` pairs are in a sample; several have a time. ``source_time_s`` is that of the last
+    sample since the first one, None without time stamps.
     """
 
-    def __init__(
-        self, source: Source, dictionary: Dictionary, sample_input: SampleInput, report: Callable[[str], None]
-    ) -> None:
-        self._watch = SourceWatch(source.next, report)
-        self._input = sample_input
-        entries = [dictionary.entry(*part) for part in PARTS]
-        self._sine, self._cosine, self._coarse_sine, self._coarse_cosine = entries[:4]
-        self._time, self._flags, self._place = entries[4:]
-        self._earlier = [
-            (dictionary.entry(*sine), dictionary.entry(*cosine)) for sine, cosine in od.SAMPLE_EARLIER
-        ]
+    def __init__(self, source: Source, parts: SampleInput, report: Callable[[str], None]) -> None:
+        self._watch, self._parts = SourceWatch(source.next, report), parts
         self.samples_per_sync = source.samples_per_sync if isinstance(source, Grouped) else 1
-        """Pairs in a sample; several have a time."""
         self.source_time_s: float | None = None
-        """Time of the last sample by its time stamps, seconds since the first one; None without them."""
 
     @property
     def ended(self) -> bool:
@@ -232,21 +201,19 @@ class LocalSource:
         return sample
 
     def _keep(self, sample: Sample) -> None:
-        self._sine.value, self._cosine.value = sample.sine, sample.cosine
+        parts = self._parts
+        parts.sine.value, parts.cosine.value = sample.sine, sample.cosine
         flags = SAMPLE_INVALID if sample.invalid else 0
         if sample.zero_pulse is not None:
-            self._input.pulses += 1
+            parts.pulses += 1
             flags |= ZERO_PULSE
-            self._place.value = min(int(sample.zero_pulse * PLACES), 0xFFFF)
-        self._flags.value = flags
+            parts.place.value = min(int(sample.zero_pulse * PLACES), 0xFFFF)
+        parts.flags.value = flags
         if sample.time_100ns is not None:
-            self._keep_time(sample.time_100ns)
-        for (first, second), (sine, cosine) in zip(self._earlier, sample.earlier, strict=False):
+            ticks = (sample.time_100ns - parts.time.value) % TICKS
+            self.source_time_s = 0.0 if self.source_time_s is None else self.source_time_s + ticks * TICK_S
+            parts.time.value = sample.time_100ns % TICKS
+        for (first, second), (sine, cosine) in zip(parts.all_earlier, sample.earlier, strict=False):
             first.value, second.value = sine, cosine
         if sample.coarse_sine is not None:
-            self._coarse_sine.value, self._coarse_cosine.value = sample.coarse_sine, sample.coarse_cosine
-
-    def _keep_time(self, time_100ns: int) -> None:
-        ticks = (time_100ns - self._time.value) % TICKS
-        self.source_time_s = 0.0 if self.source_time_s is None else self.source_time_s + ticks * TICK_S
-        self._time.value = time_100ns % TICKS
+            parts.coarse_sine.value, parts.coarse_cosine.value = sample.coarse_sine, sample.coarse_cosine

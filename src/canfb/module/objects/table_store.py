@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from canfb import objects as od
@@ -29,32 +29,46 @@ class TableStore:
     """Object 2020h: a table is staged by 2020:01 and takes effect, with 2002h, by 2020:03.
 
     `save` keeps what is in force: the active table, as the content of 2020:01, and its conditioning; not what
-    2002h holds for the next activation. Both come back with a reset. 2020:06 is the CRC of the table, 2020:07
-    the conditioning in force.
+    2002h holds for the next activation. Both come back with a reset. ``on_in_force`` is called with what has
+    come into force, by SDO, by a calibration or with a reset.
     """
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, storage: Storage) -> None:
-        self._dictionary = dictionary
-        self._chain = chain
-        self._storage = storage
+        self._chain, self._storage = chain, storage
         self.on_in_force: Callable[[Correction], None] | None = None
-        """Called with what has come into force, by SDO, by a calibration or with a reset."""
         self._staged: CorrectionTable | None = None
+        # Its value is a table that was restored, or one that is just written; else empty.
         self._content = staged = dictionary.entry(*od.TABLE_STAGED)
-        """Its value is a table that was restored, or one that is just written; else empty."""
         self._activation = activate = dictionary.entry(*od.TABLE_ACTIVATE)
         self._conditioned = [dictionary.entry(*place) for place in od.CONDITIONING]
         staged.on_check = _check_table
         staged.on_written = self._stage
-        staged.on_read = self._read_active
-        dictionary.entry(*od.TABLE_SAVED_CRC).on_read = self._saved_crc
-        dictionary.entry(*od.TABLE_ACTIVE_CONDITIONING).on_read = self._read_conditioning
+        dictionary.read_live(
+            {
+                od.TABLE_STAGED: lambda: (self._table or CorrectionTable.identity()).to_bytes(),
+                od.TABLE_STAGED_CRC: lambda: 0 if self._staged is None else self._staged.crc32,
+                od.TABLE_ACTIVE_CRC: lambda: self._chain.correction.crc32,
+                od.TABLE_ACTIVE_ENTRIES: lambda: 0 if self._table is None else len(self._table),
+                od.TABLE_SAVED_CRC: self._saved_crc,
+                od.TABLE_ACTIVE_CONDITIONING: lambda: struct.pack(f"<{len(od.CONDITIONING)}f", *self._values),
+            }
+        )
         activate.on_written = self._activate
         activate.on_download = storage.configuration_changed
         storage.entries.keep(*od.TABLE_STAGED, saved=self._saved)
         for part, entry in enumerate(self._conditioned):
-            entry.on_check = self._checker(entry)
+            entry.on_check = partial(self._check_conditioning, entry)
             storage.entries.save_as(entry.index, entry.subindex, partial(self._saved_conditioning, part))
+
+    @property
+    def _table(self) -> CorrectionTable | None:
+        """The active one."""
+        return self._chain.correction.table
+
+    @property
+    def _values(self) -> Sequence[float]:
+        """The conditioning in force, as 2002h has it."""
+        return self._chain.correction.conditioning.values
 
     def reset(self) -> None:
         """Nothing staged, the stored table active or none, the conditioning of 2002h in force."""
@@ -73,11 +87,10 @@ class TableStore:
         self._storage.configuration_changed()
 
     def _saved(self) -> bytes:
-        table = self._chain.correction.table
-        return b"" if table is None else table.to_bytes()
+        return b"" if self._table is None else self._table.to_bytes()
 
     def _saved_conditioning(self, part: int) -> float:
-        return self._chain.correction.conditioning.values[part]
+        return self._values[part]
 
     def _saved_crc(self) -> int:
         """0 for the identity, and where nothing is saved: both bring the identity."""
@@ -92,47 +105,27 @@ class TableStore:
             raise SdoAbort(AbortCode.INVALID_VALUE)
         self._staged = CorrectionTable.from_bytes(data)
         self._content.value = b""
-        self._dictionary.entry(*od.TABLE_STAGED_CRC).value = self._staged.crc32
-
-    def _read_active(self) -> bytes:
-        return (self._chain.correction.table or CorrectionTable.identity()).to_bytes()
-
-    def _read_conditioning(self) -> bytes:
-        values = self._chain.correction.conditioning.values
-        return struct.pack(f"<{len(values)}f", *values)
 
     def _activate(self) -> None:
-        crc32 = self._activation.value
-        active = self._chain.correction.table
-        if crc32 == 0:
-            self._put_in_force(None)
-        elif self._staged is not None and crc32 == self._staged.crc32:
-            self._put_in_force(self._staged)
-        elif active is not None and crc32 == active.crc32:
-            self._put_in_force(active)
-        else:
+        known = {one.crc32: one for one in (self._table, self._staged) if one is not None} | {0: None}
+        if self._activation.value not in known:
             raise SdoAbort(AbortCode.INVALID_VALUE)
+        self._put_in_force(known[self._activation.value])
 
     def _put_in_force(self, table: CorrectionTable | None) -> None:
         correction = Correction(table, self._conditioning())
         self._chain.activate(correction)
-        self._dictionary.entry(*od.TABLE_ACTIVE_CRC).value = correction.crc32
-        self._dictionary.entry(*od.TABLE_ACTIVE_ENTRIES).value = 0 if table is None else len(table)
-        self._dictionary.entry(*od.TABLE_STAGED_CRC).value = 0 if self._staged is None else self._staged.crc32
         if self.on_in_force is not None:
             self.on_in_force(correction)
 
     def _conditioning(self, changed: Entry | None = None, value: float = 0.0) -> Conditioning:
         return Conditioning(*(value if entry is changed else entry.value for entry in self._conditioned))
 
-    def _checker(self, entry: Entry) -> Callable[[float], None]:
-        def check(value: float) -> None:
-            try:
-                self._conditioning(entry, value)
-            except ValueError:
-                raise SdoAbort(AbortCode.INVALID_VALUE) from None
-
-        return check
+    def _check_conditioning(self, entry: Entry, value: float) -> None:
+        try:
+            self._conditioning(entry, value)
+        except ValueError:
+            raise SdoAbort(AbortCode.INVALID_VALUE) from None
 
 
 def _check_table(data: bytes) -> None:
@@ -164,8 +157,9 @@ class Adapting:
         self._mode.on_written = self._apply
         for bound in self._bounds.values():
             bound.on_written = self._apply
-        entry(*od.ADAPTATION_STATE).on_read = lambda: int(self.state)
-        entry(*od.ADAPTATION_USED).on_read = self._used
+        dictionary.read_live(
+            {od.ADAPTATION_STATE: lambda: int(self.state), od.ADAPTATION_USED: self._used},
+        )
         for part, shown in enumerate(self._drift):
             shown.on_read = read = partial(self._followed, part)
             storage.entries.keep(shown.index, shown.subindex, saved=read)

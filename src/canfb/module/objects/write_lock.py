@@ -11,7 +11,7 @@ from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.nmt import NmtState
 from canfb.device.core import NEVER
 from canfb.device.node import Node
-from canfb.device.od.dictionary import Entry
+from canfb.device.od.dictionary import Entry, refuse_if
 from canfb.module.cia406.profile import CYCLIC_TIMER
 from canfb.objects import WriteLockMode
 
@@ -24,8 +24,7 @@ class WriteLock:
     """Refuses SDO writes of parameters, and LSS, while it is locked: 08000022h, with a code 08000021h.
 
     Parameters are what a backup holds, table, calibration in the module, `save`, `load`, and the lock itself.
-    Process data, preset, recording, the length of a measurement and the clearing of errors stay free. A
-    transfer that began before the lock closed is aborted at its next segment. A right code unlocks until a
+    A transfer that began before the lock closed is aborted at its next segment. A right code unlocks until a
     reset, or until 0 is written. The lock is saved with the parameters (1010h), but is in no backup.
     """
 
@@ -40,8 +39,8 @@ class WriteLock:
         self._locked_places |= {od.WRITE_LOCK_MODE, (CYCLIC_TIMER, 0), *COMMANDS}
         self._unlocked = False
         self._retry_s = -NEVER
-        self._mode.on_check = self._check_mode
-        self._code.on_check = self._check_code
+        self._mode.on_check = refuse_if(lambda mode: mode == WriteLockMode.CODE and not self._code.value)
+        self._code.on_check = refuse_if(lambda code: not code and self._mode.value == WriteLockMode.CODE)
         self._given.on_check = self._check_given
         self._given.on_written = self._unlock
         entry(*od.WRITE_LOCK_LOCKED).on_read = lambda: int(self.refusal is not None)
@@ -69,16 +68,8 @@ class WriteLock:
         if refusal is not None:
             raise SdoAbort(refusal)
 
-    def _check_mode(self, value: int) -> None:
-        if value == WriteLockMode.CODE and not self._code.value:
-            raise SdoAbort(AbortCode.INVALID_VALUE)
-
-    def _check_code(self, value: int) -> None:
-        if not value and self._mode.value == WriteLockMode.CODE:
-            raise SdoAbort(AbortCode.INVALID_VALUE)
-
     def _check_given(self, value: int) -> None:
-        """A wrong code is refused, and so is any for a second after it: nobody tries all of them."""
+        """A wrong code is refused, and so is any for a second after it, so that nobody can try all."""
         if not value:
             return
         now = self._node.now
