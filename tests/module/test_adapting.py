@@ -16,7 +16,6 @@ from canfb.configuration import parse_config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import ConfigError
 from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.objects import MISSED_COUNTS
 from canfb.objects import AdaptationState as State
 from canfb.signal.adaptation import AdaptConfig
@@ -110,12 +109,6 @@ def test_the_drift_is_followed_and_shown() -> None:
     assert np.std(one.turn(500)) > 0.004
 
 
-def test_off_by_default() -> None:
-    module = FeedbackModule(ModuleConfig(node_id=32))
-    assert module.dictionary.entry(0x2002, 8).value == 0
-    assert not module.chain.adaptation.is_on
-
-
 def test_it_is_turned_on_by_sdo_at_any_time() -> None:
     one = machine(adapt=False)
     one.sine_offset = 0.01
@@ -177,15 +170,6 @@ def test_save_keeps_the_drift_and_an_activation_ends_it() -> None:
 CALIBRATED_32 = Conditioning(40.0, -30.0, 1.0, 1.0, float(np.float32(0.02)))
 
 
-def test_a_reset_without_save_is_as_calibrated() -> None:
-    one = machine()
-    one.sine_offset = 0.02
-    one.turn(6000)
-    assert one.drift()[0] > 0.0
-    one.remote.nmt.send_command(0x81)
-    assert one.drift() == (0.0, 0.0, 0.0, 0.0)
-
-
 def test_the_recording_has_the_counts_of_the_converter() -> None:
     one = machine()
     one.sine_offset = 0.02
@@ -215,14 +199,6 @@ def test_samples_that_nobody_confirms_are_not_learned() -> None:
     one.counts(*one.pair())
     assert not one.module.feedback or not one.module.feedback.valid
     assert sectors._sectors.taken == 0
-
-
-def test_a_lock_keeps_it() -> None:
-    one = machine(write_lock="preop")
-    for subindex in range(8, 13):
-        with pytest.raises(SdoAbortedError) as caught:
-            one.sdo[0x2002][subindex].raw = 1
-        assert caught.value.code == 0x08000022
 
 
 @each("subindex, value", [(8, 2), (9, 251), (10, 501), (11, 251), (12, 10001)])

@@ -212,17 +212,6 @@ def test_what_cannot_be_used_is_refused_with_its_reason(reason: str) -> None:
     assert (bench.state, bench.reason) == (State.RECORDING, "accepted")
 
 
-def test_a_computation_that_fails_is_a_refusal() -> None:
-    bench = Measuring()
-    bench.begin()
-    bench.feed([(0, 1500)] * 5)
-    bench.command(Command.FINISH)
-    bench.finish_with(MemoryError())
-    assert (bench.state, bench.reason) == (State.REFUSED, "failed")
-    assert bench.module.pending_job() is None
-    refused(bench, Command.ACCEPT, DEVICE_STATE)
-
-
 def test_the_figures_of_a_refused_measurement_are_there_for_diagnosis() -> None:
     bench = Measuring()
     bench.begin()
@@ -237,13 +226,6 @@ def test_the_figures_of_a_refused_measurement_are_there_for_diagnosis() -> None:
 # --- commands and states ---------------------------------------------------------------------------------
 
 
-def test_before_anything_nothing_is_known() -> None:
-    bench = Measuring()
-    assert [bench.sdo[0x2030][subindex].raw for subindex in (1, 2, 3, 4, 7)] == [0] * 5
-    assert all(math.isnan(figure) for figure in bench.figures())
-    assert bench.module.pending_job() is None
-
-
 @pytest.mark.parametrize("value", [0, 6, 255])
 def test_other_commands_are_refused(value: int) -> None:
     bench = Measuring()
@@ -252,30 +234,6 @@ def test_other_commands_are_refused(value: int) -> None:
     bench.feed([(0, 1500)] * 3)
     refused(bench, value, INVALID_VALUE)
     assert (bench.state, bench.sdo[0x2030][1].raw) == (State.RECORDING, 1)
-
-
-def test_accept_is_for_a_ready_measurement_alone() -> None:
-    bench = Measuring()
-    refused(bench, Command.ACCEPT, DEVICE_STATE)
-    bench.begin()
-    refused(bench, Command.ACCEPT, DEVICE_STATE)
-    bench.feed([(0, 1500)])
-    bench.command(Command.FINISH)
-    refused(bench, Command.ACCEPT, DEVICE_STATE)
-    bench.finish_with(good_outcome())
-    bench.command(Command.ACCEPT)
-    refused(bench, Command.ACCEPT, DEVICE_STATE)
-    assert bench.state == State.ACCEPTED
-    bench.command(Command.STOP)
-    refused(bench, Command.ACCEPT, DEVICE_STATE)
-
-
-def test_finish_is_for_a_recording_alone() -> None:
-    bench = Measuring()
-    refused(bench, Command.FINISH, DEVICE_STATE)
-    bench.ready()
-    refused(bench, Command.FINISH, DEVICE_STATE)
-    assert bench.state == State.READY
 
 
 @pytest.mark.parametrize("samples", [199, 200_001])
@@ -299,47 +257,6 @@ def test_the_number_of_samples_counts_from_the_next_start() -> None:
     bench.command(Command.START)
     bench.feed([(0, 1500)] * 250)
     assert bench.state == State.RECORDING
-
-
-def test_stop_drops_it_and_changes_nothing_in_force() -> None:
-    bench = Measuring()
-    activate(bench, WAVY)
-    for stage in ("recording", "computing", "ready", "accepted"):
-        bench.begin()
-        bench.feed([(0, 1500)] * 3)
-        job = None
-        if stage != "recording":
-            bench.command(Command.FINISH)
-            job = bench.module.pending_job()
-        if stage in ("ready", "accepted"):
-            bench.finish_with(good_outcome())
-        if stage == "accepted":
-            bench.command(Command.ACCEPT)
-        before = bench.in_force()
-        bench.command(Command.STOP)
-        assert (bench.state, bench.is_calibrating, bench.sdo[0x2030][3].raw) == (State.IDLE, False, 0), stage
-        assert bench.module.pending_job() is None
-        if job is not None:
-            bench.module.finish_job(job, good_outcome(), bench.bus.now)
-        assert bench.state == State.IDLE, "what comes too late is dropped"
-        assert bench.in_force() == before
-        assert all(math.isnan(figure) for figure in bench.figures())
-
-
-def test_a_second_start_begins_anew() -> None:
-    bench = Measuring(200)
-    bench.begin()
-    bench.feed([(0, 1500)] * 150)
-    bench.command(Command.START)
-    bench.feed([(0, 1500)] * 150)
-    assert bench.state == State.RECORDING
-    bench.feed([(0, 1500)] * 50)
-    first = bench.module.pending_job()
-    assert first is not None
-    bench.command(Command.CHECK)
-    assert bench.module.pending_job() is None
-    bench.module.finish_job(first, good_outcome(), bench.bus.now)
-    assert (bench.state, bench.sdo[0x2030][1].raw) == (State.RECORDING, Command.CHECK)
 
 
 def test_a_result_that_is_none_is_a_mistake_of_the_caller() -> None:
@@ -382,18 +299,6 @@ def test_the_coverage_is_seen_while_it_records() -> None:
 # --- beside it --------------------------------------------------------------------------------------------
 
 
-def test_what_a_master_has_staged_stays_staged() -> None:
-    bench = Measuring()
-    bench.sdo.download(0x2020, 1, WAVY.to_bytes())
-    result = bench.ready().calibration
-    assert result is not None
-    bench.command(Command.ACCEPT)
-    assert bench.in_force() == (WAVY.crc32, result.table.crc32, len(result.table))
-    bench.sdo[0x2020][3].raw = WAVY.crc32
-    assert bench.in_force()[1] == WAVY.crc32
-    assert bench.state == State.ACCEPTED
-
-
 def test_another_table_meanwhile_is_what_the_drift_is_told_of() -> None:
     bench = Measuring()
     result = bench.ready().calibration
@@ -412,16 +317,6 @@ def test_another_table_meanwhile_is_what_the_drift_is_told_of() -> None:
     activate(bench, WAVY)
     assert bench.state == State.ACCEPTED
     assert bench.figures()[2] > 1e-3
-
-
-def test_a_check_has_nothing_to_accept() -> None:
-    bench = Measuring()
-    activate(bench, WAVY)
-    result = bench.ready(Command.CHECK).calibration
-    assert result is not None
-    refused(bench, Command.ACCEPT, DEVICE_STATE)
-    assert bench.in_force()[1] == WAVY.crc32
-    assert bench.figures()[2:] == pytest.approx(drift(result, WAVY, IDENTITY))
 
 
 def test_drift_is_seen_as_it_grows() -> None:
@@ -459,74 +354,6 @@ def test_what_was_accepted_can_be_saved_and_is_in_force_after_a_reset() -> None:
 
 
 # --- NMT ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("state", ["PRE-OPERATIONAL", "STOPPED", "RESET COMMUNICATION"])
-def test_leaving_operational_interrupts_a_recording(state: str) -> None:
-    bench = Measuring()
-    bench.begin()
-    bench.feed([(0, 1500)] * 3)
-    bench.remote.nmt.state = state
-    bench.start()
-    assert (bench.state, bench.reason, bench.is_calibrating) == (State.REFUSED, "interrupted", False)
-    bench.feed([(0, 1500)] * 3)
-    assert bench.state == State.REFUSED
-
-
-@pytest.mark.parametrize("state", ["PRE-OPERATIONAL", "STOPPED", "RESET COMMUNICATION"])
-def test_what_is_recorded_is_computed_in_any_state(state: str) -> None:
-    bench = Measuring()
-    bench.begin()
-    bench.command(Command.FINISH)
-    bench.remote.nmt.state = state
-    bench.finish_with(good_outcome())
-    bench.remote.nmt.state = "PRE-OPERATIONAL"
-    assert bench.state == State.READY
-    bench.command(Command.ACCEPT)
-    assert bench.in_force()[1] != 0
-
-
-@pytest.mark.parametrize("stage", ["recording", "computing", "ready", "accepted", "refused"])
-def test_a_reset_of_the_node_forgets_it(stage: str) -> None:
-    bench = Measuring()
-    bench.begin()
-    bench.feed([(0, 1500)] * 3)
-    job = None
-    if stage != "recording":
-        bench.command(Command.FINISH)
-        job = bench.module.pending_job()
-    if stage in ("ready", "accepted"):
-        bench.finish_with(good_outcome())
-    if stage == "accepted":
-        bench.command(Command.ACCEPT)
-    if stage == "refused":
-        bench.finish_with(ValueError())
-    bench.remote.nmt.state = "RESET"
-    if job is not None:
-        bench.module.finish_job(job, good_outcome(), bench.bus.now)
-    assert (bench.state, bench.reason, bench.is_calibrating) == (State.IDLE, "accepted", False)
-    assert bench.in_force() == (0, 0, 0)
-    assert bench.module.pending_job() is None
-
-
-def test_started_before_it_is_operational_it_begins_with_the_first_sample() -> None:
-    bench = Measuring(200)
-    bench.command(Command.START)
-    assert (bench.state, bench.is_calibrating) == (State.RECORDING, True)
-    bench.start()
-    bench.feed([None, *[(0, 1500)] * 200])
-    assert bench.state == State.COMPUTING
-
-
-def test_an_sdo_transfer_that_is_broken_off_commands_nothing() -> None:
-    bench = Measuring()
-    bench.ready()
-    bench.sent(Frame(0x620, bytes.fromhex("2130200101000000")))  # segmented: 1 byte announced
-    bench.sent(Frame(0x620, bytes.fromhex("8030200100000008")))
-    bench.sent(Frame(0x620, bytes.fromhex("2b30200103000000")))  # two bytes where one belongs
-    bench.sdo.responses.queue.clear()
-    assert bench.state == State.READY
-    assert bench.in_force() == (0, 0, 0)
 
 
 # --- samples ------------------------------------------------------------------------------------------------

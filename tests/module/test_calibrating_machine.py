@@ -210,6 +210,8 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         assert self.bench.is_calibrating == working
         assert self.bench.sdo[0x2030][1].raw == (self.task if working else 0)
         assert (self.bench.module.pending_job() is not None) == (self.state is State.COMPUTING)
+        parts = {State.IDLE: 0, State.RECORDING: 80 * self.recorded // WANTED, State.COMPUTING: 80}
+        assert self.bench.sdo[0x2030][3].raw == parts.get(self.state, 100)
 
     @invariant()
     def table_and_conditioning_are_in_force_together(self) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import Counter
 
 from hypothesis import event, settings
 from hypothesis import strategies as st
@@ -42,6 +43,13 @@ WRITES = {
     "refused": (0x2001, 1, "I", 0),
 }
 COUNTER_MISSED, COUNTER_BAD_FRAMES = (0x2012, 1), (0x2012, 8)
+# Sub-index of 2012h: the bits of the published status words that it counts.
+COUNTERS = {
+    2: Bit.RESIDUAL,
+    3: Bit.AMPLITUDE | Bit.CLIPPED,
+    4: Bit.COASTING,
+    9: Bit.CLIPPED,
+}
 
 
 class ModuleMachine(RuleBasedStateMachine):
@@ -62,6 +70,7 @@ class ModuleMachine(RuleBasedStateMachine):
         """As after a reset at standstill."""
         self.model = ReferenceModel(self.limits)
         self.missed = self.bad_frames = 0
+        self.flagged: Counter[int] = Counter()
         self.is_beyond = False
         for _ in range(CONFIRMED):
             self._sample()
@@ -73,7 +82,9 @@ class ModuleMachine(RuleBasedStateMachine):
         while (due := self.module.deadline()) is not None and due <= self.now:
             sent += self.module.tick(due)
         sent += self.module.receive(Frame(can_id, data, timestamp=self.now), self.now)
-        self.said += [Published(*struct.unpack("<IHH", f.data)) for f in sent if f.can_id == POSITION_PDO]
+        said = [Published(*struct.unpack("<IHH", f.data)) for f in sent if f.can_id == POSITION_PDO]
+        self.flagged.update(sub for one in said for sub, bits in COUNTERS.items() if one.status & bits)
+        self.said += said
         return sent
 
     def _compare(self, *expected: Published | None) -> None:
@@ -245,6 +256,9 @@ class ModuleMachine(RuleBasedStateMachine):
         entry = self.module.dictionary.entry
         assert entry(*COUNTER_MISSED).current() == self.missed
         assert entry(*COUNTER_BAD_FRAMES).current() == self.bad_frames
+        assert {sub: entry(0x2012, sub).current() for sub in COUNTERS} == {
+            sub: self.flagged[sub] for sub in COUNTERS
+        }
 
 
 TestModule = ModuleMachine.TestCase

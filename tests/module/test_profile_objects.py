@@ -160,28 +160,3 @@ def test_resolution_and_revolutions(cycles: int, resolution: int, revolutions: i
     assert bench.sdo[0x6501].raw == resolution
     assert bench.sdo[0x6502].raw == revolutions
     assert bench.sdo[0x6002].raw == resolution * revolutions  # where it wraps without scaling, too
-
-
-@pytest.mark.parametrize(
-    ("written", "code"), [(2, 0x06090030), (8, 0x06090030), (0x1000, 0x06090030), (5, 0)]
-)
-def test_operating_parameters_that_there_are(written: int, code: int) -> None:
-    bench = Bench()
-    if not code:
-        bench.sdo[0x6000].raw = written
-        assert bench.sdo[0x6500].raw == written
-        return
-    with pytest.raises(SdoAbortedError) as error:
-        bench.sdo[0x6000].raw = written
-    assert error.value.code == code
-    assert bench.sdo[0x6500].raw == 0
-
-
-@pytest.mark.parametrize("index", [0x6001, 0x6002])
-def test_any_scaling_but_0_is_accepted(index: int) -> None:
-    bench = Bench()
-    for value in (1, 3, 0xFFFFFFFF):
-        bench.sdo[index].raw = value
-    with pytest.raises(SdoAbortedError, match="06090032"):
-        bench.sdo[index].raw = 0
-    assert bench.sdo[index].raw == 0xFFFFFFFF

@@ -117,13 +117,6 @@ def test_only_chosen_warnings_are_told(bench: Bench, mask: int) -> None:
     assert told(bench) == [(AMPLITUDE, 0x21), (0, 0)]
 
 
-def test_without_a_hold_time_it_ends_with_the_sample(bench: Bench) -> None:
-    bench.sdo[0x2004][2].raw = 0
-    for amplitude in (LOW, GOOD, LOW, GOOD):
-        bench.at(0.0, amplitude)
-    assert told(bench) == [(AMPLITUDE, 0x21), (0, 0)] * 2
-
-
 def test_the_alarm_comes_beside_the_warning_and_a_reset_forgets_both(bench: Bench) -> None:
     for amplitude in (LOW, BAD, BAD):
         bench.at(0.0, amplitude)

@@ -164,13 +164,6 @@ def test_other_commands_are_refused(bench: Bench, value: int) -> None:
     assert recorded(bench) == [(1, 1500)]
 
 
-@pytest.mark.parametrize("subindex", [2, 3, 4, 5])
-def test_the_rest_cannot_be_written(bench: Bench, subindex: int) -> None:
-    with pytest.raises(SdoAbortedError) as error:
-        bench.sdo.download(0x2050, subindex, bytes(4))
-    assert error.value.code == 0x06010002
-
-
 def test_started_before_it_is_operational_it_begins_with_the_first_sample() -> None:
     bench = Bench()
     command(bench, START)
@@ -191,14 +184,6 @@ def test_it_ends_where_time_would_be_lost(bench: Bench, state: str) -> None:
     interval(bench, (2, 1500))
     assert bench.sdo[0x2050][1].raw == 0
     assert recorded(bench) == [(1, 1500)]
-
-
-def test_a_reset_of_the_node_drops_it(bench: Bench) -> None:
-    command(bench, START)
-    interval(bench, (1, 1500))
-    bench.remote.nmt.state = "RESET"
-    assert bench.sdo[0x2050][1].raw == 0
-    assert recorded(bench) == []
 
 
 def test_the_rate_is_that_of_the_syncs(bench: Bench) -> None:

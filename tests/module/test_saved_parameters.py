@@ -122,15 +122,6 @@ def test_a_save_between_upload_and_activation_keeps_what_is_in_force(store: Memo
     )
 
 
-def test_without_a_save_a_reset_takes_the_table_away(store: MemoryStore) -> None:
-    machine = Machine(store)
-    machine.activate(TABLE)
-    machine.master.nmt.send_command(0x82)
-    assert machine.module.chain.correction.table == TABLE
-    machine.master.nmt.send_command(0x81)
-    assert machine.module.chain.correction.table is None
-
-
 def test_the_table_survives_reset_communication_and_goes_with_load(store: MemoryStore) -> None:
     machine = Machine(store)
     machine.activate(TABLE)
@@ -141,21 +132,6 @@ def test_the_table_survives_reset_communication_and_goes_with_load(store: Memory
     assert machine.module.chain.correction.table == TABLE
     machine.master.nmt.send_command(0x81)
     assert machine.module.chain.correction.table is None
-
-
-def test_a_preset_is_kept_as_the_offset_that_it_made(store: MemoryStore) -> None:
-    machine = Machine(store)
-    machine.master.nmt.state = "OPERATIONAL"
-    machine.sample()
-    machine.sdo[0x6003].raw = 5000
-    offset = machine.sdo[0x6509].raw
-    assert offset != 0
-    machine.save(3)
-    again = Machine(store)
-    assert (again.sdo[0x6003].raw, again.sdo[0x6509].raw) == (5000, offset)
-    again.master.nmt.state = "OPERATIONAL"
-    again.sample()
-    assert again.sdo[0x6004].raw == 5000
 
 
 def test_activation_takes_the_date_of_the_configuration_away(store: MemoryStore) -> None:

@@ -9,7 +9,6 @@ import pytest
 from canopen import SdoAbortedError
 from module_bench import Bench
 
-from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.objects import StatusBit
 from canfb.signal.correction import CorrectionTable
@@ -94,20 +93,6 @@ def test_only_the_crc_of_the_staged_or_the_active_table_activates(bench: Bench) 
     assert in_force(bench)[0] == second.crc32
 
 
-def test_conditioning_waits_for_the_activation(bench: Bench) -> None:
-    table = wavy()
-    stage(bench, table.to_bytes())
-    activate(bench, table.crc32)
-    bench.at(0.0)
-    assert bench.sdo[0x2011][5].raw == 1500
-    bench.sdo[0x2002][4].raw = 0.5
-    bench.at(0.0)
-    assert bench.sdo[0x2011][5].raw == 1500
-    activate(bench, table.crc32)
-    bench.at(0.0)
-    assert bench.sdo[0x2011][5].raw == 750
-
-
 def test_the_activation_cannot_be_read(bench: Bench) -> None:
     with pytest.raises(SdoAbortedError) as error:
         bench.sdo.upload(0x2020, 3)
@@ -117,27 +102,6 @@ def test_the_activation_cannot_be_read(bench: Bench) -> None:
 def test_without_a_table_the_identity_is_read(bench: Bench) -> None:
     assert bench.sdo.upload(0x2020, 1) == CorrectionTable.identity().to_bytes()
     assert bench.sdo[0x2020][2].raw == 0
-
-
-def test_a_reset_of_the_node_takes_the_table_out_a_reset_of_communication_does_not(bench: Bench) -> None:
-    table = wavy()
-    stage(bench, table.to_bytes())
-    activate(bench, table.crc32)
-    bench.remote.nmt.state = "RESET COMMUNICATION"
-    assert in_force(bench) == (table.crc32, 256)
-    bench.remote.nmt.state = "RESET"
-    assert in_force(bench) == (0, 0)
-    assert bench.sdo[0x2020][2].raw == 0
-
-
-def test_an_upload_that_the_master_breaks_off_stages_nothing(bench: Bench) -> None:
-    bench.sent(Frame(0x620, bytes.fromhex("2120200100040000")))
-    bench.sent(Frame(0x620, b"\0" + bytes(7)))
-    bench.sent(Frame(0x620, bytes.fromhex("8020200100000008")))
-    assert bench.sdo[0x2020][2].raw == 0
-    bench.sdo.responses.queue.clear()
-    stage(bench, wavy().to_bytes())
-    assert bench.sdo[0x2020][2].raw == wavy().crc32
 
 
 def test_the_crc_of_what_is_saved() -> None:

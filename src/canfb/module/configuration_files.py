@@ -21,11 +21,11 @@ class ConfigurationFiles:
     """Where a configuration is written to, and how.
 
     out            the DCF; None: module-20h.dcf, with the node-ID of the module
-    concise        the concise form (object 1F22h), None: not written
-    table_inline   the table is in the DCF, not only in a file beside it
-    reals          how numbers of type REAL32 are written
+    concise        the concise form (1F22h), None: not written
+    table_inline   the table is in the DCF, too
+    reals          how REAL32 are written
     node_name      NodeName of the DCF, empty: module_20h
-    bus_words      python-can's own; the DCF states bitrate and channel
+    bus_words      python-can's own, for bitrate and channel
     """
 
     configuration: DeviceConfiguration
@@ -43,11 +43,11 @@ class ConfigurationFiles:
 
     @property
     def table_path(self) -> Path | None:
-        """The file of the table, None where the module has none."""
+        """Beside the DCF; None: there is no table."""
         return self.path.with_suffix(".table.bin") if self.configuration.table else None
 
     def write(self, date: str, time: str) -> None:
-        """Write all files; ``date`` mm-dd-yyyy and ``time`` hh:mmAM, as CiA 306 has them. CanfbError."""
+        """``date`` mm-dd-yyyy, ``time`` hh:mmAM (CiA 306). CanfbError."""
         _put(self.path, self._text(date, time).encode("ascii", errors="replace"))
         if self.table_path is not None:
             _put(self.table_path, self.configuration.table)
@@ -78,7 +78,7 @@ class ConfigurationFiles:
         )
 
     def summary(self) -> dict[str, Any]:
-        """What was written, for programs."""
+        """For programs."""
         configuration = self.configuration
         return {
             "dcf": str(self.path),
@@ -95,7 +95,7 @@ class ConfigurationFiles:
         }
 
     def lines(self) -> list[str]:
-        """What was written, for people."""
+        """For people."""
         configuration, changed = self.configuration, self.configuration.changed()
         node_id = configuration.node_id
         others = f"not at factory defaults: {place_names(list(changed))}" if changed else "factory defaults"
@@ -110,7 +110,7 @@ class ConfigurationFiles:
 
 
 def place_names(places: list[Place]) -> str:
-    """Objects, for people: 1017:00, 2010:03."""
+    """1017:00, 2010:03."""
     return ", ".join(od.place_text(place) for place in places)
 
 

@@ -45,13 +45,13 @@ class Setting(NamedTuple):
 
     @property
     def off(self) -> Any:
-        """The value that switches it off, or lets others be written; None: it has none."""
+        """The value that lets others be written; None: it blocks none."""
         opening = OPENING.get(self.place)
         return switched_off(self.entry, self.value) if opening is None else opening
 
     @property
     def rank(self) -> int:
-        """Its place among the parameters: most come first."""
+        """Most parameters come first."""
         return LAST_PARAMETERS.index(self.place) + 1 if self.place in LAST_PARAMETERS else 0
 
     def write(self, value: Any) -> Write:
@@ -63,8 +63,8 @@ class Setting(NamedTuple):
 class DeviceConfiguration:
     """All parameters of one module that SDO can write, whether they differ from a default or not.
 
-    `table` is the content of 2020:01, empty for the identity. The preset (6003h, 6009h, 6509h), which needs a
-    position, is not among them.
+    `table` is the content of 2020:01, empty for the identity. The preset, which needs a position, is not
+    there.
     """
 
     node_id: int
@@ -74,14 +74,11 @@ class DeviceConfiguration:
 
     @property
     def table_crc32(self) -> int:
-        """What is written to 2020:03; 0 for the identity."""
+        """For 2020:03; 0: the identity."""
         return zlib.crc32(self.table) if self.table else 0
 
     def values(self, *, with_table: bool = True) -> dict[Place, Any]:
-        """The value of each object that a master writes, each once: what a DCF holds.
-
-        The bytes of the table are left out unless `with_table`; 2020:03 is there in any case.
-        """
+        """What a DCF holds: the bytes of the table only `with_table`, 2020:03 in any case."""
         values = {setting.place: setting.value for setting in self.settings}
         if with_table and self.table:
             values[od.TABLE_STAGED] = self.table
@@ -91,9 +88,8 @@ class DeviceConfiguration:
     def writes(self) -> list[Write]:
         """SDO writes that a module in Pre-operational takes one after the other, whatever it held before.
 
-        First everything is switched off, PDOs before their mappings. Then come the parameters, the table
-        with the conditioning, the numbers of mapped objects, 1006h, the COB-IDs, and at last 1020h, which
-        any other write would clear.
+        Everything is switched off; then the parameters, the table with the conditioning, the numbers of
+        mapped objects, 1006h, the COB-IDs, and at last 1020h, which any other write would clear.
         """
         first = [setting.write(setting.off) for setting in self.settings if setting.off is not None]
         rest = [setting for setting in self.settings if setting.off != setting.value]
@@ -103,7 +99,7 @@ class DeviceConfiguration:
         return [*first, *parameters, *self._table_writes(), *later]
 
     def changed(self) -> dict[Place, Any]:
-        """The parameters whose value is not the factory default."""
+        """Those that are not at the factory default."""
         dictionary = FeedbackModule(ModuleConfig(node_id=self.node_id)).dictionary
         return {
             setting.place: setting.value
@@ -112,10 +108,7 @@ class DeviceConfiguration:
         }
 
     def refused_in_index_order(self) -> list[Place]:
-        """What a module with factory defaults refuses when each object is written once, in ascending order.
-
-        PDOs apart: every master knows how to write these.
-        """
+        """What factory defaults refuse when each object is written once, ascending; PDOs first."""
         module = FeedbackModule(ModuleConfig(node_id=self.node_id))
         module.start(0.0)
         pdos = [write for write in self.writes() if write.index in _PDOS]
@@ -136,7 +129,7 @@ class DeviceConfiguration:
 
 
 def configuration_of(module: FeedbackModule) -> DeviceConfiguration:
-    """What is in force in a module that was started."""
+    """Of a module that was started."""
     table = module.chain.correction.table
     return _collect(module, Entry.current, b"" if table is None else table.to_bytes())
 
@@ -144,7 +137,7 @@ def configuration_of(module: FeedbackModule) -> DeviceConfiguration:
 def configuration_read(
     node_id: int, read: Callable[[Entry], Any], serial_number: int, table: bytes
 ) -> DeviceConfiguration:
-    """The configuration of another module, `node_id` 1..127, from its objects: `read(entry)` is a value."""
+    """Of the module `node_id`, 1..127, whose values are `read(entry)`."""
     template = FeedbackModule(ModuleConfig(node_id=node_id, serial_number=serial_number))
     return _collect(template, read, table)
 
@@ -161,7 +154,7 @@ def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes)
 
 
 def _as_sent(entry: Entry, value: Any) -> Any:
-    """The value as SDO carries it: a REAL32 has fewer digits than what a configuration gives."""
+    """A REAL32 has fewer digits than what a configuration gives."""
     return datatypes.decode(entry.data_type, datatypes.encode(entry.data_type, value))
 
 
@@ -188,7 +181,7 @@ CHANGED = "the table changed while it was read; try again"
 
 
 class Objects(Protocol):
-    """The objects of a node; CanfbError for what cannot be read."""
+    """A node on a bus; CanfbError for what cannot be read."""
 
     @property
     def node_id(self) -> int:
@@ -206,10 +199,10 @@ class Objects(Protocol):
 
 
 def read_configuration(objects: Objects) -> DeviceConfiguration:
-    """The active configuration of a module on a bus. CanfbError if it cannot be read, or is not of canfb.
+    """Of a module on a bus. CanfbError if it cannot be read, or is not of canfb.
 
-    Table and conditioning are those in force: between an upload and its activation 2002h and 2005h hold
-    values of another table.
+    Table and conditioning are those in force: between an upload and its activation 2002h holds values of
+    another table.
     """
     dictionary = Dictionary.load(eds_path(EDS), objects.node_id)
     for place in IDENTITY:
@@ -242,7 +235,7 @@ def _read(objects: Objects, entry: Entry) -> Any:
 
 
 def _read_table(objects: Objects, dictionary: Dictionary) -> bytes:
-    """The active table, empty for the identity."""
+    """Empty for the identity."""
     crc32 = _read(objects, dictionary.entry(*od.TABLE_ACTIVE_CRC))
     if not crc32:
         return b""
@@ -258,16 +251,16 @@ _CAN_ID = 0x1FFFFFFF
 
 
 def backup_values(configuration: DeviceConfiguration) -> dict[Place, Any]:
-    """The parameters of a module, without the table."""
+    """The parameters, without the table."""
     return {setting.place: setting.value for setting in configuration.settings}
 
 
 def restored_configuration(
     values: Mapping[Place, Any], before: Mapping[Place, Any], table: bytes, made_for: int, node_id: int
 ) -> DeviceConfiguration:
-    """What the node `node_id` is to be, of the `values` of a backup `made_for` a node-ID, both 1..127.
+    """What `node_id` is to be, of the `values` of a backup `made_for` another one, both 1..127.
 
-    What the backup does not have stays as `before`. A COB-ID that has its default follows the node-ID.
+    What the backup does not have stays as `before`.
     """
     merged = dict(before) | moved_values(values, made_for, node_id)
     serial = 0  # not written by SDO
@@ -275,7 +268,7 @@ def restored_configuration(
 
 
 def moved_values(values: Mapping[Place, Any], old: int, new: int) -> dict[Place, Any]:
-    """The values of node `old` as those of node `new`: CAN-IDs that are the default of `old` follow it."""
+    """CAN-IDs that are the default of node `old` become those of `new`."""
     if old == new:
         return dict(values)
     dictionary = Dictionary.load(eds_path(EDS), old)

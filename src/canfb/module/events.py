@@ -1,9 +1,4 @@
-"""What happens in a node and in a module, as events: changes of state, never a look at each sample.
-
-An :class:`Event` is a line of a log and the same for programs. :class:`NodeEvents` makes those that any
-node has: its NMT state, its errors, what it saves. :class:`EventWatch` adds those of a module: SYNC, first
-sample, the state of the position with all faults since it was valid, the table.
-"""
+"""Changes of state of a node and of a module, as events: a line of a log, and the same for programs."""
 
 from __future__ import annotations
 
@@ -29,7 +24,7 @@ Value = bool | float | int | str | list[str] | None
 
 
 class EventKind(StrEnum):
-    """What has happened; the value is the name that programs read."""
+    """The value is the name that programs read."""
 
     NMT = "nmt"
     SYNC_FOUND = "sync_found"
@@ -50,7 +45,7 @@ DETAILS = frozenset({EventKind.FAULT, EventKind.EMCY})
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """``text``, without the node, and the same for programs, at ``time_s`` on the clock of `now`."""
+    """``text``, and the same for programs, at ``time_s`` on the clock of `now`."""
 
     kind: EventKind
     time_s: float
@@ -59,17 +54,14 @@ class Event:
 
 
 class NodeEvents(Application):
-    """Calls ``on_event`` with each :class:`.Event`; without it nothing is made.
-
-    ``detailed``: each EMCY, too.
-    """
+    """Calls ``on_event`` with what any node has to say; ``detailed``: each EMCY, too."""
 
     def __init__(self) -> None:
         self.on_event: Callable[[Event], None] | None = None
         self.detailed = False
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """A change of the NMT state, and ``why`` if it was not commanded."""
+        """``why``: if it was not commanded."""
         boot_up = old is NmtState.INITIALISING
         name = new.name.replace("_", "-")
         text = f"{'boot-up, ' if boot_up else ''}{name}{': ' if why else ''}{why}"
@@ -83,13 +75,13 @@ class NodeEvents(Application):
             self._report(EventKind.EMCY, now, text, code=code, register=register, detail=detail.hex())
 
     def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
-        """Parameters were saved, or their defaults loaded."""
+        """Saved, or their defaults loaded."""
         self._parameters(EventKind.SAVED, saved, "saved", now, dropped=False)
         what = "dropped, the defaults come with the next reset"
         self._parameters(EventKind.SAVED, forgotten, what, now, dropped=True)
 
     def saving_failed(self, groups: Groups, reason: str, now: float) -> None:
-        """Parameters could not be saved, or their defaults not loaded: the store has what it had."""
+        """The store has what it had."""
         self._parameters(EventKind.SAVE_FAILED, groups, f"not saved ({reason})", now, reason=reason)
 
     def _parameters(self, kind: EventKind, groups: Groups, what: str, now: float, **values: Value) -> None:
@@ -107,11 +99,10 @@ ANOTHER_RATE = 0.05  # relative change of the SYNC rate that is an event
 
 
 class EventWatch(NodeEvents):
-    """Calls ``on_event`` with each :class:`.Event`; without it nothing is made.
+    """Those of a module, too: SYNC, first sample, position, table; ``detailed``: single faults.
 
-    ``detailed``: single faults, too, and each EMCY. For the hot path: :meth:`follow` must see each sample
-    whose status word is not ``status``, and nothing else. ``unconfirmed()`` says why a position without a
-    fault is not valid yet, "": not known.
+    :meth:`follow` must see each sample whose status word is not ``status``, and nothing else.
+    ``unconfirmed()`` says why a position without a fault is not valid yet, "": not known.
     """
 
     def __init__(self, dictionary: Dictionary, limits: Limits, loss: LastLoss) -> None:
@@ -125,7 +116,7 @@ class EventWatch(NodeEvents):
         self.reset()
 
     def reset(self) -> None:
-        """After a reset of the node: no sample."""
+        """No sample yet."""
         self.status = NO_STATUS
         self._sampled = self._disagrees = False
         self._state: PositionState | None = None
@@ -134,13 +125,13 @@ class EventWatch(NodeEvents):
         self._was_valid = False  # the position, at any time
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """A change of the NMT state, after which the next SYNC and the next sample are the first."""
+        """The next SYNC and the next sample are the first."""
         self._rate_hz = 0.0
         self.reset()
         super().state_changed(old, new, now, why)
 
     def synced(self, interval_s: float, now: float) -> None:
-        """SYNCs come as expected, at this interval; not called with each of them."""
+        """SYNCs come as expected; not called with each."""
         known = self._rate_hz
         if not interval_s or abs(known * interval_s - 1.0) <= ANOTHER_RATE:
             return
@@ -156,7 +147,7 @@ class EventWatch(NodeEvents):
             self._report(EventKind.SYNC_LOST, now, text, silent_s=silent_s)
 
     def follow(self, feedback: Feedback, now: float) -> None:
-        """The status word is another one now."""
+        """Another status word."""
         before, self.status = self.status, feedback.status
         if self.on_event is None:
             return
@@ -177,7 +168,6 @@ class EventWatch(NodeEvents):
             self._second(disagrees, now)
 
     def _second(self, disagrees: bool, now: float) -> None:
-        """The other sensor contradicts the position, or does so no longer."""
         away, text = self._difference.current(), "second position disagrees no longer"
         if disagrees:
             tolerance = self._tolerance.value
@@ -186,7 +176,7 @@ class EventWatch(NodeEvents):
         self._report(EventKind.SECOND_POSITION, now, text, disagrees=disagrees, difference_revolutions=known)
 
     def outdated(self, now: float) -> None:
-        """What was published is not the position any more, and nothing takes its place."""
+        """What was published is not the position any more."""
         if self._state is PositionState.VALID:
             self._state, self.status, self._not_valid_s = PositionState.NOT_VALID, NO_STATUS, now
             text = "position not valid: no SYNC and no sample"
@@ -199,7 +189,7 @@ class EventWatch(NodeEvents):
             self._report(EventKind.FAULT, now, text, sample=feedback.samples, faults=faults)
 
     def table(self, correction: Correction, now: float) -> None:
-        """A table, or none, has come into force."""
+        """It has come into force."""
         table, before = correction.table, self._corrected
         self._corrected = table is not None
         if table is not None:
@@ -209,7 +199,7 @@ class EventWatch(NodeEvents):
             self._report(EventKind.TABLE, now, "table in force: none, the identity", entries=0, crc32=0)
 
     def _changed(self, state: PositionState, feedback: Feedback, now: float) -> None:
-        """Another state of the position; a reason is all that went wrong since it was valid."""
+        """A reason is all that went wrong since it was valid."""
         before, self._state = self._state, state
         if state is PositionState.VALID:
             self._causes = 0
@@ -242,7 +232,7 @@ class EventWatch(NodeEvents):
         return faults or "no reference yet"
 
     def _reasons(self, feedback: Feedback, bits: int) -> list[str]:
-        """In words; with figures where they are those of this sample."""
+        """With figures where they are those of this sample."""
         limit, residual = self._limits.in_force.residual_limit, feedback.residual
         over = f"residual {residual:.3f} over {limit:.3f} cycle"
         # In doubt, a sample whose residual is small may still contradict those before it.

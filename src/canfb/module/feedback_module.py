@@ -82,6 +82,16 @@ class FeedbackModule(NodeDevice):
         self.on_warning: Callable[[str], None] | None = None
         self._make_chain_around(source)
         self._make_commands()
+        self._resets = (  # in this order
+            self.chain.reset,
+            self._publishing.reset,
+            self._limits.reset,
+            self._second.apply,
+            self._tables.reset,
+            self._adapting.reset,
+            self._recorder.reset,
+            self._calibrating.reset,
+        )
         self._choose_parameters()
         self._lock = WriteLock(self)
         self._declare_jitter()
@@ -91,11 +101,10 @@ class FeedbackModule(NodeDevice):
 
     @property
     def events(self) -> EventWatch:
-        """What happens in the module: set ``on_event`` of it, and ``detailed`` for single faults."""
+        """Set its ``on_event``, and ``detailed`` for single faults."""
         return self._publishing.events
 
     def _make_chain_around(self, source: Source | None) -> None:
-        """What feeds the chain, and what its feedback becomes."""
         dictionary, chain, syncs = self.dictionary, self.chain, self._syncs
         self._interval = interval = SamplingInterval(dictionary.entry(*od.CYCLE_PERIOD), syncs)
         self._limits = Limits(dictionary, chain, interval)
@@ -133,7 +142,6 @@ class FeedbackModule(NodeDevice):
         self._recorder = Recorder(dictionary, interval, self._observers)
 
     def _make_commands(self) -> None:
-        """What SDO starts or reads, beside the feedback: tables, calibration, timers."""
         dictionary, storage = self.dictionary, self.storage
         self._tables = TableStore(dictionary, self.chain, storage)
         self._tables.on_in_force = self._on_correction
@@ -146,14 +154,14 @@ class FeedbackModule(NodeDevice):
 
     @property
     def feedback(self) -> Feedback | None:
-        """Every stage of the last sample, None before the first one."""
+        """Every stage of the last sample; None: none yet."""
         return self._publishing.last
 
     @property
     def on_feedback(self) -> Callable[[Feedback, float], None] | None:
         """Called as (feedback, now) with each feedback, also for missed samples.
 
-        Its PDOs are in the outbox then, not sent yet.
+        Its PDOs are not sent yet.
         """
         return self._publishing.on_feedback
 
@@ -163,39 +171,39 @@ class FeedbackModule(NodeDevice):
 
     @property
     def limits(self) -> ChainLimits:
-        """What samples are held against; the same object until a limit changes."""
+        """The same object until a limit changes."""
         return self._limits.in_force
 
     @property
     def interval_s(self) -> float:
-        """The sampling interval, seconds: 1006h, else the estimate, by the samples in it; 0.0: not known."""
+        """From sample to sample: 1006h, else the estimate; 0.0: not known."""
         return self._interval.sample_s
 
     @property
     def max_speed_rad_s(self) -> float:
-        """What the SYNC jitter measured so far allows, rad/s; inf with sample times and if not known."""
+        """What the measured SYNC jitter allows, rad/s; inf with sample times and if not known."""
         return inf if self._pairing.timed else self._jitter.max_speed_rad_s
 
     def use_correction(self, correction: Correction) -> None:
-        """Put the table and conditioning of ``correction`` in force between two samples, until a reset."""
+        """In force between two samples, until a reset."""
         self._tables.take_over(correction)
 
     def speed_limit(self) -> str:
-        """One line: how fast the machine may turn for a jitter of SYNC; empty with sample times or a source.
+        """One line: how fast the machine may turn for a jitter of SYNC, by 4 v jitter < residual limit.
 
-        By the parameters as they stand; 4 v jitter < residual limit (docs/time.md).
+        Empty with sample times or a source.
         """
         config = self.config
         return "" if config.times or config.source is not None else self._jitter.in_words()
 
     def end(self, now: float) -> None:
-        """The program ends at ``now``: the operating time is stored."""
+        """The program ends: the operating time is stored."""
         self._operating_time.keep(now)
 
     def bus_off(self, now: float) -> list[Frame]:
-        """The bus is lost at ``now``: the reaction of 1029h; the frames to send, if any.
+        """The reaction of 1029h; the frames to send, if any.
 
-        A module that stays in OPERATIONAL has lost its position: no SYNCs are counted meanwhile.
+        A module that stays in OPERATIONAL has lost its position.
         """
         frames = super().bus_off(now)
         if self.state is NmtState.OPERATIONAL:
@@ -208,10 +216,10 @@ class FeedbackModule(NodeDevice):
         Call the job, in another process if frames must not wait, and pass its result, or the Exception that
         it raised, to :meth:`finish_job`.
         """
-        return self._calibrating.pending_job
+        return self._calibrating.job
 
     def finish_job(self, job: CalibrationJob, result: Outcome | Exception, now: float) -> list[Frame]:
-        """Take the ``result`` of a ``job`` at ``now``; the frames to send.
+        """Take the ``result`` of a ``job``; the frames to send.
 
         Nothing happens if the job is obsolete. An Exception refuses the measurement.
         """
@@ -219,11 +227,11 @@ class FeedbackModule(NodeDevice):
         return []
 
     def job_progress(self, job: CalibrationJob, part: float) -> None:
-        """The fraction ``part``, 0..1, of the ``job`` is done: for 2030:03."""
+        """The fraction ``part``, 0..1, is done: for 2030:03."""
         self._calibrating.computed(job, part)
 
     def _choose_parameters(self) -> None:
-        """What `save` keeps beside the entries that it keeps anyway, and what is not a parameter."""
+        """What `save` keeps beside the usual, and what it does not."""
         entries = self.storage.entries
         for kept in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE):
             entries.keep(*kept)  # a preset by its value alone: 6509h is what it led to
@@ -232,10 +240,7 @@ class FeedbackModule(NodeDevice):
                 entries.leave_out(entry.index, entry.subindex)
 
     def _on_followed(self, received_s: float, stamped: bool) -> None:
-        """SYNCs come as expected, which is an event after a pause, and measures their jitter.
-
-        With sample times, or without receive times, no jitter is measured.
-        """
+        """An event after a pause; and the jitter is measured if receive times are known, sample times not."""
         self.events.synced(self._syncs.period_s, received_s)
         last = self._publishing.last
         if stamped and last is not None and not self._pairing.timed:
@@ -250,7 +255,6 @@ class FeedbackModule(NodeDevice):
             self.on_source(text)
 
     def _on_correction(self, correction: Correction) -> None:
-        """Another table and conditioning are in force."""
         self.events.table(correction, self.call.now)
         self._limits.noise_changes()
 
@@ -258,14 +262,14 @@ class FeedbackModule(NodeDevice):
         self._syncs.declare(self._sync_jitter.value)
 
     def _encoder_changed(self) -> None:
-        """2001:01 was written: every cycle is another part of a revolution."""
+        """2001:01 was written."""
         self._publishing.profile.rescale()
         self._limits.apply()
 
     # Application: called by the node.
 
     def expired(self, now: float) -> None:
-        """No SYNC for 2010:06 periods, and nobody has said so yet: what can be read is not valid."""
+        """No SYNC for 2010:06 periods: what can be read is not valid."""
         self._publishing.withhold()
 
     def overdue(self, now: float) -> None:
@@ -274,11 +278,11 @@ class FeedbackModule(NodeDevice):
         self._sampling.overdue(now)
 
     def check_write(self, entry: Entry | None) -> None:
-        """The write lock (2040h) for this ``entry``; None: for LSS."""
+        """The write lock (2040h); ``entry`` None: for LSS."""
         self._lock.check_write(entry)
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """From the NMT state ``old`` to ``new``, and ``why``: samples are counted in OPERATIONAL only."""
+        """Samples are counted in OPERATIONAL only."""
         super().state_changed(old, new, now, why)
         if new is NmtState.OPERATIONAL:
             self._sampling.resume(now)
@@ -289,7 +293,7 @@ class FeedbackModule(NodeDevice):
             self._operating_time.keep(now)
 
     def reset_done(self, communication_only: bool, now: float) -> None:
-        """The dictionary is in force; the position is forgotten unless ``communication_only``."""
+        """The position is forgotten unless ``communication_only``."""
         self._operating_time.begin(now)
         self._lock.reset()
         self._publishing.reset_alarms()
@@ -297,22 +301,16 @@ class FeedbackModule(NodeDevice):
         self._declare_jitter()
         if communication_only:
             return
-        self.chain.reset()
-        self._publishing.reset()
-        self._limits.reset()
-        self._second.apply()
-        self._tables.reset()
-        self._adapting.reset()
-        self._recorder.reset()
-        self._calibrating.reset()
+        for reset in self._resets:
+            reset()
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
-        """Bit 12 of 6503h while there are ``faults``, EMCY 6310h, and the program is notified."""
+        """Bit 12 of 6503h while there are ``faults``, and EMCY 6310h."""
         self._publishing.profile.alarm_parameters(bool(faults))
         super().parameters_refused(faults, now)
 
     def configuration_changed(self) -> None:
-        """A sample comes in whichever RPDOs carry its parts; some TPDOs go out with it."""
+        """PDO parameters or the NMT state."""
         self._input.configure()
         source, timed = self._source, self._pairing.timed
         per_sync = self._input.samples_per_sync if source is None else source.samples_per_sync

@@ -23,8 +23,7 @@ VALUE = 0x20000E20
 class SecondPositionConfig(SecondSensor):
     """The other sensor, and where its value is on the bus.
 
-    cob_id         of the PDO with the value, 385..1407 (181h..57Fh), for the first free RPDO. None: a
-                   master maps 2000:0E
+    cob_id         385..1407 (181h..57Fh), of the PDO, for the first free RPDO. None: a master maps 2000:0E
     before_bytes   of that PDO before the value, 0..4
     after_bytes    of that PDO after the value, 0..4; with those before it at most 4
     """
@@ -42,7 +41,7 @@ class SecondPositionConfig(SecondSensor):
 
     @property
     def mapping(self) -> list[int]:
-        """The mapping entries of its RPDO: the value, and dummy objects around it."""
+        """Of its RPDO: the value between dummy objects."""
         return [*GAPS[self.before_bytes], VALUE, *GAPS[self.after_bytes]]
 
 
@@ -156,5 +155,5 @@ class ModuleConfig(ChainConfig):
 
     @property
     def adc_pdos(self) -> int:
-        """RPDOs with the samples of the encoder interface: two pairs, or one and the time, fill one."""
+        """RPDOs for the samples: two pairs, or one and the time, fill one."""
         return (self.samples_per_sync + self.times + 1) // 2

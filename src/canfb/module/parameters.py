@@ -1,8 +1,6 @@
 """Between configuration, object dictionary and signal chain: factory defaults, and the limits in force.
 
-A configuration replaces defaults of the EDS (:func:`configured_defaults`); after that the dictionary alone
-is read. :class:`Limits` hands its values to the chain, whenever an SDO write, the interval of SYNC or the
-measured noise changes one. What they narrow the residual limit to: :mod:`canfb.view.limits_in_force`.
+A configuration replaces defaults of the EDS; after that the dictionary alone is read.
 """
 
 from __future__ import annotations
@@ -70,10 +68,7 @@ SAME_UNIT = {
 
 
 def factory_dictionary(config: ModuleConfig, *, samples_itself: bool = False) -> Dictionary:
-    """The object dictionary of a module: the EDS, its defaults replaced; nothing saved is in it.
-
-    ``samples_itself``: a source takes the place of the ADC PDO.
-    """
+    """The EDS with the defaults of ``config``; ``samples_itself``: a source replaces the ADC PDO."""
     dictionary = Dictionary.load(eds_path(EDS), config.node_id)
     apply_defaults(dictionary, configured_defaults(config))
     if samples_itself:
@@ -111,7 +106,7 @@ def configured_defaults(config: ModuleConfig) -> Values:
 
 
 def _adaptation(config: ModuleConfig) -> Values:
-    """2002:08, and its bounds if there are any."""
+    """2002:08 and its bounds."""
     used = config.adaptation
     if used is None:
         return {od.ADAPTATION: 0}
@@ -123,7 +118,7 @@ def _adaptation(config: ModuleConfig) -> Values:
 
 
 def adc_pdos(config: ModuleConfig) -> Values:
-    """The RPDOs of what the encoder interface sends: its TPDO1, and others for what that has no room for."""
+    """The RPDOs of what the encoder interface sends."""
     pairs = [(od.SAMPLE_SINE, od.SAMPLE_COSINE), *od.SAMPLE_EARLIER][: config.samples_per_sync]
     objects = [one.mapped(16) for pair in pairs for one in pair]
     if config.times:
@@ -134,7 +129,7 @@ def adc_pdos(config: ModuleConfig) -> Values:
 
 
 def _second_position(config: ModuleConfig) -> Values:
-    """2014h, and the first RPDO after those of the encoder interface if it is to bring 2000:0E."""
+    """2014h, and the RPDO behind those of the samples if it brings 2000:0E."""
     second = config.second_position
     if second is None:
         return {}
@@ -148,7 +143,7 @@ def _second_position(config: ModuleConfig) -> Values:
 
 
 def without_adc_pdo(config: ModuleConfig) -> Values:
-    """What :func:`configured_defaults` becomes for a module with its own ADC: RPDO1 is not valid."""
+    """For a module with its own ADC: RPDO1 is not valid."""
     return {
         place: cob.NOT_VALID | value
         for place, value in adc_pdos(config).items()
@@ -157,9 +152,9 @@ def without_adc_pdo(config: ModuleConfig) -> Values:
 
 
 def apply_defaults(dictionary: Dictionary, defaults: Values) -> None:
-    """Replace defaults and values of the dictionary: a reset comes back to these.
+    """Replace defaults and values: a reset comes back to these.
 
-    They hold whatever the node-ID is: a COB-ID of another node does not move with that of this one.
+    They hold for any node-ID: a COB-ID of another node does not move with that of this one.
     """
     for (index, subindex), value in defaults.items():
         entry = dictionary.entry(index, subindex)
@@ -196,9 +191,9 @@ APPLIED = (
 
 
 class Limits:
-    """Objects 2001:02..06 and 2010h: written by SDO, in force from the next sample on.
+    """Objects 2001:02..06 and 2010h, in force from the next sample on: by SDO, interval or measured noise.
 
-    ``noise``     measured, of the residual; :meth:`measured` is called with each block of it
+    ``noise``     of the residual; :meth:`measured` is called with each block of it
     ``timed``     samples bring their time
     ``narrowed``  limits or analog path depend on the sampling interval, which may change
     ``in_force``  what the chain has: the same object until :meth:`apply`
@@ -232,7 +227,7 @@ class Limits:
         high.on_written = lambda: self._scale_written(upper_is_old=False)
 
     def reset(self) -> None:
-        """After a reset of the node: the values of the dictionary belong together."""
+        """The values of the dictionary belong together."""
         self._upper_is_old = False
         self.noise_changes()
 
@@ -242,13 +237,13 @@ class Limits:
         self.apply()
 
     def unit_changed(self) -> None:
-        """The limits are those of the interval in which the next sample is counted, also of the first one."""
+        """Those of the interval in which the next sample is counted."""
         self.interval.speed_unit_s = self._chain.unit_s
         if self.narrowed:
             self.follow()
 
     def follow(self) -> None:
-        """Before a sample, if :attr:`narrowed`: take limits and analog path along with the interval."""
+        """Before a sample, if :attr:`narrowed`."""
         known_s = self.interval.known_s
         if self._shortest_s < known_s < self._longest_s:
             return
@@ -258,7 +253,7 @@ class Limits:
             self._use_interval()
 
     def _use_interval(self) -> None:
-        """The analog path at this interval, and how far it may change before something is to be done."""
+        """The analog path, and how far the interval may change before something is to be done."""
         chain, known_s, applied_s = self._chain, self.interval.known_s, self._applied_s
         chain.use_interval(self.interval.sample_s)
         same_s = SAME_NARROWED * applied_s
@@ -269,18 +264,18 @@ class Limits:
             self._longest_s = min(self._longest_s, known_s + same_s)
 
     def measured(self) -> None:
-        """Another block of :attr:`noise`: the limits follow where it has changed."""
+        """Another block of :attr:`noise`."""
         usable, applied = self.noise.usable_cycles, self._applied_noise
         if self._margin.value and not abs(usable - applied) <= SAME_NOISE * applied:
             self.apply()
 
     def _read(self, place: tuple[int, int]) -> Any:
-        """The value of an object; None if it does not exist."""
+        """None if it does not exist."""
         entry = self._dictionary.find(*place)
         return None if entry is None else entry.value
 
     def apply(self) -> None:
-        """Put the values of the dictionary in force."""
+        """Put the dictionary in force."""
         read, per_sync = self._read, self.interval.samples_per_sync
         self._applied_s = known_s = self.interval.known_s
         self._applied_noise = usable = self.noise.usable_cycles

@@ -1,8 +1,7 @@
 """What becomes of a feedback: objects, alarm, warnings, and the PDOs that go out with it.
 
 Nearly each sample is valid, without a fault, after one with the same status word. Then only what the default
-PDOs carry is written here, and all else is computed when it is read (:mod:`canfb.module.objects.publication`,
-:mod:`canfb.module.cia406.profile`). Whatever differs goes on to those who count it, report it or follow it.
+PDOs carry is written here; all else is computed when it is read.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ FLAGGED_AND_VALID = FLAGGED_BITS | VALID
 
 
 class Publishing:
-    """Takes each :class:`Feedback` to dictionary, alarm, warnings, events and event-driven TPDOs."""
+    """Takes each :class:`Feedback` to all of these."""
 
     def __init__(
         self,
@@ -72,7 +71,7 @@ class Publishing:
 
     @property
     def last(self) -> Feedback | None:
-        """The last feedback; None: none yet."""
+        """None: none yet."""
         return self.latest.feedback
 
     def publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
@@ -119,7 +118,7 @@ class Publishing:
             self.on_feedback(feedback, now)
 
     def _alarm(self, feedback: Feedback, now: float) -> None:
-        """6503h, and EMCY 7300h while the position is not valid, unless a start is about to be confirmed."""
+        """6503h and EMCY 7300h, unless a start is about to be confirmed."""
         valid = bool(feedback.status & VALID)
         self.profile.alarm_position(not valid)
         if valid and not self.alarm.active:
@@ -130,25 +129,25 @@ class Publishing:
             self.events.fault(feedback, now)
 
     def _is_starting(self, feedback: Feedback) -> bool:
-        """Sample times, or the other sensor, have yet to confirm a start: that is no fault."""
+        """Sample times, or the other sensor, have yet to confirm a start: no fault."""
         second = self._chain.second
         if second is not None and second.is_waiting:
             return True
         return self._chain.searches and not feedback.status & FLAGGED_BITS & ~COASTING
 
     def count(self, between: Sequence[Feedback], now: float) -> None:
-        """Samples that were taken before the one to publish, in the same interval of SYNC."""
+        """Samples before the one to publish, of the same SYNC."""
         for feedback in between:
             self.objects.count_between(feedback)
             if self.events.detailed and not feedback.status & VALID:
                 self.events.fault(feedback, now)
 
     def withhold(self) -> None:
-        """What the dictionary holds is not valid any more, until the next sample."""
+        """Not valid any more, until the next sample."""
         self.objects.withhold()
 
     def outdated(self, now: float) -> None:
-        """What the dictionary holds is not the position any more: not valid, with its alarm."""
+        """Not the position any more: not valid, with its alarm."""
         self.objects.withhold()
         self.events.outdated(now)
         if self.last is not None and not self.alarm.active:
@@ -160,7 +159,7 @@ class Publishing:
             self.prediction.extrapolate(self.last)
 
     def configured(self) -> None:
-        """PDO parameters or the NMT state have changed: which TPDOs go out with a sample."""
+        """Which TPDOs go out with a sample."""
         self.warnings.look_again()
         self.event_tpdos = [
             self._node.tpdo_trigger(number) for number in TPDOS if self._is_event_tpdo(number)
@@ -171,12 +170,12 @@ class Publishing:
         return is_valid(cob_id) and kind in ON_EVENT
 
     def reset_alarms(self) -> None:
-        """After a reset, also of the communication only, no error is active."""
+        """After a reset, also of the communication only."""
         self.alarm.reset()
         self.warnings.reset()
 
     def reset(self) -> None:
-        """After a reset of the node: no feedback."""
+        """No feedback."""
         self.latest.forget()
         self.events.reset()
         self.prediction.forget()

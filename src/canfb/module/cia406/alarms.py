@@ -1,8 +1,8 @@
 """Alarm and warnings of CiA 406 (6503h, 6505h, 6506h), and their EMCY.
 
 The alarm is EMCY 7300h: the position is not valid. Its five bytes: the status word 2011:01 (2), the cause
-of the loss as 2012:10 (1), 2012:12 up to 255 (1), 0. The cause is 0 until the position is lost; a loss that
-comes later is reported with an EMCY of its own. A warning says that the position is valid, but not by much.
+of the loss as 2012:10 (1), 2012:12 up to 255 (1), 0. The cause is 0 until the position is lost; a later loss
+has an EMCY of its own.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ SHORTEST_S = 0.1  # from one end of the alarm to the next: ten pairs of EMCY a s
 
 
 class PositionAlarm:
-    """Reports the alarm at once, and its end unless there was another one just before."""
+    """Reports the alarm at once, its end no sooner than 0.1 s after the last one."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self.reset()
 
     def reset(self) -> None:
-        """After an NMT reset no error is active."""
+        """No error is active."""
         self.active = self._said_lost = False
         self._ended_s = -NEVER
 
     def report(self, valid: bool, status: int, now: float, loss: LastLoss) -> None:
-        """The position is ``valid`` or not; ``status`` is the status word, ``loss`` the last loss."""
+        """``status`` is the status word, ``loss`` the last loss."""
         if not valid:
             lost = bool(status & LOST) and not self._said_lost
             if lost or not self.active:
@@ -67,11 +67,9 @@ NO_STATUS = -1  # no status word
 class Warnings:
     """Object 6505h, computed when it is read, and an EMCY for each warning in 2004:01.
 
-    A warning is reported once, with the sample that causes it, and ends when it was absent for
-    2004:02 (ms). While the position is not valid, nothing is reported: the alarm does that.
-
-    For the hot path: :meth:`follow` must see samples whose residual is above ``near_cycles``, whose amplitude
-    is below ``reserve_counts``, or whose status word is not ``last_status``.
+    A warning is reported with the sample that causes it, and ends when it was absent for 2004:02 (ms); none
+    without a valid position. :meth:`follow` must see samples whose residual is above ``near_cycles``, whose
+    amplitude is below ``reserve_counts``, or whose status word is not ``last_status``.
     """
 
     def __init__(
@@ -85,8 +83,7 @@ class Warnings:
     ) -> None:
         """``expects_pulse()``: a zero pulse is wired. ``residual_limit()``: that in force, in cycles.
 
-        ``drift_at_limit()``: the tracks have drifted as far as the adaptation may follow; where that changes,
-        :meth:`look_again`.
+        ``drift_at_limit()``: the adaptation cannot follow further; where that changes, :meth:`look_again`.
         """
         self._node, self._expects_pulse = node, expects_pulse
         self._residual_limit, self._drift_at_limit = residual_limit, drift_at_limit
@@ -101,24 +98,24 @@ class Warnings:
         self._mask.on_written = self.look_again
 
     def reset(self) -> None:
-        """After an NMT reset no error is active any more: what persists is reported again."""
+        """After an NMT reset: what persists is reported again."""
         self._reported = 0
         self.limits_changed()
         self.look_again()
 
     def look_again(self) -> None:
-        """Mapping or mask may have changed: follow the next sample in any case."""
+        """Follow the next sample in any case."""
         self.last_status = NO_STATUS
 
     def limits_changed(self) -> None:
-        """Take over the residual limit and 2001:03."""
+        """The residual limit or 2001:03."""
         # A reported warning is checked in each sample, so that its end is detected.
         following = bool(self._reported & EVERY_SAMPLE)
         self.near_cycles = -1.0 if following else NEAR_LIMIT * self._residual_limit()
         self.reserve_counts = AMPLITUDE_RESERVE * self._low.value
 
     def follow(self, feedback: Feedback, now: float) -> None:
-        """Report what this sample, taken at ``now`` (seconds), begins or ends."""
+        """Report what this sample, at ``now``, begins or ends."""
         self.last_status = feedback.status
         if not feedback.status & VALID:
             return
@@ -136,7 +133,7 @@ class Warnings:
         self.limits_changed()
 
     def _is_over(self, bit: int, now: float) -> bool:
-        """No hold time for a zero pulse, which does not come and go, nor for a warning that is masked."""
+        """No hold time for a zero pulse, nor for a warning that is masked."""
         if bit == NOT_REFERENCED or not self._mask.value & bit:
             return True
         hold_s: float = self._hold_ms.value / 1000.0

@@ -14,23 +14,22 @@ U32 = 0xFFFFFFFF
 
 
 class Span(NamedTuple):
-    """Positions from ``low`` to ``high``, both included; over the wrap if ``low`` is above ``high``."""
+    """``low`` to ``high``, both included; over the wrap if ``low`` is above ``high``."""
 
     low: int
     high: int
 
     def holds(self, position: int) -> bool:
-        """Whether the position is in the span."""
+        """Whether it is in the span."""
         low, high = self
         return low <= position <= high if low <= high else not high < position < low
 
 
 def limit_position(limit: int, total_range: int) -> int:
-    """The position, in measuring units, that a limit (INTEGER32) means in a range 0 .. ``total_range`` - 1.
+    """The position, in measuring units, that a limit means in a range 0 .. ``total_range`` - 1.
 
     A negative limit has the same 32 bits as a position from 2^31 on where the range reaches that far;
-    else it counts back from the end of the range: -1 is the last position. Limits beyond the range
-    stay beyond it.
+    else it counts back from the end of the range. Limits beyond the range stay beyond it.
     """
     if limit >= 0:
         return limit
@@ -39,7 +38,7 @@ def limit_position(limit: int, total_range: int) -> int:
 
 
 def span_of(low: int, high: int, total_range: int) -> Span | None:
-    """The positions between two limits (INTEGER32), cut to the range; None for a span wholly beyond it."""
+    """The positions between two limits, cut to the range; None: wholly beyond it."""
     first, last = limit_position(low, total_range), limit_position(high, total_range)
     if first <= last:
         if last < 0 or first >= total_range:
@@ -58,7 +57,7 @@ LOW, HIGH, HYSTERESIS = 0x6310, 0x6320, 0x6330
 
 
 class Cam:
-    """One switch: on within its limits, off again only ``hysteresis`` measuring units beyond them."""
+    """On within its limits, off again only ``hysteresis`` units beyond them."""
 
     __slots__ = ("_release", "_span", "active")
 
@@ -68,9 +67,9 @@ class Cam:
         self.active = False
 
     def configure(self, low: int, high: int, hysteresis: int, total_range: int) -> None:
-        """Take limits (INTEGER32) and hysteresis (measuring units). Others than before forget the state.
+        """Other parameters than before forget the state.
 
-        A switching band that covers the whole range keeps the cam on once it was on.
+        A switching band that covers the whole range keeps the cam on.
         """
         span = release = span_of(low, high, total_range)
         if span is not None and hysteresis:
@@ -92,12 +91,12 @@ class Cam:
 class Cams:
     """Objects 6300h to 6302h and 6310h to 6337h of channel 1.
 
-    A disabled cam reads 0, whatever its polarity. While the position is not valid all cams keep their
-    state, and before the first valid position 6300h is 0. A change of its limits, hysteresis or enable
-    bit, of the scaling, and a preset make a cam forget that it was on.
+    A disabled cam reads 0, whatever its polarity. Without a valid position all cams keep their state, before
+    the first one 6300h is 0. Other parameters, another scaling, and a preset make a cam forget that it was
+    on.
 
-    ``follows``: a cam in use has a hysteresis, and :meth:`follow` must see each valid sample. Without it the
-    state is computed when it is read. ``position()`` is the last valid position, None for none yet.
+    ``follows``: :meth:`follow` must see each valid sample, as a cam in use has a hysteresis. ``position()``
+    is the last valid position; None: none yet.
     """
 
     def __init__(self, dictionary: Dictionary, position: Callable[[], int | None]) -> None:
@@ -118,14 +117,14 @@ class Cams:
                 limit.on_written = self._configure
 
     def configure(self, total_range: int) -> None:
-        """Take over all parameters for positions 0 .. ``total_range`` - 1, and forget the hysteresis."""
+        """Take over all parameters; forget the hysteresis."""
         self._total_range = total_range
         for cam in self._cams:
             cam.active = False
         self._configure()
 
     def follow(self, position: int) -> None:
-        """A valid position, in measuring units."""
+        """A valid position."""
         for cam in self._followed:
             cam.update(position)
 
@@ -157,7 +156,7 @@ OUT_OF_RANGE, OVERFLOW, UNDERFLOW = 1 << 0, 1 << 1, 1 << 2
 
 
 def work_area_state(position: int, low: int, high: int, total_range: int) -> int:
-    """Bits of 6400h for a position 0 .. ``total_range`` - 1 and two limits (INTEGER32).
+    """Bits of 6400h for a position 0 .. ``total_range`` - 1 and two limits.
 
     With ``low`` above ``high`` the area goes over the wrap; outside of it the nearer limit decides.
     """
@@ -174,10 +173,7 @@ def work_area_state(position: int, low: int, high: int, total_range: int) -> int
 def show_work_area(
     dictionary: Dictionary, position: Callable[[], int | None], total_range: Callable[[], int]
 ) -> None:
-    """Object 6400h of channel 1, computed when it is read.
-
-    ``position()`` is the last valid position, None for none yet: 6400h is 0 then.
-    """
+    """Object 6400h of channel 1; 0 while ``position()``, the last valid one, is None."""
     low, high = dictionary.entry(AREA_LOW, CHANNEL), dictionary.entry(AREA_HIGH, CHANNEL)
 
     def state() -> int:

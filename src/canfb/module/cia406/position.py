@@ -1,5 +1,4 @@
-"""From cycles to measuring units: position, speed, acceleration (CiA 406, 6000h to 6509h, 6030h, 6040h;
-2003h)."""
+"""From cycles to measuring units: position, speed, acceleration (CiA 406)."""
 
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ U32 = 0xFFFFFFFF
 
 
 def single_turn_resolution(cycles_per_revolution: int) -> int:
-    """Measuring units per revolution without scaling (6501h): 8192 units a cycle, fewer if N is huge."""
+    """6501h, units per revolution without scaling: 8192 a cycle, fewer if N is huge."""
     units = MAX_UNITS_PER_CYCLE
     while cycles_per_revolution * units > U32:
         units //= 2
@@ -28,19 +27,16 @@ def single_turn_resolution(cycles_per_revolution: int) -> int:
 
 
 def distinguishable_revolutions(resolution: int) -> int:
-    """Whole revolutions of a range that 6002h can hold (6502h, UNSIGNED16)."""
+    """6502h: whole revolutions that 6002h can hold."""
     return min(U32 // resolution, 0xFFFF)
 
 
 class PositionScale:
     """Exact integer scaling of a position to measuring units.
 
-    ``units_per_revolution`` and ``total_range`` are the 6001h and 6002h in force;
-    ``reverse`` is the code sequence of 6000h; ``offset`` comes from the preset (6509h).
-    The position value 6004h is (units + offset) modulo ``total_range``.
-
-    ``binary`` are the units per cycle where they are a power of two, as without scaling, else 0. Then
-    ``cycles * binary + int(phase * binary_factor)`` is :meth:`units`, without long integers.
+    ``units_per_revolution`` and ``total_range`` are the 6001h and 6002h in force; ``reverse`` is the code
+    sequence of 6000h; ``offset`` is 6509h. ``binary`` are the units per cycle where they are a power of two,
+    else 0: ``cycles * binary + int(phase * binary_factor)`` is :meth:`units`, without long integers.
     """
 
     __slots__ = (
@@ -77,19 +73,16 @@ class PositionScale:
         self.offset = offset
 
     def units(self, cycles: int, phase: float) -> int:
-        """Measuring units since the start, unwrapped, rounded down; phase in cycles, 0 <= phase < 1."""
+        """Units since the start, unwrapped, rounded down; 0 <= phase < 1."""
         phase_units = int(phase * PHASE_SCALE)
         return (cycles * PHASE_UNITS + phase_units) * self._numerator // self._denominator
 
     def position(self, cycles: int, phase: float) -> int:
-        """The position value: 0 .. ``total_range`` - 1, with the preset."""
+        """6004h: (units + offset) modulo ``total_range``."""
         return (self.units(cycles, phase) + self.offset) % self.total_range
 
     def offset_for(self, units: int, preset: int) -> int:
-        """The offset that makes these units the position ``preset``; -R/2 <= offset < R/2, R ``total_range``.
-
-        It is an INTEGER32 (6509h) for every range up to 2^32, and no saturation can make it wrong.
-        """
+        """For these units to be ``preset``: -R/2 <= offset < R/2, R ``total_range``."""
         offset = (preset - units) % self.total_range
         return offset - self.total_range if 2 * offset >= self.total_range else offset
 
@@ -101,7 +94,7 @@ LOWEST, HIGHEST = -0x8000, 0x7FFF
 
 
 def saturated(value: float) -> int:
-    """The nearest INTEGER16: 7FFFh and 8000h for what is beyond it; 0 for no number."""
+    """The nearest INTEGER16; 0 for no number."""
     if math.isnan(value):
         return 0
     return round(max(float(LOWEST), min(value, float(HIGHEST))))
@@ -113,11 +106,10 @@ def show_motion(
     last_valid: Callable[[], Feedback | None],
     scale: Callable[[], PositionScale],
 ) -> None:
-    """Objects 6030h and 6040h of channel 1, computed when they are read.
+    """Objects 6030h and 6040h of channel 1.
 
-    Measuring units per second, or per second squared, times 2003:01 over 2003:02, or 2003:03 over
-    2003:04; a divisor of 0 stands for the measuring units per revolution in force. The defaults give
-    min^-1 and revolutions per s^2. Both keep the last value without a valid position, and are 0
+    Measuring units per second, or per second squared, times 2003:01 over 2003:02, or 2003:03 over 2003:04; a
+    divisor of 0 stands for the measuring units per revolution. Both are of the last valid position, and 0
     before the first one and while the sampling interval is not known.
     """
     entry = dictionary.entry

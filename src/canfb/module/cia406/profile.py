@@ -1,4 +1,4 @@
-"""The encoder profile CiA 406 of one channel: see docs/encoder-profile.md for all of its objects."""
+"""The encoder profile CiA 406 of one channel (docs/encoder-profile.md)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ EVENT_TIMER = (0x1800, 5)
 
 
 def make_cyclic_timer(dictionary: Dictionary, storage: Storage) -> None:
-    """6200h reads and writes 1800:05, in ms (0 = off), and is saved with it, as a communication parameter."""
+    """6200h is 1800:05, in ms (0 = off), and is saved with it."""
     timer, alias = dictionary.entry(*EVENT_TIMER), dictionary.entry(CYCLIC_TIMER)
     alias.on_read = timer.current
     alias.on_check = timer.check
@@ -48,8 +48,8 @@ _SECONDS = struct.Struct("<Q")
 class OperatingTime:
     """Object 6508h: counts from the first :meth:`begin` on, beyond what the store has kept.
 
-    Writing takes milliseconds, so :meth:`keep` is called when no SYNC is due, and what has passed since is
-    lost with the power. Without a store 6508h reads FFFFFFFFh. ``now()`` is the time of the running call.
+    Writing takes milliseconds: call :meth:`keep` when no SYNC is due. Without a store 6508h reads FFFFFFFFh.
+    ``now()`` is the time of the running call.
     """
 
     def __init__(self, dictionary: Dictionary, storage: Storage, now: Callable[[], float]) -> None:
@@ -59,7 +59,7 @@ class OperatingTime:
         dictionary.entry(OPERATING_TIME).on_read = self._tenths
 
     def begin(self, now: float) -> None:
-        """Power-on at ``now`` (seconds); a reset is none, and changes nothing."""
+        """Power-on at ``now`` (seconds); a reset changes nothing."""
         if self._since_s is not None or not self._storage.is_there:
             return
         self._since_s = now
@@ -73,7 +73,7 @@ class OperatingTime:
             self._storage.refuse(ParameterGroup.OPERATING_TIME, "it contains no time")
 
     def keep(self, now: float) -> None:
-        """Into the store, if a minute has passed. A disk that fails is tried again next time."""
+        """Into the store, if a minute has passed; a disk that fails is tried again."""
         seconds = self._seconds(now)
         if seconds - self._kept_s < LEAST_S:
             return
@@ -100,10 +100,9 @@ STANDSTILL_CYCLES = 0.05  # per sample: what counts as standstill for a preset
 
 
 class EncoderProfile:
-    """Objects 6000h to 650Bh over the feedback of a signal chain.
+    """Objects 6000h to 650Bh over the feedback of a signal chain, computed when they are read.
 
-    What the default PDOs do not hold is computed when it is read. Cams, work area, speed and acceleration
-    hold the last valid position.
+    Cams, work area, speed and acceleration hold the last valid position.
     """
 
     def __init__(self, dictionary: Dictionary, interval: SamplingInterval, latest: Latest) -> None:
@@ -131,12 +130,12 @@ class EncoderProfile:
         self.reset()
 
     def reset(self) -> None:
-        """No position, no alarm; the preset is that of 6509h."""
+        """No position, no alarm."""
         self._alarms.value = 0
         self.rescale()
 
     def rescale(self) -> None:
-        """Take over 2001:01, 6000h, 6001h, 6002h and 6509h; the position is the new one at once."""
+        """Take over 2001:01, 6000h, 6001h, 6002h and 6509h at once."""
         cycles = self._cycles_per_revolution.value
         self._resolution.value = resolution = single_turn_resolution(cycles)
         self._revolutions.value = revolutions = distinguishable_revolutions(resolution)
@@ -156,25 +155,20 @@ class EncoderProfile:
         self._moved()
 
     def _moved(self) -> None:
-        """Every position has another value now."""
         self.cams.configure(self.scale.total_range)
         last = self._latest.feedback
         if last is not None:
-            self._position.value = self._fine.value = self.position_at(*self._latest.place(last))
+            self._position.value = self._fine.value = self.scale.position(*self._latest.place(last))
             if last.status & VALID:
                 self.cams.follow(self._position.value)
 
     def alarm_position(self, active: bool) -> None:
-        """Bit 0 of 6503h: the position is not valid."""
+        """Bit 0 of 6503h."""
         self._alarms.value = self._alarms.value & ALARM_PARAMETERS | (ALARM_POSITION if active else 0)
 
     def alarm_parameters(self, refused: bool) -> None:
-        """Bit 12 of 6503h: stored parameters were refused, the defaults are in force."""
+        """Bit 12 of 6503h: the defaults are in force."""
         self._alarms.value = self._alarms.value & ALARM_POSITION | (ALARM_PARAMETERS if refused else 0)
-
-    def position_at(self, cycles: int, phase: float) -> int:
-        """What 6004h is at this place: cycle count and phase, 0 <= phase < 1."""
-        return self.scale.position(cycles, phase)
 
     def _valid_position(self) -> int | None:
         last = self._latest.valid

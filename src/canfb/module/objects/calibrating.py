@@ -1,11 +1,7 @@
 """Object 2030h: a reference measurement from the module's own samples, while it goes on publishing.
 
-    IDLE ──start──> RECORDING ──full, or finish──> COMPUTING ──> READY ──accept──> ACCEPTED
-                                                            └──> REFUSED, CHECKED
-
-The samples are recorded here, one a SYNC. The table takes seconds to compute, so that is a
-:class:`CalibrationJob`, which a host runs in another process and brings back (`finish_job`). Only a master's
-command puts the result in force.
+IDLE ──start──> RECORDING ──full, or finish──> COMPUTING ──> READY ──accept──> ACCEPTED
+                                                        └──> REFUSED, CHECKED
 """
 
 from __future__ import annotations
@@ -42,7 +38,7 @@ from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL
 
 
 class Outcome(NamedTuple):
-    """What came out of a :class:`CalibrationJob`. A refused ``calibration`` is for diagnosis only."""
+    """A refused ``calibration`` is for diagnosis only."""
 
     reason: Reason
     calibration: Calibration | None
@@ -51,13 +47,12 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CalibrationJob:
-    """Samples, and what to make of them: a call computes it, in seconds. It can be pickled.
+    """The table from samples takes seconds: a host calls this, in another process if it likes.
 
     samples     as 2050:03 has them
-    times       sample times in 100 ns, rising, INTEGER64, NO_TIME for none; None: one sample per interval
+    times       in 100 ns, rising, INTEGER64, NO_TIME for none; None: one sample per interval
     adc_bits    4..16
-    turned      how far the machine turned from the sine of each sample to its cosine, rad, REAL32;
-                None: both are sampled at once
+    turned      from the sine of each sample to its cosine, rad, REAL32; None: both are sampled at once
     delays_s    2002:06 and 2002:07, which are kept: they do not show at one speed
     at_speed    the analog path counts at the speed of the samples
     """
@@ -70,7 +65,7 @@ class CalibrationJob:
     at_speed: bool = False
 
     def __call__(self, progress: Callable[[float], None] = no_progress) -> Outcome:
-        """Table and conditioning from the samples; ``progress`` is called with 0..1."""
+        """Table and conditioning; ``progress`` is called with 0..1."""
         sine, cosine, time_s = (
             (*recorded_tracks(self.samples), None)
             if self.times is None
@@ -97,9 +92,9 @@ AT_WORK = frozenset({State.RECORDING, State.COMPUTING})
 
 
 class Calibrating:
-    """Records, has the table computed, and activates the result on a master's command only.
+    """Only a master puts the result in force. ``working`` is called for bit 10 of the status word.
 
-    ``working`` is called with True and False, for bit 10 of the status word.
+    ``job`` is to be computed: the same object until it is done or obsolete.
     """
 
     def __init__(
@@ -146,26 +141,21 @@ class Calibrating:
         )
 
     def reset(self) -> None:
-        """Idle: nothing is recorded, computed or known; what is in force stays so."""
+        """Nothing is known; what is in force stays so."""
         self._task = Command.START
         self._forget(1)
         self._enter(State.IDLE)
 
     def interrupted(self) -> None:
-        """There are no more samples for now: a recording has a gap of unknown length, and is refused."""
+        """A recording has a gap of unknown length, and is refused."""
         if self.state is State.RECORDING:
             self._refuse(Reason.INTERRUPTED)
 
-    @property
-    def pending_job(self) -> CalibrationJob | None:
-        """What is to be computed; the same object until it is done or obsolete."""
-        return self._job
-
     def finish(self, job: CalibrationJob, result: Outcome | Exception) -> None:
-        """What ``job`` gave, or how it failed. Nothing happens if it is obsolete."""
+        """Nothing happens if it is obsolete."""
         if not isinstance(result, (Outcome, Exception)):
             raise TypeError(f"pass what the job returned, or the Exception that it raised, not {result!r}")
-        if job is not self._job:
+        if job is not self.job:
             return
         if not isinstance(result, Outcome):
             result = Outcome(Reason.FAILED, None, str(result))
@@ -176,12 +166,12 @@ class Calibrating:
             self._refuse(result.reason)
 
     def computed(self, job: CalibrationJob, part: float) -> None:
-        """The fraction ``part`` of ``job`` is done, 0..1."""
-        if job is self._job:
+        """The fraction ``part`` is done, 0..1."""
+        if job is self.job:
             self._part = min(max(part, 0.0), 1.0)
 
     def take(self, sample: Sample, feedback: Feedback) -> None:
-        """One sample of a recording; one that the supervision flags is left out."""
+        """One that the supervision flags is left out."""
         status = feedback.status
         self._add_time(sample.time_100ns)
         tracks = self._chain.tracks
@@ -232,7 +222,7 @@ class Calibrating:
         self._last_tick: int | None = None
         self._bins: list[int] = [0] * BINS
         self._part = 0.0
-        self._job: CalibrationJob | None = None
+        self.job: CalibrationJob | None = None
         self._calibration = None
         self._reason: Reason = Reason.ACCEPTED
         self._compared: tuple[Correction, Drift] | None = None
@@ -244,7 +234,7 @@ class Calibrating:
         else:
             self._observers.remove(self)
         if state is not State.COMPUTING:
-            self._job = None
+            self.job = None
         self._working(state in AT_WORK)
 
     def _refuse(self, reason: str) -> None:
@@ -262,13 +252,11 @@ class Calibrating:
         delays_s = active.cosine_delay_s, active.delay_s
         corners = Corners(*(corner.value for corner in self._corners))
         at_speed = counts_at(self._fastest_hz, active.cosine_delay_s, corners)
-        self._job = CalibrationJob(
-            self._samples.to_bytes(), times, self._adc_bits, turned, delays_s, at_speed
-        )
+        self.job = CalibrationJob(self._samples.to_bytes(), times, self._adc_bits, turned, delays_s, at_speed)
         self._enter(State.COMPUTING)
 
     def _add_time(self, time_100ns: int | None) -> None:
-        """Sample times without their wrap; all samples have one, or none is used."""
+        """Without their wrap; all samples have one, or none is used."""
         self._timed &= time_100ns is not None
         if time_100ns is None:
             self._times.append(NO_TIME)
@@ -278,7 +266,7 @@ class Calibrating:
         self._times.append(self._last_tick)
 
     def _held(self, counts: float) -> int:
-        """Counts; those at or beyond the ends of the converter's range at the ends of its bits."""
+        """At or beyond the ends of the converter: the ends of its bits."""
         if self._lowest <= counts <= self._highest:
             return int(counts)
         full: int = 1 << (self._adc_bits - 1)
@@ -297,11 +285,11 @@ class Calibrating:
         return int(100.0 * (covered(self._bins) if found is None else found.coverage))
 
     def _figure(self, name: str) -> float:
-        """A figure of the measurement in cycles; NaN while there is none, never a wrong 0."""
+        """In cycles; NaN while there is none, never a wrong 0."""
         return math.nan if self._calibration is None else float(getattr(self._calibration, name))
 
     def _drift(self) -> Drift:
-        """The measurement against what is in force now; computed when it is asked for."""
+        """Against what is in force now."""
         if self._calibration is None or self._reason != Reason.ACCEPTED:
             return UNKNOWN
         active, known = self._chain.correction, self._compared
@@ -314,8 +302,7 @@ class Calibrating:
 def _left_out(status: int) -> bool:
     """Whether the supervision calls a sample bad.
 
-    Not where it was clipped: too large tracks are to be found out. Nor by the residual while the
-    position is lost: it compares with a count that is not guaranteed.
+    Clipped ones stay: too large tracks are to be found out. The residual of a lost position means nothing.
     """
     if status & CLIPPED:
         return False

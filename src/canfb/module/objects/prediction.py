@@ -1,4 +1,4 @@
-"""Object 2013h: the position at the SYNC that sends it, or at the nominal SYNC, in place of the sample's."""
+"""Object 2013h: the position at the SYNC that sends it, or at the nominal SYNC."""
 
 from __future__ import annotations
 
@@ -20,26 +20,24 @@ KNOWN_ACCELERATION = 3  # successive valid samples that determine one
 class Prediction:
     """Extrapolates 6004h and 6008h by one interval of SYNC, for synchronous TPDOs only.
 
-    At SYNC k+1 the newest sample is that of SYNC k, whatever the types of the PDOs. With x the
-    position, v = x(k) - x(k-1) and a = v(k) - v(k-1), all in cycles and intervals:
+    At SYNC k+1 the newest sample is that of SYNC k. With x the position, v = x(k) - x(k-1) and
+    a = v(k) - v(k-1), in cycles and intervals:
 
         1  constant speed         x(k) + v       error at most |acceleration| T^2,   noise times sqrt(5)
         2  constant acceleration  x(k) + v + a   error at most |jerk| T^3,           noise times sqrt(19)
 
-    With m samples in an interval of SYNC, v and a are those of its samples: x(k) + m v, and
-    x(k) + m v + a m (m + 1)/2.
-
-    v is the speed of half an interval ago, so a counts whole, not half. docs/latency.md has more.
+    With m samples in an interval of SYNC: x(k) + m v, and x(k) + m v + a m (m + 1)/2. v is the speed of half
+    an interval ago, so a counts whole, not half (docs/latency.md).
 
     :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it, which puts
     ``measured`` back: 6004h, 6008h and 2011:01. Bit 12 of the status word stands as long as the extrapolated
-    position does. Bit 0 is never set by it. While coasting the position goes on at the last valid speed; a
-    lost one stays as eq. 9 counts it.
+    position does. While coasting the position goes on at the last valid speed; a lost one stays as eq. 9
+    counts it.
 
     With 2013:02 and sample times the position belongs to the nominal SYNC of its sample, d intervals
-    after it: x + v d. :meth:`shift` puts it into the objects for good, once the lock is good enough. From
-    there to the next nominal SYNC formula 1 adds v (d + p), formula 2 v (d + p) + a (d + p)(d + p + 1)/2,
-    with p the period of the lock in intervals. All go on further by the delay of the analog path (2002:07).
+    after it: x + v d. :meth:`shift` puts it into the objects for good. From there to the next nominal SYNC
+    formula 1 adds v (d + p), formula 2 v (d + p) + a (d + p)(d + p + 1)/2, with p the period of the lock in
+    intervals. All go on further by the delay of the analog path (2002:07).
     """
 
     def __init__(
@@ -61,12 +59,12 @@ class Prediction:
         self.pause(None)
 
     def pause(self, last: Feedback | None) -> None:
-        """OPERATIONAL begins after ``last``: earlier samples say nothing about the speed now."""
+        """OPERATIONAL begins: samples up to ``last`` say nothing about the speed now."""
         self._before = 0 if last is None else last.samples  # samples before OPERATIONAL
         self.forget()
 
     def forget(self) -> None:
-        """No SYNC was seen: 2013h was written, the node was reset, or OPERATIONAL begins."""
+        """2013h was written, the node was reset, or OPERATIONAL begins."""
         # Whether extrapolate and withdraw, and shift, are to be called.
         self.extrapolates, self.follows = bool(self._kind.value != OFF), bool(self._nominal.value)
         self._at_sync: int | None = None  # samples up to the last SYNC
@@ -74,7 +72,7 @@ class Prediction:
         self._valid_samples = 0  # in a row
 
     def shift(self, last: Feedback) -> None:
-        """``last`` was published: from now on its position is that at its nominal SYNC."""
+        """``last`` was published: its position becomes that at its nominal SYNC."""
         if not last.status & VALID or not self._lock.locked:
             return
         cycles, phase = ahead(
@@ -82,14 +80,14 @@ class Prediction:
             last.phase,
             last.speed_cycles * (self._intervals(self._lock.lead_ticks) + self._chain.tracks.lag_intervals),
         )
-        self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
+        self._position.value = self._fine.value = self._profile.scale.position(cycles, phase)
         self._status.value |= EXTRAPOLATED
 
     def _intervals(self, ticks: float) -> float:
         return ticks * TICK_S / self._chain.unit_s
 
     def extrapolate(self, last: Feedback) -> None:
-        """A SYNC, after what it brings was processed: ``last`` belongs to the SYNC before."""
+        """At a SYNC: ``last`` belongs to the one before."""
         since = None if self._at_sync is None else last.samples - self._at_sync
         self._at_sync = last.samples
         displacement = self._displacement(last)
@@ -102,17 +100,17 @@ class Prediction:
             return
         cycles, phase = ahead(last.cycles, last.phase, displacement)
         self.measured = self._position.value, self._fine.value, self._status.value
-        self._position.value = self._fine.value = self._profile.position_at(cycles, phase)
+        self._position.value = self._fine.value = self._profile.scale.position(cycles, phase)
         self._status.value |= EXTRAPOLATED
 
     def withdraw(self) -> None:
-        """The TPDOs of the SYNC are sampled: the measured position again."""
+        """The TPDOs of the SYNC are sampled."""
         if self.measured is not None:
             self._position.value, self._fine.value, self._status.value = self.measured
             self.measured = None
 
     def _displacement(self, last: Feedback) -> float | None:
-        """Cycles from the last sample to this SYNC; None without a position to go on from."""
+        """Cycles from the last sample to this SYNC; None: no position to go on from."""
         status = last.status
         if not status & VALID:
             self._valid_samples = 0
@@ -130,7 +128,7 @@ class Prediction:
 
 
 def ahead(cycles: int, phase: float, way_cycles: float) -> tuple[int, float]:
-    """Cycle count and phase (0 <= phase < 1) ``way_cycles`` further on; the count stays an integer."""
+    """``way_cycles`` further on, 0 <= phase < 1; the count stays an integer."""
     whole = math.floor(way_cycles)
     position = phase + (way_cycles - whole)  # 0 to 2, and 2 where it is rounded
     turns = math.floor(position)

@@ -1,8 +1,7 @@
 """The manufacturer objects 2011h and 2012h: every stage of the last sample, and what was counted.
 
-A module that says no more than "lost" leaves its user to guess between a bus that stalled, a limit that is
-too narrow and a dirty encoder. So :class:`LastLoss` keeps what was known in the sample of the loss
-(2012:10..16), until a reset.
+:class:`LastLoss` keeps what was known in the sample of the loss (2012:10..16): "lost" alone leaves a user to
+guess between a bus that stalled, a limit that is too narrow and a dirty encoder.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ NO_SAMPLE = -1
 
 
 class Latest:
-    """``feedback`` is the last one, ``valid`` the last one with a valid position; None before the first."""
+    """``feedback``, and the last one with a ``valid`` position; None: none yet."""
 
     __slots__ = ("_chain", "feedback", "valid")
 
@@ -62,15 +61,14 @@ class Latest:
         self.forget()
 
     def forget(self) -> None:
-        """After a reset of the node: no sample."""
+        """No sample."""
         self.feedback: Feedback | None = None
         self.valid: Feedback | None = None
 
     def place(self, feedback: Feedback) -> tuple[int, float]:
         """Cycle count and phase, 0 <= phase < 1, at the instant of the sample.
 
-        The tracks come late by 2002:07, l sampling intervals: x + v l + a l (l + 1)/2, with v and a of
-        :class:`Prediction`.
+        The tracks come late by 2002:07, l sampling intervals: x + v l + a l (l + 1)/2, v and a of Prediction.
         """
         lag = self._chain.tracks.lag_intervals
         if not lag:
@@ -83,11 +81,10 @@ class Latest:
 
 
 class LastLoss:
-    """Keeps the last loss, and gives it to 2012:10..16. All are 0 before there is one.
+    """Gives the last loss to 2012:10..16. All are 0 before there is one. ``now()`` is in seconds.
 
-    :meth:`follow` must see each sample that has a fault or whose position is lost, in order.
-    ``now()`` is in seconds. ``bad_samples`` were missed or bad in a row, the one of the loss among them;
-    ``faults`` are the bits of the status word of all samples since the last valid one.
+    :meth:`follow` must see each sample that has a fault or whose position is lost, in order. ``bad_samples``
+    were missed or bad in a row, with that of the loss; ``faults`` are all bits since the last valid sample.
     """
 
     def __init__(
@@ -108,7 +105,7 @@ class LastLoss:
         self.reset()
 
     def reset(self) -> None:
-        """After a reset: not lost since."""
+        """Not lost since."""
         self.cause = LossCause.NONE
         self.bad_samples = self.faults = 0
         self._lost_s = 0.0
@@ -145,10 +142,7 @@ class LastLoss:
 
 
 class Publication:
-    """2011h but for what the default PDOs hold, which is computed when it is read; faults in 2012h.
-
-    ``work`` is bit 10 of the status word.
-    """
+    """2011h but for what the default PDOs hold; faults in 2012h. ``work`` is bit 10 of the status word."""
 
     def __init__(
         self,
@@ -184,22 +178,22 @@ class Publication:
         self.reset()
 
     def reset(self) -> None:
-        """After a reset: no feedback; counting of losses restarts."""
+        """No feedback; losses are counted again."""
         self._last_raw = 0.0  # the last one before the present sample
         self._lost = False
         self._loss.reset()
 
     def withhold(self) -> None:
-        """What stands there is not valid any more, until the next sample."""
+        """Not valid any more, until the next sample."""
         self._status.value &= ~VALID
 
     def count(self, feedback: Feedback) -> None:
-        """Count its faults in 2012h, before it is the latest one."""
+        """Before it is the latest one."""
         self._last_raw = self._known_raw()
         self.count_between(feedback)
 
     def count_between(self, feedback: Feedback) -> None:
-        """Count the faults of a sample that is not published: another one of its SYNC follows."""
+        """A sample that is not published, as another one of its SYNC follows."""
         status = feedback.status
         if not (status & FLAGGED_BITS or self._lost):
             return
@@ -213,7 +207,7 @@ class Publication:
         self._lost = lost
 
     def calibrating(self, working: bool) -> None:
-        """Bit 10 of the status word, at once: the module records or computes for 2030h."""
+        """Bit 10 of the status word, at once."""
         self.work = CALIBRATING if working else 0
         self._status.value = self._status.value & ~CALIBRATING | self.work
 
@@ -222,7 +216,7 @@ class Publication:
         return self._latest.feedback or STILL
 
     def _known_raw(self) -> float:
-        """The last raw phase that there was, cycles."""
+        """The last raw phase that there was."""
         raw = self._last.raw_phase
         return raw if raw == raw else self._last_raw
 
@@ -231,7 +225,7 @@ class Publication:
         return min(int(amplitude), U16) if amplitude == amplitude else 0
 
     def _rad_s(self, per_interval: float, power: int) -> float:
-        """Cycles per interval, or per interval squared, in rad and s; what REAL32 cannot hold is cut off."""
+        """Cycles per interval (squared) in rad and s; cut off to REAL32."""
         interval_s = self._interval.sample_s
         if interval_s <= 0.0:
             return 0.0
@@ -244,5 +238,5 @@ class Publication:
 
 
 def _sixteen_bits(cycles: float, most: int) -> int:
-    """In 1/65536 cycle, cut off at ``most``; 0 for what is not known."""
+    """In 1/65536 cycle, cut off at ``most``; 0: not known."""
     return 0 if cycles != cycles else min(round(cycles * SIXTEEN_BITS), most)

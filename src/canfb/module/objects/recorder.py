@@ -1,4 +1,4 @@
-"""Who gets every sample: the observers, and object 2050h, the samples as they come, for upload."""
+"""Who gets every sample, and object 2050h: the samples for upload."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from canfb.signal.sample_recording import SampleRecording
 
 
 class SampleObserver(Protocol):
-    """Gets each sample from `add` to `remove`, after its position was published."""
+    """Gets each sample after its position was published."""
 
     def take(self, sample: Sample, feedback: Feedback) -> None:
-        """A sample, and what the chain made of it."""
+        """A sample."""
 
     def miss(self) -> None:
         """A SYNC without a sample."""
 
 
 class SampleObservers:
-    """The present observers; usually none."""
+    """Usually none."""
 
     __slots__ = ("open",)
 
@@ -32,7 +32,7 @@ class SampleObservers:
         self.open: tuple[SampleObserver, ...] = ()
 
     def add(self, observer: SampleObserver) -> None:
-        """It gets the samples from the next one on."""
+        """From the next sample on."""
         if observer not in self.open:
             self.open = (*self.open, observer)
 
@@ -43,7 +43,7 @@ class SampleObservers:
     def take_all(
         self, sample: Sample, feedback: Feedback, between: Sequence[Feedback], per_sync: int, apart_ticks: int
     ) -> None:
-        """The samples of one SYNC, ``apart_ticks`` apart; ``between`` are the feedbacks before the newest."""
+        """Those of one SYNC, ``apart_ticks`` apart; ``between`` are the feedbacks before the newest."""
         for place in range(per_sync - 1, 0, -1):
             if place > len(between):
                 self.miss()
@@ -58,7 +58,7 @@ class SampleObservers:
             observer.take(sample, feedback)
 
     def miss(self) -> None:
-        """No sample, for all of them."""
+        """A SYNC without a sample."""
         for observer in self.open:
             observer.miss()
 
@@ -67,11 +67,10 @@ COMMANDS = frozenset(od.RecordingCommand)
 
 
 class Recorder:
-    """Records raw counts, one pair for each sampling interval, from the next sample on.
+    """Records raw counts, one pair for each sampling interval.
 
-    Start (2050:01 = 1) drops what was recorded, stop (2) keeps it. The recording ends when the memory is full
-    (2050:02 = 2050:05), or when the module leaves OPERATIONAL, because time would be lost. 2050:03 gives the
-    samples so far at any time.
+    It ends when the memory is full (2050:02 = 2050:05), or when the module leaves OPERATIONAL, because time
+    would be lost. 2050:03 gives the samples so far at any time.
     """
 
     def __init__(
@@ -92,16 +91,16 @@ class Recorder:
         )
 
     def reset(self) -> None:
-        """Nothing is recorded, and nothing was."""
+        """Nothing was recorded."""
         self.stop()
         self._recording.clear()
 
     def stop(self) -> None:
-        """No more samples; those that there are stay."""
+        """What there is stays."""
         self._observers.remove(self)
 
     def take(self, sample: Sample, feedback: Feedback) -> None:
-        """One sample, whatever the checks say of it; what the encoder interface calls invalid is none."""
+        """Whatever the checks say of it; what the interface calls invalid is none."""
         if sample.invalid:
             self.miss()
             return

@@ -1,8 +1,7 @@
 """Object 2000h: a sample, put together from the RPDOs that carry its parts, or given by a source.
 
-The parts of one sample may come in several PDOs, in any order that the interface keeps to, and one of them
-may be lost or doubled. :class:`SampleInput` waits until all are there and gives none that is put together
-from two samples. A module with its own ADC has a :class:`LocalSource` in place of them.
+The parts may come in several PDOs, in any order that the interface keeps to, and one may be lost or doubled:
+none is put together from two samples.
 """
 
 from __future__ import annotations
@@ -27,9 +26,8 @@ PLACES = 65536.0  # 2000:07 counts the interval of SYNC in 1/65536
 class SampleInput:
     """Waits for all RPDOs that bring a part of 2000h, then gives the sample.
 
-    Both tracks must come in one RPDO: they belong to one instant. So must those of each earlier pair, which
-    are used up to the first that no RPDO brings. What no RPDO brings is not used, but for 2000:06 bit 1:
-    SDO may set it.
+    Both tracks of a pair must come in one RPDO: they belong to one instant. Earlier pairs are used up to the
+    first that no RPDO brings; SDO may set 2000:06 bit 1.
 
     ``sine`` ... ``place``  the entries of 2000:01..07
     ``arrived``             RPDOs of this sample that have come, bit n: RPDO n
@@ -55,7 +53,7 @@ class SampleInput:
         self._use(tracks=None)
 
     def configure(self) -> None:
-        """Find out which RPDOs bring what; called when PDO parameters or the NMT state change."""
+        """PDO parameters or the NMT state have changed."""
         with_ = self._node.rpdo_with
         earlier = [with_(*pair) for pair in od.SAMPLE_EARLIER]
         self._use(
@@ -76,7 +74,7 @@ class SampleInput:
         place: int | None = None,
         earlier: list[int | None] | None = None,
     ) -> None:
-        """The numbers of the RPDOs with each part, None: no RPDO brings it."""
+        """The RPDO with each part, None: no RPDO brings it."""
         self._earlier = self.all_earlier[: len(earlier or ())]
         parts = {tracks, coarse, time, flags, place, *(earlier or ())} - {None}
         self._required = 0 if tracks is None else sum(1 << number for number in parts if number is not None)
@@ -97,15 +95,14 @@ class SampleInput:
 
     @property
     def samples_per_sync(self) -> int:
-        """Pairs of sine and cosine in an interval of SYNC."""
+        """Pairs of sine and cosine."""
         return 1 + len(self._earlier)
 
     def take(self, number: int) -> bool:
         """RPDO ``number`` has come; True if the sample is complete with it.
 
         A part that comes twice before the others leaves open which of the two belongs to them: the sample is
-        dropped. A part that comes before the one that usually begins a sample is left over from the sample
-        before, or comes doubled.
+        dropped. One before that which usually begins a sample is of the sample before, or doubled.
         """
         part = 1 << number
         if not self._required & part:
@@ -142,16 +139,16 @@ class SampleInput:
 
     @property
     def is_ambiguous(self) -> bool:
-        """Several synchronous PDOs with tracks since the last SYNC: which of them answers it is unknown."""
+        """Several synchronous PDOs with tracks since the last SYNC."""
         return self._waiting is not None and self._waiting.waiting > 1
 
     @property
     def tracks(self) -> tuple[int, int]:
-        """Sine and cosine as they stand in the dictionary, counts."""
+        """Sine and cosine, counts."""
         return self.sine.value, self.cosine.value
 
     def sample(self) -> Sample:
-        """The sample of the parts that have come."""
+        """Of the parts that have come."""
         flags = self.flags.value
         invalid = flags & SAMPLE_INVALID != 0
         pulse = None
@@ -178,9 +175,8 @@ class SampleInput:
 class LocalSource:
     """Asks a :class:`canfb.sources.protocol.Source` at each SYNC; nothing that it does raises.
 
-    ``report`` gets one line when the source fails, when it works again, and when it has ended.
-    ``samples_per_sync`` pairs are in a sample; several have a time. ``source_time_s`` is that of the last
-    sample since the first one, None without time stamps.
+    ``report`` gets one line when it fails, works again, or has ended. ``samples_per_sync`` pairs are in a
+    sample. ``source_time_s`` is that of the last sample since the first one, None without time stamps.
     """
 
     def __init__(self, source: Source, parts: SampleInput, report: Callable[[str], None]) -> None:
@@ -188,13 +184,8 @@ class LocalSource:
         self.samples_per_sync = source.samples_per_sync if isinstance(source, Grouped) else 1
         self.source_time_s: float | None = None
 
-    @property
-    def ended(self) -> bool:
-        """The source has no sample left."""
-        return self._watch.ended
-
     def next(self, now: float) -> Sample | None:
-        """The sample of the SYNC at ``now`` (seconds), None for a missed one; its counts go into 2000h."""
+        """The sample of the SYNC at ``now``, None: missed; its counts go into 2000h."""
         sample = self._watch.sample(now)
         if sample is not None:
             self._keep(sample)

@@ -17,8 +17,7 @@ UNCERTAIN = -1
 class SecondInput:
     """Counts the values of 2000:0E between two SYNCs: with just one it belongs to the sample of the first.
 
-    In use while RPDO ``number`` brings 2000:0E and the tolerance 2014:04 is above 0. A write to 2014h forgets
-    what the sensor said of the position.
+    In use while RPDO ``number`` brings 2000:0E and 2014:04 is above 0.
     """
 
     def __init__(self, dictionary: Dictionary, node: Node, chain: SignalChain) -> None:
@@ -37,7 +36,7 @@ class SecondInput:
 
     @property
     def sensor(self) -> SecondSensor | None:
-        """The sensor of 2014h, None while it is not in use."""
+        """None while it is not in use."""
         values = {name: entry.value for name, entry in self._parameters.items()}
         if self.number is None or values["tolerance_revolutions"] == 0.0:
             return None
@@ -45,28 +44,28 @@ class SecondInput:
         return SecondSensor(**values | flags)
 
     def apply(self) -> None:
-        """Take over 2014h."""
+        """2014h was written: what it said is forgotten."""
         self._values = 0
         self._chain.use_second(self.sensor)
 
     def configure(self) -> None:
-        """PDO parameters or the NMT state have changed: which RPDO brings the value."""
+        """PDO parameters or the NMT state have changed."""
         self.number = self._node.rpdo_with(od.SAMPLE_SECOND_POSITION)
         second = self._chain.second
         if self.sensor != (None if second is None else second.sensor):
             self.apply()
 
     def value_received(self) -> None:
-        """RPDO :attr:`number` has come, or is taken over at a SYNC."""
+        """RPDO :attr:`number`, or its data at a SYNC."""
         self._values += 1
 
     def interval_over(self, certain: bool) -> None:
-        """At a SYNC, before its sample. ``certain``: the one before it was received as well."""
+        """At a SYNC, before its sample; ``certain``: the one before it was received as well."""
         values, self._values = self._values, 0
         self._chain.hear_second(values if certain else UNCERTAIN, self._value.value)
 
     def difference_revolutions(self) -> float:
-        """The sensor minus the position, revolutions; NaN: not known."""
+        """Sensor minus position; NaN: not known."""
         second = self._chain.second
         if second is None or second.difference_cycles is None:
             return math.nan

@@ -1,8 +1,6 @@
 """Objects 2020h and 2002h: correction table and conditioning, staged, in force, and followed.
 
-Table and conditioning belong together, for the table is that of conditioned tracks: they take effect
-together, between two samples (:class:`TableStore`). From there on :class:`Adapting` can follow the drift of
-offset, gain and phase (2002:08..12, docs/adaptation.md).
+They take effect together, between two samples, for the table is that of conditioned tracks.
 """
 
 from __future__ import annotations
@@ -28,9 +26,8 @@ from canfb.signal.correction import Correction, CorrectionTable
 class TableStore:
     """Object 2020h: a table is staged by 2020:01 and takes effect, with 2002h, by 2020:03.
 
-    `save` keeps what is in force: the active table, as the content of 2020:01, and its conditioning; not what
-    2002h holds for the next activation. Both come back with a reset. ``on_in_force`` is called with what has
-    come into force, by SDO, by a calibration or with a reset.
+    `save` keeps what is in force; not what 2002h holds for the next activation. ``on_in_force`` is called
+    with what has come into force, by SDO, by a calibration or with a reset.
     """
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, storage: Storage) -> None:
@@ -62,25 +59,21 @@ class TableStore:
 
     @property
     def _table(self) -> CorrectionTable | None:
-        """The active one."""
         return self._chain.correction.table
 
     @property
     def _values(self) -> Sequence[float]:
-        """The conditioning in force, as 2002h has it."""
         return self._chain.correction.conditioning.values
 
     def reset(self) -> None:
-        """Nothing staged, the stored table active or none, the conditioning of 2002h in force."""
+        """Nothing staged; the stored table, or none, and 2002h in force."""
         self._staged = None
         stored: bytes = self._content.value
         self._content.value = b""
         self._put_in_force(CorrectionTable.from_bytes(stored) if stored else None)
 
     def take_over(self, correction: Correction) -> None:
-        """Put both in force together, between two samples. 2002h shows the conditioning then; what
-        is staged stays staged.
-        """
+        """Both in force together, between two samples; what is staged stays staged."""
         for entry, value in zip(self._conditioned, correction.conditioning.values, strict=True):
             entry.value = value
         self._put_in_force(correction.table)
@@ -93,7 +86,7 @@ class TableStore:
         return self._values[part]
 
     def _saved_crc(self) -> int:
-        """0 for the identity, and where nothing is saved: both bring the identity."""
+        """0 for the identity, and where nothing is saved."""
         for record in self._storage.records(ParameterGroup.MANUFACTURER) or ():
             if (record.index, record.subindex) == od.TABLE_STAGED and record.data:
                 return zlib.crc32(record.data)
@@ -129,7 +122,7 @@ class TableStore:
 
 
 def _check_table(data: bytes) -> None:
-    """Refuse what is not a table. `save` keeps the identity as nothing at all; that cannot be staged."""
+    """Empty is the identity as `save` keeps it; it cannot be staged."""
     try:
         if data:
             CorrectionTable.from_bytes(data)
@@ -141,11 +134,10 @@ MOST_PER_CENT = 0xFFFF
 
 
 class Adapting:
-    """Between these objects and :attr:`SignalChain.adaptation`.
+    """Follows the drift of offset, gain and phase: 2002:08..12 (docs/adaptation.md).
 
-    `save` keeps the drift that is followed, and a reset goes on from there; the conditioning of 2002:01..07
-    stays that of the calibration. An activation (2020:03, 2030:01) begins at zero, as 2002:08 does when 0 is
-    written.
+    `save` keeps the drift, and a reset goes on from there; the conditioning of 2002:01..07 stays that of the
+    calibration. An activation, or 2002:08 = 0, begins at zero.
     """
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, limits: Limits, storage: Storage) -> None:
@@ -166,7 +158,7 @@ class Adapting:
 
     @property
     def state(self) -> State:
-        """What it does now."""
+        """2002:0D."""
         adaptation = self._chain.adaptation
         if not adaptation.is_on:
             return State.OFF
@@ -175,7 +167,7 @@ class Adapting:
         return State.FOLLOWING if adaptation.is_recent(self._chain.samples) else State.WAITING
 
     def reset(self) -> None:
-        """After the correction is in force: on from the drift that was saved with it."""
+        """The correction is in force: on from the drift that was saved with it."""
         self._adapt(FollowedDrift(*(entry.value for entry in self._drift)))
 
     def _apply(self) -> None:

@@ -1,7 +1,6 @@
-"""Object 2040h: who may change table, limits and communication parameters over the bus.
+"""Object 2040h: who may change parameters over the bus (docs/security.md).
 
-CAN knows no sender, so a lock keeps mistakes away, and a tool that is connected to the wrong machine; whoever
-can put frames on the bus can also listen to the code. docs/security.md says what it is good for.
+CAN knows no sender, so a lock keeps away mistakes only; whoever sends frames can also listen to the code.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ class WriteLock:
 
     Parameters are what a backup holds, table, calibration in the module, `save`, `load`, and the lock itself.
     A transfer that began before the lock closed is aborted at its next segment. A right code unlocks until a
-    reset, or until 0 is written. The lock is saved with the parameters (1010h), but is in no backup.
+    reset, or until 0 is written. The lock is saved (1010h), but is in no backup.
     """
 
     def __init__(self, node: Node) -> None:
@@ -60,7 +59,7 @@ class WriteLock:
         self._unlocked = False
 
     def check_write(self, entry: Entry | None) -> None:
-        """SdoAbort for an SDO write of this entry, or for LSS (None), that is refused now."""
+        """SdoAbort for what is refused now; ``entry`` None: LSS."""
         place = None if entry is None else (entry.index, entry.subindex)
         if entry is not None and entry.index not in STORES and place not in self._locked_places:
             return
@@ -69,7 +68,7 @@ class WriteLock:
             raise SdoAbort(refusal)
 
     def _check_given(self, value: int) -> None:
-        """A wrong code is refused, and so is any for a second after it, so that nobody can try all."""
+        """A wrong code is refused, and any for a second after it."""
         if not value:
             return
         now = self._node.now
