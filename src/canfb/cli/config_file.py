@@ -28,8 +28,7 @@ from canfb.device.od.dcf import Reals
 from canfb.errors import ConfigError
 from canfb.hosting.hosting import check_machine, saved_configuration
 from canfb.master.access import NodeAccess
-from canfb.module.configuration_files import ConfigurationFiles, place_names
-from canfb.module.device_configuration import read_configuration
+from canfb.module.device_configuration import ConfigurationFiles, place_names, read_configuration
 from canfb.module.module_config import ModuleConfig
 
 EXAMPLE = """\

@@ -113,8 +113,6 @@ class Calibrating:
             dictionary.entry(*corner)
             for corner in (od.ENCODER_CORNER_FREQUENCY, od.ENCODER_COSINE_CORNER_FREQUENCY)
         ]
-        self._calibration: Calibration | None = None
-        self._fastest_hz = 0.0  # of the samples, cycles per second
         self._commands: dict[int, Callable[[], None]] = {
             Command.START: lambda: self._start(Command.START),
             Command.STOP: self.reset,
@@ -139,6 +137,20 @@ class Calibrating:
                 od.MEASUREMENT_DRIFT_PEAK: lambda: self._drift().peak,
             }
         )
+
+    def _forget(self, capacity: int) -> None:
+        self._samples = SampleRecording(capacity)
+        self._times = array("q")
+        self._turned = array("f")  # from each sine to its cosine
+        self._fastest_hz = 0.0  # of the samples, cycles per second
+        self._timed = True
+        self._last_tick: int | None = None
+        self._bins: list[int] = [0] * BINS
+        self._part = 0.0
+        self.job: CalibrationJob | None = None
+        self._calibration: Calibration | None = None
+        self._reason: Reason = Reason.ACCEPTED
+        self._compared: tuple[Correction, Drift] | None = None
 
     def reset(self) -> None:
         """Nothing is known; what is in force stays so."""
@@ -212,20 +224,6 @@ class Calibrating:
             raise SdoAbort(AbortCode.DEVICE_STATE)
         self._tables.take_over(self._calibration.correction)
         self._enter(State.ACCEPTED)
-
-    def _forget(self, capacity: int) -> None:
-        self._samples = SampleRecording(capacity)
-        self._times = array("q")
-        self._turned = array("f")  # from each sine to its cosine
-        self._fastest_hz = 0.0
-        self._timed = True
-        self._last_tick: int | None = None
-        self._bins: list[int] = [0] * BINS
-        self._part = 0.0
-        self.job: CalibrationJob | None = None
-        self._calibration = None
-        self._reason: Reason = Reason.ACCEPTED
-        self._compared: tuple[Correction, Drift] | None = None
 
     def _enter(self, state: State) -> None:
         self.state = state

@@ -80,6 +80,9 @@ class Prediction:
             last.phase,
             last.speed_cycles * (self._intervals(self._lock.lead_ticks) + self._chain.tracks.lag_intervals),
         )
+        self._show(cycles, phase)
+
+    def _show(self, cycles: int, phase: float) -> None:
         self._position.value = self._fine.value = self._profile.scale.position(cycles, phase)
         self._status.value |= EXTRAPOLATED
 
@@ -100,8 +103,7 @@ class Prediction:
             return
         cycles, phase = ahead(last.cycles, last.phase, displacement)
         self.measured = self._position.value, self._fine.value, self._status.value
-        self._position.value = self._fine.value = self._profile.scale.position(cycles, phase)
-        self._status.value |= EXTRAPOLATED
+        self._show(cycles, phase)
 
     def withdraw(self) -> None:
         """The TPDOs of the SYNC are sampled."""

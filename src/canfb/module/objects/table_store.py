@@ -32,6 +32,9 @@ class TableStore:
 
     def __init__(self, dictionary: Dictionary, chain: SignalChain, storage: Storage) -> None:
         self._chain, self._storage = chain, storage
+        self._staged_crc = dictionary.entry(*od.TABLE_STAGED_CRC)
+        self._active_crc = dictionary.entry(*od.TABLE_ACTIVE_CRC)
+        self._active_entries = dictionary.entry(*od.TABLE_ACTIVE_ENTRIES)
         self.on_in_force: Callable[[Correction], None] | None = None
         self._staged: CorrectionTable | None = None
         # Its value is a table that was restored, or one that is just written; else empty.
@@ -43,9 +46,6 @@ class TableStore:
         dictionary.read_live(
             {
                 od.TABLE_STAGED: lambda: (self._table or CorrectionTable.identity()).to_bytes(),
-                od.TABLE_STAGED_CRC: lambda: 0 if self._staged is None else self._staged.crc32,
-                od.TABLE_ACTIVE_CRC: lambda: self._chain.correction.crc32,
-                od.TABLE_ACTIVE_ENTRIES: lambda: 0 if self._table is None else len(self._table),
                 od.TABLE_SAVED_CRC: self._saved_crc,
                 od.TABLE_ACTIVE_CONDITIONING: lambda: struct.pack(f"<{len(od.CONDITIONING)}f", *self._values),
             }
@@ -98,6 +98,7 @@ class TableStore:
             raise SdoAbort(AbortCode.INVALID_VALUE)
         self._staged = CorrectionTable.from_bytes(data)
         self._content.value = b""
+        self._staged_crc.value = self._staged.crc32
 
     def _activate(self) -> None:
         known = {one.crc32: one for one in (self._table, self._staged) if one is not None} | {0: None}
@@ -108,6 +109,9 @@ class TableStore:
     def _put_in_force(self, table: CorrectionTable | None) -> None:
         correction = Correction(table, self._conditioning())
         self._chain.activate(correction)
+        self._active_crc.value = correction.crc32
+        self._active_entries.value = 0 if table is None else len(table)
+        self._staged_crc.value = 0 if self._staged is None else self._staged.crc32
         if self.on_in_force is not None:
             self.on_in_force(correction)
 
