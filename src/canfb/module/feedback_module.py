@@ -185,7 +185,7 @@ class FeedbackModule(NodeDevice):
         return inf if self._pairing.timed else self._jitter.max_speed_rad_s
 
     def use_correction(self, correction: Correction) -> None:
-        """In force between two samples, until a reset."""
+        """Put ``correction`` in force between two samples, until a reset."""
         self._tables.take_over(correction)
 
     def speed_limit(self) -> str:
@@ -227,7 +227,7 @@ class FeedbackModule(NodeDevice):
         return []
 
     def job_progress(self, job: CalibrationJob, part: float) -> None:
-        """The fraction ``part``, 0..1, is done: for 2030:03."""
+        """The fraction ``part``, 0..1, of the ``job`` is done: for 2030:03."""
         self._calibrating.computed(job, part)
 
     def _choose_parameters(self) -> None:
@@ -282,7 +282,7 @@ class FeedbackModule(NodeDevice):
         self._lock.check_write(entry)
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """Samples are counted in OPERATIONAL only."""
+        """From ``old`` to ``new``, and ``why``: samples are counted in OPERATIONAL only."""
         super().state_changed(old, new, now, why)
         if new is NmtState.OPERATIONAL:
             self._sampling.resume(now)
