@@ -72,6 +72,9 @@ class GuideNetwork:
             def __init__(self, bus: Any, devices: Any, **words: Any) -> None:
                 self._devices = devices
 
+            def hears(self, can_ids: Any, wait_s: float, asked: Any = ()) -> None:
+                """No other node has the node-ID of a device."""
+
             def run(self, until: Any = None, ready: Any = None) -> None:
                 network._attached.append([Unplugged(device) for device in self._devices])
                 for device in network._attached[-1]:

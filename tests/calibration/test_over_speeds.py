@@ -44,12 +44,12 @@ def errors(machine: Machine, found: SpeedCalibration, rpm: float) -> FloatArray:
     """Of the chain with what was found, cycles, mean included; samples that were not measured with."""
     samples, position = machine.at(rpm, 1200, 99)
     config = ChainConfig(
-        conditioning=found.correction.conditioning,
+        conditioning=found.calibration.conditioning,
         corner_hz=found.path.corners.corner_hz,
         cosine_corner_hz=found.path.corners.cosine_corner_hz,
         interval_s=1.0 / RATE_HZ,
     )
-    chain = SignalChain(config, found.correction.table)
+    chain = SignalChain(config, found.calibration.table)
     chain.restart(0, samples.hertz / RATE_HZ)
     off = []
     for sine, cosine, true in zip(samples.sine, samples.cosine, position, strict=True):
@@ -88,7 +88,7 @@ def test_the_lowest_speed_need_not_be_low() -> None:
     found = calibrated(machine, 903.0, 3001.0)
     for rpm in (60.0, 2999.0):
         assert 0.7 * NOISE < errors(machine, found, rpm).std() < 3e-4
-    assert found.correction.conditioning.phase_error_rad == pytest.approx(machine.phase_error, abs=5e-3)
+    assert found.calibration.conditioning.phase_error_rad == pytest.approx(machine.phase_error, abs=5e-3)
 
 
 def test_one_speed_shows_no_path() -> None:

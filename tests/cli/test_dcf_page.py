@@ -78,8 +78,7 @@ def test_commands_and_examples_make_the_module_of_the_configuration(
     assert configuration_of(network.module).values() == wanted.values()
 
     # The third command reads the module; the second example writes what it has read.
-    monkeypatch.setattr(config_file, "open_bus", lambda words: words)
-    monkeypatch.setattr(config_file, "BusMaster", lambda bus, answer_within_s: _Reading(network))
+    monkeypatch.setattr(config_file, "master_of", lambda options: _Reading(network))
     assert main(COMMANDS[2][1:]) == 0
     fresh = Network()
     names["node"] = fresh.add_node(0x20, canopen.import_od("module-20h.dcf"))
