@@ -47,8 +47,11 @@ class Network(EmbeddedNetwork):
         assert words == {"interface": "socketcan", "channel": "can0"}
         return self
 
+    def sdo(self, node_id: int) -> Any:
+        return SharedClient(self, node_id, 1.0)
+
     def wait(self, duration_s: float) -> None:
-        """Nothing happens meanwhile."""
+        """Nothing happens meanwhile, and the bus has not failed."""
 
     def __enter__(self) -> Any:
         return self
@@ -78,7 +81,7 @@ def test_commands_and_examples_make_the_module_of_the_configuration(
     assert configuration_of(network.module).values() == wanted.values()
 
     # The third command reads the module; the second example writes what it has read.
-    monkeypatch.setattr(config_file, "master_of", lambda options: _Reading(network))
+    monkeypatch.setattr(config_file, "master_of", lambda options: network)
     assert main(COMMANDS[2][1:]) == 0
     fresh = Network()
     names["node"] = fresh.add_node(0x20, canopen.import_od("module-20h.dcf"))
@@ -99,22 +102,3 @@ def test_the_heartbeat_of_the_page_is_in_the_concise_form() -> None:
     (request,) = re.findall(r"`cansend can0 620#(\w+)`", PAGE)
     module.receive(Frame(0x620, bytes.fromhex(request)), 0.0)
     assert heartbeats(module) == [500]
-
-
-class _Reading:
-    """The master of the command on the network of the examples."""
-
-    def __init__(self, network: Network) -> None:
-        self._network = network
-
-    def __enter__(self) -> Any:
-        return self
-
-    def __exit__(self, *ending: Any) -> None:
-        """There is nothing to close."""
-
-    def sdo(self, node_id: int) -> Any:
-        return SharedClient(self._network, node_id, 1.0)
-
-    def wait(self, seconds: float) -> None:
-        """The bus has not failed."""
