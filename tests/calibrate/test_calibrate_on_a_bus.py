@@ -57,7 +57,7 @@ def test_the_position_of_the_module_becomes_right(
     bench = Bench(random_encoder(seed), rpm=rpm, store=MemoryStore())
     bench.bus.run_until(0.2)
     before = np.sqrt(np.mean(position_errors(bench, 400) ** 2))
-    assert calibrate(bench, "--json", "--conditioning", conditioning) == 0
+    assert calibrate(bench, "--json", "--save", "--conditioning", conditioning) == 0
     figures = json.loads(capsys.readouterr().out)
     after = np.sqrt(np.mean(position_errors(bench, 400) ** 2))
     noise = bench.encoder.noise_lsb / (2 * np.pi * bench.encoder.amplitude_counts)
@@ -72,7 +72,8 @@ def test_the_position_of_the_module_becomes_right(
 def test_the_account_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     bench = Bench()
     said = io.StringIO()
-    assert calibrate(bench, "--out", str(tmp_path), "--encoder", "X1", progress=Progress(stream=said)) == 0
+    words = ("--out", str(tmp_path), "--encoder", "X1", "--save")
+    assert calibrate(bench, *words, progress=Progress(stream=said)) == 0
     out = capsys.readouterr().out.splitlines()
     assert out[0].split() == ["before", "after"]
     assert any(line.startswith("deviation, rms") for line in out)

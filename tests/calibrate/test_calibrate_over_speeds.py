@@ -79,7 +79,7 @@ def calibrate(bench: Bench, *arguments: str, speeds: str = ALL, progress: Progre
 
 def test_a_path_is_found_and_removed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     made, said = bench(), io.StringIO()
-    assert calibrate(made, "--json", "--out", str(tmp_path), progress=Progress(stream=said)) == 0
+    assert calibrate(made, "--json", "--save", "--out", str(tmp_path), progress=Progress(stream=said)) == 0
     found = json.loads(capsys.readouterr().out)
     used = made.module.chain.correction.conditioning
     assert used.cosine_delay_s == pytest.approx(1e-7, abs=2e-9)

@@ -53,12 +53,6 @@ class Network(EmbeddedNetwork):
     def wait(self, duration_s: float) -> None:
         """Nothing happens meanwhile, and the bus has not failed."""
 
-    def __enter__(self) -> Any:
-        return self
-
-    def __exit__(self, *ending: Any) -> None:
-        """There is nothing to close."""
-
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -1,4 +1,4 @@
-"""Arguments that several commands share: nodes, files, numbers, the jitter of the SYNC."""
+"""Arguments that several commands share."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def add_jitter(
 
 
 def jittered(config: Config, options: argparse.Namespace) -> Config:
-    """With a SYNC at ``--rate`` that jitters so. ConfigError for a bad one, or without a rate."""
+    """With ``--jitter``. ConfigError for a bad one, or without a rate."""
     from canfb.simulation.sync_producer import LARGEST_PART  # here: most commands simulate nothing
 
     if options.jitter is None:

@@ -144,8 +144,8 @@ class Listener:
 
     @property
     def intervals(self) -> int:
-        """SYNCs that came."""
-        return self._recorder.syncs
+        """From SYNC to SYNC: those of :meth:`result`."""
+        return max(self._recorder.syncs - 1, 0)
 
     @property
     def elapsed_s(self) -> float:

@@ -41,7 +41,7 @@ class LockWatch:
 
     def __call__(self, listening: Listener) -> bool:
         """True if the collection may end."""
-        if listening.elapsed_s < self._next_s or listening.intervals <= WINDOW:
+        if listening.elapsed_s < self._next_s or listening.intervals < WINDOW:
             return False
         samples = listening.result()
         lock = find_lock(*_latest(samples, self._next_s - FIRST_S))
@@ -203,7 +203,7 @@ class SpeedReadings:
         self._next_s = listening.elapsed_s + READINGS_EVERY_S
         before = listening.intervals
         speed = self.read()
-        self.found.append(SpeedReading((before + listening.intervals) / 2.0 - 1.0, speed))
+        self.found.append(SpeedReading((before + listening.intervals) / 2.0, speed))
         return False
 
     def read(self) -> float:
