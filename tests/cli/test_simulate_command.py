@@ -96,7 +96,7 @@ WRONG_RECORDINGS = {
     ),
     "wrong mid-scale": (
         ["--columns", "a,b", "--mid-scale", "40000"],
-        ":2: -37852, -38052 does not fit INTEGER16; is mid-scale right?",
+        ":2: -37852, -38052 does not fit INTEGER16: --mid-scale 2048",
     ),
 }  # fmt: skip
 

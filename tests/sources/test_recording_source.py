@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from canfb.errors import CanfbError
@@ -104,7 +105,7 @@ WRONG: dict[str, tuple[str | bytes, str]] = {
     "not a number": ("a,b\nnan,2\n", ":2: a value in one of the selected columns is not a number"),
     "infinite": ("a,b\n1,inf\n", ":2: a value in one of the selected columns is not a number"),
     "a number after a quoted line end": ('x,a,b\n"one\ntwo",1,2\n3,4,x\n', ":4: a value in one"),
-    "too large": ("a,b\n0,32768\n", ":2: 0, 32768 does not fit INTEGER16; is mid-scale right?"),
+    "too large": ("a,b\n0,32768\n", ":2: 0, 32768 does not fit INTEGER16: --mid-scale 16384"),
     "not text": (b"a,b\n\0\0,2\n", ": this is not a text file with columns"),
     "a byte that is no digit": (b"a,b\n\xff\xfe,2\n", ":2: a value in one of the selected columns is not"),
     "a line after that of the separator": ("sep=;\na;b\n1;2\n1;x\n", ":4: a value in one"),
@@ -160,3 +161,40 @@ def test_the_times_are_those_of_the_file_or_are_stretched_to_the_rate(
     source = open_recording(written(tmp_path, text), layout)
     samples = [source.next() for _ in ticks]
     assert [sample.time_100ns for sample in samples if sample] == ticks
+
+
+UNSIGNED = {
+    # middle of sine and cosine, amplitude, unit: what makes signed counts of it
+    "12 bits, all": (2047.5, 2047.5, 2047.5, 1.0, "--mid-scale 2048"),
+    "12 bits, with offsets": (2110.0, 1990.0, 1500.0, 1.0, "--mid-scale 2048"),
+    "10 bits": (512.0, 512.0, 400.0, 1.0, "--mid-scale 512"),
+    "16 bits, all": (32767.5, 32767.5, 32767.5, 1.0, "--mid-scale 32768"),
+    "24 bits": (8388608.0, 8388608.0, 6e6, 1.0, "--mid-scale 8388608 --scale 0.00390625"),
+    "of no converter": (1650.0, 1650.0, 1200.0, 1.0, "--mid-scale 1650"),
+    "fractions": (165.0, 165.0, 120.0, 0.001, "--mid-scale 165"),
+}
+
+
+@pytest.mark.parametrize("case", UNSIGNED)
+def test_unsigned_readings_are_refused_with_the_options_that_they_need(case: str, tmp_path: Path) -> None:
+    sine, cosine, amplitude, unit, options = UNSIGNED[case]
+    angle = np.linspace(0.1, 40.0, 500)
+    pairs = np.column_stack([sine + amplitude * np.sin(angle), cosine + amplitude * np.cos(angle)])
+    path = written(tmp_path, "a,b\n" + "".join(f"{s},{c}\n" for s, c in np.rint(pairs / unit) * unit))
+    with pytest.raises(CanfbError, match=f"no reading is below 0: {options}$"):
+        open_recording(path, AB)
+    words = options.split()
+    named = dict(zip(words[::2], words[1::2], strict=True))
+    layout = replace(AB, mid_scale=float(named["--mid-scale"]), scale=float(named.get("--scale", 1.0)))
+    counts = np.array(open_recording(path, layout).tracks())
+    assert (counts.min(axis=1) < 0).all()
+    assert (abs(counts.min(axis=1) + counts.max(axis=1)) < 0.1 * np.ptp(counts, axis=1)).all()
+
+
+def test_one_unsigned_track_and_a_standing_machine_are_read(tmp_path: Path) -> None:
+    """No mid-scale is that of both tracks of the first; without motion nobody knows that of the second."""
+    angle = np.linspace(0.1, 40.0, 500)
+    turning, standing = (2048 + 1500 * np.sin(angle), 1500 * np.cos(angle)), (0 * angle + 700, 0 * angle + 9)
+    for sine, cosine in (turning, standing):
+        rows = "".join(f"{s:.0f},{c:.0f}\n" for s, c in zip(sine, cosine, strict=True))
+        assert len(open_recording(written(tmp_path, f"a,b\n{rows}"), AB).tracks()[0]) == 500

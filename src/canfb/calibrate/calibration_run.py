@@ -35,7 +35,7 @@ from canfb.calibrate.procedure import (
 from canfb.calibrate.samples_through_chain import InForce, SpeedSamples, errors_at
 from canfb.calibration.deviation import Deviation
 from canfb.calibration.path_fit import check_apart
-from canfb.errors import CalibrationError, ConfigError
+from canfb.errors import CalibrationError, CanfbError, ConfigError
 from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
 from canfb.master.all_or_nothing import Guard, check_unlocked, put_in_force
 from canfb.master.machine_watch import (
@@ -221,14 +221,7 @@ class CalibrationRun:
             return source(choices.verify_s, min(choices.least_samples, LEAST_FRESH), steps.part)
 
         return install(
-            session.module,
-            measured,
-            collect,
-            settings,
-            guard,
-            put=put,
-            keep=choices.save,
-            step=steps.step,
+            session.module, measured, collect, settings, guard, put=put, keep=choices.save, step=steps.step
         )
 
     def _collect(self, session: Session, seconds: float, least: int) -> SpeedSamples:
@@ -289,6 +282,8 @@ class CalibrationRun:
                 write_refusal(out, samples, error, self._where, self._limits)
             self._refused(error)
             raise
+        except ValueError as error:
+            raise CanfbError(f"{samples.origin}: {error}") from error
         finally:
             self._steps.clear()
         return found

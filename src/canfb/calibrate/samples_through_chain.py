@@ -86,8 +86,9 @@ def supervise(
     count = len(samples)
     cycles, phase = np.zeros(count, np.int64), np.full(count, math.nan)
     amplitude, status = np.full(count, math.nan), np.zeros(count, np.int64)
-    stamps = [None] * count if samples.time_s is None else _stamps(samples.time_s)
-    tracks = zip(samples.sine.tolist(), samples.cosine.tolist(), stamps, strict=True)
+    ticks = [] if samples.time_s is None else np.rint(samples.time_s / TICK_S).tolist()
+    stamps: list[int | None] = [int(one) % TICKS for one in ticks]
+    tracks = zip(samples.sine.tolist(), samples.cosine.tolist(), stamps or [None] * count, strict=True)
     for k, (sine, cosine, stamp) in enumerate(tracks):
         if math.isnan(sine) or math.isnan(cosine):
             status[k] = chain.miss().status
@@ -99,11 +100,6 @@ def supervise(
     seen = np.isfinite(phase)
     origin = int(cycles[seen][0]) if seen.any() else 0
     return SupervisedSamples((cycles - origin) + phase, amplitude, status, _elapsed(samples))
-
-
-def _stamps(time_s: FloatArray) -> list[int | None]:
-    """As 2000:05 has them."""
-    return [int(ticks) % TICKS for ticks in np.rint(time_s / TICK_S).tolist()]
 
 
 def _elapsed(samples: TrackSamples) -> FloatArray:

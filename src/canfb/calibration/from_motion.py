@@ -200,10 +200,13 @@ def _change(
     """Of the tracks in the course of the measurement; ``doubt``: noise over what the covariance expects."""
     largest = Change()
     left_out = lasting(2 * blocks.used.sum(axis=1) < whole.used.sum(axis=1))
+    moving = np.flatnonzero(
+        blocks.informative(blocks.evaluate(fit.motion))
+    )  # at standstill nobody sees a table
     for count in (THIRDS, FINE):
-        if len(blocks) < count * MIN_BLOCKS:
+        if len(moving) < count * MIN_BLOCKS:
             break
-        divided = np.array_split(np.arange(len(blocks)), count) + left_out
+        divided = np.array_split(moving, count) + left_out
         parts = [_fit_of_part(record, blocks.take(rows), whole.take(rows), fit, rows) for rows in divided]
         tables = np.array([sensitivity @ np.append(p.waveform.sine, p.waveform.cosine) for p in parts])
         noise = np.array([doubt * root_mean(np.sqrt(_variance(sensitivity, p.covariance))) for p in parts])

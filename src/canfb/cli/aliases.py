@@ -40,10 +40,15 @@ OPTIONS: dict[str, dict[str, str | None]] = {
     "config dcf": {"--module": POSITIONAL, "--node": POSITIONAL},
     "log replay": {"--module": POSITIONAL},
     "backup restore": {"--node": POSITIONAL},
+    "calibrate --samples": {"--rate": "--sample-rate"},
     "calibrate": {"--module": POSITIONAL, "--sync": "--rate", "--no-save": None},
     "commission": {"--module": POSITIONAL, "--sync": "--rate"},
 }
-"""By command: an old option and the new one; POSITIONAL: its value alone; None: now the default."""
+"""By command: an old option and the new one; POSITIONAL: its value alone; None: now the default.
+
+An option behind the command is a condition: with ``--samples`` there is no SYNC, and ``--rate`` is the old
+spelling for the rate of the file.
+"""
 
 
 def current(words: Sequence[str]) -> tuple[list[str], str]:
@@ -58,8 +63,9 @@ def current(words: Sequence[str]) -> tuple[list[str], str]:
             said = "" if old in SHORT else f"'canfb {old}' is now 'canfb {new}'"
             break
     for command, options in OPTIONS.items():
-        if _begins(line, command.split()):
-            line = _renamed(line, len(command.split()), options)
+        begin, _, condition = command.partition(" --")
+        if _begins(line, begin.split()) and (not condition or f" --{condition}" in " ".join(line)):
+            line = _renamed(line, len(begin.split()), options)
     return before + line, said
 
 

@@ -24,10 +24,6 @@ TIME = od.SAMPLE_TIME.mapped(32)
 NODE_ID = 0x7F
 
 
-def _pair(sine: od.Multiplexer, cosine: od.Multiplexer) -> set[int]:
-    return {sine.mapped(16), cosine.mapped(16)}
-
-
 def _of_samples(values: Values) -> list[Pdo]:
     """The valid RPDOs that bring a part of the sample (2000h)."""
     pdos = valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)
@@ -46,7 +42,7 @@ def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
     first, then those that are not in use. ValueError if there are too few.
     """
     pdos = _of_samples(values)
-    tracks = next((pdo for pdo in pdos if _pair(*NEWEST).issubset(pdo.entries)), None)
+    tracks = next((pdo for pdo in pdos if {one.mapped(16) for one in NEWEST} <= set(pdo.entries)), None)
     if tracks is None:
         raise ValueError("samples_per_sync needs an RPDO that brings 2000:01 and 2000:02")
     interface = tracks.can_id & NODE_ID

@@ -155,7 +155,8 @@ def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, An
     values, others = one.values(), other.values()
     places = sorted((values.keys() | others.keys()) - set(LEFT_ALONE))
     pairs = {place: (values.get(place), others.get(place)) for place in places}
-    return {place: pair for place, pair in pairs.items() if _differ(*pair)}
+    # Two NaN are the same.
+    return {place: (one, to) for place, (one, to) in pairs.items() if one != to and (one == one or to == to)}
 
 
 def shown(changes: dict[Place, tuple[Any, Any]]) -> str:
@@ -165,10 +166,6 @@ def shown(changes: dict[Place, tuple[Any, Any]]) -> str:
     ]
     more = f" and {len(texts) - MOST_SHOWN} more" if len(texts) > MOST_SHOWN else ""
     return ", ".join(texts[:MOST_SHOWN]) + more
-
-
-def _differ(one: Any, other: Any) -> bool:
-    return bool(one != other and (one == one or other == other))  # two NaN are the same
 
 
 def backup_result(backup: Backup, path: Path) -> Result:
@@ -206,7 +203,10 @@ def restored_result(path: Path, backup: Backup, done: Restored, described: Objec
         lines.append(f"{name}: all values are those of {path} already; nothing was written")
     if not wishes.dry_run:
         lines.append(f"saved ({done.saved_as})" if done.saved_as else "not saved: --save keeps it (1010h)")
-    changes = {od.place_text(place): _plain(list(pair)) for place, pair in done.changes.items()}
+    changes = {
+        od.place_text(place): [one.hex() if isinstance(one, bytes) else one for one in pair]
+        for place, pair in done.changes.items()
+    }
     figures = {
         "file": str(path),
         "node_id": done.module.node_id,
@@ -247,10 +247,6 @@ def _change(place: Place, pair: tuple[Any, Any], described: ObjectDescriptions) 
     before, after = (f"{short_real(value):g}" if real else str(value) for value in pair)
     unit = f" {entry.unit}" if entry.unit else ""
     return f"  {entry.number} {entry.title}: {before} -> {after}{unit}"
-
-
-def _plain(values: list[Any]) -> list[Any]:
-    return [value.hex() if isinstance(value, bytes) else value for value in values]
 
 
 def _crc32(backup: Backup) -> int:

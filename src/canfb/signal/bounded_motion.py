@@ -105,7 +105,8 @@ class BoundedMotion:
         low, high = -math.inf, math.inf
         last_two = spots[-ORDER:]
         short = abs(last_two[1].time - last_two[0].time) < SHORT_INTERVAL
-        for some in _baselines(spots) if short else (last_two,):
+        for older in spots[-BASELINES:-1] if short else last_two[:-1]:
+            some = (older, spots[-1])
             centre, radius = extrapolation(some, time, base, self.largest, error)
             low, high = max(low, centre - radius), min(high, centre + radius)
         return Window(base, low, high)
@@ -127,10 +128,6 @@ class BoundedMotion:
         centre = _centre(known, time, base)
         least, most = facets.last(deviations)
         return Window(base, centre + least, centre + most)
-
-
-def _baselines(spots: tuple[Spot, ...]) -> list[tuple[Spot, ...]]:
-    return [(older, spots[-1]) for older in spots[-BASELINES:-1]]
 
 
 def weights(times: tuple[float, ...], time: float) -> tuple[float, ...]:

@@ -99,7 +99,12 @@ class Candidate(NamedTuple):
         if self.run < ORDER and before:
             return motion.beyond(before, run, time), True
         window = motion.window(run if self.run >= ORDER else self.spots, time)
-        if len(before) >= 2 and self.run < MOST_JOINED and _is_close(run):
+        apart = (later.time - one.time for one, later in itertools.pairwise(run))
+        if (
+            len(before) >= 2
+            and self.run < MOST_JOINED
+            and min(apart, default=SHORT_INTERVAL) < SHORT_INTERVAL
+        ):
             window = window.meet(motion.beyond(before, run, time))
         return window, False
 
@@ -161,10 +166,6 @@ def _noted(residuals: tuple[int, float, float], window: Window, position: float)
 def _apart(phase: float, other: float) -> float:
     """The distance of two phases, 0..0.5 cycle."""
     return abs((phase - other + 0.5) % 1.0 - 0.5)
-
-
-def _is_close(run: tuple[Spot, ...]) -> bool:
-    return any(later.time - one.time < SHORT_INTERVAL for one, later in itertools.pairwise(run))
 
 
 def merged(candidates: Iterable[Candidate]) -> list[Candidate] | None:

@@ -213,7 +213,10 @@ class SampleTimes:
         if in_turn or (agrees and intervals > counted):  # or there were SYNCs that were not received
             whole = counted
             if agrees and intervals > counted + 0.5:
-                whole = max(counted, round(self._heard_apart_s(received_s, synced_s) / unit))
+                whole = max(
+                    counted,
+                    round((self._synced_apart_s(synced_s) or self._apart_s(received_s) or 0.0) / unit),
+                )
             self.passed = intervals
             skips = extra and self._is_off(ticks, whole)
             odd = self._judge(ticks, whole, synced_s, received_s is not None, abs(speed_cycles), not skips)
@@ -256,10 +259,6 @@ class SampleTimes:
         if not line.period_ticks:
             return ticks * TICK_S - whole * self.unit_s
         return line.off_ticks(ticks, whole) * TICK_S
-
-    def _heard_apart_s(self, received_s: float | None, synced_s: float | None) -> float:
-        """How long after the last one by the receptions: of both SYNCs, or of the samples."""
-        return self._synced_apart_s(synced_s) or self._apart_s(received_s) or 0.0
 
     def _error_s(self, by_time_s: float, received_s: float | None, synced_s: float | None) -> float:
         """By how much the time contradicts the receptions; a late one of either does not make it wrong."""

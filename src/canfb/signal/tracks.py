@@ -36,8 +36,11 @@ def check_counts(sine: npt.NDArray[Any], cosine: npt.NDArray[Any], *, may_be_off
     """
     if len(sine) >= FEW_SAMPLES:
         _refuse_normalised(sine, cosine)
-        if not may_be_offset:
-            _refuse_uncentred(sine, cosine)
+        if not may_be_offset and goes_round_off_zero(sine, cosine):
+            raise ValueError(
+                "sine and cosine must be zero at mid-scale, but no count is below zero: subtract mid-scale, "
+                "2048 with 12 bits"
+            )
 
 
 def _numbers(name: str, track: npt.ArrayLike, kinds: str) -> npt.NDArray[Any]:
@@ -75,25 +78,14 @@ def _is_small(track: npt.NDArray[Any]) -> bool:
     return not (np.abs(track) > 1.0).any()
 
 
-def _refuse_uncentred(sine: npt.NDArray[Any], cosine: npt.NDArray[Any]) -> None:
-    """No count below zero, and yet the tracks go round; a machine that stands may have none."""
-    if (sine[:FEW_SAMPLES] < 0).any() or (cosine[:FEW_SAMPLES] < 0).any():
-        return  # nearly always
-    if not (_is_finite_and_positive(sine) and _is_finite_and_positive(cosine)):
-        return
+def goes_round_off_zero(sine: npt.NDArray[Any], cosine: npt.NDArray[Any]) -> bool:
+    """No count of either is below zero, and yet the tracks go round; a machine that stands may have none."""
+    if len(sine) < FEW_SAMPLES or (sine[:FEW_SAMPLES] < 0).any() or (cosine[:FEW_SAMPLES] < 0).any():
+        return False  # nearly always
     sides = []
     for track in (sine, cosine):
         low, high = float(track.min()), float(track.max())
-        if high - low < LEAST_SPREAD * high or high == 0.0:
-            return
+        if not 0.0 <= low <= high < float("inf") or high - low < LEAST_SPREAD * high or high == 0.0:
+            return False
         sides.append(track > (low + high) / 2.0)
-    if len(np.unique(sides[0] * 2 + sides[1])) == 4:
-        raise ValueError(
-            "sine and cosine must be zero at mid-scale, but no count is below zero: subtract mid-scale, "
-            "2048 with 12 bits"
-        )
-
-
-def _is_finite_and_positive(track: npt.NDArray[Any]) -> bool:
-    low, high = float(track.min()), float(track.max())
-    return 0.0 <= low <= high < float("inf")
+    return len(np.unique(sides[0] * 2 + sides[1])) == 4

@@ -92,10 +92,6 @@ def _place(path: Path, header: list[str], name: str) -> int:
 
 def _numbers(path: Path, line: int, row: list[str], places: Iterable[int]) -> list[float]:
     try:
-        return [_number(row[place]) for place in places]
+        return [float(row[at] if "." in row[at] else row[at].replace(",", ".")) for at in places]
     except (IndexError, ValueError):
         raise CanfbError(f"{path}:{line}: a value in one of the selected columns is not a number") from None
-
-
-def _number(text: str) -> float:
-    return float(text if "." in text else text.replace(",", "."))

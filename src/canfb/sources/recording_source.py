@@ -15,6 +15,7 @@ from canfb.checks import flag, integer_in, number, text
 from canfb.errors import CanfbError, ConfigError
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import TICK_S, Sample
+from canfb.signal.tracks import goes_round_off_zero
 from canfb.sources.csv_file import Columns, read_columns
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, Surroundings, column
 from canfb.sources.tracks_file import read_tracks
@@ -25,6 +26,8 @@ MOST_SAMPLES = 1 << 25
 """Nine hours at 1 kHz: a few rows with gaps can ask for any number."""
 LARGEST_VOLTS = 32.0
 """Values with a fraction that are all below: no converter of 4 bits or more has so few counts."""
+NEAR = 0.25
+"""Part of the amplitude: the offset of an encoder is less."""
 SHORTEST_STEP_S = 1e-9
 """Rows that are closer have no rate to which they could be stretched."""
 
@@ -205,15 +208,29 @@ def _counts(path: Path, columns: Columns, layout: RecordingLayout) -> FloatArray
             f"{path}: the largest value is {largest:g}: these are volts, and ADC counts are needed: set "
             "scale to 2^(bits - 1) / volts of full scale, and the bits of the converter (--scale, --adc-bits)"
         )
-    counts: FloatArray = np.rint((values - layout.mid_scale) * layout.scale)
+    centred = values - layout.mid_scale
+    if goes_round_off_zero(*centred.T):
+        raise CanfbError(
+            f"{path}: the tracks are not centred, no reading is below {layout.mid_scale:g}: {_remedy(values)}"
+        )
+    counts: FloatArray = np.rint(centred * layout.scale)
     outside = ((counts < -32768) | (counts > 32767)).any(axis=1)
-    _check(
-        path,
-        columns._replace(values=counts),
-        outside,
-        "{0:.0f}, {1:.0f} does not fit INTEGER16; is mid-scale right?",
-    )
+    message = "{0:.0f}, {1:.0f} does not fit INTEGER16: " + _remedy(values)
+    _check(path, columns._replace(values=counts), outside, message)
     return counts
+
+
+def _remedy(values: FloatArray) -> str:
+    """Options that make signed 16-bit counts of readings: 2^(bits - 1) if it is near the middle."""
+    low, high = values.min(axis=0), values.max(axis=0)
+    middle, amplitude = float((low + high).mean()) / 2.0, float((high - low).max()) / 2.0
+    zero = float(f"{middle:.3g}")
+    if (values == np.rint(values)).all():
+        converter = float(1 << int(max(high.max(), 1.0)).bit_length() - 1)
+        zero = next((one for one in (0.0, converter) if abs(one - middle) < NEAR * amplitude), round(middle))
+    reach = max(float(high.max()) - zero + 1.0, zero - float(low.min()))
+    scale = f" --scale {0.5 ** math.ceil(math.log2(reach / 32768.0)):.10g}" if reach > 32768.0 else ""
+    return (f"--mid-scale {zero:.10g}" if zero else "") + scale
 
 
 def _stretch(seconds: FloatArray, layout: RecordingLayout) -> float:

@@ -52,7 +52,9 @@ class TableStore:
         )
         activate.on_written = self._activate
         activate.on_download = storage.configuration_changed
-        storage.entries.keep(*od.TABLE_STAGED, saved=self._saved)
+        storage.entries.keep(
+            *od.TABLE_STAGED, saved=lambda: self._table.to_bytes() if self._table is not None else b""
+        )
         for part, entry in enumerate(self._conditioned):
             entry.on_check = partial(self._check_conditioning, entry)
             storage.entries.save_as(entry.index, entry.subindex, partial(self._saved_conditioning, part))
@@ -78,9 +80,6 @@ class TableStore:
             entry.value = value
         self._put_in_force(correction.table)
         self._storage.configuration_changed()
-
-    def _saved(self) -> bytes:
-        return b"" if self._table is None else self._table.to_bytes()
 
     def _saved_conditioning(self, part: int) -> float:
         return self._values[part]
