@@ -9,16 +9,8 @@ from pathlib import Path
 from canfb import objects as od
 from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
-from canfb.cli.options import (
-    Commands,
-    add_bus_options,
-    add_command,
-    add_group,
-    add_options,
-    add_timeout,
-    option,
-)
-from canfb.cli.subjects import add_nodes, node_or_file, required_file
+from canfb.cli.options import JSON, TIMEOUT, Commands, add_bus_options, add_command, add_group, option
+from canfb.cli.subjects import node_or_file, nodes, required_file
 from canfb.eds_files import eds_path
 from canfb.master.access import Master, NodeAccess
 from canfb.master.all_or_nothing import check_writable, write_whole
@@ -37,16 +29,21 @@ from canfb.sdo.object_description import ObjectDescriptions
 def register(commands: Commands) -> None:
     """Add the commands."""
     parts = add_group(commands, "backup")
-    parser = add_command(parts, "save", save, "write table and all parameters of a module to a file (YAML)")
-    node_options.add_node(parser)
-    parser.add_argument("file", metavar="FILE", type=Path, help="replaced")
-    node_options.add_access_options(parser)
-
-    parser = add_command(parts, "restore", restore, "write a backup to a module, and verify it or roll back")
+    add_command(
+        parts,
+        "save",
+        save,
+        node_options.NODE,
+        option("file", metavar="FILE", type=Path, help="replaced"),
+        *node_options.ACCESS,
+        summary="write table and all parameters of a module to a file (YAML)",
+    )
     text = "what canfb backup save wrote; and NODE, the module (default: that of the file)"
-    add_nodes(parser, text, least=1, most=1, kind=node_or_file, file="file", name="FILE")
-    add_options(
-        parser,
+    add_command(
+        parts,
+        "restore",
+        restore,
+        nodes(text, least=1, most=1, kind=node_or_file, file="file", name="FILE"),
         option("--save", action="store_true", help="save all parameters at the end (1010h)"),
         option("--preop", action="store_true", help="send the node to PRE-OPERATIONAL first; it stays there"),
         option("--dry-run", action="store_true", help="only say what would change"),
@@ -55,10 +52,11 @@ def register(commands: Commands) -> None:
             action="store_true",
             help="also a backup of another major revision, less parameters that this version lacks",
         ),
-        option("--json", action="store_true", help="the result, for programs"),
+        JSON,
+        TIMEOUT,
+        add_bus_options,
+        summary="write a backup to a module, and verify it or roll back",
     )
-    add_timeout(parser)
-    add_bus_options(parser)
 
 
 def save(options: argparse.Namespace) -> int:

@@ -23,19 +23,19 @@ from canfb.calibrate.measurement import MOTION, ZERO_CROSSINGS
 from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
     BUS_WORDS,
+    JSON,
+    TIMEOUT,
     Commands,
     add_bus_options,
     add_command,
-    add_options,
-    add_timeout,
     bus_options,
+    group,
     named_config,
     option,
     refuse_idle,
 )
 from canfb.cli.progress import Progress, shown_progress
-from canfb.cli.recording_options import add_columns
-from canfb.cli.subjects import add_measured_nodes
+from canfb.cli.subjects import COLUMNS, MEASURED_NODES
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
 from canfb.master.access import Master
@@ -45,109 +45,112 @@ from canfb.rows import Result
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "calibrate", calibrate)
-    add_measured_nodes(parser)
-    add_options(
-        parser,
+    add_command(
+        commands,
+        "calibrate",
+        calibrate,
+        *MEASURED_NODES,
         option("--dry-run", action="store_true", help="measure only, write nothing to the module"),
         option(
             "--check", action="store_true", help="only measure how far the encoder has drifted from its table"
         ),
         option("--out", type=Path, metavar="DIR", help="folder for table, samples and report"),
-        option("--json", action="store_true", help="print the figures as JSON"),
+        JSON,
         option("--save", action="store_true", help="save it (1010h); without, lost at a restart"),
+        group(
+            "measurement",
+            option(
+                "--method",
+                choices=(MOTION, ZERO_CROSSINGS),
+                default=MOTION,
+                help="motion (default): any speed, one sample per SYNC; zero-crossings: slow, many per cycle",
+            ),
+            option(
+                "--source",
+                choices=(PDO, RECORDING, MODULE),
+                help="pdo: the ADC PDO on the bus (default); recording: object 2050h (zero-crossings); "
+                "module: the module calibrates itself (2030h)",
+            ),
+            option(
+                "--recorder",
+                choices=("interface", "module"),
+                default="interface",
+                help="node whose object 2050h records (default: interface)",
+            ),
+            option(
+                "--seconds",
+                type=float,
+                metavar="S",
+                help="duration of the measurement (20; 4 for a recording, 10 for a speed)",
+            ),
+            option(
+                "--least-samples",
+                type=int,
+                default=LEAST_SAMPLES,
+                metavar="N",
+                help=f"minimum number of samples; measure up to six times longer for it ({LEAST_SAMPLES})",
+            ),
+            option(
+                "--verify",
+                type=float,
+                metavar="S",
+                help="duration of the verification (4; 1 for a recording)",
+            ),
+            option(
+                "--conditioning",
+                choices=("fit", "none"),
+                default="fit",
+                help="fit offset, gain and phase error first (default), or correct all by the table",
+            ),
+            option("--entries", type=int, default=1024, metavar="N", help="length of the table (1024)"),
+            option("--adc-bits", type=int, metavar="N", help="bits of the converter (from 2001:02)"),
+            option(
+                "--sample-rate", type=float, metavar="HZ", help="samples per second, if not known otherwise"
+            ),
+            option("--rate", type=float, metavar="HZ", help="produce the SYNC, on a bus without one"),
+            option("--encoder", default="", metavar="NAME", help="name or serial number of the encoder"),
+            TIMEOUT,
+        ),
+        group(
+            "several speeds (the analog path)",
+            option(
+                "--speeds",
+                metavar="RPM,RPM,...",
+                help="measure at each of these speeds, in any order, as soon as the machine turns at it; "
+                'with --samples DIR: the speeds of its files in their order, or "recorded"',
+            ),
+            option(
+                "--delay",
+                metavar="estimate|S",
+                help="write the delay of the analog path (2002:07): as estimated, or in seconds (as it is)",
+            ),
+            option(
+                "--wait",
+                type=float,
+                default=120.0,
+                metavar="S",
+                help="how long to wait for the machine to turn at the next speed (120)",
+            ),
+        ),
+        group(
+            "samples of a file (no bus is used)",
+            option(
+                "--samples",
+                type=Path,
+                metavar="FILE",
+                help="NPZ file, or CSV with a header line; with --speeds a folder of them",
+            ),
+            *COLUMNS,
+            option("--table", type=Path, metavar="FILE", help="the active table, YAML or bytes of 2020:01"),
+            option(
+                "--cycles-per-revolution",
+                type=int,
+                metavar="N",
+                help="also give errors as angles of the shaft",
+            ),
+        ),
+        add_bus_options,
     )
-    group = add_options(
-        parser,
-        option(
-            "--method",
-            choices=(MOTION, ZERO_CROSSINGS),
-            default=MOTION,
-            help="motion (default): any speed, one sample per SYNC; zero-crossings: slow, many per cycle",
-        ),
-        option(
-            "--source",
-            choices=(PDO, RECORDING, MODULE),
-            help="pdo: the ADC PDO on the bus (default); recording: object 2050h (zero-crossings); "
-            "module: the module calibrates itself (2030h)",
-        ),
-        option(
-            "--recorder",
-            choices=("interface", "module"),
-            default="interface",
-            help="node whose object 2050h records (default: interface)",
-        ),
-        option(
-            "--seconds",
-            type=float,
-            metavar="S",
-            help="duration of the measurement (20; 4 for a recording, 10 for a speed)",
-        ),
-        option(
-            "--least-samples",
-            type=int,
-            default=LEAST_SAMPLES,
-            metavar="N",
-            help=f"minimum number of samples; measure up to six times longer to reach it ({LEAST_SAMPLES})",
-        ),
-        option(
-            "--verify", type=float, metavar="S", help="duration of the verification (4; 1 for a recording)"
-        ),
-        option(
-            "--conditioning",
-            choices=("fit", "none"),
-            default="fit",
-            help="fit offset, gain and phase error first (default), or correct all by the table",
-        ),
-        option("--entries", type=int, default=1024, metavar="N", help="length of the table (1024)"),
-        option("--adc-bits", type=int, metavar="N", help="bits of the converter (from 2001:02)"),
-        option("--sample-rate", type=float, metavar="HZ", help="samples per second, if not known otherwise"),
-        option("--rate", type=float, metavar="HZ", help="produce the SYNC, on a bus without one"),
-        option("--encoder", default="", metavar="NAME", help="name or serial number of the encoder"),
-        group="measurement",
-    )
-    add_timeout(group)
-    add_options(
-        parser,
-        option(
-            "--speeds",
-            metavar="RPM,RPM,...",
-            help="measure at each of these speeds, in any order, as soon as the machine turns at it; "
-            'with --samples DIR: the speeds of its files in their order, or "recorded"',
-        ),
-        option(
-            "--delay",
-            metavar="estimate|S",
-            help="write the delay of the analog path (2002:07): as estimated, or so many seconds (as it is)",
-        ),
-        option(
-            "--wait",
-            type=float,
-            default=120.0,
-            metavar="S",
-            help="how long to wait for the machine to turn at the next speed (120)",
-        ),
-        group="several speeds (the analog path)",
-    )
-    group = add_options(
-        parser,
-        option(
-            "--samples",
-            type=Path,
-            metavar="FILE",
-            help="NPZ file, or CSV with a header line; with --speeds a folder of them",
-        ),
-        group="samples of a file (no bus is used)",
-    )
-    add_columns(group)
-    add_options(
-        group,
-        option("--table", type=Path, metavar="FILE", help="the active table, YAML or bytes of 2020:01"),
-        option(
-            "--cycles-per-revolution", type=int, metavar="N", help="also give errors as angles of the shaft"
-        ),
-    )
-    add_bus_options(parser)
 
 
 def calibrate(options: argparse.Namespace) -> int:

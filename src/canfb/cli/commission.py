@@ -10,18 +10,18 @@ from canfb.calibrate.artefacts import prepare
 from canfb.calibrate.choices import CalibrateOptions
 from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
+    JSON,
+    TIMEOUT,
     Commands,
     add_bus_options,
     add_command,
-    add_options,
-    add_timeout,
     bus_options,
     named_config,
     option,
     refuse_idle,
 )
 from canfb.cli.progress import Progress, shown_progress
-from canfb.cli.subjects import add_measured_nodes
+from canfb.cli.subjects import MEASURED_NODES
 from canfb.commission.commission_run import CommissionOptions, CommissionRun
 from canfb.configuration import Config
 from canfb.errors import ConfigError
@@ -31,10 +31,11 @@ from canfb.master.all_or_nothing import Guard
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "commission", commission)
-    add_measured_nodes(parser)
-    add_options(
-        parser,
+    add_command(
+        commands,
+        "commission",
+        commission,
+        *MEASURED_NODES,
         option(
             "--write", action="store_true", help="write the limits; undone if the module then flags samples"
         ),
@@ -65,11 +66,11 @@ def register(commands: Commands) -> None:
             help="pdo: the ADC PDO on the bus (default); recording: object 2050h of the module",
         ),
         option("--out", type=Path, metavar="DIR", help="folder for report and samples"),
-        option("--json", action="store_true", help="print the figures as JSON"),
+        JSON,
         option("--rate", type=float, metavar="HZ", help="produce the SYNC, on a bus without one"),
+        TIMEOUT,
+        add_bus_options,
     )
-    add_timeout(parser)
-    add_bus_options(parser)
 
 
 def commission(options: argparse.Namespace) -> int:

@@ -9,12 +9,12 @@ from pathlib import Path
 from canfb.bus.clocks import file_date_and_time
 from canfb.cli.node_options import master_of
 from canfb.cli.options import (
+    JSON,
+    TIMEOUT,
     Commands,
     add_bus_options,
     add_command,
     add_group,
-    add_options,
-    add_timeout,
     bus_options,
     chosen_module,
     named_config,
@@ -22,7 +22,7 @@ from canfb.cli.options import (
     refuse_idle,
 )
 from canfb.cli.printing import report
-from canfb.cli.subjects import add_nodes
+from canfb.cli.subjects import nodes
 from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.device.od.dcf import Reals
 from canfb.errors import ConfigError
@@ -78,14 +78,15 @@ EXAMPLE_BUS = "{interface: socketcan, channel: vcan0}"  # in it
 def register(commands: Commands) -> None:
     """Add the commands."""
     parts = add_group(commands, "config")
-    add_command(parts, "check", check, "check a configuration").add_argument("config", metavar="CONFIG.yaml")
-    add_command(parts, "example", example, "print an example")
-    summary = "write a device configuration file (CiA 306) for a CANopen master"
-    parser = add_command(parts, "dcf", write_dcf, summary)
+    config = option("config", metavar="CONFIG.yaml")
+    add_command(parts, "check", check, config, summary="check a configuration")
+    add_command(parts, "example", example, summary="print an example")
     text = "CONFIG.yaml, and which of its modules, if there are several; NODE alone is read on the bus"
-    add_nodes(parser, text, least=1, most=1, file="subject")
-    add_options(
-        parser,
+    add_command(
+        parts,
+        "dcf",
+        write_dcf,
+        nodes(text, least=1, most=1, file="subject"),
         option("--out", type=Path, metavar="FILE", help="the DCF (module-20h.dcf), overwritten"),
         option("--concise", type=Path, metavar="FILE", help="the concise form, for object 1F22h"),
         option(
@@ -101,20 +102,21 @@ def register(commands: Commands) -> None:
             help="format of REAL32: decimal (default), or the bits, as lely's tools read them",
         ),
         option("--name", default="", help="NodeName of the DCF (module_20h)"),
-        option("--json", action="store_true", help="print the summary as JSON"),
+        JSON,
+        TIMEOUT,
+        add_bus_options,
+        summary="write a device configuration file (CiA 306) for a CANopen master",
     )
-    add_timeout(parser)
-    add_bus_options(parser)
 
 
 def check(options: argparse.Namespace) -> int:
     """Say what is in the configuration, or what is wrong with it, on this machine."""
     config = load_config(options.config, ANY_NODES)
     check_machine(Path(options.config), config)
-    nodes: dict[str, list[str]] = {}
+    there: dict[str, list[str]] = {}
     for key, _, one in config.nodes:
-        nodes.setdefault(key, []).append(f"{one.node_id:02X}h")
-    lists = [f"; {key}: {', '.join(ids)}" for key, ids in nodes.items()]
+        there.setdefault(key, []).append(f"{one.node_id:02X}h")
+    lists = [f"; {key}: {', '.join(ids)}" for key, ids in there.items()]
     print(f"{options.config}: valid{''.join(lists)}")
     return 0
 

@@ -1,65 +1,131 @@
-"""``canfb log record FILE``: a log of the bus, in the formats of python-can; ``canfb log replay``."""
+"""``canfb log record``: a log of the bus; ``canfb log replay``: the log through the same module."""
 
 from __future__ import annotations
 
 import argparse
-import re
+import contextlib
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from canfb.bus.opening import describe, open_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli import replay
+from canfb.cli.node_options import CONFIG, say_result
 from canfb.cli.options import (
+    JSON,
+    READY_FILE,
     Commands,
     add_bus_options,
     add_command,
     add_group,
-    add_options,
-    add_ready_file,
     chosen_bus,
+    chosen_module,
+    group,
     option,
+    refuse_idle,
 )
 from canfb.cli.printing import say
-from canfb.cli.subjects import positive
+from canfb.cli.progress import Progress, shown_progress
+from canfb.cli.subjects import node_or_file, nodes, positive, required_file, size, whole_number
+from canfb.configuration import changed_module, load_config
+from canfb.errors import ConfigError
 from canfb.hosting.readiness import Readiness
-from canfb.logfile.bus_log import BusLog
+from canfb.logfile.bus_log import BusLog, SentLog
+from canfb.logs.folder_replay import check_table, do_work, work_of
+from canfb.logs.log_replay import ReplayOptions, replay_log
+from canfb.logs.published_files import check_place, published
+from canfb.logs.replay_page import write_page
+from canfb.module.module_config import ModuleConfig
+from canfb.replay.findings import KINDS, Overview
+from canfb.replay.module_replay import Begin
+from canfb.replay.sample_columns import Block
+from canfb.rows import Result, as_figures, as_lines
+from canfb.sdo.table_file import read_table
 
-UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
+DEFAULT_MODULE = 0x20
+OF_A_FILE = ("frames", "report", "json"), "is for one log, not for a folder"
+OF_A_FOLDER = ("workers",), "is for a folder of logs"
 
 
 def register(commands: Commands) -> None:
     """Add the commands."""
     parts = add_group(commands, "log")
-    replay.add_to(parts)
-    parser = add_command(parts, "record", record, "write a log of the bus")
-    add_options(
-        parser,
+    text = "what canfb log record or candump -L wrote; and NODE, to replay only this module"
+    add_command(
+        parts,
+        "replay",
+        replay,
+        nodes(text, least=1, most=1, kind=node_or_file, file="log", name="LOG|FOLDER"),
+        group(
+            "module",
+            option("--encoder-interface", type=whole_number, metavar="ID", help="sends the ADC counts"),
+            option(
+                "--set",
+                action="append",
+                default=[],
+                metavar="KEY=VALUE",
+                help="another value of a key of the module",
+            ),
+            option("--table", metavar="FILE", help="correction table to try in place of the saved one"),
+            option("--state", type=Path, metavar="DIR", help="state_dir of the module; only read"),
+        ),
+        group(
+            "log",
+            option(
+                "--begin",
+                choices=[one.value for one in Begin if one is not Begin.BOOT_UP],
+                default=Begin.AUTO.value,
+                help="NMT state of the module at the beginning; auto: as the first frames show",
+            ),
+            option("--channel", metavar="NAME", help="of a log of several buses (default: all, as one bus)"),
+        ),
+        group(
+            "results",
+            option("--out", type=Path, metavar="FILE", help="the samples: .csv, .npz, .parquet"),
+            option("--frames", type=Path, metavar="FILE", help="what the module sends, as a bus log"),
+            option("--report", type=Path, metavar="FILE.html", help="a page with pictures"),
+            JSON,
+            option(
+                "--drift",
+                action=argparse.BooleanOptionalAction,
+                help="how far the encoder has moved from its table: takes seconds (default: of a folder)",
+            ),
+        ),
+        group(
+            "folder of logs",
+            option(
+                "--workers",
+                type=whole_number,
+                metavar="N",
+                help="processes (default: one per processor; 1: this one)",
+            ),
+        ),
+        summary="put a recorded bus log through the same module",
+    )
+    add_command(
+        parts,
+        "record",
+        record,
         option(
             "file",
             metavar="FILE",
             type=Path,
             help="the suffix says which format: .log (candump), .asc, .blf, ...",
         ),
-        option("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration"),
+        CONFIG,
         option("--seconds", type=positive, metavar="S", help="how long (default: until Ctrl-C)"),
         option(
             "--max-size",
-            type=_size,
+            type=size,
             default=0,
             metavar="BYTES",
             help="begin another file at this size (500k, 100M, 2G); the full one is renamed",
         ),
         option("--force", action="store_true", help="overwrite a file that is there"),
+        READY_FILE,
+        add_bus_options,
+        summary="write a log of the bus",
     )
-    add_ready_file(parser)
-    add_bus_options(parser)
-
-
-def _size(text: str) -> int:
-    found = re.fullmatch(r"([1-9][0-9]{0,11})([kMG]?)B?", text)
-    if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no size; write it as 500k, 100M or 2G")
-    return int(found[1]) * UNITS[found[2]]
 
 
 def record(options: argparse.Namespace) -> int:
@@ -78,3 +144,96 @@ def record(options: argparse.Namespace) -> int:
     errors = f", {bus_log.error_frames} of them error frames" if bus_log.error_frames else ""
     say(f"{bus_log.frames} frames{errors}")
     return 0
+
+
+def replay(options: argparse.Namespace) -> int:
+    """Replay a log, or a folder of them; 0 also if there were faults, 1 for a log without its end."""
+    options.log = required_file(options.log)
+    settings = settings_of(options)
+    if len(settings.modules) > 1 and (options.out or options.report) and not options.log.is_dir():
+        raise ConfigError("--out, --report: are for one module; choose it by NODE")
+    if options.report is not None:
+        check_place("--report", options.report)
+    replay_what = _folder if options.log.is_dir() else _one_log
+    with shown_progress(quiet=options.json) as progress:
+        return replay_what(options, settings, progress)
+
+
+def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
+    with contextlib.ExitStack() as files:
+        overview = Overview()
+        takers: list[Callable[[Block], None]] = [] if options.report is None else [overview.take]
+        takers += [] if options.out is None else [files.enter_context(published(options.out))]
+        sent = None if options.frames is None else files.enter_context(SentLog(options.frames)).take
+        progress.step(f"replaying {options.log}")
+        replayed = replay_log(options.log, settings, takers, sent, progress.part)
+        if options.report is not None:
+            write_page(options.report, replayed, overview)
+    progress.clear()
+    written = [path for path in (options.out, options.frames, options.report) if path is not None]
+    log = replayed.log
+    about = log.counters.facts(log.trouble)
+    figures = {
+        "log": str(log.path),
+        **as_figures(about),
+        "modules": [one.figures() for one in replayed.results],
+    }
+    lines = [*as_lines(about), *(line for one in replayed.results for line in one.lines())]
+    say_result(options, Result(figures, [*lines, *(f"written  {path}" for path in written)]))
+    return int(log.trouble is not None)
+
+
+def settings_of(options: argparse.Namespace) -> ReplayOptions:
+    """What the options say. ConfigError, in one line, for what cannot be."""
+    folder = options.log.is_dir()
+    refuse_idle(options, *(OF_A_FILE if folder else OF_A_FOLDER))
+    return ReplayOptions(
+        modules=tuple(_modules(options)),
+        correction=None if options.table is None else read_table(options.table),
+        state_dir=options.state,
+        begin=Begin(options.begin),
+        channel=options.channel,
+        drift=folder if options.drift is None else options.drift,
+    )
+
+
+def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
+    try:
+        if options.config:
+            config = load_config(options.config)
+            modules = config.modules if options.module is None else [chosen_module(options, config)]
+        else:
+            modules = [ModuleConfig(node_id=DEFAULT_MODULE if options.module is None else options.module)]
+        given = {} if options.encoder_interface is None else {"encoder_interface": options.encoder_interface}
+        modules = [replace(module, **given) for module in modules]
+    except ValueError as error:
+        raise ConfigError(f"NODE, --encoder-interface: {error}") from None
+    return [changed_module(module, options.set) for module in modules]
+
+
+def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
+    """Do what is not done yet; 0 when it is. Without ``--out`` each log is a line."""
+    out = None if options.out is None else check_table(options.out)
+    if options.workers is not None and options.workers < 1:
+        raise ConfigError(f"--workers {options.workers}: must be 1 at least")
+    work = work_of(options.log, settings, out)
+    progress.step(f"{len(work.jobs)} logs to replay, {len({row['log'] for row in work.done})} are done")
+    rows = do_work(work, settings, out, options.workers, progress=progress.part)
+    progress.clear()
+    bad = [row for row in rows if row["error"] is not None]
+    for row in rows:
+        name = f"{row['log']}, module {row['module']}"
+        if row["error"] is not None:
+            print(f"not done  {name}: {row['error']}")
+        elif out is None:
+            faults = ", ".join(f"{kind} {row[kind]}" for kind in KINDS if row[kind]) or "no faults"
+            print(f"{name}: {row['samples']} samples, {faults}")
+        if row["trouble"]:
+            print(f"damaged   {row['trouble']}")
+        if row["left_out"]:
+            print(f"left out  {name}: {row['left_out']} frames with its CAN-IDs (--channel)")
+    samples = sum(row["samples"] or 0 for row in rows)
+    print(f"{len(rows)} rows, {samples} samples; {len(bad)} not done")
+    if out is not None:
+        print(f"written  {out}")
+    return int(any(row["trouble"] for row in rows))

@@ -16,18 +16,18 @@ from canfb.bus.opening import open_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.bus.shared_bus import SharedBus
 from canfb.cli.options import (
+    READY_FILE,
     Commands,
     add_bus_options,
     add_command,
-    add_options,
-    add_ready_file,
     bus_options,
+    group,
     named_config,
     option,
     refuse_idle,
 )
 from canfb.cli.printing import say
-from canfb.cli.subjects import add_nodes, bit_rate_of, positive, units
+from canfb.cli.subjects import bit_rate_of, nodes, positive, units
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
 from canfb.monitoring.bus_model import BusModel
@@ -46,35 +46,40 @@ Show = Callable[[BusSnapshot], None]
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "monitor", monitor)
-    add_nodes(parser, "node-IDs such as 32 or 0x20; or CONFIG.yaml, as with --config")
-    add_options(
-        parser,
+    add_command(
+        commands,
+        "monitor",
+        monitor,
+        nodes("node-IDs such as 32 or 0x20; or CONFIG.yaml, as with --config"),
         option("--log", metavar="FILE", type=Path, help="a log that python-can reads, not a bus"),
         option("--speed", metavar="X", type=positive, help="of the log: 1 in its own time"),
         option("--updates", metavar="HZ", type=positive, help="per second (5; 1 for lines)"),
         option("--seconds", metavar="S", type=positive, help="end after so long"),
         option("--sdo", action="store_true", help="read mapping and counters by SDO, not only listen"),
-        option("--per-revolution", metavar="'5 mm'", type=units, help="unit of the machine"),
+        option(
+            "--per-revolution",
+            metavar="'5 mm'",
+            type=units,
+            default=MachineUnits(),
+            help="unit of the machine",
+        ),
         option("--plain", action="store_true", help="lines, also on a terminal"),
         option("--json", action="store_true", help="print one JSON object per update or frame"),
+        group(
+            "a line for each frame",
+            option("--frames", action="store_true", help="show frames, PDOs of modules decoded"),
+            option("--pdo", action="store_true", help="the PDOs of these modules alone"),
+            option("--listen", action="store_true", help="send nothing: mapping by configuration and EDS"),
+        ),
+        group(
+            "a page in the browser",
+            option("--web", action="store_true", help="watch modules on a page of this computer"),
+            option("--port", metavar="N", type=int, default=ANY_PORT, help="default: any free port"),
+            READY_FILE,
+        ),
+        add_bus_options,
+        opened=lambda address: say(f"open {address}"),
     )
-    add_options(
-        parser,
-        option("--frames", action="store_true", help="show frames, PDOs of modules decoded"),
-        option("--pdo", action="store_true", help="the PDOs of these modules alone"),
-        option("--listen", action="store_true", help="send nothing: mapping by configuration and EDS"),
-        group="a line for each frame",
-    )
-    page = add_options(
-        parser,
-        option("--web", action="store_true", help="watch modules on a page of this computer"),
-        option("--port", metavar="N", type=int, default=ANY_PORT, help="default: any free port"),
-        group="a page in the browser",
-    )
-    add_ready_file(page)
-    add_bus_options(parser)
-    parser.set_defaults(opened=lambda address: say(f"open {address}"), per_revolution=MachineUnits())
 
 
 IDLE = (

@@ -12,16 +12,16 @@ from canfb.bus.opening import open_bus
 from canfb.cia301.nmt import NmtCommand
 from canfb.cli import node_options
 from canfb.cli.options import (
+    JSON,
+    TIMEOUT,
     Commands,
     add_bus_options,
     add_command,
     add_group,
-    add_options,
-    add_timeout,
     chosen_bus,
     option,
 )
-from canfb.cli.subjects import add_nodes, node_number, positive
+from canfb.cli.subjects import node_number, nodes, positive
 from canfb.master.node_state import reset_nodes
 from canfb.rows import Result
 
@@ -43,30 +43,26 @@ def register(commands: Commands) -> None:
     """Add the commands."""
     description = "Nodes of a bus. NMT is not confirmed: a node reports its state in its heartbeat."
     parts = add_group(commands, "node", description)
-    part = add_command(parts, "list", listed, "list the nodes with NMT state and identity (1018h)")
-    part.add_argument("--seconds", metavar="S", type=positive, default=SCAN_S, help="to listen (1.2)")
-    node_options.add_access_options(part, answers=False)
+    summary = "list the nodes with NMT state and identity (1018h)"
+    seconds = option("--seconds", metavar="S", type=positive, default=SCAN_S, help="to listen (1.2)")
+    add_command(parts, "list", listed, seconds, JSON, node_options.CONFIG, add_bus_options, summary=summary)
+    named = nodes("node-IDs such as 32 or 0x20, or all", least=1, kind=_node)
     for word, (command, summary) in WORDS.items():
-        part = add_command(parts, word, send, summary)
-        part.set_defaults(command_specifier=command)
-        _add_nodes(part)
-        add_bus_options(part)
-    part = add_command(parts, "reset", reset, "reset nodes as by a power cycle; modules at standstill only")
-    _add_nodes(part)
-    add_options(
-        part,
+        add_command(parts, word, send, named, add_bus_options, summary=summary, command_specifier=command)
+    add_command(
+        parts,
+        "reset",
+        reset,
+        named,
         option(
             "--communication", action="store_true", help="only the communication parameters (1000h to 1FFFh)"
         ),
         option("--force", action="store_true", help="do not look whether the machine moves"),
-        option("--json", action="store_true", help="the result, for programs"),
+        JSON,
+        TIMEOUT,
+        add_bus_options,
+        summary="reset nodes as by a power cycle; modules at standstill only",
     )
-    add_timeout(part)
-    add_bus_options(part)
-
-
-def _add_nodes(part: argparse.ArgumentParser) -> None:
-    add_nodes(part, "node-IDs such as 32 or 0x20, or all", least=1, kind=_node)
 
 
 def _nodes(options: argparse.Namespace) -> list[int]:
@@ -76,11 +72,11 @@ def _nodes(options: argparse.Namespace) -> list[int]:
 
 def send(options: argparse.Namespace) -> int:
     """Send the command to each node, in this order, and say so."""
-    nodes = _nodes(options)
+    chosen = _nodes(options)
     with BusMaster(open_bus(chosen_bus(options))) as master:
-        for node in nodes:
+        for node in chosen:
             master.send(0x000, bytes((options.command_specifier, node)))
-    names = "all nodes" if nodes == [EVERYBODY] else ", ".join(f"{node} ({node:02X}h)" for node in nodes)
+    names = "all nodes" if chosen == [EVERYBODY] else ", ".join(f"{node} ({node:02X}h)" for node in chosen)
     print(f"{options.part}: {names}")
     return 0
 
@@ -89,12 +85,12 @@ def reset(options: argparse.Namespace) -> int:
     """Look at the machine, reset the nodes, start them, and say what became of the positions."""
     from canfb.diagnosis.nodes_on_bus import scan  # here: an NMT command needs no EDS
 
-    nodes = _nodes(options)
+    chosen = _nodes(options)
     command = NmtCommand.RESET_COMMUNICATION if options.communication else NmtCommand.RESET_NODE
     with node_options.master_of(options) as master:
-        if nodes == [EVERYBODY]:
-            nodes = [one.node_id for one in scan(master, SCAN_S)]
-        done = reset_nodes(master, nodes, command, force=options.force)
+        if chosen == [EVERYBODY]:
+            chosen = [one.node_id for one in scan(master, SCAN_S)]
+        done = reset_nodes(master, chosen, command, force=options.force)
     lines = [f"node {one['node']} ({one['node']:02X}h): reset" for one in done]
     if len(done) == 1 and done[0]["position"]:
         spread = done[0]["spread_cycles"]

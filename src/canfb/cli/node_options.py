@@ -11,7 +11,7 @@ from typing import Any
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import add_bus_options, add_options, add_timeout, chosen_bus, option
+from canfb.cli.options import JSON, TIMEOUT, add_bus_options, chosen_bus, option
 from canfb.cli.printing import report
 from canfb.cli.subjects import node_number
 from canfb.configuration import Config
@@ -20,22 +20,9 @@ from canfb.master.access import Master
 from canfb.master.all_or_nothing import Guard
 from canfb.rows import Result
 
-
-def add_node(parser: argparse.ArgumentParser) -> None:
-    """NODE."""
-    parser.add_argument("node", metavar="NODE", type=node_number, help="node-ID such as 32 or 0x20")
-
-
-def add_access_options(parser: argparse.ArgumentParser, *, answers: bool = True) -> None:
-    """The bus and ``--json``, and the time for an answer unless ``answers`` is False."""
-    add_options(
-        parser,
-        option("--json", action="store_true", help="the result, for programs"),
-        option("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration"),
-    )
-    if answers:
-        add_timeout(parser)
-    add_bus_options(parser)
+NODE = option("node", metavar="NODE", type=node_number, help="node-ID such as 32 or 0x20")
+CONFIG = option("--config", metavar="CONFIG.yaml", help="takes the bus from this configuration")
+ACCESS = JSON, CONFIG, TIMEOUT, add_bus_options
 
 
 @contextlib.contextmanager

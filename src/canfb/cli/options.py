@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from canfb.module.module_config import ModuleConfig
 
 Commands = Any  # argparse's sub-parser action has no public name
+Row = Callable[[Any], object]
+"""Adds to a parser, or to a group of one."""
 BUS_WORDS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 BUS_METAVARS = {"interface": "NAME", "bitrate": "BIT/S", "data_bitrate": "BIT/S", "channel": "CHANNEL"}
 ARGUMENTS = {"config": "CONFIG.yaml", "nodes": "NODE"}  # the rest are options
@@ -37,9 +39,14 @@ OFTEN = ("interface", "channel", "bitrate")
 
 
 def add_command(
-    commands: Commands, name: str, action: Callable[[argparse.Namespace], int], summary: str = ""
-) -> argparse.ArgumentParser:
-    """Add a command that calls ``action``, or a part of one with a ``summary``; its parser, for options."""
+    commands: Commands,
+    name: str,
+    action: Callable[[argparse.Namespace], int],
+    *rows: Row,
+    summary: str = "",
+    **defaults: Any,
+) -> None:
+    """Add a command that calls ``action``, or a part of one with a ``summary``, and its options."""
     summary = summary or SUMMARIES[name]
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=summary, description=summary, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -48,8 +55,9 @@ def add_command(
     parser.add_argument(
         "--debug", action="store_true", default=argparse.SUPPRESS, help="show the traceback of an error"
     )
-    parser.set_defaults(action=action, parser=parser)
-    return parser
+    parser.set_defaults(action=action, parser=parser, **defaults)
+    for row in rows:
+        row(parser)
 
 
 class _HelpBus(argparse.Action):
@@ -63,20 +71,25 @@ class _HelpBus(argparse.Action):
         parser.exit()
 
 
-def option(*names: str, **settings: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """A row of a table of options, as ``add_argument`` of argparse has it."""
-    return names, settings
+def option(*names: str, **settings: Any) -> Row:
+    """An option or an argument, as ``add_argument`` of argparse has it."""
+    return lambda parser: parser.add_argument(*names, **settings)
 
 
-def add_options(
-    parser: argparse._ActionsContainer, *options: tuple[tuple[str, ...], dict[str, Any]], group: str = ""
-) -> argparse._ActionsContainer:
-    """Add the options of a table, in a ``group``; where they are now."""
-    if group:
-        parser = parser.add_argument_group(group)
-    for names, settings in options:
-        parser.add_argument(*names, **settings)
-    return parser
+def group(title: str, *rows: Row) -> Row:
+    """Options below a title in the help."""
+
+    def add(parser: Any) -> None:
+        within = parser.add_argument_group(title)
+        for row in rows:
+            row(within)
+
+    return add
+
+
+JSON = option("--json", action="store_true", help="the result, for programs")
+TIMEOUT = option("--timeout", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)")
+READY_FILE = option("--ready-file", metavar="PATH", help="a file that exists while the program is on the bus")
 
 
 def add_group(commands: Commands, name: str, description: str = "") -> Commands:
@@ -91,8 +104,8 @@ def add_group(commands: Commands, name: str, description: str = "") -> Commands:
     return parser.add_subparsers(dest="part", required=True, metavar="PART")
 
 
-def add_bus_options(parser: argparse.ArgumentParser) -> None:
-    """The bus options of python-can: -i, -c, -b; the rest is shown by ``--help-bus``."""
+def add_bus_options(parser: Any) -> None:
+    """Row: the bus options of python-can, -i, -c, -b; the rest is shown by ``--help-bus``."""
     _bus_group(parser, OFTEN)
     parser.add_argument("--help-bus", action=_HelpBus, nargs=0, help="all options of the bus, and exit")
 
@@ -105,11 +118,6 @@ def _bus_group(parser: argparse.ArgumentParser, shown: Iterable[str]) -> None:
         if action.dest in BUS_HELP:
             action.help = BUS_HELP[action.dest] if action.dest in shown else argparse.SUPPRESS
             action.metavar = BUS_METAVARS.get(action.dest, action.metavar)
-
-
-def add_timeout(parser: argparse._ActionsContainer) -> None:
-    """``--timeout``, of the commands that use SDO."""
-    parser.add_argument("--timeout", type=float, default=1.0, metavar="S", help="time for an SDO answer (1)")
 
 
 def chosen_module(options: argparse.Namespace, config: Config) -> ModuleConfig:
@@ -191,10 +199,3 @@ def named_config(options: argparse.Namespace) -> Config:
     from canfb.configuration import Config, load_config
 
     return load_config(options.config) if options.config else Config()
-
-
-def add_ready_file(parser: argparse._ActionsContainer) -> None:
-    """``--ready-file``, for :class:`canfb.hosting.readiness.Readiness`."""
-    parser.add_argument(
-        "--ready-file", metavar="PATH", help="a file that exists while the program is on the bus"
-    )

@@ -6,8 +6,8 @@ import argparse
 import json
 from dataclasses import fields
 
-from canfb.cli.options import Commands, add_command, add_options, option, refuse_idle
-from canfb.cli.subjects import add_jitter, jitter_s, whole_number
+from canfb.cli.options import JSON, Commands, add_command, option, refuse_idle
+from canfb.cli.subjects import jitter_of, jitter_s, whole_number
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.hosting.hosting import saved_configuration
@@ -37,9 +37,10 @@ NUMBERS = (
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "plan", plan)
-    add_options(
-        parser,
+    add_command(
+        commands,
+        "plan",
+        plan,
         option("config", metavar="CONFIG.yaml", nargs="?", help="without it: options alone"),
         option(
             "-b",
@@ -49,12 +50,11 @@ def register(commands: Commands) -> None:
             metavar="BIT/S",
             help="(that of bus, 1000000)",
         ),
-    )
-    for name, field, word, text in NUMBERS:
-        parser.add_argument(name, dest=field, type=float, metavar=word, help=text)
-    add_jitter(parser, "jitter of the SYNC at its producer")
-    add_options(
-        parser,
+        *(
+            option(name, dest=field, type=float, metavar=word, help=text)
+            for name, field, word, text in NUMBERS
+        ),
+        jitter_of("jitter of the SYNC at its producer"),
         option(
             "--cycles",
             dest="cycles_per_revolution",
@@ -82,7 +82,7 @@ def register(commands: Commands) -> None:
             help="that are alike, each with its interface (1)",
         ),
         option("--coverage", action="store_true", help="diagnostic coverage by fault (docs/faults.md)"),
-        option("--json", action="store_true", help="figures, for programs"),
+        JSON,
     )
 
 

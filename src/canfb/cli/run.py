@@ -9,15 +9,7 @@ import argparse
 import contextlib
 
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import (
-    Commands,
-    add_bus_options,
-    add_command,
-    add_options,
-    add_ready_file,
-    bus_options,
-    option,
-)
+from canfb.cli.options import READY_FILE, Commands, add_bus_options, add_command, bus_options, option
 from canfb.cli.printing import printed_as_json, printed_without_waiting
 from canfb.configuration import ANY_NODES, load_config
 from canfb.hosting.hosting import Hosting
@@ -27,15 +19,16 @@ from canfb.hosting.self_diagnosis import diagnosing_on_signal
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "run", run)
-    add_options(
-        parser,
+    add_command(
+        commands,
+        "run",
+        run,
         option("config", metavar="CONFIG.yaml"),
         option("-v", "--verbose", action="store_true", help="log single faults and each EMCY as well"),
         option("--json", action="store_true", help="print one JSON object a line, for programs"),
+        READY_FILE,
+        add_bus_options,
     )
-    add_ready_file(parser)
-    add_bus_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from canfb.cli import node_options
-from canfb.cli.options import Commands, add_command, add_group, add_options, option
+from canfb.cli.options import Commands, add_command, add_group, option
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import ConfigError
 from canfb.marked_yaml import read_bytes
@@ -27,20 +27,28 @@ def register(commands: Commands) -> None:
     """Add the commands."""
     description = "Objects of a node by SDO. Names, types and units are those of its EDS."
     parts = add_group(commands, "sdo", description)
-    part = _add(parts, "read", "read an object; without :sub, all of a record", read)
-    part.add_argument("--out", type=Path, metavar="FILE", help="write the bytes to a file; replaced")
-    _finish(part)
-    part = add_command(parts, "list", listed, "the objects of a node by its EDS: number, name, access, unit")
-    node_options.add_node(part)
-    add_options(
-        part,
+    node, access = node_options.NODE, node_options.ACCESS
+    named = option("object", metavar="OBJECT", help=OBJECT)
+    eds = option("--eds", type=Path, metavar="FILE", help="EDS or DCF of a node that is not of canfb")
+    out = option("--out", type=Path, metavar="FILE", help="write the bytes to a file; replaced")
+    summary = "read an object; without :sub, all of a record"
+    add_command(parts, "read", read, node, named, out, eds, *access, summary=summary)
+    add_command(
+        parts,
+        "list",
+        listed,
+        node,
         option("object", metavar="OBJECT", nargs="?", default="", help="only those with this in the name"),
         option("--eds", type=Path, metavar="FILE", help="EDS or DCF; without, the node is asked which"),
+        *access,
+        summary="the objects of a node by its EDS: number, name, access, unit",
     )
-    node_options.add_access_options(part)
-    part = _add(parts, "write", "write an object, and read it back", write)
-    add_options(
-        part,
+    add_command(
+        parts,
+        "write",
+        write,
+        node,
+        named,
         option(
             "value",
             metavar="VALUE",
@@ -50,20 +58,10 @@ def register(commands: Commands) -> None:
         ),
         option("--raw", action="store_true", help="VALUE is the number of the object, in no unit"),
         option("--file", type=Path, metavar="FILE", help="the bytes of a file instead of a VALUE"),
+        eds,
+        *access,
+        summary="write an object, and read it back",
     )
-    _finish(part)
-
-
-def _add(parts: Commands, name: str, summary: str, action: object) -> argparse.ArgumentParser:
-    part = add_command(parts, name, action, summary)  # type: ignore[arg-type]
-    node_options.add_node(part)
-    part.add_argument("object", metavar="OBJECT", help=OBJECT)
-    return part
-
-
-def _finish(part: argparse.ArgumentParser) -> None:
-    part.add_argument("--eds", type=Path, metavar="FILE", help="EDS or DCF of a node that is not of canfb")
-    node_options.add_access_options(part)
 
 
 def _tasks(master: Master, options: argparse.Namespace) -> SdoTasks:

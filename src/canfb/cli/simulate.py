@@ -10,19 +10,18 @@ from pathlib import Path
 from canfb.bus.opening import check_device_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import (
+    READY_FILE,
     Commands,
     add_bus_options,
     add_command,
-    add_options,
-    add_ready_file,
     bus_options,
     chosen_module,
+    group,
     option,
     refuse_idle,
 )
 from canfb.cli.printing import printed_without_waiting, say
-from canfb.cli.recording_options import add_columns
-from canfb.cli.subjects import add_jitter, add_nodes, jittered, positive
+from canfb.cli.subjects import COLUMNS, JITTER, jittered, nodes, positive
 from canfb.configuration import Config, load_config
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
@@ -38,17 +37,18 @@ WRITERS = {".csv": write_csv, ".npz": write_npz}
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "simulate", simulate)
-    add_nodes(parser, "CONFIG.yaml, and the node-ID of the module to serve (the first)", least=1, most=1)
-    parser.add_argument(
-        "--rate",
-        type=float,
-        metavar="HZ",
-        help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
-    )
-    add_jitter(parser)
-    add_options(
-        parser,
+    add_command(
+        commands,
+        "simulate",
+        simulate,
+        nodes("CONFIG.yaml, and the node-ID of the module to serve (the first)", least=1, most=1),
+        option(
+            "--rate",
+            type=float,
+            metavar="HZ",
+            help="produce the SYNC at this rate; without it, follow the SYNC of the bus",
+        ),
+        JITTER,
         option(
             "--pace",
             choices=PACES,
@@ -62,21 +62,22 @@ def register(commands: Commands) -> None:
             metavar="FILE",
             help="write the samples to a CSV or NPZ file, to play them back (--samples) or to calibrate",
         ),
+        READY_FILE,
+        group(
+            "playing a recording",
+            option(
+                "--samples",
+                metavar="FILE",
+                help="CSV file with a header line, one row for each SYNC, or an NPZ file of canfb",
+            ),
+            *COLUMNS,
+            option(
+                "--gap", type=positive, default=0.1, metavar="S", help="a longer time step is a gap (0.1)"
+            ),
+            option("--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"),
+        ),
+        add_bus_options,
     )
-    add_ready_file(parser)
-    play = parser.add_argument_group("playing a recording")
-    play.add_argument(
-        "--samples",
-        metavar="FILE",
-        help="CSV file with a header line, one row for each SYNC, or an NPZ file of canfb",
-    )
-    add_columns(play)
-    add_options(
-        play,
-        option("--gap", type=positive, default=0.1, metavar="S", help="a longer time step is a gap (0.1)"),
-        option("--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"),
-    )
-    add_bus_options(parser)
 
 
 def simulate(options: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from canfb.cli.options import refuse_idle
+from canfb.cli.options import Row, option, refuse_idle
 from canfb.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -40,8 +40,7 @@ class _Subjects(argparse.Action):
         namespace.nodes, namespace.module = nodes, nodes[0] if nodes else None
 
 
-def add_nodes(
-    parser: argparse.ArgumentParser,
+def nodes(
     text: str,
     *,
     least: int = 0,
@@ -49,35 +48,21 @@ def add_nodes(
     kind: Callable[[str], int | str] | None = None,
     file: str = "config",
     name: str = "NODE",
-) -> None:
+) -> Row:
     """NODE and a file in any order, and ``--config``: ``nodes``, ``module`` and ``config``.
 
     ``kind`` of an argument, :func:`node_or_yaml` unless given; ``file``, called ``name``: what the file is.
     """
-    parser.add_argument("--config", metavar="CONFIG.yaml", help="bus and modules")
-    parser.set_defaults(**{file: None})
-    parser.add_argument(
-        "nodes",
-        metavar=name,
-        nargs="+" if least else "*",
-        default=[],
-        type=kind or node_or_yaml,
-        action=_Subjects,
-        most=most,
-        file=file,
-        help=text,
-    )
+    words: dict[str, Any] = {"nargs": "+" if least else "*", "type": kind or node_or_yaml, "help": text}
 
+    def add(parser: Any) -> None:
+        parser.set_defaults(**{file: None})
+        parser.add_argument("--config", metavar="CONFIG.yaml", help="bus and modules")
+        parser.add_argument(
+            "nodes", metavar=name, default=[], action=_Subjects, most=most, file=file, **words
+        )
 
-def add_measured_nodes(parser: argparse.ArgumentParser) -> None:
-    """NODE and ``--encoder-interface``, of the commands that measure."""
-    add_nodes(parser, "node-ID of the module (32), or CONFIG.yaml, whose first module is meant", most=1)
-    parser.add_argument(
-        "--encoder-interface",
-        type=whole_number,
-        metavar="ID",
-        help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
-    )
+    return add
 
 
 def whole_number(text: str) -> int:
@@ -110,6 +95,14 @@ def positive(text: str) -> float:
     return value
 
 
+def size(text: str) -> int:
+    """Bytes as 500k, 100M or 2G: a type for argparse."""
+    found = re.fullmatch(r"([1-9][0-9]{0,11})([kMG]?)B?", text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size; write it as 500k, 100M or 2G")
+    return int(found[1]) * {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}[found[2]]
+
+
 def node_or_file(text: str) -> int | str:
     """A node-ID, or a file: a type for argparse."""
     return node_number(text) if text[:1].isdecimal() and "." not in text else text
@@ -126,6 +119,32 @@ def node_or_yaml(text: str) -> int | str:
     """A node-ID, or a configuration; a type for argparse."""
     return text if text.endswith((".yaml", ".yml")) else node_number(text)
 
+
+MEASURED_NODES = (
+    nodes("node-ID of the module (32), or CONFIG.yaml, whose first module is meant", most=1),
+    option(
+        "--encoder-interface",
+        type=whole_number,
+        metavar="ID",
+        help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
+    ),
+)
+"""Of the commands that measure."""
+
+COLUMNS = (
+    option(
+        "--columns",
+        default="sine,cosine",
+        metavar="SINE,COSINE",
+        help="names or numbers (from 0) of the two columns",
+    ),
+    option("--mid-scale", type=float, default=0.0, metavar="READING", help="reading of a zero signal (0)"),
+    option(
+        "--scale", type=float, default=1.0, metavar="COUNTS", help="ADC counts for each volt of the file (1)"
+    ),
+    option("--time-column", metavar="NAME", help="column of times in seconds; gaps become missed samples"),
+)
+"""Of a CSV file of samples; :func:`canfb.sources.recording_source.chosen_layout` checks them."""
 
 UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "%": 0.01}
 
@@ -152,13 +171,13 @@ def jitter_s(options: argparse.Namespace, rate_hz: float | None) -> float:
     return float(options.jitter.value / (rate_hz or 1.0) if options.jitter.is_part else options.jitter.value)
 
 
-def add_jitter(
-    parser: argparse.ArgumentParser, text: str = "have the SYNC jitter on purpose, uniformly"
-) -> None:
+def jitter_of(text: str) -> Row:
     """``--jitter`` of the SYNC (docs/time.md)."""
-    parser.add_argument(
-        "--jitter", type=jitter, metavar="TIME", help=f"{text}, ±: 20us, 2e-5 (seconds), 30%% of the period"
-    )
+    help_text = f"{text}, ±: 20us, 2e-5 (seconds), 30%% of the period"
+    return option("--jitter", type=jitter, metavar="TIME", help=help_text)
+
+
+JITTER = jitter_of("have the SYNC jitter on purpose, uniformly")
 
 
 def jittered(config: Config, options: argparse.Namespace) -> Config:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
-from canfb.cli.options import Commands, add_command, add_group, add_options, option
+from canfb.cli.options import Commands, add_command, add_group, option
 from canfb.cli.subjects import node_number
 from canfb.errors import ConfigError
 from canfb.master.access import NodeAccess
@@ -17,7 +17,6 @@ from canfb.rows import Result
 from canfb.sdo.table_file import TableState, read_table_file
 from canfb.sdo.table_tasks import TableTasks
 
-FORCE = "although the amplitude then leaves its limits"
 FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
 
 
@@ -25,41 +24,50 @@ def register(commands: Commands) -> None:
     """Add the commands."""
     description = "The correction table (2020h) and the conditioning (2002h) of a module."
     parts = add_group(commands, "table", description)
-    part = add_command(parts, "show", show, "show the table of a module or of a file")
-    part.add_argument("what", metavar="NODE|FILE", help="node-ID such as 32 or 0x20, or a table file")
-    node_options.add_access_options(part)
-
-    part = _add(parts, "write", "write the table of a file to the module, and stage it", write)
-    add_options(
-        part,
+    node, access = node_options.NODE, node_options.ACCESS
+    force = option("--force", action="store_true", help="although the amplitude then leaves its limits")
+    save = option("--save", action="store_true", help="save it (1010h)")
+    add_command(
+        parts,
+        "show",
+        show,
+        option("what", metavar="NODE|FILE", help="node-ID such as 32 or 0x20, or a table file"),
+        *access,
+        summary="show the table of a module or of a file",
+    )
+    add_command(
+        parts,
+        "write",
+        write,
+        node,
         option("file", metavar="FILE", type=Path, help=f"as canfb calibrate writes it: {FILES}"),
         option("--activate", action="store_true", help="put it in force at once"),
-        option("--force", action="store_true", help=FORCE),
+        force,
+        option("--save", action="store_true", help="with --activate: save it (1010h)"),
+        *access,
+        summary="write the table of a file to the module, and stage it",
     )
-    _finish(part, "with --activate: save it (1010h)")
-
-    part = _add(parts, "read", "read the active table of the module into a file", read)
-    part.add_argument("file", metavar="FILE", type=Path, help=f"{FILES}; replaced")
-    node_options.add_access_options(part)
-
-    part = _add(parts, "activate", "put the staged table in force", activate)
-    part.add_argument("--force", action="store_true", help=FORCE)
-    _finish(part, "save it (1010h)")
-
-    part = _add(parts, "clear", "go back to the identity: no table", clear)
-    part.add_argument("--conditioning", action="store_true", help="clear the conditioning (2002h) as well")
-    _finish(part, "save it (1010h)")
-
-
-def _add(parts: Commands, name: str, summary: str, action: object) -> argparse.ArgumentParser:
-    part = add_command(parts, name, action, summary)  # type: ignore[arg-type]
-    node_options.add_node(part)
-    return part
-
-
-def _finish(part: argparse.ArgumentParser, saves: str) -> None:
-    part.add_argument("--save", action="store_true", help=saves)
-    node_options.add_access_options(part)
+    add_command(
+        parts,
+        "read",
+        read,
+        node,
+        option("file", metavar="FILE", type=Path, help=f"{FILES}; replaced"),
+        *access,
+        summary="read the active table of the module into a file",
+    )
+    summary = "put the staged table in force"
+    add_command(parts, "activate", activate, node, force, save, *access, summary=summary)
+    add_command(
+        parts,
+        "clear",
+        clear,
+        node,
+        option("--conditioning", action="store_true", help="clear the conditioning (2002h) as well"),
+        save,
+        *access,
+        summary="go back to the identity: no table",
+    )
 
 
 def show(options: argparse.Namespace) -> int:

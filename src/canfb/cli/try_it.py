@@ -15,10 +15,10 @@ from canfb.bus.clocks import page_date
 from canfb.bus.opening import describe, group_port
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.commands import build_parser
-from canfb.cli.options import Commands, add_command, add_options, add_ready_file, option, refuse_idle
+from canfb.cli.options import READY_FILE, Commands, add_command, group, option, refuse_idle
 from canfb.cli.printing import printed_as_json, say
 from canfb.cli.progress import Progress
-from canfb.cli.subjects import add_jitter, jittered
+from canfb.cli.subjects import JITTER, jittered
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
 from canfb.hosting.event_log import EventLog, summary_of
@@ -32,27 +32,27 @@ LEAST_HZ, MOST_HZ = 50.0, 1000.0  # below, the machine of the example accelerate
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "try", try_it)
-    add_options(
-        parser,
-        option(
-            "--story",
-            action="store_true",
-            help="start, track, calibrate, verify and survive faults on an in-process bus, and end",
+    add_command(
+        commands,
+        "try",
+        try_it,
+        group(
+            "the story (also as: canfb demo)",
+            option(
+                "--story",
+                action="store_true",
+                help="start, track, calibrate, verify and survive faults on an in-process bus, and end",
+            ),
+            option("--out", type=Path, metavar="DIR", help="folder for pictures (SVG) and report.html"),
         ),
-        option("--out", type=Path, metavar="DIR", help="folder for pictures (SVG) and report.html"),
-        group="the story (also as: canfb demo)",
-    )
-    parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="of SYNC, 50 to 1000 (100)")
-    add_jitter(parser)
-    add_options(
-        parser,
+        option("--rate", type=float, default=100.0, metavar="HZ", help="of SYNC, 50 to 1000 (100)"),
+        JITTER,
         option("--no-page", action="store_true", help="without the page"),
         option("--port", metavar="N", type=int, default=ANY_PORT, help="of the page; default: any free port"),
         option("--json", action="store_true", help="JSON, for programs"),
         option("--write-config", type=Path, metavar="FILE", help="write its configuration, for log replay"),
+        READY_FILE,
     )
-    add_ready_file(parser)
 
 
 def try_it(options: argparse.Namespace) -> int:

@@ -6,16 +6,23 @@ import argparse
 import json
 
 from canfb.bus.opening import check_interface, describe
-from canfb.cli.options import Commands, add_bus_options, add_command, default_bus_file, given_bus, remembered
+from canfb.cli.options import (
+    Commands,
+    add_bus_options,
+    add_command,
+    default_bus_file,
+    given_bus,
+    option,
+    remembered,
+)
 from canfb.errors import ConfigError
 from canfb.master.all_or_nothing import write_whole
 
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "use", use)
-    parser.add_argument("--forget", action="store_true", help="no default bus any more")
-    add_bus_options(parser)
+    forget = option("--forget", action="store_true", help="no default bus any more")
+    add_command(commands, "use", use, forget, add_bus_options)
 
 
 def use(options: argparse.Namespace) -> int:

@@ -12,16 +12,17 @@ from typing import Any
 from canfb.bus.clocks import local_time
 from canfb.cli import node_options
 from canfb.cli.options import (
+    JSON,
+    TIMEOUT,
     Commands,
     add_bus_options,
     add_command,
-    add_options,
-    add_timeout,
     bus_options,
+    group,
     option,
     refuse_idle,
 )
-from canfb.cli.subjects import add_nodes, positive, whole_number
+from canfb.cli.subjects import nodes, positive, whole_number
 from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.diagnosis.lost import read_lost_position
 from canfb.diagnosis.nodes_on_bus import frame_counts, node_facts, scan
@@ -36,26 +37,26 @@ LISTEN_S = 2.0
 
 def register(commands: Commands) -> None:
     """Add the command."""
-    parser = add_command(commands, "why", why)
-    add_nodes(parser, "node-ID of the module, or CONFIG.yaml")
-    add_options(
-        parser,
+    add_command(
+        commands,
+        "why",
+        why,
+        nodes("node-ID of the module, or CONFIG.yaml"),
         option("--status", metavar="WORD", type=_word, help="only decode this status word: 0x0006"),
-        option("--json", action="store_true", help="the result, for programs"),
-    )
-    add_options(
-        parser,
-        option(
-            "--bundle",
-            action="store_true",
-            help="write versions, settings, objects and log of the nodes (all that answer)",
+        JSON,
+        group(
+            "one file for support (--bundle)",
+            option(
+                "--bundle",
+                action="store_true",
+                help="write versions, settings, objects and log of the nodes (all that answer)",
+            ),
+            option("--out", type=Path, metavar="FILE", help="(canfb-diagnose-DATE-TIME.json); replaced"),
+            option("--seconds", metavar="S", type=positive, default=LISTEN_S, help="to listen (2)"),
         ),
-        option("--out", type=Path, metavar="FILE", help="(canfb-diagnose-DATE-TIME.json); replaced"),
-        option("--seconds", metavar="S", type=positive, default=LISTEN_S, help="to listen (2)"),
-        group="one file for support (--bundle)",
+        TIMEOUT,
+        add_bus_options,
     )
-    add_timeout(parser)
-    add_bus_options(parser)
 
 
 def _word(text: str) -> int:
