@@ -135,7 +135,9 @@ def test_a_story_that_does_not_hold_is_exit_code_1(
 ) -> None:
     told = Story(checks={"it flies": False, "it floats": True})
     monkeypatch.setattr("canfb.demo.story.run_story", lambda network: told)
-    monkeypatch.setattr("canfb.demo.account.figures", lambda told: {"held": told.held, "checks": told.checks})
+    monkeypatch.setattr(
+        "canfb.demo.demo_page.figures", lambda told: {"held": told.held, "checks": told.checks}
+    )
     assert main(["demo", "--json"]) == 1
     said = json.loads(capsys.readouterr().out)
     assert said == {"held": False, "checks": {"it flies": False, "it floats": True}, "figures": []}

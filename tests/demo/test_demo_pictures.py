@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from canfb.demo import demo_page
-from canfb.demo.demo_page import error_after, error_before, fault_samples, residual, servo, tracks
+from canfb.demo.demo_page import error_after, error_before, residual, servo, tracks
 from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, Story
 from canfb.report.plot import Plot
 from canfb.rows import Row
@@ -35,19 +35,10 @@ def story() -> Story:
 
 def network() -> Any:
     angle = 0.7 * np.arange(1000)
-    sine, cosine = (np.rint(1500 * f(angle)).astype(int).tolist() for f in (np.sin, np.cos))
-    return SimpleNamespace(adc=SimpleNamespace(sine=sine, cosine=cosine), encoder=Encoder())
-
-
-def test_the_samples_that_are_named_are_those_of_the_faults() -> None:
-    numbers = list(range(1000))
-    numbers.remove(900 + LOST_SAMPLE)  # it is not in the log
-    heard: Any = SimpleNamespace(adc=SimpleNamespace(sine=numbers, cosine=[-n for n in numbers]))
-    found = fault_samples(heard, Story(fault_window=(900, 980)))
-    assert found == [
-        (name, 900 + place, -900 - place) for place, (name, _) in FAULTS.items() if place != LOST_SAMPLE
-    ]
-    assert len(found) == 3
+    tracks = np.rint(1500 * np.sin(angle)), np.rint(1500 * np.cos(angle))
+    for track in tracks:
+        track[900 + LOST_SAMPLE] = np.nan
+    return SimpleNamespace(recorder=SimpleNamespace(tracks=lambda: tracks), encoder=Encoder())
 
 
 def test_each_fault_is_ringed_and_named_once() -> None:

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from canfb.demo.account import servo_facts
-from canfb.demo.demo_page import servo
+from canfb.demo.demo_page import servo, servo_facts
 from canfb.demo.servo_act import (
     ACCELERATION_RAD_S2,
     JERK_RAD_S3,

@@ -11,8 +11,6 @@ import pytest
 
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.demo import story as story_module
-from canfb.demo.account import account
-from canfb.demo.account import figures as figures_of
 from canfb.demo.demo_network import (
     BIT_RATE,
     CYCLES_PER_REVOLUTION,
@@ -21,6 +19,8 @@ from canfb.demo.demo_network import (
     DemoNetwork,
     demo_motion,
 )
+from canfb.demo.demo_page import account
+from canfb.demo.demo_page import figures as figures_of
 from canfb.demo.story import (
     FAULT_SAMPLES,
     FAULTS,

@@ -135,9 +135,8 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
 
 def _tell_story(options: argparse.Namespace) -> int:
     """Run it; 0 if everything held, else 1."""
-    from canfb.demo.account import account, figures  # here: the network of `try` needs none of it
-    from canfb.demo.demo_network import DemoNetwork
-    from canfb.demo.demo_page import prepare, write_files
+    from canfb.demo.demo_network import DemoNetwork  # here: the network of `try` needs none of it
+    from canfb.demo.demo_page import account, figures, prepare, write_files
     from canfb.demo.story import run_story
 
     if options.out:

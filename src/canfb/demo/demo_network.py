@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import canopen
 import numpy as np
-import numpy.typing as npt
 
 from canfb.cia301.frame import Frame
 from canfb.eds_files import eds_path
@@ -21,6 +18,7 @@ from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder, demo_encoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.set_up import SampleRecorder
 from canfb.simulation.sync_producer import Drive, SyncTiming
 from canfb.sources.motion_source import MotionSource
 
@@ -60,62 +58,32 @@ UNITS_PER_REVOLUTION = CYCLES_PER_REVOLUTION * UNITS_PER_CYCLE
 DRIVE_RPM = 2000.0
 NODE_ID, INTERFACE_ID = 0x20, 0x10
 POSITION_COB_ID = 0x180 + NODE_ID
-ADC_COB_ID = 0x180 + INTERFACE_ID
-ADC_PDO = struct.Struct("<hhI")  # 6401:01, 6401:02, 2000:01
 BEFORE_SYNC_S = 50e-6
 
 
 Fault = Callable[[Sample], Sample | None]
 
 
-class FaultySource:
+class FaultySource(MotionSource):
     """A motion with faults on request: sample number -> what becomes of it, None = lost."""
 
-    def __init__(self, motion: MotionSource) -> None:
-        self.motion = motion
+    def __init__(self, shaft: ShaftEncoder, motion: Motion, interval_s: float) -> None:
+        super().__init__(shaft, motion, interval_s)
         self.faults: dict[int, Fault] = {}
         self.truth_cycles: list[float] = []
 
-    def next(self) -> Sample | None:
-        """Not asked: the interface knows when it samples."""
-        raise NotImplementedError
-
-    def sample_at(self, now: float) -> Sample | None:
+    def sample_at(self, now: float) -> Sample | None:  # type: ignore[override]  # as any Source has it
         """The sample at the true time ``now``; its true position is noted."""
-        sample = self.motion.sample_at(now)
-        number = len(self.truth_cycles)
-        self.truth_cycles.append(self.motion.position_cycles)
-        fault = self.faults.get(number)
+        fault = self.faults.get(len(self.truth_cycles))
+        sample = super().sample_at(now)
+        self.truth_cycles.append(self.position_cycles)
         return sample if fault is None else fault(sample)
-
-    def machine_time(self, now: float) -> float:
-        """The time of the motion, seconds."""
-        return self.motion.machine_time(now)
-
-    def fast_samples(self, times_s: npt.NDArray[np.float64], seed: tuple[int, int]) -> npt.NDArray[np.int16]:
-        """Both tracks at these times of the motion."""
-        return self.motion.fast_samples(times_s, seed)
 
 
 def demo_motion() -> Motion:
     """Standstill, a ramp to 2000 rpm within what eq. 10 allows at 1 kHz, then speed that wanders by 3 %."""
     ramps = (Ramp(0.5, 0.0), Ramp(1.5, DRIVE_RPM))
     return Motion(ramps, (Ripple(0.02 * DRIVE_RPM, 0.31), Ripple(0.01 * DRIVE_RPM, 1.7)))
-
-
-@dataclass
-class AdcLog:
-    """What the master receives of the encoder interface: the counts of every ADC PDO."""
-
-    sine: list[int] = field(default_factory=list)
-    cosine: list[int] = field(default_factory=list)
-
-    def take(self, frame: Frame, now: float) -> None:
-        """Keep the counts of an ADC PDO."""
-        if frame.can_id == ADC_COB_ID and len(frame.data) == ADC_PDO.size:
-            sine, cosine, _ = ADC_PDO.unpack(frame.data)
-            self.sine.append(sine)
-            self.cosine.append(cosine)
 
 
 class DemoNetwork:
@@ -128,28 +96,22 @@ class DemoNetwork:
     def __init__(self, encoder: Encoder | None = None, seed: int = 1) -> None:
         self.encoder, self.seed = encoder or demo_encoder(), seed
         self.bus = EmbeddedBus(BIT_RATE)
-        self.adc = AdcLog()
-        self.bus.observers.append(self.adc.take)
         self.canopen = EmbeddedNetwork(self.bus)
-        self.source = FaultySource(
-            MotionSource(
-                ShaftEncoder(self.encoder, CYCLES_PER_REVOLUTION, seed, APERTURE_JITTER_S),
-                demo_motion(),
-                SYNC_PERIOD_S,
-            )
-        )
+        shaft = ShaftEncoder(self.encoder, CYCLES_PER_REVOLUTION, seed, APERTURE_JITTER_S)
+        self.source = FaultySource(shaft, demo_motion(), SYNC_PERIOD_S)
         self.module = FeedbackModule(
             ModuleConfig(node_id=NODE_ID, encoder_interface=INTERFACE_ID, times=True)
         )
         clock = SampleClock(CLOCK_DRIFT_PPM, CLOCK_START_100NS)
         self.interface = EncoderInterface(INTERFACE_ID, self.source, times=True, clock=clock)
+        self.recorder = SampleRecorder(self.interface)
         self.drive = Drive(SYNC_PERIOD_S, POSITION_COB_ID, UNITS_PER_REVOLUTION, TIMING, seed)
         others = BackgroundTraffic(OTHER_LOAD, BIT_RATE, seed)
         self.master = canopen.RemoteNode(NODE_ID, str(eds_path("canfb-module")))
         self.interface_master = canopen.RemoteNode(INTERFACE_ID, str(eds_path("encoder-interface")))
         self.canopen.add_node(self.master)
         self.canopen.add_node(self.interface_master)
-        for participant in (self.module, self.interface, self.drive, others):
+        for participant in (self.module, self.interface, self.recorder, self.drive, others):
             self.bus.attach(participant)
 
     def run(self, samples: int) -> None:

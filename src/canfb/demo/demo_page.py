@@ -1,22 +1,155 @@
-"""The demo's pictures and page, and its files in a folder."""
+"""The demo's account, for people and for programs; its pictures and page, and its files in a folder."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from canfb.demo.account import TITLE, fault_facts, run_facts, servo_facts, verdict
-from canfb.demo.demo_network import DemoNetwork
-from canfb.demo.servo_act import ServoRun
-from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, Story, peak, rms
+from canfb.demo.demo_network import CLOCK_DRIFT_PPM, TIMING, DemoNetwork
+from canfb.demo.servo_act import ACCELERATION_RAD_S2, JERK_RAD_S3, RPM, ServoRun
+from canfb.demo.story import (
+    FAULT_SAMPLES,
+    FAULTS,
+    LOST_SAMPLE,
+    REFERENCE_HZ,
+    REFERENCE_SAMPLES,
+    Story,
+    peak,
+    rms,
+)
 from canfb.errors import CanfbError
 from canfb.report.page import beside, figure, gallery, page, svg_file, table
 from canfb.report.pictures import SHOWN_SAMPLES, circle, cloud, square_plot
 from canfb.report.plot import Plot, nice_limit
-from canfb.rows import Row
+from canfb.rows import Row, as_columns, as_figures, as_lines
 from canfb.signal.phase import FloatArray
 from canfb.signal.tracker import RESIDUAL_LIMIT
+
+TITLE = "canfb demo: drive, encoder interface and feedback module on an embedded CAN bus, simulated time"
+WIDTH = 11  # of the names, characters
+ERROR_HEADS = "position error, % of a cycle", "before the table", "with the table"
+
+
+def account(story: Story) -> str:
+    """A short readable account, one line a fact. ValueError if the demo has not run yet."""
+    lines = [
+        TITLE,
+        "",
+        *_indented(run_facts(story)),
+        "",
+        *(f"  {line}" for line in as_columns(error_facts(story), ERROR_HEADS)),
+        "",
+        *_indented(fault_facts(story)),
+        "",
+        *_indented(servo_facts(story)),
+        "",
+    ]
+    lines += [f"  {verdict(held):6}  {name}" for name, held in story.checks.items()]
+    return "\n".join(lines)
+
+
+def _indented(facts: list[Row]) -> list[str]:
+    return [f"  {line}" for line in as_lines(facts, WIDTH)]
+
+
+def error_facts(story: Story) -> list[Row]:
+    """The position error before and with the table, % of a cycle."""
+    errors = story.error_before, story.error_after
+    return [
+        Row(name, *(f"{100.0 * size(error):.4f}" for error in errors))
+        for name, size in (("peak", peak), ("rms", rms))
+    ]
+
+
+def figures(story: Story) -> dict[str, Any]:
+    """The same for programs. ValueError as :func:`account`."""
+    errors = Row(
+        held=story.held,
+        checks=story.checks,
+        error_peak_before_cycles=peak(story.error_before),
+        error_peak_after_cycles=peak(story.error_after),
+        error_rms_before_cycles=rms(story.error_before),
+        error_rms_after_cycles=rms(story.error_after),
+    )
+    return as_figures([errors], run_facts(story), fault_facts(story), servo_facts(story))
+
+
+def run_facts(story: Story) -> list[Row]:
+    """How it was run, and what came of it. ValueError as :func:`account`."""
+    calibration = story.calibration
+    if calibration is None:
+        raise ValueError("the demo has not run yet")
+    return [
+        Row("network", "started by NMT, ADC PDO linked by SDO, SYNC 1 kHz"),
+        Row(
+            "time",
+            f"SYNC +-{TIMING.sync_jitter_us:.0f} us, and behind the frame on the wire; sample times from a "
+            f"clock {CLOCK_DRIFT_PPM:.0f} ppm off",
+            sync_jitter_us=TIMING.sync_jitter_us,
+            clock_drift_ppm=CLOCK_DRIFT_PPM,
+        ),
+        Row(
+            "machine",
+            f"2000 rpm, {story.cycles_per_sample:.1f} encoder cycles per sample, speed varies by 3 %",
+            cycles_per_sample=story.cycles_per_sample,
+        ),
+        Row(
+            "samples",
+            f"{story.samples}, wrong cycle counts {story.wrong_counts}",
+            samples=story.samples,
+            wrong_cycle_counts=story.wrong_counts,
+        ),
+        Row(
+            "reference",
+            f"{REFERENCE_SAMPLES / REFERENCE_HZ:.1f} s at {REFERENCE_HZ // 1000} kHz, "
+            f"coverage {100 * calibration.coverage:.0f} %, "
+            f"table good to {100 * calibration.uncertainty_peak:.2g} % of a cycle",
+            table_uncertainty_peak_cycles=calibration.uncertainty_peak,
+        ),
+        Row(
+            "table",
+            f"{len(calibration.table)} entries by SDO, CRC-32 {story.table_crc32:08X}h, active",
+            table_crc32=f"{story.table_crc32:08X}",
+        ),
+    ]
+
+
+def fault_facts(story: Story) -> list[Row]:
+    """The provoked faults and the bus."""
+    faults = story.faults
+    return [
+        Row("faults", ", ".join(name for name, _ in FAULTS.values())),
+        Row(
+            "",
+            f"{faults.flagged_at_once} of {faults.provoked} flagged at once (the lost one at the next SYNC)",
+            faults_provoked=faults.provoked,
+            faults_flagged_in_the_same_sample=faults.flagged_at_once,
+        ),
+        Row(
+            "",
+            f"wrong positions published as valid {faults.wrong_and_valid}, "
+            f"cycles lost {faults.wrong_counts_after}",
+            wrong_positions_called_valid=faults.wrong_and_valid,
+        ),
+        Row("bus load", f"{100 * story.bus_load:.0f} % of 1 Mbit/s", bus_load=story.bus_load),
+    ]
+
+
+def servo_facts(story: Story) -> list[Row]:
+    """The second act, and what other settings make of it."""
+    move = f"0 to {RPM:g} rpm in 50 ms: {ACCELERATION_RAD_S2:g} rad/s^2, {JERK_RAD_S3:g} rad/s^3"
+    return [
+        Row("servo", move, servo_move={run.name: run.figures() for run in story.servo}),
+        *(Row("", f"{run.name}: {run.outcome}") for run in story.servo),
+    ]
+
+
+def verdict(held: bool) -> str:
+    """Result of a check, in words."""
+    return "held" if held else "FAILED"
+
 
 PERCENT = 100.0
 MOVE_SHOWN_MS = -10.0, 75.0
@@ -25,37 +158,23 @@ FIRST_NAME, NAMES_APART = 0.75, 0.06  # heights of the names of the faults, abov
 
 def tracks(network: DemoNetwork, story: Story) -> Plot:
     """The last samples, and what the provoked faults made of theirs."""
-    sine, cosine = (
-        np.array(one[-SHOWN_SAMPLES:], np.float64) for one in (network.adc.sine, network.adc.cosine)
-    )
+    recorded = np.transpose(network.recorder.tracks())
+    shown = recorded[np.isfinite(recorded[:, 0])][-SHOWN_SAMPLES:]
     plot = square_plot(
         "Lissajous figure: sine over cosine, with the provoked faults",
         1.1 * (1 << network.encoder.adc_bits - 1),
     )
     circle(plot, network.encoder.amplitude_counts, "limit", "ideal tracks")
-    cloud(plot, cosine, sine, "after", "ADC samples")
-    found = fault_samples(network, story)
-    at = np.array([(cosine, sine) for _, sine, cosine in found], np.float64).reshape(-1, 2)
-    plot.dots(at[:, 0], at[:, 1], "after large")
-    plot.rings(at[:, 0], at[:, 1], "before", "provoked faults")
-    for number, (name, sine_counts, cosine_counts) in enumerate(found):
+    cloud(plot, shown[:, 1], shown[:, 0], "after", "ADC samples")
+    faults = {place: name for place, (name, _) in FAULTS.items() if place != LOST_SAMPLE}
+    at = recorded[story.fault_window[0] + np.array(list(faults))]
+    plot.dots(at[:, 1], at[:, 0], "after large")
+    plot.rings(at[:, 1], at[:, 0], "before", "provoked faults")
+    for number, (name, (sine, cosine)) in enumerate(zip(faults.values(), at.tolist(), strict=True)):
         # Towards the middle, above and below in turn.
-        left, down = cosine_counts > 0, 20.0 if number % 2 else -9.0
-        style = "before end" if left else "before"
-        plot.note(cosine_counts, sine_counts, name, style, (-9.0 if left else 9.0, down))
+        left, down = cosine > 0, 20.0 if number % 2 else -9.0
+        plot.note(cosine, sine, name, "before end" if left else "before", (-9.0 if left else 9.0, down))
     return plot
-
-
-def fault_samples(network: DemoNetwork, story: Story) -> list[tuple[str, int, int]]:
-    """What each provoked fault made of its sample: name, sine and cosine, counts. A lost one is not there."""
-    first, found, lost = story.fault_window[0], [], 0
-    for place, (name, _) in sorted(FAULTS.items()):
-        if place == LOST_SAMPLE:
-            lost += 1
-        else:
-            number = first + place - lost
-            found.append((name, network.adc.sine[number], network.adc.cosine[number]))
-    return found
 
 
 def error_before(story: Story) -> Plot:
@@ -178,12 +297,7 @@ def demo_page(story: Story, made: str, pictures: tuple[Plot, Plot, Plot, Plot, P
     pictures    tracks, error before and after the table, residual, the move of the servo
     """
     shown, before, after, faults, moved = pictures
-    sizes = story.error_before, story.error_after
-    rows = [
-        Row(name, *(f"{100 * size(error):.4f}" for error in sizes))
-        for name, size in (("peak", peak), ("rms", rms))
-    ]
-    tables = table("Position error, % of a cycle", rows, ("before the table", "with the table"))
+    tables = table("Position error, % of a cycle", error_facts(story), ERROR_HEADS[1:])
     tables += table("Run", [*run_facts(story), *fault_facts(story)])
     act = table("A move of a servo", servo_facts(story))
     checks = table("Checks", [Row(name, verdict(held)) for name, held in story.checks.items()])

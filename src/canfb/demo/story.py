@@ -79,25 +79,6 @@ class Story:
         return bool(self.checks) and all(self.checks.values())
 
 
-def run_story(network: DemoNetwork, progress: Callable[[str], None] = lambda text: None) -> Story:
-    """Run all chapters on ``network``; ``progress`` gets a line at the start of each."""
-    story = Story()
-    progress("starting the network")
-    _start_network(network, story)
-    progress("tracking")
-    _track(network, story)
-    progress("reference measurement")
-    _calibrate(network, story)
-    progress("verifying")
-    _verify(network, story)
-    progress("provoking faults")
-    _provoke_faults(network, story)
-    _finish(network, story)
-    progress("servo move")
-    _move_servo(network, story)
-    return story
-
-
 def _start_network(network: DemoNetwork, story: Story) -> None:
     """As a master does: link the PDOs by SDO, set the scaling, start the nodes, start the SYNC."""
     sdo, interface_sdo = network.master.sdo, network.interface_master.sdo
@@ -224,3 +205,24 @@ def peak(error: FloatArray) -> float:
 def rms(error: FloatArray) -> float:
     """Root of the mean square, cycles."""
     return float(np.sqrt(np.mean(error**2)))
+
+
+CHAPTERS: tuple[tuple[str, Callable[[DemoNetwork, Story], None]], ...] = (
+    ("starting the network", _start_network),
+    ("tracking", _track),
+    ("reference measurement", _calibrate),
+    ("verifying", _verify),
+    ("provoking faults", _provoke_faults),
+    ("", _finish),
+    ("servo move", _move_servo),
+)
+
+
+def run_story(network: DemoNetwork, progress: Callable[[str], None] = lambda text: None) -> Story:
+    """Run all chapters on ``network``; ``progress`` gets a line at the start of each."""
+    story = Story()
+    for title, chapter in CHAPTERS:
+        if title:
+            progress(title)
+        chapter(network, story)
+    return story
