@@ -169,6 +169,10 @@ class Configuration:
             raise
         return sum(len(access.differences) for access in self._written)
 
+    def apply_to(self, name: str) -> None:
+        """Write what differs to this node, after its reset. There is no undo."""
+        self._bring(Access(self.remotes[name], self._file.nodes[name], may_write=True))
+
     def undo(self) -> None:
         """Take back what :meth:`apply` has written, unless it was saved."""
         for access in reversed(self._written):

@@ -35,8 +35,9 @@ STEADY_S = 1.0  # for the feedback, until it is taken for lost
 class Story:
     """A move, and what the drive does when its feedback fails."""
 
-    def __init__(self, nodes: Nodes, axis: Axis, period_s: float) -> None:
-        self._nodes, self._axis, self._period_s = nodes, axis, period_s
+    def __init__(self, nodes: Nodes, axis: Axis, configuration: Configuration, period_s: float) -> None:
+        self._nodes, self._axis, self._configuration = nodes, axis, configuration
+        self._period_s = period_s
 
     def move(self, revolutions: float) -> list[str]:
         """Enable the drive and turn by so much; the report."""
@@ -87,12 +88,12 @@ class Story:
         )
 
     def recover(self) -> None:
-        """Restart the feedback at standstill. It counts from here: home a real machine now."""
+        """Reset the feedback at standstill. It counts from here: home a real machine now."""
         nodes, axis = self._nodes, self._axis
         self._pass(BRAKING_S)
-        nodes.stop_node("module", "PRE-OPERATIONAL")
-        nodes.start_node("interface")
-        nodes.start_node("module")
+        nodes.reset_node("module")
+        self._configuration.apply_to("module")
+        nodes.start_nodes()
         axis.rows.clear()
         nodes.until(axis.feedback_is_steady, PATIENCE_S, "a valid position")
 
@@ -148,20 +149,23 @@ def run(
             nodes.close()
             configuration.undo()
             raise
-        tell_story(nodes, file, configuration.remotes, options)
+        tell_story(nodes, file, configuration, options)
     finally:
         nodes.close()
     return 0
 
 
-def tell_story(nodes: Nodes, file: NetworkFile, remotes: dict[str, Any], options: argparse.Namespace) -> None:
+def tell_story(
+    nodes: Nodes, file: NetworkFile, configuration: Configuration, options: argparse.Namespace
+) -> None:
     """The moves, with an alarm in between if requested."""
+    remotes = configuration.remotes
     missing = {"interface", "module", "drive"} - set(remotes)
     if missing:
         raise FaultError(f"this example needs nodes with the names {', '.join(sorted(missing))}")
     drive, module = remotes["drive"], remotes["module"]
     axis = Axis(drive, module, module.sdo[0x6002].raw, nodes.until, options.speed, options.acceleration)
-    story = Story(nodes, axis, file.sync_period_us / 1e6)
+    story = Story(nodes, axis, configuration, file.sync_period_us / 1e6)
     try:
         print(*story.move(options.revolutions), sep="\n")
         if options.provoke_alarm:

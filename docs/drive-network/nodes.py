@@ -19,6 +19,7 @@ from sync import produce
 
 LOOK_S = 0.002
 HEARTBEAT, OPERATIONAL = 0x700, 5
+AFTER_BOOT_UP = (0, 127)  # the boot-up itself, then PRE-OPERATIONAL
 MISSED_HEARTBEATS = 10  # of a node, before the master calls it lost
 ERRORS = {
     0x0000: "no error any more",
@@ -73,11 +74,15 @@ class Nodes:
             beat = self._file.master_heartbeat_ms / 1000
             self._tasks.append(self._network.send_periodic(HEARTBEAT + master, bytes([OPERATIONAL]), beat))
         self._tasks.append(self._sync(self._network, self._file))
-        for name in self._file.nodes:
-            self.start_node(name)
+        self.start_nodes()
         print(f"started: {', '.join(self._file.nodes)}")
 
-    def start_node(self, name: str) -> None:
+    def start_nodes(self) -> None:
+        """All, one by one."""
+        for name in self._file.nodes:
+            self._start_node(name)
+
+    def _start_node(self, name: str) -> None:
         """NMT start, and wait for the heartbeat that says so."""
         self._remotes[name].nmt.state = "OPERATIONAL"
         if self._file.nodes[name].heartbeat_ms:
@@ -87,14 +92,24 @@ class Nodes:
     def stop_node(self, name: str, state: str) -> None:
         """Take a node out of OPERATIONAL: STOPPED or PRE-OPERATIONAL."""
         self.on_duty.discard(name)
-        self._remotes[name].nmt.state = state
         self._heard.pop(name, None)
+        self._remotes[name].nmt.state = state
+
+    def reset_node(self, name: str) -> None:
+        """NMT reset node, and wait for its boot-up; the others are PRE-OPERATIONAL, for they watch it."""
+        self._stop_all()
+        self.stop_node(name, "RESET")
+        self.until(lambda: self._state(name) in AFTER_BOOT_UP, PATIENCE_S, f"the boot-up of {name}")
+
+    def _stop_all(self) -> None:
+        """Drives first."""
+        for name in reversed(list(self._file.nodes)):
+            self.stop_node(name, "PRE-OPERATIONAL")
 
     def close(self) -> None:
         """All nodes PRE-OPERATIONAL, drives first; no SYNC, no heartbeat any more."""
         with contextlib.suppress(can.CanError, OSError):  # the bus may be what has failed
-            for name in reversed(list(self._file.nodes)):
-                self.stop_node(name, "PRE-OPERATIONAL")
+            self._stop_all()
         for task in self._tasks:
             with contextlib.suppress(can.CanError, OSError):
                 task.stop()
@@ -121,8 +136,8 @@ class Nodes:
             if state != OPERATIONAL:
                 raise FaultError(f"{node}: no longer OPERATIONAL, NMT state {state}")
 
-    def _state(self, name: str) -> int:
-        return self._heard.get(name, (0.0, 0))[1]
+    def _state(self, name: str) -> int | None:
+        return self._heard[name][1] if name in self._heard else None
 
     def _hear(self, name: str, state: int) -> None:
         self._heard[name] = (self._clock(), state)

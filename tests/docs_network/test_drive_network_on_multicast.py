@@ -52,10 +52,10 @@ def test_two_moves_and_an_alarm_between_them(
     for words in (["run", config], line.replace("feedback.yaml", config).split()[1:]):
         started.append(Process((sys.executable, "-m", "canfb", *words), PATIENCE_S))
         started[-1].wait_for("end with Ctrl-C")
-    master = (sys.executable, str(tmp_path / "programs" / "master.py"), str(tmp_path / "network.yaml"))
-    story = Process((*master, "--provoke-alarm"), PATIENCE_S)
-    started.append(story)
-    assert story.wait() == 0, str(story)
+    master = (str(tmp_path / "programs" / "master.py"), str(tmp_path / "network.yaml"), "--provoke-alarm")
+    started.append(story := Process((sys.executable, *master), PATIENCE_S))
+    story.wait()
+    assert [process.stop() for process in started][-1] == 0, "\n".join(map(str, started))
     said = "\n".join(story.lines)
     positions = re.findall(r"position          drive (-?[0-9.]+), module (-?[0-9.]+)", said)
     for revolutions, pair in zip((1.0, -1.0), positions, strict=True):
