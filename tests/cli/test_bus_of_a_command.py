@@ -73,14 +73,6 @@ def test_nmt_takes_the_bus_of_a_configuration(config: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["node start", "node start a.yaml", "node start 1 a.yaml", "sdo read 1 residual limit"]
-)
-def test_beside_a_node_a_configuration_is_an_option(line: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(line.split()) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
     "arguments",
     [
         ["sdo", "read", "0x20", "2010:03"],

@@ -57,48 +57,6 @@ def failed(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[in
     return code, line.removeprefix("canfb: ")
 
 
-WRONG_USE = {
-    "seconds": (["--seconds", "0"], "--seconds 0: must be 0.1 to 3600"),
-    "not a number": (["--verify", "nan"], "--verify nan: must be 0.1 to 600"),
-    "entries": (["--entries", "15"], "--entries 15: must be 16 to 4096"),
-    "one node": (
-        ["0x10", "--encoder-interface", "16"],
-        "--encoder-interface 16: must differ from the node-ID of the module",
-    ),
-    "table": (
-        ["--table", "x.yaml"],
-        "--table: only with --samples; over the bus the table is read from the module",
-    ),
-    "own method": (
-        ["--source", "module", "--method", "zero-crossings"],
-        "--source module: the module supports --method motion only",
-    ),
-    "columns": (
-        ["--samples", "x.csv", "--columns", "a"],
-        "--columns a: two columns are required: sine,cosine",
-    ),
-    "configuration": (["nothing.yaml"], "nothing.yaml: cannot be read: No such file or directory"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG_USE)
-def test_wrong_use_is_one_line_and_exit_code_2(case: str, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments, words = WRONG_USE[case]
-    assert failed(arguments, capsys) == (2, words)
-
-
-def test_a_bus_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
-    code, line = failed(["-i", "socketcan", "-c", "nothing77"], capsys)
-    assert code == 1
-    assert line.startswith("cannot open the bus socketcan nothing77: ")
-
-
-def test_a_bus_on_which_nobody_is(capsys: pytest.CaptureFixture[str]) -> None:
-    code, line = failed(["-i", "virtual", "-c", "empty", "--timeout", "0.05"], capsys)
-    assert code == 1
-    assert line.startswith("module 32 (20h): reading 2020:04: no answer; is the node on the bus")
-
-
 def test_who_produces_the_sync_has_to_hear_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -122,16 +80,6 @@ def test_ctrl_c_is_exit_code_130_and_one_line(
     monkeypatch.setattr(calibrate_command, "over_bus", lambda *rest: signal.raise_signal(signal.SIGINT))
     assert main(["calibrate", "-i", "virtual", "-c", "interrupted"]) == 130
     assert capsys.readouterr().err.splitlines() == ["canfb: interrupted; the module is unchanged"]
-
-
-def test_the_configuration_names_bus_and_nodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "feedback.yaml"
-    path.write_text(
-        "bus: {interface: virtual, channel: configured}\nmodules: [{node_id: 77}, {node_id: 78}]\n"
-    )
-    options = ["--timeout", "0.05"]
-    assert failed([str(path), *options], capsys)[1].startswith("module 77 (4Dh): ")
-    assert failed([str(path), "78", *options], capsys)[1].startswith("module 78 (4Eh): ")
 
 
 def test_samples_of_a_file_give_table_and_report(
@@ -208,47 +156,6 @@ def test_a_refused_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     said = capsys.readouterr()
     assert json.loads(said.out)["reason"] == "coverage"
     assert len(said.err.splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("none.npz", None, "cannot be read: No such file or directory"),
-        ("none.csv", None, "cannot be read: No such file or directory"),
-        ("text.npz", b"sine,cosine\n1,2\n", "this is not a file of samples: "),
-        ("zip.npz", b"PK\x03\x04 and no more", "this is not a file of samples: "),
-        ("text.csv", b"t,u\n1,2\n", "there is no column 'sine'; there are t, u"),
-    ],
-)
-def test_what_is_no_file_of_samples(
-    name: str, content: bytes | None, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / name
-    if content is not None:
-        path.write_bytes(content)
-    code, line = failed(["--samples", str(path)], capsys)
-    assert code == 1
-    assert line.startswith(str(path))
-    assert words in line
-
-
-def test_arrays_that_do_not_belong_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    wrong: tuple[dict[str, Any], ...] = (
-        {"sine": [1]}, {"sine": [1, 2], "cosine": [1]}, {"sine": [[1]], "cosine": [[1]]}, {"other": [1]},
-    )  # fmt: skip
-    for n, arrays in enumerate(wrong):
-        path = tmp_path / f"{n}.npz"
-        np.savez(path, **arrays)
-        code, line = failed(["--samples", str(path)], capsys)
-        assert code == 1
-        assert line.startswith(f"{path}: ")
-
-
-def test_a_folder_that_cannot_be_made_is_told_before_the_work(
-    npz: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, line = failed(["--samples", npz, "--out", f"{npz}/out"], capsys)
-    assert (code, line) == (1, f"cannot write to {npz}/out: Not a directory")
 
 
 class Terminal(io.StringIO):

@@ -70,14 +70,3 @@ def test_several_modules_are_listed(tmp_path: Path, capsys: pytest.CaptureFixtur
     path.write_text("modules: [{node_id: 1}, {node_id: 127}]\n")
     assert main(["config", "check", str(path)]) == 0
     assert capsys.readouterr().out == f"{path}: valid; modules: 01h, 7Fh\n"
-
-
-def test_what_is_wrong_is_one_line_and_exit_code_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "wrong.yaml"
-    path.write_text("modules:\n- node_id: 3\n  adc_bit: 12\n")
-    assert main(["config", "check", str(path)]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err == f"canfb: {path}:3: unknown key 'adc_bit' in modules[0]; did you mean 'adc_bits'?\n"

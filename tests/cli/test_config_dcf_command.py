@@ -178,34 +178,6 @@ def test_one_of_several(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert err == f"canfb: {yaml}: {want}\n"
 
 
-WRONG_USE = {
-    "nothing": ([], "the following arguments are required: NODE"),
-    "two nodes": (["3", "1"], "1: there is another node-ID already"),
-    "node": (["0"], "'0' is not a node-ID"),
-    "asks nobody": (["x.yaml", "--timeout", "2"], "--timeout: only with NODE alone"),
-    "time": (["3", "--timeout", "0"], "--timeout 0: must be"),
-    "name": (["x.yaml", "--name", "a\nb"], "--name 'a\\nb': must be printable"),
-    "one file": (["x.yaml", "--out", "a", "--concise", "a"], "--concise a: must differ from --out"),
-    "no file": (["nothing.yaml"], "nothing.yaml: cannot be read"),
-    "number": (["x.yaml", "one"], "'one' is not a node-ID"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG_USE)
-def test_wrong_use_is_one_line_and_exit_code_2(case: str, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments, words = WRONG_USE[case]
-    out, err = said(capsys, *arguments, code=2)
-    assert out == ""
-    assert words in err
-    assert err.count("\n") == 1
-
-
-def test_no_node_id_yet(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    yaml.write_text("modules: [{node_id: 255, serial_number: 7}]\n")
-    _, err = said(capsys, str(yaml), code=2)
-    assert err.startswith("canfb: the module with serial number 7 has no node-ID yet")
-
-
 def test_a_folder_that_is_not_there(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, err = said(capsys, str(yaml), "--out", "nowhere/a.dcf", code=1)
     assert err == "canfb: cannot write nowhere/a.dcf: No such file or directory\n"

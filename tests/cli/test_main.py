@@ -54,59 +54,6 @@ def test_version_and_help_are_done(capsys: pytest.CaptureFixture[str]) -> None:
     assert err == ""
 
 
-WRONG_USE = {
-    "no command": (["--debug"], "canfb: the following arguments are required: COMMAND"),
-    "no such command": (["fly"], "canfb: argument COMMAND: invalid choice: 'fly'"),
-    "no such option": (["demo", "--fast"], "canfb: unrecognized arguments: --fast"),
-    "no configuration": (["run"], "canfb run: the following arguments are required: CONFIG.yaml"),
-    "no part": (["config"], "canfb config: the following arguments are required: PART"),
-    "not a number": (
-        ["simulate", "x.yaml", "--rate", "fast"],
-        "canfb simulate: argument --rate: invalid float value",
-    ),
-    "no such interface": (
-        ["run", "x.yaml", "-i", "wires"],
-        "canfb run: argument -i/--interface: invalid choice",
-    ),
-    "a line end": (["demo", "--fa\nst"], "canfb: unrecognized arguments: --fa st"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG_USE)
-def test_wrong_use_is_one_line_and_exit_code_2(case: str, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments, words = WRONG_USE[case]
-    assert main(arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert one_line(said.err).startswith(words)
-    assert said.err.endswith("--help\n")
-
-
-@pytest.mark.parametrize("command", ["run", "simulate"])
-def test_a_configuration_that_is_not_there_is_exit_code_2(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "nothing.yaml"
-    assert main([command, str(path)]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert one_line(said.err) == f"canfb: {path}: cannot be read: No such file or directory"
-
-
-@pytest.mark.parametrize("command", ["run", "simulate"])
-@pytest.mark.parametrize(
-    "options", [["-i", "socketcan", "-c", "nothing77"], ["-i", "udp_multicast", "-c", "no address"]], ids=str
-)
-def test_a_bus_that_is_not_there_is_exit_code_1(
-    command: str, options: list[str], config: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert main([command, config, *options]) == 1
-    said = capfd.readouterr()
-    assert said.out == ""
-    line = one_line(said.err)
-    assert line.startswith(f"canfb: cannot open the bus {options[1]} {options[3]}: ")
-
-
 def test_in_a_process_of_its_own_an_error_is_the_only_line(config: str) -> None:
     """Nothing that python-can logs or that Python warns of stands beside it."""
     done = canfb("run", config, "-i", "udp_multicast", "-c", "127.0.0.1")
@@ -148,17 +95,6 @@ def test_an_output_that_is_full_is_one_line(arguments: list[str]) -> None:
     want = "canfb: cannot write the output: No space left on device"
     assert done.stderr.splitlines()[-1] == want
     assert ("--debug" in arguments) or one_line(done.stderr) == want
-
-
-def test_an_interface_that_python_can_does_not_have_is_wrong_configuration(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "feedback.yaml"
-    path.write_text("bus: {interface: socketcam, channel: can0}\nmodules: [{node_id: 32}]\n")
-    for command in (["run"], ["simulate"], ["calibrate"], ["config", "check"]):
-        assert main([*command, str(path)]) == 2
-        line = one_line(capsys.readouterr().err)
-        assert "unknown interface 'socketcam' in bus; did you mean 'socketcan'?" in line
 
 
 def test_the_bus_options_replace_the_words_of_the_configuration(

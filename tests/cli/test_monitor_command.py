@@ -10,7 +10,6 @@ from pathlib import Path
 import can
 import pytest
 
-from canfb.cli import monitor as monitor_file
 from canfb.cli.main import main
 from canfb.monitoring.watching import Watching
 from monitored_network import MonitoredNetwork
@@ -108,27 +107,6 @@ def test_it_only_listens(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (["0"], "'0' is not a node-ID"),
-        (["128"], "'128' is not a node-ID"),
-        (["--updates", "0", "--json"], "'0' is not a number above 0"),
-        (["--per-revolution", "5"], "'5' is not a distance per revolution"),
-        (["--speed", "2", "-i", "virtual"], "--speed: goes with --log"),
-        (["32", "--log", "x.log", "--sdo"], "--sdo: a log answers no SDO"),
-        (["--sdo", "-i", "virtual"], "--sdo: name the nodes that may be asked"),
-    ],
-)
-def test_wrong_use_is_one_line_and_exit_code_2(
-    arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["monitor", *arguments]) == 2
-    err = capsys.readouterr().err
-    assert text in err
-    assert err.count("\n") == 1
-
-
 def test_the_configuration_names_modules_and_their_interfaces(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -142,7 +120,3 @@ def test_the_configuration_names_modules_and_their_interfaces(
     assert {one["layout"] for one in modules.values()} == {"configuration"}
     assert modules[32]["tracks_counts"]
     assert not modules[33]["tracks_counts"]
-
-
-def test_rates() -> None:
-    assert (monitor_file.RATE_HZ, monitor_file.LINES_RATE_HZ) == (5.0, 1.0)

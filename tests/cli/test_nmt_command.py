@@ -57,17 +57,3 @@ def test_each_command_reaches_the_state_that_its_help_names(
 def test_several_nodes_come_in_the_order_given_and_once_each(capsys: pytest.CaptureFixture[str]) -> None:
     assert sent("stop", "32", "0x10", "32", *BUS) == [(0x000, b"\x02\x20"), (0x000, b"\x02\x10")]
     assert capsys.readouterr().out == "stop: 32 (20h), 16 (10h)\n"
-
-
-@pytest.mark.parametrize("node", ["0", "128", "-1", "x", "0x80", "ALL", "1.5"])
-def test_what_is_no_node_is_refused_in_one_line(node: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["node", "reset", "--", node]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert f"{node!r} is not a node-ID (1 to 127, or 0x01 to 0x7F)" in line
-
-
-@pytest.mark.parametrize("arguments", [["node"], ["node", "start"], ["node", "begin", "all"]])
-def test_nothing_is_meant_that_is_not_said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """No node is not all of them."""
-    assert main(arguments) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from canfb.cli.main import main
-from folding import each
 
 MODULES = "modules: [{node_id: 32, times: true}]\n"
 
@@ -110,38 +109,6 @@ def test_modules_without_a_node_id_and_those_that_sample_themselves(
     found = figures(capsys, written(tmp_path, text), "--rpm", "3000", "--jitter", "50us", code=1)
     assert [module["node_id"] for module in found["modules"]] == [127, 32]
     assert found["modules"][0]["speed"]["largest_rpm"] is None, "the module samples at the exact instant"
-
-
-BAD = {
-    "--rate nan": "--rate must be a number",
-    "--rate 0": "--rate must be a number",
-    "--jitter 20": "--jitter must be a number",
-    "--extra 1.5": "--extra must be a number",
-    "--rpm inf": "--rpm must be a number",
-    "--acceleration -3": "--acceleration must be a number",
-    "--modules 0": "--modules must be a whole number 1..32",
-    "--adc-bits 99": "--adc-bits must be a whole number 4..16",
-    "--bitrate 5": "--bitrate must be a whole number 10000..1000000",
-    "--residual-limit 0.6": "--residual-limit must be above 0 and at most 0.5",
-    "--cycles 0": "--cycles must be a whole number",
-    "missing.yaml": "missing.yaml: cannot be read",
-}
-
-
-@each("words, message", BAD.items())
-def test_what_cannot_be_is_one_line(words: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plan", *words.split()]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith(f"canfb: {message}")
-    assert said.err.count("\n") == 1
-
-
-def test_a_file_has_its_modules(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plan", written(tmp_path, MODULES), "--modules", "2"]) == 2
-    assert "--modules: only without CONFIG.yaml" in capsys.readouterr().err
-    assert main(["plan", written(tmp_path, "bus: {bitrate: fast}\n" + MODULES)]) == 2
-    assert "bitrate must be a whole number" in capsys.readouterr().err
 
 
 def test_no_amplitude_is_no_encoder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,25 +18,6 @@ from canfb.scope.live_page import LivePage
 from monitored_network import MonitoredNetwork
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ("--port 70000", "must be 0 to 65535"),
-        ("--speed 2", "goes with --log"),
-        ("--log x.log --sdo", "answers no SDO"),
-        ("-i virtual -c scope-test --sdo", "name the nodes"),
-        ("-i nonsense", "nonsense"),
-        ("--port web", "invalid int value"),
-        ("200", "not a node-ID"),
-    ],
-)
-def test_wrong_use(options: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["monitor", "--web", *options.split()]) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
-
-
 def test_what_cannot_be_opened_is_one_line_and_no_address(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -13,8 +13,6 @@ import pytest
 from canfb.bus.frame_bus import PythonCanBus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
-from canfb.cli.main import build_parser, main
-from canfb.cli.simulate import chosen
 from canfb.configuration import Config, parse_config
 from canfb.device.device_protocol import Device
 from canfb.errors import ConfigError
@@ -117,12 +115,6 @@ def test_a_module_that_samples_itself_has_no_encoder_interface() -> None:
     assert parsed("{}", module).simulation.drive is not None
 
 
-@pytest.mark.parametrize(("option", "value"), [("samples", "x.csv"), ("rpm", 5.0)])
-def test_what_else_would_move_the_encoder_is_refused(option: str, value: object) -> None:
-    with pytest.raises(ConfigError, match=f"--{option}: the drive"):
-        chosen(build_parser().parse_args(["simulate", "x.yaml", f"--{option}", str(value)]), parsed("{}"))
-
-
 def test_a_module_without_a_node_id_has_no_position_to_take() -> None:
     with pytest.raises(ConfigError, match="no node_id"):
         axis_of(parsed("{}", "modules: [{node_id: 255, encoder_interface: 0x10}]\n"))
@@ -175,16 +167,6 @@ def test_without_a_rate_of_its_own_nothing_is_known_of_what_the_module_follows()
     axis = axis_of(parsed("{}"))
     assert axis is not None
     assert axis.demand is None
-
-
-def test_the_command_refuses_a_recording_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "drive.yaml"
-    path.write_text(f"{MODULES}simulation:\n  drive: {{}}\n", encoding="utf-8")
-    arguments = ["simulate", str(path), "-i", "virtual", "--samples", "x.csv"]
-    assert main(arguments) == 2
-    assert capsys.readouterr().err.startswith("canfb: --samples: the drive of the configuration moves")
 
 
 class Clock:

@@ -1,0 +1,224 @@
+"""What is refused, in one line that says why: exit code 2 for wrong use, 1 for what fails."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canfb.cli.main import main
+
+MODULES = "modules: [{node_id: 32}, {node_id: 33, encoder_interface: 17}]\n"
+FILES = {
+    "feedback.yaml": f"bus: {{interface: virtual, channel: wrong-use}}\n{MODULES}",
+    "drive.yaml": f"{MODULES}simulation: {{drive: {{}}}}\n",
+    "typo.yaml": f"bus: {{interface: socketcam, channel: can0}}\n{MODULES}",
+    "key.yaml": "modules:\n- node_id: 3\n  adc_bit: 12\n",
+    "fast.yaml": f"bus: {{bitrate: fast}}\n{MODULES}",
+    "unnamed.yaml": "modules: [{node_id: 255, serial_number: 7}]\n",
+    "tracks.csv": "t,a,b\n0,2148,1948\n0.001,2248,1848\n0.9,2348,1748\n0.901,2448,1648\n",
+    "empty.csv": "",
+    "names.csv": "sine,cosine\n",
+    "word.csv": "sine,cosine\n1,one\n",
+    "text.npz": "sine,cosine\n1,2\n",
+    "zip.npz": "PK\x03\x04 and no more",
+}
+ARRAYS = {
+    "still.npz": {"sine": np.full(1000, 700), "cosine": np.full(1000, -1200)},
+    "one.npz": {"sine": [1]},
+    "lengths.npz": {"sine": [1, 2], "cosine": [1]},
+    "deep.npz": {"sine": [[1]], "cosine": [[1]]},
+    "other.npz": {"other": [1]},
+}
+NO_FILE = "cannot be read: No such file or directory"
+TYPO = "unknown interface 'socketcam' in bus; did you mean 'socketcan'?"
+NOT_A_NODE = "is not a node-ID (1 to 127, or 0x01 to 0x7F)"
+
+WRONG_USE = {
+    "--debug": "canfb: the following arguments are required: COMMAND; see canfb --help",
+    "fly": "canfb: argument COMMAND: invalid choice: 'fly'",
+    "demo --fast": "canfb: unrecognized arguments: --fast",
+    "demo '--fa\nst'": "canfb: unrecognized arguments: --fa st",
+    "run": "canfb run: the following arguments are required: CONFIG.yaml; see canfb run --help",
+    "run x.yaml -i wires": "canfb run: argument -i/--interface: invalid choice",
+    "run nothing.yaml": f"canfb: nothing.yaml: {NO_FILE}",
+    **dict.fromkeys(("run typo.yaml", "simulate typo.yaml", "calibrate typo.yaml"), TYPO),
+    "config": "canfb config: the following arguments are required: PART",
+    "config check typo.yaml": f"canfb: typo.yaml:1: {TYPO}",
+    "config check key.yaml": "key.yaml:3: unknown key 'adc_bit' in modules[0]; did you mean 'adc_bits'?",
+    "try --story --rate 200": "--rate: not with --story",
+    "try --out x": "--out: only with --story",
+    # simulate
+    "simulate nothing.yaml": f"canfb: nothing.yaml: {NO_FILE}",
+    "simulate x.yaml --rate fast": "canfb simulate: argument --rate: invalid float value",
+    **{
+        f"simulate feedback.yaml --rate {rate}": f"--rate {rate}: must be 0.1 to 100000 Hz"
+        for rate in ("0", "-5", "0.09", "100001", "nan", "inf")
+    },
+    **{
+        f"simulate feedback.yaml {node}": f"{int(node, 0)}: no module has this node-ID; there are 32 (20h)"
+        for node in ("1", "0x22")
+    },
+    **{
+        f"simulate feedback.yaml --rpm={rpm}": f"--rpm {float(rpm):g}: rpm must be a number "
+        for rpm in ("1e9", "-1e9", "nan")
+    },
+    "simulate feedback.yaml --columns a,b": "--columns: only with --samples",
+    "simulate feedback.yaml --mid-scale 5": "--mid-scale: only with --samples",
+    "simulate feedback.yaml --time-column t": "--time-column: only with --samples",
+    "simulate feedback.yaml --samples x.csv --gap 5": "--gap: only with --time-column",
+    "simulate feedback.yaml --samples x.csv --gap-samples 5": "--gap-samples: only with --time-column",
+    "simulate feedback.yaml --samples x.csv --rpm 5": "--rpm: not with --samples",
+    "simulate feedback.yaml --samples x.csv --columns a": "--columns a: two columns are required",
+    "simulate feedback.yaml --samples x.csv --columns a,b,c": "--columns a,b,c: two columns are required",
+    "simulate feedback.yaml --samples x.csv --mid-scale nan": "--mid-scale nan: must be a number",
+    "simulate feedback.yaml --samples x.csv --gap-samples 0": "--gap-samples 0: must be 1 or more",
+    "simulate feedback.yaml --jitter 1ms": "--jitter: only with --rate",
+    "simulate feedback.yaml --rate 100 --jitter 46%": "at most 45% (4500us)",
+    "simulate feedback.yaml --rate 100 --jitter 0.1": "is 1000% of the period",
+    "simulate drive.yaml -i virtual --samples x.csv": "--samples: the drive of the configuration moves",
+    "simulate drive.yaml -i virtual --rpm 5": "--rpm: the drive of the configuration moves",
+    # calibrate
+    "calibrate nothing.yaml": f"canfb: nothing.yaml: {NO_FILE}",
+    "calibrate --seconds 0": "canfb: --seconds 0: must be 0.1 to 3600",
+    "calibrate --verify nan": "--verify nan: must be 0.1 to 600",
+    "calibrate --entries 15": "--entries 15: must be 16 to 4096",
+    "calibrate 0x10 --encoder-interface 16": "--encoder-interface 16: must differ from the node-ID",
+    "calibrate --table x.yaml": "--table: only with --samples; over the bus the table is read",
+    "calibrate --source module --method zero-crossings": "--source module: the module supports --method",
+    "calibrate --samples x.csv --columns a": "--columns a: two columns are required: sine,cosine",
+    "calibrate --samples x.npz -c can0": "--channel: not with --samples",
+    "calibrate --samples x.npz 3": "NODE: not with --samples",
+    "calibrate --samples x.npz --dry-run": "--dry-run: not with --samples",
+    "calibrate --samples x.npz --seconds 3": "--seconds: not with --samples",
+    "calibrate feedback.yaml --samples x.npz": "CONFIG.yaml: not with --samples",
+    "calibrate --samples x.npz --columns a,b": "--columns: only for CSV",
+    "calibrate --columns a,b": "--columns: only with --samples",
+    "calibrate --cycles-per-revolution 5": "--cycles-per-revolution: only with --samples",
+    "calibrate --check --save": "--save: not with --check",
+    "calibrate --check --dry-run": "--dry-run: not with --check",
+    "calibrate --dry-run --save": "--save: not with --dry-run",
+    "calibrate --recorder module": "--recorder: only with --source recording",
+    # node, why, sdo
+    **{f"node reset -- {node}": NOT_A_NODE for node in ("0", "128", "-1", "x", "0x80", "ALL", "1.5")},
+    "node": "required: PART",
+    "node start": "required: NODE",
+    "node begin all": "invalid choice: 'begin'",
+    "node start a.yaml": NOT_A_NODE,
+    "node start 1 a.yaml": NOT_A_NODE,
+    "sdo read 1 residual limit": "unrecognized arguments: limit",
+    "why 5 --status 6": "NODE: not with --status",
+    "why 5 --out x.json": "--out: only with --bundle",
+    # monitor
+    "monitor 0": "'0' is not a node-ID",
+    "monitor 128": "'128' is not a node-ID",
+    "monitor --web 200": "'200' is not a node-ID",
+    "monitor --updates 0 --json": "'0' is not a number above 0",
+    "monitor --per-revolution 5": "'5' is not a distance per revolution",
+    "monitor --frames --updates 3": "--updates: not with --frames",
+    "monitor --pdo": "--pdo: only with --frames",
+    "monitor --frames --web": "--frames, --web: one of them",
+    "monitor --web --port 70000": "--port 70000: must be 0 to 65535",
+    "monitor --web --port web": "invalid int value",
+    "monitor --web -i nonsense": "invalid choice: 'nonsense'",
+    **{
+        f"monitor {web}{words}": said
+        for web in ("", "--web ")
+        for words, said in (
+            ("--speed 2 -i virtual", "--speed: goes with --log"),
+            ("32 --log x.log --sdo", "--sdo: a log answers no SDO"),
+            ("--sdo -i virtual", "--sdo: name the nodes that may be asked"),
+        )
+    },
+    # config dcf
+    "config dcf": "the following arguments are required: NODE",
+    "config dcf 3 1": "1: there is another node-ID already",
+    "config dcf 0": "'0' is not a node-ID",
+    "config dcf x.yaml one": "'one' is not a node-ID",
+    "config dcf x.yaml --timeout 2": "--timeout: only with NODE alone",
+    "config dcf 3 --timeout 0": "--timeout 0: must be",
+    "config dcf x.yaml --name 'a\nb'": "--name 'a\\nb': must be printable",
+    "config dcf x.yaml --out a --concise a": "--concise a: must differ from --out",
+    "config dcf nothing.yaml": f"nothing.yaml: {NO_FILE}",
+    "config dcf unnamed.yaml": "canfb: the module with serial number 7 has no node-ID yet",
+    "config dcf feedback.yaml": "feedback.yaml: NODE is required, as there are several: 32 (20h), 33 (21h)",
+    "config dcf feedback.yaml 1": "feedback.yaml: 1: no module has this node-ID; there are 32 (20h), 33",
+    # plan
+    "plan --rate nan": "canfb: --rate must be a number",
+    "plan --rate 0": "--rate must be a number",
+    "plan --jitter 20": "--jitter must be a number",
+    "plan --extra 1.5": "--extra must be a number",
+    "plan --rpm inf": "--rpm must be a number",
+    "plan --acceleration -3": "--acceleration must be a number",
+    "plan --modules 0": "--modules must be a whole number 1..32",
+    "plan --adc-bits 99": "--adc-bits must be a whole number 4..16",
+    "plan --bitrate 5": "--bitrate must be a whole number 10000..1000000",
+    "plan --residual-limit 0.6": "--residual-limit must be above 0 and at most 0.5",
+    "plan --cycles 0": "--cycles must be a whole number",
+    "plan nothing.yaml": f"nothing.yaml: {NO_FILE}",
+    "plan feedback.yaml --modules 2": "--modules: only without CONFIG.yaml",
+    "plan fast.yaml": "bitrate must be a whole number",
+}
+PLAYED = "simulate feedback.yaml --samples"
+FAILURES = {
+    f"{PLAYED} tracks.csv --columns a,c": "canfb: tracks.csv:1: there is no column 'c'; there are t, a, b",
+    f"{PLAYED} tracks.csv": "tracks.csv:1: there is no column 'sine'; there are t, a, b",
+    f"{PLAYED} tracks.csv --columns 1,3": "tracks.csv:1: there is no column '3'; there are t, a, b",
+    f"{PLAYED} tracks.csv --columns a,b --time-column s": "tracks.csv:1: there is no column 's'; there are",
+    f"{PLAYED} tracks.csv --columns a,b --mid-scale 40000": "tracks.csv:2: -37852, -38052 does not fit",
+    f"{PLAYED} nothing.csv": f"nothing.csv: {NO_FILE}",
+    f"{PLAYED} empty.csv": "empty.csv:1: the header line with the names of the columns is missing",
+    f"{PLAYED} names.csv": "names.csv: it contains no samples",
+    f"{PLAYED} word.csv": "word.csv:2: a value in one of the selected columns is not a number",
+    "calibrate --samples nothing.npz": f"canfb: nothing.npz: {NO_FILE}",
+    "calibrate --samples nothing.csv": f"nothing.csv: {NO_FILE}",
+    "calibrate --samples text.npz": "text.npz: this is not a file of samples: ",
+    "calibrate --samples zip.npz": "zip.npz: this is not a file of samples: ",
+    "calibrate --samples tracks.csv": "there is no column 'sine'; there are t, a, b",
+    "calibrate --samples still.npz": "canfb: the tracks hardly change: the machine is at standstill",
+    "calibrate --samples still.npz --out tracks.csv/out": "cannot write to tracks.csv/out: Not a directory",
+    **{f"calibrate --samples {name}": f"canfb: {name}: " for name in ARRAYS if name != "still.npz"},
+    "calibrate -i socketcan -c nothing77": "canfb: cannot open the bus socketcan nothing77: ",
+    "calibrate -i virtual -c empty --timeout 0.05": "canfb: module 32 (20h): reading 2020:04: no answer; ",
+    "calibrate feedback.yaml 33 --timeout 0.05": "canfb: module 33 (21h): ",
+    **{
+        f"{command} feedback.yaml -i {bus}": f"canfb: cannot open the bus {bus.replace(' -c', '')}: "
+        for command in ("run", "simulate")
+        for bus in ("socketcan -c nothing77", "udp_multicast -c 127.0.0.1")
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wrong-use")
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+    for name, arrays in ARRAYS.items():
+        np.savez(folder / name, **arrays)  # type: ignore[arg-type]
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "words"),
+    [(line, 2, words) for line, words in WRONG_USE.items()]
+    + [(line, 1, words) for line, words in FAILURES.items()],
+)
+def test_one_line_says_what_is_wrong(
+    line: str,
+    code: int,
+    words: str,
+    files: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(files)
+    assert main(shlex.split(line)) == code
+    out, err = capfd.readouterr()
+    assert out == ""
+    *steps, said = err.splitlines()
+    assert all(step.startswith("... ") for step in steps)
+    assert words in said
+    assert said.startswith(words if words.startswith("canfb") else "canfb")
