@@ -58,7 +58,7 @@ PROFILE = {
     0x6504: Row(U16, RO, False, 0x1001),
     0x6505: Row(U16, RO, True),
     0x6506: Row(U16, RO, False, 0x3023),
-    0x6507: Row(U32, RO, False, 0x00020302),
+    0x6507: Row(U32, RO, False, 0x00030302),
     0x6508: Row(U32, RO, False, 0xFFFFFFFF),
     0x6509: Row(I32, RO, False, 0),
     0x650B: Row(U32, RO, False, 4711),
