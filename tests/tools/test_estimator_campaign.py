@@ -17,7 +17,6 @@ from tools.faults.estimator.judge import Cause, judge, proof
 from tools.faults.estimator.kinds import KINDS, State
 from tools.faults.estimator.machine import KINDS as MOTIONS
 from tools.faults.estimator.machine import Array, derivatives, positions
-from tools.faults.estimator.on_module import ModulePlayer
 
 SLOW, FAST = Declared(0.01), Declared(0.2)
 
@@ -120,17 +119,6 @@ def test_what_the_samples_of_a_healthy_machine_would_be_is_excused() -> None:
     assert not verdict.silent
 
 
-def test_the_module_says_of_an_episode_what_the_chain_says() -> None:
-    """Where nothing is wrong with the wire; the module needs one more SYNC to see that a PDO is missing."""
-    player = ModulePlayer(SLOW)
-    for name in ("missing 1", "flagged 1", "one bad"):
-        for episode in draw(kind(name), SLOW, 3, np.random.default_rng(2)):
-            chain, module = play(episode), player.play(episode)
-            assert (chain.valid == module.valid).all()
-            both = chain.valid
-            assert np.abs(chain.position - module.position)[both].max() < 1e-3
-
-
 def test_two_runs_are_the_same_and_the_number_of_processes_changes_nothing() -> None:
     one = campaign.campaign(Player(Declared(0.0)), ["one bad"], [0.01])
     first = one.run([3], 120, 1)
@@ -148,13 +136,6 @@ def test_a_silent_error_is_a_goal_missed_where_what_is_declared_holds() -> None:
         sums.add({"silent": 1}, "here")
     assert one.missed(results) == ["missing 1:0.01: 1 of 1 silent", "    here"]
     assert replace(player, exceed=1.5).is_covered(cells["missing 1"]) is False
-
-
-def test_on_the_module_as_on_the_chain() -> None:
-    work = Work(Cell("missing 1", "0.01"), 1, 0, 5)
-    chain, module = (Player(Declared(0.0), on_module)(work) for on_module in (False, True))
-    assert [chain[one] for one in ("episodes", "kept", "silent")] == [5, 5, 0]
-    assert [module[one] for one in ("episodes", "kept", "silent")] == [5, 5, 0]
 
 
 def test_a_machine_that_does_more_than_declared_is_drawn_so_and_played_as_declared() -> None:
@@ -177,6 +158,6 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert (missing["kept"], missing["not valid"]) == (20, 60)
     assert campaign.main(["--show", "one bad:0.05:24:7"]) == 0
     assert "BAD" in capsys.readouterr().out
-    for wrong in (["--episodes", "0"], ["--module", "--samples-per-sync", "2"], ["--kind", "none of these"]):
+    for wrong in (["--episodes", "0"], ["--exceed", "0"], ["--kind", "none of these"]):
         with pytest.raises(SystemExit, match="2"):
             campaign.main(wrong)

@@ -33,12 +33,10 @@ class Player:
     """Draws, plays and judges; the set-up of a cell is the bound of the machine.
 
     machine    what is declared, but for the acceleration
-    on_module  as frames through the whole module
     exceed     the machine does so many times what is declared
     """
 
     machine: Declared
-    on_module: bool = False
     exceed: float = 1.0
 
     def declared(self, setup: str) -> Declared:
@@ -55,12 +53,7 @@ class Player:
 
     def published(self, declared: Declared, episodes: Sequence[Episode]) -> Iterator[Published]:
         """What is said of each."""
-        if self.on_module:
-            # Only where it is used: the module takes longer to load than all else.
-            from tools.faults.estimator.on_module import ModulePlayer
-
-            yield from map(ModulePlayer(declared).play, episodes)
-        for episode in () if self.on_module else episodes:
+        for episode in episodes:
             yield play(episode, chain_for(replace(episode, declared=declared)))
 
     def __call__(self, work: Work) -> Sums:
@@ -84,7 +77,7 @@ class Player:
         """Sets of elapsed times and uneven instants are those of one sample for each SYNC."""
         kind = kind_of(cell.fault)
         special = bool(kind.jitter) or kind.stall is not None
-        return not (special and (self.on_module or self.machine.samples_per_sync > 1))
+        return not (special and self.machine.samples_per_sync > 1)
 
     def misses(self, cell: Cell, sums: Sums) -> Iterator[str]:
         """The goals that are missed."""
@@ -159,18 +152,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.add_argument("--phase-error", type=float, default=0.0125, metavar="CYCLES")
     options.add_argument("--bad-samples", type=int, metavar="M", help="default: by the acceleration")
     options.add_argument("--samples-per-sync", type=int, choices=(1, 2, 3, 4), default=1)
-    options.add_argument("--module", action="store_true", help="as frames through the whole module")
     options.add_argument(
         "--exceed", type=float, default=1.0, metavar="F", help="machine, times what is declared"
     )
     options.add_argument("--show", metavar="EPISODE", help="print this one, KIND:BOUND:SEED:NUMBER")
     said = options.parse_args(argv)
-    if not said.exceed > 0.0 or (said.module and said.exceed != 1.0):
-        options.error("--exceed must be above 0, and is for the chain only")
-    if said.module and said.samples_per_sync != 1:
-        options.error("--module has one sample for each SYNC")
+    if not said.exceed > 0.0:
+        options.error("--exceed must be above 0")
     machine = Declared(0.0, said.phase_error, said.bad_samples, said.samples_per_sync)
-    player = Player(machine, said.module, said.exceed)
+    player = Player(machine, said.exceed)
     if said.show:
         print(show(said.show, player))
         return 0

@@ -1,19 +1,15 @@
-"""The judge of tools.faults.stalls: it finds what is wrong, late or lost, and nothing else."""
+"""The judge of a session: it finds what is wrong or lost, and nothing else."""
 
 from __future__ import annotations
 
-import math
 import struct
-from pathlib import Path
 
 import pytest
 
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
-from canfb.hosting.trying import private_bus
 from canfb.objects import StatusBit
-from judged_session import SessionJudge
-from tools.faults.stalls import Judge, Run, TrueMotion, holds, measured, parse, row, runs_of
+from judged_session import Judge, SessionJudge, TrueMotion
 
 TRUTH = TrueMotion(parse_config(EXAMPLE))
 PERIOD_TICKS = 100_000  # at 100 Hz
@@ -51,7 +47,6 @@ def test_a_wrong_count_is_wrong(shift_cycles: float) -> None:
     assert judge.wrong == 0
     played(judge, range(1000, 1010), shift_cycles=shift_cycles)
     assert judge.wrong == 10
-    assert not holds(Run(100.0, 100, "both", 0, 10.0), judge)
 
 
 def test_a_wrong_count_that_is_not_valid_is_none() -> None:
@@ -60,8 +55,6 @@ def test_a_wrong_count_that_is_not_valid_is_none() -> None:
     played(judge, range(1000, 1010), shift_cycles=1.0, status=StatusBit.LOST)
     assert judge.wrong == 0
     assert judge.lost
-    assert not holds(Run(100.0, 50, "both", 0, 10.0), judge)
-    assert holds(Run(100.0, 100, "both", 0, 10.0), judge), "a long stall may lose it"
 
 
 def test_a_position_of_a_sample_that_had_one_already_is_wrong() -> None:
@@ -78,73 +71,6 @@ def test_the_position_of_the_newest_sample_may_be_sent_again() -> None:
     played(judge, range(2001))
     judge.take(0x1A0, struct.pack("<IHH", round(TRUTH.at(20.0)), VALID, 0), 20.002)
     assert judge.wrong == 0
-
-
-@pytest.mark.usefixtures("multicast_bus")
-def test_real_programs_are_stopped_and_never_valid_and_wrong(tmp_path: Path) -> None:
-    with private_bus() as words:
-        judge = measured(Run(100.0, 15, "both", 0, 1.0), words, tmp_path / "bus.log")
-    assert judge.samples > 0
-    assert judge.valid > 0
-    assert judge.wrong == 0
-    assert "190#" in (tmp_path / "bus.log").read_text()
-
-
-def stalled_at_10_s(coasting: int) -> Judge:
-    """So many of the samples after it are coasting; the next one is number 1000 and as many."""
-    judge = Judge(TRUTH)
-    played(judge, range(1000))
-    judge.resumed(9.995)
-    played(judge, range(1000, 1000 + coasting), status=StatusBit.COASTING)
-    return judge
-
-
-def test_how_long_the_position_was_away_counts_from_the_end_of_the_stall() -> None:
-    judge = stalled_at_10_s(coasting=20)
-    played(judge, range(1020, 1030))
-    judge.resumed(10.295)
-    played(judge, range(1030, 1031))
-    judge.resumed(10.4)
-    judge.settle()
-    assert judge.back_s == [pytest.approx(0.206), pytest.approx(0.006), math.inf]
-    assert not holds(Run(100.0, 50, "both", 0, 10.0), judge), "it did not come back after the last one"
-
-
-def test_a_sample_that_is_flagged_much_later_is_not_that_of_the_stall() -> None:
-    judge = stalled_at_10_s(coasting=10)
-    played(judge, range(1010, 1020))
-    played(judge, range(1020, 1021), status=StatusBit.COASTING)
-    played(judge, range(1021, 1100))
-    played(judge, range(1100, 1101), status=StatusBit.COASTING)
-    played(judge, range(1101, 1110))
-    judge.settle()
-    assert judge.back_s == [pytest.approx(0.216)]
-
-
-def test_a_module_that_says_nothing_does_not_hold() -> None:
-    assert not holds(Run(100.0, 0, "both", 0, 10.0), Judge(TRUTH))
-
-
-def test_the_runs_are_those_of_the_options() -> None:
-    assert [(run.stall_ms, run.who) for run in runs_of(parse([]))] == [
-        (0, "both"),
-        (15, "both"),
-        (15, "module"),
-        (50, "both"),
-        (50, "module"),
-    ]
-    full = runs_of(parse(["--full"]))
-    assert len(full) == 2 * 2 * (1 + 7 * 3)
-    assert {run.seconds for run in full} == {60.0}
-    assert [run.rate_hz for run in runs_of(parse(["--rates", "250", "--stalls", "0"]))] == [250.0]
-
-
-def test_a_row_has_the_figures() -> None:
-    judge = Judge(TRUTH)
-    played(judge, range(100))
-    assert row(Run(100.0, 0, "both", 4, 1.0), judge) == (
-        "| 100 | none | 4 | 0 | 100 of 100 | 0 | kept | 0.00 | 10 | yes |"
-    )
 
 
 @pytest.mark.parametrize(
