@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-import select
 import signal
 import subprocess
 import sys
-import time
 from importlib.metadata import version
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from canfb.cli import run as run_command
 from canfb.cli.main import main
 from canfb.errors import BusError
 from canfb.hosting import serving
+from processes import Process
 
 GOOD = "bus: {interface: virtual, channel: canfb-cli}\nmodules: [{node_id: 32}]\n"
 
@@ -143,47 +142,27 @@ def test_a_reader_that_goes_away_is_no_traceback() -> None:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
-def wait_for_line(process: subprocess.Popen[bytes], within_s: float = 30.0) -> bytes:
-    assert process.stdout is not None
-    deadline = time.monotonic() + within_s
-    said = b""
-    while not said.endswith(b"\n"):
-        ready, _, _ = select.select([process.stdout], [], [], max(0.0, deadline - time.monotonic()))
-        chunk = os.read(process.stdout.fileno(), 4096) if ready else b""
-        if not chunk:
-            pytest.fail(f"no line, only {said!r}")
-        said += chunk
-    return said
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize(
     ("command", "first", "last"),
     [
-        ("run", b"running node 32 (20h) on virtual canfb-cli; end with Ctrl-C\n", b"node 32: 0 samples; "),
+        ("run", "running node 32 (20h) on virtual canfb-cli; end with Ctrl-C", "node 32: 0 samples; "),
         (
             "simulate",
-            b"encoder interface: node 16 (10h) on virtual canfb-cli; end with Ctrl-C\n",
-            b"0 samples sent\n",
+            "encoder interface: node 16 (10h) on virtual canfb-cli; end with Ctrl-C",
+            "0 samples sent",
         ),
     ],
 )
 def test_a_signal_ends_it_with_exit_code_0(
-    command: str, first: bytes, last: bytes, number: signal.Signals, config: str
+    command: str, first: str, last: str, number: signal.Signals, config: str
 ) -> None:
-    with subprocess.Popen(
-        [sys.executable, "-W", "error", "-m", "canfb", command, config],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    ) as process:
-        try:
-            assert wait_for_line(process).startswith(first)
-            asked = time.monotonic()
-            process.send_signal(number)
-            output, errors = process.communicate(timeout=30.0)
-        finally:
-            process.kill()
-    assert (process.returncode, errors) == (0, b"")
-    assert output.splitlines(keepends=True)[-1].startswith(last)
-    assert time.monotonic() - asked < 10.0
+    process = Process((sys.executable, "-W", "error", "-m", "canfb", command, config))
+    try:
+        process.wait_for("end with Ctrl-C")
+        process.send(number)
+        assert process.wait() == 0
+    finally:
+        process.stop()
+    assert process.lines[0] == first
+    assert process.lines[-1].startswith(last)

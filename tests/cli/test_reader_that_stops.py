@@ -1,4 +1,4 @@
-"""The reader of a running command does not read (Ctrl-S in a terminal, a pager): the command goes on."""
+"""The reader of a running command does not read (Ctrl-S, a pager), or its terminal goes (SIGHUP)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import json
 import logging
 import os
+import pty
 import select
 import signal
 import subprocess
@@ -20,11 +21,30 @@ from canfb.cli.printing import printed_as_json, printed_log, printed_without_wai
 LIMIT_S = 60.0
 CONFIG = """\
 bus: {interface: virtual, channel: reader}
-modules: [{node_id: 32}]
+modules: [{node_id: 32, state_dir: state}]
 """
 
 
-@pytest.mark.parametrize("command", [["run"], ["simulate", "--rate", "100"]], ids=["run", "simulate"])
+commands = pytest.mark.parametrize(
+    "command", [["run"], ["simulate", "--rate", "100"]], ids=["run", "simulate"]
+)
+
+
+def wait_for(ready_file: Path) -> None:
+    deadline = time.monotonic() + LIMIT_S
+    while not ready_file.exists():
+        assert time.monotonic() < deadline, "it waits for its reader"
+        time.sleep(0.02)
+
+
+def read_until(descriptor: int, words: bytes) -> None:
+    said = b""
+    while words not in said:
+        assert select.select([descriptor], [], [], LIMIT_S)[0], f"no {words!r} in {said!r}"
+        said += os.read(descriptor, 1 << 16).lstrip(b"\0")
+
+
+@commands
 def test_it_goes_on_and_ends(tmp_path: Path, command: list[str]) -> None:
     (tmp_path / "feedback.yaml").write_text(CONFIG)
     reading, writing = os.pipe()
@@ -37,16 +57,8 @@ def test_it_goes_on_and_ends(tmp_path: Path, command: list[str]) -> None:
     process = subprocess.Popen(arguments, cwd=tmp_path, stdout=writing)
     os.close(writing)
     try:
-        deadline = time.monotonic() + LIMIT_S
-        while not (tmp_path / "ready").exists():
-            assert time.monotonic() < deadline, "it waits for its reader"
-            time.sleep(0.02)
-        said = b""
-        while b"end with Ctrl-C\n" not in said:  # the reader goes on, and gets what was kept for it
-            assert time.monotonic() < deadline, said[-200:]
-            said += (
-                os.read(reading, 1 << 16).lstrip(b"\0") if select.select([reading], [], [], 0.1)[0] else b""
-            )
+        wait_for(tmp_path / "ready")
+        read_until(reading, b"end with Ctrl-C\n")  # the reader goes on, and gets what was kept for it
         process.send_signal(signal.SIGTERM)
         assert process.wait(LIMIT_S) == 0
     finally:
@@ -67,3 +79,49 @@ def test_lines_go_where_they_belong(capfd: pytest.CaptureFixture[str]) -> None:
     assert text == "position valid"
     assert json.loads(values) == {"event": "message", "level": "info", "text": "SYNC found"}
     assert err == "canfb: the bus fails\n"
+
+
+# Its controlling terminal is the one on its standard input.
+OWN_TERMINAL = """\
+import fcntl, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+from canfb.cli.main import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def started(folder: Path, arguments: list[str]) -> tuple[subprocess.Popen[bytes], int]:
+    """A command with a terminal of its own: the process, and the other end of the terminal."""
+    ours, theirs = pty.openpty()
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-c", OWN_TERMINAL, *arguments],
+            cwd=folder,
+            stdin=theirs,
+            stdout=theirs,
+            stderr=theirs,
+            start_new_session=True,
+        )
+    finally:
+        os.close(theirs)
+    return process, ours
+
+
+@commands
+def test_without_its_terminal_it_ends_and_leaves_no_ready_file(tmp_path: Path, command: list[str]) -> None:
+    (tmp_path / "feedback.yaml").write_text(CONFIG)
+    arguments = [*command, "feedback.yaml", "--ready-file", "ready"]
+    process, terminal = started(tmp_path, arguments)
+    try:
+        try:
+            read_until(terminal, b"end with Ctrl-C")
+            wait_for(tmp_path / "ready")
+        finally:
+            os.close(terminal)  # what a dropped connection does
+        assert process.wait(LIMIT_S) == 0
+    finally:
+        process.kill()
+        process.wait()
+    assert not (tmp_path / "ready").exists()
+    if command == ["run"]:
+        assert any((tmp_path / "state").iterdir()), "the operating time was saved at the end"

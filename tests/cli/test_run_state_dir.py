@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import subprocess
 import sys
 import time
@@ -20,6 +21,7 @@ from canfb.eds_files import eds_path
 from canfb.hosting.hosting import make_module
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from processes import Process
 
 LIMIT_S = 30.0
 SAVE = bytes.fromhex("2310100173617665")
@@ -67,19 +69,12 @@ def test_a_state_dir_that_cannot_be_used_is_one_line_and_exit_code_1(
 # In processes of their own.
 
 
-class Process:
+class Run(Process):
     """``canfb run`` in a process of its own, on a multicast bus, and a master."""
 
     def __init__(self, config: Path, network: canopen.Network) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-W", "error", "-m", "canfb", "run", str(config)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        assert self.process.stdout is not None
-        self.first_line = self.process.stdout.readline()
+        super().__init__((sys.executable, "-W", "error", "-m", "canfb", "run", str(config)))
+        self.wait_for(r"^running node 32 \(20h\) on")
         self.master = network.add_node(canopen.RemoteNode(32, str(eds_path("canfb-module"))))
         self.master.sdo.RESPONSE_TIMEOUT = LIMIT_S
         deadline = time.monotonic() + LIMIT_S
@@ -90,8 +85,8 @@ class Process:
                 self.master.nmt.wait_for_bootup(0.2)
 
     def kill(self) -> None:
-        self.process.kill()
-        self.process.communicate()
+        self.send(signal.SIGKILL)
+        self.stop()
 
 
 @pytest.fixture
@@ -114,9 +109,8 @@ def test_what_was_saved_is_there_after_a_kill(
     config = tmp_path / "feedback.yaml"
     bus = ", ".join(f"{key}: {value}" for key, value in words.items())
     config.write_text(f"bus: {{{bus}}}\nmodules: [{{node_id: 32, state_dir: {tmp_path}/state}}]\n")
-    first = Process(config, network)
+    first = Run(config, network)
     try:
-        assert first.first_line.startswith("running node 32 (20h) on")
         assert first.master.sdo[0x1010][1].raw == 1
         first.master.sdo[0x2010][3].raw = 9
         first.master.sdo.download(0x1010, 1, b"save")
@@ -132,12 +126,9 @@ def test_what_was_saved_is_there_after_a_kill(
         assert second.stderr.startswith(f"canfb: state_dir {tmp_path}/state cannot be used: another process")
     finally:
         first.kill()
-    again = Process(config, network)
+    again = Run(config, network)
     try:
         assert again.master.sdo[0x2010][3].raw == 9
-        assert again.process.stdout is not None
-        assert again.process.stdout.readline() == (
-            "node 32 (20h): saved values take precedence over the configuration: 2010h:03\n"
-        )
+        again.wait_for(r"^node 32 \(20h\): saved values take precedence over the configuration: 2010h:03$")
     finally:
         again.kill()
