@@ -178,11 +178,6 @@ def test_one_of_several(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert err == f"canfb: {yaml}: {want}\n"
 
 
-def test_a_folder_that_is_not_there(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _, err = said(capsys, str(yaml), "--out", "nowhere/a.dcf", code=1)
-    assert err == "canfb: cannot write nowhere/a.dcf: No such file or directory\n"
-
-
 def test_what_a_master_in_the_order_of_the_indices_cannot_write_is_told(
     yaml: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

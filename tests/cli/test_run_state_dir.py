@@ -16,7 +16,6 @@ import canopen
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.cli.main import main
 from canfb.eds_files import eds_path
 from canfb.hosting.hosting import make_module
 from canfb.module.feedback_module import FeedbackModule
@@ -54,16 +53,6 @@ def test_a_module_of_the_command_keeps_its_parameters(tmp_path: Path) -> None:
 
 def test_without_a_state_dir_it_says_that_nothing_is_kept() -> None:
     assert exchanged(ModuleConfig(node_id=32), SAVE) == ["8010100120000008"]
-
-
-def test_a_state_dir_that_cannot_be_used_is_one_line_and_exit_code_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    config = tmp_path / "feedback.yaml"
-    config.write_text(f"modules: [{{node_id: 32, state_dir: {tmp_path}/file}}]\n")
-    assert main(["run", str(config), "-i", "virtual", "-c", "state"]) == 1
-    assert capsys.readouterr().err == f"canfb: state_dir {tmp_path}/file cannot be used: File exists\n"
 
 
 # In processes of their own.

@@ -26,24 +26,6 @@ class Trouble:
             raise self._error()
 
 
-class RealDisk:
-    """The module `os` with trouble; what was done before it stays, as after a kill."""
-
-    def __init__(self, trouble: Trouble) -> None:
-        self._trouble = trouble
-
-    def __getattr__(self, name: str) -> Any:
-        real = getattr(os, name)
-        if not callable(real):
-            return real
-
-        def call(*arguments: Any) -> Any:
-            self._trouble.step()
-            return real(*arguments)
-
-        return call
-
-
 class File:
     def __init__(self) -> None:
         self.data = b""
