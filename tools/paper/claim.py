@@ -20,7 +20,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim. `figures` are the numbers behind the text `ours`, by name."""
+    """One claim; the verdict holds the figures of `ours` against their bounds, on both sides."""
 
     key: str
     place: str
@@ -28,7 +28,6 @@ class Claim:
     paper: str
     ours: str
     verdict: Verdict
-    figures: dict[str, float]
 
     @property
     def holds(self) -> bool:

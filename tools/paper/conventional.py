@@ -95,12 +95,6 @@ def conventional(effort: Effort) -> Iterator[Claim]:
         f"wrong of 10⁶ samples with 0.1 µs and 1 µs between them, at {listed}; with none, by noise and "
         f"rounding, {plain[2000.0, 0.0]:.0f}. Ours: {ours}",
         verdict(fits and plain[2000.0, 1e-6] > 8e4 and ours == 0),
-        {
-            "slow_1us": plain[20.0, 1e-6],
-            "fast_1us": plain[2000.0, 1e-6],
-            "noise": plain[2000.0, 0.0],
-            "ours": ours,
-        },
     )
     few = samples // 20
     bears = fix_bears(IDEAL, few)
@@ -122,5 +116,4 @@ def conventional(effort: Effort) -> Iterator[Claim]:
             and 0.05 < bears_extreme < 0.2
             and abs(beyond - 1e5) < 3000.0
         ),
-        {"below": below, "bears": bears, "bears_extreme": bears_extreme, "beyond": beyond},
     )

@@ -54,7 +54,6 @@ def two_thirds(effort: Effort) -> Iterator[Claim]:
         f"{100 * part:.1f} %: {grouped(found)} rad/s² is the largest that is not flagged "
         f"({grouped(formula)} by the formula)",
         verdict(0.66 < part < 0.67 and abs(found / formula - 1.0) < 1e-4),
-        {"formula": formula, "found": found, "part": part},
     )
 
 
@@ -102,7 +101,6 @@ def too_fast(effort: Effort) -> Iterator[Claim]:
         f"{0.42 * 2 * allowed:.0f} rad/s² at 1 kHz ({0.42:.2f} cycle): {between.wrong} wrong positions, "
         f"{between.flagged} of {samples} samples flagged",
         verdict(between.wrong == 0 and between.flagged == samples),
-        {"wrong": between.wrong, "flagged": between.flagged, "residual": between.steady_residual},
     )
     beyond = accelerated(0.58, samples)
     yield Claim(
@@ -118,12 +116,6 @@ def too_fast(effort: Effort) -> Iterator[Claim]:
             and beyond.first_flag <= beyond.first_wrong
             and -samples - 1.5 < beyond.end_speed_error < -samples + 1.5
         ),
-        {
-            "flagged": beyond.flagged,
-            "flags_before_wrong": beyond.first_wrong - beyond.first_flag,
-            "speed_error": beyond.end_speed_error,
-            "residual": beyond.steady_residual,
-        },
     )
     yield _far_beyond(effort)
 
@@ -148,7 +140,6 @@ def _far_beyond(effort: Effort) -> Claim:
         verdict(
             0.4 < sudden < 0.75 and gentle == 0.0 and 0.08 < steady.steady_residual < 0.12, Verdict.LIMITED
         ),
-        {"silent_sudden": sudden, "silent_gentle": gentle, "residual": steady.steady_residual},
     )
 
 
@@ -197,7 +188,6 @@ def never_forgets(effort: Effort) -> Iterator[Claim]:
         f"one sample off by {glitch} cycle: flagged {flagged} time, {first} sample later; after 1000 samples "
         f"the position is {later:.0f} cycles further off",
         verdict(abs(later - 1000.0) < 0.01 and flagged == 1 and 0 <= first <= 2),
-        {"growth": later, "flagged": flagged, "first": first},
     )
 
 
@@ -230,7 +220,6 @@ def cables(effort: Effort) -> Iterator[Claim]:
             0.9 < dead < 0.99 and 0.45 < mirrored < 0.7 and 0.05 < standing < 0.3,
             Verdict.LIMITED,
         ),
-        {"standing": standing, **turning},
     )
 
 

@@ -42,7 +42,6 @@ def introduction(effort: Effort) -> Iterator[Claim]:
         f"{grouped(cycles)} cycles, {frequency_hz / 1e6:.1f} MHz; this method with 2500 cycles and 12 bits: "
         f"{ours_rpm:.4f} rpm, {ours_hz / 1e3:.0f} kHz",
         verdict(round(cycles) == 300_000 and round(frequency_hz) == 15_000_000 and ours_rpm < resolution_rpm),
-        {"cycles": cycles, "frequency_hz": frequency_hz, "ours_rpm": ours_rpm, "ours_hz": ours_hz},
     )
 
 
@@ -58,7 +57,6 @@ def phases(effort: Effort) -> Iterator[Claim]:
         "about 1.2 % of a cycle",
         f"{percent(error, 4)} of a cycle",
         verdict(0.011 < error < 0.0125),
-        {"error": error},
     )
     steps = np.diff(raw) * GRID  # slope: 1 for the true phase
     yield Claim(
@@ -68,7 +66,6 @@ def phases(effort: Effort) -> Iterator[Claim]:
         "monotonous, continuous",
         f"slope {steps.min():.3f} to {steps.max():.3f} everywhere, no step",
         verdict(steps.min() > 0.78 and steps.max() < 1.58),
-        {"slope_min": float(steps.min()), "slope_max": float(steps.max())},
     )
     printed = phases_as_printed(position)
     step = float(np.diff(printed).min())
@@ -80,7 +77,6 @@ def phases(effort: Effort) -> Iterator[Claim]:
         "continuous",
         f"steps by {step:.3f} cycle at 7/8, up to {away:.3f} cycle off; with 1 + s/(8c) it is continuous",
         verdict(step < -0.8, Verdict.MISPRINT),
-        {"step": step, "error": away},
     )
     yield _arc_tangent(position)
 
@@ -102,7 +98,6 @@ def _arc_tangent(position: FloatArray) -> Claim:
         f"{percent(extreme, 3)} with 40 % offset and 20 % amplitude error; individual table of {size} bytes "
         f"there {percent(individual, 2)}",
         verdict(ideal < 1e-4 and 0.008 < offset < 0.02 and 0.1 < extreme < 0.2 and 1e-5 < individual < 2e-4),
-        {"ideal": ideal, "offset": offset, "extreme": extreme, "individual": individual, "bytes": size},
     )
 
 
@@ -116,7 +111,6 @@ def reference_measurement(effort: Effort) -> Iterator[Claim]:
         "24 rpm",
         f"{speed_rpm:.1f} rpm",
         verdict(round(speed_rpm, 6) == 24.0),
-        {"speed_rpm": speed_rpm},
     )
     seconds = effort.recording_s
     # A little less than 24 rpm, so that the samples do not meet the same 50 phases in each cycle.
@@ -140,7 +134,6 @@ def reference_measurement(effort: Effort) -> Iterator[Claim]:
         f"{percent(found['ideal'], 2)} on ideal tracks, {percent(found['usual'], 2)} with harmonics and "
         f"offset, {percent(found['extreme'], 2)} with 40 % and 20 %",
         verdict(1e-6 < largest <= 5e-4),
-        {name: found[name] for name in ("ideal", "usual", "extreme")},
     )
     yield Claim(
         "reference-fluctuating",
@@ -149,7 +142,6 @@ def reference_measurement(effort: Effort) -> Iterator[Claim]:
         "0.05 % at most",
         f"{percent(found['fluctuating'], 2)} with 40 % and 20 %",
         verdict(1e-6 < found["fluctuating"] <= 5e-4),
-        {"fluctuating": found["fluctuating"]},
     )
 
 
@@ -170,7 +162,6 @@ def conclusion(effort: Effort) -> Iterator[Claim]:
         f"{percent(common, 1)} of a cycle at 0.1 to 7 times the amplitude; 10 % on one track alone: "
         f"{percent(single, 2)}",
         verdict(common < 1e-15 and 0.008 < single < 0.03),
-        {"common": common, "single": single},
     )
     step = resolution_step()
     yield Claim(
@@ -180,7 +171,6 @@ def conclusion(effort: Effort) -> Iterator[Claim]:
         "1/5800 cycle",
         f"1/{1.0 / step:.0f} cycle in the worst place, 45 degrees",
         verdict(5700 < 1.0 / step < 5900),
-        {"steps": 1.0 / step},
     )
 
 

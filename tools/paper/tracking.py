@@ -38,7 +38,6 @@ def acceleration_limit(effort: Effort) -> Iterator[Claim]:
         f"{grouped(formula)} rad/s² by the formula, {grouped(found)} the largest that is tracked without "
         f"error; {grouped(measured)} with 12-bit converters and noise",
         verdict(abs(found / formula - 1.0) < 1e-4 and 0.99 < measured / formula < 1.0001),
-        {"formula": formula, "found": found, "measured": measured},
     )
     slow = max_acceleration(CYCLES_PER_REVOLUTION, SLOW_RATE_HZ)
     needed_hz = math.sqrt(SERVO_RAD_S2 / max_acceleration(CYCLES_PER_REVOLUTION, 1.0, 1 / 3))
@@ -50,7 +49,6 @@ def acceleration_limit(effort: Effort) -> Iterator[Claim]:
         f"{formula / SERVO_RAD_S2:.0f} times below at 25 kHz. At 1 kHz the limit is {slow:.0f} rad/s² "
         f"({slow * 2 / 3:.0f} with 1/3): such a machine needs at least {needed_hz / 1e3:.1f} kHz",
         verdict(35 < formula / SERVO_RAD_S2 < 45 and 4800 < needed_hz < 5000),
-        {"margin": formula / SERVO_RAD_S2, "slow_limit": slow, "needed_hz": needed_hz},
     )
 
 
@@ -89,14 +87,6 @@ def _long_run(key: str, text: str, top_speed: float, change: float, effort: Effo
         f"counts, {got.flagged} flagged, largest error {100 * got.peak_error:.3f} % of a cycle (12 bits, "
         "noise)",
         verdict(got.wrong == 0 and got.flagged == 0 and 1e-4 < got.peak_error < 2e-3 and way.reversals > 20),
-        {
-            "samples": got.samples,
-            "reversals": way.reversals,
-            "top_speed": way.top_speed,
-            "wrong": got.wrong,
-            "flagged": got.flagged,
-            "peak_error": got.peak_error,
-        },
     )
 
 
@@ -125,7 +115,6 @@ def revolutions(effort: Effort) -> Claim:
         f"{grouped(counted)} revolutions forward and as many back at 2000 rpm and 1 kHz: {wrong} samples in "
         f"a wrong revolution, {back - moved} cycles left over",
         verdict(wrong == 0 and counted == true_count > 0 and back == moved),
-        {"counted": counted, "true": true_count, "wrong": wrong, "left_over": back - moved},
     )
 
 
@@ -143,7 +132,6 @@ def _no_speed_limit() -> Claim:
         f"{grouped(way.top_speed)} cycles per sample ({grouped(rpm)} rpm at 1 kHz): {got.wrong} wrong cycle "
         f"counts, {got.flagged} flagged",
         verdict(got.wrong == 0 and got.flagged == 0 and way.top_speed > 1e5),
-        {"top_speed": way.top_speed, "wrong": got.wrong, "flagged": got.flagged},
     )
 
 
@@ -163,7 +151,6 @@ def start_up(effort: Effort) -> Iterator[Claim]:
         f"{wrong} of {len(slow)} starts up to ±0.499 cycle per sample wrong; {100 * flags:.0f} % flag their "
         "first step (beyond 1/3)",
         verdict(wrong == 0 and 0.2 < flags < 0.4),
-        {"starts": len(slow), "wrong": wrong, "flagged": flags},
     )
     fast = rng.uniform(0.501, 83.3, effort.cases) * rng.choice([-1.0, 1.0], effort.cases)
     missed = [speed_error(v, rng.uniform()) for v in fast]
@@ -179,7 +166,6 @@ def start_up(effort: Effort) -> Iterator[Claim]:
         f"{right} of {len(fast)} starts up to ±83 cycles per sample right: the count runs on, slower by the "
         f"whole cycles per sample, and {100 * silent:.0f} % of these starts are never flagged",
         verdict(right == 0 and alias == len(fast) and 0.5 < silent < 0.8),
-        {"starts": len(fast), "right": right, "alias": alias, "silent": silent},
     )
 
 
