@@ -12,7 +12,7 @@ import pytest
 from canfb.errors import CanfbError
 from canfb.signal.feedback import Feedback
 from tools.soak.__main__ import Resources, as_figures, main
-from tools.soak.disturbances import disturbances_of, world_of
+from tools.soak.disturbances import disturbances_of
 from tools.soak.hosted import SOCKET_FRAMES, Hosted
 from tools.soak.setups import SETUPS
 from tools.soak.world import Findings, World
@@ -35,7 +35,7 @@ def test_the_short_form(name: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 @contextlib.contextmanager
 def soaked(name: str, seed: int) -> Iterator[World]:
-    world = world_of(BY_NAME[name], seed)
+    world = World(BY_NAME[name], seed)
     try:
         yield world
     finally:

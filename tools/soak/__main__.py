@@ -3,7 +3,7 @@
     python -m tools.soak [--cycles N] [--setup NAME] [--seed N] [--json]
 
 Module, encoder interface, SYNC at 1 kHz, master, monitor and event log of one network, whose machine moves
-and rests; with a drive in some set-ups, and with the module in the runner of `canfb run` in others. One
+and rests; in some set-ups the module is in the runner of `canfb run`. One
 disturbance follows the other (disturbances.py). A lost position is brought back by an NMT reset at a rest,
 as docs/troubleshooting.md says. Exit status 1 if a valid position was wrong, a cycle was not counted, the
 position did not come back without a restart of the process, memory, its blocks or file descriptors grew, or
@@ -23,9 +23,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tools.soak.disturbances import disturbances_of, world_of
+from tools.soak.disturbances import disturbances_of
 from tools.soak.setups import SETUPS, Setup
-from tools.soak.world import INTERVAL_S, Findings
+from tools.soak.world import INTERVAL_S, Findings, World
 
 WARM = 0.3  # of the cycles: caches fill
 # In each half of the looks: what is loaded once, at the first table or the first save, grows in one of them.
@@ -52,7 +52,7 @@ class Resources(NamedTuple):
 
 def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
     """One set-up; what came out."""
-    world = world_of(setup, seed)
+    world = World(setup, seed)
     looks: list[Resources] = []
 
     def look() -> None:

@@ -11,7 +11,7 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
 from canfb.signal.correction import CorrectionTable
 from tools.soak.hosted import Hosted
-from tools.soak.servo import OF_A_DRIVE, ServoWorld
+from tools.soak.machine import rests
 from tools.soak.setups import Setup
 from tools.soak.world import INTERFACE, INTERVAL_S, MODULE, OTHER, SAMPLES, SYNC, World
 
@@ -73,7 +73,7 @@ def nmt_pause(world: World) -> None:
 
 def reset(world: World) -> None:
     """Node or communication, at standstill."""
-    while not world.rests(0.5):
+    while not rests(world.bus.now, 0.5):
         world.pass_(0.05)
     world.reset(world.rng.choice((NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)))
 
@@ -242,11 +242,4 @@ def disturbances_of(setup: Setup) -> Mapping[str, Disturbance]:
         chosen += [clock_set, clock_behind]
     if setup.hosted:
         chosen += OF_A_PROCESS
-    if setup.driven:
-        chosen += OF_A_DRIVE
     return MappingProxyType({one.__name__: one for one in chosen})
-
-
-def world_of(setup: Setup, seed: int) -> World:
-    """Its network, powered on."""
-    return ServoWorld(setup, seed) if setup.driven else World(setup, seed)

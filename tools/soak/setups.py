@@ -13,7 +13,6 @@ CYCLES = 2500
 RADIANS = 2.0 * math.pi / CYCLES
 SPARE = 1.05  # declared beyond what the machine does
 ACCELERATION = {"max_acceleration_rad_s2": SPARE * MAX_ACCELERATION_CYCLES_S2 * RADIANS}
-BRAKED = {"max_acceleration_rad_s2": 100.0}  # of the drive, its brake and its friction: 67
 JITTER = SyncTiming(sync_jitter_us=20.0, sync_drift_ppm=-50.0)
 
 
@@ -25,7 +24,6 @@ class Setup:
     stamps    frames have receive times
     coarse    samples have a coarse track, in the same PDO
     hosted    the module is in the runner of `canfb run`
-    driven    the machine is that of a drive, whose position loop is closed over the module
     bit_rate  of the bus, bit/s: frames take time and wait for each other; None: they do not
     timing    of the SYNC
     """
@@ -35,7 +33,6 @@ class Setup:
     stamps: bool = False
     coarse: bool = False
     hosted: bool = False
-    driven: bool = False
     bit_rate: int | None = None
     timing: SyncTiming = REGULAR
 
@@ -48,8 +45,6 @@ SETUPS = (
     Setup("predicted", ACCELERATION | {"times": True, "predict": True}),
     Setup("receive times", ACCELERATION | {"times": True}, stamps=True),
     Setup("wire", ACCELERATION | {"times": True}, bit_rate=1_000_000, timing=JITTER),
-    Setup("drive", BRAKED | {"times": True}, driven=True),
-    Setup("drive, hosted", BRAKED | {"times": True}, driven=True, hosted=True),
     Setup("hosted", ACCELERATION, hosted=True),
     Setup("hosted, times", ACCELERATION | {"times": True}, hosted=True),
 )

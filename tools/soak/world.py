@@ -6,14 +6,12 @@ import contextlib
 import logging
 import random
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.device.device_protocol import Device
 from canfb.errors import CanfbError
 from canfb.hosting.event_log import EventLog
 from canfb.master.access import NodeAccess
@@ -22,7 +20,6 @@ from canfb.module.parameters import apply_defaults
 from canfb.monitoring.bus_model import BusModel
 from canfb.objects import StatusBit
 from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.sync_producer import SyncProducer
 from tools.soak.embedded_master import EmbeddedMaster
@@ -60,7 +57,6 @@ class Findings:
 
     cycles: int = 0
     valid: int = 0
-    driven: int = 0
     done: Counter[str] = field(default_factory=Counter)
     refused: int = 0
     lost: int = 0
@@ -86,39 +82,15 @@ class _Lines(logging.Handler):
         self._found.log_lines += 1
 
 
-class AnyMachine(Protocol):
-    """What the world asks of a machine."""
-
-    broken: bool
-
-    @property
-    def sampled_cycles(self) -> float:
-        """Where it was at the last sample."""
-
-    def sample_at(self, now: float) -> Sample:
-        """The sample of this instant."""
-
-    def next(self) -> Sample:
-        """Not asked."""
-
-
 class World:
     """Module, encoder interface, SYNC, master, monitor, and a node that comes and goes."""
 
-    def __init__(
-        self,
-        setup: Setup,
-        seed: int,
-        machine: AnyMachine | None = None,
-        first: Sequence[Device] = (),
-        last: Sequence[Device] = (),
-    ) -> None:
-        """``first`` and ``last`` are further devices, by their place in the order of reception."""
+    def __init__(self, setup: Setup, seed: int) -> None:
         self.found = Findings()
         self.setup = setup
         self.rng = random.Random(f"{seed} {setup.name}")
         self.bus = bus = EmbeddedBus(setup.bit_rate)
-        self.machine: AnyMachine = machine or Machine(CYCLES, coarse=setup.coarse)
+        self.machine = Machine(CYCLES, coarse=setup.coarse)
         config = ModuleConfig(
             node_id=MODULE, encoder_interface=INTERFACE, cycles_per_revolution=CYCLES, **setup.config
         )
@@ -161,7 +133,7 @@ class World:
         self.interface.on_sample = self._leaves
         bus.observers.append(self._hear)
         self.producer = SyncProducer(INTERVAL_S, setup.timing, seed)
-        for device in (*first, self.cable, self.interface, *last, self.other, self.producer):
+        for device in (self.cable, self.interface, self.other, self.producer):
             bus.attach(device)
         self.master = EmbeddedMaster(bus, ANSWER_S)
         self.access = NodeAccess(self.master, MODULE, "module")
@@ -225,17 +197,6 @@ class World:
         if self.module.state is NmtState.PRE_OPERATIONAL:
             self.nmt(NmtCommand.START)
 
-    def rests(self, spare_s: float) -> bool:
-        """The machine stands still from now until ``spare_s`` later."""
-        return rests(self.bus.now, spare_s)
-
-    def is_fast(self) -> bool:
-        """The machine moves fast, and does so for a while."""
-        return is_fast(self.bus.now)
-
-    def on_sync(self, now: float) -> None:
-        """A SYNC has come."""
-
     def recover(self) -> None:
         """The position is valid again: by itself or, if it is lost, by a reset at a rest."""
         began = reset_s = self.bus.now
@@ -243,7 +204,7 @@ class World:
             if self.bus.now - began > RECOVERY_S:
                 self.found.not_recovered += 1
                 return
-            if self.bus.now - reset_s > LOST_S and self.rests(0.5):
+            if self.bus.now - reset_s > LOST_S and rests(self.bus.now, 0.5):
                 reset_s = self.bus.now
                 self.found.lost += 1
                 self.reset(NmtCommand.RESET_NODE)
@@ -265,10 +226,8 @@ class World:
     def before_a_pause(self) -> None:
         """What stands when a pause begins must not move in it: docs/supervision.md, Start of the module."""
         rest = self.rng.random() < 0.5
-        end = self.bus.now + RECOVERY_S
-        while not (self.rests(PAUSE_S) if rest else self.is_fast()):
+        while not (rests(self.bus.now, PAUSE_S) if rest else is_fast(self.bus.now)):
             self.pass_(0.02)
-            rest = rest or self.bus.now > end  # a drive may be in a fault
 
     def missed(self) -> int:
         """2012:01."""
@@ -298,7 +257,6 @@ class World:
         if frame.can_id == SYNC and not frame.data:
             self.syncs += 1
             self._synced_s = now
-            self.on_sync(now)
             self.found.cycles += 1
         self.monitor.receive(frame, now)
 
