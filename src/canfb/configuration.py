@@ -117,7 +117,7 @@ _NO_VALUE = (ValueError, KeyError, IndexError, AttributeError, TypeError, Recurs
 def load_config(path: str | Path, needs: Sequence[str] = MODULES) -> Config:
     """Read and validate the configuration at ``path``; one of the lists ``needs`` must not be empty.
 
-    ConfigError, in one line with file, line and key, for a bad one.
+    ConfigError, in one line with file, line and key.
     """
     path = Path(path)
     data = read_bytes(path, ConfigError)
@@ -144,10 +144,7 @@ def parse_config(text: str, name: str = "configuration", needs: Sequence[str] = 
 
 
 def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfig:
-    """The module with other values: each setting is KEY=VALUE, as the YAML has them.
-
-    ConfigError, in one line, for one that cannot be; a ``source`` is not to be set here.
-    """
+    """The module with other values, KEY=VALUE as in YAML, but for ``source``. ConfigError."""
     known = [one.name for one in dataclasses.fields(ModuleConfig) if one.name != "source"]
     values: dict[str, Any] = {}
     for setting in settings:
@@ -168,9 +165,9 @@ def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfi
 
 
 def line_of(path: str | Path, *keys: str | int, said: str = "") -> int:
-    """The line of a key in a configuration that :func:`load_config` has read, ``"modules", 0, "source"``.
+    """The line of a key, ``"modules", 0, "source"``, in a configuration that :func:`load_config` has read.
 
-    Of the last key that is there. If that is a mapping: the line of the key in it of which ``said`` speaks.
+    Of the last of these keys that is there; in a mapping, of the key of which ``said`` speaks.
     """
     line, node = found_at(_compose(Path(path).read_text(encoding="utf-8"), str(path)), *keys)
     lines = {name.value: yaml_line(name) for name, _ in pairs(node)}

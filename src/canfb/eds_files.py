@@ -14,15 +14,14 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 class EdsNotFoundError(CanfbError, FileNotFoundError):
-    """An EDS file that is not there; also a FileNotFoundError, for those who catch that."""
+    """No such EDS file; also a FileNotFoundError."""
 
 
 def eds_path(name: str) -> Path:
-    """Path of the EDS file `name`, for example `canfb-module.eds`; `.eds` may be left out.
+    """Path of the EDS file `name`, for example `canfb-module`.
 
-    Looks into the installed package first, then, when it runs from a checkout (an editable install), into
-    the eds/ folder of the repository. Raises EdsNotFoundError when there is no such file, ValueError when
-    `name` is a path and not a bare name.
+    In the installed package, else in the eds/ folder of a checkout. EdsNotFoundError without such a file,
+    ValueError for a `name` with folders.
     """
     if not name or Path(name).name != name:
         raise ValueError(f"name of an EDS file expected, without folders, not {name!r}")
@@ -38,7 +37,6 @@ def eds_path(name: str) -> Path:
 
 
 def _folders(package: Path) -> list[Path]:
-    """Where EDS files may be, given the folder of the package."""
     folders = [package / "eds"]
     if package.parent.name == "src":  # a checkout: src/canfb beside eds
         folders.append(package.parent.parent / "eds")

@@ -19,7 +19,7 @@ _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
 
 
 class YamlError(ValueError):
-    """What is wrong with a YAML text, in one line, and in which line of it."""
+    """What is wrong with a YAML text, and in which line."""
 
     def __init__(self, line: int, said: str) -> None:
         super().__init__(f"line {line}: {said[:LONGEST]}")
@@ -129,10 +129,7 @@ def line_of(node: yaml.Node) -> int:
 
 
 class MarkedYaml:
-    """The content of a YAML text, and where its keys are. YamlError for one that is none.
-
-    A key that comes twice in one mapping is refused: one of the two would be lost.
-    """
+    """The content of a YAML text, and where its keys are. YamlError, also for a key that comes twice."""
 
     def __init__(self, data: bytes) -> None:
         self._root = compose(data)
@@ -169,7 +166,7 @@ def _refuse_doubles(root: yaml.Node | None) -> None:
 
 
 def read_bytes(path: Path, refuse: type[Exception]) -> bytes:
-    """The bytes of a file; ``refuse`` is raised, in one line, where it cannot be read."""
+    """The bytes of a file; ``refuse`` is raised, in one line."""
     try:
         return path.read_bytes()
     except OSError as error:

@@ -52,7 +52,7 @@ spelling for the rate of the file.
 
 
 def current(words: Sequence[str]) -> tuple[list[str], str]:
-    """The command line in the words of today; and what to say of an old command, "" for none."""
+    """The line in the words of today; what to say of an old command, or ""."""
     at = next((n for n, word in enumerate(words) if not word.startswith("-")), len(words))
     before, line = list(words[:at]), list(words[at:])
     said = ""
@@ -77,7 +77,7 @@ def _begins(line: Sequence[str], pattern: Sequence[str]) -> bool:
 
 
 def _renamed(line: Sequence[str], length: int, options: dict[str, str | None]) -> list[str]:
-    """The line with other options; what is positional now comes behind the command's ``length`` words."""
+    """With other options; positional values go behind the command."""
     done: list[str] = []
     nodes: list[str] = []
     words = iter(line)

@@ -70,7 +70,7 @@ def save(options: argparse.Namespace) -> int:
 
 
 def backup_of(master: Master, node_id: int, date: str) -> Backup:
-    """Parameters and table of a module. Raises CanfbError if it cannot be read or is not a module."""
+    """Parameters and table of a module. CanfbError."""
     module = NodeAccess(master, node_id, "module")
     configuration = read_configuration(module)
     template = ObjectDescriptions(eds_path(EDS), node_id)

@@ -154,7 +154,7 @@ def register(commands: Commands) -> None:
 
 
 def calibrate(options: argparse.Namespace) -> int:
-    """Do all of it; 0 when the table is active, or when ``--dry-run`` or ``--check`` is done."""
+    """Measure, write and verify; 0 when that is done."""
     choices = choices_of(options)
     config = named_config(options)
     if choices.out:
@@ -173,7 +173,7 @@ def calibrate(options: argparse.Namespace) -> int:
 def over_bus(
     master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
 ) -> int:
-    """The command on an open bus; the exit code. ``date`` is ISO 8601, the time of day behind a space."""
+    """On an open bus; the exit code. ``date``: ISO 8601, time behind a space."""
     choices = choices_of(options)
     run = _run(choices, options, progress, date)
     return _say(run.over_bus(master, *choices.nodes(nodes_of(config)), guard), options, progress)
@@ -197,7 +197,7 @@ def _say(result: Result, options: argparse.Namespace, progress: Progress) -> int
 
 
 def choices_of(options: argparse.Namespace) -> CalibrateOptions:
-    """The options, checked. ConfigError for those that cannot be, alone or together."""
+    """The options, checked. ConfigError."""
     names = [field.name for field in fields(CalibrateOptions) if hasattr(options, field.name)]
     choices = CalibrateOptions(**{name: getattr(options, name) for name in names})
     refuse_combinations(choices, partial(refuse_idle, options), (*BUS_WORDS, "bus_kwargs"))

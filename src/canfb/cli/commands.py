@@ -67,15 +67,12 @@ SUMMARIES = {entry.name: entry.summary for entry in COMMANDS}
 
 
 def named_command(words: Sequence[str]) -> str:
-    """The command of a command line without its program: the first word that is no option, or ""."""
+    """The first word that is no option, or ""."""
     return next((word for word in words if not word.startswith("-")), "")
 
 
 def add_commands(commands: Any, name: str | None = None) -> None:
-    """Add the commands to argparse's sub-parsers: all of them, or only ``name`` with its own options.
-
-    The others are then there by name and summary, for the help and the message of a wrong command.
-    """
+    """Add all commands to argparse's sub-parsers; or ``name`` with its options, the others for the help."""
     for entry in COMMANDS:
         if name in (None, entry.name):
             import_module(f"canfb.cli.{entry.file}").register(commands)
@@ -87,7 +84,7 @@ WRONG_USE = 2
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says in one line what is wrong, without the list of all options; options and arguments may be mixed."""
+    """One line says what is wrong; options and arguments may be mixed."""
 
     _mixing = False
 
@@ -114,8 +111,6 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Prints the version of the installed package, which takes a while to find out."""
-
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         """End with exit code 0."""
         from importlib.metadata import version
@@ -125,7 +120,7 @@ class _Version(argparse.Action):
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """The parser with all commands; or with the options of this one alone, its file alone imported."""
+    """The parser with all commands; or with this one alone, its file alone imported."""
     parser = _Parser(
         prog="canfb",
         description="CANopen drive feedback module for sine/cosine encoders.",

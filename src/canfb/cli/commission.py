@@ -74,7 +74,7 @@ def register(commands: Commands) -> None:
 
 
 def commission(options: argparse.Namespace) -> int:
-    """Listen, propose, and with ``--write`` set; 0 when that is done."""
+    """Listen, propose, and with ``--write`` set."""
     wishes, config = wishes_of(options), named_config(options)
     if wishes.out:
         prepare(wishes.out)
@@ -91,7 +91,7 @@ def commission(options: argparse.Namespace) -> int:
 def over_bus(
     master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
 ) -> int:
-    """The command on an open bus; the exit code. ``date`` is ISO 8601, the time of day behind a space."""
+    """On an open bus; the exit code. ``date``: ISO 8601, time behind a space."""
     run = CommissionRun(wishes_of(options), progress, date)
     result = run.over_bus(master, *nodes_of_choices(options, config), guard)
     progress.clear()
@@ -99,7 +99,7 @@ def over_bus(
 
 
 def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
-    """Node-IDs of module and interface, None if the module says it. ConfigError for impossible ones."""
+    """Node-IDs of module and interface; None: the module says it. ConfigError."""
     choices = CalibrateOptions(
         module=options.module,
         encoder_interface=options.encoder_interface,
@@ -111,7 +111,7 @@ def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, 
 
 
 def wishes_of(options: argparse.Namespace) -> CommissionOptions:
-    """What is asked for, checked. ConfigError for options that cannot be, alone or together."""
+    """The options, checked. ConfigError."""
     if not options.write:
         refuse_idle(options, ["save"], "only with --write, without which nothing is written")
     if options.source == "recording" and options.encoder_interface is not None:

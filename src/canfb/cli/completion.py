@@ -21,7 +21,7 @@ YAML_FILES = ("yaml", "yml")
 
 
 def answer(build: Callable[[str], argparse.ArgumentParser], environment: Mapping[str, str]) -> None:
-    """Answer the shell and end the process; it returns, and says nothing, without argcomplete."""
+    """Answer the shell and end the process; without argcomplete return, silently."""
     try:
         import argcomplete
         from argcomplete.completers import DirectoriesCompleter, FilesCompleter
@@ -50,7 +50,7 @@ def asked_words(environment: Mapping[str, str]) -> list[str]:
 
 
 def nodes(action: argparse.Action, parsed_args: argparse.Namespace, **_: object) -> list[str]:
-    """Node-IDs of the configuration on the line, of interfaces too; ``all`` where it may be given."""
+    """Node-IDs of the configuration on the line; ``all`` where it may be given."""
     found = ["all"] if "or all" in (action.help or "") else []
     name = getattr(parsed_args, "config", None)
     if name is None:

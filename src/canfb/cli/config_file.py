@@ -110,7 +110,7 @@ def register(commands: Commands) -> None:
 
 
 def check(options: argparse.Namespace) -> int:
-    """Say what is in the configuration, or what is wrong with it, on this machine."""
+    """Say what is in it, or what is wrong with it on this machine."""
     config = load_config(options.config, ANY_NODES)
     check_machine(Path(options.config), config)
     there: dict[str, list[str]] = {}
@@ -168,7 +168,6 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _chosen(config: Config, options: argparse.Namespace) -> ModuleConfig:
-    """The module of the configuration. ConfigError when it is not clear which."""
     if options.module is None and len(config.modules) > 1:
         there = ", ".join(f"{module.node_id} ({module.node_id:02X}h)" for module in config.modules)
         raise ConfigError(f"{options.config}: NODE is required, as there are several: {there}")

@@ -147,7 +147,7 @@ def record(options: argparse.Namespace) -> int:
 
 
 def replay(options: argparse.Namespace) -> int:
-    """Replay a log, or a folder of them; 0 also if there were faults, 1 for a log without its end."""
+    """Replay a log, or a folder of them; 1 for a log without its end."""
     options.log = required_file(options.log)
     settings = settings_of(options)
     if len(settings.modules) > 1 and (options.out or options.report) and not options.log.is_dir():
@@ -184,7 +184,7 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
 
 
 def settings_of(options: argparse.Namespace) -> ReplayOptions:
-    """What the options say. ConfigError, in one line, for what cannot be."""
+    """What the options say. ConfigError."""
     folder = options.log.is_dir()
     refuse_idle(options, *(OF_A_FILE if folder else OF_A_FOLDER))
     return ReplayOptions(

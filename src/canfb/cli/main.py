@@ -50,7 +50,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _complete() -> int:
-    """The shell asks how a line goes on; only what completes it may be said."""
     from canfb.cli import completion  # here: it serves the shell, not a command
 
     completion.answer(build_parser, os.environ)
@@ -83,6 +82,6 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def _drop_output() -> None:
-    """What is still to be written goes nowhere, or Python would complain of it at its end."""
+    """Python would complain at its end of what is still to be written."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

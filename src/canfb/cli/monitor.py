@@ -113,7 +113,6 @@ def monitor(options: argparse.Namespace) -> int:
 
 
 def _watch(options: argparse.Namespace) -> int:
-    """Show what there is to see until Ctrl-C, the end of the log, or --seconds."""
     words, layouts, model = _model(options)
     with output(options, "canfb monitor") as (show, rate_hz):
         reader = MessageReader(options.seconds)
@@ -131,7 +130,6 @@ def _watch(options: argparse.Namespace) -> int:
 
 
 def _model(options: argparse.Namespace) -> tuple[dict[str, Any], list[NodeLayout], BusModel]:
-    """python-can's words, the modules that are known, and what is seen of them."""
     config = named_config(options)
     words = bus_options(options, config.bus)
     layouts = known_layouts(config, options.nodes)
@@ -147,7 +145,6 @@ def _model(options: argparse.Namespace) -> tuple[dict[str, Any], list[NodeLayout
 def _reading(
     bus: SharedBus, layouts: Sequence[NodeLayout], watching: Watching, page: LivePage | None = None
 ) -> AbstractContextManager[None]:
-    """The modules are read by SDO, for a page while it is open."""
     from canfb.monitoring.sdo_reading import ModuleReader, SdoThread  # here: canopen is for --sdo alone
 
     def take(reading: ModuleReading) -> None:
@@ -162,7 +159,7 @@ def _reading(
 
 @contextlib.contextmanager
 def output(options: argparse.Namespace, title: str) -> Iterator[tuple[Show, float]]:
-    """The function that shows a snapshot, and the usual rate for it, updates per second."""
+    """The function that shows a snapshot, and its usual rate, Hz."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # µ on a terminal that has none
     if options.json:

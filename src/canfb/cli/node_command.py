@@ -71,7 +71,7 @@ def _nodes(options: argparse.Namespace) -> list[int]:
 
 
 def send(options: argparse.Namespace) -> int:
-    """Send the command to each node, in this order, and say so."""
+    """Send the command to each node, in this order."""
     chosen = _nodes(options)
     with BusMaster(open_bus(chosen_bus(options))) as master:
         for node in chosen:
@@ -82,7 +82,7 @@ def send(options: argparse.Namespace) -> int:
 
 
 def reset(options: argparse.Namespace) -> int:
-    """Look at the machine, reset the nodes, start them, and say what became of the positions."""
+    """Reset nodes whose machine stands, and start them."""
     from canfb.diagnosis.nodes_on_bus import scan  # here: an NMT command needs no EDS
 
     chosen = _nodes(options)

@@ -38,7 +38,7 @@ def master_of(options: argparse.Namespace) -> Iterator[Master]:
 def sync_master(
     words: dict[str, Any], sync_hz: float | None, answer_within_s: float, guard: Guard
 ) -> Iterator[BusMaster]:
-    """A master that gets the SYNCs of the bus, or produces them at ``sync_hz``; signals go to ``guard``."""
+    """A master that gets the SYNCs, or produces them at ``sync_hz``; signals go to ``guard``."""
     bus = open_sync_bus(words, receives_own=sync_hz is not None)
     with BusMaster(bus, answer_within_s) as master, ending_on_signals(guard.interrupt):
         if sync_hz is not None:
@@ -48,7 +48,7 @@ def sync_master(
 
 @contextlib.contextmanager
 def guarded() -> Iterator[Guard]:
-    """For what changes a node: Ctrl-C, SIGTERM and SIGHUP put back what was, and say so."""
+    """For what changes a node: a signal puts back what was."""
     guard = Guard()
     try:
         with ending_on_signals(guard.interrupt):
@@ -59,13 +59,13 @@ def guarded() -> Iterator[Guard]:
 
 
 def say_result(options: argparse.Namespace, result: Result) -> int:
-    """On standard output, for programs or for people; exit code 0."""
+    """For programs or for people; 0."""
     print(json.dumps(result.figures, indent=2) if options.json else "\n".join(result.lines))
     return 0
 
 
 def nodes_of(config: Config) -> list[tuple[int, int | None]]:
-    """Module and encoder interface of each, None for a module that samples itself."""
+    """Module and encoder interface of each; None: it samples itself."""
     return [
         (one.node_id, None if one.source is not None else one.encoder_interface) for one in config.modules
     ]

@@ -132,7 +132,7 @@ def chosen_module(options: argparse.Namespace, config: Config) -> ModuleConfig:
 
 
 def given(options: argparse.Namespace, names: Iterable[str]) -> list[str]:
-    """Those options, of these names (``time_column``), that are not at their defaults."""
+    """Those of these options (``time_column``) that are not at their defaults."""
     return [
         name
         for name in names
@@ -154,13 +154,13 @@ def given_bus(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def default_bus_file() -> Path:
-    """The default bus of this user: below XDG_CONFIG_HOME, APPDATA on Windows, else ~/.config."""
+    """Below XDG_CONFIG_HOME, APPDATA on Windows, else ~/.config."""
     folder = os.environ.get("XDG_CONFIG_HOME") or os.environ.get("APPDATA") or Path.home() / ".config"
     return Path(folder) / "canfb" / "bus.json"
 
 
 def remembered() -> dict[str, Any]:
-    """python-can's words of the default bus, less those of environment variables. ConfigError if damaged."""
+    """python-can's words of the default bus, less those of the environment. ConfigError."""
     if "CAN_INTERFACE" in os.environ:
         return {}
     path = default_bus_file()
@@ -174,7 +174,7 @@ def remembered() -> dict[str, Any]:
 
 
 def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict[str, Any]:
-    """python-can's words: those of ``canfb use``, of the configuration, of the command line. ConfigError."""
+    """python-can's words, by rising precedence: ``canfb use``, configuration, command line. ConfigError."""
     from canfb.bus.opening import check_interface, describe
 
     words = configured | given_bus(options)

@@ -104,7 +104,6 @@ def plan(options: argparse.Namespace) -> int:
 
 
 def _config(options: argparse.Namespace) -> Config:
-    """The configuration, each module with a node-ID; or as many modules as the options say."""
     if options.config is None:
         return modules_alike(options.modules, options.adc_bits)
     refuse_idle(options, ("adc_bits", "modules"), "only without CONFIG.yaml, which has the modules")

@@ -20,7 +20,7 @@ def report(text: str) -> None:
 
 
 def say(text: str) -> None:
-    """One line on stdout, of a program that goes on after it."""
+    """One line on stdout, at once."""
     print_line(text, sys.stdout)
 
 
@@ -33,7 +33,7 @@ def print_line(text: str, stream: TextIO) -> None:
 
 @contextlib.contextmanager
 def reader_may_go(stream: TextIO) -> Iterator[None]:
-    """A reader or a terminal that has gone does not end the program: no more output there."""
+    """Without its reader or terminal the program goes on, and prints no more."""
     try:
         yield
     except OSError as error:
@@ -49,7 +49,7 @@ PATIENCE_S = 0.5  # at the end, for a reader
 
 @contextlib.contextmanager
 def printed_as_json() -> Iterator[None]:
-    """Print what the loggers say as JSON on stdout, an object a line, within :func:`printed_log`."""
+    """Print what the loggers say as JSON, an object a line, within :func:`printed_log`."""
     printing = [one for one in logging.getLogger("canfb").handlers if isinstance(one, _Printing)]
     for one in printing:
         one.as_json = True
@@ -131,7 +131,7 @@ class _Printing(logging.Handler):
 
 
 def _output(stream: TextIO, printing: _Printing) -> LineOutput | None:
-    """None where it cannot be known whether a stream takes a line: Windows, or no file."""
+    """None on Windows, and for what is no file."""
     if sys.platform == "win32":
         return None
     try:

@@ -20,7 +20,7 @@ LINE_EVERY_S = 5.0
 
 @contextlib.contextmanager
 def shown_progress(*, quiet: bool, interrupted: str = "") -> Iterator[Progress]:
-    """Progress, taken away at the end; a line says what became of the work if it is interrupted."""
+    """Progress, taken away at the end; ``interrupted`` says what became of the work."""
     progress = Progress(quiet)
     try:
         yield progress
@@ -34,11 +34,7 @@ def shown_progress(*, quiet: bool, interrupted: str = "") -> Iterator[Progress]:
 
 
 class Progress:
-    """One line a step; on a terminal a bar with the remaining time, else now and then a line with both.
-    Says nothing if ``quiet``.
-
-    It never fails: a terminal that has gone must not end the work.
-    """
+    """One line a step; on a terminal a bar, else a line now and then. It never fails."""
 
     def __init__(
         self, quiet: bool = False, stream: TextIO | None = None, now: Callable[[], float] = now_s
@@ -82,7 +78,7 @@ class Progress:
             self._print(CLEAR)
 
     def _rest(self, part: float) -> str:
-        """How long the step still takes, if it goes on as it went; "" while that is a guess."""
+        """ "" while it is a guess."""
         passed_s = self._now() - self._began_s
         if passed_s < SOONEST_S or not 0.0 < part < 1.0:
             return ""

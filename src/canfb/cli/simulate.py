@@ -151,7 +151,7 @@ def _layout(options: argparse.Namespace) -> RecordingLayout:
 
 
 def check_record(name: str) -> Path:
-    """The file of ``--record``. ConfigError where it cannot be, before anything is recorded."""
+    """The file of ``--record``. ConfigError."""
     path = Path(name)
     if path.suffix not in WRITERS:
         raise ConfigError(f"--record {name}: the name must end with {' or '.join(WRITERS)}")
@@ -163,7 +163,7 @@ def check_record(name: str) -> Path:
 
 
 def write_record(path: Path, recorder: SampleRecorder, rate_hz: float) -> None:
-    """Write what was recorded, at ``rate_hz`` samples per second. CanfbError if the file fails."""
+    """Write what was recorded. CanfbError."""
     samples = TrackSamples.of(*recorder.tracks(), rate_hz, "canfb simulate --record")
     try:
         WRITERS[path.suffix](path, samples)

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 
 
 class _Subjects(argparse.Action):
-    """Node-IDs and files in any order: ``nodes``, ``module`` (the first of them), ``config``.
-
-    ``most`` nodes and one file are taken; ``file`` is what it is, the configuration unless named.
-    """
+    """Node-IDs and files in any order: ``nodes``, at most ``most``; ``module``, the first; one ``file``."""
 
     def __init__(self, *words: Any, most: int | None = None, file: str = "config", **more: Any) -> None:
         super().__init__(*words, **more)
@@ -49,10 +46,7 @@ def nodes(
     file: str = "config",
     name: str = "NODE",
 ) -> Row:
-    """NODE and a file in any order, and ``--config``: ``nodes``, ``module`` and ``config``.
-
-    ``kind`` of an argument, :func:`node_or_yaml` unless given; ``file``, called ``name``: what the file is.
-    """
+    """NODE and a file in any order, and ``--config``: ``nodes``, ``module`` and ``file``, called ``name``."""
     words: dict[str, Any] = {"nargs": "+" if least else "*", "type": kind or node_or_yaml, "help": text}
 
     def add(parser: Any) -> None:
@@ -150,7 +144,7 @@ UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "%": 0.01}
 
 
 class Jitter(NamedTuple):
-    """A jitter, ±, in seconds; or as a part of the period of the SYNC."""
+    """±, seconds; or as a part of the period of the SYNC."""
 
     value: float
     is_part: bool
@@ -165,7 +159,7 @@ def jitter(text: str) -> Jitter:
 
 
 def jitter_s(options: argparse.Namespace, rate_hz: float | None) -> float:
-    """``--jitter`` in seconds, with a SYNC at this rate. ConfigError for a part of a period not known."""
+    """``--jitter`` in seconds. ConfigError for a part of a period not known."""
     if options.jitter.is_part and rate_hz is None:
         raise ConfigError("--jitter: a part of which period? give --rate, or a time")
     return float(options.jitter.value / (rate_hz or 1.0) if options.jitter.is_part else options.jitter.value)

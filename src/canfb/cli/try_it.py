@@ -86,7 +86,6 @@ def try_it(options: argparse.Namespace) -> int:
 
 
 def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> None:
-    """Say what there is; then the page, or nothing more, until a signal."""
     if options.no_page:
         with Readiness(options.ready_file) as readiness, ending_on_signals(network.stop):
             readiness.ready()
@@ -105,7 +104,6 @@ def _serve(options: argparse.Namespace, network: NetworkOnBus, path: Path) -> No
 
 
 def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | None) -> None:
-    """The address of the page, the bus, and what to type next."""
     (module,) = network.config.modules
     group = str(network.words["channel"])
     bus = f"-i {network.words['interface']} -c {group}"

@@ -26,7 +26,7 @@ def register(commands: Commands) -> None:
 
 
 def use(options: argparse.Namespace) -> int:
-    """Remember the bus of the options; without any, show which one is remembered."""
+    """Remember the bus of the options; without any, show it."""
     words = given_bus(options)
     if options.forget:
         default_bus_file().unlink(missing_ok=True)

@@ -67,7 +67,7 @@ def _word(text: str) -> int:
 
 
 def diagnose(options: argparse.Namespace) -> int:
-    """Write what can be found out; what cannot is in the file with its reason. Nothing on the bus changes."""
+    """Write what can be found out; what cannot stands in the file with its reason."""
     from canfb.hosting import (
         self_diagnosis as facts,
     )  # here: `why` needs nothing of a process that serves nodes
@@ -117,7 +117,6 @@ def _configured(config: Config) -> list[int]:
 
 
 def _say(path: Path, parts: dict[str, Any]) -> None:
-    """CommissioningError if something that was asked for is not in the file."""
     missing = [parts["configuration_error"]] if "configuration_error" in parts else []
     missing += [parts["bus"]["error"]] if "error" in parts["bus"] else []
     for node in parts.get("nodes", []):

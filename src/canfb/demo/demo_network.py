@@ -81,16 +81,15 @@ class FaultySource(MotionSource):
 
 
 def demo_motion() -> Motion:
-    """Standstill, a ramp to 2000 rpm within what eq. 10 allows at 1 kHz, then speed that wanders by 3 %."""
+    """A ramp to 2000 rpm within eq. 10 at 1 kHz, then speed that wanders by 3 %."""
     ramps = (Ramp(0.5, 0.0), Ramp(1.5, DRIVE_RPM))
     return Motion(ramps, (Ripple(0.02 * DRIVE_RPM, 0.31), Ripple(0.01 * DRIVE_RPM, 1.7)))
 
 
 class DemoNetwork:
-    """The network, powered on but not yet started.
+    """The network, powered on but not yet started, in the time of a real bus.
 
-    Its time is that of a real bus: frames take time and wait for each other and for those of other nodes,
-    the SYNC jitters, no two clocks agree, and the encoder is sampled when the interface receives the SYNC.
+    Frames take time and wait for each other, the SYNC jitters, and no two clocks agree.
     """
 
     def __init__(self, encoder: Encoder | None = None, seed: int = 1) -> None:
@@ -122,10 +121,9 @@ class DemoNetwork:
             self.bus.run_until(due - BEFORE_SYNC_S)
 
     def errors_cycles(self, first: int, last: int) -> FloatArray:
-        """Position of the drive minus the truth, in cycles, for the samples first..last-1.
+        """Position of the drive minus the truth, cycles, for the samples first..last-1.
 
-        Each position PDO belongs to the sample of the same SYNC, or, flagged, to the one
-        before that was lost.
+        A position belongs to the sample of its SYNC or, flagged, to the one before a lost one.
         """
         consumed = self.drive.consumed
         number = np.array(consumed.sync_number) - 1

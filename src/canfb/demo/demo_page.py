@@ -33,7 +33,7 @@ ERROR_HEADS = "position error, % of a cycle", "before the table", "with the tabl
 
 
 def account(story: Story) -> str:
-    """A short readable account, one line a fact. ValueError if the demo has not run yet."""
+    """One line a fact. ValueError if the demo has not run yet."""
     lines = [
         TITLE,
         "",
@@ -157,7 +157,7 @@ FIRST_NAME, NAMES_APART = 0.75, 0.06  # heights of the names of the faults, abov
 
 
 def tracks(network: DemoNetwork, story: Story) -> Plot:
-    """The last samples, and what the provoked faults made of theirs."""
+    """The last samples, and those of the provoked faults."""
     recorded = np.transpose(network.recorder.tracks())
     shown = recorded[np.isfinite(recorded[:, 0])][-SHOWN_SAMPLES:]
     plot = square_plot(
@@ -178,12 +178,12 @@ def tracks(network: DemoNetwork, story: Story) -> Plot:
 
 
 def error_before(story: Story) -> Plot:
-    """Position error of each sample over the phase, without a table."""
+    """Position error over the phase, without a table."""
     return _error(story.phase_before, story.error_before, "before", "without a table")
 
 
 def error_after(story: Story) -> Plot:
-    """Position error of each sample over the phase, with the table, on a scale of its own."""
+    """Position error over the phase, with the table."""
     return _error(story.phase_after, story.error_after, "after", "with the table")
 
 
@@ -200,7 +200,7 @@ def _error(phase: FloatArray, error: FloatArray, style: str, which: str) -> Plot
 
 
 def residual(story: Story) -> Plot:
-    """The residual of each position PDO while faults are provoked, and the limit."""
+    """While faults are provoked, with the limit."""
     plot = Plot(
         "Residual while faults are provoked at 2000 rpm",
         (0.0, float(FAULT_SAMPLES)),
@@ -220,7 +220,7 @@ def residual(story: Story) -> Plot:
 
 
 def servo(story: Story) -> Plot:
-    """The residuals of the servo's move: two samples for each SYNC, and what eq. 9 makes of it."""
+    """Residuals of the servo's move with four samples for each SYNC, and with one."""
     plot = Plot(
         "Residual of each sample in a move of a servo from 0 to 3000 rpm in 50 ms",
         MOVE_SHOWN_MS,
@@ -252,7 +252,7 @@ BEFORE, AFTER = "Position error before the table", "Position error with the tabl
 
 
 def prepare(folder: Path) -> None:
-    """Make ``folder``. CanfbError if it cannot be made: before the work starts."""
+    """Make ``folder``. CanfbError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

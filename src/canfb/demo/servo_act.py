@@ -94,7 +94,7 @@ class ServoRun:
 
 
 def servo_move(encoder: Encoder, correction: Correction, seed: int) -> list[ServoRun]:
-    """The move with each of :data:`WAYS`, on a bus whose SYNC jitters; with the table of ``correction``."""
+    """The move with each of :data:`WAYS`, with the table of ``correction``."""
     return [_run(encoder, correction, seed, ServoRun(way)) for way in WAYS]
 
 

@@ -80,7 +80,7 @@ class Story:
 
 
 def _start_network(network: DemoNetwork, story: Story) -> None:
-    """As a master does: link the PDOs by SDO, set the scaling, start the nodes, start the SYNC."""
+    """As a master does."""
     sdo, interface_sdo = network.master.sdo, network.interface_master.sdo
     adc_cob_id = interface_sdo[0x1800][1].raw & 0x7FF
     sdo[0x1400][1].raw = INVALID | adc_cob_id
@@ -154,16 +154,12 @@ def _provoke_faults(network: DemoNetwork, story: Story) -> None:
 
 
 def _error(network: DemoNetwork, first: int, last: int) -> tuple[FloatArray, FloatArray]:
-    """Position error about its mean, and the true phase, of the samples first..last-1.
-
-    The mean is where the encoder's zero is, not an error of the position.
-    """
+    """Position error about its mean, where the zero of the encoder is, and the true phase."""
     error = network.errors_cycles(first, last)
     return error - error.mean(), np.mod(np.array(network.source.truth_cycles[first:last]), 1.0)
 
 
 def _finish(network: DemoNetwork, story: Story) -> None:
-    """Counts over the whole run, the load of the bus, the verdict."""
     story.samples = len(network.source.truth_cycles)
     error = network.errors_cycles(0, story.samples)
     valid = np.array(network.drive.consumed.status) & VALID != 0
@@ -186,7 +182,6 @@ def _finish(network: DemoNetwork, story: Story) -> None:
 
 
 def _move_servo(network: DemoNetwork, story: Story) -> None:
-    """A second network, and a move that is limited in jerk; with the table of this one."""
     story.servo = servo_move(network.encoder, network.module.chain.correction, network.seed)
     two_samples = story.servo[0]
     story.checks |= {
