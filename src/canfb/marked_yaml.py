@@ -19,7 +19,7 @@ _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
 
 
 class YamlError(ValueError):
-    """What is wrong with a YAML text, and in which line."""
+    """What is wrong with a YAML text, and where."""
 
     def __init__(self, line: int, said: str) -> None:
         super().__init__(f"line {line}: {said[:LONGEST]}")

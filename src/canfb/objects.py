@@ -25,6 +25,11 @@ class Multiplexer(NamedTuple):
         return self.object_index << 16 | self.subindex << 8 | bits
 
 
+def record(index: int, count: int, first: int = 1) -> tuple[Multiplexer, ...]:
+    """Sub-indices of a record, in the order of the EDS."""
+    return tuple(Multiplexer(index, subindex) for subindex in range(first, first + count))
+
+
 def place_text(place: tuple[int, int]) -> str:
     """2010:01."""
     return f"{place[0]:04X}:{place[1]:02X}"
@@ -35,16 +40,13 @@ DEVICE_TYPE: Final = Multiplexer(0x1000)
 SYNC_COB_ID: Final = Multiplexer(0x1005)
 CYCLE_PERIOD: Final = Multiplexer(0x1006)
 EMCY_COB_ID: Final = Multiplexer(0x1014)
-IDENTITY_VENDOR_ID: Final = Multiplexer(0x1018, 1)
-IDENTITY_PRODUCT_CODE: Final = Multiplexer(0x1018, 2)
-IDENTITY_REVISION_NUMBER: Final = Multiplexer(0x1018, 3)
-IDENTITY_SERIAL_NUMBER: Final = Multiplexer(0x1018, 4)
-IDENTITY: Final = (
+(
     IDENTITY_VENDOR_ID,
     IDENTITY_PRODUCT_CODE,
     IDENTITY_REVISION_NUMBER,
     IDENTITY_SERIAL_NUMBER,
-)
+) = record(0x1018, 4)
+IDENTITY: Final = record(0x1018, 4)
 STORE_ALL_PARAMETERS: Final = Multiplexer(0x1010, 1)
 STORE_MANUFACTURER_PARAMETERS: Final = Multiplexer(0x1010, 4)
 
@@ -55,13 +57,15 @@ TPDO: Final = 0x1800
 TPDO_MAPPING: Final = 0x1A00
 
 # 2000h: a sample as the RPDOs bring it to the module.
-SAMPLE_SINE: Final = Multiplexer(0x2000, 1)
-SAMPLE_COSINE: Final = Multiplexer(0x2000, 2)
-SAMPLE_COARSE_SINE: Final = Multiplexer(0x2000, 3)
-SAMPLE_COARSE_COSINE: Final = Multiplexer(0x2000, 4)
-SAMPLE_TIME: Final = Multiplexer(0x2000, 5)
-SAMPLE_FLAGS: Final = Multiplexer(0x2000, 6)
-SAMPLE_ZERO_PULSE_PLACE: Final = Multiplexer(0x2000, 7)
+(
+    SAMPLE_SINE,
+    SAMPLE_COSINE,
+    SAMPLE_COARSE_SINE,
+    SAMPLE_COARSE_COSINE,
+    SAMPLE_TIME,
+    SAMPLE_FLAGS,
+    SAMPLE_ZERO_PULSE_PLACE,
+) = record(0x2000, 7)
 SAMPLE_EARLIER: Final = tuple(
     (Multiplexer(0x2000, first), Multiplexer(0x2000, first + 1)) for first in (8, 10, 12, 15, 17, 19, 21)
 )
@@ -70,7 +74,7 @@ SAMPLE_SECOND_POSITION: Final = Multiplexer(0x2000, 14)
 
 
 def samples_per_sync(mapped: Sequence[Collection[int]]) -> int:
-    """Pairs of sine and cosine for each SYNC, 1..8, by the entries that each RPDO maps.
+    """Pairs of sine and cosine for each SYNC, 1..8, by what each RPDO maps.
 
     They count up to the first that no RPDO brings, as the module counts them.
     """
@@ -80,23 +84,27 @@ def samples_per_sync(mapped: Sequence[Collection[int]]) -> int:
 
 
 # 6401h and 2000h of the encoder interface: the same, as its TPDOs send it.
-INTERFACE_SINE: Final = Multiplexer(0x6401, 1)
-INTERFACE_COSINE: Final = Multiplexer(0x6401, 2)
-INTERFACE_COARSE_SINE: Final = Multiplexer(0x6401, 3)
-INTERFACE_COARSE_COSINE: Final = Multiplexer(0x6401, 4)
+(
+    INTERFACE_SINE,
+    INTERFACE_COSINE,
+    INTERFACE_COARSE_SINE,
+    INTERFACE_COARSE_COSINE,
+) = record(0x6401, 4)
 INTERFACE_EARLIER: Final = tuple(
     (Multiplexer(0x6401, 5 + 2 * j), Multiplexer(0x6401, 6 + 2 * j)) for j in range(7)
 )
-INTERFACE_SAMPLE_TIME: Final = Multiplexer(0x2000, 1)
-INTERFACE_FLAGS: Final = Multiplexer(0x2000, 2)
-INTERFACE_ZERO_PULSE_PLACE: Final = Multiplexer(0x2000, 3)
+(
+    INTERFACE_SAMPLE_TIME,
+    INTERFACE_FLAGS,
+    INTERFACE_ZERO_PULSE_PLACE,
+) = record(0x2000, 3)
 
 
 INTERFACE_MACHINE: Final = Multiplexer(0x2060)
 
 
 class MachineCommand(IntEnum):
-    """What can be written to 2060h of a simulated encoder interface."""
+    """2060h of a simulated encoder interface."""
 
     STOP = 0
     START = 1
@@ -109,33 +117,33 @@ class SampleFlag(IntFlag):
     INVALID = 1 << 1
 
 
-ENCODER_CYCLES_PER_REVOLUTION: Final = Multiplexer(0x2001, 1)
-ENCODER_FULL_SCALE: Final = Multiplexer(0x2001, 2)
-ENCODER_LOWEST_AMPLITUDE: Final = Multiplexer(0x2001, 3)
-ENCODER_HIGHEST_AMPLITUDE: Final = Multiplexer(0x2001, 4)
-ENCODER_CORNER_FREQUENCY: Final = Multiplexer(0x2001, 5)
-ENCODER_COSINE_CORNER_FREQUENCY: Final = Multiplexer(0x2001, 6)
+(
+    ENCODER_CYCLES_PER_REVOLUTION,
+    ENCODER_FULL_SCALE,
+    ENCODER_LOWEST_AMPLITUDE,
+    ENCODER_HIGHEST_AMPLITUDE,
+    ENCODER_CORNER_FREQUENCY,
+    ENCODER_COSINE_CORNER_FREQUENCY,
+) = record(0x2001, 6)
 
-CONDITIONING: Final = tuple(
-    Multiplexer(index, subindex)
-    for index, most in ((0x2002, 7), (0x2005, 14))
-    for subindex in range(1, most + 1)
-)
+CONDITIONING: Final = record(0x2002, 7) + record(0x2005, 14)
 """2002:01..07 and 2005:01..0E, in the order of the fields of :class:`canfb.Conditioning`."""
 
-ADAPTATION: Final = Multiplexer(0x2002, 8)
-ADAPTATION_OFFSET_LIMIT: Final = Multiplexer(0x2002, 9)
-ADAPTATION_GAIN_LIMIT: Final = Multiplexer(0x2002, 10)
-ADAPTATION_PHASE_LIMIT: Final = Multiplexer(0x2002, 11)
-ADAPTATION_RATE_LIMIT: Final = Multiplexer(0x2002, 12)
-ADAPTATION_STATE: Final = Multiplexer(0x2002, 13)
-ADAPTATION_USED: Final = Multiplexer(0x2002, 14)
-DRIFT: Final = tuple(Multiplexer(0x2002, subindex) for subindex in range(15, 19))
+(
+    ADAPTATION,
+    ADAPTATION_OFFSET_LIMIT,
+    ADAPTATION_GAIN_LIMIT,
+    ADAPTATION_PHASE_LIMIT,
+    ADAPTATION_RATE_LIMIT,
+    ADAPTATION_STATE,
+    ADAPTATION_USED,
+) = record(0x2002, 7, 8)
+DRIFT: Final = record(0x2002, 4, 15)
 """2002:0F..12, in the order of the fields of :class:`canfb.signal.adaptation.FollowedDrift`."""
 
 
 class AdaptationState(IntEnum):
-    """What 2002:0D says."""
+    """2002:0D."""
 
     OFF = 0
     WAITING = 1
@@ -143,39 +151,47 @@ class AdaptationState(IntEnum):
     AT_LIMIT = 3
 
 
-SCALE_SPEED_MULTIPLIER: Final = Multiplexer(0x2003, 1)
-SCALE_SPEED_DIVISOR: Final = Multiplexer(0x2003, 2)
-SCALE_ACCELERATION_MULTIPLIER: Final = Multiplexer(0x2003, 3)
-SCALE_ACCELERATION_DIVISOR: Final = Multiplexer(0x2003, 4)
+(
+    SCALE_SPEED_MULTIPLIER,
+    SCALE_SPEED_DIVISOR,
+    SCALE_ACCELERATION_MULTIPLIER,
+    SCALE_ACCELERATION_DIVISOR,
+) = record(0x2003, 4)
 
-WARNINGS_BY_EMCY: Final = Multiplexer(0x2004, 1)
-WARNING_OVER_TIME: Final = Multiplexer(0x2004, 2)
+(
+    WARNINGS_BY_EMCY,
+    WARNING_OVER_TIME,
+) = record(0x2004, 2)
 
-SUPERVISION_RESIDUAL_LIMIT: Final = Multiplexer(0x2010, 1)
-SUPERVISION_ACCELERATION: Final = Multiplexer(0x2010, 2)
-SUPERVISION_COAST: Final = Multiplexer(0x2010, 3)
-SUPERVISION_FROZEN: Final = Multiplexer(0x2010, 4)
-SUPERVISION_COARSE_LIMIT: Final = Multiplexer(0x2010, 5)
-SUPERVISION_PERIODS: Final = Multiplexer(0x2010, 6)
-SUPERVISION_ORDER: Final = Multiplexer(0x2010, 7)
-SUPERVISION_JERK: Final = Multiplexer(0x2010, 8)
-SUPERVISION_NOISE_MARGIN: Final = Multiplexer(0x2010, 9)
-SUPERVISION_BAD_SAMPLES: Final = Multiplexer(0x2010, 10)
-SUPERVISION_DOUBT_ACCELERATION: Final = Multiplexer(0x2010, 11)
-SUPERVISION_PHASE_ERROR: Final = Multiplexer(0x2010, 12)
-SUPERVISION_SYNC_JITTER: Final = Multiplexer(0x2010, 13)
+(
+    SUPERVISION_RESIDUAL_LIMIT,
+    SUPERVISION_ACCELERATION,
+    SUPERVISION_COAST,
+    SUPERVISION_FROZEN,
+    SUPERVISION_COARSE_LIMIT,
+    SUPERVISION_PERIODS,
+    SUPERVISION_ORDER,
+    SUPERVISION_JERK,
+    SUPERVISION_NOISE_MARGIN,
+    SUPERVISION_BAD_SAMPLES,
+    SUPERVISION_DOUBT_ACCELERATION,
+    SUPERVISION_PHASE_ERROR,
+    SUPERVISION_SYNC_JITTER,
+) = record(0x2010, 13)
 
-FEEDBACK_STATUS: Final = Multiplexer(0x2011, 1)
-FEEDBACK_RESIDUAL: Final = Multiplexer(0x2011, 2)
-FEEDBACK_PHASE: Final = Multiplexer(0x2011, 3)
-FEEDBACK_CYCLE_COUNT: Final = Multiplexer(0x2011, 4)
-FEEDBACK_AMPLITUDE: Final = Multiplexer(0x2011, 5)
-FEEDBACK_RAW_PHASE: Final = Multiplexer(0x2011, 6)
-FEEDBACK_VELOCITY: Final = Multiplexer(0x2011, 7)
-FEEDBACK_SAMPLES: Final = Multiplexer(0x2011, 8)
-FEEDBACK_ACCELERATION: Final = Multiplexer(0x2011, 9)
-FEEDBACK_JUMP: Final = Multiplexer(0x2011, 10)
-FEEDBACK_NOISE: Final = Multiplexer(0x2011, 11)
+(
+    FEEDBACK_STATUS,
+    FEEDBACK_RESIDUAL,
+    FEEDBACK_PHASE,
+    FEEDBACK_CYCLE_COUNT,
+    FEEDBACK_AMPLITUDE,
+    FEEDBACK_RAW_PHASE,
+    FEEDBACK_VELOCITY,
+    FEEDBACK_SAMPLES,
+    FEEDBACK_ACCELERATION,
+    FEEDBACK_JUMP,
+    FEEDBACK_NOISE,
+) = record(0x2011, 11)
 
 
 class StatusBit(IntFlag):
@@ -267,68 +283,80 @@ EMERGENCY_TEXTS: Final = {int(code): code.text for code in EncoderEmergency}
 """What the emergency error codes of the module mean, beyond those of CiA 301."""
 
 
-COUNTER_MISSED: Final = Multiplexer(0x2012, 1)
-COUNTER_RESIDUAL: Final = Multiplexer(0x2012, 2)
-COUNTER_AMPLITUDE: Final = Multiplexer(0x2012, 3)
-COUNTER_COASTED: Final = Multiplexer(0x2012, 4)
-COUNTER_LOST: Final = Multiplexer(0x2012, 5)
-COUNTER_RECOVERED: Final = Multiplexer(0x2012, 6)
-COUNTER_ZERO_PULSES: Final = Multiplexer(0x2012, 7)
-COUNTER_BAD_FRAMES: Final = Multiplexer(0x2012, 8)
-COUNTER_CLIPPED: Final = Multiplexer(0x2012, 9)
-COUNTER_FROZEN: Final = Multiplexer(0x2012, 10)
-COUNTER_COARSE_DISAGREEMENTS: Final = Multiplexer(0x2012, 11)
-COUNTER_SET_RIGHT: Final = Multiplexer(0x2012, 12)
-COUNTER_DUPLICATE_SYNCS: Final = Multiplexer(0x2012, 13)
-COUNTER_SYNCS_NOT_HEARD: Final = Multiplexer(0x2012, 14)
-COUNTER_SECOND_DISAGREEMENTS: Final = Multiplexer(0x2012, 15)
-COUNTER_LOSS_CAUSE: Final = Multiplexer(0x2012, 16)
-COUNTER_LOSS_AGE: Final = Multiplexer(0x2012, 17)
-COUNTER_LOSS_BAD: Final = Multiplexer(0x2012, 18)
-COUNTER_LOSS_RESIDUAL: Final = Multiplexer(0x2012, 19)
-COUNTER_LOSS_LIMIT: Final = Multiplexer(0x2012, 20)
-COUNTER_LOSS_SPEED: Final = Multiplexer(0x2012, 21)
-COUNTER_LOSS_FAULTS: Final = Multiplexer(0x2012, 22)
+(
+    COUNTER_MISSED,
+    COUNTER_RESIDUAL,
+    COUNTER_AMPLITUDE,
+    COUNTER_COASTED,
+    COUNTER_LOST,
+    COUNTER_RECOVERED,
+    COUNTER_ZERO_PULSES,
+    COUNTER_BAD_FRAMES,
+    COUNTER_CLIPPED,
+    COUNTER_FROZEN,
+    COUNTER_COARSE_DISAGREEMENTS,
+    COUNTER_SET_RIGHT,
+    COUNTER_DUPLICATE_SYNCS,
+    COUNTER_SYNCS_NOT_HEARD,
+    COUNTER_SECOND_DISAGREEMENTS,
+    COUNTER_LOSS_CAUSE,
+    COUNTER_LOSS_AGE,
+    COUNTER_LOSS_BAD,
+    COUNTER_LOSS_RESIDUAL,
+    COUNTER_LOSS_LIMIT,
+    COUNTER_LOSS_SPEED,
+    COUNTER_LOSS_FAULTS,
+) = record(0x2012, 22)
 
-PREDICTION_POSITION: Final = Multiplexer(0x2013, 1)
-PREDICTION_NOMINAL_SYNC: Final = Multiplexer(0x2013, 2)
+(
+    PREDICTION_POSITION,
+    PREDICTION_NOMINAL_SYNC,
+) = record(0x2013, 2)
 
-SECOND_INCREMENTS: Final = Multiplexer(0x2014, 1)
-SECOND_REVOLUTIONS: Final = Multiplexer(0x2014, 2)
-SECOND_REVERSED: Final = Multiplexer(0x2014, 3)
-SECOND_TOLERANCE: Final = Multiplexer(0x2014, 4)
-SECOND_INVALIDATES: Final = Multiplexer(0x2014, 5)
-SECOND_DIFFERENCE: Final = Multiplexer(0x2014, 6)
+(
+    SECOND_INCREMENTS,
+    SECOND_REVOLUTIONS,
+    SECOND_REVERSED,
+    SECOND_TOLERANCE,
+    SECOND_INVALIDATES,
+    SECOND_DIFFERENCE,
+) = record(0x2014, 6)
 
-TABLE_STAGED: Final = Multiplexer(0x2020, 1)
-TABLE_STAGED_CRC: Final = Multiplexer(0x2020, 2)
-TABLE_ACTIVATE: Final = Multiplexer(0x2020, 3)
-TABLE_ACTIVE_CRC: Final = Multiplexer(0x2020, 4)
-TABLE_ACTIVE_ENTRIES: Final = Multiplexer(0x2020, 5)
-TABLE_SAVED_CRC: Final = Multiplexer(0x2020, 6)
-TABLE_ACTIVE_CONDITIONING: Final = Multiplexer(0x2020, 7)
+(
+    TABLE_STAGED,
+    TABLE_STAGED_CRC,
+    TABLE_ACTIVATE,
+    TABLE_ACTIVE_CRC,
+    TABLE_ACTIVE_ENTRIES,
+    TABLE_SAVED_CRC,
+    TABLE_ACTIVE_CONDITIONING,
+) = record(0x2020, 7)
 """The values of :data:`CONDITIONING` in force, REAL32 each; 2002h and 2005h: those of the next activation."""
 
-MEASUREMENT_COMMAND: Final = Multiplexer(0x2030, 1)
-MEASUREMENT_STATE: Final = Multiplexer(0x2030, 2)
-MEASUREMENT_PROGRESS: Final = Multiplexer(0x2030, 3)
-MEASUREMENT_COVERAGE: Final = Multiplexer(0x2030, 4)
-MEASUREMENT_RESIDUAL_RMS: Final = Multiplexer(0x2030, 5)
-MEASUREMENT_RESIDUAL_PEAK: Final = Multiplexer(0x2030, 6)
-MEASUREMENT_REASON: Final = Multiplexer(0x2030, 7)
-MEASUREMENT_DRIFT_RMS: Final = Multiplexer(0x2030, 8)
-MEASUREMENT_DRIFT_PEAK: Final = Multiplexer(0x2030, 9)
-MEASUREMENT_SAMPLES: Final = Multiplexer(0x2030, 10)
+(
+    MEASUREMENT_COMMAND,
+    MEASUREMENT_STATE,
+    MEASUREMENT_PROGRESS,
+    MEASUREMENT_COVERAGE,
+    MEASUREMENT_RESIDUAL_RMS,
+    MEASUREMENT_RESIDUAL_PEAK,
+    MEASUREMENT_REASON,
+    MEASUREMENT_DRIFT_RMS,
+    MEASUREMENT_DRIFT_PEAK,
+    MEASUREMENT_SAMPLES,
+) = record(0x2030, 10)
 
 
-WRITE_LOCK_MODE: Final = Multiplexer(0x2040, 1)
-WRITE_LOCK_UNLOCK_CODE: Final = Multiplexer(0x2040, 2)
-WRITE_LOCK_NEW_UNLOCK_CODE: Final = Multiplexer(0x2040, 3)
-WRITE_LOCK_LOCKED: Final = Multiplexer(0x2040, 4)
+(
+    WRITE_LOCK_MODE,
+    WRITE_LOCK_UNLOCK_CODE,
+    WRITE_LOCK_NEW_UNLOCK_CODE,
+    WRITE_LOCK_LOCKED,
+) = record(0x2040, 4)
 
 
 class WriteLockMode(IntEnum):
-    """What can be written to 2040:01."""
+    """2040:01."""
 
     OFF = 0
     PREOP = 1
@@ -336,7 +364,7 @@ class WriteLockMode(IntEnum):
 
 
 class MeasurementCommand(IntEnum):
-    """What can be written to 2030:01."""
+    """2030:01."""
 
     START = 1
     STOP = 2
@@ -346,7 +374,7 @@ class MeasurementCommand(IntEnum):
 
 
 class MeasurementState(IntEnum):
-    """What 2030:02 says."""
+    """2030:02."""
 
     IDLE = 0
     RECORDING = 1
@@ -358,11 +386,13 @@ class MeasurementState(IntEnum):
 
 
 # 2050h, of the module and of the encoder interface.
-RECORDING_COMMAND: Final = Multiplexer(0x2050, 1)
-RECORDING_RECORDED: Final = Multiplexer(0x2050, 2)
-RECORDING_SAMPLES: Final = Multiplexer(0x2050, 3)
-RECORDING_RATE: Final = Multiplexer(0x2050, 4)
-RECORDING_CAPACITY: Final = Multiplexer(0x2050, 5)
+(
+    RECORDING_COMMAND,
+    RECORDING_RECORDED,
+    RECORDING_SAMPLES,
+    RECORDING_RATE,
+    RECORDING_CAPACITY,
+) = record(0x2050, 5)
 
 MISSED_COUNTS: Final = -32768
 """Sine and cosine in 2050:03 where a sample is missing. As a sample it would be clipped on both tracks, and
@@ -370,7 +400,7 @@ so nothing that could be used is mistaken for it."""
 
 
 class RecordingCommand(IntEnum):
-    """What can be written to 2050:01; it reads 1 while samples are taken, else 0."""
+    """2050:01; it reads 1 while samples are taken, else 0."""
 
     START = 1
     STOP = 2
