@@ -11,13 +11,15 @@ the unit in the key, are for programs::
     page.table    HTML
 
 A row whose words are None is for programs alone: a value that is not known is null there, and not printed.
-So the three outputs have the same facts, and a fact that is added is added to all of them.
+So the three outputs have the same facts, and a fact that is added is added to all of them. :class:`Findings`
+are all rows of a command, by subject, with what is said of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 NAME_WIDTH = 24  # of the names of most commands, characters
@@ -60,12 +62,60 @@ def as_lines(rows: Iterable[Row], width: int = NAME_WIDTH) -> list[str]:
 def as_columns(rows: Iterable[Row], heads: Sequence[str], least: Sequence[int] = ()) -> list[str]:
     """Names and words side by side, two spaces apart, below ``heads``; the first head is that of the names.
 
-    Words beyond the heads are left out. ``least`` are the smallest widths of the columns.
+    Words beyond the heads stand on a line of their own. ``least`` are the smallest widths of the columns.
     """
-    cells = [tuple(heads), *((row.name, *row.words)[: len(heads)] for row in rows if row.words)]
+    shown = [(row.name, *row.words) for row in rows if row.words]
+    cells = [tuple(heads), *(one[: len(heads)] for one in shown)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     widths = [max(width, *least[n : n + 1], 0) for n, width in enumerate(widths)]
-    return [
-        "  ".join(f"{cell:{width}}" for cell, width in zip(line, widths, strict=True)).rstrip()
-        for line in cells
-    ]
+    lines = []
+    for line, below in zip(cells, [(), *(one[len(heads) :] for one in shown)], strict=True):
+        padded = "  ".join(f"{cell:{width}}" for cell, width in zip(line, widths, strict=True))
+        lines += [padded.rstrip(), *(f"    {word}" for word in below)]
+    return lines
+
+
+@dataclass(frozen=True)
+class Section:
+    """The rows of one subject.
+
+    heads    of their words, if there are several
+    beside   so many of these stand side by side in a terminal, the others below; None: all of them
+    key      of a list with the figures of each row; "": they are among those of all
+    """
+
+    title: str
+    rows: Sequence[Row]
+    heads: tuple[str, ...] = ()
+    beside: int | None = None
+    key: str = ""
+
+    def lines(self) -> list[str]:
+        """For the terminal."""
+        if not self.heads:
+            return as_lines(self.rows)
+        return as_columns(self.rows, ("", *self.heads[: self.beside]), (NAME_WIDTH - 2,))
+
+    def figures(self) -> list[Row]:
+        """For programs."""
+        return [Row(**{self.key: [row.figures for row in self.rows]})] if self.key else list(self.rows)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a command found: ``said`` are sentences, ``figures`` are for programs alone."""
+
+    sections: Sequence[Section]
+    said: Sequence[str]
+    figures: Sequence[Row]
+
+    def to_json(self) -> dict[str, Any]:
+        """All figures."""
+        return as_figures(self.figures, *(section.figures() for section in self.sections))
+
+    def result(self, paths: Iterable[Path] = ()) -> Result:
+        """For the terminal and for programs; ``paths`` are the files that were written."""
+        lines = [line for section in self.sections for line in (*section.lines(), "")]
+        files = [str(path) for path in paths]
+        written = [f"written  {path}" for path in files]
+        return Result(self.to_json() | {"files": files}, [*lines, *self.said, *written])

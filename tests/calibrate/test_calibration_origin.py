@@ -13,8 +13,7 @@ import yaml
 from test_calibrate_on_a_bus import calibrate
 
 from canfb.calibrate.artefacts import refusal_html, report_html, write
-from canfb.calibrate.calibration_summary import bound_words, facts
-from canfb.calibrate.calibration_summary import figures as figures_of
+from canfb.calibrate.calibration_summary import bound_words, facts, findings
 from canfb.calibrate.measurement import Measurement
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.deviation import Deviation
@@ -46,7 +45,7 @@ def test_the_report_says_when_with_what_and_how(measured: Measurement, tmp_path:
         assert "canfb calibrate -c can0 --encoder &#x27;X &amp; Y&#x27;" in page
         assert "32 (20h); vendor 0, product 1, revision 65536, serial number 4711 (1018h)" in page
         assert "16 (10h); vendor 0, product 2 (1018h)" in page
-    figures = figures_of(measured, Installation(), WHERE)
+    figures = findings(measured, Installation(), WHERE).to_json()
     assert (figures["time"], figures["canfb"], figures["module_identity"]) == (
         "14:03:22+01:00",
         "1.2.3",
@@ -87,7 +86,7 @@ def test_a_spike_of_the_coverage_is_said(measured: Measurement) -> None:
     assert re.search(r"; spiky: \d\.\d times the mean at phase 0\.30, another speed is better$", words)
     page = report_html(bad, Installation(), WHERE)
     assert "every phase must be covered; spiky: " in page
-    assert figures_of(bad, Installation(), WHERE)["coverage_spike"] == pytest.approx(5.0, rel=0.2)
+    assert findings(bad, Installation(), WHERE).to_json()["coverage_spike"] == pytest.approx(5.0, rel=0.2)
     assert "spiky" not in report_html(measured, Installation(), WHERE)
 
 

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from canfb.calibrate.calibration_summary import comparison, coverage_warning, facts, outcome, verdict
-from canfb.calibrate.calibration_summary import figures as figures_of
+from canfb.calibrate.calibration_summary import coverage_warning, findings
 from canfb.calibrate.measurement import Measurement, SpeedMeasurement
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.motion_blocks import BINS, samples_in_bins
@@ -19,7 +18,7 @@ from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import Provenance, origins
 from canfb.master.samples import TrackSamples, write_npz
 from canfb.report import pictures
-from canfb.report.page import beside, figure, gallery, page, table
+from canfb.report.page import beside, figure, gallery, page, section, sentence, table
 from canfb.report.pictures import is_dense, lissajous
 from canfb.rows import Row
 from canfb.sdo.table_file import as_yaml
@@ -82,7 +81,7 @@ def write(
     limits: SampleLimits | None = None,
 ) -> list[Path]:
     """Write everything; the paths. CommissioningError if that does not work."""
-    figures = figures_of(measured, done, where)
+    figures = findings(measured, done, where).to_json()
     meta = {key: figures[key] for key in META if figures.get(key) is not None}
     with _writing(folder):
         (folder / TABLE_YAML).write_text(as_yaml(measured.found, meta), encoding="utf-8")
@@ -133,7 +132,6 @@ FOOTER = (
     "Made by canfb calibrate. Deviation: difference of single samples from smooth motion, noise included. "
     "No table is judged by the samples from which it was calculated."
 )
-MEASUREMENT = "Measurement"
 ANGLES = " Angles (″) are those of the shaft."
 
 
@@ -141,12 +139,11 @@ def report_html(
     measured: Measurement, done: Installation, where: Provenance, limits: SampleLimits | None = None
 ) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
-    said = [verdict(measured, where), _sentence(outcome(measured, done, where))]
-    tables = table("Before and after", comparison(measured, done, where), ("before", "after"))
-    tables += table(MEASUREMENT, facts(measured, done, where))
+    found = findings(measured, done, where)
+    tables = "".join(map(section, found.sections))
     return _page(
         where,
-        said,
+        list(map(sentence, found.said)),
         beside(tables, _lissajous(measured.samples, measured.found, limits))
         + _over_speed(measured, where)
         + gallery("Pictures", _pictures(measured, done))
@@ -160,8 +157,7 @@ def refusal_html(
     """The page of a measurement that was refused: why, and what the tracks look like."""
     said = [f"Refused: {refused}.", "Nothing was written to the module."]
     rows = [Row("samples", f"{len(samples)}; {samples.origin}"), Row("missed", str(samples.missed))]
-    tables = table(MEASUREMENT, rows)
-    body = beside(tables, _lissajous(samples, NO_CORRECTION, limits)) + _origins(where)
+    body = beside(table("Measurement", rows), _lissajous(samples, NO_CORRECTION, limits)) + _origins(where)
     return _page(where, said, body, good=False)
 
 
@@ -181,10 +177,6 @@ def place_line(where: Provenance) -> str:
     if where.cycles_per_revolution is not None:
         words.append(f"{where.cycles_per_revolution} cycles per revolution")
     return " · ".join(words)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _origins(where: Provenance) -> str:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from canfb.calibrate.artefacts import keep_samples, keep_speeds, write, write_refusal
-from canfb.calibrate.calibration_summary import drift_result, module_drift_result, result
+from canfb.calibrate.calibration_summary import drift_result, findings, module_drift_result
 from canfb.calibrate.choices import MODULE, PDO, RECORDED, CalibrateOptions
 from canfb.calibrate.measurement import (
     Measurement,
@@ -87,14 +86,11 @@ class CalibrationRun:
         date: str,
         refused: Callable[[CalibrationError], None] = lambda error: None,
     ) -> None:
-        day, _, time = date.partition(" ")
-        self._where = Provenance(
-            day,
+        self._where = Provenance.of_run(
+            date,
+            choices.line,
             encoder=choices.encoder,
             cycles_per_revolution=choices.cycles_per_revolution,
-            time=time,
-            version=version("canfb"),
-            command=choices.line,
         )
         self._limits: SampleLimits | None = None
         self._choices = choices
@@ -143,14 +139,7 @@ class CalibrationRun:
         """Read both nodes."""
         self._steps.step("reading the active table")
         session = Session.open(master, module, interface)
-        self._where = replace(
-            self._where,
-            module=session.module.node_id,
-            encoder_interface=None if session.samples_itself else session.interface.node_id,
-            cycles_per_revolution=session.cycles_per_revolution,
-            identity=session.identity,
-            interface_identity=session.interface_identity,
-        )
+        self._where = session.provenance(self._where)
         self._limits = session.limits
         if not (self._choices.check or self._choices.dry_run):
             check_unlocked(session.module)
@@ -269,7 +258,7 @@ class CalibrationRun:
         """What came out; the files are written."""
         out = self._choices.out
         paths = write(out, measured, done, self._where, self._limits) if out else []
-        return result(measured, done, self._where, paths)
+        return findings(measured, done, self._where).result(paths)
 
     def _judged(self, samples: TrackSamples, act: Callable[[], Any]) -> Any:
         """What ``act`` makes of the samples; what it refuses leaves its samples and a report."""

@@ -6,8 +6,6 @@ At several speeds with the analog path and the error at each speed.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from canfb.calibrate.measurement import DriftCheck, Measurement, OverSpeeds, SpeedMeasurement
@@ -17,7 +15,7 @@ from canfb.calibration.path_fit import LowPass
 from canfb.calibration.result import Calibration
 from canfb.master.machine_watch import PERCENT, Provenance, percent, where_words
 from canfb.master.samples import TrackSamples
-from canfb.rows import NAME_WIDTH, Result, Row, as_columns, as_figures, as_lines
+from canfb.rows import Findings, Result, Row, Section, as_figures, as_lines
 from canfb.sdo.table_file import conditioning_in_words, conditioning_words, table_words
 from canfb.signal.correction import Correction
 
@@ -348,38 +346,27 @@ def _verdict_over_speeds(measured: SpeedMeasurement, where: Provenance) -> str:
     )
 
 
-def figures(measured: Measurement, done: Installation, where: Provenance) -> dict[str, Any]:
-    """For programs; cycles, counts, seconds."""
+def findings(measured: Measurement, done: Installation, where: Provenance) -> Findings:
+    """What ``canfb calibrate`` found; figures in cycles, counts, seconds."""
     calibration = measured.calibration
     judged = Row(
         accepted=calibration.accepted,
         reason=calibration.reason.value,
         verdict=calibration.verdict,
+        active=done.active,
+        saved=done.saved_as is not None,
         **where_words(where),
     )
-    state = Row(active=done.active, saved=done.saved_as is not None)
-    return as_figures([judged], comparison(measured, done, where), facts(measured, done, where), [state])
-
-
-def result(measured: Measurement, done: Installation, where: Provenance, paths: Sequence[Path]) -> Result:
-    """What ``canfb calibrate`` says; ``paths`` are the files that it has written."""
-    lines = [
-        *as_columns(comparison(measured, done, where), ("", "before", "after"), (NAME_WIDTH - 2,)),
-        "",
-        *as_lines(facts(measured, done, where)),
-        "",
-        verdict(measured, where),
-        outcome(measured, done, where),
-        *(f"written  {path}" for path in paths),
+    sections = [
+        Section("Before and after", comparison(measured, done, where), ("before", "after")),
+        Section("Measurement", facts(measured, done, where)),
     ]
-    files = {"files": [str(path) for path in paths]}
-    return Result(figures(measured, done, where) | files, lines)
+    return Findings(sections, [verdict(measured, where), outcome(measured, done, where)], [judged])
 
 
 def module_drift_result(found: ModuleDrift, active: Correction, where: Provenance) -> Result:
     """The check by the module itself; cycles."""
     rows = [
-        Row(**where_words(where)),
         *_error_rows(found.rms, found.peak, active, where),
         Row(
             "noise of a sample",
@@ -400,7 +387,6 @@ def drift_result(found: DriftCheck, where: Provenance) -> Result:
         f"amplitude, gain of the cosine {PERCENT * change.gain:+.2g} %, phase {change.phase_rad:+.2g} rad"
     )
     rows = [
-        Row(**where_words(where)),
         *_error_rows(found.rms, found.peak, found.active, where),
         Row(
             "uncertainty, peak",
@@ -423,6 +409,7 @@ def drift_result(found: DriftCheck, where: Provenance) -> Result:
 
 def _error_rows(rms: float, peak: float, active: Correction, where: Provenance) -> list[Row]:
     return [
+        Row(**where_words(where)),
         Row("active table", table_words(active), crc32=f"{active.crc32:08X}"),
         Row("its error now, rms", f"{percent(rms, where)} of a cycle", drift_rms_cycles=rms),
         Row("its error now, peak", f"{percent(peak, where)} of a cycle", drift_peak_cycles=peak),

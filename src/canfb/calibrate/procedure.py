@@ -15,12 +15,10 @@ from canfb.errors import CalibrationError, CanfbError
 from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress
 from canfb.master.all_or_nothing import (
     Guard,
-    all_or_nothing,
-    put_back,
+    change,
     put_in_force,
     put_in_force_again,
     read_active,
-    save,
 )
 from canfb.master.listening import Listener
 from canfb.master.samples import TrackSamples
@@ -79,51 +77,58 @@ def install(
     """
     done, before = Installation(), measured.before
     declared: int | None = None  # 2010:0C before, once it is written
-    saving, undone = False, ""
+    as_before = f"the previous table and conditioning are active in {module.name}"
+
+    def say(text: str) -> None:
+        with contextlib.suppress(OSError):  # a terminal that has gone
+            step(text)
+
+    def act() -> None:
+        nonlocal declared, measured
+        step("activating the table")
+        if put is None:
+            put_in_force(module, measured.found)
+        else:
+            measured = put()
+        done.active = True
+        step("verifying on fresh samples")
+        fresh = collect()
+        done.fresh = verify(fresh, measured, settings) if prove is None else prove(fresh)
+        before_error = phase_error(module)
+        if before_error is not None:
+            declared = before_error
+            done.phase_error_cycles = declare_phase_error(module, done.fresh, peak_cycles)
 
     def restore() -> None:
+        say("restoring the old table")
         if declared is not None:
             module.write(*od.SUPERVISION_PHASE_ERROR, "H", declared)
         back()
         put_in_force_again(module, before)
-        if saving:
-            save(module)
-
-    def undo() -> str:
-        nonlocal undone
-        with contextlib.suppress(OSError):  # a terminal that has gone
-            step("restoring the old table")
-        put_back(module, "the previous table and conditioning", restore, saving=saving)
-        undone = f"the previous table and conditioning are active in {module.name}"
-        return undone
 
     try:
-        with all_or_nothing(module, guard, undo):
-            step("activating the table")
-            if put is None:
-                put_in_force(module, measured.found)
-            else:
-                measured = put()
-            done.active = True
-            step("verifying on fresh samples")
-            fresh = collect()
-            done.fresh = verify(fresh, measured, settings) if prove is None else prove(fresh)
-            before_error = phase_error(module)
-            if before_error is not None:
-                declared = before_error
-                done.phase_error_cycles = declare_phase_error(module, done.fresh, peak_cycles)
-            if keep:
-                step("saving")
-                saving = True
-                _save(module, done)
-            else:
-                done.save_note = "not saved: the table is lost when the module is switched off (--save)"
+        done.saved_as = change(
+            module,
+            guard,
+            act,
+            restore,
+            what="the previous table and conditioning",
+            undone=lambda: as_before,
+            keep=keep,
+            step=step,
+        )
     except CanfbError:
         raise
     except BaseException:
-        with contextlib.suppress(OSError):
-            step(undone)
+        say(as_before)
         raise
+    if not keep:
+        done.save_note = "not saved: the table is lost when the module is switched off (--save)"
+    elif done.saved_as is None:
+        done.save_note = (
+            f"not saved: {module.name} cannot save (1010h; canfb run needs a state_dir for it), the table is "
+            "lost when it is switched off"
+        )
     return measured, done
 
 
@@ -143,15 +148,6 @@ def check_as_predicted(found_rms: float, predicted_rms: float, uncertainty_rms: 
         raise CommissioningError(
             f"on fresh samples the table leaves {100 * found_rms:.3g} % of a cycle rms, "
             f"{100 * predicted_rms:.3g} % was predicted: something has changed since"
-        )
-
-
-def _save(module: NodeAccess, done: Installation) -> None:
-    done.saved_as = save(module)
-    if done.saved_as is None:
-        done.save_note = (
-            f"not saved: {module.name} cannot save (1010h; canfb run needs a state_dir for it), the table is "
-            "lost when it is switched off"
         )
 
 
@@ -266,36 +262,16 @@ def _start(module: NodeAccess, command: int) -> None:
         raise CommissioningError(f"{module.name} cannot measure by itself: it has no object 2030h") from None
 
 
-class _Samples:
-    """Whether the module processes samples while it records."""
-
-    def __init__(self, module: NodeAccess) -> None:
-        self._module = module
-        self._count, self._moved_s = -1, module.master.now()
-
-    def look(self) -> None:
-        """CommissioningError, with what to do, when it has not for STANDING_S."""
-        count, now = self._module.integer(*od.FEEDBACK_SAMPLES, "I"), self._module.master.now()
-        if count != self._count:
-            self._count, self._moved_s = count, now
-        elif now - self._moved_s > STANDING_S:
-            node_id = self._module.node_id
-            raise CommissioningError(
-                f"{self._module.name} has processed no sample for {STANDING_S:g} s: it must be OPERATIONAL "
-                f"(NMT start, 000h 01 {node_id:02X}), and must receive SYNC and samples"
-            )
-
-
 def _wait(module: NodeAccess, target: int, progress: Progress, look: Callable[[], None]) -> None:
-    """Until 2030:02 is ``target``."""
+    """Until 2030:02 is ``target``. CommissioningError, with what to do, where nothing moves."""
     master = module.master
-    last, moved = -1, master.now()
-    samples = _Samples(module)
+    percent, count = -1, -1
+    progress_s = sample_s = master.now()
     while True:
         master.wait(LOOK_S)
         look()
         state = module.integer(*od.MEASUREMENT_STATE, "B")
-        percent = module.integer(*od.MEASUREMENT_PROGRESS, "B")
+        percent, last = module.integer(*od.MEASUREMENT_PROGRESS, "B"), percent
         progress(percent / 100.0)
         if state == target:
             return
@@ -304,9 +280,16 @@ def _wait(module: NodeAccess, target: int, progress: Progress, look: Callable[[]
             raise CalibrationError(f"{module.name} refuses its measurement: {reason.text}", reason)
         if state not in (State.RECORDING, State.COMPUTING):
             raise CommissioningError(f"{module.name} has ended its measurement (2030:02 is {state})")
-        if state == State.RECORDING:
-            samples.look()
+        count, before = module.integer(*od.FEEDBACK_SAMPLES, "I"), count
+        now = master.now()
+        if count != before:
+            sample_s = now
+        elif state == State.RECORDING and now - sample_s > STANDING_S:
+            raise CommissioningError(
+                f"{module.name} has processed no sample for {STANDING_S:g} s: it must be OPERATIONAL "
+                f"(NMT start, 000h 01 {module.node_id:02X}), and must receive SYNC and samples"
+            )
         if percent != last:
-            last, moved = percent, master.now()
-        elif master.now() - moved > PATIENCE_S:
+            progress_s = now
+        elif now - progress_s > PATIENCE_S:
             raise CommissioningError(f"{module.name} makes no progress: {percent} % for {PATIENCE_S:g} s")

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 
 from canfb import objects as od
 from canfb.calibrate.artefacts import keep_samples
 from canfb.calibrate.calibration_run import Steps
 from canfb.calibrate.samples_through_chain import supervise
-from canfb.commission.commission_summary import Commissioned, result, write_page
+from canfb.commission.commission_summary import Commissioned, findings, write_page
 from canfb.commission.limit_choice import choose
 from canfb.commission.observation import LEAST_SAMPLES, Observation, observe
 from canfb.errors import CanfbError, ConfigError
@@ -179,10 +178,11 @@ class CommissionRun:
             written,
             wishes.write,
             saved_as,
-            self._where(session),
+            session.provenance(Provenance.of_run(self._date, wishes.line)),
         )
         out = self._wishes.out
-        return result(done, [write_page(out, done), keep_samples(out, done.observed.samples)] if out else [])
+        paths = [write_page(out, done), keep_samples(out, done.observed.samples)] if out else []
+        return findings(done).result(paths)
 
     def _collect(self, session: Session) -> tuple[TrackSamples, list[SpeedReading]]:
         """The samples, and what the module said of its speed meanwhile."""
@@ -204,20 +204,6 @@ class CommissionRun:
                     found.append(SpeedReading(at - 1.0, speed))
 
         return record(session.module, wishes.seconds, None, progress), found
-
-    def _where(self, session: Session) -> Provenance:
-        day, _, time = self._date.partition(" ")
-        return Provenance(
-            day,
-            module=session.module.node_id,
-            encoder_interface=None if session.samples_itself else session.interface.node_id,
-            cycles_per_revolution=session.cycles_per_revolution,
-            time=time,
-            version=version("canfb"),
-            command=self._wishes.line,
-            identity=session.identity,
-            interface_identity=session.interface_identity,
-        )
 
 
 def _prove(observed: Observation, new: SupervisionLimits) -> None:

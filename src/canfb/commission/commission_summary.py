@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from canfb import objects as od
 from canfb.calibrate.artefacts import REPORT, place_line
@@ -21,14 +20,13 @@ from canfb.master.supervision_limits import (
     SupervisionLimits,
 )
 from canfb.report import pictures
-from canfb.report.page import figure, gallery, page, table
+from canfb.report.page import figure, gallery, page, section, sentence, table
 from canfb.report.pictures import lissajous
-from canfb.rows import Result, Row, as_columns, as_figures, as_lines
+from canfb.rows import Findings, Row, Section
 from canfb.signal.limits import samples_without_harm
 from canfb.view.limits_in_force import LIMIT_UNITS
 
 LEAST_JITTER_S = 1e-8
-WIDTH = 21  # of the names, characters
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,29 +258,12 @@ def outcome(done: Commissioned) -> str:
     return "nothing was written to the module: --write does it"
 
 
-def lines(done: Commissioned) -> list[str]:
-    """For people."""
-    head, *limits = as_columns(limit_rows(done), ("", "before", "proposed"))
-    return [
-        *as_lines(machine_facts(done), WIDTH),
-        *(f"note: {text}" for text in notes(done)),
-        "",
-        head,
-        *(text for line, one in zip(limits, done.choices, strict=True) for text in (line, f"    {one.why}")),
-        "",
-        detection_words(done),
-        kept_words(done),
-        outcome(done),
-    ]
-
-
-def figures(done: Commissioned) -> dict[str, Any]:
-    """For programs; units in the names, intervals are those of the samples."""
+def findings(done: Commissioned) -> Findings:
+    """What ``canfb commission`` found; intervals are those of the samples."""
     interval_s, motion = done.machine.interval_s, done.largest_acceleration
-    verdict = Row(
+    figures = Row(
         margin=done.margin,
         notes=notes(done),
-        limits=[row.figures for row in limit_rows(done)],
         residual_limit_in_force_cycles=done.new.residual_limit(interval_s),
         deviation_cycles=done.deviation(done.new),
         deviation_before_cycles=done.deviation(done.before),
@@ -292,14 +273,14 @@ def figures(done: Commissioned) -> dict[str, Any]:
         missed_samples_kept_before=done.before.kept_samples(interval_s, motion),
         written=done.written,
         saved=done.saved_as is not None,
+        **where_words(done.where),
     )
-    return as_figures([Row(**where_words(done.where))], machine_facts(done), [verdict])
-
-
-def result(done: Commissioned, paths: Sequence[Path]) -> Result:
-    """What ``canfb commission`` says; ``paths`` are the files that it has written, if it was to."""
-    files = {"files": [str(path) for path in paths]} if paths else {}
-    return Result(figures(done) | files, [*lines(done), *(f"written  {path}" for path in paths)])
+    sections = [
+        Section("The machine", machine_facts(done)),
+        Section("Limits", limit_rows(done), ("before", "proposed", "why"), beside=2, key="limits"),
+    ]
+    said = [detection_words(done), kept_words(done), outcome(done), *notes(done)]
+    return Findings(sections, said, [figures])
 
 
 FOOTER = (
@@ -317,18 +298,13 @@ def write_page(folder: Path, done: Commissioned) -> Path:
 
 def commission_html(done: Commissioned) -> str:
     """The page. It refers to nothing outside of itself and runs no script."""
-    said = [
-        f"{detection_words(done)}.",
-        f"{kept_words(done)}.",
-        f"{outcome(done)[:1].upper()}{outcome(done)[1:]}.",
-        *notes(done),
-    ]
+    found = findings(done)
     body = (
-        table("Limits", limit_rows(done), ("before", "proposed", "why"), style="listed")
-        + table("The machine", machine_facts(done))
+        "".join(map(section, reversed(found.sections)))
         + gallery("Pictures", _pictures(done))
         + table("Origin", origins(done.where), style="origin")
     )
+    said = list(map(sentence, found.said))
     return page("Limits of the supervision", place_line(done.where), said, body, FOOTER)
 
 

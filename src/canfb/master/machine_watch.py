@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 from canfb import objects as od
@@ -316,6 +317,12 @@ class Provenance:
     identity: tuple[int, ...] | None = None
     interface_identity: tuple[int, ...] | None = None
     meanwhile: Meanwhile | None = None
+
+    @classmethod
+    def of_run(cls, date: str, command: str, **known: Any) -> Provenance:
+        """Of a command of today; ``date`` is ISO 8601, the time of day behind a space."""
+        day, _, time = date.partition(" ")
+        return cls(day, time=time, version=version("canfb"), command=command, **known)
 
     def arc_seconds(self, cycles: float) -> float | None:
         """A part of the cycle at the shaft."""

@@ -12,7 +12,7 @@ from canfb.cia301 import cob
 from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
 from canfb.master.all_or_nothing import read_active
 from canfb.master.listening import Listener, listen, record
-from canfb.master.machine_watch import check_valid
+from canfb.master.machine_watch import Provenance, check_valid
 from canfb.master.samples import TrackSamples
 from canfb.signal.correction import Correction
 from canfb.signal.harmonics import Corners
@@ -120,6 +120,17 @@ class Session:
         hertz = self.speed_rad_s() * self.cycles_per_revolution / (2.0 * math.pi)
         at_speed = counts_at(hertz, delay_s, corners)
         return replace(samples.together(delay_s, hertz), at_speed=at_speed)
+
+    def provenance(self, where: Provenance) -> Provenance:
+        """``where``, with what is known of both nodes."""
+        return replace(
+            where,
+            module=self.module.node_id,
+            encoder_interface=None if self.samples_itself else self.interface.node_id,
+            cycles_per_revolution=self.cycles_per_revolution,
+            identity=self.identity,
+            interface_identity=self.interface_identity,
+        )
 
     def check_interface(self) -> None:
         """CommissioningError if the module takes its samples from another interface."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 from canfb.report.plot import LEFT, Key, Plot
-from canfb.rows import Row
+from canfb.rows import Row, Section
 
 COLOURS = """
 :root { color-scheme: light dark; --ink: #1c2126; --soft: #5b656e; --paper: #ffffff; --panel: #f6f7f8;
@@ -122,6 +122,11 @@ def _unbroken(text: str) -> str:
     return re.sub(r"(?<![\w-])--[\w-]+", r'<span class="option">\g<0></span>', text)
 
 
+def sentence(text: str) -> str:
+    """With a capital letter and a full stop."""
+    return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
+
+
 def beside(left: str, right: str) -> str:
     """Two parts side by side."""
     return f'<div class="top"><div>{left}</div>\n{right}</div>\n'
@@ -136,6 +141,11 @@ def figure(name: str, text: str, picture: str) -> str:
     """A picture with its caption."""
     caption = f"<figcaption>{escape(name)}<small>{escape(text)}</small></figcaption>"
     return f"<figure>{caption}{picture}</figure>\n"
+
+
+def section(one: Section) -> str:
+    """Its rows as a table."""
+    return table(one.title, one.rows, one.heads, "listed" if one.beside is not None else "")
 
 
 def table(title: str, rows: Iterable[Row], heads: Sequence[str] = (), style: str = "") -> str:
