@@ -14,7 +14,8 @@ import pytest
 from adversary import Adversary, Held, Task, requests
 
 from canfb.calibrate.measurement import Measurement, Settings
-from canfb.calibrate.procedure import install
+from canfb.calibrate.procedure import install, verify
+from canfb.calibration.deviation import Deviation
 from canfb.cli.backup_command import backup_of
 from canfb.commission.commission_run import set_limits
 from canfb.device.storage.storage import MemoryStore
@@ -91,9 +92,10 @@ def test_as_before_or_as_wanted(name: str, fault: str) -> None:
 def test_a_calibration(
     fault: str, measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
-    task = Task(
-        lambda: prepared(old), lambda bench: install(bench.access, measured, lambda: fresh, settings, Guard())
-    )
+    def prove(found: Measurement) -> Deviation:
+        return verify(fresh, found, settings)
+
+    task = Task(lambda: prepared(old), lambda bench: install(bench.access, measured, prove, Guard()))
     wanted, last = task.undisturbed()
     for at in requests(fault, last, 11):
         task.check(fault, at, wanted)

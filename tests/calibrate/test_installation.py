@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from canfb.calibrate.measurement import Measurement, Settings
-from canfb.calibrate.procedure import Installation, install
+from canfb.calibrate.procedure import Installation, install, verify
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError
@@ -71,8 +71,10 @@ def run_install(
     collect: Callable[[], TrackSamples] | None = None,
     **options: Any,
 ) -> Installation:
-    _, done = install(bench.access, measured, collect or (lambda: fresh), settings, Guard(), **options)
-    return done
+    collected = collect or (lambda: fresh)
+    return install(
+        bench.access, measured, lambda found: verify(collected(), found, settings), Guard(), **options
+    )[1]
 
 
 def test_the_new_set_is_in_force_proven_and_saved(
@@ -261,7 +263,7 @@ def test_an_interruption_leaves_the_old_set(
 
     fault.spoil = spoil
     with pytest.raises(KeyboardInterrupt):
-        install(bench.access, measured, lambda: fresh, settings, guard, step=said.append)
+        install(bench.access, measured, lambda found: verify(fresh, found, settings), guard, step=said.append)
     fault.spoil = lambda count, frame: None
     assert said[-1] == AS_BEFORE
     assert read_active(bench.access) == old

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from canfb.calibrate.calibration_summary import coverage_warning, findings
-from canfb.calibrate.measurement import Measurement, SpeedMeasurement
+from canfb.calibrate.measurement import Measurement
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.motion_blocks import BINS, samples_in_bins
 from canfb.errors import CalibrationError
@@ -192,7 +192,7 @@ def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | N
 
 def _over_speed(measured: Measurement, where: Provenance) -> str:
     """Both curves over the speed; nothing for one speed."""
-    if not isinstance(measured, SpeedMeasurement):
+    if measured.over_speeds is None:
         return ""
     errors = measured.over_speeds.errors
     per_turn = where.cycles_per_revolution

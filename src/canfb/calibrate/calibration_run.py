@@ -12,11 +12,10 @@ import numpy as np
 
 from canfb.calibrate.artefacts import keep_samples, keep_speeds, write, write_refusal
 from canfb.calibrate.calibration_summary import drift_result, findings, module_drift_result
-from canfb.calibrate.choices import MODULE, PDO, RECORDED, CalibrateOptions
+from canfb.calibrate.choices import MODULE, PDO, CalibrateOptions
 from canfb.calibrate.measurement import (
     Measurement,
     Settings,
-    SpeedMeasurement,
     check,
     check_at_speed,
     measure,
@@ -25,18 +24,19 @@ from canfb.calibrate.measurement import (
 from canfb.calibrate.procedure import (
     Installation,
     accept,
-    check_as_predicted,
     discard,
     install,
     let_check,
     let_measure,
+    verify,
+    verify_at_speed,
 )
-from canfb.calibrate.samples_through_chain import InForce, SpeedSamples, errors_at
+from canfb.calibrate.samples_through_chain import InForce, SpeedSamples
 from canfb.calibration.deviation import Deviation
 from canfb.calibration.path_fit import check_apart
-from canfb.errors import CalibrationError, CanfbError, ConfigError
-from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
-from canfb.master.all_or_nothing import Guard, check_unlocked, put_in_force
+from canfb.errors import CalibrationError, CanfbError
+from canfb.master.access import CommissioningError, Master, Progress
+from canfb.master.all_or_nothing import Guard, check_unlocked
 from canfb.master.machine_watch import (
     LockWatch,
     Look,
@@ -47,13 +47,11 @@ from canfb.master.machine_watch import (
     look_at,
     lost_words,
 )
-from canfb.master.samples import TrackSamples, read_speed
-from canfb.master.session import CORNERS, Session, Source, read_corners
-from canfb.master.supervision_limits import as_real32
+from canfb.master.samples import TrackSamples
+from canfb.master.session import Session, Source
 from canfb.rows import Result
 from canfb.sdo.table_file import read_table
 from canfb.signal.correction import NO_CORRECTION, Correction
-from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
 
 LEAST_FRESH = 1500
@@ -98,11 +96,13 @@ class CalibrationRun:
         self._refused = refused
 
     def from_file(self, path: Path) -> Result:
-        """Samples of a file: nothing but files can come of it."""
-        choices = self._choices
-        samples = choices.samples_of_file(path)
+        """Samples of a file, or of a folder with those of each speed: nothing but files can come of it."""
+        choices, settings = self._choices, self._choices.settings(None)
         before = read_table(choices.table) if choices.table else NO_CORRECTION
-        settings = choices.settings(None)
+        if choices.speeds is not None:
+            each = choices.samples_of_folder(path)
+            return self._report(self._measured_speeds(each, settings, InForce(before)), Installation())
+        samples = choices.samples_of_file(path)
         if choices.check:
             return self._drift(samples, before, settings)
         return self._report(self._measured(samples, before, settings), Installation())
@@ -111,14 +111,20 @@ class CalibrationRun:
         """With the nodes of a bus; ``interface`` None if the module is to say it."""
         choices = self._choices
         session = self._begin(master, module, interface)
+        if choices.speeds is not None:
+            return self._at_speeds(session, guard)
         if choices.check and choices.samples_from == PDO and session.path_is_known:
             return self._check_at_speed(session)
         before = self._look(session, None)
         settings = choices.settings(session.limits)
         source = session.source(choices.samples_from, choices.recorder, choices.sample_rate)
         source = self._together(session, source)
+
+        def prove(found: Measurement, seconds: float, least: int) -> Deviation:
+            return verify(source(seconds, least, self._steps.part), found, settings)
+
         if choices.samples_from == MODULE:
-            return self._by_module(session, source, settings, guard, before)
+            return self._by_module(session, prove, settings, guard, before)
         self._steps.step(f"collecting samples for {choices.collect_s:g} s")
         watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
         first = self._together(
@@ -132,7 +138,7 @@ class CalibrationRun:
             return self._drift(samples, session.active, settings)
         measured, done = self._measured(samples, session.active, settings), Installation()
         if not choices.dry_run:
-            measured, done = self._install(session, measured, source, settings, guard)
+            measured, done = self._install(session, measured, prove, guard)
         return self._report(measured, done)
 
     def _begin(self, master: Master, module: int, interface: int | None) -> Session:
@@ -160,7 +166,12 @@ class CalibrationRun:
         return look
 
     def _by_module(
-        self, session: Session, source: Source, settings: Settings, guard: Guard, before: Look | None
+        self,
+        session: Session,
+        prove: Callable[[Measurement, float, int], Deviation],
+        settings: Settings,
+        guard: Guard,
+        before: Look | None,
     ) -> Result:
         """The module measures; its samples on the bus are measured here as well, for figures and pictures."""
         self._steps.step("the module measures")
@@ -180,7 +191,7 @@ class CalibrationRun:
             ours = measured = self._measured(samples, session.active, settings)
             done = Installation()
             if not self._choices.dry_run:
-                measured, done = self._install(session, ours, source, settings, guard, put)
+                measured, done = self._install(session, ours, prove, guard, put)
             accepted = done.active
         finally:
             if not accepted:
@@ -198,19 +209,21 @@ class CalibrationRun:
         self,
         session: Session,
         measured: Measurement,
-        source: Source,
-        settings: Settings,
+        prove: Callable[[Measurement, float, int], Deviation],
         guard: Guard,
         put: Callable[[], Measurement] | None = None,
     ) -> tuple[Measurement, Installation]:
-        """Activate, verify, save."""
-        choices, steps = self._choices, self._steps
-
-        def collect() -> TrackSamples:
-            return source(choices.verify_s, min(choices.least_samples, LEAST_FRESH), steps.part)
-
+        """Activate, verify by ``prove`` with seconds and least samples, save."""
+        choices = self._choices
+        least = min(choices.least_samples, LEAST_FRESH)
         return install(
-            session.module, measured, collect, settings, guard, put=put, keep=choices.save, step=steps.step
+            session.module,
+            measured,
+            lambda found: prove(found, choices.verify_s, least),
+            guard,
+            put=put,
+            keep=choices.save,
+            step=self._steps.step,
         )
 
     def _collect(self, session: Session, seconds: float, least: int) -> SpeedSamples:
@@ -232,6 +245,53 @@ class CalibrationRun:
             )
         rad_s = math.fsum(one.rad_per_s for one in readings.found) / len(readings.found)
         return SpeedSamples(samples, rad_s * session.cycles_per_revolution / (2.0 * math.pi))
+
+    def _at_speeds(self, session: Session, guard: Guard) -> Result:
+        """Each speed as soon as the machine turns at it."""
+        choices, steps = self._choices, self._steps
+        node, settings = session.module, choices.settings(session.limits)
+        check_apart(session.cycles_per_revolution / 60.0 * np.array(choices.speeds_rpm))
+        check_valid(node)
+        before = InForce(session.active, session.corners)
+        look = self._look(session, None)
+        samples: list[SpeedSamples] = []
+        left = list(choices.speeds_rpm)
+        readings = SpeedReadings(node)
+        while left:
+            steps.step(f"waiting for the machine to turn steadily at {listed(left)} rpm")
+            rpm = wait_for_speed(
+                node.master, lambda: readings.read() * RPM_PER_RAD_S, left, choices.wait, steps.part
+            )
+            left.remove(rpm)
+            steps.step(f"collecting samples at {rpm:g} rpm for {choices.collect_s:g} s")
+            samples.append(self._collect(session, choices.collect_s, choices.least_samples))
+        self._look(session, look)
+        measured, done = self._measured_speeds(samples, settings, before), Installation()
+        if not choices.dry_run:
+            check_amplitude(measured, session.limits)
+            measured, done = self._install(
+                session,
+                measured,
+                lambda found, seconds, least: verify_at_speed(
+                    self._collect(session, seconds, least), found, settings
+                ),
+                guard,
+            )
+        return self._report(measured, done)
+
+    def _measured_speeds(
+        self, samples: Sequence[SpeedSamples], settings: Settings, before: InForce
+    ) -> Measurement:
+        """What they give; what is refused leaves its samples and a report."""
+        lowest = min(samples, key=lambda one: abs(one.hertz)).samples
+        delay = self._choices.delay_to_set
+        out = self._choices.out
+        if out is not None:
+            keep_speeds(out, [(one.samples, one.hertz) for one in samples])
+        found: Measurement = self._judged(
+            lowest, lambda: measure_speeds(samples, settings, before, self._steps.part, delay)
+        )
+        return found
 
     def _check_at_speed(self, session: Session) -> Result:
         """How far the encoder has moved away, whatever the analog path does at this speed."""
@@ -334,140 +394,9 @@ SPARE_AMPLITUDE = 0.05  # within the limits of the amplitude
 RPM_PER_RAD_S = 60.0 / (2.0 * math.pi)
 
 
-class SpeedRun(CalibrationRun):
-    """One run of the command with ``--speeds``."""
-
-    def from_file(self, path: Path) -> Result:
-        """A folder with the samples of each speed: nothing but files can come of it."""
-        choices = self._choices
-        samples = self._of_folder(path)
-        before = read_table(choices.table) if choices.table else NO_CORRECTION
-        measured = self._measured_speeds(samples, choices.settings(None), InForce(before))
-        return self._report(measured, Installation())
-
-    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
-        """With the nodes of a bus; ``interface`` None if the module is to say it."""
-        choices, steps = self._choices, self._steps
-        session = self._begin(master, module, interface)
-        node, settings = session.module, choices.settings(session.limits)
-        per_rpm = session.cycles_per_revolution / 60.0
-        check_apart(per_rpm * np.array(choices.speeds_rpm))
-        check_valid(node)
-        before = InForce(session.active, session.corners)
-        look = self._look(session, None)
-        samples: list[SpeedSamples] = []
-        left = list(choices.speeds_rpm)
-        while left:
-            steps.step(f"waiting for the machine to turn steadily at {listed(left)} rpm")
-            rpm = wait_for_speed(
-                master,
-                lambda: SpeedReadings(node).read() * RPM_PER_RAD_S,
-                left,
-                choices.wait,
-                steps.part,
-            )
-            left.remove(rpm)
-            steps.step(f"collecting samples at {rpm:g} rpm for {choices.collect_s:g} s")
-            samples.append(self._collect(session, choices.collect_s, choices.least_samples))
-        self._look(session, look)
-        measured, done = self._measured_speeds(samples, settings, before), Installation()
-        if not choices.dry_run:
-            check_amplitude(measured, session.limits)
-            done = self._install_speeds(session, measured, settings, guard)
-        return self._report(measured, done)
-
-    def _measured_speeds(
-        self, samples: Sequence[SpeedSamples], settings: Settings, before: InForce
-    ) -> SpeedMeasurement:
-        """What they give; what is refused leaves its samples and a report."""
-        lowest = min(samples, key=lambda one: abs(one.hertz)).samples
-        delay = self._choices.delay_to_set
-        out = self._choices.out
-        if out is not None:
-            keep_speeds(out, [(one.samples, one.hertz) for one in samples])
-        found: SpeedMeasurement = self._judged(
-            lowest, lambda: measure_speeds(samples, settings, before, self._steps.part, delay)
-        )
-        return found
-
-    def _install_speeds(
-        self, session: Session, measured: SpeedMeasurement, settings: Settings, guard: Guard
-    ) -> Installation:
-        """Activate, verify at the speed that the machine has, save."""
-        choices, over, node = self._choices, measured.over_speeds, session.module
-        fresh: list[SpeedSamples] = []
-
-        def collect() -> TrackSamples:
-            fresh.append(self._collect(session, choices.verify_s, min(choices.least_samples, LEAST_FRESH)))
-            return fresh[-1].samples
-
-        def put() -> Measurement:
-            write_corners(node, over.after.corners)
-            put_in_force(node, over.after.correction)
-            return measured
-
-        def prove(_: TrackSamples) -> Deviation:
-            calibration = measured.calibration
-            found = errors_at(
-                fresh[-1], over.before, over.after, over.path, calibration.block_samples, settings.adc_bits
-            )
-            check_as_predicted(found.after, over.near(found.hertz).after, calibration.uncertainty_rms)
-            return found.deviation
-
-        return install(
-            node,
-            measured,
-            collect,
-            settings,
-            guard,
-            put=put,
-            back=lambda: write_corners(node, over.before.corners),
-            prove=prove,
-            peak_cycles=over.peak_cycles,
-            keep=choices.save,
-            step=self._steps.step,
-        )[1]
-
-    def _of_folder(self, folder: Path) -> list[SpeedSamples]:
-        """The files of a folder in the order of their names, with the speeds that are given or in them."""
-        choices = self._choices
-        files = sorted(one for one in folder.glob("*") if one.suffix in (".npz", ".csv"))
-        if not folder.is_dir() or len(files) < 2:
-            raise ConfigError(f"--samples {folder}: with --speeds a folder with a file for each speed")
-        rpm, per_turn = choices.speeds_rpm, choices.cycles_per_revolution
-        if choices.speeds == RECORDED:
-            known = [read_speed(one) if one.suffix == ".npz" else None for one in files]
-        elif len(rpm) != len(files) or per_turn is None:
-            raise ConfigError(
-                f"--speeds {choices.speeds}: {len(files)} speeds are required, one for each file of {folder} "
-                "in the order of their names, and --cycles-per-revolution"
-            )
-        else:
-            known = [one / 60.0 * per_turn for one in rpm]
-        found = []
-        for path, hertz in zip(files, known, strict=True):
-            if hertz is None:
-                raise ConfigError(f"{path}: no speed is recorded (cycles_per_s): --speeds RPM,RPM,...")
-            found.append(SpeedSamples(choices.samples_of_file(path), hertz))
-        return found
-
-
-def write_corners(module: NodeAccess, corners: Corners) -> None:
-    """Write 2001:05 and 2001:06. CommissioningError if they read otherwise then."""
-    if read_corners(module) == corners:
-        return
-    values = (corners.corner_hz, corners.cosine_corner_hz)
-    for place, value in zip(CORNERS, values, strict=True):
-        module.write(*place, "f", value)
-    if read_corners(module) != Corners(*map(as_real32, values)):
-        raise CommissioningError(
-            f"{module.name}: the corners read back (2001:05, 2001:06) differ from what was written"
-        )
-
-
-def check_amplitude(measured: SpeedMeasurement, limits: SampleLimits) -> None:
+def check_amplitude(measured: Measurement, limits: SampleLimits) -> None:
     """CommissioningError if the amplitude without the low-pass, which counts then, is out of limits."""
-    if not measured.over_speeds.after.corners.are_there:
+    if measured.over_speeds is None or not measured.over_speeds.after.corners.are_there:
         return
     tracks = measured.calibration.tracks
     assert tracks is not None

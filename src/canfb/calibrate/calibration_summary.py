@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from canfb.calibrate.measurement import DriftCheck, Measurement, OverSpeeds, SpeedMeasurement
+from canfb.calibrate.measurement import DriftCheck, Measurement, OverSpeeds
 from canfb.calibrate.procedure import Installation, ModuleDrift
 from canfb.calibrate.samples_through_chain import ErrorAtSpeed
 from canfb.calibration.path_fit import LowPass
@@ -187,7 +187,7 @@ def comparison(measured: Measurement, done: Installation, where: Provenance) -> 
             fresh_peak_cycles=fresh and fresh.peak,
         ),
     ]
-    if isinstance(measured, SpeedMeasurement):
+    if measured.over_speeds is not None:
         rows += speed_rows(measured.over_speeds, where)
     return rows
 
@@ -246,7 +246,7 @@ def facts(measured: Measurement, done: Installation, where: Provenance) -> list[
             None if error is None else f"{error:.3g} cycle, at the speed of this motion",
             phase_error_cycles=error,
         ),
-        *(path_rows(measured.over_speeds, where) if isinstance(measured, SpeedMeasurement) else ()),
+        *([] if measured.over_speeds is None else path_rows(measured.over_speeds, where)),
         Row(
             "position of the module",
             "lost; a table does not bring it back (canfb why)" if is_lost else None,
@@ -318,9 +318,17 @@ def outcome(measured: Measurement, done: Installation, where: Provenance) -> str
 
 def verdict(measured: Measurement, where: Provenance) -> str:
     """The verdict in plain words."""
-    if isinstance(measured, SpeedMeasurement):
-        return _verdict_over_speeds(measured, where)
-    calibration, on_samples = measured.calibration, measured.on_samples
+    calibration, on_samples, over = measured.calibration, measured.on_samples, measured.over_speeds
+    good = f"The table itself is good to {PERCENT * calibration.uncertainty_peak:.2g} %."
+    if over is not None:
+        worst = max(one.after for one in over.errors)
+        known = [one.before for one in over.errors if one.before is not None]
+        falls = f", {PERCENT * max(known):.2g} % before" if len(known) == len(over.errors) else ""
+        first, last = (speed_words(over.errors[n].hertz, where) for n in (0, -1))
+        return (
+            f"Accepted. The error within a cycle is at most {PERCENT * worst:.2g} % of a cycle rms{falls}, "
+            f"from {first} to {last}, on samples that were held out. {good}"
+        )
     factor = on_samples.before_rms / calibration.residual_rms if calibration.residual_rms > 0.0 else 0.0
     if factor > 1.5:
         change = (
@@ -330,20 +338,7 @@ def verdict(measured: Measurement, where: Provenance) -> str:
         )
     else:
         change = "The previous table is equally good: the encoder has not changed."
-    return f"Accepted. {change} The table itself is good to {PERCENT * calibration.uncertainty_peak:.2g} %."
-
-
-def _verdict_over_speeds(measured: SpeedMeasurement, where: Provenance) -> str:
-    errors = measured.over_speeds.errors
-    worst = max(errors, key=lambda one: one.after)
-    before = [one.before for one in errors if one.before is not None]
-    falls = f", {PERCENT * max(before):.2g} % before" if len(before) == len(errors) else ""
-    return (
-        f"Accepted. The error within a cycle is at most {PERCENT * worst.after:.2g} % of a cycle rms"
-        f"{falls}, from {speed_words(errors[0].hertz, where)} to {speed_words(errors[-1].hertz, where)}, on "
-        f"samples that were held out. The table itself is good to "
-        f"{PERCENT * measured.calibration.uncertainty_peak:.2g} %."
-    )
+    return f"Accepted. {change} {good}"
 
 
 def findings(measured: Measurement, done: Installation, where: Provenance) -> Findings:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from canfb.calibrate.measurement import ESTIMATE, MOTION, ZERO_CROSSINGS, Settings
+from canfb.calibrate.samples_through_chain import SpeedSamples
 from canfb.errors import ConfigError
-from canfb.master.samples import TrackSamples, read_npz
+from canfb.master.samples import TrackSamples, read_npz, read_speed
 from canfb.signal.conditioning import LONGEST_DELAY_S
 from canfb.signal.supervision import SampleLimits
 from canfb.sources.recording_source import RecordingLayout, chosen_layout, open_recording
@@ -173,6 +174,31 @@ class CalibrateOptions:
             return TrackSamples(found.sine, found.cosine, self.sample_rate or found.rate_hz, found.origin)
         recording = open_recording(path, self._layout)
         return TrackSamples.of(*recording.tracks(), self.sample_rate, f"file {path.name}{recording.note}")
+
+    def samples_of_folder(self, folder: Path) -> list[SpeedSamples]:
+        """The files of a folder in the order of their names, with the speeds that are given or in them.
+
+        CanfbError for those that cannot be used.
+        """
+        files = sorted(one for one in folder.glob("*") if one.suffix in (".npz", ".csv"))
+        if not folder.is_dir() or len(files) < 2:
+            raise ConfigError(f"--samples {folder}: with --speeds a folder with a file for each speed")
+        rpm, per_turn = self.speeds_rpm, self.cycles_per_revolution
+        if self.speeds == RECORDED:
+            known = [read_speed(one) if one.suffix == ".npz" else None for one in files]
+        elif len(rpm) != len(files) or per_turn is None:
+            raise ConfigError(
+                f"--speeds {self.speeds}: {len(files)} speeds are required, one for each file of {folder} "
+                "in the order of their names, and --cycles-per-revolution"
+            )
+        else:
+            known = [one / 60.0 * per_turn for one in rpm]
+        found = []
+        for path, hertz in zip(files, known, strict=True):
+            if hertz is None:
+                raise ConfigError(f"{path}: no speed is recorded (cycles_per_s): --speeds RPM,RPM,...")
+            found.append(SpeedSamples(self.samples_of_file(path), hertz))
+        return found
 
 
 # Raises ConfigError if one of these options is given: names, and why it would do nothing.

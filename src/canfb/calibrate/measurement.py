@@ -54,12 +54,14 @@ class Measurement:
     calibration   what it gave
     before        what was active
     on_samples    deviation of those samples, with the new and with the old set
+    over_speeds   what several speeds say; then the others are those of the lowest one, as at standstill
     """
 
     samples: TrackSamples
     calibration: Calibration
     before: Correction
     on_samples: Deviation
+    over_speeds: OverSpeeds | None = None
 
     @property
     def found(self) -> Correction:
@@ -146,20 +148,13 @@ class OverSpeeds:
         return min(self.errors, key=lambda one: abs(one.hertz - hertz))
 
 
-@dataclass(frozen=True, eq=False)
-class SpeedMeasurement(Measurement):
-    """A measurement at the lowest speed, as it is at standstill, and what the others say."""
-
-    over_speeds: OverSpeeds
-
-
 def measure_speeds(
     samples: Sequence[SpeedSamples],
     settings: Settings,
     before: InForce,
     progress: Progress,
     delay: str | float | None = None,
-) -> SpeedMeasurement:
+) -> Measurement:
     """Calibrate. ``delay`` is 2002:07 in seconds, or :data:`ESTIMATE`; None: as it is ``before``.
 
     CalibrationError for samples that cannot be used, CommissioningError for wrong settings.
@@ -185,7 +180,7 @@ def measure_speeds(
     deviation = on_samples.deviation
     if on_samples.before is not None:
         deviation = replace(deviation, before_rms=on_samples.before)
-    return SpeedMeasurement(lowest.samples, found.calibration, before.correction, deviation, over)
+    return Measurement(lowest.samples, found.calibration, before.correction, deviation, over)
 
 
 def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) -> float:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from canfb import objects as od
 from canfb.calibrate.measurement import Measurement, Settings, block_of
+from canfb.calibrate.samples_through_chain import SpeedSamples, errors_at
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError, CanfbError
@@ -22,9 +23,12 @@ from canfb.master.all_or_nothing import (
 )
 from canfb.master.listening import Listener
 from canfb.master.samples import TrackSamples
+from canfb.master.session import CORNERS, read_corners
+from canfb.master.supervision_limits import as_real32
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.signal.correction import Correction
+from canfb.signal.harmonics import Corners
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES
 from canfb.view.limits_in_force import LIMIT_UNITS
 from canfb.view.pdo_map import PdoLayout
@@ -55,27 +59,21 @@ class Installation:
 def install(
     module: NodeAccess,
     measured: Measurement,
-    collect: Callable[[], TrackSamples],
-    settings: Settings,
+    prove: Callable[[Measurement], Deviation],
     guard: Guard,
     *,
     put: Callable[[], Measurement] | None = None,
-    back: Callable[[], None] = lambda: None,
-    prove: Callable[[TrackSamples], Deviation] | None = None,
-    peak_cycles: float = 0.0,
     keep: bool = True,
     step: Callable[[str], None] = lambda text: None,
 ) -> tuple[Measurement, Installation]:
-    """Activate the new set, verify it on fresh samples from ``collect``, and save it if ``keep``.
+    """Activate the new set, ``prove`` it on fresh samples, and save it if ``keep``.
 
-    ``put`` replaces the upload: it activates another table and gives the measurement with it; ``back`` puts
-    back what else it wrote. ``prove`` replaces :func:`verify`. ``peak_cycles`` is an error that is known
-    from elsewhere.
+    ``put`` replaces the upload: it activates another table and gives the measurement with it.
 
-    It is saved only after the verification. If anything fails, or is interrupted, the old set is
-    restored (and saved again, where saving had begun) before the error is raised; its text says so.
+    It is saved only after the proof. If anything fails, or is interrupted, the old set is restored (and saved
+    again, where saving had begun) before the error is raised; its text says so.
     """
-    done, before = Installation(), measured.before
+    done, before, over = Installation(), measured.before, measured.over_speeds
     declared: int | None = None  # 2010:0C before, once it is written
     as_before = f"the previous table and conditioning are active in {module.name}"
 
@@ -86,24 +84,27 @@ def install(
     def act() -> None:
         nonlocal declared, measured
         step("activating the table")
+        if over is not None:
+            write_corners(module, over.after.corners)
         if put is None:
             put_in_force(module, measured.found)
         else:
             measured = put()
         done.active = True
         step("verifying on fresh samples")
-        fresh = collect()
-        done.fresh = verify(fresh, measured, settings) if prove is None else prove(fresh)
+        done.fresh = prove(measured)
         before_error = phase_error(module)
         if before_error is not None:
             declared = before_error
-            done.phase_error_cycles = declare_phase_error(module, done.fresh, peak_cycles)
+            peak = done.fresh.peak if over is None else max(done.fresh.peak, over.peak_cycles)
+            done.phase_error_cycles = declare_phase_error(module, peak)
 
     def restore() -> None:
         say("restoring the old table")
         if declared is not None:
             module.write(*od.SUPERVISION_PHASE_ERROR, "H", declared)
-        back()
+        if over is not None:
+            write_corners(module, over.before.corners)
         put_in_force_again(module, before)
 
     try:
@@ -132,6 +133,19 @@ def install(
     return measured, done
 
 
+def write_corners(module: NodeAccess, corners: Corners) -> None:
+    """Write 2001:05 and 2001:06. CommissioningError if they read otherwise then."""
+    if read_corners(module) == corners:
+        return
+    values = (corners.corner_hz, corners.cosine_corner_hz)
+    for place, value in zip(CORNERS, values, strict=True):
+        module.write(*place, "f", value)
+    if read_corners(module) != Corners(*map(as_real32, values)):
+        raise CommissioningError(
+            f"{module.name}: the corners read back (2001:05, 2001:06) differ from what was written"
+        )
+
+
 def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> Deviation:
     """Deviation of fresh samples with the new set. CommissioningError if it is worse than predicted."""
     calibration = measured.calibration
@@ -140,6 +154,16 @@ def verify(samples: TrackSamples, measured: Measurement, settings: Settings) -> 
     )
     check_as_predicted(fresh.rms, calibration.residual_rms, calibration.uncertainty_rms)
     return fresh
+
+
+def verify_at_speed(fresh: SpeedSamples, measured: Measurement, settings: Settings) -> Deviation:
+    """:func:`verify` at the speed that the machine has, by the error that was predicted for the next one."""
+    calibration, over = measured.calibration, measured.over_speeds
+    assert over is not None
+    block, bits = calibration.block_samples, settings.adc_bits
+    found = errors_at(fresh, over.before, over.after, over.path, block, bits)
+    check_as_predicted(found.after, over.near(found.hertz).after, calibration.uncertainty_rms)
+    return found.deviation
 
 
 def check_as_predicted(found_rms: float, predicted_rms: float, uncertainty_rms: float) -> None:
@@ -159,11 +183,11 @@ def phase_error(module: NodeAccess) -> int | None:
         return None
 
 
-def declare_phase_error(module: NodeAccess, fresh: Deviation, peak_cycles: float = 0.0) -> float:
-    """Write what the fresh samples show to 2010:0C, or ``peak_cycles`` if it is more; what stands there then,
-    cycles."""
-    peak = max(fresh.peak, peak_cycles)
-    largest = min(max(SPARE_PHASE_ERROR * peak, CALIBRATED_PHASE_ERROR_CYCLES), MOST_PHASE_ERROR_CYCLES)
+def declare_phase_error(module: NodeAccess, peak_cycles: float) -> float:
+    """Write 2010:0C for a largest error of the fresh samples; what stands there then, cycles."""
+    largest = min(
+        max(SPARE_PHASE_ERROR * peak_cycles, CALIBRATED_PHASE_ERROR_CYCLES), MOST_PHASE_ERROR_CYCLES
+    )
     units = math.ceil(largest * LIMIT_UNITS)
     module.write(*od.SUPERVISION_PHASE_ERROR, "H", units)
     return units / LIMIT_UNITS

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
 from canfb.calibrate.artefacts import prepare
-from canfb.calibrate.calibration_run import CalibrationRun, SpeedRun
+from canfb.calibrate.calibration_run import CalibrationRun
 from canfb.calibrate.choices import (
     LEAST_SAMPLES,
     MODULE,
@@ -187,8 +187,7 @@ def _run(
             refusal = {"accepted": False, "reason": error.reason, "message": str(error)}
             print(json.dumps(refusal | {"active": False, "saved": False}, indent=2))
 
-    kind = CalibrationRun if choices.speeds is None else SpeedRun
-    return kind(choices, progress, date, refused)
+    return CalibrationRun(choices, progress, date, refused)
 
 
 def _say(result: Result, options: argparse.Namespace, progress: Progress) -> int:
