@@ -97,24 +97,20 @@ def test_the_new_set_is_in_force_proven_and_saved(
         assert one.access.integer(*PHASE_ERROR, "H") == round(done.phase_error_cycles * 65536)
 
 
-def test_without_a_store_it_is_active_and_said_to_be_not_saved(
-    measured_first: Measurement, fresh: TrackSamples, settings: Settings
+@pytest.mark.parametrize(
+    ("keep", "note"),
+    [(True, "not saved: module 32 (20h) cannot save"), (False, "not saved: the table is lost")],
+)
+def test_what_is_not_saved_is_active_and_said(
+    keep: bool, note: str, measured_first: Measurement, fresh: TrackSamples, settings: Settings
 ) -> None:
-    bench = prepared(NO_CORRECTION)
-    done = run_install(bench, measured_first, fresh, settings)
+    store = None if keep else MemoryStore()
+    bench = prepared(NO_CORRECTION, store=store)
+    done = run_install(bench, measured_first, fresh, settings, keep=keep)
     assert done.saved_as is None
-    assert done.save_note.startswith("not saved: module 32 (20h) cannot save")
+    assert store is None or store.images == {}
+    assert done.save_note.startswith(note)
     assert read_active(bench.access) == measured_first.found
-
-
-def test_not_to_save_is_not_to_save(
-    measured_first: Measurement, fresh: TrackSamples, settings: Settings
-) -> None:
-    store = MemoryStore()
-    done = run_install(prepared(NO_CORRECTION, store=store), measured_first, fresh, settings, keep=False)
-    assert done.saved_as is None
-    assert store.images == {}
-    assert done.save_note.startswith("not saved: the table is lost")
 
 
 PHASE_ERROR = (0x2010, 12)

@@ -1,15 +1,12 @@
 """How far positions are from smooth motion, with a table not made of them; drift from the active table.
 
-The proof of a table is another recording. Its positions, corrected by the table, are compared with a cubic
-through each block of samples; the motion is in the cubic, so what is left is noise and what the table does
-not correct. That holds only where a block meets many phases: where it stands still or is locked to the
-samples, any table looks good, and such blocks are left out (:meth:`.Blocks.informative`). Of too long a
-block the cubic misses the motion, so shorter ones are tried, too. N samples with n coefficients leave N - n
-degrees of freedom: the rms is that of the deviations times sqrt(N / (N - n)).
+The positions of another recording, corrected by the table, are compared with a cubic through each block of
+samples: what is left is noise and what the table does not correct. Blocks that meet few phases say nothing
+and are left out (:meth:`.Blocks.informative`). Of too long a block the cubic misses the motion, so shorter
+ones are tried, too. N samples with n coefficients leave N - n degrees of freedom: the rms is that of the
+deviations times sqrt(N / (N - n)).
 
-Dust, wear, heat and a shifted head change the tracks slowly. No single sample shows it: the position error
-is small and repeats at the same phase of the cycle. Comparing a new reference measurement with the active
-table (:func:`drift`) shows it early.
+Dust, wear, heat and a shifted head change the tracks slowly; no single sample shows it, :func:`drift` does.
 """
 
 from __future__ import annotations

@@ -9,9 +9,8 @@ A conic a s^2 + b s c + e c^2 + f s + g c = 1 is linear in its coefficients, so 
 squares; its centre is the offset, and Q gives both amplitudes and sin d = Q12 / sqrt(Q11 Q22). The gains
 bring both amplitudes to their geometric mean.
 
-Samples are not spread evenly, and some are faults. So the tracks are scaled by what they span between two
-percentiles, no square of a grid keeps more samples than an even motion would leave there, and the fit is
-repeated without the samples that lie further from it than five of their standard deviations.
+Samples are not spread evenly, and some are faults: no square of a grid keeps more samples than an even
+motion would leave there, and the fit is repeated without those further off than five standard deviations.
 """
 
 from __future__ import annotations
@@ -48,10 +47,8 @@ def fit_ellipse(
 ) -> Conditioning:
     """Conditioning that turns the ellipse of the samples into a circle about the origin.
 
-    ``sine`` and ``cosine`` are ADC counts of one shape, NaN where there is no sample;
-    ``valid`` marks with False the samples to leave out. Least squares, repeated without the
-    samples that lie far off. Values are rounded to REAL32, as objects 2002:01..05 hold them,
-    and the gains keep the geometric mean of both amplitudes.
+    ``sine`` and ``cosine`` are ADC counts of one shape, NaN where there is no sample; ``valid`` False leaves
+    samples out. Values are rounded to REAL32, as 2002:01..05 hold them.
 
     Raises ValueError for shapes that differ, CalibrationError ("ellipse") if the samples
     lie on no ellipse: a dead track, one point, a short arc, or noise.

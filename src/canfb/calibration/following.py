@@ -1,15 +1,11 @@
 """Positions of a whole recording, also of one that starts at speed or with uneven sample times.
 
 Phases alone leave the speed open by a whole number s of cycles per sample. With even sample times
-that does not matter here: the position is then off by a straight line, s k, which is as smooth as the
-motion. With uneven ones it matters. A follower that goes on with the wrong speed expects s (t - k)
-too much, t the time in sampling intervals: nothing while the times are even, and any phase at the
-first interval that is not. A stall of the machine that samples gives intervals such as 1, 3.08, 0.10,
-0.84. So the first samples cannot decide. All speeds that join the first two samples are followed at
-once over the whole recording, and the one with the least sum of squares of its residuals is taken:
-the right one has those of the encoder and of the acceleration alone, a wrong one those of s (t - k)
-besides. Where two speeds fit equally well, t - k is so small that both give the same positions but for
-a straight line.
+that does not matter: the position is then off by a straight line, s k, as smooth as the motion. With
+uneven ones the wrong speed expects s (t - k) too much, t the time in sampling intervals: nothing while the
+times are even, any phase at the first interval that is not. So all speeds that join the first two samples
+are followed over the whole recording, and the one with the least sum of squares of its residuals is taken.
+Where two fit equally well, both give the same positions but for a straight line.
 
 Residuals are those of eq. 9 over the elapsed times, with one difference: the speed is taken over
 BASELINE at least. Two samples 0.1 interval apart would multiply their phase errors by ten.

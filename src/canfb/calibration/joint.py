@@ -7,20 +7,17 @@ series and m of the motion minimise
     sum over k of  [n . r(k)]^2 / across^2 + [u . r(k)]^2 / along^2
     with  r(k) = (s(k) - S(x), c(k) - C(x)),  x = m(t(k))
 
-where u is the unit tangent of the curve (S, C) at x, and n its normal. Every sample gives two equations,
-one along the curve of the tracks and one across it. Noise of the converter is in both, what the polynomials
-miss of the motion (vibration) only in the one along the curve, so the two are weighed apart.
+where u is the unit tangent of the curve (S, C) at x, and n its normal. Noise of the converter is in both
+equations of a sample, what the polynomials miss of the motion only in the one along the curve.
 
 Gauss-Newton. A step (dw, dm) solves
 
     [ N   B' ] [dw]   [a]
     [ B   D  ] [dm] = [b]      D: one small matrix for each block, a block has no part in another's motion
 
-and D is eliminated block by block: (N - B' D^-1 B) dw = a - B' D^-1 b, then dm = D^-1 (b - B dw). So the
-system that remains has only the coefficients of the two series, whatever the number of samples, and its
-inverse is the covariance of the result with the unknown motion in it. That of N alone would be the
-covariance if the motion were known: the ratio of both (:func:`information_loss`) says whether the motion,
-not the noise, is what makes a measurement uncertain.
+and D is eliminated block by block: (N - B' D^-1 B) dw = a - B' D^-1 b, then dm = D^-1 (b - B dw). The
+inverse of what remains is the covariance of the result with the unknown motion in it, that of N alone would
+be the one if the motion were known: their ratio is :func:`information_loss`.
 
 The data does not determine phase 0: adding d to all positions and moving both series by d changes nothing.
 That direction of w, the slopes of the series, is held.

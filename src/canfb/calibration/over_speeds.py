@@ -1,19 +1,17 @@
 """A reference measurement at several speeds: encoder and analog path together.
 
-A table of one speed has in it what low-passes and a delay between the tracks do at that speed. The module
-takes these out at any speed (:mod:`canfb.signal.front_end`), and needs the tracks as they are at
-standstill. At each speed a fit (:mod:`.from_motion`) gives the mean tracks, as Fourier series of the phase;
-their fundamentals over the speed give the path (:mod:`.path_fit`). Order k of a track passes the path at k
-f, so with S_k and C_k the coefficients at speed f, those at standstill are
+The module takes low-passes and a delay between the tracks out at any speed (:mod:`canfb.signal.front_end`),
+and needs the tracks as they are at standstill. At each speed a fit (:mod:`.from_motion`) gives the mean
+tracks; their fundamentals over the speed give the path (:mod:`.path_fit`). With S_k and C_k the coefficients
+of order k at speed f, those at standstill are
 
     S_k / H(k f; fs),    C_k / (H(k f; fc) exp(2 pi i k f cosine_delay)),    H(f; fc) = 1 / (1 + i f / fc)
 
 and from these, taken at the lowest speed, where the least is taken out, follow conditioning, table and
 harmonics (:mod:`canfb.signal.harmonics`). No speed need be near standstill.
 
-Each speed may vary a little, as real machines do. Where that counts, which is where the path at the samples
-differs from that at the mean speed by more than repeated measurements do, the samples are moved to the mean
-speed by a first estimate of the path, and fitted again.
+Each speed may vary a little. Where the path then differs by more than repeated measurements do, the samples
+are moved to the mean speed by a first estimate of it, and fitted again.
 """
 
 from __future__ import annotations

@@ -5,23 +5,18 @@ At f cycles per second the fundamentals of the tracks are
     |sine| = A / sqrt(1 + (f / fs)^2),    |cosine| = B / sqrt(1 + (f / fc)^2),
     angle from sine to cosine = angle at standstill + 2 pi f cosine_delay + arctan(f / fs) - arctan(f / fc)
 
-with fs, fc the corners. So the amplitudes give the corners: |sine|^-2 is a straight line over f^2, whose
-rise over its value at 0 is 1 / fs^2. With the corners known, the angle is a straight line over f, whose
-rise is 2 pi cosine_delay. Both lines are of least squares, weighed by what the noise and the repeatability
-allow.
+with fs, fc the corners: |sine|^-2 is a straight line over f^2, and with the corners known the angle is one
+over f. Both are of least squares, weighed by noise and repeatability.
 
-Both tracks together (their geometric mean) show the mean corner best, and their ratio, in which changes of
-the encoder's light and supply cancel, the difference of both corners; where that does not stand out, they
-are one.
+The geometric mean of both tracks shows the mean corner best, and their ratio, in which changes of light and
+supply cancel, the difference of both; where that does not stand out, they are one.
 
 What both tracks are late shows in no angle; but a low-pass of one pole that takes the amplitude to the part
 r is late by arccos(r) / (2 pi) cycles, which is 1 / (2 pi fs) seconds at low speed. Two equal poles with
-the same amplitudes are later, so both are fitted, and what the amplitudes do not rule out is reported. A
-converter that is late, or a filter that leaves the amplitude alone, does not show: the estimate is that of
-the low-pass.
+the same amplitudes are later: what the amplitudes do not rule out is reported. A converter that is late
+does not show.
 
-The amplitudes of an encoder change a little from one measurement to the next (temperature, supply), more
-than the noise of the samples does. The uncertainties are one standard deviation, and have that in them.
+Uncertainties are one standard deviation, with what amplitudes change from one measurement to the next.
 """
 
 from __future__ import annotations

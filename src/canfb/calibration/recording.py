@@ -1,11 +1,9 @@
 """A recording of both tracks, checked: what may be used, its positions, and motion that is locked to it.
 
-Locked is motion of nearly p/q cycles per sample: each q-th sample lies at the same place of the cycle, and
-q places are all that is ever sampled. With z = cosine + i sine of amplitude A, the mean of the samples at
-one place over a window in which that place moves by d cycles has the size A |sin(pi d) / (pi d)|. It is
-locked if d < 0.36 / q: the q places are 1/q apart, and over a window of 256 samples none has moved by much
-more than a third of the gap to the next. A reference measurement needs phases that fill these gaps within
-its blocks.
+Locked is motion of nearly p/q cycles per sample: only q places of the cycle are ever sampled. With
+z = cosine + i sine of amplitude A, the mean of the samples at one place over a window in which that place
+moves by d cycles has the size A |sin(pi d) / (pi d)|. It is locked if d < 0.36 / q, about a third of the gap
+to the next place, over a window of 256 samples.
 """
 
 from __future__ import annotations

@@ -1,18 +1,15 @@
 """From a recording to the joint fit: track, block length, orders, faults left out, track again.
 
-The fit (:mod:`.joint`) is linearised: it needs positions that are right to a small part of a cycle, blocks
-in which a polynomial follows the motion, and the orders of the series that the data supports. None is known
-beforehand, so they are found in turn, each with what the one before gave:
+The fit (:mod:`.joint`) needs positions that are right to a small part of a cycle, blocks in which a
+polynomial follows the motion, and the orders that the data supports. They are found in turn:
 
 1. Positions from the arc tangent behind the ellipse (:mod:`.following`), with orders 1 to 6.
-2. The length of the blocks. A long one has more equations for each coefficient of the motion, a short one
-   follows more of it. Each length is tried on part of the samples, and the one is taken whose fit expects
-   the least error of the table; if motion is left even then, polynomials of higher degree on it.
+2. The length of the blocks: of those tried on part of the samples, the one whose fit expects the least
+   error of the table; if motion is left even then, polynomials of higher degree.
 3. More orders, as long as the last quarter of them carries something; samples and blocks that do not fit
    are left out as the fit gets better.
 4. Positions again from the phases on the fitted curve, if there was anything to gain, and 3. again.
-5. Only the orders that stand out of the noise: each one that is kept costs four coefficients of
-   uncertainty.
+5. Only the orders that stand out of the noise.
 
 An order is kept if its four coefficients v, with their covariance C, are unlikely to be noise: v' C^-1 v is
 chi^2 with four degrees of freedom, above 16 with the probability exp(-8) (1 + 8) = 0.3 %.

@@ -1,10 +1,8 @@
 """Reference measurement of the paper (section 2): a slow recording, many samples in each cycle.
 
-A cubic through four positive zero crossings of the sine track gives the position between the
-inner two at any speed; the samples there are resampled to equidistant raw phases
-and averaged over many cycles. Two things are better than printed at no cost: the crossing
-comes from four samples instead of two, and what is resampled, by a polynomial through six
-samples, is the small difference to the arc tangent, which is smooth, instead of the phase.
+A cubic through four positive zero crossings of the sine gives the position between the inner two; the
+samples there are resampled to equidistant raw phases and averaged over many cycles. Beyond the paper, a
+crossing comes from four samples, and the smooth difference to the arc tangent is resampled, not the phase.
 """
 
 from __future__ import annotations

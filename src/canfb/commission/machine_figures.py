@@ -1,25 +1,17 @@
 """Figures of a machine from the samples of its duty: its motion, its signal, the noise of both.
 
-**Acceleration and jerk.** The second difference of three phases with noise s has the noise sqrt(6) s, which
-at a fast SYNC is far more than any acceleration. A parabola fitted to a window averages the second
-differences in it with the weights of a bell (Savitzky and Golay), all positive, of sum 1. So an average
-never exceeds the largest acceleration, and its noise is s times the norm of the bell differenced twice. A
-short bell follows a vibration, a long one finds a slow ramp in the noise. Of n averages noise alone makes
-the largest one about sqrt(2 ln n) times its own; what each bell shows beyond that is at most the
-acceleration, and the largest counts.
+**Acceleration and jerk.** At a fast SYNC the noise of a second difference, sqrt(6) times that of a phase, is
+far more than any acceleration. A parabola fitted to a window averages the second differences in it with
+positive weights of sum 1 (Savitzky and Golay), so an average never exceeds the largest acceleration. Short
+windows follow a vibration, long ones find a slow ramp. Of n averages noise alone makes the largest one about
+sqrt(2 ln n) times its own; the most that any window shows beyond that counts.
 
 **Noise of a phase.** The fourth difference has next to nothing of a motion, and sqrt(1 + 16 + 36 + 16 + 1)
-= sqrt(70) times the noise of a sample; 1.4826 times the median of its size is the standard deviation of a
-normal one, whatever a few faults do. Jitter of the sampling grows with the speed, so the noise is that of
-the speeds at which it is largest.
+times the noise of a sample; the median of its size ignores a few faults. Jitter grows with the speed, so the
+noise is that of the speeds at which it is largest.
 
-**Low-pass.** The amplitude over the speed, in classes of it, shows the corner of a low-pass before the
-converter (:func:`canfb.calibration.path_fit.fit_low_pass`). The limits of the amplitude (2001:03, 2001:04)
-hold at standstill where the module knows the corner (2001:05): what is fitted is the amplitude without what
-is corrected already.
-
-**Frozen input.** Amplitude over the phase, and the noise of the converter, say how a frozen input is
-recognised (:func:`repeats_of_frozen_input`).
+**Low-pass.** The amplitude over the speed shows the corner (:func:`canfb.calibration.path_fit.fit_low_pass`),
+without what the module corrects already (2001:05).
 """
 
 from __future__ import annotations
@@ -84,10 +76,7 @@ class MotionFigures:
 
     @property
     def phase_error(self) -> float:
-        """The largest error of one phase that the second differences show beyond the motion, cycles.
-
-        They weigh three phases with 1, 2, 1; at most all are off at the same time.
-        """
+        """The largest error of one phase beyond the motion, cycles: at most all three are off at a time."""
         off = self.residual - smooth_acceleration(self.residual, self.noise)
         off = off[np.isfinite(off)]
         return peak(off) / 4.0 if len(off) else 0.0
@@ -132,10 +121,7 @@ def smooth_acceleration(residual: FloatArray, noise: float) -> FloatArray:
 
 
 def _noise(acceleration: FloatArray, speed: FloatArray) -> float:
-    """Of one sample, cycles, at the speeds at which it is largest: jitter grows with the speed.
-
-    The fourth difference has next to nothing of a motion. ``speed`` is its size, NaN at standstill.
-    """
+    """Of one sample, cycles. ``speed`` is its size, NaN at standstill."""
     fourth = np.abs(np.diff(acceleration, 2))
     known = np.isfinite(fourth) & np.isfinite(speed[1:-1])
     fourth = fourth[known][np.argsort(speed[1:-1][known])]
@@ -267,11 +253,10 @@ def track_figures(
 def repeats_of_frozen_input(noise_counts: float, rate_hz: float, margin: float, longest_repeat: int) -> int:
     """Repeats of both counts that distinguish a frozen converter from a working one (2010:04); 0: none do.
 
-    A machine that moves whole cycles per sample shows one phase only, in the worst case with both
-    tracks in the middle of a count. With normal noise of ``noise_counts`` (rms) both counts are then the
-    same again with the probability q = erf(1 / (2 sqrt(2) noise))^2, and n times with q^n. The result is
-    large enough for less than one false alarm in ten years of that, at ``rate_hz`` samples per second,
-    and more than ``margin`` times the longest repeat; at least 16, 0 if it were more than 255.
+    At whole cycles per sample, with both tracks in the middle of a count, normal noise repeats both counts
+    with the probability q = erf(1 / (2 sqrt(2) noise))^2, and n times with q^n. The result gives less than
+    one false alarm in ten years of that, at ``rate_hz`` samples per second, and is more than ``margin`` times
+    the longest repeat; at least 16, 0 if it were more than 255.
     """
     if noise_counts < QUIETEST_COUNTS:
         return 0

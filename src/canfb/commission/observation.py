@@ -1,11 +1,8 @@
 """Samples of a machine in its duty, followed by the chain of the module; or why they cannot be.
 
-The figures of a machine need positions that count every cycle. The chain gets the samples with the limits
-that the module has in force, as the module got them. It does not see where the module was when they began:
-samples leave the speed open by whole cycles per interval. The speed that the module reports meanwhile
-(2011:07) closes that: the chain is started with the speed of the first two samples that is nearest to it,
-and started again, by whole cycles per interval faster or slower, until the speeds agree over the whole
-recording.
+Samples leave the speed open by whole cycles per interval; the speed that the module reports meanwhile
+(2011:07) closes that. The chain, with the limits in force, is started with the speed of the first two samples
+that is nearest to it, and again, by whole cycles per interval faster or slower, until the speeds agree.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """What no PDO carries, read by SDO beside the reception: while somebody looks, and as seldom as that allows.
 
 Values are read every CYCLE_S, mapping, limits and scales every LAYOUT_S; all at once after a boot-up and when
-bit 7 of the status word (table active) changes. The table is read again when its CRC (2020:04) or the
-conditioning in force (2020:07) is another one.
+bit 7 of the status word changes. The table is read again when its CRC or its conditioning is another one.
 """
 
 from __future__ import annotations
