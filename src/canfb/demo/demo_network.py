@@ -20,7 +20,7 @@ from canfb.simulation.encoder import Encoder, ShaftEncoder, demo_encoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from canfb.simulation.set_up import SampleRecorder
 from canfb.simulation.sync_producer import Drive, SyncTiming
-from canfb.sources.motion_source import MotionSource
+from canfb.sources.motion_source import MotionSource, ShaftMotion
 
 
 class EmbeddedNetwork(canopen.Network):
@@ -67,7 +67,7 @@ Fault = Callable[[Sample], Sample | None]
 class FaultySource(MotionSource):
     """A motion with faults on request: sample number -> what becomes of it, None = lost."""
 
-    def __init__(self, shaft: ShaftEncoder, motion: Motion, interval_s: float) -> None:
+    def __init__(self, shaft: ShaftEncoder, motion: ShaftMotion, interval_s: float) -> None:
         super().__init__(shaft, motion, interval_s)
         self.faults: dict[int, Fault] = {}
         self.truth_cycles: list[float] = []
@@ -92,17 +92,29 @@ class DemoNetwork:
     Frames take time and wait for each other, the SYNC jitters, and no two clocks agree.
     """
 
-    def __init__(self, encoder: Encoder | None = None, seed: int = 1) -> None:
+    def __init__(
+        self,
+        encoder: Encoder | None = None,
+        seed: int = 1,
+        motion: ShaftMotion | None = None,
+        samples_per_sync: int = 1,
+    ) -> None:
         self.encoder, self.seed = encoder or demo_encoder(), seed
         self.bus = EmbeddedBus(BIT_RATE)
         self.canopen = EmbeddedNetwork(self.bus)
         shaft = ShaftEncoder(self.encoder, CYCLES_PER_REVOLUTION, seed, APERTURE_JITTER_S)
-        self.source = FaultySource(shaft, demo_motion(), SYNC_PERIOD_S)
-        self.module = FeedbackModule(
-            ModuleConfig(node_id=NODE_ID, encoder_interface=INTERFACE_ID, times=True)
+        self.source = FaultySource(shaft, motion or demo_motion(), SYNC_PERIOD_S)
+        config = ModuleConfig(
+            node_id=NODE_ID,
+            encoder_interface=INTERFACE_ID,
+            times=True,
+            samples_per_sync=samples_per_sync,
         )
+        self.module = FeedbackModule(config)
         clock = SampleClock(CLOCK_DRIFT_PPM, CLOCK_START_100NS)
-        self.interface = EncoderInterface(INTERFACE_ID, self.source, times=True, clock=clock)
+        self.interface = EncoderInterface(
+            INTERFACE_ID, self.source, times=True, samples_per_sync=samples_per_sync, clock=clock
+        )
         self.recorder = SampleRecorder(self.interface)
         self.drive = Drive(SYNC_PERIOD_S, POSITION_COB_ID, UNITS_PER_REVOLUTION, TIMING, seed)
         others = BackgroundTraffic(OTHER_LOAD, BIT_RATE, seed)

@@ -8,27 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from canfb.demo.demo_network import (
-    BIT_RATE,
-    CLOCK_DRIFT_PPM,
-    CYCLES_PER_REVOLUTION,
-    INTERFACE_ID,
-    NODE_ID,
-    SYNC_PERIOD_S,
-    TIMING,
-)
-from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.sample_instants import SampleClock
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
+from canfb.demo.demo_network import SYNC_PERIOD_S, DemoNetwork
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.phase import FloatArray
-from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder, ShaftEncoder
+from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import SCurve
-from canfb.simulation.sync_producer import SyncProducer
-from canfb.sources.motion_source import MotionSource
 
 RPM, ACCELERATION_RAD_S2, JERK_RAD_S3 = 3000.0, 7850.0, 785_000.0
 AT_REST_S = 0.15  # the clocks of interface and module lock to SYNC
@@ -100,27 +85,8 @@ def servo_move(encoder: Encoder, correction: Correction, seed: int) -> list[Serv
 
 def _run(encoder: Encoder, correction: Correction, seed: int, run: ServoRun) -> ServoRun:
     move = SCurve(RPM * 2.0 * math.pi / 60.0, ACCELERATION_RAD_S2, JERK_RAD_S3, AT_REST_S)
-    shaft = ShaftEncoder(encoder, CYCLES_PER_REVOLUTION, seed)
-    source = MotionSource(shaft, move, SYNC_PERIOD_S)
-    config = ModuleConfig(
-        node_id=NODE_ID,
-        encoder_interface=INTERFACE_ID,
-        autostart=True,
-        times=True,
-        samples_per_sync=run.samples_per_sync,
-    )
-    module = FeedbackModule(config)
-    interface = EncoderInterface(
-        INTERFACE_ID,
-        source,
-        autostart=True,
-        times=True,
-        samples_per_sync=run.samples_per_sync,
-        clock=SampleClock(CLOCK_DRIFT_PPM),
-    )
-    bus = EmbeddedBus(BIT_RATE)
-    for participant in (interface, module, SyncProducer(SYNC_PERIOD_S, TIMING, seed)):
-        bus.attach(participant)
+    network = DemoNetwork(encoder, seed, move, run.samples_per_sync)
+    module, source = network.module, network.source
     module.use_correction(correction)
     feedbacks: list[tuple[float, Feedback]] = []
     away: list[float] = []
@@ -134,7 +100,9 @@ def _run(encoder: Encoder, correction: Correction, seed: int, run: ServoRun) -> 
         away.append(feedback.cycles + feedback.phase - source.position_cycles)
 
     module.on_feedback = listen
-    bus.run_until(SYNC_PERIOD_S * 2 + move.end_s + AT_SPEED_S)
+    network.canopen.nmt.state = "OPERATIONAL"  # all nodes
+    network.drive.start_sync(network.bus.now)
+    network.bus.run_until(network.bus.now + SYNC_PERIOD_S * 2 + move.end_s + AT_SPEED_S)
     run.limit_cycles = module.limits.residual_limit
     return _judged(run, feedbacks, away)
 
