@@ -157,10 +157,10 @@ def test_a_pdo_answers_the_sync_that_was_the_least_delay_before(
 
 @given(delay=st.floats(0.05, 0.5), late=st.floats(0.6, 0.75))
 def test_a_pdo_that_fits_none_is_not_used_until_it_is_the_usual_one(delay: float, late: float) -> None:
-    answers, syncs = learned(delay * T)
-    moved = []
-    for _ in range(ROW):
-        assert answers.place((delay + late) * T, syncs.grid) is None
+    (answers, syncs), moved = learned(delay * T), []
+    for n in range(60, 60 + ROW):
+        syncs.sync(BEGIN + n * T, True, None)
+        assert {answers.place((delay + late) * T, syncs.grid) for _ in "copies"} == {None}
         moved.append(answers.has_moved(syncs.grid))
     assert moved == [False] * (ROW - 1) + [True]
     assert answers.place((delay + late) * T, syncs.grid) == 0

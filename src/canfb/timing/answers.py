@@ -31,7 +31,7 @@ class Answers:
     def forget(self) -> None:
         """Another interface."""
         self.least_s = inf
-        self._refused: list[float] = []
+        self._refused: dict[float, float] = {}  # by the place of the next SYNC: several of one are copies
 
     def is_usual(self, delay_s: float, grid: Grid) -> bool:
         """It answers the SYNC so long before it, within the usual delay."""
@@ -61,7 +61,7 @@ class Answers:
             self.least_s += (FORGETTING if within_s >= 0.0 else 1.0) * within_s
             self._refused.clear()
         else:
-            self._refused.append(delay_s)
+            self._refused.setdefault(grid.due, delay_s)
         return places if fits else None
 
     def has_moved(self, grid: Grid) -> bool:
@@ -69,10 +69,10 @@ class Answers:
         refused = self._refused
         if len(refused) < ROW:
             return False
-        if max(refused) - min(refused) > LATEST * grid.period:
-            del refused[0]
+        if max(refused.values()) - min(refused.values()) > LATEST * grid.period:
+            del refused[min(refused)]
             return False
-        self.least_s = min(refused)
+        self.least_s = min(refused.values())
         refused.clear()
         return True
 
