@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from canopen import SdoAbortedError
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
@@ -199,14 +198,6 @@ def test_samples_that_nobody_confirms_are_not_learned() -> None:
     one.counts(*one.pair())
     assert not one.module.feedback or not one.module.feedback.valid
     assert sectors._sectors.taken == 0
-
-
-@each("subindex, value", [(8, 2), (9, 251), (10, 501), (11, 251), (12, 10001)])
-def test_bounds_that_are_none_are_refused(subindex: int, value: int) -> None:
-    bench = Bench()
-    with pytest.raises(SdoAbortedError) as caught:
-        bench.sdo[0x2002][subindex].raw = value
-    assert caught.value.code == 0x06090031
 
 
 @each(

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from canopen import SdoAbortedError
 from module_bench import Bench
 
 import canfb
 from canfb.cia301.frame import Frame
 from canfb.configuration import parse_config
-from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
@@ -154,24 +152,7 @@ def test_limits_of_the_amplitude_are_those_of_a_slow_machine() -> None:
     assert not machine.read(0x6505, 0)
 
 
-def test_without_the_corner_a_healthy_machine_is_flagged() -> None:
-    narrow = {"amplitude_low_counts": 20700, "amplitude_high_counts": 25300}
-    machine = Machine(accelerating(125.037), **narrow)
-    machine.corner_hz = 125e3
-    assert any(machine.sample()[1] & StatusBit.AMPLITUDE for _ in range(3000))
-
-
 # The objects.
-
-
-@pytest.mark.parametrize(
-    ("place", "value"), [((0x2002, 6), 0.02), ((0x2002, 7), -0.02), ((0x2001, 5), -1.0), ((0x2001, 5), 1e10)]
-)
-def test_a_value_out_of_range_is_refused(bench: Bench, place: tuple[int, int], value: float) -> None:
-    with pytest.raises(SdoAbortedError) as error:
-        bench.sdo[place[0]][place[1]].raw = value
-    assert error.value.code == 0x06090030
-    assert bench.sdo[place[0]][place[1]].raw == 0.0
 
 
 def test_the_delays_wait_for_the_activation_and_the_corner_does_not(bench: Bench) -> None:
@@ -184,20 +165,6 @@ def test_the_delays_wait_for_the_activation_and_the_corner_does_not(bench: Bench
     bench.sdo[0x2020][3].raw = 0
     used = chain.correction.conditioning
     assert (used.cosine_delay_s, used.delay_s) == pytest.approx((1e-6, 2e-6))
-
-
-def test_they_are_kept_over_a_loss_of_power() -> None:
-    store = MemoryStore()
-    first = Bench(store)
-    first.start()
-    for place, value in (((0x2002, 6), 1e-6), ((0x2002, 7), 2e-6), ((0x2001, 5), 125e3)):
-        first.sdo[place[0]][place[1]].raw = value
-    first.sdo[0x2020][3].raw = 0
-    first.sdo[0x1010][1].raw = int.from_bytes(b"save", "little")
-    again = Bench(store)
-    used = again.module.chain.correction.conditioning
-    assert (used.cosine_delay_s, used.delay_s) == pytest.approx((1e-6, 2e-6))
-    assert again.module.limits.corners.corner_hz == 125e3
 
 
 def test_the_configuration_has_them() -> None:

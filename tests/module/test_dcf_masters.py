@@ -11,7 +11,7 @@ from typing import Any
 import canopen
 import dcf
 import pytest
-from configuration_kit import NODE_ID, PROGRAMS, played, put, run, state, table, write
+from configuration_kit import NODE_ID, PROGRAMS, played, run, state, table, write
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from module_bench import Bench
@@ -141,13 +141,6 @@ def test_python_canopen_loads_whatever_can_be_written_in_the_order_of_the_indice
     assert {place for place in differing if not left_out_by_canopen(place)} == set()
 
 
-@pytest.mark.parametrize("name", SOURCES)
-def test_the_dcf_of_a_module_that_was_loaded_from_it_is_the_same(name: str, tmp_path: Path) -> None:
-    configuration = configuration_of(source(name))
-    bench = loaded_by_canopen(write_dcf(tmp_path, configuration))
-    assert text_of(configuration_of(bench.module)) == text_of(configuration)
-
-
 def test_python_canopen_knows_node_and_bit_rate(tmp_path: Path) -> None:
     od: Any = canopen.import_od(str(write_dcf(tmp_path, configuration_of(source("all")))))
     assert (od.node_id, od.bitrate) == (NODE_ID, 500_000)
@@ -214,17 +207,3 @@ def test_every_real32_comes_back_from_both_ways(value: float) -> None:
 def test_a_whole_number_has_no_exponent_and_no_point() -> None:
     texts = [real_as_text(8, value, Reals.DECIMAL) for value in (0.0, 1.0, -20.0, 100_000.0, 0.5, -0.0)]
     assert texts == ["0", "1", "-20", "100000", "0.5", "-0"]
-
-
-def test_what_no_master_can_write_in_the_order_of_the_indices_is_in_the_concise_form() -> None:
-    wanted = source("all")
-    run(wanted, [
-        write(0x1014, 0, 4, 1 << 31), write(0x1014, 0, 4, 0x90),
-        write(0x1019, 0, 1, 20), write(0x1006, 0, 4, 1000),
-    ])  # fmt: skip
-    configuration = configuration_of(wanted)
-    assert configuration.refused_in_index_order() == [(0x1014, 0), (0x1019, 0)]
-    target = FeedbackModule(ModuleConfig(node_id=NODE_ID))
-    target.start(0.0)
-    assert not any(put(target, one) for one in configuration.writes())
-    assert state(target) == state(wanted)

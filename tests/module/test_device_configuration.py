@@ -94,6 +94,7 @@ def test_a_good_configuration_is_heard_of_at_all(modules: tuple[FeedbackModule, 
 @pytest.mark.parametrize("fields", [
     {},
     {"adc_bits": 16, "cycles_per_revolution": 1024, "coast_samples": 7, "frozen_samples": 3},
+    {"times": True},
     {"adc_bits": 14, "conditioning": Conditioning(12.5, -3.25, 1.07, 0.93, 0.021)},
     {"residual_limit": 0.25, "max_acceleration_rad_s2": 1234.5, "autostart": True, "encoder_interface": 17},
     {"second_position": SecondPositionConfig(increments=4096, revolutions=3, reversed=True, cob_id=0x1B0,
@@ -213,11 +214,3 @@ def test_the_counter_overflow_takes_its_own_value_while_a_period_is_set(
     run(module, [write(0x1019, 0, 1, 10), write(0x1006, 0, 4, 1000)])
     assert put(module, write(0x1019, 0, 1, 10)) == 0
     assert put(module, write(0x1019, 0, 1, 11)) == 0x08000022
-
-
-def test_with_sample_times_the_mapping_of_rpdo1_goes_with_it() -> None:
-    module = FeedbackModule(ModuleConfig(node_id=NODE_ID, times=True))
-    module.start(0.0)
-    timed = configuration_of(module)
-    assert timed.changed() == {(0x1600, 0): 3, (0x1600, 3): 0x20000520}
-    assert timed.refused_in_index_order() == []

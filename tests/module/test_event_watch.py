@@ -12,7 +12,7 @@ from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
 from canfb.device.storage.storage import MemoryStore
-from canfb.module.events import Event, EventKind, EventWatch
+from canfb.module.events import Event, EventKind
 from canfb.signal.feedback import Feedback
 
 NODE, INTERFACE = 0x20, 0x10
@@ -227,26 +227,6 @@ def test_table_and_saving_are_told() -> None:
     machine.events.clear()
     machine.give(0x000, bytes((NmtCommand.RESET_NODE, NODE)), machine.now)
     assert machine.texts(EventKind.TABLE) == [f"table in force: 16 entries, CRC {table.crc32:08X}h"]
-
-
-def test_without_a_listener_nothing_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
-    machine = Machine()
-    machine.module.events.on_event = None
-    monkeypatch.setattr(EventWatch, "_report", lambda *given, **values: pytest.fail("made for nobody"))
-    monkeypatch.setattr(EventWatch, "_changed", lambda *given: pytest.fail("made for nobody"))
-    monkeypatch.setattr(EventWatch, "state_changed", lambda *given: None)
-    monkeypatch.setattr(EventWatch, "synced", lambda *given: None)
-    machine.run(100)
-    machine.run(5, sample=False)
-
-
-def test_good_samples_ask_the_watch_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    machine = Machine()
-    machine.run(100)
-    calls: list[object] = []
-    monkeypatch.setattr(EventWatch, "follow", lambda *given: calls.append(given))
-    machine.run(1000)
-    assert calls == []
 
 
 def test_a_sample_time_that_fits_nothing_is_reported() -> None:

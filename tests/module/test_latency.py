@@ -6,7 +6,6 @@ import math
 
 import pytest
 from latency_bench import ADC_DELAY, REMOTE_DELAY, Timeline
-from module_bench import Bench
 
 from canfb.objects import StatusBit
 from canfb.signal.sample import Sample
@@ -42,19 +41,6 @@ def test_age_by_transmission_types(rpdo: int, tpdo: int) -> None:
     for one in sent:
         assert one.status == StatusBit.VALID
         assert one.at - round(one.cycles / STEP) == pytest.approx(expected_age(rpdo, tpdo), abs=1e-6)
-
-
-def test_at_once_means_upon_the_adc_pdo_and_before_the_next_sync(bench: Bench) -> None:
-    assert [frame.can_id for frame in bench.sync()] == [0x2A0]
-    assert [frame.can_id for frame in bench.counts(0, 1500)] == [0x1A0]
-
-
-@pytest.mark.parametrize("tpdo", [1, 254])
-def test_with_rpdo_type_1_all_happens_at_the_next_sync(bench: Bench, tpdo: int) -> None:
-    bench.sdo[0x1400][2].raw, bench.sdo[0x1800][2].raw = 1, tpdo
-    bench.sync()
-    assert bench.counts(0, 1500) == []
-    assert 0x1A0 in [frame.can_id for frame in bench.sync()]
 
 
 @pytest.mark.parametrize("rpdo", [1, 255])
@@ -119,13 +105,3 @@ def test_speed_is_that_of_half_an_interval_before_its_sample_and_acceleration_of
     assert sdo[0x6030][1].raw == round(speed(last - 0.5) * per_s * 60) or sdo[0x6030][1].raw == 0x7FFF
     # The residual is the size of the same second difference.
     assert sdo[0x2011][2].raw / 65536 == pytest.approx(JERK * (last - 1), abs=1e-4)
-
-
-def test_the_profile_speed_has_the_same_age() -> None:
-    timeline = Timeline(lambda k: 0.1 * k + 0.0005 * k**2)
-    timeline.start()
-    timeline.run(30)
-    last = timeline.syncs - 1
-    sdo = timeline.bench.sdo
-    assert sdo[0x6030][1].raw == pytest.approx((0.1 + 0.001 * (last - 0.5)) * 60e3, abs=3)
-    assert sdo[0x6040][1].raw == pytest.approx(0.001 * 1e6, abs=80)

@@ -91,15 +91,6 @@ def test_each_sync_brings_the_position_of_its_own_sample() -> None:
     assert source.position_cycles > 10_000
 
 
-def test_a_tpdo_of_type_1_carries_the_sample_of_this_very_sync() -> None:
-    local = Local(Played(at(0.125), at(0.25), at(0.375)))
-    local.module.dictionary.entry(0x1800, 2).value = 1
-    local.start()
-    eighth = UNITS_PER_CYCLE // 8
-    for n in (1, 2, 3):
-        assert local.position(local.sync())[0] == pytest.approx(n * eighth, abs=4)
-
-
 def test_the_counts_stand_in_2000h() -> None:
     sample = Sample(100.4, -200.0, coarse_sine=7, coarse_cosine=-8, zero_pulse=0.25, time_100ns=2**32 + 5)
     local = Local(Played(sample, sample._replace(invalid=True, zero_pulse=None, time_100ns=6)))

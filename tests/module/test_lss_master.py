@@ -113,41 +113,6 @@ def test_one_of_two_is_selected_and_moved(bus: Bus) -> None:
     assert sdo[0x1400][1].raw == 0x190
 
 
-def test_a_node_id_that_is_none_and_a_bit_rate_that_is_not_there_are_refused(bus: Bus) -> None:
-    bus.module(32, 1)
-    bus.lss.send_switch_state_global(bus.lss.CONFIGURATION_STATE)
-    with pytest.raises(canopen.lss.LssError, match="LSS Error: 1"):
-        bus.lss.configure_node_id(128)
-    with pytest.raises(canopen.lss.LssError, match="LSS Error: 1"):
-        bus.lss.configure_bit_timing(4)
-    bus.lss.configure_bit_timing(2)
-    with pytest.raises(canopen.lss.LssError, match="LSS Error: 1"):
-        bus.lss.store_configuration()  # without a store
-
-
-def test_a_stored_node_id_is_there_after_the_power_was_off(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = MemoryStore()
-    bus.module(NONE, 1, store)
-    assert bus.lss.fast_scan()[0]
-    bus.lss.configure_node_id(40)
-    bus.lss.store_configuration()
-    again = Bus(monkeypatch)
-    module = again.module(NONE, 1, store)
-    assert again.heard == [0x728]
-    assert module.node.node_id == 40
-    assert again.master(40).sdo[0x1800][1].raw == 0x400001A8
-
-
-def test_the_activation_of_a_bit_rate_reaches_the_program(bus: Bus) -> None:
-    module = bus.module(32, 1)
-    wanted = []
-    module.on_bit_rate = lambda kbit_s, delay_s, now: wanted.append((kbit_s, delay_s))
-    bus.lss.send_switch_state_global(bus.lss.CONFIGURATION_STATE)
-    bus.lss.configure_bit_timing(2)
-    bus.lss.activate_bit_timing(250)
-    assert wanted == [(500, 0.25)]
-
-
 def test_a_module_that_got_its_node_id_measures(bus: Bus) -> None:
     bus.module(NONE, 1)
     bus.bus.attach(EncoderInterface(16, Still()))

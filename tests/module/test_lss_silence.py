@@ -108,15 +108,6 @@ def test_a_refused_activation_makes_no_silence(line: Line, index: int | None) ->
     assert len([frame for _, frame in line.run(0.02) if frame.can_id == POSITION]) == 20
 
 
-def test_without_the_configuration_state_nothing_is_activated(line: Line) -> None:
-    line.lss(0x04, 1)
-    line.lss(0x13, 0, 2)
-    line.lss(0x04, 0)
-    line.lss(0x15, 50, 0)
-    assert line.switched == []
-    assert line.sdo("4000100000000000") != []
-
-
 def test_a_delay_of_zero_is_no_silence(line: Line) -> None:
     line.activate(0.0)
     assert line.switched == [(500, 0.0, 0.0)]

@@ -110,6 +110,7 @@ class ModuleMachine(RuleBasedStateMachine):
     def _sample(self, shift: float = 0.0, amplitude: float = 1500.0, *, axis: bool = False) -> None:
         """One SYNC and its sample; on an axis of the circle both tracks can clip."""
         self._step()
+        self.doubled = False
         self._send(SYNC, b"", 0.0008)
         shown = round(4.0 * self.position) / 4.0 if axis else self.position + shift
         pair = self._counts(shown, amplitude)
@@ -166,6 +167,7 @@ class ModuleMachine(RuleBasedStateMachine):
         self._step()
         self._send(SYNC, b"", 0.001)
         self._compare(expected)
+        self.doubled = False
         pair = self._counts(self.position)
         self._send(ADC_PDO, struct.pack("<hh", *pair), 0.0002)
         self._compare(self.model.sample(*pair))
@@ -212,7 +214,9 @@ class ModuleMachine(RuleBasedStateMachine):
 
     @rule()
     def doubled_pdo(self) -> None:
-        if self.module.feedback is not None:
+        """Once for each sample: four in a row that fit no SYNC are a delay that has changed."""
+        if self.module.feedback is not None and not self.doubled:
+            self.doubled = True
             self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)))
             self.bad_frames += 1
 

@@ -94,13 +94,6 @@ def test_the_limit_is_the_bound_of_the_motion_and_six_sigma() -> None:
     assert machine.sync().valid
 
 
-def test_half_a_count_of_noise_adds_little_to_the_motion() -> None:
-    """25 rad/s^2 at 1 kHz: 0.00995 of the motion, 6 sigma of half a count; 0.06 with the fixed margin."""
-    machine = Turning()
-    machine.sync(4500)
-    assert 0.0105 < machine.limit < 0.013
-
-
 def test_zero_is_the_fixed_margin() -> None:
     machine = Turning(margin=0)
     machine.sync(3000)

@@ -27,19 +27,12 @@ def model(positions: list[int], low: int, high: int, hysteresis: int, total_rang
 PLACES = st.integers(0, RANGE - 1)
 
 
-@given(st.lists(PLACES, max_size=40), PLACES, PLACES, st.integers(0, 700))
-def test_a_cam_is_that_of_the_model(positions: list[int], low: int, high: int, hysteresis: int) -> None:
-    cam = Cam()
-    cam.configure(low, high, hysteresis, RANGE)
-    assert [cam.update(position) for position in positions] == model(positions, low, high, hysteresis)
-
-
-@given(st.integers(1, 30), st.data())
-def test_small_ranges_and_negative_limits(total_range: int, data: st.DataObject) -> None:
+@given(st.integers(1, 30) | st.just(RANGE), st.data())
+def test_a_cam_is_that_of_the_model(total_range: int, data: st.DataObject) -> None:
     places = st.integers(0, total_range - 1)
     low, high, back = data.draw(places), data.draw(places), data.draw(st.booleans())
-    hysteresis = data.draw(st.integers(0, 40))
-    positions = data.draw(st.lists(places, max_size=20))
+    hysteresis = data.draw(st.integers(0, 700))
+    positions = data.draw(st.lists(places, max_size=40))
     cam = Cam()
     cam.configure(low - total_range if back else low, high, hysteresis, total_range)
     assert [cam.update(p) for p in positions] == model(positions, low, high, hysteresis, total_range)
@@ -120,13 +113,6 @@ def test_hysteresis_is_followed_without_anybody_reading(machine: Bench) -> None:
     machine.sdo[0x6322][1].raw = 3000
     machine.sdo[0x6331][1].raw = 301
     assert machine.sdo[0x6300][1].raw == 4  # new parameters: from the position alone
-
-
-def test_a_cam_over_the_wrap(machine: Bench) -> None:
-    set_cam(machine, 1, -500, 200)
-    assert walk(machine, 0.5, 0.1, -0.3, -0.6) == [0, 1, 1, 0]
-    # Without a correction table, division is off by up to a hundredth of a cycle (Table 1).
-    assert machine.sdo[0x6004].raw == pytest.approx(9400, abs=12)
 
 
 def test_polarity_inverts_and_a_disabled_cam_is_0(machine: Bench) -> None:

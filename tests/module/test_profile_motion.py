@@ -91,16 +91,6 @@ def test_the_defaults_are_per_minute_and_revolutions_per_square_second(make_benc
     assert bench.sdo[0x6040][1].raw == pytest.approx(-0.125 * 1e6 / 100, rel=1e-3)
 
 
-def test_it_saturates_in_the_machine_and_both_ways(make_bench: type[Bench]) -> None:
-    bench = make_bench(cycles_per_revolution=1)
-    bench.start()
-    bench.sdo[0x2003][1].raw = 60_000
-    turning(bench)
-    assert bench.sdo[0x6030][1].raw == 0x7FFF
-    bench.sdo[0x6000].raw = 1
-    assert bench.sdo[0x6030][1].raw == -0x8000
-
-
 def test_0_before_the_first_sample_and_while_the_interval_is_not_known(bench: Bench) -> None:
     assert (bench.sdo[0x6030][1].raw, bench.sdo[0x6040][1].raw) == (0, 0)
     bench.at(0.0)

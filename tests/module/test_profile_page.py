@@ -1,17 +1,19 @@
-"""docs/encoder-profile.md: its table is the EDS, its codes are those of the program, its examples run."""
+"""docs/encoder-profile.md: the module has what its table says; its codes and its examples."""
 
 from __future__ import annotations
 
 import re
+import struct
+import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import canopen
 import pytest
 from module_bench import Bench
 
 from canfb.cia301.codes import EmergencyCode
-from canfb.cia301.datatypes import DataType
+from canfb.cia301.datatypes import FORMATS, DataType
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
@@ -19,7 +21,8 @@ from canfb.module.cia406.alarms import CODES
 from canfb.module.cia406.profile import ALARM_PARAMETERS, ALARM_POSITION
 from folding import each
 
-PAGE = (Path(__file__).parents[2] / "docs" / "encoder-profile.md").read_text(encoding="utf-8")
+PROJECT = Path(__file__).parents[2]
+PAGE = (PROJECT / "docs" / "encoder-profile.md").read_text(encoding="utf-8")
 TYPES = {"U8": DataType.UNSIGNED8, "U16": DataType.UNSIGNED16, "U32": DataType.UNSIGNED32,
          "U64": DataType.UNSIGNED64, "I16": DataType.INTEGER16, "I32": DataType.INTEGER32}  # fmt: skip
 DICTIONARY = Dictionary.load(eds_path("canfb-module"), 32)
@@ -32,20 +35,44 @@ def section(title: str) -> str:
     return found
 
 
-def rows() -> list[tuple[list[tuple[int, int]], list[str]]]:
-    """The places of each row of the table of objects, and its cells."""
+class Row(NamedTuple):
+    """One object as the page has it; default: None for a value that is measured."""
+
+    place: tuple[int, int]
+    data_type: DataType
+    access: str
+    mappable: bool
+    default: int | None
+
+    @property
+    def size(self) -> int:
+        return struct.calcsize(FORMATS[self.data_type])
+
+
+def rows() -> list[Row]:
     found = []
     for line in section("All objects").splitlines():
         match = re.match(r"\| ([0-9A-F]{4})h(?::(\d\d))?(?: to ([0-9A-F]{4})h:\d\d)? \| (.*) \|$", line)
         if match:
             first, subindex, last, rest = match.groups()
+            _, data_type, access, _, default = rest.split(" | ")
+            kept = TYPES[data_type], access.split(",")[0], access.endswith(", PDO")
+            value = None if default == "-" else number(default)
             indices = range(int(first, 16), int(last or first, 16) + 1)
-            found.append(([(index, int(subindex or "0")) for index in indices], rest.split(" | ")))
+            found += [Row((index, int(subindex or "0")), *kept, value) for index in indices]
     return found
 
 
 def number(text: str) -> int:
     return int(text[:-1], 16) if text.endswith("h") else int(text)
+
+
+ROWS = rows()
+
+
+@pytest.fixture(scope="module")
+def module() -> Bench:
+    return Bench(serial_number=4711)
 
 
 def test_the_table_has_every_object_once() -> None:
@@ -55,20 +82,72 @@ def test_the_table_has_every_object_once() -> None:
         if entry.index >= 0x6000 or entry.index in OWN
         if entry.subindex or (entry.index, 1) not in DICTIONARY
     }
-    told = [place for places, _ in rows() for place in places]
-    assert sorted(told) == sorted(there)
+    assert sorted(row.place for row in ROWS) == sorted(there)
 
 
-@each("places, cells", rows())
-def test_a_row_is_that_of_the_eds(places: list[tuple[int, int]], cells: list[str]) -> None:
-    _, data_type, access, _, default = cells
-    for place in places:
-        entry = DICTIONARY.entry(*place)
-        assert entry.data_type == TYPES[data_type]
-        assert (entry.access, entry.pdo_mappable) == (access.split(",")[0], access.endswith(", PDO"))
-        assert (default == "-") is (entry.pdo_mappable and entry.default is None)
-        if default != "-":  # as a module with the defaults has it
-            assert Bench().module.dictionary.entry(*place).current() == number(default)
+@each("row", ROWS)
+def test_an_object_is_that_of_its_row(module: Bench, row: Row) -> None:
+    sdo, entry = module.remote.sdo, module.module.dictionary.entry(*row.place)
+    assert (entry.data_type, entry.access, entry.pdo_mappable) == row[1:4]
+    data = sdo.upload(*row.place)
+    assert len(data) == row.size
+    value = int.from_bytes(data, "little", signed=row.data_type in (DataType.INTEGER16, DataType.INTEGER32))
+    assert value == (4711 if row.place[0] == 0x650B else row.default or 0)
+    there = entry.subindex if row.place[0] not in (*OWN, 0x650A) else 4
+    with pytest.raises(canopen.SdoAbortedError, match="06090011"):
+        sdo.upload(row.place[0], there + 1)
+
+
+@each("row", ROWS)
+def test_it_can_be_written_if_it_is_rw(module: Bench, row: Row) -> None:
+    place, sdo = row.place, module.remote.sdo
+    if row.access == "ro":
+        with pytest.raises(canopen.SdoAbortedError, match="06010002"):
+            sdo.download(*place, bytes(row.size))
+        return
+    with pytest.raises(canopen.SdoAbortedError, match="06070012"):
+        sdo.download(*place, bytes(row.size + 1))
+    if row.place[0] in (0x6003, 0x6009):
+        with pytest.raises(canopen.SdoAbortedError, match="08000022"):  # there is no position yet
+            sdo.download(*place, bytes(row.size))
+        return
+    before = sdo.upload(*place)
+    sdo.download(*place, b"\1".ljust(row.size, b"\0"))
+    assert sdo.upload(*place) == b"\1".ljust(row.size, b"\0")
+    sdo.download(*place, before)
+
+
+@each("row", ROWS)
+def test_it_can_be_mapped_if_the_page_says_so(module: Bench, row: Row) -> None:
+    sdo = module.sdo
+    sdo[0x1802][1].raw = 0x800003A0
+    sdo[0x1A02][0].raw = 0
+    mapped = row.place[0] << 16 | row.place[1] << 8 | row.size * 8
+    if not row.mappable:
+        with pytest.raises(canopen.SdoAbortedError, match="06040041"):
+            sdo[0x1A02][1].raw = mapped
+        return
+    sdo[0x1A02][1].raw = mapped
+    sdo[0x1A02][0].raw = 1
+    assert sdo[0x1A02][1].raw == mapped
+
+
+def test_the_software_version_is_that_of_the_package(module: Bench) -> None:
+    version = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    major, minor, *_ = map(int, version.split("."))
+    assert module.sdo[0x6507].raw >> 16 == major << 8 | minor
+    assert module.sdo[0x6507].raw & 0xFFFF == 0x0302
+
+
+@pytest.mark.parametrize(("cycles", "resolution", "revolutions"), [
+    (1, 8192, 65535), (8, 65536, 65535), (16, 131072, 32767), (2500, 20480000, 209), (524288, 2**31, 1),
+    (1048576, 2**31, 1), (1048575, 1048575 * 4096, 1),
+])  # fmt: skip
+def test_resolution_and_revolutions(cycles: int, resolution: int, revolutions: int) -> None:
+    bench = Bench(cycles_per_revolution=cycles)
+    assert bench.sdo[0x6501].raw == resolution
+    assert bench.sdo[0x6502].raw == revolutions
+    assert bench.sdo[0x6002].raw == resolution * revolutions  # where it wraps without scaling, too
 
 
 def test_the_alarms_and_warnings_are_those_that_are_supported() -> None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from itertools import pairwise
 
-import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -186,22 +184,6 @@ def test_any_sequence_gives_the_position_of_the_model(cycles: int, steps: list[t
         pair.check()
 
 
-@pytest.mark.parametrize("total_range", [3, 7, 10, 1000])
-def test_it_wraps_at_6002h_and_nowhere_else(total_range: int) -> None:
-    pair = Pair(1)
-    for index, value, size in ((0x6001, 8, 4), (0x6002, total_range, 4), (0x6000, 4, 2)):
-        pair.set(index, value, size)
-    pair.sample(0)
-    seen = []
-    for step in [1] * (2 * total_range + 1) + [-1] * (4 * total_range):
-        pair.sample(step)
-        pair.check()
-        seen.append(pair.read(0x6004))
-    jumps = {b - a for a, b in pairwise(seen)}
-    assert jumps == {1, -1, 1 - total_range, total_range - 1}
-    assert set(seen) == set(range(total_range))
-
-
 @given(st.integers(1, 2**32), st.integers(-(2**70), 2**70), st.data())
 def test_the_offset_is_an_integer32_and_exact_in_any_range(
     total_range: int, units: int, data: st.DataObject
@@ -222,19 +204,6 @@ def test_resolution_and_revolutions_fit_32_bits(cycles: int) -> None:
     assert resolution * revolutions < 2**32
     if revolutions < 0xFFFF:  # else it is the object that is full
         assert resolution * (revolutions + 1) >= 2**32
-
-
-def test_the_offset_stays_a_number_of_units_under_another_scaling() -> None:
-    """As in commercial encoders: 6509h is added to the position after scaling. Set the preset again."""
-    pair = Pair(1000)
-    pair.sample(0)
-    pair.sample(0)
-    pair.preset(0x6003, 5000, 4)
-    pair.set(0x6001, 10_000, 4)
-    pair.set(0x6002, 4000, 4)
-    pair.set(0x6000, 4, 2)
-    pair.check()
-    assert (pair.read(0x6509), pair.read(0x6004)) == (5000, 1000)
 
 
 @given(

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
-from canfb.module.cia406.alarms import CODES
 
 FREQUENCY, AMPLITUDE, REFERENCE = 0xFF10, 0xFF11, 0xFF15
 LOW, GOOD, BAD = 430.0, 1500.0, 10.0  # amplitudes; 400 is the lowest accepted one
@@ -132,12 +131,6 @@ def test_the_alarm_comes_beside_the_warning_and_a_reset_forgets_both(bench: Benc
     assert bench.sdo[0x1001].raw == 0
     bench.at(0.0, LOW)
     assert told(bench)[3:] == [(AMPLITUDE, 0x21)]
-
-
-def test_supported_warnings_are_those_that_can_be_told(bench: Bench) -> None:
-    assert bench.sdo[0x6506].raw == sum(CODES) == bench.sdo[0x2004][1].raw
-    assert all(code == 0xFF10 + bit.bit_length() - 1 for bit, code in CODES.items())
-    assert bench.sdo[0x6504].raw == 0x1001
 
 
 @settings(max_examples=60, deadline=None)

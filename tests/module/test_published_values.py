@@ -13,22 +13,10 @@ from module_bench import Bench
 from canfb.module.cia406.position import PHASE_UNITS, PositionScale
 from canfb.objects import StatusBit
 
-PER_REVOLUTION = 2500 * 8192
-
 
 def test_before_the_first_sample_they_are_zero(bench: Bench) -> None:
     sdo = bench.sdo
     assert [sdo[0x2011][5].raw, sdo[0x2011][7].raw, sdo[0x600C].raw, sdo[0x6505].raw] == [0, 0.0, 0, 0]
-
-
-def test_they_are_those_of_the_last_sample(bench: Bench) -> None:
-    for n in range(12):
-        bench.at(n * 0.25, amplitude=440)
-    sdo = bench.sdo
-    assert sdo[0x2011][5].raw == 440
-    assert sdo[0x2011][7].raw == pytest.approx(2 * math.pi * 0.25 / 2500 / bench.interval_s, rel=1e-3)
-    assert sdo[0x600C].raw == sdo[0x6004].raw == 11 * 2048
-    assert sdo[0x6505].raw == 2
 
 
 def test_the_raw_position_knows_no_scaling_no_preset_and_no_code_sequence(bench: Bench) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 
 import pytest
-from canopen import SdoAbortedError
 from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
@@ -151,17 +150,6 @@ def test_faulty_samples_are_recorded_as_they_came_invalid_ones_are_none(bench: B
         bench.sent(Frame(0x290, bytes([flags])))
         bench.counts(*counts)
     assert recorded(bench) == [(2047, 2047), (0, 3), MISSED, (6, 1500)]
-
-
-@pytest.mark.parametrize("value", [0, 3, 255])
-def test_other_commands_are_refused(bench: Bench, value: int) -> None:
-    command(bench, START)
-    interval(bench, (1, 1500))
-    with pytest.raises(SdoAbortedError) as error:
-        command(bench, value)
-    assert error.value.code == 0x06090030
-    assert bench.sdo[0x2050][1].raw == 1
-    assert recorded(bench) == [(1, 1500)]
 
 
 def test_started_before_it_is_operational_it_begins_with_the_first_sample() -> None:

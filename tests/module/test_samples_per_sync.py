@@ -112,15 +112,6 @@ def test_eight_samples_leave_a_twentieth_of_a_cycle() -> None:
             ModuleConfig(node_id=32, **config)  # type: ignore[arg-type]
 
 
-def test_one_sample_is_not_enough_for_a_sharp_residual() -> None:
-    bus = Bus(samples_per_sync=1)
-    largest = max((bus.sync() or NOTHING).residual for _ in range(400))
-    assert largest > 0.3
-
-
-NOTHING = Feedback(0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0.0, 0.0, 0, 0)
-
-
 @each("per_sync", [4, 7])
 @each("times", [False, True])
 def test_speed_and_acceleration_are_those_of_the_machine(per_sync: int, times: bool) -> None:
