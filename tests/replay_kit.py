@@ -18,7 +18,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.module_replay import ModuleReplay
 
-EPOCH_S = 1_700_000_000.0
+EPOCH_S = 1e6  # as a monotonic clock: near 1.7e9 a float is exact to 0.24 us only, and periods differ by it
 NODE_ID, INTERFACE_ID = 0x20, 0x10
 PERIOD_S = 1e-3
 SYNC_ID, ADC_ID, POSITION_ID = 0x80, 0x190, 0x1A0

@@ -15,6 +15,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICKS, Sample
 from canfb.signal.sample_times import (
     CLOSEST,
+    CROWDED,
     EARLIER_TIMES,
     OLDEST,
     REPEATED,
@@ -294,7 +295,7 @@ def test_samples_after_a_sync_that_was_late_and_taken_late_are_no_earlier_ones()
         times.elapsed(at, 1.0, None, at * 1e-7 + 3e-5 * (n % 2))
     # The SYNC of the next one is 0.8 ms late, and taken 0.2 ms later.
     assert times.elapsed(808_000, 1.0, None, 0.0808 + 2e-4) == pytest.approx(1.75, abs=0.01)
-    assert times.elapsed(810_000, 1.0, None, 0.081) == REPEATED, "too near to it"
+    assert times.elapsed(810_000, 1.0, None, 0.081) == CROWDED, "a new one, and too near to it"
     assert times.elapsed(820_000, 2.0, None, 0.082) == pytest.approx(1.2, abs=0.01)
     assert times.elapsed(830_000, 1.0, None, 0.083) == pytest.approx(1.0, abs=0.01)
 
