@@ -26,9 +26,9 @@ ALLOWED: dict[str, set[str]] = {
     "rows": set(),
     # YAML with the line of each key, for whoever reads a file.
     "marked_yaml": set(),
-    "signal": {"checks", "objects", "errors"},
     # What times prove, and no more: it knows no frame, and nothing of what a sample holds.
     "timing": {"checks", "objects", "errors"},
+    "signal": {"timing", "checks", "objects", "errors"},
     "calibration": {"signal", "objects", "errors"},
     "device": WORDS - {"objects", "rows"},
     "eds_files": {"errors"},
@@ -37,7 +37,7 @@ ALLOWED: dict[str, set[str]] = {
     "sources": {"signal"} | WORDS,
     "module": {"signal", "timing", "calibration", "device", "sources", "eds_files", "view"} | WORDS,
     # The encoder interface as a node, whatever its source: a converter, a recording, a simulated machine.
-    "interface": {"signal", "device", "sources", "eds_files"} | WORDS,
+    "interface": {"signal", "timing", "device", "sources", "eds_files"} | WORDS,
     "simulation": {"signal", "device", "sources", "interface", "eds_files"} | WORDS,
     # Time is an argument here as well: frames of a log in, what the module made of them out.
     "replay": {"signal", "calibration", "device", "module", "view"} | WORDS,

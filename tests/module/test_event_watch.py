@@ -245,6 +245,6 @@ def test_a_sample_time_that_fits_nothing_is_reported() -> None:
     for k in range(1, 100):
         sample(k)
     module.events.on_event = events.append
-    sample(100, off_s=0.004)
+    sample(100, off_s=0.006)
     (text,) = (event.text for event in events if event.kind is EventKind.POSITION)
     assert text == "position coasting: the sample time is not where it was due"

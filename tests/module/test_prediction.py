@@ -197,7 +197,7 @@ def test_of_several_samples_since_a_sync_nobody_knows_the_age() -> None:
             sent = [one.data for one in module.receive(Frame(0x80, b""), now) if one.can_id == 0x1A0]
             seen |= {struct.unpack_from("<H", data, 4)[0] & EXTRAPOLATED for data in sent}
             for _ in range(per_sync):
-                tick += 10000 // per_sync
+                tick += 10000
                 module.receive(Frame(0x190, struct.pack("<hhI", 0, 1500, tick)), now)
         return seen
 

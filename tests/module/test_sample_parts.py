@@ -30,9 +30,9 @@ class Parts:
         self.valid: list[bool] = []  # the position of each of these
         step = self.module.chain.step
 
-        def spy(sample: Sample, received_s: float | None, synced_s: float | None, extra: bool) -> Feedback:
+        def spy(sample: Sample, received_s: float | None, synced_s: float | None) -> Feedback:
             before = self.module.chain.samples
-            feedback = step(sample, received_s, synced_s, extra)
+            feedback = step(sample, received_s, synced_s)
             if feedback.samples > before:  # else its time is an earlier one
                 self.taken.append(sample)
                 self.valid.append(bool(feedback.status & VALID))

@@ -5,75 +5,34 @@ from __future__ import annotations
 import math
 import random
 import struct
-from collections.abc import Callable
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.nominal_sync import FIRST_SYNCS, LEARNED_SYNCS, MEMORY_SYNCS, NominalSync
 from canfb.signal.sample import TICKS
 from canfb.signal.supervision import EXTRAPOLATED, VALID
+from canfb.timing.grid import LEARNED, MEMORY, Grid
 
 NODE, INTERFACE = 0x20, 0x10
 PERIOD_TICKS = 10_000
 CYCLES = 2500
 CYCLES_3000_RPM = 125.0  # per millisecond
-SETTLED = 3 * MEMORY_SYNCS
-
-
-def locked(
-    jitter: Callable[[], float], drift: float, start: int, lost: float = 0.0, syncs: int = 6000
-) -> float:
-    """Rms error of the lock, ticks, after it has settled; the nominal SYNCs are those without jitter."""
-    lock, draw, errors = NominalSync(), random.Random(5), []
-    for k in range(6000):
-        late = jitter()
-        if draw.random() < lost:
-            continue
-        at = start + round(k * PERIOD_TICKS * (1.0 + drift) + late)
-        lock.sample(at % TICKS)
-        if k > SETTLED:
-            errors.append(lock.lead_ticks + late)
-    return math.sqrt(sum(error**2 for error in errors) / len(errors))
 
 
 @pytest.mark.parametrize("lost", [0.0, 0.05])
 @pytest.mark.parametrize("drift", [0.0, 1e-4, -1e-4])
 def test_a_tenth_of_the_jitter_is_left_and_nothing_of_the_drift(drift: float, lost: float) -> None:
-    noise = random.Random(2)
-    left = locked(lambda: noise.gauss(0.0, 1000.0), drift, TICKS - 10**7, lost)
-    assert 0.05 * 1000.0 < left < 0.17 * 1000.0  # 0.11 in theory
-
-
-@given(st.integers(0, TICKS - 1), st.floats(-2e-4, 2e-4), st.integers(2_000, 2_000_000))
-def test_without_jitter_the_lock_is_exact(start: int, drift: float, period: int) -> None:
-    lock = NominalSync()
-    for k in range(2 * LEARNED_SYNCS):
-        lock.sample((start + round(k * period * (1.0 + drift))) % TICKS)
-    assert lock.locked
-    assert abs(lock.lead_ticks) < 1.5  # rounding to ticks
-    assert lock.period_ticks == pytest.approx(period * (1.0 + drift), abs=0.1)
-
-
-@given(st.lists(st.integers(0, TICKS - 1), max_size=300))
-def test_any_times_leave_numbers(times: list[int]) -> None:
-    lock = NominalSync()
-    for one in times:
-        lock.sample(one)
-        assert abs(lock.lead_ticks) <= 0.5 * max(lock.period_ticks, 1.0) + 1.0
-
-
-def test_a_clock_that_begins_again_is_locked_on_again() -> None:
-    lock = NominalSync()
-    for start in (10**9, 77):
-        for k in range(LEARNED_SYNCS + FIRST_SYNCS):
-            lock.sample(start + k * PERIOD_TICKS)
-        assert lock.locked
-        assert lock.lead_ticks == pytest.approx(0.0, abs=1e-6)
+    grid, draw, noise, errors = Grid(), random.Random(5), random.Random(2), []
+    for k in range(6000):
+        late = noise.gauss(0.0, 1000.0)
+        if draw.random() < lost:
+            continue
+        grid.take(round(k * PERIOD_TICKS * (1.0 + drift) + late))
+        if k > 3 * MEMORY:
+            errors.append(grid.lead + late)
+    assert 0.05 * 1000.0 < rms(errors) < 0.17 * 1000.0  # 0.11 in theory
 
 
 class Shaft:
@@ -147,7 +106,7 @@ def test_the_position_is_that_of_the_nominal_sync(predict: int, tpdo_type: int, 
 
 def test_without_jitter_and_before_the_lock_nothing_changes() -> None:
     plain, nominal = Shaft(0.0, False), Shaft(0.0, True)
-    assert plain.run(LEARNED_SYNCS - 1, 3, 0.0) == nominal.run(LEARNED_SYNCS - 1, 3, 0.0)
+    assert plain.run(LEARNED - 1, 3, 0.0) == nominal.run(LEARNED - 1, 3, 0.0)
     assert not nominal.status & EXTRAPOLATED
     assert max(map(abs, nominal.run(700, 650, 0.0))) < 0.2
 
@@ -156,7 +115,7 @@ def test_without_sample_times_it_does_nothing() -> None:
     shaft = Shaft(0.0, True)
     shaft.module = FeedbackModule(ModuleConfig(node_id=NODE, nominal_sync=True, autostart=True))
     shaft.module.start(0.0)
-    for k in range(2 * LEARNED_SYNCS):
+    for k in range(2 * LEARNED):
         shaft._give(Frame(0x80, b""), k + 1.0)
         (sent,) = shaft._give(Frame(0x180 + INTERFACE, struct.pack("<hh", 1500, 0)), k + 1.3)
     assert not struct.unpack_from("<H", sent.data, 4)[0] & EXTRAPOLATED

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.timing.answers import Answers
-from canfb.timing.grid import ROW
+from canfb.timing.grid import CALLS, ROW
 from canfb.timing.syncs import ON_TIME, Syncs, SyncVerdict
 
 T = 1e-3
@@ -68,7 +68,7 @@ def test_syncs_that_stay_late_are_missing_and_nobody_knows_where(lost: int) -> N
     got = []
     for n in range(60 + lost, 70 + lost):
         got.append(producer.sync(n))
-        assert producer.syncs.late_s or got[-1].doubt or len(got) > ROW
+        assert producer.syncs.late_s or got[-1].doubt or len(got) >= CALLS
     (doubt,) = (one for one in got if one.doubt)
     assert (doubt.lost, doubt.doubt) == (lost, pytest.approx(lost, abs=0.2))
 
@@ -164,6 +164,13 @@ def test_a_pdo_that_fits_none_is_not_used_until_it_is_the_usual_one(delay: float
         moved.append(answers.has_moved(syncs.grid))
     assert moved == [False] * (ROW - 1) + [True]
     assert answers.place((delay + late) * T, syncs.grid) == 0
+
+
+def test_a_pdo_that_comes_again_and_again_is_no_other_delay() -> None:
+    answers, syncs = learned(0.3 * T)
+    for _ in range(2 * ROW):
+        assert answers.place(0.3 * T, syncs.grid, answered=0) == 0
+        assert not answers.has_moved(syncs.grid)
 
 
 @given(early=st.floats(0.15, 0.4))

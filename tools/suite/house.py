@@ -56,8 +56,8 @@ ROOMS = {
     "bus": Room(265, 205, 7, "frames, the clock, the runner", "world"),
     "sources": Room(530, 160, 7, "samples from elsewhere"),
     "device": Room(60, 265, 8, "the CiA 301 slave: frames and times in", "canopen"),
-    "timing": Room(385, 130, 8, "what times prove", "mathematics"),
     "signal": Room(575, 325, 8, "mathematics of a sample: counts in, position out", "mathematics"),
+    "timing": Room(385, 130, 9, "what times prove", "mathematics"),
 }
 GROUND = ("cia301", "objects", "checks", "errors", "eds_files", "marked_yaml", "rows")
 PAGE = Path(__file__).parents[2] / "docs" / "architecture.md"
@@ -109,7 +109,7 @@ STYLE = """
 
 
 def drawing() -> str:
-    ground = TOP + 9 * FLOOR_HEIGHT
+    ground = TOP + 10 * FLOOR_HEIGHT
     height = ground + ROOM_HEIGHT + TOP
     lines = arrows()
     parts = [

@@ -6,9 +6,9 @@ import math
 from typing import Protocol
 
 from canfb.cia301.frame import Frame
-from canfb.signal.nominal_sync import NominalSync
 from canfb.signal.sample import TICKS, Sample
 from canfb.sources.protocol import Machine, Source
+from canfb.timing.grid import Grid
 
 OLDEST_S = 10.0
 
@@ -83,7 +83,7 @@ class SeveralSamples:
         self._source = source
         self._machine = source if isinstance(source, Machine) else None
         self._per_sync = per_sync
-        self._lock = NominalSync(LOCK_SYNCS)
+        self._grid = Grid(LOCK_SYNCS)
         self._last_s: float | None = None
         self._taken_s: float | None = None
         self.newest_s = 0.0
@@ -98,12 +98,12 @@ class SeveralSamples:
             self.newest_s = received_s
             return _together([self._source.next() for _ in range(self._per_sync)], None)
         last, self._last_s = self._last_s, received_s
-        self._lock.sample(round(received_s * TICKS_PER_S) % TICKS)
+        self._grid.take(received_s)
         if last is None or not received_s > last:
             return None
         period_s, lead_s = received_s - last, 0.0
-        if self._lock.locked:
-            period_s, lead_s = self._lock.period_ticks / TICKS_PER_S, self._lock.lead_ticks / TICKS_PER_S
+        if self._grid.locked:
+            period_s, lead_s = self._grid.period, self._grid.lead
         newest_s = min(received_s + lead_s - EARLIER_PART * period_s, received_s)
         apart_s = period_s / self._per_sync
         instants = [newest_s - earlier * apart_s for earlier in range(self._per_sync - 1, -1, -1)]

@@ -260,6 +260,7 @@ class FeedbackModule(NodeDevice):
 
     def _declare_jitter(self) -> None:
         self._syncs.declare(self._sync_jitter.value)
+        self.chain.declare_jitter(self._sync_jitter.value)
 
     def _encoder_changed(self) -> None:
         """2001:01 was written."""

@@ -80,10 +80,10 @@ class InterfaceGrid:
 
         What was learned stays until the module is reset, or a new lock knows better.
         """
-        lock, nominal_s = self._chain.nominal_sync, self._interval.nominal_s
+        lock, nominal_s = self._chain.sample_grid, self._interval.nominal_s
         if not lock.locked:
             return self._learned_s or nominal_s
-        learned_s = lock.period_ticks * TICK_S
+        learned_s = lock.period * TICK_S
         if lock.seen < EXACT_SYNCS and abs(learned_s - nominal_s) <= CLOSE * nominal_s:
             return nominal_s
         self._learned_s = learned_s

@@ -178,10 +178,8 @@ class Pairing(ProcessData):
             _count(self._lost_syncs, verdict.lost)
         doubt = verdict.doubt or (verdict.lost if self._ambiguous else 0.0)
         self._ambiguous = False
-        if doubt and not self.timed:
+        if doubt and not self.timed:  # sample times know how long it was
             self._lose_count(doubt, now)
-        elif doubt:  # sample times know how long it was
-            self._chain.nominal_sync.expect(syncs.period_s / TICK_S)
         self._accounted += verdict.lost if counter is None and self.timed else self._heard_of(verdict.lost)
         if syncs.place - 1 > self._accounted:
             self._miss_to(syncs.place - 1, now)
@@ -368,7 +366,7 @@ class Pairing(ProcessData):
         received_s, synced_s = self._receptions()
         if not self._synced and self._source is None:
             syncs.sync(call.received, call.is_stamped, None)  # each sample is its own
-        came = self._take_timed(sample, received_s, synced_s, syncs.extra_came, now)
+        came = self._take_timed(sample, received_s, synced_s, now)
         if came:
             self._answer(syncs.place)
         return came
@@ -418,7 +416,7 @@ class Pairing(ProcessData):
     @property
     def _is_open(self) -> bool:
         """SYNCs before or after the last one may have been lost."""
-        return self._ambiguous or self.syncs.late_s > 0.0
+        return self._ambiguous or self.syncs.is_open
 
     def _take(self, sample: Sample, elapsed: float, now: float) -> None:
         """A sample without a time through the chain, and out."""
@@ -450,7 +448,7 @@ class Pairing(ProcessData):
         return True
 
     def _take_timed(
-        self, sample: Sample, received_s: float | None, synced_s: float | None, extra: bool, now: float
+        self, sample: Sample, received_s: float | None, synced_s: float | None, now: float
     ) -> bool:
         """A sample with its time; False if it is an earlier one again, and nothing happened.
 
@@ -460,7 +458,7 @@ class Pairing(ProcessData):
         if self._interval.samples_per_sync > 1:
             self._grid.follow()
         last = self._publishing.last
-        feedback = self._chain.step(sample, received_s, synced_s, extra)
+        feedback = self._chain.step(sample, received_s, synced_s)
         if last is not None and feedback.samples == last.samples:
             return self._chain.crowded
         if feedback.status & VALID and self.unconfirmed:

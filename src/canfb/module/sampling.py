@@ -8,7 +8,7 @@ from canfb.module.pairing import Pairing
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain
-from canfb.signal.nominal_sync import MEMORY_SYNCS
+from canfb.timing.grid import MEMORY
 from canfb.timing.syncs import Syncs
 
 GRID_SYNCS = 1024  # of several samples for each SYNC, which are taken by its interval
@@ -84,7 +84,7 @@ class Sampling:
             self._interval.samples_per_sync, limits.timed = samples_per_sync, timed
             self._interval.speed_unit_s = 0.0
             self._chain.measures_intervals = True
-            self._chain.nominal_sync.memory_syncs = GRID_SYNCS if samples_per_sync > 1 else MEMORY_SYNCS
+            self._chain.sample_grid.memory = GRID_SYNCS if samples_per_sync > 1 else MEMORY
             limits.noise_changes()
 
     def forget_interval(self) -> None:

@@ -18,7 +18,7 @@ from canfb.signal.correction import AnyTable, Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import SAME_INTERVAL
 from canfb.signal.pauses import Pauses
-from canfb.signal.sample import Sample, in_order
+from canfb.signal.sample import TICK_S, Sample, in_order
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Extras, Stages
@@ -53,7 +53,7 @@ class SignalChain:
         """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
         self._pauses = Pauses(self.stages)
         self._times = SampleTimes()
-        self.nominal_sync = self._times.nominal_sync
+        self.sample_grid = self._times.grid
         """The clock of the encoder interface, by the sample times so far."""
         self._per_sync = 1
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
@@ -185,6 +185,10 @@ class SignalChain:
         if unit_s != self.tracks.unit_s:
             self.stages.use_unit(unit_s)
 
+    def declare_jitter(self, jitter_s: float) -> None:
+        """No sample is further from its place on the grid than ``jitter_s``, seconds; 0.0: 0.45 intervals."""
+        self.sample_grid.declare(jitter_s / TICK_S)
+
     def forget_times(self) -> None:
         """Another interface may send the sample times from now on, by another clock and at another rate."""
         self._times.reset()
@@ -254,15 +258,14 @@ class SignalChain:
         sample: Sample,
         received_s: float | None = None,
         synced_s: float | None = None,
-        extra: bool = False,
     ) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises.
 
         A sample with the time of the one before, or of an earlier one, comes too late: the same
         Feedback, the same object, is returned, and nothing changes. Times must agree
         with the receptions, of this sample at ``received_s`` and of the SYNC that it answers at
-        ``synced_s``, seconds, None where that is not known; ``extra``: it may answer a SYNC too many.
-        One whose time fits nothing is a bad sample; see :class:`canfb.signal.sample_times.SampleTimes`.
+        ``synced_s``, seconds, None where that is not known. One whose time fits nothing is a bad sample in
+        motion; see :class:`canfb.signal.sample_times.SampleTimes`.
 
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
         taken, in their order; the result is that of the newest, :attr:`between` has the others.
@@ -271,9 +274,9 @@ class SignalChain:
         if time_100ns is None:
             return self.after(sample, elapsed)
         times, stages = self._times, self.stages
-        speed, unit_s = stages.estimator.tracker.step_cycles * self._per_sync, times.unit_s
+        speed, unit_s = abs(stages.estimator.tracker.step_cycles) * self._per_sync, times.unit_s
         counted = elapsed + self._waited
-        passed = times.elapsed(time_100ns, counted, received_s, synced_s, speed, extra)
+        passed = times.elapsed(time_100ns, counted, received_s, synced_s, speed)
         self._unit_may_have_changed(unit_s)
         self.crowded = passed == CROWDED
         if passed <= 0.0:
@@ -282,7 +285,8 @@ class SignalChain:
             if passed != SUSPECT:
                 return self._restarted(sample)
             self._waited += elapsed
-            return self.after(sample, elapsed, placed=False)
+            still = self.begun and not self.lost and not self.slips(times.off)
+            return self.after(sample, elapsed, placed=still)
         next_one = elapsed + self._waited < HOLE_INTERVALS
         if self.measures_intervals:
             elapsed = passed - self._waited  # what was waited for is counted already

@@ -28,6 +28,7 @@ UNDECLARED = 0.45
 REGULAR = 0.2
 FIRST, LARGEST_FIRST = 6, 13
 CALLS, MOST_CALLS = 9, 33  # that may be late: straight enough at once, or as they are
+TOGETHER = 0.5  # of a period from one to the next: those that come faster have waited
 STRAIGHT = 0.1  # period: calls no further above their line come from a host that is not late
 ROW = 4
 MEMORY = 256
@@ -53,6 +54,7 @@ class Grid:
         "allowed",
         "deviation",
         "due",
+        "early",
         "lead",
         "memory",
         "period",
@@ -79,6 +81,8 @@ class Grid:
         self._first: list[float] = []
         self.row: list[float] = []
         self._in_turn: list[bool] = []  # whether each of the row was
+        self.early = 0
+        """Of the row, by calls."""
         self._find_gains()
 
     @property
@@ -95,6 +99,10 @@ class Grid:
         """No instant is further from its place than this; 0.0: not declared."""
         self._jitter = jitter
         self._find_gains()
+
+    def expect(self, period: float) -> None:
+        """The period is said to be this; instants show it as if FIRST had."""
+        self.period, self.seen = period, FIRST
 
     def begin(self, instant: float) -> None:
         """The first instant after a pause."""
@@ -117,8 +125,7 @@ class Grid:
         first = self._first
         first.append(instant)
         if len(first) >= CALLS and (len(first) == MOST_CALLS or _is_straight(first)):
-            period, begin = _below(first)
-            self.set_again([begin + n * period for n in range(len(first))] if period > 0.0 else first)
+            self.set_again(_lowest(first))
 
     def nearest(self, instant: float) -> tuple[int, float]:
         """Places from the last one to the nearest, and how much later than that the instant is."""
@@ -141,33 +148,74 @@ class Grid:
         self.due += (places - 1) * before + off * self._phase + self.period
         self.deviation += (abs(off) - self.deviation) / min(self._fresh, SHOWN)
 
-    def skip(self, places: int) -> None:
-        """Places passed, and nothing is known of them."""
+    def take(self, instant: float) -> None:
+        """An instant that is right, however far it is off the line: that goes on, or begins again there."""
+        if math.isnan(self.due):
+            self.begin(instant)
+        elif not self.period:
+            self.learn(instant)
+        else:
+            places, off = self.nearest(instant)
+            if places > 0 and abs(off) <= self.allowed:
+                self.is_in_turn(instant)
+                self.follow(places, off)
+            elif self.refuse(instant):
+                self.set_again(self.row)
+            else:
+                self.skip(max(places, 0), off)
+
+    def skip(self, places: int, off: float = 0.0) -> None:
+        """Places passed, and nothing is known of them; or an instant of one was ``off``."""
         self.due += places * self.period
+        self.lead = -off
 
     def refuse(self, instant: float) -> bool:
         """An instant that was not in turn; True if the last ROW are another grid: :meth:`set_again`.
 
         They are regular, and none was in turn, or they are not one period apart.
         """
-        self._keep(instant, False)
-        if len(self.row) < ROW or not is_regular(self.row):
+        self._keep(instant, False, ROW)
+        return len(self.row) == ROW and is_regular(self.row) and self._is_another
+
+    def refuse_call(self, instant: float, early: bool) -> bool:
+        """The same for one that may be late, but not ``early`` on this grid.
+
+        FIRST with early ones are another grid if they lie on a line, and CALLS that are all late; MOST_CALLS
+        of them are it as they are, unless they waited for the host together.
+        """
+        self.early += early
+        self._keep(instant, False, MOST_CALLS)
+        row, enough = self.row, FIRST if self.early > 1 else CALLS
+        if not self.early and row[-1] - row[0] < TOGETHER * self.period * (len(row) - 1):
             return False
+        if not self.early and len(row) == MOST_CALLS:
+            self.row = _lowest(row)
+        elif len(row) >= enough and _is_straight(row[-enough:]):
+            del row[:-enough], self._in_turn[:-enough]
+        else:
+            return False
+        return self._is_another
+
+    @property
+    def _is_another(self) -> bool:
         return not any(self._in_turn) or abs(_median_apart(self.row) / self.period - 1.0) > REGULAR
 
-    def is_in_turn(self, instant: float) -> bool:
-        """An instant was; True if the one before was, too: the row is over."""
-        if not self.row or self._in_turn[-1]:
-            self.row.clear()
-            self._in_turn.clear()
-            return True
-        self._keep(instant, True)
-        return False
+    def is_in_turn(self, instant: float, may_be_late: bool = False) -> None:
+        """An instant was; the row is over if the one before was, too, or if all of them may only be late."""
+        if not self.row or self._in_turn[-1] or (may_be_late and not self.early):
+            self._end_row()
+        else:
+            self._keep(instant, True, MOST_CALLS)
 
-    def _keep(self, instant: float, in_turn: bool) -> None:
+    def _keep(self, instant: float, in_turn: bool, most: int) -> None:
         self.row.append(instant)
         self._in_turn.append(in_turn)
-        del self.row[:-ROW], self._in_turn[:-ROW]
+        del self.row[:-most], self._in_turn[:-most]
+
+    def _end_row(self) -> None:
+        self.row.clear()
+        self._in_turn.clear()
+        self.early = 0
 
     def set_again(self, instants: list[float]) -> bool:
         """These regular instants are the grid; True if its period is another one."""
@@ -185,8 +233,7 @@ class Grid:
         self._fresh = len(instants)
         mean = sum(instants) / len(instants), sum(places) / len(places)
         self.due = mean[0] + (places[-1] - mean[1] + 1.0) * self.period
-        self.row.clear()
-        self._in_turn.clear()
+        self._end_row()
         self._first = []
         self._find_gains()
         return not same
@@ -211,6 +258,12 @@ def _below(instants: list[float]) -> tuple[float, float]:
     (a, left), (b, right) = next(pair for pair in pairwise(hull) if pair[1][0] >= middle)
     period = (right - left) / (b - a)
     return period, left - a * period
+
+
+def _lowest(instants: list[float]) -> list[float]:
+    """As many on the line below these."""
+    period, begin = _below(instants)
+    return [begin + n * period for n in range(len(instants))] if period > 0.0 else instants
 
 
 def _is_straight(instants: list[float]) -> bool:

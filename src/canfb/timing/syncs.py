@@ -12,7 +12,7 @@ With receive times a SYNC lies on the grid (:mod:`canfb.timing.grid`), or off it
 Without receive times the call is only the latest time of the frame. SYNCs are counted in their order then,
 with their counter where they have one, and the line follows the earliest of TOGETHER calls. One that is
 late by a turn of its counter, without a counter by a period, may come after others that were lost: nothing is
-valid until one is in time again. ROW that are as late as each other, a period apart, were not late: SYNCs
+valid until one is in time again. Those that stay late, a period apart, were not late: SYNCs
 are missing, which is as many intervals of doubt. Doubt is speed times intervals: at standstill it is none.
 
 | bound | value | reason |
@@ -134,6 +134,11 @@ class Syncs:
     def period_s(self) -> float:
         """The period, seconds; 0.0: not known."""
         return self.grid.period
+
+    @property
+    def is_open(self) -> bool:
+        """SYNCs may have been lost, or those of another producer have come: the next ones decide."""
+        return self.late_s > 0.0 or self.grid.early > 0
 
     @property
     def rough_s(self) -> float:
@@ -299,8 +304,8 @@ class Syncs:
             doubt = 0.0
         in_time = not early and not late and not self.extra_came
         if in_time and not doubt:
-            grid.is_in_turn(time_s)
-        elif grid.refuse(time_s) and (early or apart_s > HALF * grid.period):
+            grid.is_in_turn(time_s, may_be_late=True)
+        elif grid.refuse_call(time_s, early):
             return self._relocked(time_s, counter, late_s, turn, missing)
         if early and missing is None and apart_s < FASTER * grid.period:
             return self._extra(time_s)

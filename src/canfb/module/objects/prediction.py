@@ -50,7 +50,7 @@ class Prediction:
         entry = dictionary.entry
         self._kind, self._nominal = entry(*od.PREDICTION_POSITION), entry(*od.PREDICTION_NOMINAL_SYNC)
         self._kind.on_written = self._nominal.on_written = self.forget
-        self._chain, self._lock = chain, chain.nominal_sync
+        self._chain, self._lock = chain, chain.sample_grid
         self._interval = interval
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
         self._status = entry(*od.FEEDBACK_STATUS)
@@ -78,7 +78,7 @@ class Prediction:
         cycles, phase = ahead(
             last.cycles,
             last.phase,
-            last.speed_cycles * (self._intervals(self._lock.lead_ticks) + self._chain.tracks.lag_intervals),
+            last.speed_cycles * (self._intervals(self._lock.lead) + self._chain.tracks.lag_intervals),
         )
         self._show(cycles, phase)
 
@@ -120,7 +120,7 @@ class Prediction:
         self._valid_samples += 1
         after, lock = float(self._interval.samples_per_sync), self._lock
         if self.follows and lock.locked:
-            after = self._intervals(lock.lead_ticks + lock.period_ticks)
+            after = self._intervals(lock.lead + lock.period)
         after += self._chain.tracks.lag_intervals
         self._speed_cycles = displacement = last.speed_cycles * after
         curved = self._kind.value == CONSTANT_ACCELERATION
