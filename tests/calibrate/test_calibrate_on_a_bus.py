@@ -225,30 +225,24 @@ def test_a_bad_measurement_is_refused_and_nothing_changes(
     assert not any(frame.data[0] >> 5 in (1, 6) for frame in bench.master.sent if frame.can_id == 0x620)
 
 
-def test_an_encoder_that_changes_in_between_gets_its_old_table_back() -> None:
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda counts: (counts[0] + 60, counts[1]), "on fresh samples the table leaves .* was predicted"),
+        (lambda counts: (700, -1200), "at standstill"),
+    ],
+    ids=["the encoder changes", "the machine stops"],
+)
+def test_what_does_not_keep_its_promise_is_taken_back(change: Any, words: str) -> None:
     bench = Bench()
     bench.bus.run_until(0.1)
-    changed = lambda counts: (counts[0] + 60, counts[1])  # noqa: E731
 
-    def knock(now: float) -> None:
+    def happen(now: float) -> None:
         if bench.value(0x2020, 4):
-            bench.source.change = changed
+            bench.source.change = change
 
-    bench.master.on_wait = knock
-    with pytest.raises(CommissioningError, match=r"on fresh samples .*; the previous table and conditioning"):
-        calibrate(bench)
-    assert read_active(bench.access) == NO_CORRECTION
-
-
-def test_the_machine_may_stop_after_the_measurement_and_nothing_is_half_done() -> None:
-    bench = Bench()
-
-    def stop(now: float) -> None:
-        if bench.value(0x2020, 4):
-            bench.source.change = lambda counts: (700, -1200)
-
-    bench.master.on_wait = stop
-    with pytest.raises(CommissioningError, match=r"at standstill.*; the previous table and conditioning"):
+    bench.master.on_wait = happen
+    with pytest.raises(CommissioningError, match=f"{words}.*; the previous table and conditioning"):
         calibrate(bench)
     assert read_active(bench.access) == NO_CORRECTION
 

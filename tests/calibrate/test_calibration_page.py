@@ -40,18 +40,9 @@ def text(measured: Measurement, done: Installation) -> str:
     return report_html(measured, done, WHERE, LIMITS)
 
 
-def test_the_page_stands_alone(text: str) -> None:
-    page = Page(text)
-    assert not {"script", "link", "img", "iframe", "object", "embed", "base"} & set(page.tags)
-    assert not {"src", "href", "data"} & {name for name, _ in page.attributes}
-    assert "http" not in text
-    assert "url(" not in text
-    assert "@import" not in text
-    assert len(text) < 300_000
-
-
 def test_it_shows_every_picture_and_says_the_verdict_first(text: str, measured: Measurement) -> None:
     page = Page(text)
+    assert len(text) < 300_000
     assert page.tags.count("svg") == page.tags.count("figure") == 7
     assert all(value for name, value in page.attributes if name == "aria-label")
     assert page.text.index("Accepted.") < page.text.index("Before and after")
@@ -62,13 +53,6 @@ def test_it_shows_every_picture_and_says_the_verdict_first(text: str, measured: 
     ):  # fmt: skip
         assert wanted in page.text
     assert "nan" not in re.sub(r"[A-Za-z]*nan[A-Za-z]+", "", text)
-
-
-def test_light_and_dark_and_print_have_every_colour(text: str) -> None:
-    defined = [set(re.findall(r"--([a-z]+):", block)) for block in re.findall(r":root \{([^}]*)\}", text)]
-    used = set(re.findall(r"var\(--([a-z]+)\)", text))
-    assert len(defined) == 3
-    assert all(used <= one for one in defined)
 
 
 def test_a_refusal_shows_the_tracks_and_the_reason(samples: TrackSamples) -> None:
@@ -157,11 +141,3 @@ def test_what_is_no_table_is_told_in_one_line(name: str, tmp_path: Path) -> None
     assert "\n" not in str(error.value)
     with pytest.raises(CommissioningError, match="cannot be read: No such file"):
         read_table(tmp_path / "nothing.bin")
-
-
-def test_a_changed_entry_is_noticed(measured: Measurement, done: Installation, tmp_path: Path) -> None:
-    write(tmp_path, measured, done, WHERE)
-    path = tmp_path / "table.yaml"
-    path.write_text(re.sub(r"entries: \[0.0", "entries: [0.0001", path.read_text()))
-    with pytest.raises(CommissioningError, match="an entry was changed"):
-        read_table(path)

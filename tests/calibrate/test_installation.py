@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -29,7 +28,6 @@ class Fault:
     def __init__(self, bench: Bench) -> None:
         self.requests = 0
         self.spoil: Callable[[int, Frame], list[Frame] | None] = lambda number, frame: None
-        self.seen: list[tuple[int, int]] = []
         self._receive = bench.module.receive
         bench.module.receive = self.receive  # type: ignore[method-assign]
 
@@ -37,7 +35,6 @@ class Fault:
         if frame.can_id != SDO_REQUEST:
             return self._receive(frame, now)
         self.requests += 1
-        self.seen.append((frame.data[0], struct.unpack_from("<I", frame.data)[0] >> 8))
         spoiled = self.spoil(self.requests, frame)
         return self._receive(frame, now) if spoiled is None else spoiled
 
@@ -154,9 +151,6 @@ def test_a_refused_write_leaves_the_old_set(
     assert bench.access.integer(*PHASE_ERROR, "H") == 819
 
 
-LAST_REQUEST = 106  # of an installation
-
-
 def lying(bench: Bench, index: int, subindex: int, times: int) -> None:
     """The module tells a wrong CRC."""
     fault = Fault(bench)
@@ -178,69 +172,6 @@ def test_a_wrong_crc_of_the_staged_table_activates_nothing(
     lying(bench, 0x2020, 2, 1)
     with pytest.raises(CommissioningError, match="CRC of the staged table is 04030201h") as error:
         run_install(bench, measured, fresh, settings)
-    assert str(error.value).endswith(AS_BEFORE)
-    assert read_active(bench.access) == old
-
-
-@pytest.mark.parametrize("number", range(1, LAST_REQUEST + 1, 2))
-def test_a_lost_request_ends_in_the_new_set_or_in_the_old_one(
-    number: int, measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
-) -> None:
-    bench = prepared(old, store=MemoryStore())
-    fault = Fault(bench)
-    fault.spoil = lambda count, frame: [] if count == number else None
-    said = AS_BEFORE
-    wanted = old
-    try:
-        run_install(bench, measured, fresh, settings)
-        wanted = measured.found  # a block transfer that got lost is made good by a segmented one
-    except CommissioningError as error:
-        said = str(error)
-    fault.spoil = lambda count, frame: None
-    assert said.endswith(AS_BEFORE)
-    assert read_active(bench.access) == wanted
-    assert (bench.access.integer(*PHASE_ERROR, "H") == 819) == (wanted is old)
-
-
-def test_the_lost_requests_reach_to_the_end(
-    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
-) -> None:
-    bench = prepared(old, store=MemoryStore())
-    fault = Fault(bench)
-    run_install(bench, measured, fresh, settings)
-    assert fault.requests == LAST_REQUEST
-    assert fault.seen[-1][1] == 0x041010
-
-
-def test_a_module_that_is_gone_is_told_as_it_is(
-    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
-) -> None:
-    bench = prepared(old)
-    fault = Fault(bench)
-    fault.spoil = lambda count, frame: [] if count > 20 else None
-    with pytest.raises(CommissioningError, match="could not be put back") as error:
-        run_install(bench, measured, fresh, settings)
-    assert "switch module 32 (20h) off and on" in str(error.value)
-
-
-def test_a_table_that_does_not_keep_its_promise_is_taken_back(
-    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
-) -> None:
-    bench = prepared(old)
-    shifted = TrackSamples.of(fresh.sine + 20.0, fresh.cosine, fresh.rate_hz, "after a knock")
-    with pytest.raises(CommissioningError, match=r"on fresh samples the table leaves .* predicted") as error:
-        run_install(bench, measured, shifted, settings)
-    assert str(error.value).endswith(AS_BEFORE)
-    assert read_active(bench.access) == old
-
-
-def test_a_machine_that_has_stopped_proves_nothing(
-    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
-) -> None:
-    bench = prepared(old)
-    standing = replace(fresh, sine=fresh.sine * 0.0 + 700.0, cosine=fresh.cosine * 0.0 - 1200.0)
-    with pytest.raises(CommissioningError, match="at standstill") as error:
-        run_install(bench, measured, standing, settings)
     assert str(error.value).endswith(AS_BEFORE)
     assert read_active(bench.access) == old
 
@@ -277,29 +208,6 @@ def test_an_interruption_of_the_proof_leaves_the_old_set(
     with pytest.raises(KeyboardInterrupt):
         run_install(bench, measured, fresh, settings, collect)
     assert read_active(bench.access) == old
-
-
-def test_a_save_that_fails_is_undone_in_the_store_as_well(
-    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
-) -> None:
-    """The answer is lost, the save is not: the new set lies in the store, and must not stay there."""
-    store = MemoryStore()
-    bench = prepared(old, store=store)
-    save(bench.access)
-    fault, lost = Fault(bench), [1]
-
-    def spoil(count: int, frame: Frame) -> list[Frame] | None:
-        if is_write(frame) and object_of(frame) == (0x1010, 4) and lost:
-            lost.clear()
-            fault._receive(frame, bench.bus.now)
-            return []
-        return None
-
-    fault.spoil = spoil
-    with pytest.raises(CommissioningError, match="no answer"):
-        run_install(bench, measured, fresh, settings)
-    assert read_active(bench.access) == old
-    assert read_active(prepared(NO_CORRECTION, store=store).access) == old
 
 
 def test_put_back_tells_when_it_is_not_what_it_was(old: Correction, measured: Measurement) -> None:

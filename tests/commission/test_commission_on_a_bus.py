@@ -26,11 +26,9 @@ from canfb.simulation.motion import Motion, Ramp
 from commissioning_kit import Bench
 from html_page import Page
 from machine_kit import BEFORE, correction_of, duty
-from node_commands import drop_answer, refuse_once
 
 ENCODER = Encoder(amplitude_counts=1400.0, noise_lsb=0.6)
 SHORT = ("--seconds", "2.1", "--watch", "0.3")
-CHANGED = (0x2001, 3), (0x2001, 4), (0x2010, 1), (0x2010, 2), (0x2010, 4)
 
 
 def bench_of(motion: Motion | None = None, table: bool = True, **options: Any) -> Bench:
@@ -137,72 +135,43 @@ def test_a_second_time_gives_much_the_same(capsys: pytest.CaptureFixture[str]) -
         assert value == pytest.approx(first[place], rel=near)
 
 
-@pytest.mark.parametrize("place", CHANGED, ids=lambda one: f"{one[0]:04X}:{one[1]:02X}")
-def test_a_refused_write_undoes_all(place: tuple[int, int]) -> None:
-    bench = bench_of()
-    before = values(bench)
-    refuse_once(bench, place)
-    with pytest.raises(CommissioningError, match="refused") as error:
-        commission(bench, "--write")
-    assert str(error.value).endswith("; the limits from before are in force in module 32 (20h)")
-    assert "\n" not in str(error.value)
-    assert values(bench) == before
+def weaken(bench: Bench, guard: Guard) -> None:
+    bench.source.change = lambda counts: (int(0.7 * counts[0]), int(0.7 * counts[1]))
 
 
-def test_a_lost_answer_undoes_all_as_well() -> None:
-    bench = bench_of()
-    before = values(bench)
-    assert drop_answer(bench, (0x2010, 1)) == []
-    with pytest.raises(CommissioningError, match="no answer"):
-        commission(bench, "--write")
-    assert values(bench) == before
+def fail(bench: Bench, guard: Guard) -> None:
+    raise BusError("the bus fails: cable")
 
 
-def when_written(bench: Bench, act: Callable[[], None]) -> None:
-    """Once the last limit is in the module."""
-    done: list[float] = []
+def interrupt(bench: Bench, guard: Guard) -> None:
+    guard.interrupt()
+
+
+IN_FORCE_AGAIN = r"; the limits from before are in force in module 32 \(20h\)"
+
+
+@pytest.mark.parametrize(
+    ("act", "error", "words"),
+    [
+        (weaken, CommissioningError, f"flags samples with the new limits .* amplitude.*{IN_FORCE_AGAIN}"),
+        (fail, CommissioningError, f"the bus fails: cable{IN_FORCE_AGAIN}"),
+        (interrupt, KeyboardInterrupt, None),
+    ],
+)
+def test_what_happens_while_the_new_limits_are_watched_undoes_all(
+    act: Callable[[Bench, Guard], None], error: type[BaseException], words: str | None
+) -> None:
+    bench, guard = bench_of(store=MemoryStore()), Guard()
+    before, done = values(bench), list[float]()
 
     def look(now: float) -> None:
-        if not done and bench.value(0x2010, 4):
+        if not done and bench.value(0x2010, 4):  # the last limit is in the module
             done.append(now)
-            act()
+            act(bench, guard)
 
     bench.master.on_wait = look
-
-
-def test_flags_that_were_not_there_before_undo_all() -> None:
-    bench = bench_of(store=MemoryStore())
-    before = values(bench)
-
-    def weaken() -> None:
-        bench.source.change = lambda counts: (int(0.7 * counts[0]), int(0.7 * counts[1]))
-
-    when_written(bench, weaken)
-    with pytest.raises(CommissioningError, match=r"flags samples with the new limits .* amplitude") as error:
-        commission(bench, "--write", "--save")
-    assert "the limits from before are in force in module 32 (20h)" in str(error.value)
-    assert values(bench) == before
-
-
-def test_an_interruption_undoes_all() -> None:
-    bench = bench_of()
-    before, guard = values(bench), Guard()
-    when_written(bench, guard.interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        commission(bench, "--write", guard=guard)
-    assert values(bench) == before
-
-
-def test_a_bus_that_fails_for_a_moment_undoes_all() -> None:
-    bench = bench_of()
-    before = values(bench)
-
-    def fail() -> None:
-        raise BusError("the bus fails: cable")
-
-    when_written(bench, fail)
-    with pytest.raises(CommissioningError, match="the bus fails: cable; the limits from before are in force"):
-        commission(bench, "--write")
+    with pytest.raises(error, match=words):
+        commission(bench, "--write", "--save", guard=guard)
     assert values(bench) == before
 
 
@@ -219,6 +188,32 @@ def far_too_fast() -> Motion:
     return Motion((Ramp(0.5, 0.0), *(Ramp(0.022, 240.0), Ramp(0.022, 0.0)) * 500))
 
 
+def lost() -> Bench:
+    bench = bench_of()
+    bench.module.chain.lose()
+    bench.bus.run_until(bench.bus.now + 0.05)
+    return bench
+
+
+def without_a_limit() -> Bench:
+    bench = bench_of()
+    bench.module.dictionary.entry(*od.SUPERVISION_ACCELERATION).value = float("nan")
+    return bench
+
+
+def without_a_speed() -> Bench:
+    bench = bench_of()
+    receive = bench.module.receive
+
+    def spoiled(frame: Frame, now: float) -> list[Frame]:
+        if frame.can_id == 0x620 and frame.data[:4] == b"\x40\x11\x20\x07":
+            return [Frame(0x5A0, b"\x43\x11\x20\x07" + struct.pack("<f", float("nan")))]
+        return receive(frame, now)
+
+    bench.module.receive = spoiled  # type: ignore[method-assign]
+    return bench
+
+
 REFUSED: dict[str, tuple[Callable[[], Bench], str]] = {
     "no table": (lambda: bench_of(table=False), r"no correction table is active.*run canfb calibrate first"),
     "standing": (
@@ -226,6 +221,9 @@ REFUSED: dict[str, tuple[Callable[[], Bench], str]] = {
         "the machine stands still: nothing can be said of its acceler",
     ),
     "too fast": (lambda: bench_of(far_too_fast()), "the position is lost"),
+    "lost": (lost, r"the position is lost \(2011:01\)"),
+    "limit": (without_a_limit, "2010:02, largest acceleration, is nan"),
+    "speed": (without_a_speed, r"its speed \(2011:07\) is nan"),
     "stopped": (lambda: bench_of(operational=False), r"no valid position \(2011:01 is .*NMT start"),
 }
 
@@ -238,35 +236,6 @@ def test_what_cannot_be_commissioned_is_refused_in_one_line(case: str) -> None:
         commission(bench, "--write")
     assert "\n" not in str(error.value)
     assert is_unwritten(bench)
-
-
-def test_a_lost_position_is_said() -> None:
-    bench = bench_of()
-    bench.module.chain.lose()
-    bench.bus.run_until(bench.bus.now + 0.05)
-    with pytest.raises(CommissioningError, match=r"the position is lost \(2011:01\)"):
-        commission(bench)
-
-
-def test_a_limit_that_is_no_number_is_said() -> None:
-    bench = bench_of()
-    bench.module.dictionary.entry(*od.SUPERVISION_ACCELERATION).value = float("nan")
-    with pytest.raises(CommissioningError, match="2010:02, largest acceleration, is nan"):
-        commission(bench)
-
-
-def test_a_speed_that_is_no_number_is_said() -> None:
-    bench = bench_of()
-    receive = bench.module.receive
-
-    def spoiled(frame: Frame, now: float) -> list[Frame]:
-        if frame.can_id == 0x620 and frame.data[:4] == b"\x40\x11\x20\x07":
-            return [Frame(0x5A0, b"\x43\x11\x20\x07" + struct.pack("<f", float("nan")))]
-        return receive(frame, now)
-
-    bench.module.receive = spoiled  # type: ignore[method-assign]
-    with pytest.raises(CommissioningError, match=r"its speed \(2011:07\) is nan"):
-        commission(bench)
 
 
 def test_the_recording_of_the_module_serves_as_well(capsys: pytest.CaptureFixture[str]) -> None:
