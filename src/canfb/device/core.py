@@ -74,8 +74,8 @@ class Agenda:
 
     def due(self) -> float:
         """The earliest deadline, seconds."""
-        if self.moved:
-            self.earliest = min([service.deadline for service in self._services], default=NEVER)
+        if self.moved:  # after each SYNC, so without the calls of properties
+            self.earliest = min([service._deadline for service in self._services], default=NEVER)
             self.moved = False
         return self.earliest
 
