@@ -29,6 +29,8 @@ settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
 os.environ["XDG_CONFIG_HOME"] = "/no-such-folder"  # no default bus of whoever runs the tests
+for _name in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"):
+    os.environ.pop(_name, None)  # nor does a service manager hear of them
 
 
 class _Frozen:

@@ -15,6 +15,7 @@ import pytest
 from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.errors import BusError, ConfigError
+from canfb.hosting import serving
 from canfb.hosting.hosting import Hosting
 from canfb.hosting.readiness import Readiness
 
@@ -116,8 +117,13 @@ def running(config: Path) -> Iterator[Path]:
 
 @pytest.mark.parametrize("command", ["run", "simulate"])
 def test_a_second_node_with_the_node_id_leaves_before_its_boot_up(
-    running: Path, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    running: Path,
+    command: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(serving, "ANSWER_S", 60.0)  # the first has a thread of this process
     ready = tmp_path / "run.ready"
     ready.write_text(f"{os.getppid()}\n")
     second = tmp_path / "second.yaml"
