@@ -12,7 +12,6 @@ MOVE_S, REST_S = 1.4, 2.0
 TOP_CYCLES_S = 20_000.0
 TURN_S = 2.0 * (MOVE_S + REST_S)
 MAX_ACCELERATION_CYCLES_S2 = TOP_CYCLES_S * math.pi / MOVE_S
-MAX_JERK_CYCLES_S3 = MAX_ACCELERATION_CYCLES_S2 * 2.0 * math.pi / MOVE_S
 
 
 def position_cycles(time_s: float) -> float:

@@ -16,17 +16,16 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from tools.faults.engine import Campaign, Cell, Sums, Work, by_count, chosen, parser, report
-from tools.faults.wire.availability import CHUNK, LIMITS, MOTIONS, endurance, one_lost, setup_of
 from tools.faults.wire.classes import CLASSES
 from tools.faults.wire.judge import EMCY_LIMIT, Verdict
 from tools.faults.wire.play import Episode, play
-from tools.faults.wire.setups import SETUPS
+from tools.faults.wire.setups import SETUPS, setup_of
 from tools.faults.wire.stalls import IN_A_ROW, RATES_HZ, WHO, stall
 from tools.faults.wire.trace import trace
 
 CONFIRMED = 3
 FAULTS, NAMES = [one.name for one in CLASSES], [one.name for one in SETUPS]
-TIMED = [one.name for one in SETUPS if one.times]
+TIMED = [one.name for one in SETUPS if one.times and not one.servo]
 OUTCOMES = ("wrong", "physics", "lost", "flagged", "kept")
 
 
@@ -93,26 +92,6 @@ def classes(faults: Sequence[str] = FAULTS, setups: Sequence[str] = NAMES) -> Pa
     return Part(Campaign(faults, setups, play_class, class_misses, runs=runs), counts)
 
 
-def play_healthy(work: Work) -> Sums:
-    """Machines of CHUNK samples."""
-    sums = Sums()
-    for n in range(work.first, work.first + work.size):
-        verdict = endurance(work.seed + n, CHUNK, work.cell.setup)
-        lost = verdict.outcome == "lost"
-        sums.add(
-            {"PDOs": verdict.shown, "not valid": verdict.not_valid, "wrong": verdict.wrong, "lost": lost}
-        )
-    return sums
-
-
-def play_one_lost(work: Work) -> Sums:
-    """Episodes with one lost PDO; the fault is a motion and a limit."""
-    sums, (motion, limit) = Sums(), work.cell.fault.rsplit(" ", 1)
-    for n in range(work.first, work.first + work.size):
-        sums.add(one_lost(motion, float(limit), work.seed + n, work.cell.setup))
-    return sums
-
-
 def play_stalls(work: Work) -> Sums:
     """Machines with stalls; the fault is who stalls, and the rate."""
     sums, (who, rate) = Sums(), work.cell.fault.removesuffix(" Hz").rsplit(" ", 1)
@@ -130,25 +109,11 @@ def kept_misses(cell: Cell, sums: Sums) -> Iterator[str]:
         yield f"{sums['kept']} of {sums['one motion fits']} kept"
 
 
-def healthy_misses(cell: Cell, sums: Sums) -> Iterator[str]:
-    """Each position is valid and right."""
-    if sums["not valid"] or sums["wrong"]:
-        yield f"{sums['not valid']} of {sums['PDOs']} not valid, {sums['wrong']} wrong"
-
-
 def part_of(options: argparse.Namespace) -> tuple[Part, int]:
     """What is to be played, and how many episodes; ValueError for names that there are not."""
-    if options.endurance:
-        setups = chosen(TIMED, options.setup)
-        healthy = Campaign(["healthy, 3000 rpm"], setups, play_healthy, healthy_misses, 1)
-        return Part(healthy, ("PDOs", "not valid", "wrong", "lost")), max(1, options.endurance // CHUNK)
-    if options.one_lost:
-        faults = [f"{motion} {limit:.2f}" for motion in MOTIONS for limit in LIMITS]
-        one = Campaign(faults, chosen(NAMES, options.setup), play_one_lost, kept_misses)
-        return Part(one, ("one motion fits", "kept", "two fit", "kept of two", "wrong")), options.episodes
     if options.stalls:
         faults = [f"{who} {rate} Hz" for who in WHO for rate in RATES_HZ]
-        setups = chosen([name for name in TIMED if not setup_of(name).servo], options.setup)
+        setups = chosen(TIMED, options.setup)
         stalls = Campaign(faults, setups, play_stalls, kept_misses, 4)
         machines = -(-options.stalls // (len(faults) * len(setups) * (IN_A_ROW + 1)))
         return Part(stalls, ("one motion fits", "kept", "longer", "kept of longer", "wrong")), machines
@@ -158,10 +123,6 @@ def part_of(options: argparse.Namespace) -> tuple[Part, int]:
 def main(argv: Sequence[str] | None = None) -> int:
     options = parser("tools.faults.wire.campaign", __doc__, 30, 1997)
     options.add_argument("--by-setup", action="store_true", help="a row for each class and set-up")
-    options.add_argument(
-        "--endurance", type=int, metavar="SAMPLES", help="a healthy machine at 3000 rpm only"
-    )
-    options.add_argument("--one-lost", action="store_true", help="one lost PDO at half the limit only")
     options.add_argument("--stalls", type=int, metavar="N", help="stalls of 1 to 500 ms only")
     options.add_argument("--episode", metavar="CLASS:SETUP:SEED", help="one episode only")
     options.add_argument("--trace", action="store_true", help="with --episode: every frame")

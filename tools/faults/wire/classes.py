@@ -26,14 +26,6 @@ def is_servo(setup: Setup) -> bool:
     return setup.servo
 
 
-def is_no_servo(setup: Setup) -> bool:
-    return not setup.servo
-
-
-def is_no_servo_with_times(setup: Setup) -> bool:
-    return setup.times and not setup.servo
-
-
 def with_stamps(setup: Setup) -> bool:
     return setup.stamps
 
@@ -75,12 +67,12 @@ CLASSES: tuple[WireClass, ...] = (
     WireClass("healthy, late host", around.late_host, valid=with_any_time),
     WireClass("healthy, zero pulses", around.zero_pulses, valid=always),
     WireClass(
-        "healthy, at the limit", around.at_the_limit, torque=0.0, of=is_no_servo_with_times, valid=always
+        "healthy, at the limit", around.at_the_limit, torque=0.0, of=clocks.timed, valid=always
     ),
     WireClass("stall", around.stall, after=220),
     WireClass("stall, one lost", around.stall_with_loss, after=220),
-    WireClass("pulse, 1..3 lost", unheard.pulse_and_one_lost, torque=0.0, of=is_no_servo),
-    WireClass("pulse in the gap", unheard.pulse_in_the_gap, torque=0.0, of=is_no_servo),
+    WireClass("pulse, 1..3 lost", unheard.pulse_and_one_lost, torque=0.0, of=clocks.any_but_servo),
+    WireClass("pulse in the gap", unheard.pulse_in_the_gap, torque=0.0, of=clocks.any_but_servo),
     *(WireClass(f"PDO lost, {n}", unheard.lost_pdos(n)) for n in (1, 2, 3, 5)),
     WireClass("PDO with the time lost", unheard.time_lost, of=is_servo),
     WireClass("PDOs lost, 15 %", unheard.scattered_losses),

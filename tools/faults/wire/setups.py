@@ -34,11 +34,6 @@ class Setup:
     stamps: bool = False
     servo: bool = False
 
-    @property
-    def times_id(self) -> int:
-        """The PDO with the sample time."""
-        return TIMES_ID if self.servo else ADC_ID
-
 
 SETUPS = tuple(
     Setup(name + ("/rx" if stamps else ""), counter, times, period, stamps)
@@ -54,6 +49,11 @@ SETUPS = tuple(
     Setup("servo" + ("/rx" if stamps else ""), times=True, stamps=stamps, servo=True)
     for stamps in (False, True)
 )
+
+
+def setup_of(name: str) -> Setup:
+    """The set-up with this name."""
+    return next(one for one in SETUPS if one.name == name)
 
 
 @dataclass

@@ -8,15 +8,13 @@ stalls that are to be kept; after a loss the rest of them would show nothing.
 
 from __future__ import annotations
 
-from fnmatch import fnmatch
-
 import numpy as np
 
 from tools.faults.wire.clocks import a_speed, longest_bridged, machine, producer_stalls
 from tools.faults.wire.draw import draw_plan, torque
 from tools.faults.wire.line import Plan
 from tools.faults.wire.play import declare, play_plan
-from tools.faults.wire.setups import SETUPS, Setup
+from tools.faults.wire.setups import Setup
 
 WHO = ("module", "module, queue", "producer", "all")
 RATES_HZ = (100, 500, 1000)
@@ -26,11 +24,6 @@ BETWEEN = 40  # periods from one stall to the next
 QUEUES = (20, 64, 277)  # frames; a slot is two of them
 LIMITS = (0.02, 0.05, 0.1)  # cycles/T^2
 SPARE = 1.1  # a torque pulse on top of a vibration, which is declared then
-
-
-def timed_setups(pattern: str) -> list[Setup]:
-    """Those with sample times."""
-    return [one for one in SETUPS if one.times and not one.servo and fnmatch(one.name, pattern)]
 
 
 def stall(who: str, rate_hz: int, setup: Setup, seed: int, is_short: bool) -> dict[str, int]:
