@@ -27,7 +27,6 @@ OLDEST = 64.0  # intervals: a time that lies no further back is that of an earli
 CLOSEST = 0.25  # intervals: samples closer together would give a poor speed
 HEARD_S = 75e-6  # two receive times of 30 us, and the interface
 DRIFT = 2e-4  # of two clocks, 100 ppm each
-SPARE_S, SPARE_PART = 0.5e-3, 0.3  # seconds and intervals: a bus and a host delay a PDO by this much
 # A time may be wrong by no more than this at the speed of the machine, without a second opinion: with the
 # residual limit of 1/3 it is less than half a cycle.
 SLIP_CYCLES = 0.15
@@ -182,13 +181,9 @@ class SampleTimes:
         self, passed_s: float, off_s: float, apart_s: float | None, heard_apart_s: float, spare_s: float
     ) -> bool:
         """By receive times of both SYNCs; of both samples, if it is open which SYNC one of them answers."""
-        if apart_s is None:
-            error_s = abs(heard_apart_s - passed_s)
-            most_s = SPARE_S + SPARE_PART * self.unit_s
-            return error_s <= HEARD_S or (off_s <= spare_s and error_s <= most_s)
-        error_s = abs(apart_s - passed_s) - DRIFT * passed_s
-        is_timer = self.grid.deviation * TICK_S < self._heard_s
-        return error_s <= spare_s or (is_timer and off_s <= HEARD_S and error_s < UNDECLARED * self.unit_s)
+        error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
+        is_timer = apart_s is None or self.grid.deviation * TICK_S < self._heard_s
+        return error_s <= spare_s or (is_timer and off_s <= spare_s and error_s < UNDECLARED * self.unit_s)
 
     def _follow_pace(self, ticks: int, counted: float) -> bool:
         """Speeds are in intervals: they get another unit only where the interval is another one.
