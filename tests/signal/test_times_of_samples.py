@@ -143,13 +143,6 @@ def test_syncs_that_were_not_sent_are_known_by_the_second_call() -> None:
     assert clock.next() == pytest.approx(5.0, abs=1e-3)
 
 
-def test_two_bad_times_that_do_not_agree_restart_nothing() -> None:
-    clock = Clock("nothing")
-    assert [clock.next(off=500 * T), clock.next(off=900 * T)] == [SUSPECT, SUSPECT]
-    assert clock.next() == pytest.approx(3.0, abs=1e-3)
-    assert clock.next(off=501 * T) == SUSPECT
-
-
 @pytest.mark.parametrize("part", [0.1, 0.24, 0.26])
 def test_samples_that_are_too_near_are_crowded(part: float) -> None:
     clock = Clock("receive times")
