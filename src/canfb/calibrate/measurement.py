@@ -125,14 +125,12 @@ WORSE = 1.5  # than before, at any speed: noise, and no more
 class OverSpeeds:
     """What is known beyond one speed.
 
-    samples     all of them, with their speeds
     path        the analog path
     before      what was in force
     after       what is to be
     errors      at each speed, of samples that were held out
     """
 
-    samples: tuple[SpeedSamples, ...]
     path: PathFit
     before: InForce
     after: InForce
@@ -174,7 +172,7 @@ def measure_speeds(
     errors = tuple(sorted(each, key=lambda one: one.hertz))
     progress(1.0)
     _check_better(errors)
-    over = OverSpeeds(tuple(samples), found.path, before, after, errors)
+    over = OverSpeeds(found.path, before, after, errors)
     lowest = min(samples, key=lambda one: abs(one.hertz))
     on_samples = min(errors, key=lambda one: abs(one.hertz))
     deviation = on_samples.deviation

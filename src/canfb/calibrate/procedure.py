@@ -197,7 +197,6 @@ FIGURES = (
     od.MEASUREMENT_DRIFT_RMS,
     od.MEASUREMENT_DRIFT_PEAK,
     od.MEASUREMENT_RESIDUAL_RMS,
-    od.MEASUREMENT_RESIDUAL_PEAK,
 )
 LOOK_S = 0.2
 STANDING_S = 2.0  # no sample for this long: it waits for somebody to act
@@ -211,7 +210,6 @@ class ModuleDrift:
     rms: float
     peak: float
     residual_rms: float
-    residual_peak: float
     coverage: float
 
 
@@ -236,11 +234,11 @@ def let_check(module: NodeAccess, progress: Progress) -> ModuleDrift:
     _start(module, Command.CHECK)
     try:
         _wait(module, State.CHECKED, progress, lambda: None)
-        rms, peak, noise, largest = (float(module.read(*figure, "f")) for figure in FIGURES)
+        rms, peak, noise = (float(module.read(*figure, "f")) for figure in FIGURES)
         coverage = module.integer(*od.MEASUREMENT_COVERAGE, "B") / 100.0
     finally:
         discard(module)
-    return ModuleDrift(rms, peak, noise, largest, coverage)
+    return ModuleDrift(rms, peak, noise, coverage)
 
 
 def discard(module: NodeAccess) -> None:

@@ -176,7 +176,7 @@ def _sound_blocks(blocks: Blocks, error: FloatArray) -> np.ndarray[tuple[int, ..
 
 
 class Drift(NamedTuple):
-    """Present error of the active table, in cycles, without its constant part.
+    """Difference of two tables, in cycles, without its constant part; of the active one, its present error.
 
     rms    over the cycle, weighted by distance
     peak   the largest
@@ -184,8 +184,8 @@ class Drift(NamedTuple):
     (``uncertainty_rms`` and ``uncertainty_peak`` of :class:`canfb.Calibration`).
     """
 
-    rms: float
-    peak: float
+    rms: float = 0.0
+    peak: float = 0.0
 
 
 def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Conditioning = IDENTITY) -> Drift:
@@ -239,27 +239,20 @@ THIRDS, FINE = 3, 9  # parts: thirds see a slow drift best, shorter ones what ha
 MIN_RUN = 3
 
 
-class Change(NamedTuple):
-    """Largest significant difference of two tables, cycles, rms over the cycle and peak; 0: none."""
-
-    rms: float = 0.0
-    peak: float = 0.0
-
-
 def lasting(out: BoolArray) -> list[IntArray]:
     """Runs of blocks or cycles that were left out: faults do not last, changed tracks do."""
     edges = np.flatnonzero(np.diff(out, prepend=False, append=False)).reshape(-1, 2)
     return [np.arange(first, last) for first, last in edges if last - first >= MIN_RUN]
 
 
-def largest_change(tables: FloatArray, noise: FloatArray) -> Change:
-    """Of tables, cycles, shape (parts, phases), uncertain by ``noise``, cycles rms, shape (parts,)."""
+def largest_change(tables: FloatArray, noise: FloatArray) -> Drift:
+    """The largest significant one of tables (parts, phases), uncertain by ``noise`` (parts,); cycles."""
     centred = tables - tables.mean(axis=1, keepdims=True)
-    found = Change()
+    found = Drift()
     for first, second in zip(*np.triu_indices(len(centred), 1), strict=True):
         off = centred[first] - centred[second]
         square, expected = float(np.mean(off**2)), float(noise[first] ** 2 + noise[second] ** 2)
         if square > SIGNIFICANT**2 * expected:
-            one = Change(float(np.sqrt(square - expected)), float(np.abs(off).max()))
+            one = Drift(float(np.sqrt(square - expected)), float(np.abs(off).max()))
             found = max(found, one)
     return found

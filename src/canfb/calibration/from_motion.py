@@ -25,7 +25,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.deviation import FINE, THIRDS, Change, largest_change, lasting
+from canfb.calibration.deviation import FINE, THIRDS, Drift, largest_change, lasting
 from canfb.calibration.ellipse import with_track_harmonics
 from canfb.calibration.joint import (
     JointFit,
@@ -196,9 +196,9 @@ def _parts(record: Recording, blocks: Blocks, fit: JointFit, count: int) -> list
 
 def _change(
     record: Recording, blocks: Blocks, whole: Blocks, fit: JointFit, sensitivity: FloatArray, doubt: float
-) -> Change:
+) -> Drift:
     """Of the tracks in the course of the measurement; ``doubt``: noise over what the covariance expects."""
-    largest = Change()
+    largest = Drift()
     left_out = lasting(2 * blocks.used.sum(axis=1) < whole.used.sum(axis=1))
     moving = np.flatnonzero(
         blocks.informative(blocks.evaluate(fit.motion))

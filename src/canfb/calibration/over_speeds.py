@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from canfb.calibration.deviation import SIGNIFICANT, Change, drift
+from canfb.calibration.deviation import SIGNIFICANT, Drift, drift
 from canfb.calibration.ellipse import angle_cycles, fit_ellipse, with_track_harmonics
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.joint import Waveform, grid_phases, origin_of, raw_phase_curve, table_of
@@ -126,9 +126,9 @@ def _judged(calibration: Calibration, each: Sequence[Calibration]) -> Calibratio
 
     CalibrationError where that is more than the path may leave unexplained: the tracks have changed.
     """
-    found = Change()
+    found = Drift()
     for one in each:
-        off = Change(*drift(one, calibration.table, calibration.conditioning))
+        off = drift(one, calibration.table, calibration.conditioning)
         if off.rms > SIGNIFICANT * np.hypot(one.uncertainty_rms, calibration.uncertainty_rms):
             found = max(found, off)
     if found.rms > MOST_OFF_CYCLES:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.deviation import THIRDS, Change, largest_change, lasting
+from canfb.calibration.deviation import THIRDS, Drift, largest_change, lasting
 from canfb.calibration.joint import grid_phases, table_from_phases
 from canfb.calibration.motion_blocks import (
     BoolArray,
@@ -235,7 +235,7 @@ def _backwards(passage: _Passage, nodes: FloatArray) -> FloatArray | None:
         return None
 
 
-def _change(curves: FloatArray, backwards: FloatArray | None) -> Change:
+def _change(curves: FloatArray, backwards: FloatArray | None) -> Drift:
     """Of the curves (cycles, nodes) in the course of the recording."""
     parts = np.array_split(curves, THIRDS) + [curves[rows] for rows in lasting(~_agreeing(curves))]
     parts += [] if backwards is None else [backwards]
@@ -252,7 +252,7 @@ def _finish(
     curves: FloatArray,
     conditioning: Conditioning,
     record: Recording,
-    change: Change,
+    change: Drift,
 ) -> Calibration:
     mean = curves.mean(axis=0)
     tables = [

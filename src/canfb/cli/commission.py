@@ -22,7 +22,8 @@ from canfb.cli.options import (
 )
 from canfb.cli.progress import Progress, shown_progress
 from canfb.cli.subjects import MEASURED_NODES
-from canfb.commission.commission_run import CommissionOptions, CommissionRun
+from canfb.commission.commission_run import CommissionOptions
+from canfb.commission.commission_run import commission as run
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.master.access import Master
@@ -92,10 +93,8 @@ def over_bus(
     master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
 ) -> int:
     """On an open bus; the exit code. ``date``: ISO 8601, time behind a space."""
-    run = CommissionRun(wishes_of(options), progress, date)
-    result = run.over_bus(master, *nodes_of_choices(options, config), guard)
-    progress.clear()
-    return say_result(options, result)
+    nodes = nodes_of_choices(options, config)
+    return say_result(options, run(master, *nodes, wishes_of(options), guard, progress, date))
 
 
 def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:

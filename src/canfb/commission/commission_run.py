@@ -120,90 +120,90 @@ class CommissionOptions:
                 raise ConfigError(f"{option} {value:g}: must be {low:g} to {high:g}")
 
 
-class CommissionRun:
-    """One run of the command. ``date`` is ISO 8601, the time of day behind a space."""
-
-    def __init__(self, wishes: CommissionOptions, steps: Steps, date: str) -> None:
-        self._wishes = wishes
-        self._steps = steps
-        self._date = date
-
-    def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
-        """With the nodes of a bus; ``interface`` None if the module is to say it."""
-        wishes, steps = self._wishes, self._steps
-        steps.step("reading the module")
-        session = Session.open(master, module, interface)
-        node = session.module
-        if session.active.table is None:
-            raise CommissioningError(
-                f"{node.name}: no correction table is active, and without one the limits would be those of "
-                "its errors: run canfb calibrate first"
-            )
-        limits = SupervisionLimits.read(node)
-        if wishes.write:
-            check_unlocked(node)
-        if wishes.save:
-            check_can_save(node)
-        check_valid(node)
-        counters, began_s = read_counters(node), master.now()
-        steps.step(f"listening to the machine for {wishes.seconds:g} s: let it do its normal duty")
-        samples, readings = self._collect(session)
-        usual, usual_s = counted(counters, read_counters(node)), master.now() - began_s
-        steps.step(f"calculating from {len(samples)} samples")
-        observed = observe(samples, session.active, limits, readings)
-        choices = choose(observed.machine, limits, wishes.margin, wishes.acceleration)
-        new = limits.changed({one.place: one.value for one in choices})
-        _prove(observed, new)
-        changes = [one for one in choices if one.changes]
-        saved_as = None
-        if wishes.write and changes:
-            saved_as = set_limits(
-                node,
-                {one.place: one.before for one in changes},
-                {one.place: one.value for one in changes},
-                lambda: watch(node, wishes.watch_s, usual, usual_s, steps.part),
-                guard,
-                keep=wishes.save,
-                step=steps.step,
-            )
-        steps.clear()
-        written = bool(wishes.write and changes)
-        done = Commissioned(
-            observed,
-            limits,
-            new,
-            choices,
-            usual,
-            wishes.margin,
-            written,
-            wishes.write,
-            saved_as,
-            session.provenance(Provenance.of_run(self._date, wishes.line)),
+def commission(
+    master: Master,
+    module: int,
+    interface: int | None,
+    wishes: CommissionOptions,
+    guard: Guard,
+    steps: Steps,
+    date: str,
+) -> Result:
+    """The command. ``interface`` None: read from the module; ``date`` as for :meth:`.Provenance.of_run`."""
+    steps.step("reading the module")
+    session = Session.open(master, module, interface)
+    node = session.module
+    if session.active.table is None:
+        raise CommissioningError(
+            f"{node.name}: no correction table is active, and without one the limits would be those of "
+            "its errors: run canfb calibrate first"
         )
-        out = self._wishes.out
-        paths = [write_page(out, done), keep_samples(out, done.observed.samples)] if out else []
-        return findings(done).result(paths)
+    limits = SupervisionLimits.read(node)
+    if wishes.write:
+        check_unlocked(node)
+    if wishes.save:
+        check_can_save(node)
+    check_valid(node)
+    counters, began_s = read_counters(node), master.now()
+    steps.step(f"listening to the machine for {wishes.seconds:g} s: let it do its normal duty")
+    samples, readings = _collect(session, wishes, steps)
+    usual, usual_s = counted(counters, read_counters(node)), master.now() - began_s
+    steps.step(f"calculating from {len(samples)} samples")
+    observed = observe(samples, session.active, limits, readings)
+    choices = choose(observed.machine, limits, wishes.margin, wishes.acceleration)
+    new = limits.changed({one.place: one.value for one in choices})
+    _prove(observed, new)
+    changes = [one for one in choices if one.changes]
+    saved_as = None
+    if wishes.write and changes:
+        saved_as = set_limits(
+            node,
+            {one.place: one.before for one in changes},
+            {one.place: one.value for one in changes},
+            lambda: watch(node, wishes.watch_s, usual, usual_s, steps.part),
+            guard,
+            keep=wishes.save,
+            step=steps.step,
+        )
+    steps.clear()
+    written = bool(wishes.write and changes)
+    done = Commissioned(
+        observed,
+        limits,
+        new,
+        choices,
+        usual,
+        wishes.margin,
+        written,
+        wishes.write,
+        saved_as,
+        session.provenance(Provenance.of_run(date, wishes.line)),
+    )
+    out = wishes.out
+    paths = [write_page(out, done), keep_samples(out, done.observed.samples)] if out else []
+    return findings(done).result(paths)
 
-    def _collect(self, session: Session) -> tuple[TrackSamples, list[SpeedReading]]:
-        """The samples, and what the module said of its speed meanwhile."""
-        wishes, readings = self._wishes, SpeedReadings(session.module)
-        if not wishes.recording:
-            layout = replace(session.layout(), coarse=coarse_layout(session.module.read_known))
-            samples = listen(
-                session.master, layout, wishes.seconds, LEAST_SAMPLES, self._steps.part, readings
-            )
-            return samples, readings.found
-        found: list[SpeedReading] = []
 
-        def progress(part: float) -> None:
-            self._steps.part(part)
-            if part < UPLOAD_PART:  # else the upload is on its way
-                at = session.module.integer(*od.RECORDING_RECORDED, "I")
-                speed = readings.read()
-                if at:
-                    found.append(SpeedReading(at - 1.0, speed))
+def _collect(
+    session: Session, wishes: CommissionOptions, steps: Steps
+) -> tuple[TrackSamples, list[SpeedReading]]:
+    """The samples, and what the module said of its speed meanwhile."""
+    readings = SpeedReadings(session.module)
+    if not wishes.recording:
+        layout = replace(session.layout(), coarse=coarse_layout(session.module.read_known))
+        samples = listen(session.master, layout, wishes.seconds, LEAST_SAMPLES, steps.part, readings)
+        return samples, readings.found
+    found: list[SpeedReading] = []
 
-        return record(session.module, wishes.seconds, None, progress), found
+    def progress(part: float) -> None:
+        steps.part(part)
+        if part < UPLOAD_PART:  # else the upload is on its way
+            at = session.module.integer(*od.RECORDING_RECORDED, "I")
+            speed = readings.read()
+            if at:
+                found.append(SpeedReading(at - 1.0, speed))
+
+    return record(session.module, wishes.seconds, None, progress), found
 
 
 def _prove(observed: Observation, new: SupervisionLimits) -> None:

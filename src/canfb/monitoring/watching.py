@@ -13,7 +13,6 @@ import can
 
 from canfb.bus.clocks import ReceiveTimes
 from canfb.bus.frame_bus import ERROR, Reception, flagged_id
-from canfb.bus.opening import open_bus
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.logfile.log_files import LogError
 from canfb.logfile.log_reader import BusLogFile
@@ -131,13 +130,8 @@ class Watching:
         """What was read of a module; it counts from the next snapshot on."""
         self._readings.append(reading)
 
-    def bus(self, options: dict[str, object]) -> None:
-        """From a bus of python-can, with its own words. BusError, in one line, when it fails."""
-        with open_bus(options) as bus:
-            self.opened(bus)
-
     def opened(self, bus: can.BusABC) -> None:
-        """From a bus that is open."""
+        """From a bus that is open. BusError, in one line, when it fails."""
         self._due_s = self._interval_s
         for at, frame in self._reader.bus(bus, lambda: self._due_s):
             if frame is not None:
