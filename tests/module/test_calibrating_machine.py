@@ -115,9 +115,11 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         self.state = State.CHECKED if self.task is Command.CHECK else State.READY
         self.figures = True
 
-    @precondition(lambda self: self.state is State.COMPUTING)
     @rule(reason=st.sampled_from([Reason.NOISE, Reason.COVERAGE, Reason.LOCKED]), figures=st.booleans())
     def computed_to_no_good(self, reason: Reason, figures: bool) -> None:
+        if self.state is not State.COMPUTING:
+            self.start(Command.START)
+            self.finish()
         calibration = replace(measured(), reason=reason) if figures else None
         self.bench.finish_with(Outcome(reason, calibration, "no"))
         self.state, self.reason, self.figures = State.REFUSED, reason, figures

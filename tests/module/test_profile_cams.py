@@ -42,7 +42,8 @@ def test_a_cam_is_that_of_the_model(total_range: int, data: st.DataObject) -> No
     (10, 20, range(10, 21)), (-10, 5, [*range(6), *range(990, 1000)]), (900, 5000, range(900, 1000)),
     (-5000, 3, range(4)), (2000, 3000, ()), (2000, 7, range(8)), (-3000, -2000, ()),
     (700, -1500, range(700, 1000)),
-    (0, 0, range(1)), (0, -1, range(1000)), (-2147483648, 2147483647, range(1000)),
+    (0, 0, range(1)), (0, -1, range(1000)), (-1100, -1500, range(1000)),
+    (-2147483648, 2147483647, range(1000)),
 ])  # fmt: skip
 def test_limits_at_and_beyond_the_ends(low: int, high: int, on: list[int]) -> None:
     cam = Cam()

@@ -19,28 +19,10 @@ def next_of(motion: Sequence[int], order: int, bound: int) -> Iterator[int]:
     return iter(range(centre - bound, centre + bound + 1))
 
 
-def motions_through(
-    known: Sequence[int], phases: Sequence[int | None], steps_per_cycle: int, order: int, bound: int
-) -> list[Motion]:
-    """All motions from the ``known`` positions (at least ``order``) on, through these phases.
-
-    ``phases``, grid steps 0..q-1, of the next instants; None: missing. ``bound`` in grid steps.
-    """
-    motions: list[Motion] = [tuple(known)]
-    for phase in phases:
-        motions = [
-            (*motion, position)
-            for motion in motions
-            for position in next_of(motion, order, bound)
-            if phase is None or position % steps_per_cycle == phase
-        ]
-    return motions
-
-
 def ends_through(
     known: Sequence[int], phases: Sequence[int | None], steps_per_cycle: int, order: int, bound: int
 ) -> set[int]:
-    """Where the motions of :func:`motions_through` are at the last instant.
+    """Where the motions through ``known`` and these phases (None: any) are at the last instant.
 
     Motions with the same last positions have the same future: one of them stands for all.
     """

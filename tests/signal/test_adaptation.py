@@ -422,20 +422,6 @@ def test_nothing_is_learned_while_the_interval_is_not_known() -> None:
     assert chain.adaptation.drift != NO_DRIFT
 
 
-def test_several_samples_in_an_interval_are_learned() -> None:
-    chain = chain_of(interval_s=2e-3)
-    chain.set_limits(ChainConfig(phase_error_cycles=0.05).chain_limits)
-    positions = motion(60000, 0.7123)
-    sine, cosine = drifted(positions, 0.05)
-    limits = replace(ChainConfig(phase_error_cycles=0.05).chain_limits, samples_per_sync=2)
-    chain.set_limits(limits)
-    chain.use_interval(INTERVAL_S)
-    for k in range(0, 60000, 2):
-        got = chain.step(Sample(sine[k + 1], cosine[k + 1], earlier=((sine[k], cosine[k]),)))
-    assert got.valid
-    assert chain.adaptation.drift.sine_offset_counts == pytest.approx(0.05 * AMPLITUDE, rel=0.1)
-
-
 @each(
     "words",
     [{"offset": -0.1}, {"gain": 0.6}, {"phase_rad": math.nan}, {"rate_per_hour": 10.1}, {"offset": "a"}],

@@ -162,31 +162,12 @@ def test_it_ends_well_within_the_tolerance() -> None:
     assert not has(machine.run(5), DISAGREES)[-1]
 
 
-def test_it_may_take_the_valid_bit() -> None:
-    machine = standing(invalidates=True)
-    machine.other += 0.02 * N
-    got = machine.run(10)
-    assert got[-1].status == DISAGREES | StatusBit.COASTING
-    machine.other -= 0.02 * N
-    assert machine.run(3)[-1].status == VALID
-
-
 def test_values_over_the_wrap() -> None:
     """A machine that turns and turns; with 2^30 increments in a revolution the value wraps every four."""
     machine = standing(0.0001, increments=1 << 30, origin=(1 << 31) - 5)
     machine.ramp(0.0, 90.0)
     got = machine.run(1500, 90.0) + machine.ramp(90.0, -90.0) + machine.run(1500, -90.0)
     assert all(feedback.status == VALID for feedback in got)
-
-
-def test_a_value_that_repeats_itself_in_motion_says_nothing() -> None:
-    machine = standing()
-    machine.ramp(0.0, 60.0)
-    frozen = machine.value
-    machine.on_bus = lambda value: [frozen]
-    assert not any(has(machine.run(500, 60.0), DISAGREES))
-    machine.on_bus = lambda value: [value]
-    assert not any(has(machine.run(50, 60.0), DISAGREES))
 
 
 def test_values_that_are_late_for_good() -> None:

@@ -1,6 +1,6 @@
-"""Windows and junctions hold every legal sample, and no more: against a linear program and enumeration.
+"""Windows and junctions hold every legal sample, and no more: against a linear program.
 
-The linear program (tools/faults/estimator/legal.py) and the enumeration share nothing with the estimator.
+The linear program (tools/faults/estimator/legal.py) shares nothing with the estimator.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from motion_oracles import motions_through
 
 from canfb.signal.bounded_motion import BoundedMotion, Spot, Window
 from tools.faults.estimator.legal import least_bound
@@ -18,7 +17,6 @@ from tools.faults.estimator.machine import positions
 TRIALS = 30
 START_ERROR = 0.05
 BOUND = 0.1
-Q = 24  # grid steps per cycle
 
 
 MOTION = BoundedMotion(BOUND, 0.0125)
@@ -105,42 +103,6 @@ def test_more_baselines_are_sharper_behind_a_short_interval() -> None:
     wide = MOTION.window(spots[-2:], 2.9).width
     assert wide > 2.0 * 18.0 * MOTION.phase_error
     assert MOTION.window(spots, 2.9).width < 0.55 * wide
-
-
-@pytest.mark.parametrize(("missed", "bound"), [(1, 3), (2, 2), (3, 2)])
-def test_a_junction_ends_where_enumeration_does(missed: int, bound: int) -> None:
-    """Every motion of a grid, without phase errors; k = 1: the same ends, k = 2: none outside.
-
-    Given the first sample behind the hole, the end of the window need not be on the grid: for each missed
-    sample it may be a step away. The linear program above holds it against 1e-6.
-    """
-    motion = BoundedMotion(bound / Q, 0.0)
-    known = [Q * n + n * n for n in range(2)]
-    before = tuple(Spot(float(n), *_count(one)) for n, one in enumerate(known))
-    every = motions_through(known, [None] * (missed + 1), Q, 2, bound)
-    hole = missed + 2.0
-    spare = missed + 1
-    firsts = sorted({one[-1] for one in every})
-    window = motion.beyond(before, (), hole)
-    assert window.base + window.low == pytest.approx(firsts[0] / Q)
-    assert window.base + window.high == pytest.approx(firsts[-1] / Q)
-    for first in (firsts[0], firsts[len(firsts) // 3], firsts[len(firsts) // 2]):
-        run: tuple[Spot, ...] = (Spot(hole, *_count(first)),)
-        futures = {one[-3:] for one in every if one[-1] == first}
-        ends = sorted({end for one in futures for end in _next(one[-2:], bound)})
-        window = motion.beyond(before, run, hole + 1.0)
-        low, high = Q * (window.base + window.low), Q * (window.base + window.high)
-        assert low - 1e-6 <= ends[0] < low + spare
-        assert high - spare < ends[-1] <= high + 1e-6
-
-
-def _count(position: int) -> tuple[int, float]:
-    return position // Q, position % Q / Q
-
-
-def _next(last: tuple[int, ...], bound: int) -> range:
-    centre = 2 * last[1] - last[0]
-    return range(centre - bound, centre + bound + 1)
 
 
 def test_samples_that_no_motion_has_leave_no_window() -> None:

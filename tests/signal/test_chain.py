@@ -423,11 +423,3 @@ def test_a_pause_in_motion_ends_the_position_for_good(coarse: bool, valid_before
         chain.resume(20.0)
         position += 20.0 * speed
         assert not any(step() for _ in range(1200))
-
-
-def test_conditioning_turns_the_ellipse_into_a_circle() -> None:
-    x = np.linspace(0, 2 * np.pi, 100)
-    sine, cosine = 100 + 1000 / 1.1 * np.sin(x), -50 + 1000 / 0.9 * np.cos(x - 0.25)
-    s, c = Conditioning(100, -50, 1.1, 0.9, 0.25).apply(sine, cosine)
-    assert np.allclose(s, 1000 * np.sin(x))
-    assert np.allclose(c, 1000 * np.cos(x))

@@ -109,31 +109,6 @@ def test_bad_samples_that_contradict_leave_the_truth(bound: float, bad: int) -> 
     assert contradictions > RUNS // 4
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_another_period_in_a_doubt_keeps_the_truth(factor: float) -> None:
-    """The unit of time changes at a missing sample, intervals are twice or half as long."""
-    rng = np.random.default_rng(int(2 * factor))
-    bound = 0.02
-    for _ in range(RUNS):
-        missed = int(rng.integers(1, 3))
-        change = BEFORE + missed + int(rng.integers(0, 2))
-        steps = np.ones(BEFORE + AFTER)
-        steps[change:] = 1.0 / factor
-        one = drive(rng, bound, 1, np.cumsum(steps))
-        motion = BoundedMotion(bound / factor**2, PHASE_ERROR)
-        for k in range(BEFORE, BEFORE + AFTER):
-            if k == change:
-                one.doubt.rescale(factor)
-                one.doubt.declare(motion, 1)
-            if k < BEFORE + missed:
-                one.doubt.skip(1.0, flagged=False)
-                continue
-            verdict = one.doubt.take(one.phases[k], 1.0)
-            if verdict.lost is not None:
-                break
-            assert one.keeps_the_truth()
-
-
 def test_wider_limits_in_a_doubt_keep_the_truth() -> None:
     rng = np.random.default_rng(2)
     for _ in range(RUNS):

@@ -20,9 +20,8 @@ from canfb.signal.declared import Declared as EstimatorDeclared
 from canfb.signal.estimator import Estimator
 from canfb.signal.limits import kept_samples
 from canfb.signal.sample import Sample
-from canfb.signal.stream import process_stream
 from canfb.signal.supervision import LOST, VALID
-from tools.faults.estimator.declared import Declared, config_of, limits_of, make_chain
+from tools.faults.estimator.declared import Declared, limits_of, make_chain
 from tools.faults.estimator.episodes import Episode, chain_for, draw, play
 from tools.faults.estimator.judge import judge
 from tools.faults.estimator.kinds import KINDS, Kind, State
@@ -119,30 +118,6 @@ def test_the_usual_step_is_eq_9_bit_for_bit(name: str) -> None:
         cycles = np.array([one.cycles for one in feedbacks])
         assert (np.diff(cycles, 2)[1:] == np.diff(expected.cycles, 2)[1:]).all()
         assert (table is None) == (machine.phase_error == 0.0125)
-
-
-@pytest.mark.parametrize(
-    "kind", ["one bad", "three bad", "two glitches", "stays swapped", "frozen", "random"]
-)
-@pytest.mark.parametrize("name", ["0.01", "0.2"])
-@pytest.mark.parametrize("length", [7, 33, 10_000])
-def test_arrays_give_the_bits_of_single_samples(kind: str, name: str, length: int) -> None:
-    machine = MACHINES[name]
-    config, table = config_of(machine), table_of(machine.phase_error)
-    for episode in episodes(kind_of(kind), machine, 8):
-        speed = float(episode.truth[1] - episode.truth[0])
-        sine, cosine = episode.sine.copy(), episode.cosine.copy()
-        sine[episode.fault - 3 : episode.fault - 1] //= 16  # below the lowest amplitude: flagged
-        cosine[episode.fault - 3 : episode.fault - 1] //= 16
-        blocks = [(sine[n : n + length], cosine[n : n + length]) for n in range(0, len(sine), length)]
-        results = list(process_stream(blocks, config, table, speed))
-        chain = SignalChain(config, table)
-        chain.restart(0, speed)
-        singles = [chain.step(Sample(*pair)) for pair in zip(sine.tolist(), cosine.tolist(), strict=True)]
-        for field in ("cycles", "phase", "residual", "status"):
-            expected = np.concatenate([getattr(one, field) for one in results])
-            found = np.array([getattr(one, field) for one in singles], expected.dtype)
-            assert found.tobytes() == expected.tobytes(), field
 
 
 def changes() -> dict:

@@ -14,7 +14,6 @@ from canfb.signal.supervision import LOST, VALID
 
 SAMPLES = 400
 PHASE_ERROR = 0.0125
-SPOIL_AT = 60
 
 
 def instants(rng: np.random.Generator, sigma: float) -> np.ndarray:

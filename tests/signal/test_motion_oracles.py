@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from motion_oracles import all_motions, ends_through, motions_through
+from motion_oracles import all_motions, ends_through
 
 from tools.faults.estimator.declared import Declared
 from tools.faults.estimator.episodes import draw
@@ -97,28 +97,6 @@ def test_every_motion_on_the_grid_is_legal_and_the_others_are_not(
                 assert least <= bound + 1e-6, (phase, count)
             else:
                 assert least > bound - 1, (phase, count)
-
-
-def test_both_enumerations_end_at_the_same_places() -> None:
-    for phases in ([None, 5], [None, None, 0], [3, None, 7], [23]):
-        every = {motion[-1] for motion in motions_through([0, 2], phases, Q, 2, 4)}
-        assert every == ends_through([0, 2], phases, Q, 2, 4)
-
-
-def test_two_samples_after_a_gap_leave_what_enumeration_finds() -> None:
-    """The whole junction, two before and two after two missed ones, at each pair of phases."""
-    bound, missed = 3, 2  # 1/8 cycle: sharp
-    for first in (0, 5, 12):
-        for second in range(0, Q, 6):
-            found = motions_through([0, 0], [None] * missed + [first, second], Q, 2, bound)
-            pairs = {motion[-2:] for motion in found}
-            at = np.array([0.0, 1.0, 4.0, 5.0])
-            for one in range(-2, 3):
-                for two in range(-3, 4):
-                    places = (one * Q + first, two * Q + second)
-                    least = least_bound(at, np.array([0.0, 0.0, *places]) / np.array([1, 1, Q, Q]), 0.0, 2)
-                    assert (places in pairs) <= (least * Q <= bound + 1e-6)
-                    assert (places in pairs) or least * Q > bound - 1
 
 
 @pytest.mark.parametrize("order", [2, 3])

@@ -103,13 +103,3 @@ def test_after_a_count_was_set_right_one_bad_sample_costs_nothing(speed: float) 
     after = run(chain, machine, 60)
     assert after[-1][0].valid
     assert np.abs(errors(after) - reference).max() < 0.04
-
-
-def test_a_machine_that_moved_in_a_pause_is_noticed_by_the_coarse_track() -> None:
-    chain, machine = SignalChain(ChainConfig()), Machine(0.0, pulse=False)
-    run(chain, machine, 60)
-    machine.position += 300
-    chain.resume()
-    got = [feedback for feedback, _ in run(chain, machine, 60)]
-    assert not any(feedback.valid for feedback in got)
-    assert any(feedback.status & StatusBit.COARSE for feedback in got)

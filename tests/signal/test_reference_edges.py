@@ -57,26 +57,6 @@ def test_a_pulse_between_two_samples_is_where_the_machine_was(
     assert pulse.time == pytest.approx(100.0 - elapsed * (1.0 - place))
 
 
-def test_a_zero_pulse_of_a_machine_that_accelerates_is_at_its_place() -> None:
-    """A straight line is up to a/8 off; no pulse must contradict."""
-    n, jerk, given = 40, 0.003, []
-    chain = SignalChain(ChainConfig(cycles_per_revolution=n))
-    before = 0.25
-    chain.step(at(before))
-    for sample in range(1, 90):
-        here = 0.25 + jerk * sample**3 / 6.0
-        mark, place = math.floor(here / n) * n, None
-        if before < mark <= here:
-            place = (6.0 * (mark - 0.25) / jerk) ** (1.0 / 3.0) - (sample - 1)
-            given.append(sample)
-        got = chain.step(at(here, zero_pulse=place))
-        assert got.valid, sample
-        before = here
-    assert len(given) >= 8
-    assert chain.reference.zero.referenced
-    assert chain.reference.set_right == 0
-
-
 class Turned:
     """A machine at rest whose coarse track can be turned away."""
 
@@ -522,21 +502,6 @@ def test_a_pulse_that_cannot_tell_the_speed_yet_changes_nothing() -> None:
     recovery = Noted(lost=True)
     assert pulse(reference(recovery), 83.4, 100.0, 0.5, 1.0) == (LOST, 0)
     assert (recovery.told, recovery.confirmed) == ([], 0)
-
-
-@each("way", [3.3, -3.3, 0.4, -83.75])
-@each("place", [0.0, 0.25, 0.9, 1.0])
-@each("begin", [70.6, -0.4, -2500.75])
-def test_the_place_of_a_pulse_is_on_the_way_between_two_samples(
-    begin: float, place: float, way: float
-) -> None:
-    made = reference(Noted(lost=False))
-    sample = Sample(1.0, 0.0, zero_pulse=place)
-    for turn in (0, N):
-        applied(made, sample, track(turn + begin + way), VALID, track(turn + begin), 1.0, 1.0)
-    for off, wrong in ((0.49, 0), (-0.49, 0), (0.51, 1), (-0.51, -1)):
-        cycles, phase = track(begin + place * way + off)[:2]
-        assert made.zero.error_cycles(Edge(cycles, phase, way > 0.0)) == wrong
 
 
 def test_what_a_pulse_has_set_right_needs_no_proof_of_the_coarse_track() -> None:

@@ -100,18 +100,3 @@ def test_no_sequence_of_faults_widens_it_beyond_twice_the_reference(scales: list
         if block < REFERENCE_BLOCKS:
             reference = max(reference, noise.rms_cycles)
         assert not noise.usable_cycles > 2.0 * reference
-
-
-def test_a_growing_fault_is_followed_only_so_far() -> None:
-    """Noise that doubles every thousand samples: the usable one stops at twice that of the first 8192."""
-    samples = np.arange(20_000)
-    grown = 1e-5 * 2.0 ** (np.maximum(samples - 9000, 0) / 1000.0)
-    positions = constant_speed(len(samples)) + np.random.default_rng(5).normal(0.0, 1.0, len(samples)) * grown
-    noise, usable, measured = ResidualNoise(), [], []
-    for feedback in feedbacks(positions):
-        if noise.take(feedback):
-            usable.append(noise.usable_cycles)
-            measured.append(noise.rms_cycles)
-    first = max(measured[:REFERENCE_BLOCKS])
-    assert measured[-1] > 50.0 * first  # what 2011:0B shows
-    assert usable[-1] == 2.0 * first

@@ -77,15 +77,6 @@ def test_a_row_of_bad_samples_while_lost_leaves_no_wrong_speed(acceleration: flo
     assert found > 40
 
 
-def test_sets_behind_their_row_are_one() -> None:
-    machine = declared(0.05)
-    elapsed, shown = motion(machine, 41.3, 0.03, 60, np.random.default_rng(23))
-    search = SpeedHypotheses(0.05, machine.phase_error, TAU, 3)
-    for one, position in zip(elapsed, shown, strict=True):
-        assert search.feed(position % 1.0, one)
-        assert len(search._rows) <= 3 + 5
-
-
 def test_a_second_row_leaves_nothing() -> None:
     machine = declared(0.01)
     elapsed, shown = motion(machine, 41.3, 0.1, 60, np.random.default_rng(24))

@@ -126,26 +126,6 @@ def test_a_start_at_standstill_waits_until_the_times_have_told(jitter: float) ->
             assert bits[1] == COASTING
 
 
-def test_a_bad_sample_in_a_start_in_motion_makes_no_wrong_position_valid() -> None:
-    """It is left out: the motions that are left have the count, or the speed alone."""
-    machine = declared(0.01)
-    generator = np.random.default_rng(5)
-    found = 0
-    for _ in range(80):
-        speed = float(generator.uniform(-125.0, 125.0))
-        elapsed, shown = motion(machine, speed, 0.1, 60, generator)
-        bad = int(generator.integers(1, 12))
-        given = shown.copy()
-        given[bad] += generator.uniform(0.1, 0.9)
-        estimator = follower(machine)
-        _, off = offsets(estimator, elapsed, given)
-        off[bad] = None  # in that sample itself the phase is what it is
-        assert {one for one in off[2:] if one is not None} <= {started_at(shown)}
-        assert abs(estimator.tracker.step_cycles - speed) < 0.7
-        found += not estimator.lost
-    assert found > 60
-
-
 @pytest.mark.parametrize(("acceleration", "jitter"), [(0.01, 0.01), (0.05, 0.02), (0.1, 0.03)])
 def test_a_bad_sample_in_a_start_at_standstill_leaves_no_neighbour_valid(
     acceleration: float, jitter: float

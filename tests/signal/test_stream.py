@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canfb.objects import StatusBit
 from canfb.signal import stream
 from canfb.signal.blocks import BLOCK_SAMPLES
 from canfb.signal.chain import SignalChain
@@ -20,7 +19,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.signal.stages import Stages
-from canfb.signal.stream import SHORTEST_BLOCK, ChainResult, process_stream
+from canfb.signal.stream import ChainResult, process_stream
 from folding import each
 
 Array = np.ndarray
@@ -176,6 +175,7 @@ def recording(
         coast_samples=st.sampled_from([0, 1, 3, 40]),
         frozen_samples=st.sampled_from([0, 1, 2, 3, 16]),
         amplitude_low_counts=st.sampled_from([None, 0]),
+        max_acceleration_cycles=st.sampled_from([0.0, 0.01, 0.1]),
     ),
     kind=st.sampled_from([np.float64, np.int16, np.float32]),
     part=st.sampled_from([17, 40, 300, BLOCK_SAMPLES]),
@@ -229,32 +229,6 @@ def test_amplitudes_and_counts_at_their_limits() -> None:
             assert_same(in_blocks(sine, cosine, config), one_by_one(sine, cosine, config))
 
 
-@each("speed", [0.0, 0.0199, 0.0201, 0.3, 0.333, 0.334, 0.4, 1.0, 1.01, 2.0, 3.5])
-@each("frozen_samples", [0, 1, 2, 5])
-@each("lengths", [[400], [101, 16], [103, 17]])
-def test_a_frozen_input_is_found_at_the_same_sample(
-    speed: float, frozen_samples: int, lengths: list[int]
-) -> None:
-    config = ChainConfig(frozen_samples=frozen_samples, coast_samples=10)
-    ramp = np.minimum(np.arange(400) * 0.25, speed)
-    for at, length in ((100, 1), (101, 2), (102, 3), (150, 8), (98, 60)):
-        sine, cosine = tracks_at(np.cumsum(ramp))
-        sine[at : at + length], cosine[at : at + length] = sine[at - 1], cosine[at - 1]
-        wanted = one_by_one(sine, cosine, config)
-        assert_same(in_blocks(sine, cosine, config, None, lengths), wanted)
-        if speed == 2.0:
-            assert (wanted.status & StatusBit.FROZEN).any() == (0 < frozen_samples <= length)
-
-
-@pytest.mark.parametrize("kind", [np.int16, np.int32, np.float32, list])
-def test_kinds_of_numbers(kind: type) -> None:
-    sine, cosine = (np.rint(track) for track in tracks_at(np.cumsum(np.linspace(0.0, 0.4, 300))))
-    sine[150:152] = 0.0
-    given = (sine.tolist(), cosine.tolist()) if kind is list else (sine.astype(kind), cosine.astype(kind))
-    (got,) = process_stream([given])
-    assert_same(got, one_by_one(sine, cosine, ChainConfig()))
-
-
 def test_the_samples_of_a_block_are_left_as_they_are_and_may_be_overwritten() -> None:
     sine, cosine = tracks_at(np.arange(3000) * 0.1)
     buffers = np.empty(1000), np.empty(1000)
@@ -289,22 +263,6 @@ def test_no_block_and_empty_blocks() -> None:
     (got,) = process_stream([([], [])])
     assert [len(getattr(got, name)) for name in FIELDS] == [0] * 6
     assert got.status.dtype == np.uint16
-
-
-@pytest.mark.parametrize(
-    ("block", "words"),
-    [
-        (([1.0], [1.0, 2.0]), "one length"),
-        (([[1.0]], [[1.0]]), "one length"),
-        ((1.0, 1.0), "one length"),
-        (([1.0], [1.0], [1.0]), "pair"),
-        (([1j], [1.0]), "real numbers"),
-        ((["1"], [1.0]), "real numbers"),
-    ],
-)
-def test_a_block_that_is_none_is_refused(block: object, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        list(process_stream([block]))  # type: ignore[list-item]
 
 
 def test_memory_is_that_of_one_block() -> None:
@@ -350,11 +308,3 @@ def test_faults_at_every_few_samples_cost_no_more_than_single_samples(
         sine, cosine = tracks_at(position)
         list(process_stream([(sine, cosine)], ChainConfig(coast_samples=255)))
         assert computed <= 4 * n
-
-
-def test_short_blocks_are_as_right_as_long_ones() -> None:
-    sine, cosine = tracks_at(np.cumsum(np.linspace(0.0, 3.3, 2000)))
-    whole = in_blocks(sine, cosine, ChainConfig(), TABLE)
-    assert whole.valid.all()
-    for length in (1, 2, 3, SHORTEST_BLOCK - 1, SHORTEST_BLOCK, SHORTEST_BLOCK + 1):
-        assert_same(in_blocks(sine, cosine, ChainConfig(), TABLE, [length]), whole)

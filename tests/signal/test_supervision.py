@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from supervision_kit import DEAD, Drive, above, at, below, flags
+from supervision_kit import Drive, above, at, below, flags
 
 from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
@@ -191,9 +191,6 @@ def test_the_chain_checks_as_the_supervision_does(pairs: list[tuple[float, float
         assert not (got.status & BOTH and got.valid)
 
 
-QUIET: dict[str, Any] = {"amplitude_low_counts": 400, "amplitude_high_counts": 2000}
-
-
 # Table 1 gives exactly 1/8 where both tracks are equal: an eighth for the limit makes its edge exact.
 @pytest.mark.parametrize(
     ("sine", "bits"),
@@ -315,31 +312,6 @@ class Module:
 
     def counter(self, subindex: int) -> int:
         return int(self.module.dictionary.entry(0x2012, subindex).value)
-
-
-def test_the_counters_of_the_module_are_those_of_the_status_words() -> None:
-    module = Module(coast_samples=4)
-    story: list[Sample | None] = [*[Sample(0, 1500)] * 5, DEAD, *[Sample(0, 1500)] * 20]  # amplitude
-    story += [Sample(2047, 0), DEAD, Sample(-2048, 0)] + [Sample(0, 1500)] * 20  # clipped, amplitude, clipped
-    story += [Sample(1450, -450)] + [Sample(0, 1500)] * 20  # a glitch of 0.3 cycle and a bit
-    story += [None, None, *[Sample(0, 1500)] * 20]
-    story += [DEAD] * 7
-    for sample in story:
-        module.interval(sample)
-    module.interval(DEAD)  # a miss is known with the next SYNC
-    words = [StatusBit(word) for word in module.words]
-    shown = {bit: sum(bit in word for word in words) for bit in StatusBit}
-    assert shown[StatusBit.AMPLITUDE] == 1 + 1 + 8
-    assert shown[StatusBit.CLIPPED] == 2
-    assert shown[StatusBit.MISSED] == 2
-    assert shown[StatusBit.RESIDUAL] >= 1
-    assert module.counter(1) == shown[StatusBit.MISSED]
-    assert module.counter(2) == shown[StatusBit.RESIDUAL]
-    assert module.counter(3) == shown[StatusBit.AMPLITUDE] + shown[StatusBit.CLIPPED]
-    assert module.counter(4) == shown[StatusBit.COASTING]
-    assert module.counter(5) == 1
-    assert module.counter(9) == shown[StatusBit.CLIPPED]
-    assert [module.counter(n) for n in (6, 7, 8, 10, 11, 12)] == [0] * 6
 
 
 def test_frozen_samples_are_counted() -> None:

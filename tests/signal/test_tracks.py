@@ -146,6 +146,7 @@ def test_a_drift_takes_a_calibration() -> None:
         drift(SINE, None)  # type: ignore[arg-type]
 
 
-def test_a_block_that_is_a_number_is_refused() -> None:
+@pytest.mark.parametrize("block", [3, ([1.0], [1.0], [1.0])])
+def test_a_block_that_is_no_pair_is_refused(block: object) -> None:
     with pytest.raises(ValueError, match="pair"):
-        list(process_stream([3]))  # type: ignore[list-item]
+        list(process_stream([block]))  # type: ignore[list-item]

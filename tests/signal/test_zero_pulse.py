@@ -57,13 +57,6 @@ def test_the_error_is_the_nearest_whole_number_of_cycles(
     assert pulse_at(2500, cycles, phase).error_cycles(Edge(*seen)) == error
 
 
-@given(
-    st.integers(1, 1048576), st.integers(-(2**50), 2**50), st.floats(0, 0.999), st.integers(-(2**40), 2**40)
-)
-def test_whole_revolutions_are_no_error(n: int, cycles: int, phase: float, turns: int) -> None:
-    assert pulse_at(n, cycles, phase).error_cycles(Edge(cycles + turns * n, phase)) == 0
-
-
 @given(st.integers(1, 100_000), st.integers(-200_000, 200_000), st.floats(-0.49, 0.49), st.integers(-9, 9))
 def test_the_error_put_right_leaves_less_than_half_a_cycle(
     n: int, wrong: int, jitter: float, turns: int
