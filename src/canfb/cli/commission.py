@@ -18,7 +18,6 @@ from canfb.cli.options import (
     bus_options,
     named_config,
     option,
-    refuse_idle,
 )
 from canfb.cli.progress import Progress, shown_progress
 from canfb.cli.subjects import MEASURED_NODES
@@ -71,6 +70,7 @@ def register(commands: Commands) -> None:
         option("--rate", type=float, metavar="HZ", help="produce the SYNC, on a bus without one"),
         TIMEOUT,
         add_bus_options,
+        idle=[(["save"], "write", True, "only with --write, without which nothing is written")],
     )
 
 
@@ -111,8 +111,6 @@ def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, 
 
 def wishes_of(options: argparse.Namespace) -> CommissionOptions:
     """The options, checked. ConfigError."""
-    if not options.write:
-        refuse_idle(options, ["save"], "only with --write, without which nothing is written")
     if options.source == "recording" and options.encoder_interface is not None:
         raise ConfigError("--encoder-interface: not with --source recording, which is that of the module")
     wishes = CommissionOptions(

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 
 from canfb.cli.aliases import current
 from canfb.cli.commands import WRONG_USE, build_parser, named_command
+from canfb.cli.options import refuse_combinations
 from canfb.cli.printing import print_line, printed_log
 from canfb.errors import CanfbError, ConfigError
 
@@ -71,6 +72,7 @@ def _run(arguments: Sequence[str]) -> int:
     logging.basicConfig(level=logging.INFO if options.debug else logging.CRITICAL)
     try:
         with printed_log():
+            refuse_combinations(options)
             return int(options.action(options))
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -24,7 +24,6 @@ from canfb.cli.options import (
     group,
     named_config,
     option,
-    refuse_idle,
 )
 from canfb.cli.printing import say
 from canfb.cli.subjects import bit_rate_of, nodes, positive, units
@@ -40,6 +39,18 @@ if TYPE_CHECKING:
     from canfb.scope.live_page import LivePage
 
 ANY_PORT = 0
+IDLE = (
+    (["frames"], "web", False, "not with --web"),
+    (["pdo", "listen"], "frames", True, "only with --frames"),
+    (["port", "ready_file"], "web", True, "only with --web"),
+    (["updates", "plain"], "frames", False, "not with --frames"),
+    (["updates", "plain", "seconds", "json"], "web", False, "not with --web"),
+    (["sdo"], "frames", False, "not with --frames, which reads the mapping at its start"),
+    (["per_revolution"], "frames", False, "not with --frames"),
+    (["speed"], "frames", False, "not with --frames, which does not wait"),
+    (["speed"], "log", True, "goes with --log"),
+    (["sdo", "listen"], "log", False, "a log answers no SDO"),
+)
 FASTEST_HZ, RATE_HZ, LINES_RATE_HZ = 50.0, 5.0, 1.0
 Show = Callable[[BusSnapshot], None]
 
@@ -78,33 +89,13 @@ def register(commands: Commands) -> None:
             READY_FILE,
         ),
         add_bus_options,
+        idle=IDLE,
         opened=lambda address: say(f"open {address}"),
     )
 
 
-IDLE = (
-    (("pdo", "listen"), ("frames",), "only with --frames"),
-    (("port", "ready_file"), ("web",), "only with --web"),
-    (("updates", "plain"), ("",), "not with --frames or --web"),
-    (("sdo",), ("", "web"), "not with --frames, which reads the mapping at its start"),
-    (("seconds", "json"), ("", "frames"), "not with --web"),
-    (("per_revolution",), ("", "web"), "not with --frames"),
-    (("speed",), ("", "web"), "not with --frames, which does not wait"),
-)
-
-
 def monitor(options: argparse.Namespace) -> int:
     """Show modules, frames or a page."""
-    if options.frames and options.web:
-        raise ConfigError("--frames, --web: one of them")
-    form = "frames" if options.frames else "web" if options.web else ""
-    for names, forms, why in IDLE:
-        if form not in forms:
-            refuse_idle(options, names, why)
-    if options.log is None:
-        refuse_idle(options, ["speed"], "goes with --log")
-    else:
-        refuse_idle(options, ["sdo", "listen"], "a log answers no SDO")
     if options.frames:
         from canfb.cli.frames import show_frames  # here: neither the page nor the frames are always wanted
 

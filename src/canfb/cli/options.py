@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 Commands = Any  # argparse's sub-parser action has no public name
 Row = Callable[[Any], object]
 """Adds to a parser, or to a group of one."""
+Idle = tuple[Sequence[str], str, bool, str]
+"""These options go with another one (True) or without it (False), and why."""
 BUS_WORDS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 BUS_METAVARS = {"interface": "NAME", "bitrate": "BIT/S", "data_bitrate": "BIT/S", "channel": "CHANNEL"}
 ARGUMENTS = {"config": "CONFIG.yaml", "nodes": "NODE"}  # the rest are options
@@ -44,6 +46,7 @@ def add_command(
     action: Callable[[argparse.Namespace], int],
     *rows: Row,
     summary: str = "",
+    idle: Sequence[Idle] = (),
     **defaults: Any,
 ) -> None:
     """Add a command that calls ``action``, or a part of one with a ``summary``, and its options."""
@@ -55,7 +58,7 @@ def add_command(
     parser.add_argument(
         "--debug", action="store_true", default=argparse.SUPPRESS, help="show the traceback of an error"
     )
-    parser.set_defaults(action=action, parser=parser, **defaults)
+    parser.set_defaults(action=action, parser=parser, idle=idle, **defaults)
     for row in rows:
         row(parser)
 
@@ -132,7 +135,7 @@ def chosen_module(options: argparse.Namespace, config: Config) -> ModuleConfig:
 
 
 def given(options: argparse.Namespace, names: Iterable[str]) -> list[str]:
-    """Those of these options (``time_column``) that are not at their defaults."""
+    """Those that are not at their defaults."""
     return [
         name
         for name in names
@@ -145,6 +148,13 @@ def refuse_idle(options: argparse.Namespace, names: Iterable[str], why: str) -> 
     for name in given(options, names):
         option = ARGUMENTS.get(name) or f"--{name.replace('_', '-')}"
         raise ConfigError(f"{option}: {why}")
+
+
+def refuse_combinations(options: argparse.Namespace) -> None:
+    """ConfigError for options that would do nothing."""
+    for names, other, wanted, why in options.idle:
+        if bool(given(options, [other])) != wanted:
+            refuse_idle(options, names, why)
 
 
 def given_bus(options: argparse.Namespace) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import argparse
 import json
 from dataclasses import fields
 
-from canfb.cli.options import JSON, Commands, add_command, option, refuse_idle
+from canfb.cli.options import JSON, Commands, add_command, option
 from canfb.cli.subjects import jitter_of, jitter_s, whole_number
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
@@ -83,6 +83,7 @@ def register(commands: Commands) -> None:
         ),
         option("--coverage", action="store_true", help="diagnostic coverage by fault (docs/faults.md)"),
         JSON,
+        idle=[(["adc_bits", "modules"], "config", False, "only without CONFIG.yaml, which has the modules")],
     )
 
 
@@ -106,7 +107,6 @@ def plan(options: argparse.Namespace) -> int:
 def _config(options: argparse.Namespace) -> Config:
     if options.config is None:
         return modules_alike(options.modules, options.adc_bits)
-    refuse_idle(options, ("adc_bits", "modules"), "only without CONFIG.yaml, which has the modules")
     return numbered(load_config(options.config))
 
 

@@ -18,7 +18,6 @@ from canfb.cli.options import (
     chosen_module,
     group,
     option,
-    refuse_idle,
 )
 from canfb.cli.printing import printed_without_waiting, say
 from canfb.cli.subjects import COLUMNS, JITTER, jittered, nodes, positive
@@ -77,6 +76,17 @@ def register(commands: Commands) -> None:
             option("--gap-samples", type=int, default=20, metavar="N", help="samples lost at each gap (20)"),
         ),
         add_bus_options,
+        idle=(
+            (
+                ("columns", "mid_scale", "scale", *TIMES),
+                "samples",
+                True,
+                "only with --samples",
+            ),
+            (["rpm"], "samples", False, "not with --samples: a recording has its own motion"),
+            (TIMES, "time_column", True, "only with --time-column, which contains the gaps"),
+            (["jitter"], "rate", True, "only with --rate: the SYNC is that of the bus"),
+        ),
     )
 
 
@@ -112,12 +122,6 @@ def simulate(options: argparse.Namespace) -> int:
 def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfig, FedModule, Play]:
     """What is simulated. ConfigError for bad options."""
     module = fed_module(chosen_module(options, config))
-    if options.samples is None:
-        refuse_idle(
-            options, ("columns", "mid_scale", "scale", *TIMES), "only with --samples, which it describes"
-        )
-    else:
-        refuse_idle(options, ("rpm",), "not with --samples: a recording has its own motion")
     if options.rate is not None and not 0.1 <= options.rate <= 100_000:
         raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")
     simulation = jittered(config, options).simulation
@@ -145,8 +149,6 @@ def _layout(options: argparse.Namespace) -> RecordingLayout:
     layout = chosen_layout(options.columns, options.mid_scale, options.scale, options.time_column)
     if options.gap_samples < 1:
         raise ConfigError(f"--gap-samples {options.gap_samples}: must be 1 or more")
-    if options.time_column is None:
-        refuse_idle(options, TIMES, "only with --time-column, which contains the gaps")
     return replace(layout, gap_s=options.gap, gap_samples=options.gap_samples)
 
 

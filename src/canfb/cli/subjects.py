@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from canfb.cli.options import Row, option, refuse_idle
+from canfb.cli.options import Row, option
 from canfb.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -175,13 +175,11 @@ JITTER = jitter_of("have the SYNC jitter on purpose, uniformly")
 
 
 def jittered(config: Config, options: argparse.Namespace) -> Config:
-    """With ``--jitter``. ConfigError for a bad one, or without a rate."""
+    """With ``--jitter`` at ``--rate``. ConfigError."""
     from canfb.simulation.sync_producer import LARGEST_PART  # here: most commands simulate nothing
 
     if options.jitter is None:
         return config
-    if options.rate is None:
-        refuse_idle(options, ("jitter",), "only with --rate: the SYNC is that of the bus")
     seconds = jitter_s(options, options.rate)
     if seconds * options.rate > LARGEST_PART:
         raise ConfigError(

@@ -15,7 +15,7 @@ from canfb.bus.clocks import page_date
 from canfb.bus.opening import describe, group_port
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.commands import build_parser
-from canfb.cli.options import READY_FILE, Commands, add_command, group, option, refuse_idle
+from canfb.cli.options import READY_FILE, Commands, add_command, group, option
 from canfb.cli.printing import printed_as_json, say
 from canfb.cli.progress import Progress
 from canfb.cli.subjects import JITTER, jittered
@@ -28,6 +28,8 @@ from canfb.master.all_or_nothing import write_whole
 
 ANY_PORT = 0
 LEAST_HZ, MOST_HZ = 50.0, 1000.0  # below, the machine of the example accelerates too much from SYNC to SYNC
+
+OF_THE_NETWORK = ("rate", "jitter", "no_page", "port", "ready_file", "write_config")
 
 
 def register(commands: Commands) -> None:
@@ -52,17 +54,17 @@ def register(commands: Commands) -> None:
         option("--json", action="store_true", help="JSON, for programs"),
         option("--write-config", type=Path, metavar="FILE", help="write its configuration, for log replay"),
         READY_FILE,
+        idle=(
+            (OF_THE_NETWORK, "story", False, "not with --story"),
+            (["out"], "story", True, "only with --story"),
+        ),
     )
 
 
 def try_it(options: argparse.Namespace) -> int:
     """Run the network until Ctrl-C, SIGTERM or SIGHUP; nothing of it is left."""
     if options.story:
-        refuse_idle(
-            options, ("rate", "jitter", "no_page", "port", "ready_file", "write_config"), "not with --story"
-        )
         return _tell_story(options)
-    refuse_idle(options, ["out"], "only with --story")
     from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS  # here: for this, no other command is imported
 
     if not LEAST_HZ <= options.rate <= MOST_HZ:

@@ -20,7 +20,6 @@ from canfb.cli.options import (
     bus_options,
     group,
     option,
-    refuse_idle,
 )
 from canfb.cli.subjects import nodes, positive, whole_number
 from canfb.configuration import ANY_NODES, Config, load_config
@@ -56,6 +55,11 @@ def register(commands: Commands) -> None:
         ),
         TIMEOUT,
         add_bus_options,
+        idle=(
+            (["out", "seconds"], "bundle", True, "only with --bundle"),
+            (["json"], "bundle", False, "not with --bundle, which writes JSON"),
+            (["nodes", "config"], "status", False, "not with --status, which needs no bus"),
+        ),
     )
 
 
@@ -72,7 +76,6 @@ def diagnose(options: argparse.Namespace) -> int:
         self_diagnosis as facts,
     )  # here: `why` needs nothing of a process that serves nodes
 
-    refuse_idle(options, ["json"], "not with --bundle, which writes JSON")
     path = options.out or Path(f"canfb-diagnose-{local_time():%Y%m%d-%H%M%S}.json")
     check_writable(path)
     parts: dict[str, Any] = {"versions": facts.versions()}
@@ -132,9 +135,7 @@ def why(options: argparse.Namespace) -> int:
     """Read what the module keeps of its last loss, and say what to do."""
     if options.bundle:
         return diagnose(options)
-    refuse_idle(options, ["out", "seconds"], "only with --bundle")
     if options.status is not None:
-        refuse_idle(options, ["nodes", "config"], "not with --status, which needs no bus")
         return node_options.say_result(options, decoded(options.status))
     if options.module is None:
         raise ConfigError("NODE is required: a node-ID such as 32 or 0x20")
