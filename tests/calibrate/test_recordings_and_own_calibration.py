@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from test_calibrate_on_a_bus import calibrate
 
-from canfb.calibrate.measurement import ZERO_CROSSINGS, Settings, measure
-from canfb.calibrate.procedure import verify
 from canfb.cia301.frame import Frame
 from canfb.errors import CalibrationError
-from canfb.master.access import CommissioningError, ObjectAbsentError
+from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import read_active
 from canfb.master.listening import record
 from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.motion import Motion
-from commissioning_kit import RATE_HZ, Bench, random_encoder, recorded
+from commissioning_kit import RATE_HZ, Bench
 
 
 def with_calculator(bench: Bench) -> Bench:
@@ -76,58 +72,10 @@ def test_what_cannot_record_says_so() -> None:
         record(bench.access, 0.5, None, lambda part: None)
 
 
-class FastInterface:
-    """An encoder interface whose 2050h samples at 50 kHz, as far as :func:`record` sees it."""
-
-    name = "encoder interface 16 (10h)"
-
-    def __init__(self, rate_known: bool, capacity: int = 10**6) -> None:
-        self.now_s, self.began_s = 0.0, 0.0
-        self.rate_known, self.capacity = rate_known, capacity
-        self.master = self
-        self.commands: list[int] = []
-        self.all = recorded(random_encoder(2), 100_000, rpm=15.0, rate_hz=50e3)
-
-    def now(self) -> float:
-        return self.now_s
-
-    def wait(self, duration_s: float) -> None:
-        self.now_s += duration_s
-
-    def write(self, index: int, subindex: int, layout: str, value: int) -> None:
-        assert (index, subindex, layout) == (0x2050, 1, "B")
-        self.commands.append(value)
-        self.began_s = self.now_s if value == 1 else self.began_s
-
-    def integer(self, index: int, subindex: int, layout: str) -> int:
-        assert (index, layout) == (0x2050, "I")
-        if subindex == 4:
-            if not self.rate_known:
-                raise ObjectAbsentError("no such sub-index")
-            return 50_000
-        assert subindex == 2
-        return min(round((self.now_s - self.began_s) * 50e3), self.capacity)
-
-    def upload_domain(self, index: int, subindex: int, heard: Callable[[float], None]) -> bytes:
-        assert (index, subindex, self.commands) == (0x2050, 3, [1, 2])
-        heard(1.0)
-        count = self.integer(0x2050, 2, "I")
-        pairs = np.column_stack([self.all.sine, self.all.cosine])[:count]
-        return pairs.astype("<i2").tobytes()
-
-
-@pytest.mark.parametrize("rate_known", [True, False])
-def test_the_papers_method_from_a_fast_recording(rate_known: bool) -> None:
-    interface: Any = FastInterface(rate_known)
-    samples = record(interface, 1.0, 49_000.0, lambda part: None)
-    assert len(samples) == 50_000
-    assert samples.rate_hz == (50_000.0 if rate_known else 49_000.0)
-    settings = Settings(ZERO_CROSSINGS, "fit", 256, 12)
-    measured = measure(samples, settings, NO_CORRECTION, lambda part: None)
-    assert measured.calibration.cycles_used > 300
-    assert measured.on_samples.before_rms > 30 * measured.on_samples.rms
-    later = record(FastInterface(True), 0.4, None, lambda part: None)  # type: ignore[arg-type]
-    assert verify(later, measured, settings).rms < 1.5 * measured.calibration.residual_rms
+def test_the_rate_of_a_recording_that_does_not_say_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    monkeypatch.delitem(bench.module.dictionary._entries, (0x2050, 4))
+    assert record(bench.access, 0.5, 990.0, lambda part: None).rate_hz == 990.0
 
 
 def test_the_recording_of_the_module_makes_a_table(capsys: pytest.CaptureFixture[str]) -> None:
