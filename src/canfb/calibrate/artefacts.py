@@ -194,15 +194,15 @@ def _over_speed(measured: Measurement, where: Provenance) -> str:
     """Both curves over the speed; nothing for one speed."""
     if measured.over_speeds is None:
         return ""
-    errors = measured.over_speeds.errors
+    hertz, before, after, mean, late = np.array(
+        [
+            (one.hertz, one.before, one.after, one.mean_before, one.mean_after)
+            for one in measured.over_speeds.errors
+        ],
+        np.float64,  # None: not a number
+    ).T
     per_turn = where.cycles_per_revolution
-    unit = "rpm" if per_turn else "cycles/s"
-    speed = np.array([one.hertz * (60.0 / per_turn if per_turn else 1.0) for one in errors])
-    nan = float("nan")
-    before = np.array([nan if one.before is None else one.before for one in errors])
-    mean = np.array([nan if one.mean_before is None else one.mean_before for one in errors])
-    after = np.array([one.after for one in errors])
-    late = np.array([one.mean_after for one in errors])
+    speed, unit = (hertz * 60.0 / per_turn, "rpm") if per_turn else (hertz, "cycles/s")
     return gallery(
         "Error over the speed",
         [

@@ -27,6 +27,13 @@ from canfb.signal.limits import samples_without_harm
 from canfb.view.limits_in_force import LIMIT_UNITS
 
 LEAST_JITTER_S = 1e-8
+NOTHING = {od.SUPERVISION_ACCELERATION: "not known", od.SUPERVISION_FROZEN: "off"}  # what a limit of 0 says
+PARTS = {
+    od.SUPERVISION_RESIDUAL_LIMIT: (1.0, " cycle"),
+    od.SUPERVISION_PHASE_ERROR: (1.0, " cycle"),
+    od.SUPERVISION_COARSE_LIMIT: (360.0, "°"),
+}
+"""Limits in 1/65536: of what, and its unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,18 +214,16 @@ def limit_rows(done: Commissioned) -> list[Row]:
 
 def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revolution: int) -> str:
     """A value with its unit, as people read it."""
-    if choice.place in (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_PHASE_ERROR):
-        return f"{value:.0f} ({value / LIMIT_UNITS:.3g} cycle)"
-    if choice.place == od.SUPERVISION_COARSE_LIMIT:
-        return f"{value:.0f} ({360.0 * value / LIMIT_UNITS:.3g}°)"
-    if choice.place == od.SUPERVISION_ACCELERATION:
-        if value == 0.0:
-            return "0, not known"
+    place = choice.place
+    if not value and place in NOTHING:
+        return f"0, {NOTHING[place]}"
+    if place == od.SUPERVISION_ACCELERATION:
         cycles = value * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
         return f"{value:.3g} rad/s² ({cycles:.2g} cycle)"
-    if choice.place == od.SUPERVISION_FROZEN and not value:
-        return "0, off"
-    return f"{value:.0f} {KINDS[choice.place].unit}"
+    if place in PARTS:
+        whole, unit = PARTS[place]
+        return f"{value:.0f} ({whole * value / LIMIT_UNITS:.3g}{unit})"
+    return f"{value:.0f} {KINDS[place].unit}"
 
 
 def detection_words(done: Commissioned) -> str:
