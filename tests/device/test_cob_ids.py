@@ -31,20 +31,6 @@ def module() -> Bench:
     return bench
 
 
-@pytest.mark.parametrize("name", ["canfb-module.eds", "encoder-interface.eds"])
-def test_restricted_can_ids_are_refused_as_they_are_written(name: str) -> None:
-    """Other 10: plain CAN-IDs, with no flag, to objects as they are by default."""
-    bench = Bench(Dictionary.load(SHIPPED / name, ID))
-    bench.start()
-    for index, subindex in SWITCHED_ON + SWITCHED_OFF:
-        if (index, subindex) not in bench.dictionary:
-            continue
-        before = bench.read(index, subindex)
-        for can_id in RESTRICTED:
-            assert bench.write(index, subindex, can_id, 4) is AbortCode.INVALID_VALUE, (index, can_id)
-        assert bench.read(index, subindex) == before
-
-
 @pytest.mark.parametrize(("index", "subindex"), SWITCHED_OFF)
 def test_any_other_can_id_by_way_of_bit_31(module: Bench, index: int, subindex: int) -> None:
     keep = BIT_30 if index & 0xFF00 == 0x1800 else 0

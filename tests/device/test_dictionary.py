@@ -8,8 +8,6 @@ import sample_eds
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary, Entry, ObjectKind
 
-SHIPPED = Path(__file__).parents[2] / "eds"
-
 
 @pytest.fixture
 def dictionary(tmp_path: Path) -> Dictionary:

@@ -41,12 +41,6 @@ def test_what_is_done_to_one_dictionary_reaches_no_other(path: Path) -> None:
     assert all(getattr(entry, hook) is None for entry in other for hook in HOOKS)
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: str(path.stem))
-def test_a_fresh_entry_has_every_fact_of_the_first(path: Path) -> None:
-    for entry in Dictionary.load(path, 9):
-        assert facts(entry.fresh()) == facts(entry)
-
-
 def test_one_content_is_parsed_once_for_every_node_and_every_path(tmp_path: Path) -> None:
     eds.content_described.cache_clear()
     paths = [sample_eds.write(tmp_path / f"{number}.eds") for number in range(3)]

@@ -3,7 +3,6 @@ from __future__ import annotations
 import pytest
 from device_kit import OK, Bench
 
-from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode
 
 SENSOR, DATA_SET = EmergencyCode.SENSOR, EmergencyCode.DATA_SET
@@ -54,18 +53,6 @@ def test_the_history_is_newest_first_and_bounded(bench: Bench) -> None:
     assert len(sent(bench)) == 6
     assert bench.read(0x1003) == 4
     assert [bench.read(0x1003, sub) for sub in range(1, 5)] == [0x1005, 0x1004, 0x1003, 0x1002]
-
-
-def test_the_history_is_cleared_by_zero_only(bench: Bench) -> None:
-    assert bench.read(0x1003) == 0
-    assert bench.read(0x1003, 1) is AbortCode.NO_DATA
-    bench.node.emergency(SENSOR, 0x20, now=0.0)
-    sent(bench)
-    assert bench.read(0x1003, 2) is AbortCode.NO_DATA
-    assert bench.write(0x1003, 0, 1, 1) is AbortCode.INVALID_VALUE
-    assert bench.write(0x1003, 0, 0, 1) == OK
-    assert bench.read(0x1003, 1) is AbortCode.NO_DATA
-    assert bench.read(0x1001) == 0x21
 
 
 def test_the_inhibit_time(bench: Bench) -> None:
@@ -141,13 +128,6 @@ def test_what_waits_does_not_survive_a_reset(bench: Bench) -> None:
     assert bench.run(10.0) == []
     bench.node.emergency(SENSOR, 0x20, now=bench.now)
     assert len(sent(bench)) == 1
-
-
-def test_the_restricted_can_ids() -> None:
-    """CiA 301, 7.3.5."""
-    ranges = [(0, 0x7F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF)]
-    expected = {can_id for first, last in ranges for can_id in range(first, last + 1)}
-    assert {can_id for can_id in range(0x800) if cob.is_restricted(can_id)} == expected
 
 
 def test_an_active_error_is_told_again_if_its_details_have_changed(bench: Bench) -> None:

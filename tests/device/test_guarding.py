@@ -16,7 +16,6 @@ from canfb.device.od.dictionary import Dictionary
 
 GUARD = 0x700 + ID
 LOST, GOOD = "0A0#3081110000000000", "0A0#0000000000000000"
-SHIPPED = Path(__file__).parents[2] / "eds"
 
 
 def guard(bench: Bench) -> list[str]:
@@ -26,19 +25,6 @@ def guard(bench: Bench) -> list[str]:
 def set_up(bench: Bench, guard_time_ms: int = 100, factor: int = 3) -> None:
     assert bench.write(0x100C, 0, guard_time_ms, 2) == OK
     assert bench.write(0x100D, 0, factor, 1) == OK
-
-
-@pytest.mark.parametrize("name", ["canfb-module.eds", "encoder-interface.eds"])
-def test_both_devices_have_it_switched_off(name: str) -> None:
-    bench = Bench(Dictionary.load(SHIPPED / name, ID))
-    bench.start()
-    assert (bench.read(0x100C), bench.read(0x100D)) == (0, 0)
-    assert guard(bench) == ["720#7F"]
-    set_up(bench)
-    bench.operational()
-    assert guard(bench) == ["720#85"]
-    assert bench.run(1.0) == [(0.3, LOST)]
-    assert bench.node.state is NmtState.PRE_OPERATIONAL
 
 
 def test_not_before_the_start(silent: Bench) -> None:
@@ -53,19 +39,6 @@ def test_without_100c_there_is_no_guarding(tmp_path: Path) -> None:
 
 
 # Life guarding
-
-
-def test_a_silent_master(bench: Bench) -> None:
-    set_up(bench)
-    bench.operational()
-    guard(bench)
-    assert bench.run(10.0) == [(0.3, LOST)]
-    assert bench.node.state is NmtState.PRE_OPERATIONAL
-    assert bench.read(0x1001) == 0x11
-    assert bench.read(0x1003, 1) == 0x8130
-    assert guard(bench) == ["720#FF", GOOD]
-    assert bench.read(0x1001) == 0
-    assert bench.run(10.0) == [(pytest.approx(10.3), LOST)]
 
 
 def test_a_stopped_node_tells_later(bench: Bench) -> None:

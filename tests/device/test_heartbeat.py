@@ -1,24 +1,13 @@
 from __future__ import annotations
 
 import pytest
-from device_kit import OK, Bench
+from device_kit import Bench
 
-from canfb.cia301.codes import AbortCode
 from canfb.cia301.nmt import NmtState
 
 
 def watch(node_id: int, milliseconds: int) -> int:
     return node_id << 16 | milliseconds
-
-
-def test_a_stored_period_starts_with_the_boot_up(silent: Bench) -> None:
-    silent.dictionary.entry(0x1017).default = 200
-    silent.dictionary.entry(0x1017).value = 200
-    silent.now = 1.0
-    assert silent.start() == ["720#00"]
-    assert silent.run(0.5) == [(1.2, "720#7F"), (1.4, "720#7F")]
-    assert silent.nmt(130) == ["720#00"]
-    assert silent.run(0.2) == [(1.7, "720#7F")]
 
 
 def test_a_late_tick_sends_one_heartbeat(bench: Bench) -> None:
@@ -67,30 +56,12 @@ def test_the_program_hears_of_the_loss_before_the_state_changes(bench: Bench) ->
     assert heard[1:] == [(bench.now, NmtState.PRE_OPERATIONAL)]
 
 
-def test_the_same_node_twice_is_refused(bench: Bench) -> None:
-    assert bench.write(0x1016, 1, 0x00051234, 4) == OK
-    for milliseconds in (0x1234, 1, 0xFFFF):
-        assert bench.write(0x1016, 2, watch(5, milliseconds), 4) is AbortCode.PARAMETER_INCOMPATIBLE
-    assert bench.read(0x1016, 2) == 0
-    assert bench.write(0x1016, 1, 0x00050010, 4) == OK
-    assert bench.write(0x1016, 2, 0x00050000, 4) == OK
-
-
 def test_a_malformed_heartbeat_does_not_count(bench: Bench) -> None:
     bench.write(0x1016, 1, watch(0x47, 100), 4)
     bench.send(0x747, "")
     bench.send(0x747, "0505")
     assert bench.node.counters.malformed_frames == 2
     assert bench.node.deadline() is None
-
-
-def test_a_reset_forgets_the_errors(bench: Bench) -> None:
-    bench.write(0x1016, 1, watch(0x47, 100), 4)
-    bench.send(0x747, "05")
-    bench.run(1.0)
-    assert bench.nmt(130) == ["720#00"]
-    assert bench.read(0x1001) == 0
-    assert bench.send(0x747, "05") == []
 
 
 def test_an_error_ends_when_the_node_is_no_longer_watched(bench: Bench) -> None:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-import struct
 
 import pytest
 from hypothesis import given
@@ -134,9 +133,3 @@ def test_a_float_that_is_too_large_is_named() -> None:
     entry_of(slots[0]).value = 1e39
     with pytest.raises(ValueError, match="2000h:01"):
         packer(slots)()
-
-
-def test_struct_and_codec_agree_on_floats() -> None:
-    slots = slots_of([DataType.REAL32, DataType.REAL32])
-    entry_of(slots[0]).value, entry_of(slots[1]).value = 0.1, -3.25
-    assert packer(slots)() == struct.pack("<ff", 0.1, -3.25)

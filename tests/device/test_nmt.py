@@ -65,29 +65,6 @@ def test_bits_of_1f80_for_masters_are_refused(bench: Bench, bit: int, more: int)
     assert bench.read(0x1F80) == 4
 
 
-@pytest.mark.parametrize(
-    ("behaviour", "states"),
-    [
-        (0, {1: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}),
-        (1, COMMANDS),
-        (2, dict.fromkeys(COMMANDS, NmtState.STOPPED)),
-    ],
-)
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_communication_error_of_the_program(
-    bench: Bench, behaviour: int, states: dict[int, NmtState], command: int
-) -> None:
-    """Bus-off, which only the program knows of."""
-    bench.write(0x1029, 1, behaviour, 1)
-    bench.nmt(command)
-    bench.application.calls.clear()
-    bench.node.communication_error(4.5)
-    assert bench.node.state is states[command]
-    before, after = COMMANDS[command], states[command]
-    told = [] if after is before else [(before, after, 4.5, "a communication error")]
-    assert bench.application.told("state_changed") == told
-
-
 @pytest.mark.parametrize("subindex", [1, 2])
 @pytest.mark.parametrize("value", [0, 1, 2, 3, 255])
 def test_the_error_behaviour_takes_0_to_2(bench: Bench, subindex: int, value: int) -> None:
@@ -105,24 +82,6 @@ def test_every_command_in_every_state(bench: Bench, state: NmtState, command: in
     assert bench.node.state is COMMANDS[command]
     told = [] if COMMANDS[command] is state else [(state, COMMANDS[command], bench.now, "")]
     assert bench.application.told("state_changed") == told
-
-
-@pytest.mark.parametrize("state", STATES)
-@pytest.mark.parametrize("command", [129, 130])
-def test_reset_in_every_state(bench: Bench, state: NmtState, command: int) -> None:
-    bench.nmt(STATES[state])
-    assert bench.nmt(command) == ["720#00"]
-    assert bench.node.state is NmtState.PRE_OPERATIONAL
-
-
-@pytest.mark.parametrize("state", STATES)
-@pytest.mark.parametrize(
-    "data", ["", "01", "0121", "0320", "012000", "0000", "8121", "FF20", "8220FF", "81207F0000000000"]
-)
-def test_what_is_no_command_changes_nothing(bench: Bench, state: NmtState, data: str) -> None:
-    bench.nmt(STATES[state])
-    assert bench.send(0, data) == []
-    assert bench.node.state is state
 
 
 def test_nothing_is_served_before_start(silent: Bench) -> None:

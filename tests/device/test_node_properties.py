@@ -11,6 +11,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from recording_application import RecordingApplication
+from test_properties import check_pdos
 
 from canfb.cia301 import cob
 from canfb.cia301.codes import SdoAbort
@@ -19,7 +20,6 @@ from canfb.cia301.nmt import NmtState
 from canfb.device.core import Counters
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo.mapping import COMMUNICATION, LONGEST_BITS, MAPPING, Direction, numbers, resolve
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 PRISTINE = Dictionary.load(SHIPPED, ID)
@@ -293,15 +293,7 @@ class NodeModel(RuleBasedStateMachine):
 
     @invariant()
     def the_pdos_are_possible(self) -> None:
-        dictionary = self.node.dictionary
-        for direction in Direction:
-            for number in numbers(dictionary, direction):
-                mapping = MAPPING[direction] + number - 1
-                count = value_of(dictionary, mapping)
-                mapped = [value_of(dictionary, mapping, sub) for sub in range(1, count + 1)]
-                assert sum(resolve(dictionary, one, direction).bits for one in mapped) <= LONGEST_BITS
-                kind = value_of(dictionary, COMMUNICATION[direction] + number - 1, 2)
-                assert kind <= 240 or kind >= 252
+        check_pdos(self.node.dictionary)
 
     @invariant()
     def the_error_register_fits_the_errors(self) -> None:

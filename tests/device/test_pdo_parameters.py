@@ -10,10 +10,7 @@ from canfb.cia301.codes import AbortCode
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 
-UNSUPPORTED = AbortCode.UNSUPPORTED_ACCESS
 NOT_MAPPABLE = AbortCode.NOT_MAPPABLE
-TOO_MUCH = AbortCode.PDO_LENGTH
-INVALID = AbortCode.INVALID_VALUE
 
 OFF = {0x1400: 0x80000190, 0x1401: 0x80000320, 0x1800: 0xC00001A0, 0x1801: 0x800002A0}
 FREE = 0x80000000
@@ -27,11 +24,6 @@ def remap(bench: Bench, index: int, mappings: list[int]) -> list[AbortCode | str
     answers.append(bench.write(number_of, 0, len(mappings), 1))
     answers.append(bench.write(index, 1, OFF[index] & ~FREE, 4))
     return answers
-
-
-def only_refusal(answers: list[AbortCode | str]) -> AbortCode | str:
-    refusals = [answer for answer in answers if answer != OK]
-    return refusals[0] if refusals else OK
 
 
 def test_the_whole_procedure(bench: Bench) -> None:
@@ -48,19 +40,6 @@ def test_it_takes_effect_in_operational_too(bench: Bench) -> None:
     bench.send(0x190, "01000200")
     assert bench.dictionary.entry(0x2000, 2).value == 1
     assert bench.dictionary.entry(0x2000, 1).value == 2
-
-
-@pytest.mark.parametrize(("index", "value"), [(0x1400, 0x20000110), (0x1800, 0x20100210)])
-def test_mapping_is_fixed_while_the_pdo_is_valid_or_counts(bench: Bench, index: int, value: int) -> None:
-    mapping = index + 0x200
-    before = [bench.read(mapping, sub) for sub in range(9)]
-    assert bench.write(mapping, 1, value, 4) is UNSUPPORTED
-    assert bench.write(mapping, 0, 0, 1) is UNSUPPORTED
-    assert bench.write(index, 1, OFF[index], 4) == OK
-    assert bench.write(mapping, 1, value, 4) is UNSUPPORTED
-    assert [bench.read(mapping, sub) for sub in range(9)] == before
-    assert bench.write(mapping, 0, 0, 1) == OK
-    assert bench.write(mapping, 1, value, 4) == OK
 
 
 @pytest.mark.parametrize(
@@ -98,31 +77,6 @@ def test_what_can_be_mapped(bench: Bench, index: int, mapping: int, expected: Ab
     before = bench.read(index + 0x200, 1)
     assert bench.write(index + 0x200, 1, mapping, 4) == expected
     assert bench.read(index + 0x200, 1) == (mapping if expected == OK else before)
-
-
-@pytest.mark.parametrize("index", OFF)
-def test_a_valid_pdo_keeps_its_can_id(bench: Bench, index: int) -> None:
-    valid = OFF[index] & ~FREE
-    bench.write(index, 1, valid, 4)
-    assert bench.write(index, 1, valid + 1, 4) is INVALID
-    assert bench.write(index, 1, valid, 4) == OK
-    assert bench.read(index, 1) == valid
-    assert bench.write(index, 1, (valid + 1) | FREE, 4) == OK
-    assert bench.write(index, 1, valid + 1, 4) == OK
-
-
-@pytest.mark.parametrize(("subindex", "size", "value"), [(3, 2, 100), (6, 1, 3)])
-def test_parameters_that_are_fixed_while_valid(bench: Bench, subindex: int, size: int, value: int) -> None:
-    assert bench.write(0x1800, subindex, value, size) is INVALID
-    bench.write(0x1800, 1, OFF[0x1800], 4)
-    assert bench.write(0x1800, subindex, value, size) == OK
-    assert bench.read(0x1800, subindex) == value
-
-
-def test_the_start_value_has_240_at_most(bench: Bench) -> None:
-    bench.write(0x1800, 1, OFF[0x1800], 4)
-    assert bench.write(0x1800, 6, 241, 1) is INVALID
-    assert bench.write(0x1800, 6, 240, 1) == OK
 
 
 @pytest.mark.parametrize(

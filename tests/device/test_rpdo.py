@@ -153,17 +153,6 @@ def test_the_time_out(bench: Bench) -> None:
     assert len(bench.run(1.0)) == 1
 
 
-def test_a_program_error_comes_out(bench: Bench) -> None:
-    bench.operational()
-
-    def broken(number: int, now: float) -> None:
-        raise RuntimeError("a mistake in the program")
-
-    bench.application.react(rpdo_received=broken)
-    with pytest.raises(RuntimeError):
-        bench.send(RPDO, "01000200")
-
-
 def test_the_time_out_written_in_operational(bench: Bench) -> None:
     bench.operational()
     bench.write(0x1400, 5, 50, 2)

@@ -11,7 +11,6 @@ from canfb.cia301.codes import AbortCode
 from canfb.device.sdo.block import BURST, DOWNLOAD_BLOCK, PAUSE_S, crc16
 
 TABLE = "202000"
-NAME = b"a sample device!"
 
 
 def abort(multiplexer: str, code: AbortCode) -> list[str]:
@@ -112,13 +111,6 @@ def test_the_crc() -> None:
     assert crc16(b"") == 0
 
 
-def test_upload_of_a_number_frame_by_frame(bench: Bench) -> None:
-    assert bench.sdo("A000100014") == ["C200100004000000"]
-    assert bench.sdo("A3") == ["8191010400000000"]
-    assert bench.sdo("A20114") == ["CD00000000000000"]
-    assert bench.sdo("A1") == []
-
-
 @pytest.mark.parametrize("size", [0, 1, 6, 7, 8, 14, 888, 889, 890, 16384])
 @pytest.mark.parametrize("crc", [False, True])
 def test_upload_of_any_size(bench: Bench, size: int, crc: bool) -> None:
@@ -173,14 +165,6 @@ def test_refusals(bench: Bench, request_: str, multiplexer: str, code: AbortCode
     assert bench.sdo(request_) == abort(multiplexer, code)
 
 
-def test_download_of_a_number_frame_by_frame(bench: Bench) -> None:
-    block = f"{DOWNLOAD_BLOCK:02X}"
-    assert bench.sdo("C217100002") == [f"A0171000{block}000000"]
-    assert bench.sdo("813412") == [f"A201{block}0000000000"]
-    assert bench.sdo("D50000") == ["A100000000000000"]
-    assert bench.read(0x1017) == 0x1234
-
-
 @pytest.mark.parametrize("size", [0, 1, 7, 8, 7 * DOWNLOAD_BLOCK, 7 * DOWNLOAD_BLOCK + 1, 16384])
 @pytest.mark.parametrize("crc", [False, True])
 @pytest.mark.parametrize("announce", [False, True])
@@ -213,20 +197,6 @@ def test_a_gap_frame_by_frame(bench: Bench) -> None:
     assert bench.dictionary.entry(0x2020).value == data
 
 
-@pytest.mark.parametrize(
-    ("announced", "code"),
-    [
-        (15, AbortCode.TOO_LONG),
-        (1, AbortCode.TOO_LONG),
-        (17, AbortCode.TOO_SHORT),
-        (100, AbortCode.TOO_SHORT),
-    ],
-)
-def test_another_size_than_announced(bench: Bench, announced: int, code: AbortCode) -> None:
-    assert download(bench, NAME, announced=announced) == abort(TABLE, code)[0]
-    assert bench.dictionary.entry(0x2020).value == b""
-
-
 def test_the_buffer_is_bounded(bench: Bench) -> None:
     answer = download(bench, bytes(70000), announced=None)
     assert answer == abort(TABLE, AbortCode.OUT_OF_MEMORY)[0]
@@ -235,27 +205,3 @@ def test_the_buffer_is_bounded(bench: Bench) -> None:
 def test_sequence_number_zero(bench: Bench) -> None:
     bench.sdo(f"C2{TABLE}0E")
     assert bench.sdo("00") == abort(TABLE, AbortCode.SEQUENCE_NUMBER)
-
-
-@pytest.mark.parametrize(
-    ("request_", "answer"),
-    [
-        ("40001000", "4300100091010400"),
-        ("2F25200009", "6025200000000000"),
-        ("A000100014", "C200100004000000"),
-        ("C217100002", f"A0171000{DOWNLOAD_BLOCK:02X}000000"),
-    ],
-)
-def test_a_new_request_amid_the_segments(bench: Bench, request_: str, answer: str) -> None:
-    bench.sdo(f"C2{TABLE}0E")
-    bench.sdo("01" + "11" * 7)
-    assert bench.sdo(request_) == [answer]
-    assert bench.dictionary.entry(0x2020).value == b""
-
-
-def test_a_new_request_amid_an_upload(bench: Bench) -> None:
-    bench.dictionary.entry(0x2020).value = content_of(700)
-    bench.sdo(f"A0{TABLE}7F")
-    bench.sdo("A3")
-    assert bench.sdo("A000100014") == ["C200100004000000"]
-    assert bench.sdo("A3") == ["8191010400000000"]

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from device_kit import ID, OK, Bench
+from device_kit import OK, Bench
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.sdo.server import TIMEOUT_S
-
-SERVER = 0x600 + ID
 
 
 def abort(multiplexer: str, code: AbortCode) -> list[str]:
@@ -103,27 +100,6 @@ def test_segments_of_the_other_direction_end_a_transfer(bench: Bench) -> None:
     assert bench.sdo("60")[0].startswith("80")
 
 
-def test_a_silent_client_is_given_up_once(bench: Bench) -> None:
-    bench.sdo("40081000")
-    assert bench.node.deadline() == TIMEOUT_S
-    bench.now = 0.4
-    bench.sdo("60")
-    assert bench.run(5.0) == [(0.4 + TIMEOUT_S, "5A0#8008100000000405")]
-    assert bench.sdo("70")[0].endswith("01000405")
-
-
-def test_more_data_than_announced(bench: Bench) -> None:
-    bench.sdo("2121200003000000")
-    assert bench.sdo("01" + "41" * 7) == abort("212000", AbortCode.TOO_LONG)
-    assert bench.dictionary.entry(0x2021).value == "text"
-
-
-def test_less_data_than_announced(bench: Bench) -> None:
-    assert bench.sdo("2121200009000000")[0].startswith("60")
-    assert bench.sdo("01" + "41" * 7) == abort("212000", AbortCode.TOO_SHORT)
-    assert bench.dictionary.entry(0x2021).value == "text"
-
-
 def test_the_buffer_is_bounded(bench: Bench) -> None:
     answer = download(bench, "202000", bytes(70000), announce=False)
     assert answer == abort("202000", AbortCode.OUT_OF_MEMORY)[0]
@@ -156,11 +132,6 @@ def test_channel_ids_are_fixed_while_valid(bench: Bench, value: int) -> None:
     assert bench.write(0x1201, 1, 0x80000681, 4) == OK
     assert bench.write(0x1201, 1, 0x681, 4) == OK
     assert bench.send(0x681, "4000100000000000") == ["6C0#4300100091010400"]
-
-
-@pytest.mark.parametrize("can_id", [0x000, 0x601, 0x67F, 0x701])
-def test_channel_ids_are_not_restricted_ones(bench: Bench, can_id: int) -> None:
-    assert bench.write(0x1201, 1, can_id, 4) is AbortCode.INVALID_VALUE
 
 
 def test_expedited_text_without_a_size(bench: Bench) -> None:

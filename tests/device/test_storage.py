@@ -73,13 +73,6 @@ CHANGED = [500, 1234, 111]
 # 1010h and 1011h as SDO sees them.
 
 
-@pytest.mark.parametrize("subindex", EACH)
-def test_it_saves_on_command_and_restores(power_on: Callable[..., StoringBench], subindex: int) -> None:
-    bench = power_on()
-    assert bench.read(SAVE, subindex) == 1
-    assert bench.read(LOAD, subindex) == 1
-
-
 def test_without_a_store_it_says_so_and_the_defaults_come_with_a_reset(path: Path) -> None:
     bench = StoringBench(path, None)
     bench.start()

@@ -9,7 +9,6 @@ from device_kit import ID, Bench
 
 from canfb.cia301.codes import AbortCode
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.sdo.block import crc16
 
 SHIPPED = Path(__file__).parents[2] / "eds"
 
@@ -39,40 +38,8 @@ def segmented(bench: Bench) -> bytes:
             return content
 
 
-def block(bench: Bench) -> bytes:
-    (answer,) = (bytes.fromhex(text) for text in bench.sdo("A42110007F00"))
-    assert answer[:4] == bytes.fromhex("C6211000")
-    size = int.from_bytes(answer[4:], "little")
-    content, request = b"", "A3"
-    while len(content) < size:
-        segments = bench.sdo(request) + [text.split("#")[1] for _, text in bench.run(0.5)]
-        content += b"".join(bytes.fromhex(text)[1:] for text in segments)
-        assert [int(text[:2], 16) & 0x7F for text in segments] == list(range(1, len(segments) + 1))
-        request = f"A2{len(segments):02X}7F"
-    (answer,) = (bytes.fromhex(text) for text in bench.sdo(request))
-    content = content[: len(content) - (answer[0] >> 2 & 7)]
-    assert len(content) == size
-    assert int.from_bytes(answer[1:3], "little") == crc16(content)
-    assert bench.sdo("A1") == []
-    return content
-
-
 def test_by_segments(device: Bench, path: Path) -> None:
     assert segmented(device) == path.read_bytes()
-
-
-def test_by_blocks(device: Bench, path: Path) -> None:
-    assert block(device) == path.read_bytes()
-
-
-def test_what_comes_out_describes_the_device(device: Bench, tmp_path: Path) -> None:
-    copy = tmp_path / "copy.eds"
-    copy.write_bytes(block(device))
-    read = Dictionary.load(copy, ID)
-    assert list(map(repr, read)) == list(map(repr, Dictionary.load(copy, ID)))
-    assert {(entry.index, entry.subindex) for entry in read} == {
-        (entry.index, entry.subindex) for entry in device.dictionary
-    }
 
 
 def test_it_is_not_written(device: Bench) -> None:

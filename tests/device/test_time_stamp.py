@@ -1,14 +1,11 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from device_kit import OK, Bench
 
 from canfb.cia301.codes import AbortCode
 
 TIME = 0x100
-SHIPPED = Path(__file__).parents[2] / "eds"
 
 
 def times_of(bench: Bench) -> list[tuple[int, int, float]]:

@@ -51,28 +51,6 @@ def test_an_event_outside_of_a_call(bench: Bench, kind: int) -> None:
     assert bench.node.deadline() is None
 
 
-@pytest.mark.parametrize("kind", [0, 1, 254, 255])
-@pytest.mark.parametrize("command", [128, 2])
-def test_never_outside_of_operational(bench: Bench, kind: int, command: int) -> None:
-    set_up(bench, kind=kind, timer=100)
-    bench.operational()
-    bench.nmt(command)
-    bench.node.trigger_tpdo(2, bench.now)
-    assert bench.sync() == []
-    assert bench.send(0x2A0, rtr=True) == []
-    assert bench.run(1.0) == []
-    assert bench.node.counters.remote_frames == 1
-
-
-def test_the_start_value(bench: Bench) -> None:
-    bench.write(0x1019, 0, 10, 1)
-    set_up(bench, kind=3, start=4)
-    bench.operational()
-    counters = [number % 10 + 1 for number in range(20)]
-    sent = [place for place, counter in enumerate(counters) if bench.sync(counter)]
-    assert sent == [3, 6, 9, 12, 15, 18]
-
-
 def test_the_start_value_needs_a_counter(bench: Bench) -> None:
     set_up(bench, kind=1, start=4)
     bench.operational()
@@ -87,15 +65,6 @@ def test_the_event_timer_restarts_when_written(bench: Bench) -> None:
     assert bench.run(0.3) == [(0.25, "2A0#00000000")]
     assert bench.write(0x1801, 5, 0, 2) == OK
     assert bench.run(10.0) == []
-
-
-def test_the_inhibit_time_sends_the_newest_data(bench: Bench) -> None:
-    set_up(bench, kind=255, inhibit=100)
-    bench.operational()
-    for number in range(1, 6):
-        set_value(bench, number)
-        bench.node.trigger_tpdo(2, bench.now)
-    assert bench.run(1.0) == [(0.0, "2A0#01000000"), (0.01, "2A0#05000000")]
 
 
 def test_the_inhibit_time_does_not_hold_synchronous_ones(bench: Bench) -> None:

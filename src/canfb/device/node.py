@@ -260,13 +260,10 @@ class Node:
         """End an error: EMCY 0000h."""
         self._core.emergency.clear(code, self._at(now))
 
-    def communication_error(self, now: float) -> None:
-        """The NMT state that 1029h:01 names."""
-        self._communication_error("a communication error", now)
-
     def bus_off(self, now: float) -> list[Frame]:
         """Bus-off, or interface down: see 1029h:01."""
-        self._communication_error("the bus is gone", now)
+        self.call.now = now
+        self._life.communication_error("the bus is gone", now)
         return self._sent()
 
     def bus_back(self, now: float) -> list[Frame]:
@@ -277,10 +274,6 @@ class Node:
             emergency.report(code, ErrorRegister.COMMUNICATION, b"", now, _BUS)
             emergency.clear(code, now, _BUS)
         return self._sent()
-
-    def _communication_error(self, why: str, now: float) -> None:
-        self.call.now = now
-        self._life.communication_error(why, now)
 
     def _at(self, now: float | None) -> float:
         if now is not None:
