@@ -191,7 +191,6 @@ def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | N
 
 
 def _over_speed(measured: Measurement, where: Provenance) -> str:
-    """Both curves over the speed; nothing for one speed."""
     if measured.over_speeds is None:
         return ""
     hertz, before, after, mean, late = np.array(

@@ -142,7 +142,6 @@ class CalibrationRun:
         return self._report(measured, done)
 
     def _begin(self, master: Master, module: int, interface: int | None) -> Session:
-        """Read both nodes."""
         self._steps.step("reading the active table")
         session = Session.open(master, module, interface)
         self._where = session.provenance(self._where)
@@ -199,7 +198,6 @@ class CalibrationRun:
         return self._report(measured, done)
 
     def _measured(self, samples: TrackSamples, before: Correction, settings: Settings) -> Measurement:
-        """Calibrate; what is refused leaves its samples and a report that shows why."""
         found: Measurement = self._judged(
             samples, lambda: measure(samples, settings, before, self._steps.part)
         )
@@ -247,7 +245,6 @@ class CalibrationRun:
         return SpeedSamples(samples, rad_s * session.cycles_per_revolution / (2.0 * math.pi))
 
     def _at_speeds(self, session: Session, guard: Guard) -> Result:
-        """Each speed as soon as the machine turns at it."""
         choices, steps = self._choices, self._steps
         node, settings = session.module, choices.settings(session.limits)
         check_apart(session.cycles_per_revolution / 60.0 * np.array(choices.speeds_rpm))
@@ -282,7 +279,6 @@ class CalibrationRun:
     def _measured_speeds(
         self, samples: Sequence[SpeedSamples], settings: Settings, before: InForce
     ) -> Measurement:
-        """What they give; what is refused leaves its samples and a report."""
         lowest = min(samples, key=lambda one: abs(one.hertz)).samples
         delay = self._choices.delay_to_set
         out = self._choices.out
@@ -308,14 +304,12 @@ class CalibrationRun:
         return drift_result(found, self._where)
 
     def _drift(self, samples: TrackSamples, active: Correction, settings: Settings) -> Result:
-        """How far the encoder has moved away from its table."""
         found = self._judged(samples, lambda: check(samples, active, settings, self._steps.part))
         if self._choices.out:
             keep_samples(self._choices.out, samples)
         return drift_result(found, self._where)
 
     def _report(self, measured: Measurement, done: Installation) -> Result:
-        """What came out; the files are written."""
         out = self._choices.out
         paths = write(out, measured, done, self._where, self._limits) if out else []
         return findings(measured, done, self._where).result(paths)

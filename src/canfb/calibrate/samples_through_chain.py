@@ -216,6 +216,5 @@ def _phases(samples: TrackSamples, used: InForce, speed_cycles: float) -> FloatA
 
 
 def _mean(off: FloatArray) -> float:
-    """Of differences of phases, cycles."""
     around = about_mean(off)
     return float(wrap(np.asarray([np.mean(off - around)]))[0] + np.mean(around))

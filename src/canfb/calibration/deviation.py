@@ -154,7 +154,6 @@ def deviation_of_phases(
 
 
 def _phases(record: Recording, used: Correction) -> FloatArray:
-    """Phases of all samples, cycles."""
     raw = raw_phases(*used.conditioning.apply(record.sine, record.cosine))
     return raw if used.table is None else used.table.correct_array(raw)
 

@@ -134,7 +134,6 @@ class _Box:
 
     @classmethod
     def of(cls, s: FloatArray, c: FloatArray, margin: float) -> _Box:
-        """Span of all but ``margin`` percent of the samples at either end."""
         ends = np.array([np.percentile(track, [margin, 100.0 - margin]) for track in (s, c)])
         # A sine is above cos(pi p) for the part p of its cycle.
         return cls(ends.mean(axis=1), (ends[:, 1] - ends[:, 0]) / 2.0 / np.cos(np.pi * margin / 100.0))
@@ -164,7 +163,6 @@ class _Box:
         return fit, float(np.mean(np.abs(off) < NEAR))
 
     def conditioning(self, fit: FloatArray) -> Conditioning:
-        """Conditioning of the conic ``fit``."""
         amplitude = np.sqrt(fit[[2, 4]]) * self.half
         mean = np.sqrt(amplitude[0] * amplitude[1])
         offset = self.middle + fit[:2] * self.half

@@ -177,7 +177,6 @@ def _systematic(curve: ErrorCurve, position: FloatArray, noise: float) -> float:
 
 
 def _parts(record: Recording, blocks: Blocks, fit: JointFit, count: int) -> list[Waveform]:
-    """The same fit to each ``count``-th block alone."""
     waveforms = []
     for first in range(count):
         part = np.arange(first, len(blocks), count)

@@ -214,11 +214,9 @@ class _AtSpeed:
 
     @property
     def hertz(self) -> float:
-        """The mean speed over its valid samples."""
         return float(self.speed[self.record.valid].mean())
 
     def varies(self, path: PathFit) -> bool:
-        """Whether the speed varies so much that the path shows in it."""
         speed = self.speed[self.record.valid]
         gains = [np.abs(response(speed, hz)) for hz in (path.corners.corner_hz, path.corners.of_cosine_hz)]
         return bool(
@@ -245,7 +243,6 @@ class _AtSpeed:
 
     @property
     def fundamental(self) -> Fundamental:
-        """Of both mean tracks."""
         found = self.calibration
         assert found.tracks is not None
         sine, cosine = (complex(one) for one in np.fft.rfft(found.tracks, axis=1)[:, 1] / TRACK_POINTS)

@@ -253,7 +253,6 @@ class Solver:
         return fit, cleaned
 
     def _only_significant(self, fit: JointFit, blocks: Blocks) -> tuple[JointFit, Blocks]:
-        """Only the orders that stand out of the noise."""
         fit = self._with_orders(fit, blocks, significant_orders(fit))
         cleaned = reject(blocks, fit)
         return self._again(fit, cleaned), cleaned
@@ -314,7 +313,6 @@ def significant_orders(fit: JointFit) -> tuple[int, ...]:
 
 
 def _size(values: FloatArray, covariance: FloatArray, at: list[int]) -> float:
-    """Square of these values in units of their uncertainty."""
     inverse = np.linalg.pinv(covariance[np.ix_(at, at)], hermitian=True)
     return float(values[at] @ inverse @ values[at])
 

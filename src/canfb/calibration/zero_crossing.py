@@ -106,7 +106,6 @@ class _Passage:
         return forward if angle[-1] >= angle[0] else forward.reversed()
 
     def reversed(self) -> _Passage:
-        """The same read from its end."""
         return _Passage(
             -self.time[::-1],
             self.sine[::-1],
@@ -220,7 +219,6 @@ def _interpolate(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def _agreeing(curves: FloatArray) -> BoolArray:
-    """Cycles that are like the others."""
     off = np.sqrt(np.mean((curves - np.median(curves, axis=0)) ** 2, axis=1))
     return np.asarray(off <= REJECT_CYCLE * np.median(off) + 1e-9, np.bool_)
 
@@ -292,7 +290,6 @@ def _finish(
 
 
 def _members(cycles: _Cycles) -> tuple[IntArray, IntArray]:
-    """Samples inside the cycles, and the cycle of each."""
     length = cycles.last - cycles.first + 1
     owner = np.repeat(np.arange(len(cycles)), length)
     begin = np.repeat(np.cumsum(length) - length, length)

@@ -118,7 +118,6 @@ def _amplitude(tracks: TrackFigures, limits: SupervisionLimits, margin: float) -
 def _motion(
     machine: MachineFigures, limits: SupervisionLimits, margin: float, known_rad_s2: float
 ) -> tuple[Choice, Choice]:
-    """Residual limit and largest acceleration, which belong together."""
     motion, interval_s, n = machine.motion, machine.interval_s, limits.cycles_per_revolution
     places = (od.SUPERVISION_RESIDUAL_LIMIT, od.SUPERVISION_ACCELERATION)
     to_rad = machine.rad(1.0, 2, n)
@@ -153,7 +152,6 @@ def _motion(
 
 
 def _phase_error(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> Choice:
-    """What the phases are off by, as the machine shows it at its own speeds."""
     place, motion = od.SUPERVISION_PHASE_ERROR, machine.motion
     if motion.turned < LEAST_TURNED_CYCLES:
         why = f"the machine moved by {motion.turned:.2g} cycles only, so the phases did not show their errors"
@@ -231,6 +229,5 @@ def _periods(machine: MachineFigures, limits: SupervisionLimits) -> Choice:
 
 
 def _rounded_up(value: float) -> float:
-    """To three digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 2)
     return math.ceil(value / step) * step

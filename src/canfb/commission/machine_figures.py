@@ -130,7 +130,6 @@ def _noise(acceleration: FloatArray, speed: FloatArray) -> float:
 
 
 def _largest(values: FloatArray, noise: float, difference: FloatArray) -> float:
-    """The largest size of the values, beyond what noise of the positions alone makes of them."""
     most = 0.0
     for half in HALVES:
         bell = _bell(half)

@@ -113,7 +113,6 @@ def _follow(
     readings: Sequence[SpeedReading],
     interval_s: float,
 ) -> tuple[float, SupervisedSamples]:
-    """The speed at the first sample, and the samples followed from there."""
     if not readings:
         raise CommissioningError(
             "the module did not say its speed (2011:07) meanwhile: set a longer --seconds"

@@ -206,7 +206,6 @@ class BusModel:
         return node
 
     def _route(self) -> None:
-        """What takes which frame."""
         self._routes, self._sync_ids = {}, set()
         for node in self._nodes.values():
             module = node.module
@@ -248,7 +247,6 @@ class BusModel:
 
 
 def _sent(node: NodeModel, module: ModuleModel, pdo: Pdo, data: bytes, now: float) -> None:
-    """A PDO of a module, under whichever CAN-ID."""
     node.received_s = now
     if module.sent(pdo, data, now):
         node.sends_pdos()

@@ -156,7 +156,6 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
 
 
 def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[Multiplexer, str]) -> tuple[Pdo, ...]:
-    """The PDOs that exist and carry something known."""
     found = valid_pdos(read, parameters, mapping)
     return tuple(pdo for pdo in found if known.keys() & pdo.values(bytes(pdo.length_bytes)).keys())
 

@@ -110,7 +110,6 @@ def module_lines(node: NodeSnapshot, module: ModuleSnapshot, units: MachineUnits
 
 
 def _scaled(name: str, words: str, behind: str, module: ModuleSnapshot, tone: Tone) -> Line:
-    """A value in the unit of the machine, which may be assumed."""
     field = "position_revolutions" if name == "position" else "velocity_rad_s"
     assumed = field in module.assumed and words != "-"
     return Line(name, ((words, tone), (behind, "faint"), (f" (scale {ASSUMED})" if assumed else "", "faint")))

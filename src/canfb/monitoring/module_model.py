@@ -254,7 +254,6 @@ class ModuleModel:
         )
 
     def _lost_by(self) -> str | None:
-        """The cause of the loss that is, in words."""
         cause = od.loss_cause(self._values.get(od.COUNTER_LOSS_CAUSE))
         return cause.text if cause is not None and self._state is PositionState.LOST else None
 

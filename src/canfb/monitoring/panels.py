@@ -97,12 +97,10 @@ class Page:
         return self._row(lines.Line("", ((text, tone),)), 0)
 
     def _row(self, line: lines.Line, width: int) -> Text:
-        """One line, cut where it is too long; the label in ``width`` characters."""
         parts = [(text, STYLES[tone]) for text, tone in ((f"{line.label:<{width}}", "faint"), *line.parts)]
         return Text.assemble(*parts, no_wrap=True, overflow="crop" if self._plain else "ellipsis")
 
     def _panel(self, node: NodeSnapshot, module: ModuleSnapshot, width: int, rows: int) -> Panel:
-        """A frame of ``rows`` lines: figures, and tracks where there is room."""
         inner, high = width - 4, rows - 2
         wide = min(2 * high, inner - LEAST_FIGURES - 1)  # characters are about twice as high as wide
         with_tracks = bool(module.tracks_counts) and wide >= LEAST_TRACKS
@@ -162,7 +160,6 @@ class Page:
         return Group(*(Text(line, style="cyan") for line in drawn))
 
     def _overview(self, modules: Modules, width: int, room: int) -> list[RenderableType]:
-        """A line for each module, and the newest EMCYs where there is room for them."""
         body: list[RenderableType] = []
         if any(module.assumed for _, module in modules) and room > LEAST_TABLE:
             body.append(self._text(NOT_READ, "faint"))

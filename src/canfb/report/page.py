@@ -118,7 +118,6 @@ def page(title: str, place: str, said: Sequence[str], body: str, footer: str, go
 
 
 def _unbroken(text: str) -> str:
-    """No line ends within an option."""
     return re.sub(r"(?<![\w-])--[\w-]+", r'<span class="option">\g<0></span>', text)
 
 

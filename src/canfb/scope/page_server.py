@@ -142,7 +142,6 @@ class PageServer:
 
 
 def _end(viewer: Events) -> None:
-    """No more of what waits: the end."""
     with contextlib.suppress(queue.Empty):
         while True:
             viewer.get_nowait()
@@ -164,7 +163,6 @@ class _Server(ThreadingHTTPServer):
         self.server_address = self.socket.getsockname()
 
     def process_request(self, request: object, client_address: object) -> None:
-        """In a thread, if there is one left."""
         assert isinstance(request, socket.socket)
         if self._places.acquire(blocking=False):
             super().process_request(request, client_address)
@@ -188,7 +186,6 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "canfb", ""
 
     def do_GET(self) -> None:
-        """A file, or the stream."""
         page, parts = self.server.page, urlsplit(self.path)
         hosts, origin = self.headers.get_all("Host") or [], self.headers.get("Origin")
         if refusal := page.refusal(hosts, origin, parts.path, parts.query):
@@ -216,7 +213,6 @@ class _Handler(BaseHTTPRequestHandler):
                 self.wfile.write(one)
 
     def end_headers(self) -> None:
-        """With those of every response."""
         for name, value in HEADERS.items():
             self.send_header(name, value)
         super().end_headers()

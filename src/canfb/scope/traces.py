@@ -145,7 +145,6 @@ class ModuleTraces:
         )
 
     def _words(self, without: float, with_it: float) -> str:
-        """What is known of the table, once."""
         if self.correction is None:
             return f"without a table {without:.3f} % rms; the active table is not known, --sdo reads it"
         if self.correction == NO_CORRECTION:
