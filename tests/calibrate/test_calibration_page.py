@@ -111,12 +111,6 @@ def test_everything_is_written_and_can_be_read_again(
     )
 
 
-def test_a_folder_that_cannot_be_is_told_before_the_work(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(CommissioningError, match=r"cannot write to .*file/out: Not a directory"):
-        prepare(tmp_path / "file" / "out")
-
-
 BAD_TABLES = {
     "short.bin": b"12345",
     "empty.yaml": b"",

@@ -102,6 +102,30 @@ WRONG_USE = {
     "calibrate --check --dry-run": "--dry-run: not with --check",
     "calibrate --dry-run --save": "--save: not with --dry-run",
     "calibrate --recorder module": "--recorder: only with --source recording",
+    **{
+        f"calibrate --speeds {speeds}": "two or more different speeds in rpm are required"
+        for speeds in ("61", "61,fast", "61,61", "1000,1001", "0,1000", "recorded")
+    },
+    **{
+        f"calibrate --speeds 61,1000 --{more}": f"--{more.split()[0]}: not with --speeds"
+        for more in ("check", "method zero-crossings", "conditioning none", "source module")
+    },
+    **{f"calibrate --speeds 61,1000 --delay {s}": f"--delay {s}: seconds, at most" for s in ("long", "1")},
+    **{f"calibrate --{option} 10": f"--{option}: only with --speeds" for option in ("delay", "wait")},
+    "calibrate --speeds 61,1000 --wait 0": "--wait 0: must be 1 to 86400",
+    "calibrate --speeds 61,1000 --samples x --wait 10": "--wait: not with --samples",
+    "calibrate --speeds 61,1000 --samples x": "with --speeds a folder with a file for each speed",
+    # commission
+    "commission nothing.yaml": f"canfb: nothing.yaml: {NO_FILE}",
+    "commission 33 0x20": "32: there is another node-ID already",
+    "commission a.yaml --config b.yaml": "a.yaml: there is another file already",
+    "commission 0x20 --margin nan": "--margin nan: must be 1.2 to 10",
+    "commission 0x20 --acceleration -1": "--acceleration -1: must be 0 to 1e+09",
+    "commission 0x20 --watch 0": "--watch 0: must be 0.1 to 3600",
+    "commission 0x20 --timeout 99": "--timeout 99: must be 0.01 to 60",
+    "commission 0x20 --save": "--save: only with --write, without which nothing is written",
+    "commission 0x20 --encoder-interface 0x20": "must differ from the node-ID of the module",
+    "commission 0x20 --encoder-interface 16 --source recording": "not with --source recording",
     # node, why, sdo
     **{f"node reset -- {node}": NOT_A_NODE for node in ("0", "128", "-1", "x", "0x80", "ALL", "1.5")},
     "node": "required: PART",

@@ -1,4 +1,4 @@
-"""docs/commission.md: its commands run on a module, and wrong use is one line."""
+"""docs/commission.md: its commands run on a module."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from test_commission_on_a_bus import SHORT, bench_of
 from canfb import objects as od
 from canfb.calibrate.artefacts import prepare
 from canfb.cli.commission import named_config, over_bus
-from canfb.cli.main import build_parser, main
+from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.all_or_nothing import Guard
@@ -40,25 +40,3 @@ def test_the_commands_of_the_page_run(
     assert Path("limits/report.html").exists()
     assert "saved (1010:04)" in capsys.readouterr().out
     assert bench.value(*od.SUPERVISION_RESIDUAL_LIMIT) < 3000
-
-
-WRONG = {
-    "canfb commission nothing.yaml": "nothing.yaml: cannot be read",
-    "canfb commission 33 0x20": "32: there is another node-ID already",
-    "canfb commission 0x20 --margin nan": "--margin nan: must be 1.2 to 10",
-    "canfb commission 0x20 --acceleration -1": "--acceleration -1: must be 0 to 1e+09",
-    "canfb commission 0x20 --watch 0": "--watch 0: must be 0.1 to 3600",
-    "canfb commission 0x20 --save": "--save: only with --write, without which nothing is written",
-    "canfb commission 0x20 --encoder-interface 0x20": "must differ from the node-ID of the module",
-    "canfb commission 0x20 --encoder-interface 16 --source recording": "not with --source recording",
-    "canfb commission a.yaml --config b.yaml": "a.yaml: there is another file already",
-    "canfb commission 0x20 --timeout 99": "--timeout 99: must be 0.01 to 60",
-}
-
-
-@pytest.mark.parametrize("line", WRONG)
-def test_wrong_use_is_one_line(line: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(shlex.split(line)[1:]) == 2
-    said = capsys.readouterr().err
-    assert WRONG[line] in said
-    assert said.count("\n") == 1
