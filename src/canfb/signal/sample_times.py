@@ -7,8 +7,8 @@ But a time may be wrong, of another sample, or of a clock that was set. It is ri
 - with receive times, if it is as long after the last one as its SYNC was after that of the last; or at its
   place, if a timer of the interface lies closer to the line than to SYNC;
 - without, or where these are worse than HEARD_S, at the place on the grid that the count of SYNCs gives it;
-  or that the calls give it, if SYNCs were not sent, and this is not the first sample that says so. No host
-  takes a SYNC before it comes.
+  or further on, if SYNCs were not sent or received, and two calls in a row came when such times were due. No
+  host takes a SYNC before it comes.
 
 The line through the times that were right (:mod:`canfb.timing.grid`) is the one estimate of that clock: how
 long an interval is, how far a time is off, where the samples within an interval lie, and to which instant
@@ -42,6 +42,7 @@ class SampleTimes:
     """
 
     __slots__ = (
+        "_agrees",
         "_at",
         "_heard_s",
         "_last",
@@ -81,6 +82,7 @@ class SampleTimes:
         self._received_s: float | None = None  # when that was received
         self._synced_s: float | None = None  # when its SYNC was
         self._least_s = inf  # by the call of its SYNC, when the first sample was taken, at the soonest
+        self._agrees = False  # the last time that was not right was where its call was due
         self._refused_counted = 0.0  # intervals counted up to the last time that was not right
 
     @property
@@ -99,7 +101,7 @@ class SampleTimes:
             return 0.0
         if received_s is None:
             if synced_s is not None:
-                if self._is_sooner(ticks, synced_s):
+                if HEARD_S < self._least_s - synced_s + (self._at + ticks) * TICK_S < inf:
                     return 0.0
                 self._follow_calls(ticks, synced_s)
         elif synced_s is None or self._synced_s is None:
@@ -155,19 +157,22 @@ class SampleTimes:
         harmless_s = min(unsure_s, SLIP_CYCLES * unit / speed_cycles) if speed_cycles else unsure_s
         spare_s = max(HEARD_S, harmless_s)
         apart_s, heard_apart_s = _apart_s(self._synced_s, synced_s), _apart_s(self._received_s, received_s)
-        wrong = intervals - counted
+        wrong = abs(intervals - counted)
         if heard_apart_s is not None and apart_s is not None:
-            wrong = (apart_s - passed_s) / unit
-            self._heard_s += (min(abs(wrong), 1.0) * unit - self._heard_s) / SHOWN
+            error_s = abs(apart_s - passed_s)
+            wrong = max(wrong, error_s / unit, abs(apart_s / unit - counted))
+            self._heard_s += (min(error_s, unit) - self._heard_s) / SHOWN
         if heard_apart_s is None or self._heard_s > HEARD_S:
-            unsent = (
-                apart_s is not None and abs(apart_s - passed_s) <= unsure_s and self._refused_counted > 0.0
-            )
-            right = places == round(counted) or (unsent and places > counted)
-            right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
+            right = places == round(counted)
             if synced_s is not None and received_s is None:
-                right &= not self._is_sooner(ticks, synced_s, spare_s)
-                self._follow_calls(ticks, synced_s)
+                late_s = synced_s - (self._at + ticks) * TICK_S - self._least_s
+                if right:
+                    right = not spare_s < -late_s < inf
+                    self._follow_calls(ticks, synced_s)
+                elif counted > self._refused_counted:  # SYNCs were not sent, or not received
+                    before, self._agrees = self._agrees, places > counted and abs(late_s) <= unsure_s
+                    right = before and self._agrees
+            right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
             right = self._is_as_heard(passed_s, off_s, apart_s, heard_apart_s, spare_s)
         if not right:
@@ -195,10 +200,6 @@ class SampleTimes:
             self._pace_s = pace_s
         return self.unit_s > 0.0
 
-    def _is_sooner(self, ticks: int, synced_s: float, spare_s: float = HEARD_S) -> bool:
-        """By the calls so far no host would have taken its SYNC yet."""
-        return spare_s < self._least_s - (synced_s - (self._at + ticks) * TICK_S) < inf
-
     def _follow_calls(self, ticks: int, synced_s: float) -> None:
         """The soonest, within the drift of two clocks; frames that waited say nothing of it."""
         soonest_s = synced_s - (self._at + ticks) * TICK_S
@@ -208,7 +209,7 @@ class SampleTimes:
     def _take(self, time_100ns: int, ticks: int, received_s: float | None, synced_s: float | None) -> None:
         self._last, self._received_s, self._synced_s = time_100ns, received_s, synced_s
         self._at += ticks
-        self._refused_counted = 0.0
+        self._agrees, self._refused_counted = False, 0.0
 
     def _refused(
         self,

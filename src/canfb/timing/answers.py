@@ -53,13 +53,11 @@ class Answers:
         if self.least_s == inf:
             self.least_s = delay_s
         later_s = delay_s - self.least_s
-        sooner_s = (1.0 - SOONEST) * self.least_s
-        early_s = max(sooner_s, min(NOISE_S, 0.1 * grid.period))
+        early_s = max((1.0 - SOONEST) * self.least_s, min(NOISE_S, 0.1 * grid.period))
         places = round((later_s + early_s) // grid.period) if grid.period else 0
         within_s = later_s - places * grid.period
-        if places > 0:  # a SYNC that was not received, and may still come
-            early_s = sooner_s
-        fits = -early_s <= within_s <= _most_s(grid) or not grid.period
+        may_come = places > 0 and within_s < (SOONEST - 1.0) * self.least_s  # a SYNC that was not received
+        fits = (-early_s <= within_s <= _most_s(grid) and not may_come) or not grid.period
         if fits and places > answered:
             self.least_s += (FORGETTING if within_s >= 0.0 else 1.0) * within_s
             self._refused.clear()

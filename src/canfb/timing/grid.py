@@ -110,15 +110,15 @@ class Grid:
         self.due = instant + self.period
         self._find_gains()
 
-    def learn(self, instant: float) -> bool:
-        """The next instant while the period is not known; True if it is known now."""
+    def learn(self, instant: float) -> None:
+        """The next instant while the period is not known."""
         first = self._first
         first.append(instant)
         del first[:-LARGEST_FIRST]
-        if len(first) < FIRST or (len(first) < LARGEST_FIRST and not is_regular(first[-FIRST:], 2)):
-            return False
-        self.set_again(first if len(first) == LARGEST_FIRST else first[-FIRST:])
-        return True
+        if len(first) == LARGEST_FIRST:
+            self.set_again(first)
+        elif len(first) >= FIRST and is_regular(first[-FIRST:], 2):
+            self.set_again(first[-FIRST:])
 
     def learn_earliest(self, instant: float) -> None:
         """The same for instants any of which may be late: the line below them."""
@@ -247,8 +247,8 @@ class Grid:
         self.allowed = min(most, self._jitter * spare) if self._jitter else most
 
 
-def _below(instants: list[float]) -> tuple[float, float]:
-    """Period and begin of the line below the instants: the side of their lower hull over the middle."""
+def _lowest(instants: list[float]) -> list[float]:
+    """As many on the line below these: the side of their lower hull over the middle."""
     hull: list[tuple[int, float]] = []
     for c in enumerate(instants):
         while len(hull) > 1 and _is_above(hull[-2], hull[-1], c):
@@ -257,18 +257,13 @@ def _below(instants: list[float]) -> tuple[float, float]:
     middle = (len(instants) - 1) / 2.0
     (a, left), (b, right) = next(pair for pair in pairwise(hull) if pair[1][0] >= middle)
     period = (right - left) / (b - a)
-    return period, left - a * period
-
-
-def _lowest(instants: list[float]) -> list[float]:
-    """As many on the line below these."""
-    period, begin = _below(instants)
-    return [begin + n * period for n in range(len(instants))] if period > 0.0 else instants
+    return [left + (n - a) * period for n in range(len(instants))] if period > 0.0 else instants
 
 
 def _is_straight(instants: list[float]) -> bool:
-    period, begin = _below(instants)
-    return all(one - begin - n * period <= STRAIGHT * period for n, one in enumerate(instants))
+    low = _lowest(instants)
+    most = STRAIGHT * (low[1] - low[0])
+    return all(one - below <= most for one, below in zip(instants, low, strict=True))
 
 
 def _is_above(a: tuple[int, float], b: tuple[int, float], c: tuple[int, float]) -> bool:
