@@ -36,23 +36,6 @@ def test_beyond_11_a_long_rpdo(module: Tester) -> None:
     assert module.ask("40 00 20 03") == filled("4B 00 20 03")
 
 
-def test_beyond_12_type_information(tester: Tester) -> None:
-    for index, object_type in tester.eds.objects.items():
-        subs = {e.sub: e.data_type for e in tester.eds.entries.values() if e.index == index}
-        multiplexer = m(index, 0xFF)
-        answer = tester.ask(f"40 {multiplexer}")
-        if answer[:2] == "80":
-            tester.aborted(answer, multiplexer, "06090011")
-            continue
-        assert answer[:11] == f"43 {multiplexer}"
-        information = int.from_bytes(bytes.fromhex(answer)[4:], "little")
-        assert information & 0xFF == object_type
-        if object_type in (0x02, 0x07):
-            assert information >> 8 == subs[0]
-        elif object_type == 0x08:
-            assert information >> 8 == subs[1]
-
-
 def test_beyond_12_all_that_is_not_there(tester: Tester) -> None:
     absent = filled("80 00 00 00 00 00 02 06")[12:]
     for index in range(0x10000):

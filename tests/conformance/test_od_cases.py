@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from conformance_eds import DOMAIN, FOLDER, VISIBLE_STRING, EdsEntry
-from conformance_kit import NO_READ, NO_WRITE, G, Tester, filled, hexes, little
+from conformance_kit import NO_READ, NO_WRITE, G, Tester, filled, hexes, little, m
 
 COMMUNICATION, DEVICE = range(0x1000, 0x2000), range(0x2000, 0x10000)
 ERROR_HISTORY = 0x1003
@@ -140,17 +140,17 @@ def test_od_04_read_what_is_write_only(tester: Tester) -> None:
 
 def test_od_05_type_information(tester: Tester) -> None:
     for index, object_type in tester.eds.objects.items():
-        data_type = max(entry.data_type for entry in tester.eds.entries.values() if entry.index == index)
-        answer = tester.ask(f"40 {index & 0xFF:02X} {index >> 8:02X} FF")
-        multiplexer = f"{index & 0xFF:02X} {index >> 8:02X} FF"
+        types = {e.sub: e.data_type for e in tester.eds.entries.values() if e.index == index}
+        multiplexer = m(index, 0xFF)
+        answer = tester.ask(f"40 {multiplexer}")
         if answer[:2] == "80":
             tester.aborted(answer, multiplexer, "06090011")  # not supported: allowed
             continue
-        information = int.from_bytes(bytes.fromhex(answer)[4:], "little")
         assert answer[:11] == f"43 {multiplexer}"
+        information = int.from_bytes(bytes.fromhex(answer)[4:], "little")
         assert information & 0xFF == object_type
-        if object_type in (0x02, 0x07):
-            assert information >> 8 == data_type
+        if object_type in (0x02, 0x07, 0x08):
+            assert information >> 8 == types[object_type == 0x08]
 
 
 @pytest.mark.parametrize("side", ["low", "high"])
