@@ -1,1 +1,0 @@
-"""Kills in the middle of a save, and damaged files."""
