@@ -76,15 +76,18 @@ def judge(episode: Episode, published: Published) -> Verdict:
     )
 
 
-def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[int, Cause]:
-    """The cause of each wrong position."""
-    declared = episode.declared
+def motions_before(episode: Episode) -> LegalMotions:
+    """The one motion up to the fault."""
+    declared, begin = episode.declared, slice(episode.fault - LEAD, episode.fault)
     right = episode.phase + np.rint(episode.truth - episode.phase)
     motions = LegalMotions(declared.phase_error, 2, declared.acceleration)
-    begin = slice(episode.fault - LEAD, episode.fault)
     motions.begin(episode.instants[begin].tolist(), right[begin].tolist())
-    truth = LegalMotions(declared.phase_error, 2, declared.acceleration)
-    truth.begin(episode.instants[begin].tolist(), right[begin].tolist())
+    return motions
+
+
+def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[int, Cause]:
+    """The cause of each wrong position."""
+    motions, truth = motions_before(episode), motions_before(episode)
     received = ~np.isin(episode.state, (State.MISSING, State.FLAGGED))
     said = dict.fromkeys(wrong.tolist(), Cause.ILLEGAL)
     for k in range(episode.fault, int(wrong[-1]) + 1):
@@ -106,18 +109,14 @@ def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[in
 
 def proof(episode: Episode, published: Published, wrong: int) -> str:
     """The motions that fit all samples up to ``wrong`` that nothing flagged, and the least bound of each."""
-    declared = episode.declared
-    right = episode.phase + np.rint(episode.truth - episode.phase)
-    motions = LegalMotions(declared.phase_error, 2, declared.acceleration)
-    begin = slice(episode.fault - LEAD, episode.fault)
-    motions.begin(episode.instants[begin].tolist(), right[begin].tolist())
+    motions = motions_before(episode)
     for k in range(episode.fault, wrong + 1):
         if episode.state[k] not in (State.MISSING, State.FLAGGED):
             motions.add(float(episode.instants[k]), float(episode.phase[k]))
     lines = [f"{len(motions.paths)} legal motions through all samples up to {wrong} that nothing flagged"]
     instants = np.array(motions.instants)
     for path in motions.paths[:10]:
-        bound = least_bound(instants, np.array(path), declared.phase_error, 2)
+        bound = least_bound(instants, np.array(path), episode.declared.phase_error, 2)
         end = path[-1] - float(episode.truth[wrong])
         lines.append(
             f"  ends {end:+.3f} cycles from the truth; least bound of a motion through it {bound:.4f}"
