@@ -189,7 +189,6 @@ def test_without_a_unit_the_first_interval_is_ahead(ticks: int) -> None:
     times = SampleTimes()
     times.elapsed(50_000, 1.0)
     assert times.elapsed(50_000 + ticks, 1.0) == REPEATED
-    assert times.unit_s == 0.0
     assert times.elapsed(50_000 + 3 * T, 3.0) == pytest.approx(3.0), "missed samples do not stretch it"
     assert times.unit_s == pytest.approx(1e-3)
     times.sync_interval_s = 2e-3

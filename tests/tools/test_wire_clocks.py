@@ -29,6 +29,7 @@ FOUND = (
     "PDO replayed:counter:57001000007",
     "PDO replayed:counter:424001000000",
     "1006h wrong:counter:515001000000",
+    "PDOs late by 1 and 2:counter/rx:737001000002",
 )
 """Each was valid and wrong."""
 AIMED = ("stamp, bad again", "stamp, bad again after reset", "stamp, bad at the start")

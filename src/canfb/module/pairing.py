@@ -312,6 +312,8 @@ class Pairing(ProcessData):
                 return None
             if later > 0:
                 self._pass_lost(later)
+                # It may still come.
+                self._ambiguous = call.received < syncs.grid.due - syncs.grid.period + syncs.grid.allowed
             place += later
         elif syncs.grid.period:
             self._ambiguous = call.received >= syncs.grid.due

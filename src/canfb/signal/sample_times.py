@@ -61,10 +61,8 @@ class SampleTimes:
         self.sync_interval_s = 0.0
         self.grid = Grid()
         """The times that were right, ticks since the first one."""
-        self.passed = 1.0
-        """Intervals since the last sample that was taken, by a time that is RESTARTED, if it is right."""
-        self.off = 0.0
-        """So far is a SUSPECT time from where it was due, intervals."""
+        self.passed, self.off = 1.0, 0.0
+        """Intervals since the last sample, by a RESTARTED time; and from a SUSPECT one to its place."""
         self.reset()
 
     def reset(self) -> None:
@@ -167,7 +165,7 @@ class SampleTimes:
             if synced_s is not None and received_s is None:
                 late_s = synced_s - (self._at + ticks) * TICK_S - self._least_s
                 if right:
-                    right = not spare_s < -late_s < inf
+                    right = harmless_s == unsure_s or not spare_s < -late_s < inf
                     self._follow_calls(ticks, synced_s)
                 elif counted > self._refused_counted:  # SYNCs were not sent, or not received
                     before, self._agrees = self._agrees, places > counted and abs(late_s) <= unsure_s
