@@ -150,18 +150,6 @@ def test_the_place_of_a_zero_pulse(pulse: float, place: int) -> None:
     assert local.value(0x2000, 6) == 0
 
 
-def test_the_interval_goes_on_over_the_wrap_of_the_sample_time() -> None:
-    first = (1 << 32) - 25_000
-    times = [(first + n * 10_000) % (1 << 32) for n in range(40)]
-    local = Local(Played(*[at(0.25 * n)._replace(time_100ns=time) for n, time in enumerate(times)]))
-    local.start()
-    for _ in range(40):
-        _, status, _ = local.position(local.sync(1.01 * PERIOD_S))  # another clock
-        assert status & VALID
-        assert not status & MISSED
-    assert local.value(0x2011, 7) == pytest.approx(2 * math.pi / 2500 * 0.25 / PERIOD_S, rel=0.001)
-
-
 def test_outside_of_operational_no_sample_is_taken() -> None:
     source = Played(at(0.1))
     local = Local(source)
@@ -269,13 +257,14 @@ def test_sample_times_bridge_a_sync_that_came_late() -> None:
     assert local.value(0x2000, 5) == round(times[-1] * 1e7)
 
 
-def test_the_interval_is_that_of_the_sample_times_however_late_a_sync_is_heard() -> None:
-    """The first SYNCs came late and then close together, as in a process that was just started."""
-    times = [3.0 + n * PERIOD_S for n in range(50)]
-    local = Local(Played(*[at(0.25 * n, time) for n, time in enumerate(times)]))
+@pytest.mark.parametrize(("first_s", "late"), [((1 << 32) * 1e-7 - 2.5e-3, False), (3.0, True)])
+def test_the_interval_is_that_of_the_sample_times(first_s: float, late: bool) -> None:
+    """Over their wrap; and where the first SYNCs came late, as in a process that was just started."""
+    local = Local(Played(*[at(0.25 * n, first_s + n * PERIOD_S) for n in range(50)]))
     local.start()
     for n in range(50):
-        _, status, _ = local.position(local.sync(2e-4 if 0 < n < 5 else 1e-3))
+        apart_s = 2e-4 if late and 0 < n < 5 else PERIOD_S if late else 1.01 * PERIOD_S  # another clock
+        _, status, _ = local.position(local.sync(apart_s))
         assert status & VALID
         assert not status & MISSED
         if n > 1:
