@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import Config, parse_config
 from canfb.module.parameters import configured_defaults
@@ -68,6 +70,11 @@ class Judge:
         elif can_id == 0x180 + self.module and len(data) >= 6:
             units, status = struct.unpack_from("<IH", data)
             self._position(units, status, at_s)
+
+    def take_all(self, frames: Iterable[Frame], at_s: float) -> None:
+        """Frames of one instant."""
+        for frame in frames:
+            self.take(frame.can_id, frame.data, at_s)
 
     def _sample(self, ticks: int) -> None:
         if self.samples:

@@ -40,21 +40,15 @@ def test_right_positions_are_right_from_standstill_to_full_speed(late: int) -> N
     assert judge.longest_interval_s == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize("shift_cycles", [1.0, -1.0, 0.6])
-def test_a_wrong_count_is_wrong(shift_cycles: float) -> None:
+@pytest.mark.parametrize(
+    ("shift_cycles", "status", "wrong"),
+    [(1.0, VALID, 10), (-1.0, VALID, 10), (0.6, VALID, 10), (1.0, StatusBit.LOST, 0)],
+)
+def test_a_wrong_count_is_wrong_where_it_is_valid(shift_cycles: float, status: int, wrong: int) -> None:
     judge = Judge(TRUTH)
     played(judge, range(1000))
-    assert judge.wrong == 0
-    played(judge, range(1000, 1010), shift_cycles=shift_cycles)
-    assert judge.wrong == 10
-
-
-def test_a_wrong_count_that_is_not_valid_is_none() -> None:
-    judge = Judge(TRUTH)
-    played(judge, range(1000))
-    played(judge, range(1000, 1010), shift_cycles=1.0, status=StatusBit.LOST)
-    assert judge.wrong == 0
-    assert judge.lost
+    played(judge, range(1000, 1010), shift_cycles=shift_cycles, status=status)
+    assert (judge.wrong, judge.lost) == (wrong, not wrong)
 
 
 def test_a_position_of_a_sample_that_had_one_already_is_wrong() -> None:

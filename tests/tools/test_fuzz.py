@@ -6,13 +6,14 @@ import os
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.sdo.server import SdoServer
@@ -125,47 +126,15 @@ def test_a_flood_is_found() -> None:
         run.tick()
 
 
-def test_a_deadline_in_the_past_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    run = started(MODULE)
-    run.now = 2.0
-    monkeypatch.setattr(run.device, "deadline", lambda: 2.0)
-    with pytest.raises(Broken, match=r"deadline 2\.0 is not after 2\.0"):
-        run.tick()
-
-
-def limit(run: Play) -> None:
-    run.dictionary.entry(0x2001, 1).value = 0
-
-
-def long_mapping(run: Play) -> None:
-    run.dictionary.entry(0x1A01, 2).value = 0x20110110
-    run.dictionary.entry(0x1A01, 0).value = 2
-
-
-def wrong_direction(run: Play) -> None:
-    run.dictionary.entry(0x1A01, 1).value = 0x20000110
-
-
-def restricted(run: Play) -> None:
-    run.dictionary.entry(0x1800, 1).value = 0x601
-
-
-def bad_type(run: Play) -> None:
-    run.dictionary.entry(0x1800, 2).value = 241
-
-
-def not_its_type(run: Play) -> None:
-    run.dictionary.entry(0x6000).value = 65536
-
-
-@pytest.mark.parametrize("spoil", [limit, long_mapping, wrong_direction, restricted, bad_type, not_its_type])
-def test_a_spoilt_dictionary_is_found(spoil: Callable[[Play], None]) -> None:
+@pytest.mark.parametrize(
+    ("index", "subindex", "value"), [(0x2001, 1, 0), (0x1A01, 1, 0x20000110), (0x6000, 0, 65536)]
+)
+def test_a_spoilt_dictionary_is_found(index: int, subindex: int, value: int) -> None:
     run = started(MODULE)
     run.check_values()
-    spoil(run)
-    with pytest.raises(Exception, match=r".") as raised:
+    run.dictionary.entry(index, subindex).value = value
+    with pytest.raises((Broken, SdoAbort, ValueError)):
         run.check_values()
-    assert type(raised.value).__name__ in ("Broken", "SdoAbort", "ValueError")
 
 
 def test_a_server_that_is_stuck_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,18 +153,13 @@ EXCHANGES = [
     ("4000100000000000", "4301100096010400", "about another object"),
     ("4000100000000000", "6000100000000000", "is no answer to"),
     ("4000100000000000", "4F00100096010000", "something in unused bytes"),
-    ("4000100000000000", "4200100096010000", "no answer to an upload"),
     ("2F01200301000000", "6001200301000000", "reserved bits set"),
     ("2F01200301000000", "2000000000000000", "is no answer to"),
     ("6000000000000000", "0000000000000000", "segment of nothing"),
     ("6000000000000000", "1000000000000000", "another toggle bit"),
-    ("0000000000000000", "3000000000000000", "another toggle bit"),
-    ("0000000000000000", "2100000000000000", "reserved bits set"),
     ("C620200100000000", "A420200180000000", "bad block size"),
-    ("C620200100000000", "A420200100000000", "bad block size"),
     ("C620200100000000", "A120200100000000", "reserved bytes set"),
     ("A02020017F000000", "C220210100000000", "about another object"),
-    ("A02020017F000000", "C020200100000000", "no end of a block upload"),
     ("8020200100000000", "8020200100000005", "one answer too many"),
 ]
 
@@ -218,12 +182,6 @@ def exchange(watcher: SdoWatcher, request: str, *answers: str) -> None:
     ("begin", "going_on", "text"),
     [
         (("4008100000000000", "410810000A000000"), ("7000000000000000", "1B08090000000000"), "9 bytes came"),
-        (("4008100000000000", "4108100009000000"), ("7000000000000000", "1108090000000000"), "14 bytes came"),
-        (
-            ("A42020017F000000", "C620200100040000"),
-            ("A300000000000000", "01" + 14 * "0", "04" + 14 * "0"),
-            "is no",
-        ),
         (
             ("C620200100000000", "A42020011F000000"),
             ("9F00000000000000", "A2801F0000000000"),
@@ -276,11 +234,3 @@ def test_without_atheris_it_says_what_to_do(tmp_path: Path) -> None:
     done = fuzz("frames", "-runs=1", cwd=tmp_path)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == "atheris is missing: python -m pip install 'atheris>=3.0'\n"
-
-
-def test_it_runs_with_atheris(tmp_path: Path) -> None:
-    pytest.importorskip("atheris", reason="pip install 'atheris>=3.0'")
-    done = fuzz("files", "-runs=100", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "Done 100 runs" in done.stderr
-    assert list((tmp_path / "build" / "fuzz" / "files").iterdir())

@@ -29,19 +29,6 @@ def test_registers_are_filled_up_only_where_needed(flags: str, release: str, nee
     assert uml.needs_preload(cpuinfo, release) is needed
 
 
-def test_kernel_command_line_boots_our_files_with_our_script() -> None:
-    arguments = uml.kernel_arguments("/usr/bin/linux.uml", Path("/tmp/x/init"), "null,fd:1", quiet=False)
-    assert arguments[arguments.index("--") :] == ["--", "/tmp/x/init"]
-    assert {"rootfstype=hostfs", "rootflags=/", "mem=1024M", "con0=null,fd:1"} < set(arguments)
-    assert "quiet" not in arguments
-    assert arguments[:3] == ["taskset", "--cpu-list", str(max(os.sched_getaffinity(0)))]
-
-
-def test_a_shell_boots_without_a_word() -> None:
-    arguments = uml.kernel_arguments("linux.uml", Path("/tmp/x/init"), "fd:0,fd:1", quiet=True)
-    assert {"quiet", "loglevel=0"} < set(arguments)
-
-
 def test_init_script_is_a_shell_script_and_loads_first(tmp_path: Path) -> None:
     text = uml.init_script(tmp_path, "vcan0", "true")
     subprocess.run(["sh", "-n"], input=text, text=True, check=True)
@@ -107,10 +94,6 @@ def test_interface_state(tmp_path: Path, kind: str, flags: str, state: str | Non
     (folder / "type").write_text(f"{kind}\n")
     (folder / "flags").write_text(f"{flags}\n")
     assert vcan.interface_state("vcan0", tmp_path) == state
-
-
-def test_no_interface_has_no_state(tmp_path: Path) -> None:
-    assert vcan.interface_state("vcan0", tmp_path) is None
 
 
 def test_namespace_script_is_shell() -> None:

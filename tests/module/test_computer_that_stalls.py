@@ -1,0 +1,66 @@
+"""The first session of the README, where any program on the computer may stand still for any time."""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canfb.cia301.frame import Frame
+from canfb.cli.config_file import EXAMPLE
+from canfb.configuration import parse_config
+from canfb.module.feedback_module import FeedbackModule
+from judged_session import Judge, TrueMotion
+
+CONFIG = parse_config(EXAMPLE)
+PERIOD_S, SECONDS = 0.01, 10.0
+
+
+def late_s(draw: random.Random, load: float) -> float:
+    """Now and then the processor is with others for 20 ms."""
+    return draw.expovariate(50.0 if draw.random() < load else 2000.0)
+
+
+def frames(draw: random.Random, load: float) -> list[tuple[float, float | None]]:
+    """When each is sent: a SYNC, or the PDO of a sample taken at the second of the times."""
+    sent: list[tuple[float, float | None]] = []
+    due_s = at_s = 0.5
+    while due_s < SECONDS:
+        at_s = max(due_s, at_s + 1e-4) + late_s(draw, load)
+        sampled_s = at_s + draw.expovariate(20000.0)
+        sent_s = sampled_s + draw.expovariate(5000.0) + (late_s(draw, load) if draw.random() < 0.05 else 0.0)
+        sent += [(at_s + draw.expovariate(1e4), None), (sent_s + draw.expovariate(1e4), sampled_s)]
+        at_s = sent_s
+        due_s += PERIOD_S * max(1, math.floor((at_s - due_s) / PERIOD_S))
+    return sorted(sent, key=lambda frame: frame[0])
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0), load=st.sampled_from([0.01, 0.03, 0.1]), stamped=st.booleans(), lost=st.booleans()
+)
+def test_no_position_is_valid_and_wrong(seed: int, load: float, stamped: bool, lost: bool) -> None:
+    draw, module, judge = random.Random(seed), FeedbackModule(CONFIG.modules[0]), Judge(TrueMotion(CONFIG))
+    module.start(0.0)
+    module.receive(Frame(0, b"\x01\x00"), 0.1)
+    begin_s, now_s = None, 0.1
+    for sent_s, sampled_s in frames(draw, load):
+        if lost and draw.random() < 0.02:
+            continue
+        while (due_s := module.deadline() or math.inf) < sent_s:
+            now_s = max(now_s, due_s)
+            judge.take_all(module.tick(now_s), now_s)
+        now_s = max(now_s, sent_s) + (late_s(draw, load) if draw.random() < 0.3 else 1e-5)
+        data = b""
+        if sampled_s is not None:
+            begin_s = begin_s or sampled_s
+            angle = 2.0 * math.pi * judge.truth.at(sampled_s - begin_s) / judge.truth.units_per_cycle
+            counts = round(1500.0 * math.sin(angle)), round(1500.0 * math.cos(angle))
+            data = struct.pack("<hhI", *counts, round(sampled_s * 1e7))
+        frame = Frame(0x190 if data else 0x80, data, False, sent_s if stamped else None)
+        judge.take_all([frame, *module.receive(frame, now_s)], now_s)
+    assert judge.samples > 300
+    assert judge.wrong == 0
