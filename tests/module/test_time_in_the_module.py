@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
@@ -216,6 +216,7 @@ def test_syncs_that_nobody_heard(lost: int, stamped: bool) -> None:
 
 
 @given(st.lists(st.sampled_from(["both", "sync", "sample", "none"]), max_size=80), st.booleans())
+@example(["both", "both", "sync", "sync", "sample"], False)
 def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool) -> None:
     machine = Machine(stamped)
     machine.run(1, 50)
@@ -224,8 +225,7 @@ def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool) 
             machine.sync(k)
         if what in ("both", "sample"):
             machine.sample(k)
-    end = 50 + len(heard)
-    machine.run(end, end + 20)
+    machine.run(50 + len(heard), 70 + len(heard))
     assert machine.right()
 
 

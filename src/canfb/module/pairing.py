@@ -2,9 +2,8 @@
 
 What time says of a SYNC is in :mod:`canfb.timing.syncs`, which of them an ADC PDO answers in
 :mod:`canfb.timing.answers`. Here both meet the parts of a sample, which may come in several RPDOs. Each
-place of SYNC is accounted for once: by its sample, or as missed. Nearly each sample is two counts, with their
-own time or without. It goes to the chain as it stands in the dictionary, and all others as a
-:class:`Sample`: the same frame by frame (tests/module/test_usual_sample.py).
+place of SYNC is accounted for once: by its sample, or as missed. A usual sample is two counts, and perhaps
+their time, which go to the chain as they stand in the dictionary; all others are a :class:`Sample`.
 """
 
 from __future__ import annotations
@@ -248,9 +247,11 @@ class Pairing(ProcessData):
             syncs.until = NEVER
         if not passed or not self.sampled:
             return False
+        if self._ambiguous and not self.timed:
+            self._lose_count(1.0, now)  # which of them the last sample answers stays open
         self._accounted += self._heard_of(syncs.place - self._accounted)
         self._miss_to(syncs.place, now)
-        self._tracks_came = False
+        self._tracks_came = self._ambiguous = False
         self._stale = self._input.is_synchronous
         return True
 
@@ -376,8 +377,8 @@ class Pairing(ProcessData):
     def _receptions(self) -> tuple[float | None, float | None]:
         """When the bus received this PDO and the SYNC that it answers, seconds; None: not known.
 
-        Without receive times the first is None, the second the time of the call of the SYNC. The second is
-        None where it is open which SYNC it answers, and both are for a synchronous RPDO and for a source.
+        Without receive times the first is None, the second that of the call of the SYNC. The second is None
+        where it is open which SYNC it answers, both are for a synchronous RPDO and for a source.
         """
         call, syncs = self._call, self.syncs
         if self._input.is_synchronous or self._source is not None:

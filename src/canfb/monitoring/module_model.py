@@ -6,7 +6,7 @@ import math
 import operator
 import statistics
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from itertools import pairwise
 
 from canfb import objects as od
@@ -119,11 +119,9 @@ class LoadMeter:
 
     def snapshot(self, now: float) -> LoadSnapshot:
         """Of the slots that are over by ``now``."""
-        bits, frames = (self._per_second(bins.values(now)[:-1]) for bins in (self._bits, self._frames))
+        slots = [bins.values(now)[:-1] for bins in (self._bits, self._frames)]
+        bits, frames = (sum(value or 0 for value in one) / (max(1, len(one)) * SLOT_S) for one in slots)
         return LoadSnapshot(frames, bits, self.bit_rate, bits / self.bit_rate if self.bit_rate else None)
-
-    def _per_second(self, over: list[float | None]) -> float:
-        return sum(value or 0 for value in over) / (max(1, len(over)) * SLOT_S)
 
 
 HISTORY_BIN_S, HISTORY_BINS = 0.5, 120  # a minute
@@ -249,7 +247,7 @@ class ModuleModel:
             seen=dict(self._counted),
             lost_by=self._lost_by(),
             since_fault_s=_since(self._fault_s, now),
-            counters=_counters(values),
+            counters={name: int(values[place]) for place, name in COUNTERS.items() if place in values},
             assumed=sorted(assumed),
         )
 
@@ -280,7 +278,3 @@ class ModuleModel:
 
 def _since(time_s: float | None, now: float) -> float | None:
     return None if time_s is None else max(0.0, now - time_s)
-
-
-def _counters(values: Mapping[Multiplexer, Number]) -> dict[str, int]:
-    return {name: int(values[place]) for place, name in COUNTERS.items() if place in values}

@@ -19,7 +19,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import SAME_INTERVAL
 from canfb.signal.pauses import Pauses
 from canfb.signal.sample import TICK_S, Sample, in_order
-from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
+from canfb.signal.sample_times import CLOSEST, CROWDED, REPEATED, SUSPECT, SampleTimes
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Extras, Stages
 from canfb.signal.supervision import COASTING, LOST, MISSED, VALID
@@ -287,6 +287,8 @@ class SignalChain:
             self._waited += elapsed
             still = self.begun and not self.lost and not self.slips(times.off)
             return self.after(sample, elapsed, placed=still)
+        if passed < self._waited + CLOSEST and self._waited:  # what was waited for did not pass
+            return self._restarted(sample)
         next_one = elapsed + self._waited < HOLE_INTERVALS
         if self.measures_intervals:
             elapsed = passed - self._waited  # what was waited for is counted already
@@ -319,7 +321,7 @@ class SignalChain:
         self._waited = 0.0
         if self.lost:  # what its times say of the speed begins here
             self.stages.estimator.lose(LossCause.TIME, starts=False)
-        return self.step(sample._replace(time_100ns=None)) if lost is None else lost
+        return self.after(sample._replace(time_100ns=None), sample.elapsed) if lost is None else lost
 
     def after(
         self,

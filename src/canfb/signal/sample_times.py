@@ -224,6 +224,9 @@ class SampleTimes:
         if counted <= self._refused_counted and kind != CROWDED:
             return kind
         self._refused_counted = counted
+        if not self.grid.period and kind == SUSPECT:
+            self.grid.learn(self._at + ticks)  # the clock is as even where its SYNC was late
+            return kind
         if not self.grid.refuse(self._at + ticks):
             return kind
         self.grid.set_again(self.grid.row)

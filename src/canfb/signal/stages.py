@@ -256,7 +256,12 @@ class Stages:
         sample, bad, unplaced, next_one, pulse, newest = extras or Extras(Sample(sine, cosine))
         faults = self._supervision.faults(sine, cosine, amplitude)
         if sine == self._sine and cosine == self._cosine:
-            if self._frozen.repeated(0.0 if self._frozen.repeats else self._least_speed()):
+            # Of the last steps any may have been bad.
+            if self._frozen.repeated(
+                0.0
+                if self._frozen.repeats
+                else speeds.least_speed(self.estimator.places, self.estimator.declared.bad_samples + 1)
+            ):
                 faults |= FROZEN
         else:
             self._sine, self._cosine = sine, cosine
@@ -348,10 +353,6 @@ class Stages:
     def repeats(self, sine: float, cosine: float) -> bool:
         """``sine`` and ``cosine`` are the counts of the last sample, before conditioning."""
         return sine == self._sine and cosine == self._cosine
-
-    def _least_speed(self) -> float:
-        """Of the last steps, of which any may have been bad."""
-        return speeds.least_speed(self.estimator.places, self.estimator.declared.bad_samples + 1)
 
     def _learn(self, feedback: Feedback) -> None:
         if self.tracks.learn(feedback):

@@ -67,7 +67,9 @@ class ZeroPulse:
             self.forget_doubts()
             return PulseVerdict.AGREES
         for number, seen in enumerate(self._seen):
-            if seen.forwards == here.forwards and self._is_turns_from(seen, here):
+            if seen.forwards == here.forwards and (
+                self._is_near(seen, here) and not self._is_again(seen, here)
+            ):
                 return self._confirmed(number, here)
         others = [*self._places.values(), *self._seen]
         agrees = here.forwards not in self._places and all(self._is_near(one, here) for one in others)
@@ -116,6 +118,3 @@ class ZeroPulse:
     def _is_again(self, seen: Edge, here: Edge) -> bool:
         away = (here.cycles - seen.cycles) + (here.phase - seen.phase)
         return abs(away) <= self.cycles_per_revolution / 2.0 and self._is_near(seen, here)
-
-    def _is_turns_from(self, seen: Edge, here: Edge) -> bool:
-        return self._is_near(seen, here) and not self._is_again(seen, here)
