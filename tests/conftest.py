@@ -28,7 +28,7 @@ settings.register_profile("check", deadline=None, derandomize=True, max_examples
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
-os.environ["XDG_CONFIG_HOME"] = "/no-such-folder"  # no default bus of whoever runs the tests
+os.environ["XDG_CONFIG_HOME"] = "/no-such-folder"  # no default bus of the user
 for _name in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"):
     os.environ.pop(_name, None)  # nor does a service manager hear of them
 

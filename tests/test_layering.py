@@ -24,7 +24,7 @@ ALLOWED: dict[str, set[str]] = {
     "objects": {"cia301"},
     # What a command found, for the terminal, for a page and as JSON.
     "rows": set(),
-    # YAML with the line of each key, for whoever reads a file.
+    # YAML with the line of each key, for all that read a file.
     "marked_yaml": set(),
     # What times prove, and no more: it knows no frame, and nothing of what a sample holds.
     "timing": {"checks", "objects", "errors"},
@@ -45,7 +45,7 @@ ALLOWED: dict[str, set[str]] = {
                       "marked_yaml"},
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
     "report": {"signal", "calibration", "rows"},
-    # What a module is, from its objects; whoever reads them. The limits in force are arithmetic of signal.
+    # What a module is, from its objects. The limits in force are arithmetic of signal.
     "view": {"signal"} | WORDS,
     # What all tools share that are the master of a bus: objects by SDO, samples, changes that are undone.
     "master": {"signal", "calibration", "sources", "view"} | WORDS,

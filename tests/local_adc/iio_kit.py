@@ -27,7 +27,7 @@ def until(happened: Callable[[], bool], what: str) -> None:
 
 
 def iio_source(config: IioSourceConfig, reopen_s: float = REOPEN_S) -> CapturedSource:
-    """The source of this configuration; whoever opens it closes it."""
+    """The source of this configuration; what opens it closes it."""
     with contextlib.ExitStack() as resources:
         source = config.open(
             Surroundings(12, 2500, SimulationConfig(), partial(CapturedSource, reopen_s=reopen_s), resources)

@@ -91,7 +91,7 @@ def test_the_deviation_is_that_of_the_encoder_and_nearly_gone_with_its_table() -
 
 
 def test_the_table_has_one_state() -> None:
-    """What was read counts only while bit 7 and 2020:04 agree with it, whoever has activated what."""
+    """What was read counts only while bit 7 and 2020:04 agree with it."""
     table = canfb.CorrectionTable(np.arange(64) / 64)
     read = Correction(table)
     module = ModuleSnapshot("module", age_s=0.0, status=1)

@@ -231,4 +231,4 @@ def test_what_a_participant_wants_computed_is_computed_after_the_frames_of_this_
     bus.computes = False
     bus.send(Frame(0x110, b""))
     assert heard[3:] == [0x110, 0x200]
-    assert computer.job is not None, "it waits for whoever computes it"
+    assert computer.job is not None, "it waits until somebody computes it"

@@ -19,7 +19,7 @@ def main() -> None:
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     try:
         result = pickle.load(sys.stdin.buffer)(answers.send)
-    except Exception as error:  # whatever it is, the module must be notified
+    except Exception as error:  # of any kind: the module must be told
         result = RuntimeError(f"{type(error).__name__}: {error}")
     with contextlib.suppress(BrokenPipeError):  # the result is no longer needed
         answers.send(result)

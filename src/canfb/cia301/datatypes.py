@@ -116,7 +116,7 @@ def zero(data_type: int) -> Any:
 def encode(data_type: int, value: Any) -> bytes:
     """Bytes of a value, little-endian.
 
-    Raises ValueError when the value does not fit the type: a mistake of whoever set it.
+    Raises ValueError when the value does not fit the type: a mistake of the code that set it.
     """
     try:
         packer = _STRUCTS.get(data_type)

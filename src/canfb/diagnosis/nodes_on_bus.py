@@ -1,6 +1,6 @@
 """Who is on a bus, and what a node says of itself.
 
-A request for 1000h goes to all 127 node-IDs, and whoever answers is there. The NMT state is that of a
+A request for 1000h goes to all 127 node-IDs, and those that answer are there. The NMT state is that of a
 heartbeat, or asked for by a remote frame, unless a master may be guarding the node (100Ch), whose toggle bit
 that would upset. STOPPED nodes are known by their heartbeat.
 """

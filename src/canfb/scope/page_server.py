@@ -4,7 +4,7 @@ It is that of the standard library, which leaves nothing to install: the page on
 files and a stream, each connection has a thread, and their number is bounded. What is shown needs the
 **token**, new with each start. It stands in the fragment of the address, which is in no request and no
 Referer; the script keeps it in the sessionStorage and asks for the stream with it. No cookie would do:
-browsers send those of 127.0.0.1 to every port of it, whoever listens there.
+browsers send those of 127.0.0.1 to each of its ports.
 """
 
 from __future__ import annotations

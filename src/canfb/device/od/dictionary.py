@@ -24,7 +24,7 @@ RPDO_ACCESS = frozenset({"wo", "rw", "rww"})
 class Entry:
     """A sub-index of the object dictionary (CiA 301, 7.4).
 
-    `value` is read and written directly by whoever owns the object; SDO and PDO go through the checks.
+    `value` is read and written directly by the owner of the object; SDO and PDO go through the checks.
     `access` is ro, wo, rw, const, rww (rw, mappable into an RPDO only) or rwr (into a TPDO only). `low` and
     `high` limit values from the bus.
 

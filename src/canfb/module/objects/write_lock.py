@@ -1,6 +1,6 @@
 """Object 2040h: who may change parameters over the bus (docs/security.md).
 
-CAN knows no sender, so a lock keeps away mistakes only; whoever sends frames can also listen to the code.
+CAN knows no sender, so a lock keeps away mistakes only; who sends frames also hears the code.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ LONGEST_GAP = 100  # intervals without a value: after that the sensor may count 
 class SecondPosition:
     """Joins another sensor to the position of a chain.
 
-    For each sample the chain calls :meth:`apply`, and whoever hears the sensor calls :meth:`hear` between
+    For each sample the chain calls :meth:`apply`, and what hears the sensor calls :meth:`hear` between
     that of one sample and that of the next.
     """
 
