@@ -20,7 +20,6 @@ PERIOD_S, SECONDS = 0.01, 10.0
 
 
 def late_s(draw: random.Random, load: float) -> float:
-    """Now and then the processor is with others for 20 ms."""
     return draw.expovariate(50.0 if draw.random() < load else 2000.0)
 
 
@@ -32,10 +31,11 @@ def frames(draw: random.Random, load: float) -> list[tuple[float, float | None]]
         at_s = max(due_s, at_s + 1e-4) + late_s(draw, load)
         sampled_s = at_s + draw.expovariate(20000.0)
         sent_s = sampled_s + draw.expovariate(5000.0) + (late_s(draw, load) if draw.random() < 0.05 else 0.0)
-        sent += [(at_s + draw.expovariate(1e4), None), (sent_s + draw.expovariate(1e4), sampled_s)]
-        at_s = sent_s
+        at_s += draw.expovariate(1e4)
+        sent += [(at_s, None), (max(at_s + 5e-5, sent_s + draw.expovariate(1e4)), sampled_s)]
+        at_s = sent[-1][0]
         due_s += PERIOD_S * max(1, math.floor((at_s - due_s) / PERIOD_S))
-    return sorted(sent, key=lambda frame: frame[0])
+    return sent
 
 
 @settings(max_examples=25)

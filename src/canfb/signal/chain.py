@@ -288,7 +288,7 @@ class SignalChain:
             still = self.begun and not self.lost and not self.slips(times.off)
             return self.after(sample, elapsed, placed=still)
         if passed < self._waited + CLOSEST and self._waited:  # what was waited for did not pass
-            return self._restarted(sample)
+            return self.lose() if self._pauses.creeps else self._restarted(sample)
         next_one = elapsed + self._waited < HOLE_INTERVALS
         if self.measures_intervals:
             elapsed = passed - self._waited  # what was waited for is counted already
