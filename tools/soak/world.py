@@ -123,8 +123,7 @@ class World:
         self._events = EventLog()
         self._log = logging.getLogger("canfb.hosting.event_log")
         self._log.setLevel(logging.INFO)
-        self._log.propagate = False
-        self._log.handlers = [_Lines(self.found)]
+        self._log.handlers, self._log.propagate = [_Lines(self.found)], False
         self._events.watch(self.module, self.module.events)
         self._events.begin()
         self._counters = [self.module.dictionary.entry(0x2012, sub) for sub in COUNTERS]
@@ -141,6 +140,8 @@ class World:
 
     def close(self) -> None:
         """Nothing of it is left."""
+        self._log.handlers, self._log.propagate = [], True
+        self._log.setLevel(logging.NOTSET)
         if self.hosted is not None:
             self.hosted.close()
 
@@ -153,13 +154,12 @@ class World:
         look: Callable[[], None] = lambda: None,
     ) -> Findings:
         """So many cycles of SYNC, with one of the disturbances after the other."""
-        found = self.found
-        while found.cycles < cycles:
+        while self.found.cycles < cycles:
             self.pass_(self.rng.uniform(0.05, 0.5))
             name = self.rng.choice(sorted(disturbances))
             self.suffer(name, disturbances[name])
             look()
-        return found
+        return self.found
 
     def suffer(self, name: str, disturbance: Callable[[World], None]) -> None:
         """One disturbance, until the position is right again and each cycle since is accounted for."""
