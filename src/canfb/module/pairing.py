@@ -173,13 +173,13 @@ class Pairing(ProcessData):
             self._stale |= bool(verdict.lost or verdict.doubt or syncs.late_s)
         if verdict.lost or verdict.doubt or syncs.late_s:
             self._publishing.withhold()
-        if verdict.lost and self.sampled:
-            _count(self._lost_syncs, verdict.lost)
+        if lost := verdict.lost:
+            _count(self._lost_syncs, lost * self.sampled)
+            self._accounted += lost if counter is None and self.timed else self._heard_of(lost)
         doubt = verdict.doubt or (verdict.lost if self._ambiguous else 0.0)
         self._ambiguous = False
         if doubt and not self.timed:  # sample times know how long it was
             self._lose_count(doubt, now)
-        self._accounted += verdict.lost if counter is None and self.timed else self._heard_of(verdict.lost)
         if syncs.place - 1 > self._accounted:
             self._miss_to(syncs.place - 1, now)
         return True
@@ -195,14 +195,14 @@ class Pairing(ProcessData):
             if extrapolates:  # no sample belongs to it, and so none is extrapolated to it
                 self._publishing.withhold()
             return False
-        parts, syncs = self._input, self.syncs
+        parts = self._input
         if self._second.number is not None:
-            self._second.interval_over(not (self._verdict.lost or syncs.late_s or self._extra_came))
+            self._second.interval_over(not (self._verdict.lost or self.syncs.late_s or self._extra_came))
         if parts.arrived and parts.give_up():
             self.count_bad_frame()
         if self.sampled and not self._sample_came and self._synced and self._source is None:
             if parts.is_synchronous and not self._tracks_came:
-                self._miss_to(syncs.place, now)
+                self._miss_to(self.syncs.place, now)
             elif self._tracks_came:  # without the rest of the sample
                 self._miss(int(self._elapsed), now)
         self._sample_came, self._tracks_came, self._stale = 0, False, False
