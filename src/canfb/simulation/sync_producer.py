@@ -149,7 +149,8 @@ class SyncProducer(PacedDevice):
     def _plan(self, now: float) -> None:
         """The next SYNC is the first whose nominal time is later than ``now``."""
         period_s = self._deviation.period_s
-        self._number = max(self._number, int((now - self._start_s) / period_s)) + 1
+        # 1e-6: the rounding of times up to a day, in the shortest periods.
+        self._number = max(self._number, int((now - self._start_s) / period_s + 1e-6)) + 1
         self._next_s = max(now, self._start_s + self._number * period_s + self._deviation.next_s())
 
 
