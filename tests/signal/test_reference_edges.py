@@ -310,7 +310,7 @@ def test_eight_values_that_agree_in_a_row_set_a_count_right(off: int) -> None:
     for _ in range(6 if off else 3):
         assert seen.step(LOST) == (LOST, 0)
     if not off:
-        seen.true += 1.0  # another count: they begin anew
+        seen.true += 1.0  # another count: they begin again
         assert [seen.step(LOST) for _ in range(7)] == [(LOST, 0)] * 7
     assert seen.recovery.lost
     assert seen.step(LOST) == (LOST, -off if off else 1)

@@ -288,7 +288,7 @@ class SignalChain:
             still = self.begun and not self.lost and not self.slips(times.off)
             return self.after(sample, elapsed, placed=still)
         if passed < self._waited + CLOSEST and self._waited:  # what was waited for did not pass
-            return self.lose() if self._pauses.creeps else self._restarted(sample)
+            return self._restarted(sample, least=float("inf"))
         next_one = elapsed + self._waited < HOLE_INTERVALS
         if self.measures_intervals:
             elapsed = passed - self._waited  # what was waited for is counted already
@@ -312,12 +312,12 @@ class SignalChain:
         elapsed = self._times.in_turn(time_100ns, received_s, synced_s)
         return self.stages.take(sine, cosine, elapsed, True) if elapsed else None
 
-    def _restarted(self, sample: Sample) -> Feedback:
+    def _restarted(self, sample: Sample, least: float = 1.0) -> Feedback:
         """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
 
         Its length is unknown: a machine that creeps may have gone on as long as the times say.
         """
-        lost = self.uncertain(max(1.0, self._times.passed) if self._pauses.creeps else 1.0)
+        lost = self.uncertain(max(least, self._times.passed) if self._pauses.creeps else 1.0)
         self._waited = 0.0
         if self.lost:  # what its times say of the speed begins here
             self.stages.estimator.lose(LossCause.TIME, starts=False)
