@@ -79,8 +79,8 @@ def test_segments_of_one_direction_give_one_table(samples):
     ]
     difference = tables[0].table.entries - tables[1].table.entries
     expected = np.hypot(tables[0].uncertainty_rms, tables[1].uncertainty_rms)
-    assert 0.3 * expected < np.std(difference) < 3.0 * expected
-    assert np.std(difference) < 5e-4
+    assert np.std(difference) < 3.0 * expected  # which has the change in time, alike in both
+    assert 1e-4 < np.std(difference) < 5e-4
 
 
 def test_without_the_ellipse_it_is_refused(samples):

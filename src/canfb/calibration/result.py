@@ -228,9 +228,10 @@ def judge(found: Calibration, loss: float = 1.0) -> Calibration:
     """The calibration if it can be used, else CalibrationError with it and the reason."""
     try:
         check_distance(found.coverage, found.cycles_used)
-        if found.change_rms > MAX_UNCERTAINTY_CYCLES:
+        # Half of the rms error of Table 1: below it the table helps, and its stated error is the change.
+        if found.change_rms > 8.0 * MAX_UNCERTAINTY_CYCLES:
             raise changed(f"tables of parts of the time differ by {found.change_rms:.1e} cycle rms")
-        if found.uncertainty_rms > MAX_UNCERTAINTY_CYCLES:
+        if found.uncertainty_rms > max(MAX_UNCERTAINTY_CYCLES, found.change_rms):
             raise no_fit(f"the table would be uncertain by {found.uncertainty_rms:.1e} cycle rms", loss)
     except CalibrationError as error:
         refused = replace(found, reason=Reason(error.reason))
