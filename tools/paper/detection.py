@@ -10,12 +10,12 @@ import numpy as np
 from canfb import max_acceleration, track
 from canfb.simulation.faults import (
     Fault,
-    InvertedTracks,
-    JoinedTracks,
-    OpenTrack,
     Samples,
     Signal,
-    SwappedTracks,
+    inverted_tracks,
+    joined_tracks,
+    open_track,
+    swapped_tracks,
 )
 from tools.paper.claim import Claim, Effort, Verdict, grouped, percent, verdict
 from tools.paper.plant import (
@@ -192,11 +192,11 @@ def never_forgets(effort: Effort) -> Iterator[Claim]:
 
 
 CABLE_FAULTS: dict[str, Fault] = {
-    "sine dead": OpenTrack(Signal.SINE),
-    "cosine dead": OpenTrack(Signal.COSINE),
-    "tracks joined": JoinedTracks(),
-    "tracks swapped": SwappedTracks(),
-    "sine inverted": InvertedTracks(Signal.SINE),
+    "sine dead": open_track(Signal.SINE),
+    "cosine dead": open_track(Signal.COSINE),
+    "tracks joined": joined_tracks(),
+    "tracks swapped": swapped_tracks(),
+    "sine inverted": inverted_tracks(Signal.SINE),
 }
 
 

@@ -221,45 +221,45 @@ def _ramp(rng: Rng) -> int:
 def _offset(rng: Rng, nominal: float) -> Fault:
     size, ramp = float(rng.uniform(0.3, 1.5)) * nominal * _sign(rng), _ramp(rng)
     if _one(rng) is Signal.SINE:
-        return faults.TrackDrift(sine_offset=size, ramp_samples=ramp)
-    return faults.TrackDrift(cosine_offset=size, ramp_samples=ramp)
+        return faults.track_drift(sine_offset=size, ramp_samples=ramp)
+    return faults.track_drift(cosine_offset=size, ramp_samples=ramp)
 
 
 def _gain(rng: Rng, nominal: float) -> Fault:
     gain, ramp = float(rng.uniform(-0.2, 1.4)), _ramp(rng)
     if _one(rng) is Signal.SINE:
-        return faults.TrackDrift(sine_gain=gain, ramp_samples=ramp)
-    return faults.TrackDrift(cosine_gain=gain, ramp_samples=ramp)
+        return faults.track_drift(sine_gain=gain, ramp_samples=ramp)
+    return faults.track_drift(cosine_gain=gain, ramp_samples=ramp)
 
 
 def _phase(rng: Rng, nominal: float) -> Fault:
     size = float(rng.uniform(0.1, 1.0)) * math.pi * _sign(rng)
-    return faults.TrackDrift(phase_rad=size, ramp_samples=_ramp(rng))
+    return faults.track_drift(phase_rad=size, ramp_samples=_ramp(rng))
 
 
 def _oscillation(rng: Rng, nominal: float) -> Fault:
     signal = (Signal.SINE, Signal.COSINE, Signal.BOTH)[int(rng.integers(3))]
     size, rate = float(rng.uniform(0.1, 1.2)) * nominal, float(rng.uniform(0.0, 0.5))
-    return faults.Oscillation(signal, size, rate, float(rng.uniform(0.0, 2.0 * math.pi)))
+    return faults.oscillation(signal, size, rate, float(rng.uniform(0.0, 2.0 * math.pi)))
 
 
 KINDS: dict[str, Callable[[Rng, float], Fault] | None] = {
-    "one track open": lambda rng, nominal: faults.OpenTrack(_one(rng), float(rng.uniform(0.0, 5.0))),
-    "both open": lambda rng, nominal: faults.OpenTrack(Signal.BOTH, float(rng.uniform(0.0, 5.0))),
-    "short to a supply": lambda rng, nominal: faults.ShortedTrack(_one(rng), bool(rng.uniform() < 0.5)),
-    "tracks joined": lambda rng, nominal: faults.JoinedTracks(),
-    "stuck at a value": lambda rng, nominal: faults.StuckTrack(
+    "one track open": lambda rng, nominal: faults.open_track(_one(rng), float(rng.uniform(0.0, 5.0))),
+    "both open": lambda rng, nominal: faults.open_track(Signal.BOTH, float(rng.uniform(0.0, 5.0))),
+    "short to a supply": lambda rng, nominal: faults.shorted_track(_one(rng), bool(rng.uniform() < 0.5)),
+    "tracks joined": lambda rng, nominal: faults.joined_tracks(),
+    "stuck at a value": lambda rng, nominal: faults.stuck_track(
         _one(rng), float(rng.uniform(-nominal, nominal))
     ),
-    "stuck at the last value": lambda rng, nominal: faults.StuckTrack(_one(rng)),
-    "frozen": lambda rng, nominal: faults.FrozenSamples(),
+    "stuck at the last value": lambda rng, nominal: faults.stuck_track(_one(rng)),
+    "frozen": lambda rng, nominal: faults.frozen_samples(),
     "offset drift": _offset,
     "gain drift": _gain,
     "phase drift": _phase,
     "oscillation": _oscillation,
-    "tracks swapped": lambda rng, nominal: faults.SwappedTracks(),
-    "one track inverted": lambda rng, nominal: faults.InvertedTracks(_one(rng)),
-    "both inverted": lambda rng, nominal: faults.InvertedTracks(Signal.BOTH),
+    "tracks swapped": lambda rng, nominal: faults.swapped_tracks(),
+    "one track inverted": lambda rng, nominal: faults.inverted_tracks(_one(rng)),
+    "both inverted": lambda rng, nominal: faults.inverted_tracks(Signal.BOTH),
     "coupling lost": None,
 }
 """By name: draws one of given nominal amplitude, counts. None: not in the tracks."""

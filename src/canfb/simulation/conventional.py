@@ -19,13 +19,7 @@ IntArray = npt.NDArray[np.int64]
 
 
 class ConventionalPosition(NamedTuple):
-    """Positions by the conventional method, arrays of one shape.
-
-    cycles              cycle count, after the fix where there is one
-    phase               raw phase of the converted tracks (Table 1), cycles, 0 <= phase < 1
-    counter_quadrant    quadrant 0..3 that the comparators saw with the counter
-    adc_quadrant        quadrant 0..3 of the converted tracks
-    """
+    """Cycle count, raw phase of the converted tracks, quadrants 0..3 of comparators and converters."""
 
     cycles: IntArray
     phase: FloatArray
@@ -40,12 +34,7 @@ def quadrant(sine: npt.ArrayLike, cosine: npt.ArrayLike) -> IntArray:
 
 
 def hardware_counter(encoder: Encoder, position_cycles: npt.ArrayLike) -> tuple[IntArray, IntArray]:
-    """What counter and comparators show at these positions: cycle count and quadrant 0..3.
-
-    An ideal counter: it has counted every positive zero crossing of the sine track, up or
-    down, since position 0, and its comparators have neither offset nor hysteresis. Positions
-    in cycles, below 1e12 in size, where a float still resolves a cycle well.
-    """
+    """Cycle count and quadrant 0..3 that an ideal counter shows at these positions, below 1e12 cycles."""
     positions = np.asarray(position_cycles, dtype=np.float64)
     sine, cosine = encoder.tracks(positions)
     # The raw phase wraps where the counter counts, and is less than half a cycle off.
@@ -61,15 +50,9 @@ def conventional_position(
 ) -> ConventionalPosition:
     """Positions from a counter and two converters that are not read at the same instant.
 
-    ``position_cycles``           where the machine is when the converters sample, shape (n,)
-    ``counter_position_cycles``   where it is when the counter is read, shape (n,)
-    ``fix``                       correct the count by one where the quadrants show it: the
-                                  counter in the first and the converters in the last quadrant
-                                  takes one off, the reverse adds one. Two quadrants apart show
-                                  no direction: no correction
-    ``rng``                       noise of the converted tracks; None for none
-
-    ValueError if the shapes differ.
+    Arrays of one shape (ValueError): where the machine is when the converters sample, and when the counter is
+    read. ``fix`` corrects the count by one where the counter is in the first and the converters in the last
+    quadrant, or the reverse; two quadrants apart show no direction. ``rng`` is the noise of the tracks.
     """
     sampled = np.asarray(position_cycles, dtype=np.float64)
     counted = np.asarray(counter_position_cycles, dtype=np.float64)

@@ -17,7 +17,7 @@ from canfb.sources.motion_source import RevolutionsAt
 
 @dataclass(frozen=True, kw_only=True)
 class AnalogPath:
-    """Its response at a steady speed. The delays are far shorter than a machine takes to change its speed.
+    """Its response at a steady speed.
 
     sine_corner_hz, cosine_corner_hz   of a low-pass of one pole on that track, 0.0: none
     cosine_delay_s                     the cosine is sampled this much after the sine
@@ -29,11 +29,6 @@ class AnalogPath:
     cosine_delay_s: float = 0.0
     delay_s: float = 0.0
 
-    @property
-    def is_ideal(self) -> bool:
-        """The speed does not count."""
-        return self == IDEAL_PATH
-
     def lag_s(self, hertz: float) -> float:
         """How late the sine track is at so many cycles per second."""
         lag_s = self.delay_s
@@ -44,12 +39,6 @@ class AnalogPath:
 
 
 IDEAL_PATH = AnalogPath()
-
-
-def low_pass(order: int, hertz: FloatArray | float, corner_hz: float) -> tuple[FloatArray, FloatArray]:
-    """What a low-pass of one pole leaves of a harmonic, and by how many radians it is late."""
-    ratio = order * np.asarray(hertz, np.float64) / corner_hz if corner_hz else np.zeros(np.shape(hertz))
-    return 1.0 / np.sqrt(1.0 + ratio * ratio), np.arctan(ratio)
 
 
 class Harmonic(NamedTuple):
@@ -72,8 +61,7 @@ class Encoder:
     phase_error_rad                 the cosine track is A cos(x - phase_error)
     harmonics                       of either track, relative to its amplitude
     adc_bits                        4..16; counts are rounded and held at the ends
-    noise_lsb                       rms of Gaussian noise before the ADC, counts, not negative
-    path                            between the tracks and the ADC; ideal by default
+    noise_lsb                       rms of Gaussian noise before the ADC, counts
     ValueError for anything else.
     """
 
@@ -97,35 +85,20 @@ class Encoder:
         self, position_cycles: npt.ArrayLike, hertz: npt.ArrayLike = 0.0
     ) -> tuple[FloatArray, FloatArray]:
         """Analog tracks in counts, before noise and ADC; any shape. ``hertz`` is the speed, cycles/s."""
-        x = 2.0 * np.pi * np.asarray(np.mod(position_cycles, 1.0), dtype=np.float64)
-        if self.path.is_ideal:
-            sine, cosine = np.sin(x), np.cos(x - self.phase_error_rad)
-            for h in self.harmonics:
-                sine = sine + h.sine * np.sin(h.order * x + h.sine_shift_rad)
-                cosine = cosine + h.cosine * np.cos(h.order * x + h.cosine_shift_rad)
-        else:
-            sine, cosine = self._filtered(x, np.asarray(hertz, np.float64))
+        path, speed = self.path, 2.0 * np.pi * np.asarray(hertz, np.float64)
+        x = 2.0 * np.pi * np.asarray(np.mod(position_cycles, 1.0), np.float64) - speed * path.delay_s
+        y = x + speed * path.cosine_delay_s
+        waves = (Harmonic(1, 1.0, 1.0, 0.0, -self.phase_error_rad), *self.harmonics)
+        sine, cosine = np.zeros(x.shape), np.zeros(x.shape)
+        for h in waves:
+            sine = sine + h.sine * _left(np.sin, h.order, x, h.sine_shift_rad, hertz, path.sine_corner_hz)
+            cosine = cosine + h.cosine * _left(
+                np.cos, h.order, y, h.cosine_shift_rad, hertz, path.cosine_corner_hz
+            )
         return (
             self.amplitude_counts * (self.sine_offset + self.sine_amplitude * sine),
             self.amplitude_counts * (self.cosine_offset + self.cosine_amplitude * cosine),
         )
-
-    def _filtered(self, x: FloatArray, hertz: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Both tracks behind the analog path, relative to their amplitudes, without offset."""
-        path = self.path
-        sine_x = x - 2.0 * np.pi * hertz * path.delay_s
-        cosine_x = sine_x + 2.0 * np.pi * hertz * path.cosine_delay_s
-        waves = [
-            Harmonic(1, 1.0, 1.0, 0.0, -self.phase_error_rad),
-            *self.harmonics,
-        ]
-        sine, cosine = np.zeros(x.shape), np.zeros(x.shape)
-        for h in waves:
-            left, late = low_pass(h.order, hertz, path.sine_corner_hz)
-            sine = sine + h.sine * left * np.sin(h.order * sine_x + h.sine_shift_rad - late)
-            left, late = low_pass(h.order, hertz, path.cosine_corner_hz)
-            cosine = cosine + h.cosine * left * np.cos(h.order * cosine_x + h.cosine_shift_rad - late)
-        return sine, cosine
 
     def sample(
         self,
@@ -143,21 +116,18 @@ class Encoder:
             cosine = cosine + rng.normal(0.0, self.noise_lsb, np.shape(cosine))
         return self._convert(sine), self._convert(cosine)
 
-    def coarse(self, revolutions: float, rng: np.random.Generator | None = None) -> tuple[int, int]:
-        """ADC counts of the track with one cycle per revolution, with the nominal amplitude and no errors."""
-        x, full = 2.0 * math.pi * math.fmod(revolutions, 1.0), 1 << (self.adc_bits - 1)
-        noise = (0.0, 0.0)
-        if rng is not None and self.noise_lsb > 0.0:
-            noise = (rng.normal(0.0, self.noise_lsb), rng.normal(0.0, self.noise_lsb))
-        sine, cosine = (
-            max(-full, min(full - 1, round(self.amplitude_counts * track + off)))
-            for track, off in zip((math.sin(x), math.cos(x)), noise, strict=True)
-        )
-        return sine, cosine
-
     def _convert(self, track: FloatArray) -> npt.NDArray[np.int64]:
         full = 1 << (self.adc_bits - 1)
         return np.clip(np.rint(track), -full, full - 1).astype(np.int64)
+
+
+def _left(
+    wave: np.ufunc, order: int, x: FloatArray, shift_rad: float, hertz: npt.ArrayLike, corner_hz: float
+) -> FloatArray:
+    """What a low-pass of one pole, 0: none, leaves of a harmonic."""
+    ratio = order * np.asarray(hertz, np.float64) / corner_hz if corner_hz else np.float64(0.0)
+    left: FloatArray = wave(order * x + shift_rad - np.arctan(ratio)) / np.sqrt(1.0 + ratio * ratio)
+    return left
 
 
 def demo_encoder() -> Encoder:
@@ -194,6 +164,9 @@ class ShaftEncoder:
         aperture_jitter_s: float = 0.0,
     ) -> None:
         self._encoder = encoder
+        self._coarse = Encoder(
+            amplitude_counts=encoder.amplitude_counts, adc_bits=encoder.adc_bits, noise_lsb=encoder.noise_lsb
+        )
         self._cycles_per_revolution = cycles_per_revolution
         self._rng = np.random.default_rng(seed)
         self._seed = seed
@@ -211,14 +184,14 @@ class ShaftEncoder:
             held_s = max(0.0, time_s + self._aperture_jitter_s * max(-4.0, min(4.0, off)))
         revolutions = revolutions_at(held_s)
         self.position_cycles = revolutions * self._cycles_per_revolution
-        hertz = 0.0 if self._encoder.path.is_ideal else self._hertz(held_s, revolutions_at)
+        hertz = 0.0 if self._encoder.path == IDEAL_PATH else self._hertz(held_s, revolutions_at)
         sine, cosine = self._encoder.sample(self.position_cycles, self._rng, hertz)
         last, self._last = self._last, (held_s, revolutions)
         pulse = None
         if last is not None and math.floor(last[1]) != math.floor(revolutions):
             pulse = _pulse_place(*last, held_s, revolutions, revolutions_at)
-        coarse = self._encoder.coarse(revolutions, self._others)
-        return Sample(int(sine), int(cosine), 1.0, False, *coarse, pulse)
+        coarse_sine, coarse_cosine = self._coarse.sample(revolutions, self._others)
+        return Sample(int(sine), int(cosine), 1.0, False, int(coarse_sine), int(coarse_cosine), pulse)
 
     def _hertz(self, at_s: float, revolutions_at: RevolutionsAt) -> float:
         """The speed there, cycles per second."""

@@ -1,16 +1,14 @@
 """Faults of a sine/cosine encoder, its cable, its converter and its bus, as functions of the samples.
 
-Every model takes :class:`Samples` and gives new ones in which the fault is present from ``start`` to
-``stop``. They are the fault models that functional safety (IEC 61800-5-2) asks of such encoders::
+They are the fault models that functional safety (IEC 61800-5-2) asks of such encoders::
 
-    rng = np.random.default_rng(1)
-    sine, cosine = encoder.sample(position_cycles, rng)
-    bad = OpenTrack(Signal.SINE).inject(Samples.of(sine, cosine, adc_bits=12), 300, 360, rng)
+    bad = open_track(Signal.SINE).inject(Samples.of(sine, cosine, adc_bits=12), 300, 360, rng)
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Self
@@ -24,6 +22,8 @@ Counts = npt.NDArray[np.int64]
 Tracks = npt.NDArray[np.float64]
 """Sine and cosine while the fault is present, before the converter, shape (2, n)."""
 Rng = np.random.Generator
+Change = Callable[[Tracks, int, Rng], npt.ArrayLike]
+"""The faulty tracks, from those of the encoder and the full scale of the converter, counts."""
 
 
 class Signal(Enum):
@@ -32,10 +32,6 @@ class Signal(Enum):
     SINE = ((True,), (False,))
     COSINE = ((False,), (True,))
     BOTH = ((True,), (True,))
-
-    def chosen(self, faulty: npt.ArrayLike, tracks: Tracks) -> Tracks:
-        """``tracks`` with those that the fault is on replaced."""
-        return np.where(self.value, faulty, tracks)
 
 
 @dataclass(frozen=True)
@@ -68,17 +64,20 @@ class Samples:
         """Both tracks at these places, shape (2, n)."""
         return np.stack([self.sine[places], self.cosine[places]]).astype(np.float64)
 
-    def put(self, span: slice, tracks: Tracks) -> Samples:
-        """With these tracks within ``span`` as the converter makes them: rounded, held at its ends."""
-        full = self.full_scale_counts
+    def put(self, span: slice, signal: Signal, faulty: npt.ArrayLike) -> Samples:
+        """With ``faulty`` tracks within ``span`` as the converter makes them: rounded, held at its ends."""
+        full, tracks = self.full_scale_counts, np.where(signal.value, faulty, self.tracks(span))
         counts = np.clip(np.rint(tracks), -full, full - 1).astype(np.int64)
         s, c = self.sine.copy(), self.cosine.copy()
         s[span], c[span] = counts
         return replace(self, sine=s, cosine=c)
 
 
+@dataclass(frozen=True)
 class Fault:
-    """A fault model: a subclass says what the tracks are while the fault is present."""
+    """A fault model: ``faulty`` gives the samples with the fault in a span."""
+
+    faulty: Callable[[Samples, slice, Rng], Samples]
 
     def inject(self, samples: Samples, start: int, stop: int, rng: Rng) -> Samples:
         """``samples`` with the fault in the intervals start..stop, 0 <= start < stop <= len(samples).
@@ -87,229 +86,169 @@ class Fault:
         """
         if not 0 <= start < stop <= len(samples):
             raise ValueError(f"0 <= start < stop <= {len(samples)} must hold, not {start} and {stop}")
-        return self._faulty(samples, slice(start, stop), rng)
-
-    def _faulty(self, samples: Samples, span: slice, rng: Rng) -> Samples:
-        return samples.put(span, self._tracks(samples.tracks(span), samples.full_scale_counts, rng))
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        """The faulty tracks; the converter reaches from -``full`` to ``full`` - 1."""
-        raise NotImplementedError
+        return self.faulty(samples, slice(start, stop), rng)
 
 
-@dataclass(frozen=True)
-class OpenTrack(Fault):
-    """A broken wire: the input is pulled to mid-scale, plus what it catches, ``noise_lsb`` counts rms."""
-
-    signal: Signal
-    noise_lsb: float = 0.0
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        return self.signal.chosen(rng.normal(0.0, self.noise_lsb, tracks.shape), tracks)
-
-
-@dataclass(frozen=True)
-class ShortedTrack(Fault):
-    """A track short-circuited to a supply: the converter stands at its upper or lower end."""
-
-    signal: Signal
-    high: bool
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        return self.signal.chosen(full - 1 if self.high else -full, tracks)
-
-
-@dataclass(frozen=True)
-class StuckTrack(Fault):
-    """A track that stays at ``counts``; None: at the value of its last good sample."""
-
-    signal: Signal
-    counts: float | None = None
-
-    def _faulty(self, samples: Samples, span: slice, rng: Rng) -> Samples:
-        stuck = samples.tracks(_last_good(span)) if self.counts is None else self.counts
-        return samples.put(span, self.signal.chosen(stuck, samples.tracks(span)))
-
-
-@dataclass(frozen=True)
-class JoinedTracks(Fault):
-    """Both tracks short-circuited to each other: both show their mean."""
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        return np.broadcast_to(tracks.mean(axis=0), tracks.shape)
-
-
-@dataclass(frozen=True)
-class SwappedTracks(Fault):
-    """Sine and cosine exchanged: the machine seems to turn in the other direction."""
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        return tracks[::-1]
-
-
-@dataclass(frozen=True)
-class InvertedTracks(Fault):
-    """The wires of a differential track exchanged: its sign is wrong."""
-
-    signal: Signal
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        return self.signal.chosen(-tracks, tracks)
-
-
-@dataclass(frozen=True)
-class TrackDrift(Fault):
-    """Offset, gain and phase of the tracks drift: a slow ramp that ends at these values.
-
-    sine_offset, cosine_offset   counts, added
-    sine_gain, cosine_gain       the tracks are multiplied by them; 1 changes nothing
-    phase_rad                    the cosine track becomes A cos(x - phase_rad)
-    ramp_samples                 intervals until the end values, from then on constant, at least 1
-    ValueError for a ``ramp_samples`` below 1.
-    """
-
-    sine_offset: float = 0.0
-    cosine_offset: float = 0.0
-    sine_gain: float = 1.0
-    cosine_gain: float = 1.0
-    phase_rad: float = 0.0
-    ramp_samples: int = 100
-
-    def __post_init__(self) -> None:
-        if self.ramp_samples < 1:
-            raise ValueError(f"ramp_samples must be at least 1, not {self.ramp_samples}")
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        sine, cosine = tracks
-        part = np.minimum(np.arange(1, len(sine) + 1) / self.ramp_samples, 1.0)
-        turned = np.stack(
-            [sine, cosine * np.cos(part * self.phase_rad) + sine * np.sin(part * self.phase_rad)]
+def _changed(change: Change, signal: Signal = Signal.BOTH) -> Fault:
+    """The tracks are changed."""
+    return Fault(
+        lambda samples, span, rng: samples.put(
+            span, signal, change(samples.tracks(span), samples.full_scale_counts, rng)
         )
-        gain = np.array([[self.sine_gain], [self.cosine_gain]])
-        offset = np.array([[self.sine_offset], [self.cosine_offset]])
-        drifted: Tracks = turned * (1.0 + part * (gain - 1.0)) + part * offset
-        return drifted
+    )
 
 
-@dataclass(frozen=True)
-class Oscillation(Fault):
-    """A sine of ``amplitude_counts`` added: an amplifier that oscillates, a hum that couples in.
-
-    ``periods_per_sample`` is its frequency as sampled. On both tracks it is the same.
-    """
-
-    signal: Signal
-    amplitude_counts: float
-    periods_per_sample: float
-    shift_rad: float = 0.0
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        angle = 2.0 * math.pi * self.periods_per_sample * np.arange(tracks.shape[1]) + self.shift_rad
-        return self.signal.chosen(tracks + self.amplitude_counts * np.sin(angle), tracks)
-
-
-@dataclass(frozen=True)
-class ExcessNoise(Fault):
-    """Gaussian noise of ``rms_counts`` added to each track, independent of the other."""
-
-    signal: Signal
-    rms_counts: float
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        return self.signal.chosen(tracks + rng.normal(0.0, self.rms_counts, tracks.shape), tracks)
-
-
-@dataclass(frozen=True)
-class PhaseGlitch(Fault):
-    """Samples at a random point of the circle: any phase, good amplitude.
-
-    ``common``: one random phase error for all of them, else one for each.
-    """
-
-    amplitude_counts: float
-    common: bool = False
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        angle = rng.uniform(0.0, 2.0 * math.pi, 1 if self.common else tracks.shape[1])
-        if self.common:
-            angle = angle + np.arctan2(*tracks)
-        return self.amplitude_counts * np.stack([np.sin(angle), np.cos(angle)]).astype(np.float64)
-
-
-@dataclass(frozen=True)
-class CountGlitch(Fault):
-    """Samples of random counts anywhere in the range of the converter."""
-
-    def _tracks(self, tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        return rng.integers(-full, full, tracks.shape).astype(np.float64)
-
-
-@dataclass(frozen=True)
-class LostSamples(Fault):
-    """No sample comes, and the receiver knows it."""
-
-    def _faulty(self, samples: Samples, span: slice, rng: Rng) -> Samples:
-        delivered = samples.delivered.copy()
-        delivered[span] = False
-        return replace(samples, delivered=delivered)
-
-
-class _OtherSamples(Fault):
-    """Other samples come in place of those that were taken: a subclass says which."""
-
-    def _faulty(self, samples: Samples, span: slice, rng: Rng) -> Samples:
-        return samples.put(span, samples.tracks(self._places(span)))
-
-    def _places(self, span: slice) -> Counts:
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class FrozenSamples(_OtherSamples):
-    """The last good sample comes again and again."""
-
-    def _places(self, span: slice) -> Counts:
-        return _last_good(span)
-
-
-@dataclass(frozen=True)
-class RepeatedSamples(_OtherSamples):
-    """Every sample comes ``times`` times, so the ones between are missing: a converter too slow.
-
-    The first of them repeats the last good sample. ValueError for ``times`` below 2.
-    """
-
-    times: int = 2
-
-    def __post_init__(self) -> None:
-        if self.times < 2:
-            raise ValueError(f"times must be at least 2, not {self.times}")
-
-    def _places(self, span: slice) -> Counts:
-        places = np.arange(span.start, span.stop)
-        source: Counts = np.maximum(places - (places - span.start + 1) % self.times, 0)
-        return source
-
-
-@dataclass(frozen=True)
-class LateSamples(_OtherSamples):
-    """Every sample comes ``intervals`` later than it was taken; the receiver does not know it.
-
-    At the beginning the last good sample is repeated, at the end ``intervals`` are left out.
-    ValueError for ``intervals`` below 1.
-    """
-
-    intervals: int = 1
-
-    def __post_init__(self) -> None:
-        if self.intervals < 1:
-            raise ValueError(f"intervals must be at least 1, not {self.intervals}")
-
-    def _places(self, span: slice) -> Counts:
-        source: Counts = np.maximum(np.arange(span.start, span.stop) - self.intervals, _last_good(span))
-        return source
+def _moved(places: Callable[[slice], Counts], signal: Signal = Signal.BOTH) -> Fault:
+    """The samples of other ``places`` come in place of those that were taken."""
+    return Fault(lambda samples, span, rng: samples.put(span, signal, samples.tracks(places(span))))
 
 
 def _last_good(span: slice) -> Counts:
     """The place of the sample before ``span``, for each place within."""
     return np.full(span.stop - span.start, max(span.start - 1, 0))
+
+
+def open_track(signal: Signal, noise_lsb: float = 0.0) -> Fault:
+    """A broken wire: the input is pulled to mid-scale, plus what it catches, ``noise_lsb`` counts rms."""
+    return _changed(lambda tracks, full, rng: rng.normal(0.0, noise_lsb, tracks.shape), signal)
+
+
+def shorted_track(signal: Signal, high: bool) -> Fault:
+    """A track short-circuited to a supply: the converter stands at its upper or lower end."""
+    return _changed(lambda tracks, full, rng: full - 1 if high else -full, signal)
+
+
+def stuck_track(signal: Signal, counts: float | None = None) -> Fault:
+    """A track that stays at ``counts``; None: at the value of its last good sample."""
+    if counts is None:
+        return _moved(_last_good, signal)
+    return _changed(lambda tracks, full, rng: counts, signal)
+
+
+def joined_tracks() -> Fault:
+    """Both tracks short-circuited to each other: both show their mean."""
+    return _changed(lambda tracks, full, rng: tracks.mean(axis=0))
+
+
+def swapped_tracks() -> Fault:
+    """Sine and cosine exchanged: the machine seems to turn in the other direction."""
+    return _changed(lambda tracks, full, rng: tracks[::-1])
+
+
+def inverted_tracks(signal: Signal) -> Fault:
+    """The wires of a differential track exchanged: its sign is wrong."""
+    return _changed(lambda tracks, full, rng: -tracks, signal)
+
+
+def track_drift(
+    *,
+    sine_offset: float = 0.0,
+    cosine_offset: float = 0.0,
+    sine_gain: float = 1.0,
+    cosine_gain: float = 1.0,
+    phase_rad: float = 0.0,
+    ramp_samples: int = 100,
+) -> Fault:
+    """Offset, gain and phase of the tracks drift: a slow ramp that ends at these values.
+
+    sine_offset, cosine_offset   counts, added
+    sine_gain, cosine_gain       the tracks are multiplied by them; 1 changes nothing
+    phase_rad                    the cosine track becomes A cos(x - phase_rad)
+    ramp_samples                 intervals until the end values, at least 1: ValueError
+    """
+    if ramp_samples < 1:
+        raise ValueError(f"ramp_samples must be at least 1, not {ramp_samples}")
+    gain, offset = np.array([[sine_gain], [cosine_gain]]), np.array([[sine_offset], [cosine_offset]])
+
+    def drifted(tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        sine, cosine = tracks
+        part = np.minimum(np.arange(1, len(sine) + 1) / ramp_samples, 1.0)
+        turned = np.stack([sine, cosine * np.cos(part * phase_rad) + sine * np.sin(part * phase_rad)])
+        found: Tracks = turned * (1.0 + part * (gain - 1.0)) + part * offset
+        return found
+
+    return _changed(drifted)
+
+
+def oscillation(
+    signal: Signal, amplitude_counts: float, periods_per_sample: float, shift_rad: float = 0.0
+) -> Fault:
+    """A sine added, the same on both tracks: an amplifier that oscillates, a hum that couples in.
+
+    ``periods_per_sample`` is its frequency as sampled.
+    """
+
+    def change(tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        angle = 2.0 * math.pi * periods_per_sample * np.arange(tracks.shape[1]) + shift_rad
+        found: Tracks = tracks + amplitude_counts * np.sin(angle)
+        return found
+
+    return _changed(change, signal)
+
+
+def excess_noise(signal: Signal, rms_counts: float) -> Fault:
+    """Gaussian noise added to each track, independent of the other."""
+    return _changed(lambda tracks, full, rng: tracks + rng.normal(0.0, rms_counts, tracks.shape), signal)
+
+
+def phase_glitch(amplitude_counts: float, common: bool = False) -> Fault:
+    """Samples at a random point of the circle: any phase, good amplitude.
+
+    ``common``: one random phase error for all of them, else one for each.
+    """
+
+    def change(tracks: Tracks, full: int, rng: Rng) -> Tracks:
+        angle = rng.uniform(0.0, 2.0 * math.pi, 1 if common else tracks.shape[1])
+        if common:
+            angle = angle + np.arctan2(*tracks)
+        return amplitude_counts * np.stack([np.sin(angle), np.cos(angle)]).astype(np.float64)
+
+    return _changed(change)
+
+
+def count_glitch() -> Fault:
+    """Samples of random counts anywhere in the range of the converter."""
+    return _changed(lambda tracks, full, rng: rng.integers(-full, full, tracks.shape))
+
+
+def lost_samples() -> Fault:
+    """No sample comes, and the receiver knows it."""
+
+    def faulty(samples: Samples, span: slice, rng: Rng) -> Samples:
+        delivered = samples.delivered.copy()
+        delivered[span] = False
+        return replace(samples, delivered=delivered)
+
+    return Fault(faulty)
+
+
+def frozen_samples() -> Fault:
+    """The last good sample comes again and again."""
+    return _moved(_last_good)
+
+
+def repeated_samples(times: int = 2) -> Fault:
+    """Every sample comes ``times`` times, so the ones between are missing: a converter too slow.
+
+    The first of them repeats the last good sample. ValueError for ``times`` below 2.
+    """
+    if times < 2:
+        raise ValueError(f"times must be at least 2, not {times}")
+
+    def places(span: slice) -> Counts:
+        here = np.arange(span.start, span.stop)
+        found: Counts = np.maximum(here - (here - span.start + 1) % times, 0)
+        return found
+
+    return _moved(places)
+
+
+def late_samples(intervals: int = 1) -> Fault:
+    """Every sample comes ``intervals`` later than it was taken; the receiver does not know it.
+
+    At the beginning the last good sample is repeated, at the end ``intervals`` are left out.
+    ValueError for ``intervals`` below 1.
+    """
+    if intervals < 1:
+        raise ValueError(f"intervals must be at least 1, not {intervals}")
+    return _moved(lambda span: np.maximum(np.arange(span.start, span.stop) - intervals, _last_good(span)))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from bisect import bisect_right
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,42 @@ import numpy.typing as npt
 
 from canfb.signal.phase import FloatArray
 from canfb.sources.motion_source import ShaftMotion
+
+
+class PiecewiseCubic:
+    """A function of time in pieces, each a polynomial of degree 3 at most; the last one has no end."""
+
+    def __init__(self, speed: float = 0.0) -> None:
+        self._starts = [0.0]
+        self._pieces = [(0.0, speed, 0.0, 0.0)]
+
+    def state(self, time_s: float) -> tuple[float, float]:
+        """Value and speed."""
+        place = max(0, bisect_right(self._starts, time_s) - 1)
+        passed, (value, speed, half, sixth) = time_s - self._starts[place], self._pieces[place]
+        return (
+            value + passed * (speed + passed * (half + passed * sixth)),
+            speed + passed * (2.0 * half + passed * 3.0 * sixth),
+        )
+
+    def at(self, times_s: npt.ArrayLike) -> FloatArray:
+        """The values for an array of times."""
+        times = np.asarray(times_s, dtype=np.float64)
+        places = np.maximum(np.searchsorted(self._starts, times, "right") - 1, 0)
+        passed = times - np.array(self._starts)[places]
+        value, speed, half, sixth = np.moveaxis(np.array(self._pieces)[places], -1, 0)
+        found: FloatArray = value + passed * (speed + passed * (half + passed * sixth))
+        return found
+
+    def go_on(
+        self, from_s: float, speed: float | None = None, acceleration: float = 0.0, jerk: float = 0.0
+    ) -> None:
+        """From this time on with these; without ``speed`` with that which it has. What was to follow goes."""
+        value, before = self.state(from_s)
+        kept = bisect_right(self._starts, from_s)
+        del self._starts[kept:], self._pieces[kept:]
+        self._starts.append(from_s)
+        self._pieces.append((value, before if speed is None else speed, acceleration / 2.0, jerk / 6.0))
 
 
 class Ramp(NamedTuple):
@@ -37,93 +74,70 @@ class Motion:
     ramps: tuple[Ramp, ...]
     ripples: tuple[Ripple, ...] = ()
     start_rpm: float = 0.0
+    _curve: PiecewiseCubic = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        curve, at_s, speed = PiecewiseCubic(self.start_rpm / 60.0), 0.0, self.start_rpm / 60.0
+        for duration_s, end_rpm in self.ramps:
+            end = end_rpm / 60.0
+            if duration_s > 0.0:
+                curve.go_on(at_s, acceleration=(end - speed) / duration_s)
+            at_s, speed = at_s + duration_s, end
+            curve.go_on(at_s, speed)
+        object.__setattr__(self, "_curve", curve)
 
     def revolutions(self, time_s: float) -> float:
         """Position in revolutions at ``time_s`` >= 0, zero at the start."""
-        position, speed, left = 0.0, self.start_rpm / 60.0, time_s
-        for ramp in self.ramps:
-            end = ramp.end_rpm / 60.0
-            spent = min(left, ramp.duration_s)
-            if ramp.duration_s > 0.0:
-                position += spent * (speed + (end - speed) * spent / ramp.duration_s / 2.0)
-            left -= spent
-            if left <= 0.0:
-                break
-            speed = end
-        else:
-            position += left * speed
-        return position + sum(self._swing(ripple, time_s) for ripple in self.ripples)
+        return self._curve.state(time_s)[0] + float(self._swing(time_s))
 
     def revolutions_at(self, times_s: npt.ArrayLike) -> FloatArray:
         """:meth:`revolutions` for an array of times."""
-        left = np.asarray(times_s, dtype=np.float64)
-        position, speed = np.zeros(left.shape), self.start_rpm / 60.0
-        for ripple in self.ripples:
-            omega = 2.0 * math.pi * ripple.frequency_hz
-            position += ripple.size_rpm / 60.0 * (1.0 - np.cos(omega * left)) / omega
-        for ramp in self.ramps:
-            end = ramp.end_rpm / 60.0
-            spent = np.clip(left, 0.0, ramp.duration_s)
-            if ramp.duration_s > 0.0:
-                position += spent * (speed + (end - speed) * spent / ramp.duration_s / 2.0)
-            left = left - spent
-            speed = end
-        return position + left * speed
+        return self._curve.at(times_s) + self._swing(times_s)
 
-    @staticmethod
-    def _swing(ripple: Ripple, time_s: float) -> float:
-        omega = 2.0 * math.pi * ripple.frequency_hz
-        return ripple.size_rpm / 60.0 * (1.0 - math.cos(omega * time_s)) / omega
+    def _swing(self, time_s: npt.ArrayLike) -> FloatArray | float:
+        swing: FloatArray | float = 0.0
+        for size_rpm, frequency_hz in self.ripples:
+            omega = 2.0 * math.pi * frequency_hz
+            swing = swing + size_rpm / 60.0 * (1.0 - np.cos(omega * np.asarray(time_s))) / omega
+        return swing
 
 
 class SCurve:
     """Position over time: at rest until ``start_s``, then to ``speed_rad_s`` and on at that speed.
 
-    The acceleration rises to ``acceleration_rad_s2`` with ``jerk_rad_s3``, stays there, and falls again.
-    ValueError unless all are positive, and the speed suffices to reach that acceleration.
+    The acceleration rises to ``acceleration_rad_s2`` with ``jerk_rad_s3``, stays there, and falls again;
+    ``end_s`` is when it has the speed. ValueError unless all are positive, and the speed suffices to reach
+    that acceleration.
     """
 
     def __init__(
         self, speed_rad_s: float, acceleration_rad_s2: float, jerk_rad_s3: float, start_s: float = 0.0
     ) -> None:
-        for name, value in (
-            ("speed_rad_s", speed_rad_s),
-            ("acceleration_rad_s2", acceleration_rad_s2),
-            ("jerk_rad_s3", jerk_rad_s3),
-        ):
+        move = {
+            "speed_rad_s": speed_rad_s,
+            "acceleration_rad_s2": acceleration_rad_s2,
+            "jerk_rad_s3": jerk_rad_s3,
+        }
+        for name, value in move.items():
             if not 0.0 < value < math.inf:
                 raise ValueError(f"{name} must be positive, not {value!r}")
         rise_s = acceleration_rad_s2 / jerk_rad_s3
         level_s = speed_rad_s / acceleration_rad_s2 - rise_s
         if level_s < 0.0:
             raise ValueError(f"speed_rad_s is too low to reach {acceleration_rad_s2:g} rad/s^2")
-        jerk = jerk_rad_s3 / (2.0 * math.pi)
-        rise, fall, end = start_s + rise_s, start_s + rise_s + level_s, start_s + 2.0 * rise_s + level_s
-        # Position is the sum of cubes: each changes the jerk from its instant on.
-        self._changes = ((start_s, jerk), (rise, -jerk), (fall, -jerk), (end, jerk))
-        self.end_s = end
-        """When it has the speed."""
+        speed, acceleration, jerk = (value / (2.0 * math.pi) for value in move.values())
+        self.end_s = start_s + 2.0 * rise_s + level_s
+        curve = PiecewiseCubic()
+        curve.go_on(start_s, jerk=jerk)
+        curve.go_on(start_s + rise_s, acceleration=acceleration)
+        curve.go_on(start_s + rise_s + level_s, acceleration=acceleration, jerk=-jerk)
+        curve.go_on(self.end_s, speed)
+        self.revolutions_at = curve.at
+        self._curve = curve
 
     def revolutions(self, time_s: float) -> float:
         """Position at ``time_s``, revolutions."""
-        return sum(change * max(0.0, time_s - at) ** 3 / 6.0 for at, change in self._changes)
-
-    def revolutions_at(self, times_s: npt.ArrayLike) -> FloatArray:
-        """:meth:`revolutions` for an array of times."""
-        times = np.asarray(times_s, dtype=np.float64)
-        found = np.zeros(times.shape)
-        for at, change in self._changes:
-            found += change * np.maximum(0.0, times - at) ** 3 / 6.0
-        return found
-
-
-class _Change(NamedTuple):
-    """From ``time_s`` on the rate goes to ``end_rate``; the motion was at its own time ``reached_s`` then."""
-
-    time_s: float
-    reached_s: float
-    rate: float
-    end_rate: float
+        return self._curve.state(time_s)[0]
 
 
 class StoppableMotion:
@@ -135,42 +149,25 @@ class StoppableMotion:
 
     def __init__(self, motion: ShaftMotion, ramp_s: float) -> None:
         self._motion, self._ramp_s = motion, ramp_s
-        self._changes: list[_Change] = []
-
-    @property
-    def running(self) -> bool:
+        self._own_time = PiecewiseCubic(1.0)
+        self._changed_s = 0.0
+        self.running = True
         """It runs, or is to run."""
-        return not self._changes or self._changes[-1].end_rate > 0.0
 
     def run(self, running: bool, time_s: float) -> None:
         """Begin to run, or to stop, at ``time_s`` of the machine."""
         if running == self.running:
             return
-        if self._changes:
-            time_s = max(time_s, self._changes[-1].time_s)
-        reached_s, rate = self._state(time_s)
-        self._changes.append(_Change(time_s, reached_s, rate, float(running)))
+        self.running, self._changed_s = running, max(time_s, self._changed_s)
+        step = float(running) - self._own_time.state(self._changed_s)[1]
+        if self._ramp_s:
+            self._own_time.go_on(self._changed_s, acceleration=math.copysign(1.0 / self._ramp_s, step))
+        self._own_time.go_on(self._changed_s + self._ramp_s * abs(step), float(running))
 
     def revolutions(self, time_s: float) -> float:
         """Position at ``time_s`` of the machine, revolutions."""
-        return self._motion.revolutions(self._state(time_s)[0] if self._changes else time_s)
+        return self._motion.revolutions(self._own_time.state(time_s)[0])
 
     def revolutions_at(self, times_s: FloatArray) -> FloatArray:
         """:meth:`revolutions` for an array of times."""
-        if self._changes:
-            times_s = np.array([self._state(float(time_s))[0] for time_s in times_s])
-        return self._motion.revolutions_at(times_s)
-
-    def _state(self, time_s: float) -> tuple[float, float]:
-        """The own time of the motion at ``time_s``, seconds, and its rate, 0..1."""
-        change = next((one for one in reversed(self._changes) if one.time_s <= time_s), None)
-        if change is None:
-            return time_s, 1.0
-        passed = time_s - change.time_s
-        step = change.end_rate - change.rate
-        ramp_s = self._ramp_s * abs(step)
-        if passed >= ramp_s:
-            after_s = (passed - ramp_s) * change.end_rate
-            return change.reached_s + ramp_s * (change.rate + step / 2.0) + after_s, change.end_rate
-        rate = change.rate + step * passed / ramp_s
-        return change.reached_s + passed * (change.rate + rate) / 2.0, rate
+        return self._motion.revolutions_at(self._own_time.at(times_s))

@@ -47,20 +47,20 @@ def _any_track(rng: Rng) -> Signal:
 
 
 def _short(rng: Rng) -> Fault:
-    return faults.ShortedTrack(_any_track(rng), bool(rng.uniform() < 0.5))
+    return faults.shorted_track(_any_track(rng), bool(rng.uniform() < 0.5))
 
 
 def _noise(rng: Rng) -> Fault:
-    return faults.ExcessNoise(_any_track(rng), float(rng.uniform(0.03, 1.0)) * A)
+    return faults.excess_noise(_any_track(rng), float(rng.uniform(0.03, 1.0)) * A)
 
 
 def _phase_glitch(rng: Rng) -> Fault:
-    return faults.PhaseGlitch(A, common=bool(rng.uniform() < 0.5))
+    return faults.phase_glitch(A, common=bool(rng.uniform() < 0.5))
 
 
 CLASSES: tuple[FaultClass, ...] = (
-    FaultClass("sine open", lambda rng: faults.OpenTrack(Signal.SINE, float(rng.uniform(0.0, 5.0)))),
-    FaultClass("cosine open", lambda rng: faults.OpenTrack(Signal.COSINE, float(rng.uniform(0.0, 5.0)))),
+    FaultClass("sine open", lambda rng: faults.open_track(Signal.SINE, float(rng.uniform(0.0, 5.0)))),
+    FaultClass("cosine open", lambda rng: faults.open_track(Signal.COSINE, float(rng.uniform(0.0, 5.0)))),
     _computed("both open"),
     FaultClass("short to a supply", _short),
     *(_computed(name) for name in ("stuck at a value", "stuck at the last value", "tracks joined")),
@@ -68,13 +68,13 @@ CLASSES: tuple[FaultClass, ...] = (
     *(_computed(name) for name in ("offset drift", "gain drift", "phase drift", "oscillation")),
     FaultClass("excess noise", _noise),
     *(FaultClass(f"phase glitch, {n}", _phase_glitch, n) for n in (1, 2, 3)),
-    *(FaultClass(f"random counts, {n}", lambda _: faults.CountGlitch(), n) for n in (1, 2, 3)),
-    FaultClass("random counts", lambda _: faults.CountGlitch()),
-    *(FaultClass(f"lost, {n}", lambda _: faults.LostSamples(), n) for n in (1, 2, 3)),
-    FaultClass("lost", lambda _: faults.LostSamples()),
-    *(FaultClass(f"repeated, {n}", lambda _: faults.FrozenSamples(), n) for n in (1, 2, 3)),
-    FaultClass("repeated every other", lambda _: faults.RepeatedSamples()),
+    *(FaultClass(f"random counts, {n}", lambda _: faults.count_glitch(), n) for n in (1, 2, 3)),
+    FaultClass("random counts", lambda _: faults.count_glitch()),
+    *(FaultClass(f"lost, {n}", lambda _: faults.lost_samples(), n) for n in (1, 2, 3)),
+    FaultClass("lost", lambda _: faults.lost_samples()),
+    *(FaultClass(f"repeated, {n}", lambda _: faults.frozen_samples(), n) for n in (1, 2, 3)),
+    FaultClass("repeated every other", lambda _: faults.repeated_samples()),
     _computed("frozen"),
-    *(FaultClass(f"late, {n}", lambda _: faults.LateSamples(), n) for n in (1, 2, 3)),
-    FaultClass("late", lambda _: faults.LateSamples()),
+    *(FaultClass(f"late, {n}", lambda _: faults.late_samples(), n) for n in (1, 2, 3)),
+    FaultClass("late", lambda _: faults.late_samples()),
 )  # fmt: skip
