@@ -37,6 +37,8 @@ ENCODER = Encoder(
     noise_lsb=0.5,
 )
 Counts = tuple[np.ndarray, np.ndarray]
+# Near k/n cycles per sample n phases repeat, and a thousand samples cover no cycle.
+FAR_FROM_FRACTIONS = [math.sqrt(5.0) - 2.0, math.sqrt(2.0) / 2.0 - 0.5, 0.5 - math.sqrt(5.0) / 6.0]
 
 
 @cache
@@ -163,10 +165,7 @@ def test_the_range_is_bounded_and_its_end_is_reported() -> None:
     sine, cosine, gain, phase = chain.adaptation.drift
     assert chain.adaptation.at_limit
     assert chain.adaptation.used > 1.5
-    assert (sine, cosine) == (
-        pytest.approx(0.02 * AMPLITUDE, rel=0.1),
-        pytest.approx(-0.02 * AMPLITUDE, rel=0.1),
-    )
+    assert (sine, cosine) == pytest.approx((0.02 * AMPLITUDE, -0.02 * AMPLITUDE), rel=0.1)
     assert (gain, phase) == (pytest.approx(0.03), pytest.approx(0.01))
     back = positions[-1] + 3.1371 * np.arange(1, 20001)
     taken(chain, drifted(back))
@@ -272,7 +271,7 @@ def test_a_growing_fault_is_found_within_the_bound(rate: float, track: str) -> N
 def test_arrays_have_the_bits_of_single_samples(seed: int, blocks: list[int], delay_s: float) -> None:
     rng = np.random.default_rng(seed)
     samples = 1500
-    positions = motion(samples, float(rng.uniform(0.1, 0.3)))
+    positions = motion(samples, float(rng.choice(FAR_FROM_FRACTIONS)))
     sine_offset, cosine_offset, gain, phase_rad = rng.uniform(-0.05, 0.05, 4)
     sine, cosine = drifted(positions, sine_offset, cosine_offset, gain, phase_rad, seed)
     for place in rng.integers(0, samples, int(rng.integers(0, 3))):
