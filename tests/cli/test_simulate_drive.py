@@ -173,6 +173,6 @@ def test_all_in_one_process_on_a_runner_move_the_shaft() -> None:
     interface = EncoderInterface(0x10, axis.source, autostart=True)
     devices: list[Device] = [axis.plant, interface, axis.drive, FeedbackModule(config.modules[0])]
     Runner(PythonCanBus(bus), devices, clock=clock, sleep=clock.sleep).run(lambda: not bus.plan)  # type: ignore[arg-type]
-    assert axis.drive.state is State.OPERATION_ENABLED, axis.summary()
+    assert axis.drive.power is State.OPERATION_ENABLED, axis.summary()
     assert axis.plant.motor.revolutions * 2**20 == pytest.approx(1000, abs=20)
     assert axis.summary() == "drive: Operation enabled; the shaft is at 0.001 revolutions"

@@ -36,8 +36,8 @@ def assert_all_quiet(network: DriveNetwork) -> None:
     """PRE-OPERATIONAL, no power, and no SYNC any more."""
     assert network.module.state is NmtState.PRE_OPERATIONAL
     assert network.interface.node.state is NmtState.PRE_OPERATIONAL
-    assert network.drive.node.state is NmtState.PRE_OPERATIONAL
-    assert network.drive.state in (State.SWITCH_ON_DISABLED, State.FAULT)
+    assert network.drive.state is NmtState.PRE_OPERATIONAL
+    assert network.drive.power in (State.SWITCH_ON_DISABLED, State.FAULT)
     syncs = network.plant.syncs
     network.wait(1.0)
     assert network.plant.syncs == syncs
@@ -71,7 +71,7 @@ def test_the_alarm(capsys: pytest.CaptureFixture[str]) -> None:
     assert figure(said, "position not valid") <= 2
     assert figure(said, "left OPERATION ENABLED") <= 3
     assert figure(said, "position          drive", 1) == pytest.approx(-1.0, abs=2e-4)
-    assert network.drive.state is State.SWITCH_ON_DISABLED
+    assert network.drive.power is State.SWITCH_ON_DISABLED
     assert_all_quiet(network)
 
 
@@ -146,7 +146,7 @@ def test_a_node_that_is_silent_is_missed(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(axis.FaultError, match=r"interface \(10h\): no heartbeat any more|drive is in FAULT"):
         network.run()
     assert network.module.state is NmtState.PRE_OPERATIONAL
-    assert network.drive.node.state is NmtState.PRE_OPERATIONAL
+    assert network.drive.state is NmtState.PRE_OPERATIONAL
 
 
 def test_a_machine_that_still_turns_is_waited_for(capsys: pytest.CaptureFixture[str]) -> None:
@@ -171,10 +171,10 @@ def test_a_master_that_dies_stops_the_drive() -> None:
     network.at[1.5] = network.network.die
     with pytest.raises(axis.FaultError):
         network.run()
-    assert network.drive.state is State.FAULT
+    assert network.drive.power is State.FAULT
     assert network.drive.error == DriveError.SYNC_CONTROLLER
     assert network.plant.motor.braked
-    assert network.drive.node.state is NmtState.PRE_OPERATIONAL  # the heartbeat is missed, too
+    assert network.drive.state is NmtState.PRE_OPERATIONAL  # the heartbeat is missed, too
     assert network.module.state is NmtState.OPERATIONAL  # it does not watch the master
 
 

@@ -64,7 +64,7 @@ class Simulating(OnBus):
 
     def _node_ids(self) -> list[int]:
         axis = self.network.axis
-        return [self._interface_id, *([] if axis is None else [axis.drive.node.node_id])]
+        return [self._interface_id, *([] if axis is None else [axis.drive.node_id])]
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Serve the interface until the end. ``ready`` is called on the bus."""

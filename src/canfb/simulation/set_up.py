@@ -90,12 +90,12 @@ class SimulatedAxis:
 
     def describe(self) -> str:
         """One line on the drive."""
-        node, module = self.drive.node.node_id, self.module_id
+        node, module = self.drive.node_id, self.module_id
         return f"drive: node {node} ({node:02X}h), position from node {module} ({module:02X}h)"
 
     def summary(self) -> str:
         """One line at the end."""
-        state = self.drive.state.name.replace("_", " ").capitalize()
+        state = self.drive.power.name.replace("_", " ").capitalize()
         error = f", error {self.drive.error:04X}h" if self.drive.error else ""
         return f"drive: {state}{error}; the shaft is at {self.plant.motor.revolutions:.3f} revolutions"
 

@@ -152,7 +152,7 @@ class DriveBench:
 
     @property
     def state(self) -> State:
-        return self.drive.state
+        return self.drive.power
 
     @property
     def shaft_units(self) -> float:

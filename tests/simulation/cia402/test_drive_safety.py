@@ -59,14 +59,14 @@ class Rig:
 
     def check(self) -> None:
         drive, motor = self.drive, self.plant.motor
-        if drive.state not in POWERED or drive.node.state is not NmtState.OPERATIONAL:
+        if drive.power not in POWERED or drive.state is not NmtState.OPERATIONAL:
             assert (motor.command_nm, motor.torque_nm, motor.braked) == (0.0, 0.0, True)
-        if drive.state in SWITCHED_ON:
+        if drive.power in SWITCHED_ON:
             assert not drive.feedback.wrong
         assert abs(motor.command_nm) <= 0.5
-        assert (drive.error != 0) == (drive.state in (State.FAULT, State.FAULT_REACTION_ACTIVE))
+        assert (drive.error != 0) == (drive.power in (State.FAULT, State.FAULT_REACTION_ACTIVE))
         shown = drive.dictionary.entry(0x6041).value
-        assert shown & 0x6F == drive.state.value or drive.state.value & 0x4F == shown & 0x4F
+        assert shown & 0x6F == drive.power.value or drive.power.value & 0x4F == shown & 0x4F
 
 
 def mode(value: int) -> bytes:
@@ -98,7 +98,7 @@ def test_no_torque_without_a_state_that_allows_it(actions: list[tuple[str, int]]
     rig.cycle(5)
     for word in (0x06, 0x07, 0x0F):
         rig.control(word)
-    assert rig.drive.state is State.OPERATION_ENABLED
+    assert rig.drive.power is State.OPERATION_ENABLED
     for name, value in actions:
         if name == "control":
             rig.control(value)
@@ -122,4 +122,4 @@ def test_no_torque_without_a_state_that_allows_it(actions: list[tuple[str, int]]
             rig.wait(value)
         elif name == "boot":
             rig.give(0x700 + MODULE_ID, b"\x00")
-    event(rig.drive.state.name)
+    event(rig.drive.power.name)

@@ -216,7 +216,7 @@ def test_no_frame_raises(frames: list[tuple[int, bytes, bool]], enabled: bool) -
             drive.receive(frame, now := now + 1e-3)
         for controlword in (0x06, 0x07, 0x0F):
             drive.receive(Frame(0x230, struct.pack("<Hb", controlword, 8)), now)
-        assert drive.state is State.OPERATION_ENABLED
+        assert drive.power is State.OPERATION_ENABLED
     for can_id, data, remote in frames:
         now += 1e-3
         drive.receive(Frame(can_id, data, remote), now)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from canfb.simulation.cia402.loop import Interpolation, Trajectory
+from canfb.simulation.cia402.loop import Trajectory
 
 T = 1e-3
 
@@ -21,12 +21,12 @@ def test_a_ramp_takes_the_way_of_its_deceleration(speed: float) -> None:
 
 
 def test_targets_are_joined_by_straight_lines() -> None:
-    trajectory, interpolation = Trajectory(), Interpolation()
+    trajectory = Trajectory()
     seen = []
     for count in range(12):
         if count in (1, 5):
-            interpolation.set_target(8.0 * count, 4)
-        interpolation.advance(trajectory, T)
+            trajectory.set_target(8.0 * count, 4)
+        trajectory.advance(T)
         seen.append((trajectory.position, trajectory.speed * T))
     assert [position for position, _ in seen] == [0, 2, 4, 6, 8, 16, 24, 32, 40, 40, 40, 40]
     assert [speed for _, speed in seen] == [0, 2, 2, 2, 2, 8, 8, 8, 8, 0, 0, 0]

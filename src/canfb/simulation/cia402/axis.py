@@ -8,7 +8,7 @@ from collections.abc import Callable
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary
 from canfb.simulation.cia402.feedback_input import FeedbackInput
-from canfb.simulation.cia402.loop import Demand, Gains, Interpolation, PositionLoop, Trajectory, chosen_gains
+from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, Trajectory, chosen_gains
 from canfb.simulation.cia402.state_machine import Status
 
 NO_MODE, CYCLIC_SYNCHRONOUS_POSITION = 0, 8
@@ -33,7 +33,7 @@ class Axis:
         """Of an encoder on the motor in a revolution, which 6063h is of then; 0: there is none."""
         self.on_mode: Callable[[], None] | None = None
         """Called when 6060h was written."""
-        self._trajectory, self._interpolation = Trajectory(), Interpolation()
+        self._trajectory = Trajectory()
         self._too_far_since_s: float | None = None
         entry = dictionary.entry
         self._target, self._mode, self._display = entry(0x607A), entry(0x6060), entry(0x6061)
@@ -60,7 +60,7 @@ class Axis:
     @property
     def stands_still(self) -> bool:
         """The ramp is over and the shaft does not turn any more."""
-        return self._trajectory.speed == 0.0 and abs(self._feedback.speed) < STANDSTILL_REV_S
+        return self.ramp_is_over and abs(self._feedback.speed) < STANDSTILL_REV_S
 
     @property
     def ramp_is_over(self) -> bool:
@@ -71,9 +71,7 @@ class Axis:
         """The power goes on: hold the position that there is, whatever 607Ah says."""
         self._loop.reset()
         self._place()
-        self._interpolation.reset()
-        self._new_target = False
-        self._braking = False
+        self._new_target = self._braking = False
         self._too_far_since_s = None
         self._demand = Demand(self._trajectory.position / self.scaling.units)
         self._demanded_rad_s = 0.0  # speed of the demand as it comes, before it is limited
@@ -126,9 +124,7 @@ class Axis:
 
     def follows_badly(self, now: float) -> bool:
         """Whether the following error has been outside of 6065h for 6066h."""
-        window = self._error_window.value
-        outside = window != OFF and abs(self._error_units()) > window
-        if not outside:
+        if not self._is_outside():
             self._too_far_since_s = None
         elif self._too_far_since_s is None:
             self._too_far_since_s = now
@@ -155,7 +151,7 @@ class Axis:
             return bits
         if self._limited or self._loop.limited:
             bits |= Status.INTERNAL_LIMIT
-        if self._error_window.value != OFF and abs(self._error_units()) > self._error_window.value:
+        if self._is_outside():
             bits |= Status.FOLLOWING_ERROR
         if self.mode == CYCLIC_SYNCHRONOUS_POSITION:
             bits |= Status.FOLLOWS_TARGET
@@ -168,10 +164,10 @@ class Axis:
         elif mode == CYCLIC_SYNCHRONOUS_POSITION:
             if self._new_target:
                 target = self._within_limits(float(nearest(self._target.value, trajectory.position)))
-                self._interpolation.set_target(target, max(1, round(self.scaling.interpolation_s / period_s)))
-            self._interpolation.advance(trajectory, period_s)
+                trajectory.set_target(target, max(1, round(self.scaling.interpolation_s / period_s)))
+            trajectory.advance(period_s)
         else:
-            trajectory.hold()
+            trajectory.speed = 0.0
         self._new_target = False
 
     def _forward(self, revolutions: float, speed_rad_s: float, period_s: float) -> Demand:
@@ -191,16 +187,17 @@ class Axis:
     def _within_limits(self, target: float) -> float:
         """The target within 607Dh; the full range of INTEGER32 means no limit."""
         low, high = self._lowest.value, self._highest.value
-        limited = target
-        if low > -(1 << 31):
-            limited = max(limited, float(low))
-        if high < (1 << 31) - 1:
-            limited = min(limited, float(high))
+        limited = target if low <= -_HALF else max(target, float(low))
+        limited = limited if high >= _HALF - 1 else min(limited, float(high))
         self._limited = limited != target
         return limited
 
     def _error_units(self) -> float:
         return (self._demand.revolutions - self._feedback.revolutions) * self.scaling.units
+
+    def _is_outside(self) -> bool:
+        window = self._error_window.value
+        return bool(window != OFF and abs(self._error_units()) > window)
 
     def _place(self, speed: float = 0.0) -> None:
         self._trajectory.place(self._feedback.revolutions * self.scaling.units, speed)
@@ -218,7 +215,7 @@ class Axis:
     def _mode_written(self) -> None:
         """In another mode the targets of the one before mean nothing."""
         if self.mode != self._display.value:
-            self._interpolation.reset()
+            self._trajectory.drop_target()
             self._new_target = False
         if self.on_mode is not None:
             self.on_mode()

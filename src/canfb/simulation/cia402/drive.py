@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
 from canfb import objects as od
-from canfb.checks import within
+from canfb.checks import integer_in, within
 from canfb.cia301 import cob
-from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.cia301.codes import AbortCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.application import Application
-from canfb.device.node import Node
+from canfb.device.device_protocol import NodeDevice
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import EVENT_DRIVEN
-from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.interface.sample_instants import TRUE_TIME, TimeBase
@@ -30,18 +28,18 @@ POSITION = (0x60E4, 1)
 LIVE = ((0x6040, 0), (0x607A, 0), POSITION, (0x2110, 1), (0x2110, 4))
 """Writable entries that are not parameters: `save` does not keep them."""
 COAST, QUICK_STOP_RAMP = 0, 2  # 605Eh
+U32 = 0xFFFFFFFF
+G_CM2_PER_KG_M2 = 1e7
 STOP_TIMEOUT_S = 0.5
 """After a ramp the shaft has this time to come to rest; then the power goes off."""
 
 
-class ServoDrive(Application):
+class ServoDrive(NodeDevice):
     """A drive, sans-I/O, that turns the motor of ``plant`` by the positions of a feedback module.
 
-    Attach the plant to the bus before the drive. With ``feedback`` RPDO4, the EMCY it listens to and the
-    scale are set up for that module, as defaults: a master may change them. The motor's rated torque and
-    inertia become 6076h and 2100:05. With ``motor_increments`` 6063h is the position of an encoder on the
-    motor with so many in a revolution, at the SYNC. ``autostart``, ``store`` and ``serial_number`` are
-    those of the encoder interface.
+    Attach the plant to the bus before the drive. ``feedback`` sets the defaults of RPDO4, of the EMCY it
+    listens to and of the scale, the motor those of 6076h and 2100:05. With ``motor_increments`` 6063h is the
+    position of an encoder on the motor with so many in a revolution, at the SYNC.
     """
 
     def __init__(
@@ -55,13 +53,11 @@ class ServoDrive(Application):
         serial_number: int = 0,
         motor_increments: int = 0,
     ) -> None:
-        if not 0 <= serial_number <= 0xFFFFFFFF:
-            raise ValueError(f"serial_number must be 0..4294967295, not {serial_number}")
-        self.dictionary = Dictionary.load(eds_path(EDS), node_id)
-        apply_defaults(self.dictionary, plant.motor.config, feedback, serial_number)
+        integer_in("serial_number", serial_number, 0, U32)
+        dictionary = Dictionary.load(eds_path(EDS), node_id)
+        apply_defaults(dictionary, plant.motor.config, feedback, serial_number)
+        super().__init__(dictionary, node_id, autostart=autostart, store=store, bit_rates_kbit_s=())
         self.plant = plant
-        self.node = Node(self.dictionary, node_id, self, autostart=autostart, store=store)
-        self.inhibited = self.node.inhibited
         self.feedback = FeedbackInput(self.dictionary)
         self.axis = Axis(self.dictionary, self.feedback)
         self.axis.motor_increments = motor_increments
@@ -86,10 +82,10 @@ class ServoDrive(Application):
         self._fault_option.on_check = _check_fault_option
         self.axis.on_mode = self._show
         for index, subindex in LIVE:
-            self.node.storage.entries.leave_out(index, subindex)
+            self.storage.entries.leave_out(index, subindex)
 
     @property
-    def state(self) -> State:
+    def power(self) -> State:
         """The state of the power drive system."""
         return self._machine.state
 
@@ -107,7 +103,7 @@ class ServoDrive(Application):
         """Power-on at ``now`` (seconds): the boot-up frame."""
         self._now = now
         self._received_s = self.time_base.at(now)
-        return self.node.start(now)
+        return super().start(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame from the bus; the frames to send."""
@@ -115,7 +111,7 @@ class ServoDrive(Application):
         self._received_s = self.time_base.received_at(frame, now)
         if not frame.rtr:
             self._overhear(frame, now)
-        return self.node.receive(frame, now)
+        return super().receive(frame, now)
 
     def tick(self, now: float) -> list[Frame]:
         """Do what is due at ``now``; the frames to send."""
@@ -125,21 +121,17 @@ class ServoDrive(Application):
         if due is not None and now >= due:
             self._fail(DriveError.SYNC_CONTROLLER, now)
             self._finish_reaction(now)  # a ramp needs the SYNC as well
-        return self.node.tick(now)
-
-    def sent(self, can_id: int, now: float) -> None:
-        """A frame with this CAN-ID has left at ``now``: inhibit times count from there."""
-        self.node.sent(can_id, now)
+        return super().tick(now)
 
     def deadline(self) -> float | None:
         """When :meth:`tick` is due next, None for not at all."""
-        times = [time for time in (self.node.deadline(), self._sync_due()) if time is not None]
+        times = [time for time in (super().deadline(), self._sync_due()) if time is not None]
         return min(times, default=None)
 
     def _overhear(self, frame: Frame, now: float) -> None:
         """EMCY and boot-up of the feedback module, which no RPDO brings."""
         cob_id = self._emergency_id.value
-        if not cob.is_valid(cob_id) or self.node.state is NmtState.STOPPED:
+        if not cob.is_valid(cob_id) or self.state is NmtState.STOPPED:
             return
         if frame.can_id == cob_id & cob.CAN_ID and len(frame.data) == 8:
             self.feedback.emergency(int.from_bytes(frame.data[:2], "little"))
@@ -159,7 +151,7 @@ class ServoDrive(Application):
         self._supervise(now)
         period_s = self.interval_s
         self._cycle.value = period_s
-        if period_s > 0.0 and self.state in POWERED:
+        if period_s > 0.0 and self.power in POWERED:
             self.axis.advance(period_s)
             self._end_stop(now)
         self._show()
@@ -171,12 +163,12 @@ class ServoDrive(Application):
             return
         period_s = self.interval_s
         used = self.feedback.take(
-            self.axis.scaling.largest_speed, period_s, supervised=self.state in SWITCHED_ON | POWERED
+            self.axis.scaling.largest_speed, period_s, supervised=self.power in SWITCHED_ON | POWERED
         )
         self._supervise(now)
         if used:
             self.axis.measure()
-        if used and period_s > 0.0 and self.state in POWERED:
+        if used and period_s > 0.0 and self.power in POWERED:
             self.plant.drive(self.axis.control(period_s), True, self._received_s)
             since_sync_s = self._received_s - (self._interval.last_s or self._received_s)
             self._dead.value = saturated(since_sync_s * 1e6, 32)
@@ -189,16 +181,16 @@ class ServoDrive(Application):
         wrong = self.feedback.wrong
         if not wrong:
             return
-        if self.state in SWITCHED_ON:
+        if self.power in SWITCHED_ON:
             position = wrong & (Wrong.RANGE | Wrong.STEP)
             self._fail(DriveError.POSITION_SENSOR if position else DriveError.INCREMENTAL_SENSOR, now)
-        elif self.state is State.FAULT_REACTION_ACTIVE:  # no ramp without a position
+        elif self.power is State.FAULT_REACTION_ACTIVE:  # no ramp without a position
             self._finish_reaction(now)
 
     def _fail(self, error: DriveError, now: float, *, announced: bool = False) -> None:
         """A fault: 603Fh, EMCY unless ``announced``, the reaction of 605Eh."""
         ramp = self._fault_option.value if error is DriveError.FOLLOWING_ERROR else 0
-        powered = self.state in POWERED
+        powered = self.power in POWERED
         if not self._machine.fail():
             return
         self._error.value = int(error)
@@ -216,20 +208,20 @@ class ServoDrive(Application):
         register = ErrorRegister.DEVICE_PROFILE
         if error in (DriveError.SYNC_CONTROLLER, DriveError.COMMUNICATION, DriveError.HEARTBEAT):
             register |= ErrorRegister.COMMUNICATION
-        self.node.emergency(error, register, detail, now)
+        self.emergency(error, register, detail, now)
 
     def _finish_reaction(self, now: float) -> None:
         self._switch(self._machine.reaction_done, now)
 
     def _end_stop(self, now: float) -> None:
         """After the ramp of a quick stop or a fault the power goes off."""
-        if self.state is State.OPERATION_ENABLED or not self.axis.ramp_is_over:
+        if self.power is State.OPERATION_ENABLED or not self.axis.ramp_is_over:
             return
         if self._stop_by_s is None:
             self._stop_by_s = self._received_s + STOP_TIMEOUT_S
         if not self.axis.stands_still and self._received_s < self._stop_by_s:
             return
-        if self.state is State.FAULT_REACTION_ACTIVE:
+        if self.power is State.FAULT_REACTION_ACTIVE:
             self._finish_reaction(now)
         else:
             self._switch(self._machine.quick_stop_done, now)
@@ -237,19 +229,19 @@ class ServoDrive(Application):
     def _controlled(self) -> None:
         """6040h was written."""
         controlword, now = self._controlword.value, self._now
-        before = self.state
+        before = self.power
         self._switch(lambda: self._machine.control(controlword, may_reset=not self.feedback.wrong), now)
-        if before is State.FAULT and self.state is not State.FAULT:
+        if before is State.FAULT and self.power is not State.FAULT:
             self._clear_error(now)
         self._supervise(now)
         self._show()
 
     def _switch(self, change: Callable[[], bool], now: float) -> None:
         """A change of the state, and what it does to the power."""
-        before = self.state
+        before = self.power
         if not change():
             return
-        after = self.state
+        after = self.power
         if after in SWITCHED_ON and before not in SWITCHED_ON:
             self._watched_from_s = now
         if after is State.QUICK_STOP_ACTIVE:
@@ -269,7 +261,7 @@ class ServoDrive(Application):
     def _clear_error(self, now: float) -> None:
         for error in DriveError:
             if error is not DriveError.NONE:
-                self.node.clear_emergency(error, now)
+                self.clear_emergency(error, now)
         self._error.value = int(DriveError.NONE)
 
     def communication_failed(self, now: float) -> None:
@@ -278,21 +270,22 @@ class ServoDrive(Application):
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
         """The feedback is lost with a change; the power goes off with the end of OPERATIONAL."""
+        super().state_changed(old, new, now, why)
         if new is NmtState.OPERATIONAL:
             self.feedback.lose()
             for number in self._events:
-                self.node.trigger_tpdo(number, now)
+                self.trigger_tpdo(number, now)
         elif old is NmtState.OPERATIONAL:
             self.feedback.lose()
             self._abort_connection(DriveError.COMMUNICATION, now)
-            if self.state in POWERED:  # no SYNC, no position: nothing may turn
+            if self.power in POWERED:  # no SYNC, no position: nothing may turn
                 self._switch(self._machine.disable_voltage, now)
         self._show()
 
     def _abort_connection(self, error: DriveError, now: float) -> None:
         """What 6007h says, to a drive that is switched on."""
         option = self._abort_option.value
-        if self.state not in SWITCHED_ON:
+        if self.power not in SWITCHED_ON:
             return
         if option == 1:
             self._fail(error, now, announced=error is DriveError.HEARTBEAT)
@@ -309,13 +302,13 @@ class ServoDrive(Application):
             self._machine.power_on()
             self._error.value = int(DriveError.NONE)
             self._power_off(now)
-        elif self.state is State.FAULT:
+        elif self.power is State.FAULT:
             self._announce(DriveError(self.error), now)
         self._show()
 
     def configuration_changed(self) -> None:
         """Which RPDO brings the position, and which TPDOs go out with an event."""
-        self._rpdo = self.node.rpdo_with(POSITION)
+        self._rpdo = self.rpdo_with(POSITION)
         self._events = [
             number
             for number in range(1, 5)
@@ -323,18 +316,11 @@ class ServoDrive(Application):
             and self.dictionary.entry(0x17FF + number, 2).value in EVENT_DRIVEN | {0}
         ]
 
-    def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
-        """Stored parameters were refused, or no longer are."""
-        if faults:
-            self.node.emergency(EmergencyCode.DATA_SET, ErrorRegister.GENERIC, bytes(sorted(faults))[:5], now)
-        else:
-            self.node.clear_emergency(EmergencyCode.DATA_SET, now)
-
     def _sync_due(self) -> float | None:
         """When a SYNC must have come, for a drive that is switched on."""
         timeout_ms = self._sync_timeout.value
-        watched = self.state in SWITCHED_ON or self.state is State.FAULT_REACTION_ACTIVE
-        if not timeout_ms or not watched or self.node.state is not NmtState.OPERATIONAL:
+        watched = self.power in SWITCHED_ON or self.power is State.FAULT_REACTION_ACTIVE
+        if not timeout_ms or not watched or self.state is not NmtState.OPERATIONAL:
             return None
         return self._watched_from_s + float(timeout_ms / 1000.0)
 
@@ -342,16 +328,16 @@ class ServoDrive(Application):
         """6041h, 6061h, 603Fh and 6077h; what has changed goes out."""
         before = self._statusword.value, self._shown_error
         mode_changed = self.axis.show_mode()
-        word = self.state.value | Status.VOLTAGE_ENABLED
-        if self.node.state is NmtState.OPERATIONAL:
+        word = self.power.value | Status.VOLTAGE_ENABLED
+        if self.state is NmtState.OPERATIONAL:
             word |= Status.REMOTE
-        word |= self.axis.status(self.state is State.OPERATION_ENABLED)
+        word |= self.axis.status(self.power is State.OPERATION_ENABLED)
         self._statusword.value = int(word)
         self._torque.value = self.axis.scaling.per_mille(self.plant.motor.torque_nm)
         self._shown_error = self.error
         if mode_changed or before != (self._statusword.value, self.error):
             for number in self._events:
-                self.node.trigger_tpdo(number, self._now)
+                self.trigger_tpdo(number, self._now)
 
 
 def _check_fault_option(value: int) -> None:
@@ -369,10 +355,6 @@ class DriveError(IntEnum):
     HEARTBEAT = 0x8130
     FOLLOWING_ERROR = 0x8611
     SYNC_CONTROLLER = 0x8700  # no SYNC
-
-
-U32 = 0xFFFFFFFF
-G_CM2_PER_KG_M2 = 1e7
 
 
 @dataclass(frozen=True, kw_only=True)

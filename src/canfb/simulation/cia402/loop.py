@@ -11,20 +11,31 @@ from dataclasses import dataclass
 
 
 class Trajectory:
-    """Position demand with its speed."""
+    """Position demand with its speed: straight lines between targets (cyclic synchronous position)."""
 
     def __init__(self) -> None:
-        self.position = 0.0
-        self.speed = 0.0
+        self.place(0.0)
 
     def place(self, position: float, speed: float = 0.0) -> None:
-        """Begin here."""
-        self.position = position
-        self.speed = speed
+        """Begin here, without a target."""
+        self.position, self.speed = position, speed
+        self.drop_target()
 
-    def hold(self) -> None:
-        """Stand still."""
-        self.speed = 0.0
+    def drop_target(self) -> None:
+        """There is no target."""
+        self._target, self._left = 0.0, 0
+
+    def set_target(self, position: float, syncs: int) -> None:
+        """A new target, to be reached in ``syncs`` SYNCs, 1 or more."""
+        self._target, self._left = position, syncs
+
+    def advance(self, period_s: float) -> None:
+        """One SYNC: go on to the target, or stand still."""
+        before, left = self.position, self._left
+        if left:
+            self.position = self._target if left == 1 else before + (self._target - before) / left
+            self._left -= 1
+        self.speed = (self.position - before) / period_s
 
     def brake(self, deceleration: float, period_s: float) -> bool:
         """Slow down; True when it stands still."""
@@ -36,35 +47,6 @@ class Trajectory:
         else:
             self.position += (before + self.speed) / 2.0 * period_s
         return self.speed == 0.0
-
-
-class Interpolation:
-    """Cyclic synchronous position: a straight line from target to target, over this many SYNCs."""
-
-    def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """There is no target yet."""
-        self._left = 0
-        self._target = 0.0
-
-    def set_target(self, position: float, syncs: int) -> None:
-        """A new target, to be reached in ``syncs`` SYNCs, 1 or more."""
-        self._target = position
-        self._left = syncs
-
-    def advance(self, trajectory: Trajectory, period_s: float) -> None:
-        """One SYNC."""
-        if not self._left:
-            trajectory.hold()
-            return
-        before = trajectory.position
-        trajectory.position = (
-            self._target if self._left == 1 else before + (self._target - before) / self._left
-        )
-        self._left -= 1
-        trajectory.speed = (trajectory.position - before) / period_s
 
 
 VELOCITY_BANDWIDTH = 0.2  # of 1 / period: what the delays of sampling, torque and difference leave
