@@ -42,6 +42,7 @@ from canfb.calibration.motion_blocks import (
     Blocks,
     ErrorCurve,
     ErrorHarmonic,
+    IntArray,
     about_mean,
     coverage,
     error_curve,
@@ -115,12 +116,10 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     sensitivity = table_sensitivity(fit.waveform, conditioning)
     spread = np.sqrt(_variance(sensitivity, fit.covariance))
     expected = root_mean(spread)
-    count = PARTS if len(blocks) >= PARTS * MIN_BLOCKS_OF_PART else 2
     parts = [
-        table_of(raw_phase_curve(part, conditioning), entries).entries
-        for part in _parts(record, blocks, fit, count)
+        table_of(raw_phase_curve(part, conditioning), entries).entries for part in _parts(record, blocks, fit)
     ]
-    measured = _measured_error(parts)
+    measured = measured_error(parts)
     tables = [CorrectionTable(np.mean(parts[odd::2], axis=0)) for odd in (0, 1)]
     change = _change(record, blocks, whole, fit, sensitivity, max(1.0, measured / expected))
     covariance = bound_covariance(blocks, record.sine, record.cosine, fit, fit.noise_counts)
@@ -151,12 +150,12 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
         noise_cycles=fit.noise_cycles,
         bound_rms=bound,
         cramer_rao_ratio=max(measured, change.rms) / bound,
-        cramer_rao_scatter=SCATTER if count == PARTS else SCATTER_OF_TWO,
+        cramer_rao_scatter=SCATTER if len(parts) == PARTS else SCATTER_OF_TWO,
         track_orders=fit.waveform.orders,
-        harmonics=_harmonics(fit.waveform, conditioning, origin_of(curve), expected),
+        harmonics=harmonics_of(fit.waveform, conditioning, origin_of(curve), expected),
         curve=curve_of_errors,
         block_samples=blocks.index.shape[1],
-        tracks=np.array(fit.waveform.tracks(grid_phases(TRACK_POINTS)[:-1] + origin_of(curve))),
+        tracks=mean_tracks_of(fit.waveform, curve),
     )
     return judge(found, loss)
 
@@ -176,10 +175,20 @@ def _systematic(curve: ErrorCurve, position: FloatArray, noise: float) -> float:
     return float(np.sqrt(max(0.0, excess)))
 
 
-def _parts(record: Recording, blocks: Blocks, fit: JointFit, count: int) -> list[Waveform]:
+def independent_parts(count: int) -> list[IntArray]:
+    """This many blocks, or cycles, dealt to parts."""
+    parts = PARTS if count >= PARTS * MIN_BLOCKS_OF_PART else 2
+    return [np.arange(first, count, parts) for first in range(parts)]
+
+
+def mean_tracks_of(waveform: Waveform, curve: FloatArray) -> FloatArray:
+    """At phases n/1024, phase 0 where ``curve``, that of :func:`.raw_phase_curve`, is 0."""
+    return np.array(waveform.tracks(grid_phases(TRACK_POINTS)[:-1] + origin_of(curve)))
+
+
+def _parts(record: Recording, blocks: Blocks, fit: JointFit) -> list[Waveform]:
     waveforms = []
-    for first in range(count):
-        part = np.arange(first, len(blocks), count)
+    for part in independent_parts(len(blocks)):
         one = fit_jointly(
             blocks.take(part),
             record.sine,
@@ -224,7 +233,7 @@ def _fit_of_part(
     return fit_jointly(kept, record.sine, record.cosine, fit.waveform, motion, rounds=6, noise=noise)
 
 
-def _measured_error(tables: list[FloatArray]) -> float:
+def measured_error(tables: list[FloatArray]) -> float:
     """Rms error of the mean of these independent tables, from how they scatter; mean of each taken off."""
     centred = np.array([table - table.mean() for table in tables])
     return float(np.sqrt(np.mean(np.var(centred, axis=0, ddof=1)) / len(tables)))
@@ -253,9 +262,10 @@ def _from_smooth(blocks: Blocks, phase: FloatArray, position: FloatArray) -> Flo
     return np.asarray(off - blocks.evaluate(blocks.smooth(off)), np.float64)
 
 
-def _harmonics(
+def harmonics_of(
     waveform: Waveform, conditioning: Conditioning, origin: float, expected: float
 ) -> tuple[ErrorHarmonic, ...]:
+    """Of the error of the conditioned arc tangent, beyond three times the ``expected`` one, cycles."""
     phase = grid_phases(1024)[:-1]
     s, c = conditioning.apply(*waveform.tracks(phase + origin))
     angle = np.unwrap(np.arctan2(s, c) / (2.0 * np.pi), period=1.0)

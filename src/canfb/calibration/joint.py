@@ -28,6 +28,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from canfb.calibration.motion_blocks import Blocks, BoolArray, solve_blocks
 from canfb.calibration.result import Reason
@@ -340,6 +341,14 @@ class Waveform:
                     moved[1 + 2 * place : 3 + 2 * place] = track[1 + 2 * old : 3 + 2 * old]
             parts.append(moved)
         return Waveform(orders, parts[0], parts[1])
+
+
+def series_of(spectrum: npt.NDArray[np.complex128], orders: tuple[int, ...]) -> Waveform:
+    """From the Fourier coefficients of order 0 and of these orders, shape (2, 1 + orders), sine first."""
+    parts = np.empty((2, 1 + 2 * len(orders)))
+    parts[:, 0] = spectrum[:, 0].real
+    parts[:, 1::2], parts[:, 2::2] = 2.0 * spectrum[:, 1:].real, -2.0 * spectrum[:, 1:].imag
+    return Waveform(orders, parts[0], parts[1])
 
 
 def grid_phases(points: int = GRID) -> FloatArray:

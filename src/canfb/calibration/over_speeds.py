@@ -24,8 +24,8 @@ import numpy as np
 
 from canfb.calibration.deviation import SIGNIFICANT, Drift, drift
 from canfb.calibration.ellipse import angle_cycles, fit_ellipse, with_track_harmonics
-from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.joint import Waveform, grid_phases, origin_of, raw_phase_curve, table_of
+from canfb.calibration.from_motion import calibrate_from_motion, mean_tracks_of
+from canfb.calibration.joint import Waveform, grid_phases, raw_phase_curve, series_of, table_of
 from canfb.calibration.path_fit import (
     ANGLE_REPEATS_RAD,
     MOST_OFF_CYCLES,
@@ -167,7 +167,7 @@ def at_standstill(found: Calibration, hertz: float, path: PathFit, entries: int)
     phases = grid_phases(TRACK_POINTS)[:-1]
     conditioning = fit_ellipse(*waveform.tracks(phases))
     curve = raw_phase_curve(waveform, conditioning)
-    tracks = np.array(waveform.tracks(phases + origin_of(curve)))
+    tracks = mean_tracks_of(waveform, curve)
     conditioning = with_track_harmonics(conditioning, tracks)
     conditioning = replace(conditioning, cosine_delay_s=float(np.float32(path.cosine_delay_s)))
     return replace(found, table=table_of(curve, entries), conditioning=conditioning, tracks=tracks)
@@ -182,10 +182,7 @@ def standing_waveform(
     at = spectrum[:, k]
     at[0] /= response(k * hertz, corners.corner_hz)
     at[1] /= response(k * hertz, corners.of_cosine_hz) * np.exp(2j * np.pi * k * hertz * cosine_delay_s)
-    parts = np.empty((2, 1 + 2 * len(k)))
-    parts[:, 0] = spectrum[:, 0].real
-    parts[:, 1::2], parts[:, 2::2] = 2.0 * at.real, -2.0 * at.imag
-    return Waveform(orders, parts[0], parts[1])
+    return series_of(np.column_stack([spectrum[:, 0], at]), orders)
 
 
 @dataclass(frozen=True, eq=False)
