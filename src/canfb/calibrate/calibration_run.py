@@ -392,9 +392,7 @@ def check_amplitude(measured: Measurement, limits: SampleLimits) -> None:
     """CommissioningError if the amplitude without the low-pass, which counts then, is out of limits."""
     if measured.over_speeds is None or not measured.over_speeds.after.corners.are_there:
         return
-    tracks = measured.calibration.tracks
-    assert tracks is not None
-    s, c = measured.calibration.conditioning.apply(*tracks)
+    s, c = measured.calibration.conditioning.apply(*measured.calibration.tracks)
     sizes = (s * s + c * c) ** 0.5
     low, high = float(sizes.min()), float(sizes.max())
     spare = SPARE_AMPLITUDE * (low + high) / 2.0

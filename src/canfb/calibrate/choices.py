@@ -221,25 +221,22 @@ _OF_THE_BUS = (
 )
 _OF_CSV = ("columns", "mid_scale", "scale", "time_column")
 _OF_THE_FILE = (*_OF_CSV, "table", "cycles_per_revolution")
+_NOT_AT_SPEEDS = ("check", "method", "source", "conditioning")
 
 
 def refuse_combinations(choices: CalibrateOptions, refuse: Refuse, bus_words: Sequence[str]) -> None:
     """ConfigError for an option that would do nothing; ``bus_words`` are the options of the bus itself."""
-    if choices.samples is not None:
-        words = (*_OF_THE_BUS, *bus_words)
-        refuse(words, "not with --samples, which needs no bus and writes to no module")
-        if choices.samples.suffix == ".npz":
-            refuse(_OF_CSV, f"only for CSV, not for {choices.samples.name}")
-    else:
-        refuse(["table"], "only with --samples; over the bus the table is read from the module")
-        refuse(_OF_THE_FILE, "only with --samples, which it describes")
-    if choices.check:
-        refuse(("dry_run", "save"), "not with --check, which writes nothing")
-    elif choices.dry_run:
-        refuse(["save"], "not with --dry-run, which writes nothing")
-    if choices.samples_from != "recording":
-        refuse(["recorder"], "only with --source recording")
-    if choices.speeds is None:
-        refuse(("delay", "wait"), "only with --speeds")
-    else:
-        refuse(("check", "method", "source", "conditioning"), "not with --speeds, which measures by motion")
+    file, at_speeds = choices.samples, choices.speeds is not None
+    for applies, words, why in (
+        (file, (*_OF_THE_BUS, *bus_words), "not with --samples, which needs no bus and writes to no module"),
+        (file and file.suffix == ".npz", _OF_CSV, f"only for CSV, not for {file and file.name}"),
+        (not file, ["table"], "only with --samples; over the bus the table is read from the module"),
+        (not file, _OF_THE_FILE, "only with --samples, which it describes"),
+        (choices.check, ("dry_run", "save"), "not with --check, which writes nothing"),
+        (choices.dry_run, ["save"], "not with --dry-run, which writes nothing"),
+        (choices.samples_from != RECORDING, ["recorder"], "only with --source recording"),
+        (not at_speeds, ("delay", "wait"), "only with --speeds"),
+        (at_speeds, _NOT_AT_SPEEDS, "not with --speeds, which measures by motion"),
+    ):
+        if applies:
+            refuse(words, why)

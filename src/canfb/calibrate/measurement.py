@@ -274,7 +274,7 @@ def _compared(fresh: Calibration, active: Correction, on_samples: Deviation) -> 
 
 
 def _change(fresh: Calibration, active: Conditioning) -> EllipseChange | None:
-    if fresh.tracks is None or (active.sine_gain == active.cosine_gain == 1.0 and not active.phase_error_rad):
+    if active.sine_gain == active.cosine_gain == 1.0 and not active.phase_error_rad:
         return None
     now = fit_ellipse(*fresh.tracks)
     s, c = now.apply(*fresh.tracks)

@@ -191,9 +191,8 @@ def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Condi
     """Drift of the encoder measured by ``fresh`` from ``table`` and ``conditioning``.
 
     ``table`` and ``conditioning`` are the active ones; None is the identity. The constant part of
-    the difference is removed, because the origin of the phase is a convention. If the conditionings
-    differ, the phases that both give are compared on the tracks themselves. ValueError if ``fresh``
-    has another conditioning and no ``tracks``, TypeError for arguments of another type.
+    the difference is removed, because the origin of the phase is a convention; the phases that both give are
+    compared on the tracks. TypeError for arguments of another type.
     """
     check_table(table)
     if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning):
@@ -202,27 +201,11 @@ def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Condi
             f"{type(fresh).__name__}, {type(table).__name__} and {type(conditioning).__name__}"
         )
     active = CorrectionTable.identity() if table is None else table
-    if conditioning == fresh.conditioning:
-        knots = [np.arange(len(one) + 1) / len(one) for one in (active, fresh.table)]
-        raw = np.unique(np.concatenate(knots))
-        return _compared(active(raw), fresh.table(raw))
-    if fresh.tracks is None:
-        raise ValueError(
-            "the conditionings differ and the new measurement has no tracks: "
-            "measure again with the active conditioning"
-        )
     sine, cosine = np.append(fresh.tracks, fresh.tracks[:, :1], axis=1)
-    return _compared(
-        active(raw_phases(*conditioning.apply(sine, cosine))),
-        fresh.table(raw_phases(*fresh.conditioning.apply(sine, cosine))),
-    )
-
-
-def _compared(active: FloatArray, fresh: FloatArray) -> Drift:
-    """Two phases of the same places, once around; straight between the places."""
-    moved = np.abs(wrap(np.diff(fresh)))
+    now = fresh.table(raw_phases(*fresh.conditioning.apply(sine, cosine)))
+    moved = np.abs(wrap(np.diff(now)))
     weights = (np.append(moved, 0.0) + np.append(0.0, moved)) / 2.0
-    off = active - fresh
+    off = active(raw_phases(*conditioning.apply(sine, cosine))) - now
     nowhere = np.isnan(off)  # the tracks as conditioned go through zero: no phase at all
     off[nowhere] = 0.0
     off = about_mean(off, weights=weights)

@@ -94,7 +94,7 @@ def calibrate_from_motion(
     solution = Solver(record, ellipse, amplitude, report).solve(angle)
     report(0.8)
     result = finish(record, solution, chosen, entries)
-    if conditioning == "fit" and result.tracks is not None:
+    if conditioning == "fit":
         result = replace(result, conditioning=with_track_harmonics(result.conditioning, result.tracks))
     report(1.0)
     return result

@@ -37,7 +37,7 @@ from canfb.calibration.path_fit import (
     fit_path,
     response,
 )
-from canfb.calibration.recording import Recording, recording, with_time
+from canfb.calibration.recording import NO_TIME, SECONDS_PER_TICK, Recording, recorded_tracks, recording
 from canfb.calibration.result import TRACK_POINTS, Calibration, Reason, changed, naming_speed
 from canfb.calibration.solver import Progress, no_progress
 from canfb.errors import CalibrationError
@@ -162,7 +162,6 @@ def measured_at_standstill(
 
 def at_standstill(found: Calibration, hertz: float, path: PathFit, entries: int) -> Calibration:
     """``found`` at this speed, as it is at standstill: the path taken out of the mean tracks."""
-    assert found.tracks is not None
     waveform = standing_waveform(found.tracks, found.track_orders, hertz, path.cosine_delay_s, path.corners)
     phases = grid_phases(TRACK_POINTS)[:-1]
     conditioning = fit_ellipse(*waveform.tracks(phases))
@@ -241,7 +240,6 @@ class _AtSpeed:
     @property
     def fundamental(self) -> Fundamental:
         found = self.calibration
-        assert found.tracks is not None
         sine, cosine = (complex(one) for one in np.fft.rfft(found.tracks, axis=1)[:, 1] / TRACK_POINTS)
         mean = float(np.sqrt(abs(sine) * abs(cosine))) * 2.0
         return Fundamental(
@@ -293,23 +291,27 @@ def sampled_together(record: Recording, turned_rad: FloatArray) -> FloatArray:
     return np.where(record.clipped, cosine, inside)
 
 
-def recorded_together(
-    sine: FloatArray,
-    cosine: FloatArray,
-    time_s: FloatArray | None,
-    adc_bits: int,
-    turned: bytes,
-    times: bytes | None,
-) -> FloatArray:
-    """:func:`sampled_together` for :func:`recorded_tracks`, or with ``times`` for :func:`timed_tracks`.
+def tracks_of_job(
+    data: bytes, times: bytes | None, turned: bytes | None, adc_bits: int
+) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """Both tracks, as if sampled at once, and their times in seconds, None: equidistant.
 
-    ``turned`` is d of each sample, REAL32 of this machine.
+    ``data`` as for :func:`.recorded_tracks`; ``times`` in units of 100 ns, INTEGER64, NO_TIME: no sample;
+    ``turned`` is d of each sample, REAL32. All of one length and of this machine. CalibrationError if the
+    samples are on no ellipse.
     """
-    turned_rad = np.frombuffer(turned, np.float32).astype(np.float64)
+    sine, cosine = recorded_tracks(data)
+    turned_rad = np.frombuffer(turned, np.float32).astype(np.float64) if turned else np.zeros(len(sine))
+    time_s = None
     if times is not None:
-        turned_rad = turned_rad[with_time(times)]
-    record = recording(sine, cosine, time_s, None, adc_bits, may_be_offset=True)
-    return np.where(np.isnan(cosine), np.nan, sampled_together(record, turned_rad))
+        ticks = np.frombuffer(times, np.int64)
+        known = ticks != NO_TIME
+        sine, cosine, turned_rad = sine[known], cosine[known], turned_rad[known]
+        time_s = ticks[known] * SECONDS_PER_TICK
+    if turned is not None:
+        record = recording(sine, cosine, time_s, None, adc_bits, may_be_offset=True)
+        cosine = np.where(np.isnan(cosine), np.nan, sampled_together(record, turned_rad))
+    return sine, cosine, time_s
 
 
 def mean_speed(record: Recording, near_cycles: float) -> float:

@@ -137,25 +137,6 @@ def recorded_tracks(data: bytes) -> tuple[FloatArray, FloatArray]:
     return counts[:, 0].copy(), counts[:, 1].copy()
 
 
-def timed_tracks(data: bytes, times: bytes) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """:func:`recorded_tracks` with sample times in seconds, those samples alone that have one.
-
-    ``times`` in units of 100 ns, INTEGER64 of this machine, NO_TIME for none. ValueError unless
-    there is one for each sample.
-    """
-    ticks = np.frombuffer(times, np.int64)
-    known = with_time(times)
-    sine, cosine = recorded_tracks(data)
-    if len(ticks) != len(sine):
-        raise ValueError(f"{len(sine)} samples have {len(ticks)} times")
-    return sine[known], cosine[known], np.asarray(ticks[known] * SECONDS_PER_TICK, np.float64)
-
-
-def with_time(times: bytes) -> BoolArray:
-    """Which samples have a time, ``times`` as for :func:`timed_tracks`."""
-    return np.asarray(np.frombuffer(times, np.int64) != NO_TIME, np.bool_)
-
-
 def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | None) -> BoolArray:
     if not usable.any():
         return usable

@@ -107,8 +107,7 @@ class Calibration:
     harmonics        of the error of the conditioned arc tangent, largest first
     curve            deviation over the phase, before and after
     block_samples    samples over which the motion was assumed to be smooth
-    tracks           mean tracks, raw ADC counts, sine above cosine, at phases n/1024;
-                     None if unknown
+    tracks           mean tracks, raw ADC counts, sine above cosine, at phases n/1024
     """
 
     table: CorrectionTable
@@ -135,7 +134,7 @@ class Calibration:
     harmonics: tuple[ErrorHarmonic, ...] = ()
     curve: ErrorCurve
     block_samples: int
-    tracks: FloatArray | None = None
+    tracks: FloatArray
 
     def __post_init__(self) -> None:
         # So that the table alone is not used without the conditioning by mistake.

@@ -17,8 +17,8 @@ from canfb.calibration.deviation import Drift, drift
 from canfb.calibration.ellipse import without_harmonics
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.motion_blocks import BINS, covered
-from canfb.calibration.over_speeds import counts_at, recorded_together
-from canfb.calibration.recording import NO_TIME, recorded_tracks, timed_tracks
+from canfb.calibration.over_speeds import counts_at, tracks_of_job
+from canfb.calibration.recording import NO_TIME
 from canfb.calibration.result import Calibration, Reason
 from canfb.calibration.solver import no_progress
 from canfb.cia301.codes import AbortCode, SdoAbort
@@ -66,14 +66,8 @@ class CalibrationJob:
 
     def __call__(self, progress: Callable[[float], None] = no_progress) -> Outcome:
         """Table and conditioning; ``progress`` is called with 0..1."""
-        sine, cosine, time_s = (
-            (*recorded_tracks(self.samples), None)
-            if self.times is None
-            else timed_tracks(self.samples, self.times)
-        )
         try:
-            if self.turned is not None:
-                cosine = recorded_together(sine, cosine, time_s, self.adc_bits, self.turned, self.times)
+            sine, cosine, time_s = tracks_of_job(self.samples, self.times, self.turned, self.adc_bits)
             found = calibrate_from_motion(
                 sine, cosine, "fit", time_s=time_s, adc_bits=self.adc_bits, progress=progress
             )
