@@ -1,8 +1,7 @@
 """Samples of a machine in its duty, followed by the chain of the module; or why they cannot be.
 
-Samples leave the speed open by whole cycles per interval; the speed that the module reports meanwhile
-(2011:07) closes that. The chain, with the limits in force, is started with the speed of the first two samples
-that is nearest to it, and again, by whole cycles per interval faster or slower, until the speeds agree.
+Samples leave the speed open by whole cycles per interval; the speeds that the module reports meanwhile
+(2011:07) close that, and with them the chain is started, with the limits in force.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.samples_through_chain import SupervisedSamples, supervise
+from canfb.calibration.following import positions
 from canfb.calibration.motion_blocks import about_mean
 from canfb.commission.limit_choice import corner_choice
 from canfb.commission.machine_figures import (
@@ -29,13 +29,13 @@ from canfb.master.samples import TrackSamples
 from canfb.master.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray, raw_phases
+from canfb.signal.supervision import LOST
 from canfb.signal.witness.coarse import CoarseTrack
 
 LEAST_SAMPLES = 2000
 MOST_FLAGGED = 0.01
 LEAST_TURNED_CYCLES, LEAST_MOVING = 4.0, 0.01
 AGREES_CYCLES = 0.3
-ROUNDS = 3
 WIDEST_AMPLITUDE = 65535
 MOST_DIFFERENCE = 0.25  # of the coarse track, revolutions
 
@@ -113,53 +113,33 @@ def _follow(
     readings: Sequence[SpeedReading],
     interval_s: float,
 ) -> tuple[float, SupervisedSamples]:
-    if not readings:
+    """Speed at the first sample, cycles per interval, and the samples from there on."""
+    raw = raw_phases(*used.conditioning.apply(samples.sine, samples.cosine))
+    phase = raw if used.table is None else used.table(raw)
+    even = np.arange(float(len(samples)))
+    time = even if samples.time_s is None else samples.time_s / interval_s
+    place = positions(phase, time, samples.time_s is not None, np.zeros(0, np.int64))
+    speed = np.diff(place) / np.diff(time)
+    to_cycles = limits.cycles_per_revolution * interval_s / (2.0 * math.pi)
+    apart = [
+        one.rad_per_s * to_cycles - speed[min(max(round(one.at), 0), len(speed) - 1)] for one in readings
+    ]
+    known = [one for one in apart if math.isfinite(one)]
+    if not known:
         raise CommissioningError(
             "the module did not say its speed (2011:07) meanwhile: set a longer --seconds"
         )
-    to_cycles = limits.cycles_per_revolution * interval_s / (2.0 * math.pi)
-    speed = _near(readings[0].rad_per_s * to_cycles, samples, used, interval_s)
-    for _ in range(ROUNDS):
-        followed = supervise(samples, used, limits.chain_limits(interval_s), speed)
-        off = _off(followed, readings, to_cycles)
-        if abs(off) <= AGREES_CYCLES:
-            return speed, followed
-        if not math.isfinite(off):
-            break
-        speed += round(off)
+    off = float(np.median(known))
+    start = float(speed[np.flatnonzero(np.isfinite(speed))[0]]) + round(off)
+    followed = supervise(samples, used, limits.chain_limits(interval_s), start)
+    if abs(off - round(off)) <= AGREES_CYCLES and not followed.status[-1] & LOST:
+        return start, followed
     missed = f"; {samples.missed} samples did not come" if samples.missed else ""
     raise CommissioningError(
         f"the position is lost in the samples ({in_words(followed.flagged) or 'none flagged'}{missed}): the "
         "machine accelerates by more than the residual limit, or samples are lost; increase the SYNC rate, "
         "or let it move more slowly"
     )
-
-
-def _near(speed: float, samples: TrackSamples, used: Correction, interval_s: float) -> float:
-    """The speed of the first two samples in a row that is nearest to this one, cycles per interval."""
-    at = np.flatnonzero(np.isfinite(samples.sine[1:]) & np.isfinite(samples.sine[:-1]))
-    if not len(at):
-        return speed
-    pair = slice(int(at[0]), int(at[0]) + 2)
-    raw = raw_phases(*used.conditioning.apply(samples.sine[pair], samples.cosine[pair]))
-    phase = raw if used.table is None else used.table.correct_array(raw)
-    elapsed = 1.0 if samples.time_s is None else float(np.diff(samples.time_s[pair])[0]) / interval_s
-    part = float(phase[1] - phase[0])
-    if not math.isfinite(part) or elapsed <= 0.0:
-        return speed
-    return (part + round(speed * elapsed - part)) / elapsed
-
-
-def _off(followed: SupervisedSamples, readings: Sequence[SpeedReading], to_cycles: float) -> float:
-    """By how much the speed of the readings differs, cycles per interval; NaN where none is known."""
-    speed = followed.speed
-    apart = [
-        reading.rad_per_s * to_cycles - speed[min(max(round(reading.at), 0), len(speed) - 1)]
-        for reading in readings
-        if len(speed)
-    ]
-    known = [one for one in apart if math.isfinite(one)]
-    return float(np.median(known)) if known else math.nan
 
 
 def _coarse(
