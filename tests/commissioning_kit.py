@@ -19,9 +19,8 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, Harmonic, ShaftEncoder
-from canfb.simulation.motion import Motion, Ripple
+from canfb.simulation.motion import Motion, MotionSource, Ripple
 from canfb.simulation.sync_producer import REGULAR, SyncProducer, SyncTiming
-from canfb.sources.motion_source import MotionSource
 from tools.soak import embedded_master
 
 MODULE_ID, INTERFACE_ID = 0x20, 0x10

@@ -16,10 +16,9 @@ from canfb.monitoring.snapshot import ModuleSnapshot
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import ShaftEncoder, demo_encoder
-from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.motion import Motion, MotionSource, Ramp
 from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.sync_producer import SyncProducer
-from canfb.sources.motion_source import MotionSource
 
 BIT_RATE = 1_000_000
 NODE, INTERFACE = 0x20, 0x10

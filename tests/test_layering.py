@@ -79,9 +79,9 @@ ALLOWED: dict[str, set[str]] = {
     "__main__": {"cli"},
 }  # fmt: skip
 
-# What runs a source must not care which: a new kind is one file in sources/. The machine of the simulation
-# is a source, and a recording is what calibrate and simulate play.
-MAY_NAME_A_KIND = {"simulation", "demo", "calibrate", "cli"}
+# What runs a source must not care which: a new kind is one file in sources/. A recording is what calibrate
+# and simulate play.
+MAY_NAME_A_KIND = {"simulation", "calibrate", "cli"}
 
 # What each part may import of other packages. canopen reads the EDS for the device, and is the master of
 # the demo and of the tools; python-can has the words of the command line, and argcomplete completes them;

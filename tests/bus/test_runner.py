@@ -20,9 +20,8 @@ from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion
+from canfb.simulation.motion import Motion, MotionSource
 from canfb.simulation.sync_producer import SyncProducer
-from canfb.sources.motion_source import MotionSource
 from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 WALL_S = 1.8e9  # the time of day minus the clock of the runner

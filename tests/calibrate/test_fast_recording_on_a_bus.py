@@ -14,8 +14,7 @@ from canfb.cli.progress import Progress
 from canfb.configuration import Config
 from canfb.master.all_or_nothing import Guard
 from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, Ramp
-from canfb.sources.motion_source import MotionSource
+from canfb.simulation.motion import Motion, MotionSource, Ramp
 from commissioning_kit import CYCLES, RATE_HZ, Bench, random_encoder
 
 

@@ -12,8 +12,8 @@ from canfb.cli.main import build_parser, main
 from canfb.cli.simulate import chosen
 from canfb.configuration import load_config
 from canfb.signal.sample import Sample
+from canfb.simulation.motion import MotionSource
 from canfb.simulation.set_up import source_of
-from canfb.sources.motion_source import MotionSource
 from canfb.sources.recording_source import RecordingSource
 
 CHANNEL = "canfb-simulate"

@@ -8,8 +8,8 @@ from canfb.configuration import Config, parse_config
 from canfb.hosting.simulating import fed_module
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.motion import MotionSource
 from canfb.simulation.set_up import Play, SimulatedNetwork, set_up
-from canfb.sources.motion_source import MotionSource
 
 RATE_HZ = 1000.0
 # 2400 rad/s^2: three times what one sample for each SYNC follows.

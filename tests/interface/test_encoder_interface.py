@@ -14,8 +14,7 @@ from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion
-from canfb.sources.motion_source import MotionSource
+from canfb.simulation.motion import Motion, MotionSource
 from canfb.sources.protocol import SourceEnded
 
 NODE, TPDO1 = 16, 0x190

@@ -82,4 +82,4 @@ def test_the_keys_are_read_and_go_where_they_belong() -> None:
     clock = simulation.sample_clock()
     assert (clock.ticks(1.0) - clock.ticks(0.0)) % (1 << 32) == pytest.approx(10_001_000, abs=1)
     assert clock.ticks(0.0) != 0, "nobody knows where it starts"
-    assert simulation.aperture_jitter_s == pytest.approx(20e-9)
+    assert simulation.aperture_jitter_ns * 1e-9 == pytest.approx(20e-9)

@@ -18,9 +18,8 @@ from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.motion import Motion, MotionSource, Ramp, Ripple
 from canfb.simulation.sync_producer import SyncProducer
-from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
 
 NODE = 16

@@ -19,8 +19,8 @@ from canfb.signal.sample import Sample
 from canfb.signal.starts import START_SAMPLES
 from canfb.signal.supervision import COASTING, MISSED, VALID
 from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, Ramp
-from canfb.sources.motion_source import MotionSource, MotionSourceConfig
+from canfb.simulation.motion import Motion, MotionSource, Ramp
+from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import SourceEnded, SourceError
 
 NODE = 32

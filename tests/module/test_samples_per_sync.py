@@ -17,7 +17,7 @@ from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.sources.motion_source import MotionSource
+from canfb.simulation.motion import MotionSource
 from folding import each
 from servo_kit import IDEAL_TABLE, s_curve
 

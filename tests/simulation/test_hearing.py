@@ -16,9 +16,8 @@ from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_instants import TRUE_TIME, SampleClock
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.motion import Motion, MotionSource, Ramp
 from canfb.simulation.set_up import SlowMotion, simulated_axis, sync_rate
-from canfb.sources.motion_source import MotionSource
 
 NODE, TPDO1 = 16, 0x190
 SYNC = Frame(0x80, b"")

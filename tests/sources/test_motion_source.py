@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, Ramp, Ripple
-from canfb.sources.motion_source import MotionSource
+from canfb.simulation.motion import Motion, MotionSource, Ramp, Ripple
 
 MOTION = Motion((Ramp(0.1, 0.0), Ramp(1.0, -700.0), Ramp(2.0, 900.0)), (Ripple(20.0, 3.0),))
 

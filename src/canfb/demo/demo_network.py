@@ -17,10 +17,9 @@ from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder, demo_encoder
-from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.motion import Motion, MotionSource, Ramp, Ripple, ShaftMotion
 from canfb.simulation.set_up import SampleRecorder
 from canfb.simulation.sync_producer import Drive, SyncTiming
-from canfb.sources.motion_source import MotionSource, ShaftMotion
 
 
 class EmbeddedNetwork(canopen.Network):

@@ -9,8 +9,8 @@ from canfb.errors import reason
 from canfb.hosting.realtime import RealtimeThread
 from canfb.hosting.state_files import Closing
 from canfb.signal.sample import Sample
-from canfb.sources.even_scans import NewestScan
-from canfb.sources.protocol import Capture, Picked, SourceError
+from canfb.sources.even_scans import EvenScans, NewestScan
+from canfb.sources.protocol import Capture, SourceError
 
 REOPEN_S = 1.0
 CLOSE_S = 5.0
@@ -28,7 +28,7 @@ class CapturedSource(Closing):
         opened: Callable[[], Capture],
         name: str,
         wait_s: float,
-        picked: Picked | None = None,
+        picked: EvenScans | NewestScan | None = None,
         *,
         reopen_s: float = REOPEN_S,
     ) -> None:
@@ -38,7 +38,7 @@ class CapturedSource(Closing):
         self._changed = threading.Condition()
         # All of these under the condition.
         self._capture: Capture | None = opened()
-        self._picked = NewestScan() if picked is None else picked
+        self._picked = picked or NewestScan()
         self._trouble = ""
         self.scans = 0
         """Scans that have come, those included that no SYNC took."""

@@ -40,7 +40,7 @@ from canfb.module.events import NodeEvents
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.simulation.scenario import SimulationConfig
-from canfb.sources.protocol import Capture, Converter, Picked, Source, SourceConfig, Surroundings
+from canfb.sources.protocol import Converter, Source, SourceConfig, Surroundings
 
 
 def check_machine(path: Path, config: Config) -> None:
@@ -252,8 +252,8 @@ def open_source(
     ``resources`` closes it. CanfbError for one that cannot be used.
     """
 
-    def captured(opened: Callable[[], Capture], name: str, wait_s: float, picked: Picked | None) -> Source:
-        return resources.enter_context(CapturedSource(opened, name, wait_s, picked))
+    def captured(*opening: Any) -> Source:
+        return resources.enter_context(CapturedSource(*opening))
 
     around = Surroundings(config.adc_bits, config.cycles_per_revolution, simulation, captured, resources)
     source = settings.open(around)

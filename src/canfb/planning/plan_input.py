@@ -216,7 +216,7 @@ def plan_input_of(config: Config, modules: Iterable[DeviceConfiguration], option
             phase_cycles=options.phase_error_cycles,
         ),
         jitter_s=_first(options.jitter_us, jitter_us) * 1e-6,
-        aperture_s=CUT_OFF * simulation.aperture_jitter_s,
+        aperture_s=CUT_OFF * simulation.aperture_jitter_ns * 1e-9,
         extra_load=_first(options.extra_load, simulation.bus_load),
         heartbeat_s=(options.heartbeat_ms or 0.0) * 1e-3,
         others=_others(config),

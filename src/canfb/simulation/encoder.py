@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -12,7 +13,9 @@ import numpy.typing as npt
 from canfb.checks import integer_in
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
-from canfb.sources.motion_source import RevolutionsAt
+
+RevolutionsAt = Callable[[float], float]
+"""Position of the shaft in revolutions as a function of its time in seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,13 +5,24 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.signal.phase import FloatArray
-from canfb.sources.motion_source import ShaftMotion
+from canfb.signal.sample import Sample
+from canfb.simulation.encoder import ShaftEncoder
+
+
+class ShaftMotion(Protocol):
+    """Position of a shaft over time, revolutions."""
+
+    def revolutions(self, time_s: float) -> float:
+        """Position at ``time_s``."""
+
+    def revolutions_at(self, times_s: FloatArray) -> FloatArray:
+        """Positions at these times."""
 
 
 class PiecewiseCubic:
@@ -171,3 +182,44 @@ class StoppableMotion:
     def revolutions_at(self, times_s: FloatArray) -> FloatArray:
         """:meth:`revolutions` for an array of times."""
         return self._motion.revolutions_at(self._own_time.at(times_s))
+
+
+class MotionSource:
+    """An encoder on a machine that moves, whether it is sampled or not; its motion is a function of time.
+
+    :meth:`sample_at` samples at a true time; the motion begins with the first one, or with the first
+    recording. :meth:`next` is for a module that samples itself: one ``interval_s`` passes with every sample.
+    """
+
+    def __init__(self, shaft: ShaftEncoder, motion: ShaftMotion, interval_s: float) -> None:
+        self._shaft = shaft
+        self.motion = motion
+        self._interval_s = interval_s
+        self._count = 0
+        self._start_s: float | None = None
+
+    @property
+    def position_cycles(self) -> float:
+        """True position of the last sample, cycles."""
+        return self._shaft.position_cycles
+
+    def machine_time(self, now: float) -> float:
+        """The time of the motion, seconds, at the time ``now`` of the node."""
+        if self._start_s is None:
+            self._start_s = now
+        return max(0.0, now - self._start_s)
+
+    def fast_samples(self, times_s: FloatArray, seed: tuple[int, int]) -> npt.NDArray[np.int16]:
+        """Both tracks at these times of the motion, shape (n, 2), in ADC counts."""
+        return self._shaft.fast_samples(self.motion.revolutions_at(times_s), seed)
+
+    def sample_at(self, now: float) -> Sample:
+        """The sample at the true time ``now`` of the node, seconds."""
+        return self._shaft.sample(self.machine_time(now), self.motion.revolutions)
+
+    def next(self) -> Sample:
+        """The sample one interval after the one before: both tracks alone."""
+        time_s = self._count * self._interval_s
+        self._count += 1
+        sine, cosine, *_ = self._shaft.sample(time_s, self.motion.revolutions)
+        return Sample(sine, cosine)

@@ -9,9 +9,8 @@ from canfb.checks import within
 from canfb.interface.sample_instants import LARGEST_DRIFT_PPM, SampleClock
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, ShaftEncoder
-from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.motion import Motion, MotionSource, Ramp, Ripple, StoppableMotion
 from canfb.simulation.sync_producer import SyncTiming
-from canfb.sources.motion_source import MotionSource
 
 PACES = ("time", "sync")
 
@@ -177,15 +176,15 @@ class SimulationConfig(SyncTiming):
         if self.pace not in PACES:
             raise ValueError(f"pace must be {' or '.join(PACES)}, not {self.pace!r}")
 
-    @property
-    def aperture_jitter_s(self) -> float:
-        """:attr:`aperture_jitter_ns` in seconds."""
-        return self.aperture_jitter_ns * 1e-9
-
     def source(self, adc_bits: int, cycles_per_revolution: int, interval_s: float) -> MotionSource:
-        """The encoder on its machine, sampled once every ``interval_s`` seconds, at the exact instant."""
-        shaft = ShaftEncoder(self.encoder.encoder(adc_bits), cycles_per_revolution, self.seed)
-        return MotionSource(shaft, self.motion.motion(), interval_s)
+        """The encoder on its machine, sampled once every ``interval_s`` seconds."""
+        motion = StoppableMotion(self.motion.motion(), self.motion.ramp_s)
+        return MotionSource(self.shaft(adc_bits, cycles_per_revolution), motion, interval_s)
+
+    def shaft(self, adc_bits: int, cycles_per_revolution: int) -> ShaftEncoder:
+        """The encoder on a shaft."""
+        encoder = self.encoder.encoder(adc_bits)
+        return ShaftEncoder(encoder, cycles_per_revolution, self.seed, self.aperture_jitter_ns * 1e-9)
 
     def sample_clock(self) -> SampleClock:
         """The clock of the interface; what it shows at the start is arbitrary."""

@@ -28,8 +28,7 @@ from canfb.signal.phase import FloatArray
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Coupling, Motor, MotorConfig, Plant, PlantSource
 from canfb.simulation.demand import MotionDemand, of_drive, of_motion, of_recording
-from canfb.simulation.encoder import ShaftEncoder
-from canfb.simulation.motion import StoppableMotion
+from canfb.simulation.motion import MotionSource, StoppableMotion
 from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.sync_producer import (
     IN_SLOW_MOTION,
@@ -37,7 +36,6 @@ from canfb.simulation.sync_producer import (
     SilentDevice,
     WatchedSyncProducer,
 )
-from canfb.sources.motion_source import MotionSource
 from canfb.sources.protocol import Source
 from canfb.sources.recording_source import RecordingLayout, RecordingSource, open_recording
 
@@ -115,15 +113,8 @@ def simulated_axis(
         raise ConfigError("drive: the module whose position the drive uses has no node_id (255)")
     plant = Plant(Motor(settings, settings.start_revolutions))
     chain = module.chain
-    encoder = simulation.encoder.encoder(chain.adc_bits)
-    source = PlantSource(
-        encoder,
-        plant,
-        chain.cycles_per_revolution,
-        simulation.seed,
-        simulation.aperture_jitter_s,
-        Coupling(settings.slip_revolutions, settings.slip_at_s),
-    )
+    shaft = simulation.shaft(chain.adc_bits, chain.cycles_per_revolution)
+    source = PlantSource(shaft, plant, Coupling(settings.slip_revolutions, settings.slip_at_s))
     link = FeedbackModuleLink(
         node_id=module.node_id,
         increments_per_revolution=module.increments_per_revolution,
@@ -227,7 +218,7 @@ class MachineSwitch:
     def __init__(self, interface: EncoderInterface) -> None:
         entry, source = interface.dictionary.entry(*od.INTERFACE_MACHINE), interface.source
         self._source = source if isinstance(source, MotionSource) else None
-        motion = None if self._source is None else self._source.motion
+        motion = getattr(source, "motion", None)
         self._motion = motion if isinstance(motion, StoppableMotion) else None
         self._entry, self._now = entry, interface.machine_now
         entry.on_check = self._check
@@ -258,7 +249,7 @@ class Play:
     autostart: bool = False
     recorded: bool = False
     file: str | None = None
-    layout: RecordingLayout = field(default_factory=lambda: RecordingLayout(("sine", "cosine")))
+    layout: RecordingLayout = field(default_factory=RecordingLayout)
 
 
 @dataclass(frozen=True)
@@ -335,15 +326,7 @@ def source_of(simulation: SimulationConfig, module: FedModule, play: Play) -> So
             paced=play.rate_hz is not None,
         )
         return open_recording(play.file, layout)
-    chain = module.chain
-    shaft = ShaftEncoder(
-        simulation.encoder.encoder(chain.adc_bits),
-        chain.cycles_per_revolution,
-        simulation.seed,
-        simulation.aperture_jitter_s,
-    )
-    motion = StoppableMotion(simulation.motion.motion(), simulation.motion.ramp_s)
-    return MotionSource(shaft, motion, interval_s)
+    return simulation.source(module.chain.adc_bits, module.chain.cycles_per_revolution, interval_s)
 
 
 def _demand(simulation: SimulationConfig, module: FedModule, play: Play, source: Source) -> MotionDemand:

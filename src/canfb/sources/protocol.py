@@ -89,36 +89,6 @@ class Capture(Protocol):
         """Let :meth:`refill` end with an OSError, now and ever after."""
 
 
-class Picked(Protocol):
-    """Which scans are the sample of a SYNC: :mod:`canfb.sources.even_scans`."""
-
-    @property
-    def per_sync(self) -> int:
-        """Pairs of sine and cosine in a sample, 1..8."""
-
-    def came(self, scan: Sample) -> None:
-        """A scan, in the order in which they are taken."""
-
-    def forget(self) -> None:
-        """What has come is of no use any more."""
-
-    def take(self) -> Sample | None:
-        """The sample of this SYNC; None where there is none. SourceError."""
-
-
-class Captured(Protocol):
-    """Runs a capture in a thread, and gives a sample of its scans for each SYNC."""
-
-    def __call__(
-        self, opened: Callable[[], Capture], name: str, wait_s: float, picked: Picked | None
-    ) -> Source:
-        """The source. What ``opened`` raises now goes through; later it is tried again every second.
-
-        ``name`` is that of the thread. A SYNC waits ``wait_s`` for a scan that it has fired. ``picked``
-        chooses the scans; None: the newest is the sample.
-        """
-
-
 class SimulatedMachine(Protocol):
     """The machine of the ``simulation:`` section."""
 
@@ -132,14 +102,16 @@ class Surroundings:
 
     adc_bits, cycles_per_revolution   of the module
     simulation                        the simulated machine
-    captured                          threads for converters
+    captured                          (opened, name, wait_s, picked): runs a capture in a thread, and gives
+                                      a source of the scans that are picked, the newest without; a SYNC
+                                      waits ``wait_s`` for a scan that it has fired
     resources                         what is entered there is closed when the program ends
     """
 
     adc_bits: int
     cycles_per_revolution: int
     simulation: SimulatedMachine
-    captured: Captured
+    captured: Callable[..., Source]
     resources: contextlib.ExitStack
 
 

@@ -32,29 +32,41 @@ SHORTEST_STEP_S = 1e-9
 """Rows that are closer have no rate to which they could be stretched."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RecordingSourceConfig(SourceConfig):
-    """A recording, one row for each SYNC.
+@dataclass(frozen=True)
+class RecordingLayout:
+    """How a recording holds the tracks.
 
-    file           CSV with a header line, or NPZ as ``canfb calibrate --out`` writes it; required
     columns        names, or numbers from 0, of the sine and the cosine column of a CSV file
     mid_scale      reading that means zero, any number of counts, or of the unit of the file (CSV)
-    scale          ADC counts for each unit of the file, as for each volt: any finite value but 0
     time_column    column with seconds (CSV): a longer step than ``gap_s`` is a gap; None: there is none
     gap_s          the shortest gap, more than 0
     gap_samples    samples missed at each gap, 1..1000000
     time_stamps    True: the time column is the sample time (2000:05), too
+    scale          ADC counts for each unit of the file, as for each volt: any finite value but 0
+    interval_s     seconds from row to row where there is no time column
+    paced          the times are stretched until rows are ``interval_s`` apart
     """
 
-    kind: str = "recording"
-    file: str
     columns: Sequence[str | int] = field(default=("sine", "cosine"), metadata={"list": True})
     mid_scale: float = 0.0
-    scale: float = 1.0
     time_column: str | int | None = None
     gap_s: float = 0.1
     gap_samples: int = 20
     time_stamps: bool = False
+    scale: float = 1.0
+    interval_s: float = field(default=1e-3, metadata={"key": False})
+    paced: bool = field(default=False, metadata={"key": False})
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingSourceConfig(RecordingLayout, SourceConfig):
+    """A recording, one row for each SYNC.
+
+    file           CSV with a header line, or NPZ as ``canfb calibrate --out`` writes it; required
+    """
+
+    kind: str = "recording"
+    file: str
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -63,13 +75,12 @@ class RecordingSourceConfig(SourceConfig):
             raise ValueError(f"columns must be two, [sine, cosine], not {self.columns!r}")
         for name in self.columns:
             column("columns", name)
-        number("mid_scale", self.mid_scale)
-        number("scale", self.scale)
+        for name in ("mid_scale", "scale", "gap_s"):
+            number(name, getattr(self, name))
         if self.scale == 0.0:
             raise ValueError("scale must not be 0")
         if self.time_column is not None:
             column("time_column", self.time_column)
-        number("gap_s", self.gap_s)
         if self.gap_s <= 0.0:
             raise ValueError(f"gap_s must be more than 0, not {self.gap_s!r}")
         integer_in("gap_samples", self.gap_samples, 1, 1_000_000)
@@ -87,44 +98,7 @@ class RecordingSourceConfig(SourceConfig):
 
     def open(self, surroundings: Surroundings) -> Source:
         """The recording, read."""
-        sine, cosine = (str(name) for name in self.columns)
-        layout = RecordingLayout(
-            (sine, cosine),
-            self.mid_scale,
-            None if self.time_column is None else str(self.time_column),
-            self.gap_s,
-            self.gap_samples,
-            self.time_stamps,
-            scale=self.scale,
-        )
-        return open_recording(self.file, layout)
-
-
-@dataclass(frozen=True)
-class RecordingLayout:
-    """How a CSV file with a header line holds the tracks.
-
-    columns             names (or numbers from 0) of the sine and the cosine column
-    mid_scale, scale    counts are (reading - mid_scale) * scale, rounded
-    time_column         name or number of a column with seconds, or None
-    gap_s               a step of time longer than this is a gap: the last sample before it is
-                        left out and ``gap_samples`` SYNCs get no answer
-    time_stamps         the samples bring their time along: that of the time column, or without one a time
-                        ``interval_s`` after the sample before
-    interval_s          seconds from row to row where there is no time column
-    paced               with a time column: its times are stretched until rows are ``interval_s`` apart, as
-                        they are played, for a file that was recorded at another rate
-    """
-
-    columns: tuple[str, str]
-    mid_scale: float = 0.0
-    time_column: str | None = None
-    gap_s: float = 0.1
-    gap_samples: int = 20
-    time_stamps: bool = False
-    interval_s: float = 1e-3
-    paced: bool = False
-    scale: float = 1.0
+        return open_recording(self.file, self)
 
 
 def chosen_layout(columns: str, mid_scale: float, scale: float, time_column: str | None) -> RecordingLayout:
@@ -174,7 +148,7 @@ def open_recording(file: str | Path, layout: RecordingLayout) -> RecordingSource
         tracks = read_tracks(path)
         return RecordingSource(tracks.sine, tracks.cosine)
     timed = () if layout.time_column is None else (layout.time_column,)
-    columns = read_columns(path, (*layout.columns, *timed))
+    columns = read_columns(path, [str(name) for name in (*layout.columns, *timed)])
     pairs = _counts(path, columns, layout)
     seconds: FloatArray = np.arange(len(pairs), dtype=np.float64) * layout.interval_s
     if timed:

@@ -24,7 +24,7 @@ from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant, PlantSource
 from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.sync_producer import SyncDeviation, SyncTiming
 
 DRIVE_ID, MODULE_ID, INTERFACE_ID = 0x30, 0x20, 0x10
@@ -74,7 +74,7 @@ class DriveBench:
         self.motor = Motor(MotorConfig(**motor), start_revolutions)
         self.plant = Plant(self.motor)
         encoder = Encoder(noise_lsb=noise_lsb)
-        self.source = Tampering(PlantSource(encoder, self.plant, cycles_per_revolution))
+        self.source = Tampering(PlantSource(ShaftEncoder(encoder, cycles_per_revolution), self.plant))
         self.interface = EncoderInterface(INTERFACE_ID, self.source, times=timed, clock=SampleClock(100.0))
         config = ModuleConfig(
             node_id=MODULE_ID,

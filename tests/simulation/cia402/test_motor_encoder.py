@@ -19,7 +19,7 @@ from canfb.simulation.cia402.plant import (
     Plant,
     PlantSource,
 )
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
 from folding import each
 
 SYNC = Frame(0x80, b"")
@@ -51,7 +51,7 @@ def test_6063h_is_the_motor_at_the_sync() -> None:
 
 def test_the_encoder_falls_behind_where_the_coupling_slips() -> None:
     plant = turning(1.0)
-    source = PlantSource(Encoder(), plant, 1000, coupling=Coupling(0.25, 0.5))
+    source = PlantSource(ShaftEncoder(Encoder(), 1000), plant, Coupling(0.25, 0.5))
     plant.receive(SYNC, 0.0)
     behind = []
     for k in range(1300):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.simulation.cia402.feedback_input import SyncInterval
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant, PlantSource
-from canfb.simulation.encoder import Encoder
+from canfb.simulation.encoder import Encoder, ShaftEncoder
 
 SYNC = Frame(0x80, b"")
 
@@ -100,7 +100,7 @@ def test_without_power_there_is_no_torque_and_the_brake_is_closed() -> None:
 
 def test_the_encoder_is_on_the_shaft() -> None:
     one = plant(speed=0.0)
-    source = PlantSource(Encoder(amplitude_counts=1000.0), one, 2500)
+    source = PlantSource(ShaftEncoder(Encoder(amplitude_counts=1000.0), 2500), one)
     one.motor.revolutions = 3.25 / 2500
     assert source.next()[:2] == (1000, 0)
     assert source.position_cycles == pytest.approx(3.25)
@@ -108,7 +108,7 @@ def test_the_encoder_is_on_the_shaft() -> None:
 
 def test_the_encoder_is_sampled_at_the_time_that_is_asked_for_also_at_one_that_is_over() -> None:
     one = plant()
-    source = PlantSource(Encoder(), one, 2500)
+    source = PlantSource(ShaftEncoder(Encoder(), 2500), one)
     one.receive(SYNC, 1.0)
     cycles_per_s = 10.0 / (2 * math.pi) * 2500
     for at, want in ((1.5, 0.5), (2.0, 1.0), (1.9995, 0.9995), (2.5, 1.5)):
@@ -118,7 +118,7 @@ def test_the_encoder_is_sampled_at_the_time_that_is_asked_for_also_at_one_that_i
 
 def test_the_zero_pulse_is_where_the_shaft_passes_a_revolution() -> None:
     one = plant(speed=2 * math.pi * 10)
-    source = PlantSource(Encoder(), one, 2500)
+    source = PlantSource(ShaftEncoder(Encoder(), 2500), one)
     one.receive(SYNC, 0.0)
     pulses = {n: pulse for n in range(31) if (pulse := source.sample_at(n * 0.031).zero_pulse) is not None}
     # 0.31 revolutions from sample to sample, a pulse at each whole one

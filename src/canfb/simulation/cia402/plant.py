@@ -16,7 +16,7 @@ from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.interface.sample_instants import TRUE_TIME, TimeBase
 from canfb.signal.sample import Sample
-from canfb.simulation.encoder import Encoder, ShaftEncoder
+from canfb.simulation.encoder import ShaftEncoder
 from canfb.simulation.sync_producer import SilentDevice
 
 LONGEST_STEP_S = 1e-4
@@ -277,22 +277,10 @@ class Plant(SilentDevice):
 
 
 class PlantSource:
-    """The encoder on the shaft of a plant; ``position_cycles`` is the true position of the last sample.
+    """The encoder on the shaft of a plant, behind a ``coupling``."""
 
-    ``coupling`` is between the motor and the encoder.
-    """
-
-    def __init__(
-        self,
-        encoder: Encoder,
-        plant: Plant,
-        cycles_per_revolution: int,
-        seed: int = 1,
-        aperture_jitter_s: float = 0.0,
-        coupling: Coupling | None = None,
-    ) -> None:
-        self._shaft = ShaftEncoder(encoder, cycles_per_revolution, seed, aperture_jitter_s)
-        self._plant, self._coupling = plant, coupling or Coupling()
+    def __init__(self, shaft: ShaftEncoder, plant: Plant, coupling: Coupling | None = None) -> None:
+        self._shaft, self._plant, self._coupling = shaft, plant, coupling or Coupling()
         self._last_s = 0.0
         self._last_revolutions = plant.motor.revolutions - self._coupling.slipped(0.0)
 
