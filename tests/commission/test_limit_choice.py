@@ -214,9 +214,7 @@ def test_what_says_too_little_is_refused() -> None:
     no_rate = TrackSamples.of(samples.sine, samples.cosine, None, "without a rate")
     assert "rate of the samples is not known" in refusal(no_rate, machine, readings)
     nothing = np.full(COUNT, np.nan)
-    assert "0 usable samples of 6000" in refusal(
-        TrackSamples(nothing, nothing, RATE_HZ, "gone"), machine, readings
-    )
+    assert "did not come" in refusal(TrackSamples(nothing, nothing, RATE_HZ, "gone"), machine, readings)
     noise = np.random.default_rng(1).uniform(-1500, 1500, (2, COUNT))
     assert "position is lost" in refusal(
         TrackSamples.of(noise[0], noise[1], RATE_HZ, "noise"), machine, readings

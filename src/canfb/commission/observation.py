@@ -29,7 +29,6 @@ from canfb.master.samples import TrackSamples
 from canfb.master.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits
 from canfb.signal.correction import Correction
 from canfb.signal.phase import FloatArray, raw_phases
-from canfb.signal.supervision import LOST
 from canfb.signal.witness.coarse import CoarseTrack
 
 LEAST_SAMPLES = 2000
@@ -132,7 +131,7 @@ def _follow(
     off = float(np.median(known))
     start = float(speed[np.flatnonzero(np.isfinite(speed))[0]]) + round(off)
     followed = supervise(samples, used, limits.chain_limits(interval_s), start)
-    if abs(off - round(off)) <= AGREES_CYCLES and not followed.status[-1] & LOST:
+    if abs(off - round(off)) <= AGREES_CYCLES and followed.valid.mean() > 0.5:
         return start, followed
     missed = f"; {samples.missed} samples did not come" if samples.missed else ""
     raise CommissioningError(
