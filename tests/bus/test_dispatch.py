@@ -170,9 +170,10 @@ class Bus:
         self.taken: deque[Received] = deque()
 
     def receive(self, wait_s: float) -> Received | None:
+        end_s = self.clock.now + wait_s  # also where frames come that are left out
         while not self.taken:
-            if not self.plan or self.due_s > self.clock.now + wait_s:
-                self.clock.now += wait_s
+            if not self.plan or self.due_s > end_s:
+                self.clock.now = end_s
                 return None
             self.clock.now = max(self.clock.now, self.due_s)
             batch = self.plan.pop(0)
