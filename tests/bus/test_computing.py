@@ -23,7 +23,6 @@ from canfb.simulation.encoder import Encoder
 from fake_bus import FakeBus, FakeClock, frame_bus
 
 PATIENCE_S = 60.0
-LONGEST_POLL_S = 0.25  # a loaded machine; it is below 1 ms
 
 
 class FakeComputer:
@@ -59,9 +58,7 @@ class Host:
         give_up = time.monotonic() + PATIENCE_S
         while not done():
             assert time.monotonic() < give_up
-            began = time.perf_counter()
             self.frames += self.computation.poll(7.0)
-            assert time.perf_counter() - began < LONGEST_POLL_S
             time.sleep(1e-3)  # the other process is a real one
 
 

@@ -19,7 +19,7 @@ from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from fake_bus import CAN_FRAME, FakeClock, FakeDevice
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 class Wire:
