@@ -11,12 +11,10 @@ import pytest
 import canfb
 from canfb.cia301.frame import Frame
 from tools.bench import bus, bus_others
-from tools.bench.bus_load import SDO_REQUEST, SdoClient, TransferFailed, set_up, tables
-from tools.bench.bus_others import Times
-from tools.bench.cycle import NODE_ID, encoder_table
+from tools.bench.bus_load import SDO_REQUEST, SdoClient, set_up
+from tools.bench.cycle import NODE_ID
 
 ROOT = Path(__file__).parents[2]
-ENTRIES = 100  # 400 bytes: 57 segments, two blocks of 31 down and one up, and a byte over
 NODES = ["stock", "python-can", "canfb:alone", "floor"]
 
 
@@ -39,24 +37,6 @@ def test_each_percentile_is_a_value_that_so_many_do_not_exceed() -> None:
     assert bus.percentiles([float(n) for n in range(1000, 0, -1)]) == "500 / 990 / 999 / 1000"
     assert bus.percentiles([1.25, 1.25, 12.34, 5678.9]) == "1.2 / 5679 / 5679 / 5679"
     assert bus.percentiles([]) == "-"
-
-
-def test_the_ratio_is_that_of_the_rounds() -> None:
-    found = bus.Found(processor_us=[10.0, 30.0, 50.0])
-    assert found.cells(bus.Found(processor_us=[20.0, 20.0, 20.0]))[:2] == ["30", "1.50"]
-    assert found.cells(bus.Found(processor_us=[0.0, 0.0, 0.0]))[:2] == ["30", "nan"]
-
-
-def test_a_position_that_comes_late_or_never_is_not_in_time() -> None:
-    times = Times(
-        sync_s={1: 1.0, 2: 1.01, 3: 1.02},
-        adc_s={1: 1.001, 2: 1.011, 3: 1.021},
-        at_once_s={1: 1.002, 2: 1.0215},
-        with_sync_s={1: 1.0105, 3: 1.0305},
-    )
-    assert times.from_adc_us() == pytest.approx([1000.0, 10500.0])
-    assert times.from_sync_us() == pytest.approx([500.0]), "the SYNC after the last sample is not known"
-    assert times.not_in_time(0.01) == 2
 
 
 class Module:
@@ -84,14 +64,6 @@ def transfer(load: SdoClient, module: Module) -> None:
             load.take(answer.can_id, answer.data)
 
 
-def test_tables_are_transferred_and_in_force() -> None:
-    load, module = SdoClient(tables(ENTRIES, rounds=2)), Module()
-    transfer(load, module)
-    assert module.module.dictionary.entry(0x2020, 5).value == ENTRIES
-    assert module.module.dictionary.entry(0x2020, 4).value == encoder_table(ENTRIES, 0.001).crc32
-    assert not load.waits
-
-
 @pytest.mark.parametrize("alone", [False, True])
 def test_a_module_is_set_up_with_a_table_and_without_tpdo_2(alone: bool) -> None:
     load, module = SdoClient(set_up(alone)), Module()
@@ -99,18 +71,6 @@ def test_a_module_is_set_up_with_a_table_and_without_tpdo_2(alone: bool) -> None
     assert load.done
     assert module.module.dictionary.entry(0x2020, 5).value == 256
     assert bool(module.module.dictionary.entry(0x1801, 1).value >> 31) is alone
-
-
-def test_a_table_that_is_refused_is_no_load() -> None:
-    load, module = SdoClient(tables(ENTRIES)), Module()
-    module.module.dictionary.entry(0x2020, 1).access = "ro"
-    with pytest.raises(TransferFailed, match="80 20 20 01"):
-        transfer(load, module)
-
-
-def test_the_table_of_the_load_corrects_table_1_of_the_paper() -> None:
-    raw = canfb.phase_in_cycle(3.0, 4.0)
-    assert encoder_table(4096, 0.0)(raw) == pytest.approx(0.10242, abs=2e-5)
 
 
 @pytest.mark.parametrize(

@@ -8,41 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tools.faults.engine import Cell, Work, total
+from tools.faults.engine import Cell, total
 from tools.faults.estimator import campaign
 from tools.faults.estimator.campaign import Player
 from tools.faults.estimator.declared import Declared
 from tools.faults.estimator.episodes import Episode, Published, draw, play
 from tools.faults.estimator.judge import Cause, judge, proof
 from tools.faults.estimator.kinds import KINDS, State
-from tools.faults.estimator.machine import KINDS as MOTIONS
-from tools.faults.estimator.machine import Array, derivatives, positions
+from tools.faults.estimator.machine import Array
 
 SLOW, FAST = Declared(0.01), Declared(0.2)
 
 
 def kind(name: str):
     return next(one for one in KINDS if one.name == name)
-
-
-def test_half_of_the_machines_use_all_of_the_bound_and_none_more() -> None:
-    machine, order = Declared(0.1), 2
-    rng = np.random.default_rng(1)
-    u = derivatives(machine, rng, np.full(400, 20), 60)
-    largest = np.abs(u).max(axis=1)
-    assert len(MOTIONS) == 10
-    assert 0.4 < (largest > 0.9 * machine.acceleration).mean() < 0.7
-    assert largest.max() <= machine.acceleration
-    even = positions(u, np.full(400, 100.0), rng)
-    assert np.abs(np.diff(even, order, axis=1)).max() <= machine.acceleration + 1e-9
-    instants = np.sort(rng.uniform(0.0, 55.0, (400, 50)), axis=1)
-    at = positions(u, np.full(400, 100.0), rng, instants)
-    for row, times in zip(at[:20], instants[:20], strict=True):
-        values, n = row, order
-        for step in range(1, n + 1):
-            values = np.diff(values) / (times[step:] - times[:-step]) * step
-        apart = np.min([times[k + order] - times[k] for k in range(len(times) - order)])
-        assert np.abs(values).max() <= machine.acceleration + 1e-9 / max(apart, 1e-3) ** order
 
 
 def _episode(name: str, machine: Declared) -> Episode:
@@ -88,18 +67,6 @@ def test_the_wrong_one_of_two_legal_motions_was_guessed() -> None:
     assert proof(episode, play(episode), episode.fault + 3).startswith("2 legal motions")
 
 
-def test_one_of_two_legal_motions_was_guessed_also_where_neither_is_the_true_one() -> None:
-    episode = _episode("missing 1", FAST)
-    k = np.arange(len(episode.truth))
-    legal: Array = (7.3 + 0.19 * k**2 / 2.0).astype(np.float64)
-    states = np.where(k > episode.fault, State.BAD, episode.state).astype(np.int8)
-    truth = np.where(k > episode.fault, legal + 5.0, legal)
-    episode = replace(episode, truth=truth, phase=np.mod(legal, 1.0), state=states)
-    good = states != State.MISSING
-    verdict = judge(episode, _saying(episode, np.where(k > episode.fault, -5.0, 0.0), good))
-    assert set(verdict.wrong.values()) == {Cause.GUESSED}
-
-
 def test_what_the_samples_of_a_healthy_machine_would_be_is_excused() -> None:
     """One bad sample on the way of a machine that turns off by a whole cycle in three intervals."""
     episode = _episode("one bad", FAST)
@@ -136,17 +103,6 @@ def test_a_silent_error_is_a_goal_missed_where_what_is_declared_holds() -> None:
         sums.add({"silent": 1}, "here")
     assert one.missed(results) == ["missing 1:0.01: 1 of 1 silent", "    here"]
     assert replace(player, exceed=1.5).is_covered(cells["missing 1"]) is False
-
-
-def test_a_machine_that_does_more_than_declared_is_drawn_so_and_played_as_declared() -> None:
-    """Half more than 0.05: residuals are over the limit before the fault in some; the draws stay the same."""
-    work = Work(Cell("missing 3", "0.05"), 24, 0, 40)
-    usual, more = Player(Declared(0.0, 0.002)), Player(Declared(0.0, 0.002), exceed=1.5)
-    (bound,) = {one.declared.acceleration for one in more.episodes(work)}
-    assert bound == pytest.approx(0.075)
-    kept = usual(work)
-    assert (kept["early"], kept["silent"], kept["kept"]) == (0, 0, 40)
-    assert more(work)["early"] > 0
 
 
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from canfb.simulation.faults import Samples
 from tools.faults.chain import campaign
-from tools.faults.chain.judge import Episode, first_illegal, follow, judge
-from tools.faults.chain.plant import COMMISSIONED, DEFAULT, ENCODER, Setting, Turning
+from tools.faults.chain.judge import Episode, judge
+from tools.faults.chain.plant import DEFAULT, ENCODER
 from tools.faults.engine import total
 
 # Faults beyond what is declared: a phase error of 0.4 cycle where 0.0125 are declared; nine bad samples in a
@@ -22,34 +20,6 @@ def still(phases: list[float], before: int = 10) -> Samples:
     """A machine at standstill whose samples show these phases for a while."""
     position = np.concatenate((np.full(before, 0.1), 0.1 + np.array(phases), np.full(20, 0.1)))
     return Samples.of(*ENCODER.sample(position), adc_bits=12)
-
-
-def shown(setting: Setting, phases: list[float]) -> tuple[int, bool, bool]:
-    """Cycles lost by these phases, whether any sample was flagged, whether a legal motion has them."""
-    samples = still(phases)
-    chain = Turning(setting, 0.0, np.random.default_rng(0)).chain()
-    chain.restart()
-    positions, status = follow(chain, samples)
-    illegal = first_illegal(setting, samples, 2)
-    return round(positions[-1] - positions[0]), bool((status & 1 == 0).any()), illegal is None
-
-
-# The least limits at which n samples can be those of a motion to another cycle, or to another speed.
-@pytest.mark.parametrize(
-    ("phases", "limit", "cycles"),
-    [([1 / 3], 1 / 3, 20), ([0.25, 0.75], 0.25, 1), ([1 / 6, 0.5, 5 / 6], 1 / 6, 1)],
-)
-def test_a_glitch_costs_a_cycle_unseen_only_where_a_legal_motion_has_its_samples(
-    phases: list[float], limit: float, cycles: int
-) -> None:
-    lost, flagged, legal = shown(replace(DEFAULT, residual_limit=limit - 0.01), phases)
-    assert lost == 0
-    assert flagged
-    assert not legal
-    lost, flagged, legal = shown(replace(DEFAULT, residual_limit=limit + 0.01), phases)
-    assert lost == cycles
-    assert not flagged
-    assert legal
 
 
 def episode_of(phases: list[float], error: float, wrong: slice, status: int = 1) -> Episode:
@@ -76,10 +46,6 @@ def test_the_judge_sees_what_is_planted(
 ) -> None:
     found = judge(DEFAULT, episode_of(phases, error, wrong, status))
     assert {name: found[name] for name in said} == said
-
-
-def test_narrow_limits_see_more() -> None:
-    assert not judge(COMMISSIONED, episode_of([0.3, 0.3], 0.3, slice(10, 12)))["legal"]
 
 
 def test_the_goals_hold(capsys: pytest.CaptureFixture[str]) -> None:

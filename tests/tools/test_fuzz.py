@@ -172,34 +172,6 @@ def test_a_wrong_answer_is_found(request_: str, answer: str, text: str) -> None:
         watcher.answer(bytes.fromhex(answer))
 
 
-def exchange(watcher: SdoWatcher, request: str, *answers: str) -> None:
-    watcher.request(bytes.fromhex(request))
-    for answer in answers:
-        watcher.answer(bytes.fromhex(answer))
-
-
-@pytest.mark.parametrize(
-    ("begin", "going_on", "text"),
-    [
-        (("4008100000000000", "410810000A000000"), ("7000000000000000", "1B08090000000000"), "9 bytes came"),
-        (
-            ("C620200100000000", "A42020011F000000"),
-            ("9F00000000000000", "A2801F0000000000"),
-            "sequence number",
-        ),
-    ],
-)
-def test_a_transfer_that_goes_wrong_later_is_found(
-    begin: tuple[str, ...], going_on: tuple[str, ...], text: str
-) -> None:
-    watcher = SdoWatcher()
-    exchange(watcher, *begin)
-    if begin[0].startswith("4008"):
-        exchange(watcher, "6000000000000000", "0001020304050607")
-    with pytest.raises(Broken, match=text):
-        exchange(watcher, *going_on)
-
-
 # The command.
 
 
@@ -227,10 +199,3 @@ def test_an_input_is_shown_as_frames(tmp_path: Path) -> None:
         "  080#",
         "crash-1: accepted",
     ]
-
-
-def test_without_atheris_it_says_what_to_do(tmp_path: Path) -> None:
-    (tmp_path / "atheris.py").write_text("raise ImportError")
-    done = fuzz("frames", "-runs=1", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == "atheris is missing: python -m pip install 'atheris>=3.0'\n"

@@ -11,7 +11,6 @@ import pytest
 
 from canfb.errors import CanfbError
 from tools.fuzz import files
-from tools.fuzz.__main__ import main
 from tools.fuzz.bounds import BeyondBoundsError, bounded
 from tools.fuzz.files import READERS, NotOneLineError, Reader
 
@@ -118,9 +117,3 @@ def test_an_input_that_writes_elsewhere_is_found(tmp_path: Path, act: Callable[[
     with bounded(inside):
         (inside / "own").write_bytes(b"")
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["in", "input", "own"]
-
-
-def test_an_input_is_played_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "input").write_bytes(b"\1\0\0\0\0")
-    assert main(["files", "--play", str(tmp_path / "input")]) == 0
-    assert capsys.readouterr().out.endswith("input: accepted\n")

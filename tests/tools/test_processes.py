@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import sys
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -23,27 +22,6 @@ def command() -> Iterator[Callable[..., Process]]:
             return one
 
         yield start
-
-
-def test_a_command_that_ends_by_itself_gives_lines_and_status(command: Callable[..., Process]) -> None:
-    script = "import sys; print('one'); print('two', file=sys.stderr); sys.stdout.write('three'); sys.exit(3)"
-    started = command(sys.executable, "-c", script)
-    assert started.wait_for("^t") == "two"
-    assert started.wait() == 3
-    assert started.lines == ["one", "two", "three"]
-
-
-def test_a_command_that_runs_on_is_ended_with_sigterm(command: Callable[..., Process]) -> None:
-    script = (
-        "import signal, sys\n"
-        "signal.signal(signal.SIGTERM, lambda *_: sys.exit('bye'))\n"
-        "print('ready')\n"
-        "signal.pause()\n"
-    )
-    started = command(sys.executable, "-c", script)
-    started.wait_for("ready")
-    assert started.stop() == 1
-    assert started.lines == ["ready", "bye"]
 
 
 def test_a_process_left_behind_is_found(command: Callable[..., Process]) -> None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from tools.paper import plant, reproduce
+from tools.paper import reproduce
 from tools.paper.claim import COLUMNS, FAST, Claim, Verdict, cells, verdict
 from tools.site.markdown import table
 
@@ -36,30 +35,6 @@ def test_the_page_has_the_claims_as_the_tool_writes_them(found: dict[str, Claim]
     rows = [line.split(" | ") for line in page if line.startswith("| ")]
     written = [line.split(" | ") for line in table(COLUMNS, map(cells, found.values()))]
     assert [row[:3] + row[4:] for row in rows] == [row[:3] + row[4:] for row in written]
-
-
-def test_way_is_exact_and_keeps_its_limits() -> None:
-    way = plant.Way.random(50_000, 83.3, 0.3, np.random.default_rng(1))
-    change = np.diff(way.units, 2) / plant.UNIT
-    assert len(way) == 50_000
-    assert 0.25 < np.abs(change).max() <= 0.3
-    assert 83.0 < way.top_speed < 83.301
-    assert way.reversals > 5
-    assert not way.error(way.cycles, way.phase).any()
-    assert way.error(way.cycles + 1, way.phase).tolist() == [1.0] * len(way)
-    there_and_back = plant.Way.from_steps([0.0, 0.25, 0.0, -0.25, -0.25, 0.0, 0.25])
-    assert there_and_back.units[0] == there_and_back.units[-1]
-
-
-def test_score_counts_wrong_cycles_and_flags() -> None:
-    way = plant.Way.from_steps(np.concatenate([[0.0], np.full(100, 0.2), np.zeros(400_000)]))
-    result = plant.followed(plant.IDEAL, way, None)
-    assert plant.score(way, result).wrong == 0
-    result.cycles[300_000:300_007] += 1
-    result.ok[5] = False
-    got = plant.score(way, result)
-    assert (got.samples, got.wrong, got.flagged) == (400_101, 7, 1)
-    assert 1e-5 < got.peak_error < 2e-4
 
 
 @pytest.fixture

@@ -9,11 +9,9 @@ from typing import Any
 
 import pytest
 
-from canfb.errors import CanfbError
 from canfb.signal.feedback import Feedback
 from tools.soak.__main__ import Resources, as_figures, main
 from tools.soak.disturbances import disturbances_of
-from tools.soak.hosted import SOCKET_FRAMES, Hosted
 from tools.soak.setups import SETUPS
 from tools.soak.world import Findings, World
 
@@ -78,33 +76,6 @@ def test_a_cycle_that_is_in_no_counter_is_seen() -> None:
 
         world.suffer("swallows", swallows)
     assert world.found.uncounted == 2
-
-
-def test_a_socket_that_overflows_loses_frames_and_stalls_none() -> None:
-    with soaked("hosted", 1) as world:
-        hosted = world.hosted
-        assert isinstance(hosted, Hosted)
-        world.pass_(0.1)
-        before = world.feedbacks
-        hosted.stalled_until_s = world.bus.now + 0.1
-        world.pass_(0.09)
-        assert (world.feedbacks, hosted.bus.dropped) == (before, 0)
-        world.pass_(0.02)
-        assert world.feedbacks == before + 110
-        hosted.stalled_until_s = world.bus.now + SOCKET_FRAMES / 2e3 + 0.05
-        world.pass_(0.3)
-        assert hosted.bus.dropped > 90
-
-
-def test_what_the_runner_raises_ends_the_soak() -> None:
-    with soaked("hosted", 1) as world:
-
-        def fails(feedback: Feedback, now: float) -> None:
-            raise ZeroDivisionError
-
-        world.module.on_feedback = fails
-        with pytest.raises(CanfbError, match="program error: ZeroDivisionError"):
-            world.pass_(0.1)
 
 
 def figures(*looks: Resources, **found: Any) -> dict[str, Any]:

@@ -50,40 +50,6 @@ def test_command_gets_its_words_folder_and_environment_unchanged(tmp_path: Path)
     assert "LEAK" not in errors.read_text()
 
 
-def test_output_and_errors_keep_their_order_in_one_file(tmp_path: Path) -> None:
-    both = tmp_path / "both"
-    place = uml.Place(str(tmp_path), {"PATH": os.defpath})
-    line = uml.run_line(["sh", "-c", "echo 1; echo 2 >&2; echo 3"], place, both, both)
-    subprocess.run(["sh", "-c", line], check=True)
-    assert both.read_text() == "1\n2\n3\n"
-
-
-def test_tail_copies_what_a_file_gains(tmp_path: Path) -> None:
-    source, sink = tmp_path / "source", tmp_path / "sink"
-    with sink.open("wb") as stream:
-        tail = uml.Tail(source, stream)
-        for _ in range(2):
-            with source.open("ab") as writer:
-                writer.write(b"x" * 100_000)
-            tail.pump()
-        tail.close()
-    assert sink.read_bytes() == b"x" * 200_000
-
-
-def test_memory_needs_room_and_execution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert uml.memory_folder(["/no/such/folder", str(tmp_path)]) == str(tmp_path)
-    monkeypatch.setattr(uml, "MEMORY_MIB", 1 << 40)
-    with pytest.raises(uml.VcanError, match="MiB free"):
-        uml.memory_folder([str(tmp_path)])
-
-
-def test_a_panic_is_what_is_told() -> None:
-    log = [*(f"line {n}" for n in range(30)), "Kernel panic - not syncing", "a long trace", "of no use"]
-    assert uml.last_words(log, 3) == ["line 28", "line 29", "Kernel panic - not syncing"]
-    assert uml.last_words(["one", "two", "three"], 2) == ["two", "three"]
-    assert not uml.last_words([])
-
-
 @pytest.mark.parametrize(
     ("kind", "flags", "state"),
     [("280", "0x41", "up"), ("280", "0x80", "down"), ("1", "0x1003", None)],
@@ -94,24 +60,6 @@ def test_interface_state(tmp_path: Path, kind: str, flags: str, state: str | Non
     (folder / "type").write_text(f"{kind}\n")
     (folder / "flags").write_text(f"{flags}\n")
     assert vcan.interface_state("vcan0", tmp_path) == state
-
-
-def test_namespace_script_is_shell() -> None:
-    prefix = vcan.namespace_prefix("vcan0")
-    script = prefix[prefix.index("-c") + 1]
-    subprocess.run(["sh", "-n"], input=script, text=True, check=True)
-    assert "ip link add dev vcan0 type vcan" in script
-
-
-@pytest.mark.parametrize(("returncode", "status"), [(0, 0), (3, 3), (-15, 143)])
-def test_status_of_a_signal_is_that_of_a_shell(returncode: int, status: int) -> None:
-    assert vcan.shell_status(returncode) == status
-
-
-def test_options_end_at_the_command() -> None:
-    options = vcan.parse(shlex.split("run --timeout 5 -- pytest -x --timeout 3"))
-    assert options.timeout == 5.0
-    assert options.command == ["pytest", "-x", "--timeout", "3"]
 
 
 @pytest.mark.parametrize("words", ["", "run", "run --", "run --timeout soon -- true", "dance"])
@@ -125,15 +73,6 @@ def test_wrong_use_says_so(words: str, capsys: pytest.CaptureFixture[str]) -> No
 def beside_a_kernel(command: list[str], timeout_s: float = 60.0) -> int:
     """Run a command the way it runs beside a kernel's own vcan, with nothing to set up."""
     return vcan.run_in_kernel(vcan.Kernel("test", ("env",)), command, timeout_s)
-
-
-def test_a_boot_takes_its_time_while_the_kernel_writes(tmp_path: Path) -> None:
-    console = tmp_path / "console"
-    booting = uml.Booting(console, 100.0)
-    assert booting.silence_s(130.0) == 30.0
-    console.write_text("Linux version\n")
-    assert booting.silence_s(150.0) == 0.0
-    assert booting.silence_s(170.0) == 20.0
 
 
 def test_exit_status_is_the_commands() -> None:
@@ -170,8 +109,3 @@ def test_no_vcan_says_what_to_install(
     assert told.out.startswith("none: ")
     assert "apt-get install user-mode-linux" in told.out
     assert "apt-get install user-mode-linux" in told.err
-
-
-def test_a_shell_needs_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    assert vcan.main(["shell"]) == vcan.FAILED
-    assert "terminal" in capsys.readouterr().err

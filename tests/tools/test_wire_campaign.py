@@ -12,13 +12,12 @@ from canfb import Frame
 from tools.faults.engine import Sums
 from tools.faults.wire import campaign
 from tools.faults.wire.classes import CLASSES
-from tools.faults.wire.draw import draw_plan
-from tools.faults.wire.host import Sent, drive
-from tools.faults.wire.judge import LOST, VALID, Judge, Verdict
+from tools.faults.wire.host import Sent
+from tools.faults.wire.judge import VALID, Judge, Verdict
 from tools.faults.wire.line import Line, Plan, Slot, lay
 from tools.faults.wire.motion import Motion
 from tools.faults.wire.physics import unseen
-from tools.faults.wire.play import Episode, play, play_plan
+from tools.faults.wire.play import Episode, play
 from tools.faults.wire.setups import (
     RANGE_CYCLES,
     SDO_TX,
@@ -98,31 +97,6 @@ def test_one_wrong_position_is_found(judged: tuple[Plan, Line, list[Sent]], cycl
     assert result.first_wrong.error == pytest.approx(cycles, abs=0.01)
 
 
-def test_a_flagged_frame_is_never_wrong(judged: tuple[Plan, Line, list[Sent]]) -> None:
-    plan, line, sent = judged
-    sent[45] = moved(sent[45], 33.0, status=1 << 1)
-    assert verdict(plan, line, sent).outcome == "flagged"
-    sent[46] = moved(sent[46], 33.0, status=LOST)
-    assert verdict(plan, line, sent).outcome == "lost"
-
-
-@pytest.mark.parametrize(("times", "limit", "late"), [(True, 0.2, 0), (True, None, 1), (False, 0.2, 1)])
-def test_a_start_by_sample_times_may_take_64_samples(times: bool, limit: float | None, late: int) -> None:
-    plan = plan_at(SPEED, setup=setup_of("times" if times else "plain"))
-    plan.options.limit = limit
-    line = lay(plan)
-    sent = honest(plan, line)
-    sent[45] = moved(sent[45], 0.0, status=1 << 1)
-    result = verdict(plan, line, sent)
-    assert (result.outcome, result.after_start) == ("flagged", late)
-
-
-def test_the_range_of_6004h_wraps(judged: tuple[Plan, Line, list[Sent]]) -> None:
-    plan, line, _ = judged
-    line = replace(line, positions=[x - 300.0 for x in line.positions])
-    assert verdict(plan, line, honest(plan, line)).outcome == "kept"
-
-
 @pytest.mark.parametrize(
     ("periods", "outcome"), [(1.5, "kept"), (2.9, "kept"), (3.2, "wrong"), (20.0, "wrong")]
 )
@@ -137,32 +111,6 @@ def test_a_frozen_valid_position_is_wrong_after_the_deadline(periods: float, out
     assert verdict(plan, line, sent).outcome == outcome
 
 
-def test_a_synchronous_pdo_belongs_to_the_sync_before() -> None:
-    plan = plan_at(SPEED)
-    line = lay(plan)
-    base = line.positions[0] - line.positions[0] % 1.0
-    syncs = [event for event in line.events if event.what == "sync"][20:]
-    right = [shown(e.time, e, line.positions[e.number - 1] - base, VALID, e.number - 1) for e in syncs]
-    stale = [shown(e.time, e, line.positions[e.number - 2] - base, VALID, e.number - 1) for e in syncs]
-    assert verdict(plan, line, right).outcome == "kept"
-    assert verdict(plan, line, stale).wrong == len(syncs)
-
-
-def test_the_motion_is_the_integral_of_its_pieces() -> None:
-    motion = Motion(start=2.0)
-    motion.push(10.0, 20.0, 0.2)
-    motion.s_curve(50.0, 10.0, -0.1)
-    t = np.arange(0.0, 100.0, 1e-3)
-    x = motion.at(t)
-    acceleration = np.gradient(np.gradient(x, t), t)
-    assert x[0] == 2.0
-    assert motion.at([30.0])[0] == pytest.approx(2.0 + 0.5 * 0.2 * 20.0**2)
-    assert acceleration[20_000] == pytest.approx(0.2, abs=1e-6)
-    assert acceleration[40_000] == pytest.approx(0.0, abs=1e-6)
-    assert acceleration.min() == pytest.approx(-0.1, abs=0.01)
-    assert motion.speed(99.0) == pytest.approx(4.0 - 0.1 * 10.0 * 9 / 16, abs=1e-6)
-
-
 @pytest.mark.parametrize("setup", SETUPS, ids=lambda one: one.name)
 def test_a_machine_keeps_its_limits(setup: Setup) -> None:
     for seed in range(5):
@@ -173,46 +121,6 @@ def test_a_machine_keeps_its_limits(setup: Setup) -> None:
         limit = options.limit or 0.25
         assert np.abs(np.diff(x, 2)).max() <= 1.01 * limit, str(episode)
         assert played.verdict.wrong == 0, str(episode)
-
-
-def test_frames_keep_their_order_and_no_time_goes_back() -> None:
-    plan = draw_plan(SETUPS[4], np.random.default_rng(3))
-    plan.host, plan.stalls = "late", [(50.0, 90.0)]
-    line = lay(plan)
-    calls: list[tuple[Frame, float]] = []
-
-    class Module:
-        def receive(self, frame: Frame, now: float) -> list[Frame]:
-            calls.append((frame, now))
-            return []
-
-        def deadline(self) -> float | None:
-            return None
-
-    drive(Module(), plan, line.events, 100.0)  # type: ignore[arg-type]
-    taken = line.events[: len(calls)]  # those after the end of the plan stay
-    assert [frame for frame, _ in calls] == [event.frame for event in taken]
-    assert len(line.events) - len(calls) <= 2
-    nows = [now for _, now in calls]
-    late = [
-        now - 100.0 - event.time * plan.options.interval_s
-        for (_, now), event in zip(calls, taken, strict=True)
-    ]
-    assert nows == sorted(nows)
-    assert min(late) >= 0.0
-    assert max(late) > 30.0 * plan.options.interval_s
-
-
-@pytest.mark.parametrize(
-    ("ticks", "outcome"), [(500, "kept"), (4000, "kept"), (6000, "wrong"), (20_000, "wrong")]
-)
-def test_a_position_may_be_that_of_a_time_that_is_a_little_off(ticks: int, outcome: str) -> None:
-    plan = plan_at(SPEED, setup=SETUPS[2])
-    plan.slots[45].stamp_add = ticks
-    line = lay(plan)
-    sent = honest(plan, line)
-    sent[45] = moved(sent[45], SPEED * ticks / 10_000)
-    assert verdict(plan, line, sent).outcome == outcome
 
 
 def test_physics_excuses_little() -> None:
@@ -275,12 +183,6 @@ def test_a_stalled_host_is_late_as_two_clocks_have_it(rate_hz: int, setup: str, 
     """Without receive times: how long frames waited is known within the drift since then."""
     short = stall("module", rate_hz, setup_of(setup), seed, True)
     assert (short["kept"], short["wrong"]) == (8, 0)
-
-
-def test_a_plan_can_be_played_by_hand() -> None:
-    plan = plan_at(0.0, setup=SETUPS[1])
-    plan.slots[40].pdo_lost = True
-    assert play_plan(plan).verdict.outcome == "flagged"
 
 
 @pytest.mark.parametrize("who", WHO)
