@@ -50,11 +50,9 @@ class FailureWatch:
 
 
 class BusState:
-    """Gone or there; `lost` and `returned` say it once each, and what changes is reported.
+    """Gone: bus-off, interface down, reading that fails for LASTING_S. Back: none of it for SETTLED_S.
 
-    Gone: bus-off, an interface that is down, or reading that fails for LASTING_S. There again: nothing of the
-    kind for SETTLED_S after a frame, an error frame "restarted" or, unless bus-off, a frame that could be
-    sent.
+    `lost` and `returned` say it once each.
     """
 
     def __init__(self, report: Callable[[str], None]) -> None:

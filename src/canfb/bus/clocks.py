@@ -1,7 +1,6 @@
-"""Clocks, and receive times on that of durations.
+"""Clocks, and receive times on the monotonic one.
 
-The stamp of a frame is of another clock than ``now``: the time of day, the controller's or an adapter's. A
-frame received at t and taken at t + d, d >= 0, shows the difference of two clocks as offset + d, so the least
+A frame received at t and taken at t + d, d >= 0, shows the difference of two clocks as offset + d: the least
 of many is the offset, which rises as the clocks drift.
 """
 
@@ -27,9 +26,7 @@ def date_and_time() -> str:
 
 
 def page_date() -> str:
-    """Of a page that can be made again: SOURCE_DATE_EPOCH (seconds since 1970, UTC), else now. ConfigError
-    for no number.
-    """
+    """Now, or SOURCE_DATE_EPOCH (seconds since 1970, UTC); ConfigError for no number."""
     said = os.environ.get("SOURCE_DATE_EPOCH")
     if said is None:
         return date_and_time()
@@ -60,10 +57,10 @@ LEARNED_FRAMES = 64
 
 
 class OtherClock:
-    """The clock of an adapter or a controller against another.
+    """The clock of an adapter or controller, by the least difference, which may rise by DRIFT.
 
-    The least difference may rise by DRIFT. It is known once LEARNED_FRAMES do not contradict it, and learned
-    again after a step of LARGEST_STEP_S, or a delay above ``longest_delay_s``.
+    Known after LEARNED_FRAMES; learned again after a step of LARGEST_STEP_S or a delay above
+    ``longest_delay_s``.
     """
 
     def __init__(self, longest_delay_s: float = LONGEST_DELAY_S) -> None:
@@ -100,9 +97,9 @@ class OtherClock:
 
 
 class ReceiveTimes:
-    """Monotonic seconds from python-can's stamps, the time of day or those of an :class:`OtherClock`.
+    """Monotonic seconds from python-can's stamps.
 
-    When the wall clock is set, the frames that wait have no time until the queue was empty.
+    When the wall clock is set, frames have no time until the queue was empty.
     """
 
     def __init__(self, clock: Callable[[], float], wall: Callable[[], float]) -> None:

@@ -1,4 +1,4 @@
-"""Long computations of a device, in a process of their own, so that no frame waits for them."""
+"""Long computations of a device, in a process of their own."""
 
 from __future__ import annotations
 
@@ -22,11 +22,7 @@ COMMAND = (sys.executable, "-m", "canfb.bus.compute_process")
 
 
 class Computation:
-    """The computations of one ``device``, one at a time, each in a process: a fork would take bus and memory
-    along.
-
-    A process that ends without a result is reported, and refuses the measurement.
-    """
+    """The computations of one ``device``, one process each: a fork would take bus and memory along."""
 
     def __init__(
         self,

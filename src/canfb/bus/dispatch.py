@@ -1,9 +1,4 @@
-"""Which device gets which frame, which is due first, and how its frames are sent.
-
-A :class:`.Selective` device says which CAN-IDs it listens to; the bus gets the union as acceptance filter, of
-any NMT state. When they move, the tables follow before anything is sent: an answer may be what the master
-waits for. The earliest deadline is looked for again only if its device has moved it to later (``_stale``).
-"""
+"""Which device gets which frame, which is due first, and how its frames are sent."""
 
 from __future__ import annotations
 
@@ -55,9 +50,9 @@ class Port:
 
 
 class Dispatch:
-    """The devices of a runner by the CAN-IDs that they listen to, and by their deadlines.
+    """Devices by the CAN-IDs that they listen to, and by their deadlines.
 
-    One that listens to other CAN-IDs is ``moved`` until :meth:`follow`, before anything is sent or received.
+    The tables :meth:`follow` a device that has ``moved`` before anything is sent or received.
     """
 
     def __init__(self, devices: list[Device], bus: FrameBus) -> None:
@@ -150,10 +145,10 @@ LONGEST_DELAY_S = 0.1  # a position that is older helps nobody
 
 
 class FrameSender:
-    """Sends the frames of devices, and notifies those with inhibit times when their frames have left.
+    """Sends the frames of devices, and notifies those with inhibit times.
 
-    A bus that takes no frame now keeps it and those that follow in a queue, LONGEST_QUEUE of them for
-    LONGEST_DELAY_S. A boot-up that failed is sent before any other frame: a master waits for it.
+    A bus that takes none now has a queue: LONGEST_QUEUE frames, LONGEST_DELAY_S. A failed boot-up is sent
+    first.
     """
 
     def __init__(self, bus: FrameBus, clock: Callable[[], float], bus_state: BusState) -> None:

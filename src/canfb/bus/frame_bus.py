@@ -1,7 +1,7 @@
-"""What the runner asks of a bus, any bus of python-can as that, and reception that outlasts its failures.
+"""The bus of a runner, python-can as one, and reception that outlasts its failures.
 
-A device must not get its own frames back, as a second node with its node-ID. Interfaces mark them (``is_rx``
-is false), or, as udp_multicast, carry a channel name that is made unique.
+A device must not get its own frames back: interfaces mark them (``is_rx`` is false), or, as udp_multicast,
+carry a channel name that is made unique.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ERROR = 0x2000_0000
 
 
 def flagged_id(message: can.Message) -> int:
-    """The CAN-ID of a message of python-can, with ERROR, or EXTENDED for all else that is not of CANopen."""
+    """The CAN-ID of a message, with ERROR, or EXTENDED for all else that is not of CANopen."""
     if message.is_error_frame:
         return message.arbitration_id | ERROR
     return message.arbitration_id | (EXTENDED if message.is_extended_id or message.is_fd else 0)
@@ -89,10 +89,7 @@ def enlarge_queue_of(bus: can.BusABC) -> None:
 
 
 class NamedInterface:
-    """The SocketCAN interface of a bus of python-can.
-
-    One that was removed and made again has another index: the kernel has unbound the socket.
-    """
+    """The SocketCAN interface of a bus: one that was removed and made again must be bound again."""
 
     def __init__(self, bus: can.BusABC) -> None:
         under = bus.under if isinstance(bus, SharedBus) else bus
@@ -113,9 +110,9 @@ class NamedInterface:
 
 
 class Reception:
-    """Receives from ``bus``, over failures of an interface that is down or gone.
+    """Receives from ``bus``, over failures of an interface that is down or gone; BusError for others.
 
-    ``report`` gets a line when it goes and comes. BusError for any other failure, unless it ``lasts``.
+    ``report`` gets a line when it goes and comes. It ``lasts``: no failure ends it.
     """
 
     def __init__(

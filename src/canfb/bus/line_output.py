@@ -1,4 +1,4 @@
-"""Lines to a reader that may be slow: no SYNC cycle waits for a terminal or a pipe."""
+"""Lines to a slow reader: no SYNC cycle waits for a terminal or a pipe."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ MOST_LINES = 1000
 
 
 class LineOutput:
-    """Writes lines to ``descriptor`` as far as it takes them at once; OSError as write(2).
+    """Writes lines to ``descriptor`` as far as it takes them; MOST_LINES wait.
 
-    When MOST_LINES wait further ones are left out; ``excuse`` makes the line of their number.
+    ``excuse`` makes the line for those left out. OSError as write(2).
     """
 
     def __init__(self, descriptor: int, excuse: Callable[[int], str], encoding: str = "utf-8") -> None:

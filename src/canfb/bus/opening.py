@@ -44,10 +44,7 @@ _MISSING = re.compile(r"missing \d+ required [a-z -]+ arguments?: (.*)")
 
 
 def open_bus(options: dict[str, Any]) -> can.BusABC:
-    """A python-can bus from its own words, its environment and its files. BusError when there is no such bus.
-
-    A multicast group has the port of :func:`group_port` unless one is given.
-    """
+    """A python-can bus from its own words, environment and files; BusError if there is none."""
     words = {key: value for key, value in options.items() if key != FORCE_PYTHON_CAN}
     if words.get("interface") in (None, MULTICAST):
         full = _completed(options)
@@ -74,7 +71,7 @@ def _completed(options: dict[str, Any]) -> dict[str, Any]:
 def group_port(group: object) -> int | None:
     """The UDP port of a multicast group: 61440 + CRC-32 of its address modulo 4096.
 
-    None for python-can's two default groups, which keep its port (43113), and for no address.
+    None for python-can's own two groups (43113), and for no address.
     """
     if not isinstance(group, str):
         return None
@@ -131,7 +128,7 @@ def open_sync_bus(options: dict[str, Any], *, receives_own: bool) -> can.BusABC:
 
 
 def check_device_bus(options: dict[str, Any]) -> None:
-    """ConfigError for a bus on which a device would receive its own frames, or a bad ``python_can``."""
+    """ConfigError where a device would receive its own frames, and for a bad ``python_can``."""
     forced = options.get(FORCE_PYTHON_CAN)
     if forced is not None and not isinstance(forced, bool):
         raise ConfigError(f"{FORCE_PYTHON_CAN} in bus must be true or false, not {forced!r}")
@@ -218,7 +215,7 @@ def _hint(word: str, known: list[str]) -> str:
 
 @cache
 def _words_of(interface: str) -> tuple[frozenset[str], frozenset[str]]:
-    """The parameters that its classes name, and all words that its source mentions; none for a plug-in."""
+    """The parameters of its classes, and all words in its source; none for a plug-in."""
     named, mentioned = set[str](), set[str]()
     module = BACKENDS[interface][0]
     spec = find_spec(module) if module.startswith("can.interfaces.") else None

@@ -1,7 +1,6 @@
-"""SocketCAN without python-can: a raw socket, receive times of the kernel or the controller, filters.
+"""SocketCAN by a raw socket: receive times of kernel or controller, filters in the kernel.
 
-The kernel drops what no filter passes: an exact 11-bit filter is a look-up there. Filters are exchanged as a
-whole, so that no frame is lost in between. Error frames pass always.
+Filters are exchanged as a whole, so that no frame is lost in between; error frames always pass.
 """
 
 from __future__ import annotations
@@ -78,10 +77,10 @@ _CAN_RAW_ERR_FILTER = 2  # python names it on Linux only
 
 
 class RawCanBus:
-    """A :class:`.FrameBus` on a SocketCAN interface, without own frames; sending never waits.
+    """A :class:`.FrameBus` on a SocketCAN interface; sending never waits.
 
-    An interface that is down or gone is an error of each :meth:`receive` until it is up; the first frame is
-    then an error frame "restarted".
+    An interface that is down or gone is an error of each :meth:`receive`; the first frame after it is an
+    error frame "restarted".
     """
 
     def __init__(self, raw: socket.socket, channel: str = "") -> None:

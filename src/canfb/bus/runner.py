@@ -1,9 +1,5 @@
 """Devices on a bus: frames in, frames out, deadlines kept, a clean end on a signal.
 
-    keep the deadlines that are due (tick)
-    wait for a frame, until the next deadline, and 0.1 s at most: a signal sets a flag that is looked at here
-    give it to the devices that listen to it (dispatch), send what they answer
-
 A process that did not run for a while finds deadlines in the past, and frames from before them in the queue.
 So a deadline D is kept only if no frame received before D can wait: the last one was received at R >= D, or
 the queue was empty at D or later. Frames put a deadline off by 1 s at most (0.1 s without receive times), so
@@ -75,9 +71,8 @@ class BusCounters:
 class Runner:
     """Runs devices on one bus in the calling thread until :meth:`stop`; they hear each other.
 
-    ``report`` gets one line when the state of the bus changes. DeviceFailure where a device raises.
-    ``meanwhile`` is called some hundred times a second at most. ``busy_poll``: the bus is read without a
-    wait.
+    ``report`` gets a line when the state of the bus changes; ``meanwhile`` is called some hundred times a
+    second. DeviceFailure where a device raises. ``busy_poll``: never waits.
     """
 
     def __init__(
@@ -130,10 +125,7 @@ class Runner:
         self._stopped = True
 
     def hears(self, can_ids: Collection[int], wait_s: float, asked: Iterable[Frame] = ()) -> int | None:
-        """Send ``asked`` and listen, before :meth:`run`: the first of these CAN-IDs, None after ``wait_s``.
-
-        A bus that fails is silent.
-        """
+        """Before :meth:`run`: send ``asked``; the first of these CAN-IDs heard, None after ``wait_s``."""
         end_s = self._clock() + wait_s
         try:
             for can_id, data, remote, _ in asked:
@@ -176,7 +168,7 @@ class Runner:
                     port.device.end(self._clock())
 
     def _wait(self) -> Received | None:
-        """Keep the deadlines, then wait for a frame until the next one or LONGEST_WAIT_S; None: none came."""
+        """Keep the deadlines, then wait for a frame until the next one."""
         if self._dispatch.moved:
             self._dispatch.follow()
         self._now = asked = self._clock()
@@ -277,7 +269,7 @@ class Runner:
             self._dispatch.called(port)  # the program may have called devices by itself
 
     def _ask(self, port: Port, method: Callable[..., list[Frame]], *arguments: Any) -> None:
-        """Call a method of the device; send its frames, and give them to the others that listen to them."""
+        """Call a method of the device; send its frames, also to the others that listen."""
         dispatch, send = self._dispatch, self._sender.send
         frames = self._called(port, method, *arguments)
         if dispatch.moved:
@@ -344,7 +336,7 @@ def ending_on_signals(stop: Callable[[], None]) -> contextlib.AbstractContextMan
 
 @contextlib.contextmanager
 def outside_collections() -> Iterator[None]:
-    """What there is now is left out of garbage collections, until the end: 5 µs in place of 40 ms."""
+    """Garbage collections leave out what there is now: 5 µs in place of 40 ms."""
     gc.freeze()
     try:
         yield

@@ -1,8 +1,8 @@
 """The SDO client of a tool beside other clients of one node.
 
-A node has one SDO channel (CiA 301, 7.2.4.1), and all hear its answers. Programs of ours on one computer take
-turns by a locked file. An answer to another master is ignored; a broken transfer is begun again by
-:class:`canfb.master.access.NodeAccess`.
+A node has one SDO channel (CiA 301, 7.2.4.1), and all hear its answers: programs on one computer take turns
+by a locked file; answers to another master are ignored, and :class:`canfb.master.access.NodeAccess` begins
+again.
 """
 
 from __future__ import annotations
@@ -31,10 +31,9 @@ LONGEST_TURN_S = 30.0
 
 @contextlib.contextmanager
 def sdo_turn(bus: str, node_id: int, longest_s: float = LONGEST_TURN_S) -> Iterator[None]:
-    """Hold the SDO channel of a node against other programs of this computer.
+    """Hold the SDO channel of a node on ``bus`` (its ``channel_info``) against programs of this computer.
 
-    ``bus`` is the ``channel_info`` of a bus of :func:`canfb.bus.opening.open_bus`. BusError if another one
-    has it for longer than ``longest_s``. Where no file can be made nobody waits.
+    BusError after ``longest_s``. Where no file can be made nobody waits.
     """
     file = _opened(os.path.join(tempfile.gettempdir(), f"canfb-sdo-{zlib.crc32(bus.encode()):08x}-{node_id}"))
     try:
@@ -88,9 +87,9 @@ _ANSWERS = {0: (1, False), 1: (3, True), 2: (2, True), 3: (0, False), 5: (6, Tru
 
 
 class SharedClient(SdoClient):
-    """python canopen's client, which ignores answers to requests of others.
+    """canopen's client, which ignores answers to others: ``disturbed`` then.
 
-    ``turn`` holds the channel for one transfer. ``disturbed`` is True once an answer was ignored.
+    ``turn`` holds the channel for one transfer.
     """
 
     def __init__(

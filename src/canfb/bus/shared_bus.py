@@ -27,9 +27,9 @@ def only_reads(message: can.Message) -> bool:
 
 
 class SharedBus(can.BusABC):
-    """``bus``, of which one thread receives; each :meth:`branch` gets that, too.
+    """``bus``, received by one thread; each :meth:`branch` gets all of it.
 
-    For what only reads: frames of SDO uploads are sent, any other is a can.CanOperationError.
+    It sends SDO uploads; can.CanOperationError for any other frame.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
@@ -111,7 +111,7 @@ class _Branch(can.BusABC):
 def beside(work: Callable[[], None], stop: Callable[[], None], failed: Callable[[], None]) -> Iterator[None]:
     """``work`` runs in a thread while this is entered; ``stop`` ends it.
 
-    What it raises is raised at the end; ``failed`` is called at once then, from the thread.
+    What it raises comes out at the end; ``failed`` is called at once.
     """
     with ThreadPoolExecutor(1, "canfb listening") as threads:
         future = threads.submit(work)

@@ -1,1 +1,1 @@
-"""What is wrong on a bus: its nodes, its frames in words, and why a position is lost."""
+"""What is wrong on a bus: nodes, frames in words, why a position is lost."""

@@ -1,4 +1,4 @@
-"""CANopen frames in words: PDOs of modules by their mapping, all others by the predefined connection set."""
+"""CANopen frames in words: PDOs by the mapping of their module, others by the predefined connection set."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ STATES = {int(one): one.name.replace("_", "-") for one in NmtState}
 class DecodedFrame(NamedTuple):
     """A frame and what it says.
 
-    kind     tpdo, rpdo, sync, nmt, emcy, heartbeat, sdo request, sdo response, time, lss, "" for another
-    node     by the mapping, else by the predefined connection set; None: not known
-    values   of a PDO, by object (6004:00): figures as the object has them
+    kind     tpdo, rpdo, sync, nmt, emcy, heartbeat, sdo request, sdo response, time, lss, ""
+    node     None: not known
+    values   of a PDO, by object (6004:00)
     """
 
     frame: Frame
@@ -67,7 +67,7 @@ class DecodedFrame(NamedTuple):
 
 
 class FrameWords:
-    """Says what each frame of a bus is, with PDOs of the modules that it has learned."""
+    """Says what each frame is, with PDOs of the modules that it has learned."""
 
     def __init__(self, described: ObjectDescriptions) -> None:
         self._described = described
@@ -104,7 +104,7 @@ class FrameWords:
 
 
 def learn_by_sdo(words: FrameWords, master: Master, nodes: Iterable[int]) -> set[int]:
-    """Read the mapping of these modules, or without any of all on the bus; the nodes that have answered."""
+    """Learn the mapping of these modules, by default of all; the nodes that have answered."""
     known = set()
     for node in nodes or [one.node_id for one in scan(master, SCAN_S) if one.device_type]:
         read = NodeAccess(master, node, "module").read_known

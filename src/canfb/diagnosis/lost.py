@@ -1,7 +1,4 @@
-"""Why the position of a module is lost: what happened, what brings it back, and what would have kept it.
-
-Read by SDO: the cause (2012:10..16), the limits (2010h), and which references are mapped.
-"""
+"""Why a position is lost (2012:10..16), what brings it back, what would have kept it."""
 
 from __future__ import annotations
 
@@ -41,15 +38,13 @@ class Loss:
 
 @dataclass(frozen=True)
 class LostPosition:
-    """State of the position of a module, and its last loss.
+    """The position of a module and its last loss.
 
-    loss                    None without one
     keeps_cause             the module has 2012:10
     losses, missed, missed_syncs  2012:05, :01 and :0E
     sample_hz               now; 0.0: none
-    limit_now_cycles        what is in force of 2010:01
-    needed_cycles           what good samples need of it
-    coarse, zero_pulse, second, timed   which parts of a sample its RPDOs bring
+    limit_now_cycles, needed_cycles   2010:01 in force, and for good samples
+    coarse, zero_pulse, second, timed   mapped in its RPDOs
     """
 
     node_id: int

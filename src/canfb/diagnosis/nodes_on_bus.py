@@ -1,8 +1,7 @@
-"""Who is on a bus, and what a node says of itself.
+"""Who is on a bus: the nodes that answer 1000h, or send a heartbeat.
 
-A request for 1000h goes to all 127 node-IDs, and those that answer are there. The NMT state is that of a
-heartbeat, or asked for by a remote frame, unless a master may be guarding the node (100Ch), whose toggle bit
-that would upset. STOPPED nodes are known by their heartbeat.
+The NMT state is that of the heartbeat, or asked for by a remote frame unless a master may be guarding the
+node (100Ch), whose toggle bit that would upset.
 """
 
 from __future__ import annotations
@@ -131,7 +130,7 @@ Figures = dict[str, Any]
 
 
 def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> Figures:
-    """The objects of a node whose EDS is ``known``, by number; else why not. Nothing is written."""
+    """The readable objects of a node whose EDS is ``known``, by number; else why not."""
     node = NodeAccess(master, node_id, "node")
     facts: Figures = {"node_id": node_id}
     try:

@@ -1,4 +1,4 @@
-"""A status word (2011:01) in words: what each bit says, and which bits cannot be set together."""
+"""A status word (2011:01) in words."""
 
 from __future__ import annotations
 

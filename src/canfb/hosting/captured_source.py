@@ -1,4 +1,4 @@
-"""A converter as a source: a thread waits for its scans, a SYNC takes the newest, or those of a grid."""
+"""A converter as a source: a thread waits for its scans, a SYNC takes them."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ CLOSE_S = 5.0
 
 
 class CapturedSource(Closing):
-    """Gives the scans of a converter that ``picked`` chooses for a SYNC; without it the newest.
+    """The scans of a converter that ``picked`` chooses for a SYNC, by default the newest.
 
-    ``opened`` opens it, at once, and again every ``reopen_s`` after a failure. With a capture that is fired,
-    :meth:`next` waits for the scan, at most ``wait_s``.
+    ``opened`` opens it, and again ``reopen_s`` after a failure. A fired capture is waited for, at most
+    ``wait_s``.
     """
 
     def __init__(

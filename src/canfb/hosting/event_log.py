@@ -48,9 +48,7 @@ class _Window:
 
 
 class Throttle:
-    """Lets BURST items of a key pass in WINDOW_S, and counts the rest; the window grows to
-    LONGEST_WINDOW_S.
-    """
+    """Lets BURST items of a key pass in a window of WINDOW_S to LONGEST_WINDOW_S, counts the rest."""
 
     def __init__(self) -> None:
         self._windows: dict[Hashable, _Window] = {}
@@ -162,10 +160,9 @@ log = logging.getLogger(__name__)
 
 
 class EventLog:
-    """Writes what happens in nodes to the logger; with ``verbose`` single faults, too.
+    """Writes events of nodes to the logger with the next :meth:`tick`; ``verbose``: single faults, too.
 
-    An event is written by the next :meth:`tick`: no position PDO waits for text. Its record has the attribute
-    `event`.
+    A record has the attribute `event`.
     """
 
     def __init__(self, verbose: bool = False, wall: Callable[[], datetime] = local_time) -> None:

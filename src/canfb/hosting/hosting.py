@@ -88,8 +88,8 @@ log = logging.getLogger(__name__)
 class Hosting(OnBus):
     """Modules and encoder interfaces of a configuration on a bus: a context manager around :meth:`run`.
 
-    ``words`` are python-can's own, default: those of ``config``. It logs to ``canfb.*``. ConfigError, and
-    CanfbError on entering, for a bus, a state_dir or a source that cannot be used.
+    ``words`` are python-can's own, default: those of ``config``. ConfigError and CanfbError on entering, for
+    a bus, a state_dir or a source that cannot be used.
     """
 
     modules: list[FeedbackModule]
@@ -166,10 +166,9 @@ class Hosting(OnBus):
         ready: Callable[[], None] = lambda: None,
         alive: Callable[[float], None] = lambda now: None,
     ) -> None:
-        """Serve the nodes until :meth:`stop`. ``ready`` is called when they are on the bus, ``alive`` again
-        and again.
+        """Serve the nodes until :meth:`stop`: ``ready`` on the bus, ``alive`` again and again.
 
-        A program error in one of them ends it for all, with CanfbError.
+        CanfbError for a program error in one of them: it ends all.
         """
         runner = self._entered()
         self._alive = alive
@@ -247,9 +246,9 @@ Sampling = TypeVar("Sampling", ModuleConfig, InterfaceConfig)
 def open_source(
     config: Sampling, settings: SourceConfig, simulation: SimulationConfig, resources: contextlib.ExitStack
 ) -> tuple[Sampling, Source]:
-    """The source with these ``settings``, and the configuration with the bits of its converter.
+    """The source with these ``settings``, closed by ``resources``, and the bits of its converter.
 
-    ``resources`` closes it. CanfbError for one that cannot be used.
+    CanfbError for one that cannot be used.
     """
 
     def captured(*opening: Any) -> Source:
@@ -290,9 +289,9 @@ def make_interface(
 
 
 def saved_configuration(config: ModuleConfig) -> DeviceConfiguration:
-    """The module as it comes up: its configuration, and over it what is saved.
+    """The module as it comes up: what is saved over its configuration.
 
-    ConfigError when it has no node-ID, CanfbError when what is saved is refused.
+    ConfigError without a node-ID, CanfbError for refused parameters.
     """
     store = None if config.state_dir is None else SavedParameters(config.state_dir)
     module = FeedbackModule(config, store, source=None if config.source is None else _NoSource())

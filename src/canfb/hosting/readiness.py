@@ -20,11 +20,9 @@ WATCHDOG_PART = 0.25  # of the time that systemd waits: so often it is notified 
 
 
 class Readiness:
-    """A context manager around the whole run; call :meth:`ready` on the bus.
+    """Around the whole run: ``path`` holds the process id from :meth:`ready` on; ConfigError if it cannot.
 
-    ``path`` holds the process id while the program is on its bus. Under systemd (sd_notify(3)) it sends
-    READY=1, STOPPING=1 and, with ``WATCHDOG_USEC``, WATCHDOG=1 by :meth:`alive`. ConfigError if the file
-    cannot be.
+    Under systemd (sd_notify(3)) it sends READY=1, STOPPING=1 and, with ``WATCHDOG_USEC``, WATCHDOG=1.
     """
 
     def __init__(
@@ -90,10 +88,7 @@ def _watchdog_s(environment: Mapping[str, str]) -> float:
 
 
 def _clear(path: Path) -> None:
-    """Remove what a killed program has left, and nothing else.
-
-    The file of a program that runs stays until this one is ready: it may have to leave before.
-    """
+    """Remove what a killed program has left; the file of a running one stays until this one is ready."""
     try:
         if path.exists() or path.is_symlink():
             process = _process_of(path)

@@ -1,7 +1,6 @@
 """A diagnosis of the running process, on SIGUSR1, and facts of computer, program and bus.
 
-Objects are read in the loop that serves the bus, a few between two frames; a thread does the rest. All is
-plain data for JSON, without secrets.
+Objects are read in the loop of the bus, a few at a time; a thread writes.
 """
 
 from __future__ import annotations
@@ -61,10 +60,7 @@ def versions() -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """What JSON can hold, without secrets: passwords, keys, and what stands before the @ of an address.
-
-    Bytes become hexadecimal, a dataclass a mapping, and what is no number null.
-    """
+    """For JSON: bytes in hexadecimal, null for no number; no passwords, keys, and users of addresses."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = dataclasses.asdict(value)
     if isinstance(value, Mapping):

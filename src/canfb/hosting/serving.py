@@ -1,8 +1,7 @@
-"""What nodes on a bus share: several modules or interfaces in one process, or a simulation.
+"""What nodes on a bus share: one bus, one loop (canfb.bus.runner), one log.
 
-They share one bus, one loop (canfb.bus.runner) and one log. Nothing that lasts is done in the loop: saving
-and converters have threads, a reference measurement a process; events are written between frames. A program
-error in one node ends all.
+Nothing that lasts is done in the loop: saving and converters have threads, a reference measurement a
+process.
 """
 
 from __future__ import annotations
@@ -28,9 +27,7 @@ READ_DEVICE_TYPE = b"\x40\x00\x10\x00\0\0\0\0"  # SDO upload of 1000h (CiA 301, 
 
 
 class OnBus(ABC):
-    """A context manager that holds the bus, the runner, and what the devices need. ConfigError and
-    CanfbError.
-    """
+    """A context manager that holds bus, runner and what the devices need. ConfigError and CanfbError."""
 
     def __init__(self, words: Mapping[str, Any], realtime: RealtimeConfig) -> None:
         self.words = dict(words)

@@ -36,10 +36,7 @@ def fed_module(config: ModuleConfig) -> FedModule:
 
 
 class Simulating(OnBus):
-    """A simulation on a bus; a context manager around :meth:`run`.
-
-    ``seconds`` of machine time, the end of a recording or :meth:`stop` ends it. Errors as :class:`OnBus`.
-    """
+    """A simulation on a bus until ``seconds`` of machine time, the end of a recording, or :meth:`stop`."""
 
     def __init__(
         self,

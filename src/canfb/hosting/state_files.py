@@ -1,8 +1,7 @@
 """Stored parameters as files: one for each group in a folder, whole after a crash at any instant.
 
-A group is written beside its file and renamed over it. A change of several groups is first one file,
-``pending.bin``, whose rename makes it valid, then copied; what a crash has left is done by the next save. A
-running module writes in a thread.
+A group is written beside its file and renamed over it. Several groups are first one file, ``pending.bin``,
+valid by its rename, then copied; the next save does what a crash has left.
 """
 
 from __future__ import annotations
@@ -57,10 +56,9 @@ class StateDirError(CanfbError):
 
 
 class StateFiles(Closing):
-    """A store in a ``folder``, which is made if it is missing: what 1010h and LSS save, in files.
+    """What 1010h and LSS save, as files in a ``folder``, made if it is missing.
 
-    It belongs to one process until :meth:`close`. StateDirError when another one has it, or it cannot be
-    written.
+    It belongs to one process until :meth:`close`. StateDirError if another has it or it cannot be written.
     """
 
     def __init__(self, folder: str | Path) -> None:

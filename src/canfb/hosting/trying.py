@@ -1,7 +1,4 @@
-"""A network in simulated time on a bus that other programs can open: what ``canfb try`` shows.
-
-Its time is that of the SYNC: where the computer is late the machine turns more slowly.
-"""
+"""A network in simulated time on a bus that other programs can open: what ``canfb try`` shows."""
 
 from __future__ import annotations
 
@@ -75,8 +72,8 @@ def end_main() -> None:
 class NetworkOnBus:
     """The first module of ``config``, its encoder interface and the SYNC at ``rate_hz``, in a thread.
 
-    ``first`` are frames of a master at the start; ``events``: what happens is logged. What is saved is
-    removed at the end. CanfbError for a bus that fails.
+    ``first``: frames of a master at the start. What is saved is removed at the end. CanfbError if the bus
+    fails.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What the tools need of a bus, and the objects of a node over SDO with errors in one line."""
+"""What the tools need of a bus, and the objects of a node by SDO."""
 
 from __future__ import annotations
 
@@ -51,8 +51,7 @@ def _store(client: Client, index: int, subindex: int, data: bytes, block: bool) 
 def _through(client: Client, stream: io.RawIOBase, act: Callable[[Any], bytes]) -> bytes:
     """``act`` on the stream; the transfer is aborted when anything goes wrong.
 
-    Closing canopen's streams ends it as if all data had been sent: half a table would be taken for a whole
-    one.
+    Closing canopen's streams would end it as if all data had been sent.
     """
     try:
         result = act(stream)

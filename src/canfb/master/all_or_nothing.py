@@ -1,4 +1,4 @@
-"""Table and conditioning of a module, and a change as a whole or not at all, also of a file."""
+"""A change of a module, its table or a file: as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -74,10 +74,7 @@ def read_conditioning(module: NodeAccess) -> Conditioning:
 
 
 def put_in_force(module: NodeAccess, correction: Correction) -> None:
-    """Write conditioning and table, check the staged bytes, activate both, check again.
-
-    CommissioningError may leave the module in between.
-    """
+    """Write conditioning and table, activate both, check. A CommissioningError may leave it in between."""
     write_conditioning(module, correction.conditioning)
     if correction.table is not None and module.integer(*od.TABLE_ACTIVE_CRC, "I") != correction.crc32:
         stage(module, correction.table)
@@ -113,9 +110,7 @@ def check_unlocked(module: NodeAccess) -> None:
 
 
 def save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> str | None:
-    """Save table and parameters: the object used, None where nothing can be kept. CommissioningError if it
-    fails.
-    """
+    """Save: the object used, None where nothing can be kept; CommissioningError if it fails."""
     store = saving_object(module, stores)
     if store is None:
         return None
@@ -172,7 +167,7 @@ def _check_crc(module: NodeAccess, place: od.Multiplexer, which: str, expected: 
 
 
 class Guard:
-    """Keeps an interruption (Ctrl-C, SIGTERM, SIGHUP) away from what must not be left half done.
+    """Keeps an interruption away from what must not be left half done.
 
     :meth:`interrupt`, for a signal handler, raises KeyboardInterrupt once, and not while held.
     """
@@ -203,9 +198,9 @@ EITHER = "either what was saved before or the new values, whole"
 
 @contextlib.contextmanager
 def all_or_nothing(module: NodeAccess, guard: Guard, undo: Callable[[], str]) -> Iterator[None]:
-    """If the change in here fails, is interrupted, or the module restarts, ``undo`` puts back what was.
+    """A failure, an interruption or a restart of the module in here ends with ``undo``, uninterrupted.
 
-    Then the error goes on, with the words of ``undo``, or with its CanfbError. It is not interrupted.
+    The error goes on with the words of ``undo``, or its CanfbError.
     """
     try:
         with without_restart(module):
@@ -233,10 +228,10 @@ def change(
     stores: Sequence[Multiplexer] = STORES,
     step: Callable[[str], None] = lambda text: None,
 ) -> str | None:
-    """``act`` changes the module, and it is saved if ``keep``: the object that saved it, None: not saved.
+    """``act``, then save if ``keep``: the object that saved it, or None.
 
-    If this fails or is interrupted, ``back`` writes ``what`` was before, which is saved again where saving
-    had begun; ``undone`` says that it is in force. CommissioningError has the failure and this.
+    A failure or interruption writes ``what`` was ``back``, and saves it again where saving had begun; the
+    CommissioningError says so (``undone``).
     """
     saving = False
 
@@ -259,10 +254,7 @@ def change(
 
 
 def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: bool = False) -> None:
-    """``act`` writes ``what`` from before, and proves it; once more after a pause, if the bus fails.
-
-    CommissioningError says what to do if that fails too; with ``saving`` the new values may have been saved.
-    """
+    """``act`` writes ``what`` from before, once more after a pause; CommissioningError says what to do."""
     for attempt in range(ATTEMPTS):
         try:
             if attempt:
@@ -281,10 +273,7 @@ def put_back(module: NodeAccess, what: str, act: Callable[[], None], *, saving: 
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write or replace a file, whole. CommissioningError leaves what was there.
-
-    What is no plain file, as /dev/stdout or a pipe, is written to.
-    """
+    """Replace a file, whole; /dev/stdout or a pipe is written to. CommissioningError leaves what was."""
     try:
         if path.exists() and not path.is_file():
             _write_through(path, data)

@@ -1,4 +1,4 @@
-"""Samples over the bus: of the ADC PDO, SYNC by SYNC, or of a recording object (2050h) that is uploaded."""
+"""Samples over the bus: of the ADC PDO, or of a recording object (2050h)."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ MISSED = (MISSED_COUNTS, MISSED_COUNTS)
 
 
 class PdoRecorder:
-    """Gives each SYNC one sample, the first that comes before the next SYNC.
+    """Gives each SYNC the first sample that comes before the next one.
 
-    Called from the receiving thread, in the order of the frames; read when that has ended.
+    Called from the receiving thread; read when that has ended.
     """
 
     def __init__(self, layout: PdoLayout) -> None:
@@ -197,10 +197,10 @@ def listen(
     progress: Progress = lambda part: None,
     enough: Callable[[Listener], bool] = lambda listener: False,
 ) -> TrackSamples:
-    """Samples of ``duration_s`` seconds from the first SYNC on, and of at least ``least_samples`` intervals.
+    """Samples of ``duration_s`` from the first SYNC on, ``least_samples`` intervals at least.
 
-    ``progress`` gets 0..1. Ends after six times ``duration_s``, or when ``enough`` is true.
-    CommissioningError when SYNC or samples do not come.
+    ``progress`` gets 0..1. Ends after LONGEST times that, or when ``enough``. CommissioningError without
+    SYNC or samples.
     """
     with Listener(master, layout) as listener:
         while True:
@@ -221,10 +221,9 @@ UPLOAD_PART = 0.5  # of the progress reported
 
 
 def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress: Progress) -> TrackSamples:
-    """Let ``node`` record for ``duration_s`` seconds and upload what it has; ``progress`` gets 0..1.
+    """Let ``node`` record for ``duration_s``, and upload it; ``progress`` gets 0..1.
 
-    The rate is that of 2050:04, else ``rate_hz``. CommissioningError if the node cannot record, or has
-    recorded nothing.
+    ``rate_hz`` counts where 2050:04 is 0. CommissioningError if it cannot, or recorded nothing.
     """
     try:
         node.write(*od.RECORDING_COMMAND, "B", Command.START)

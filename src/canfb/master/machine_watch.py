@@ -1,7 +1,4 @@
-"""Speed, status and counters of the module during a measurement, and its provenance.
-
-Motion that is locked to the samples is seen after a second instead of after the whole measurement.
-"""
+"""Speed, status and counters of the module during a measurement, and its provenance."""
 
 from __future__ import annotations
 
@@ -28,10 +25,9 @@ HALF_CYCLE = 0.5
 
 
 class LockWatch:
-    """Looks once, about a second after the first SYNC, whether the motion is locked to the samples.
+    """Looks, a second after the first SYNC, whether the motion is locked to the samples: ``found``.
 
-    True when it makes no sense to continue; ``found`` says why. ``speed_rad_s`` is 0.0 where the speed is not
-    known.
+    ``speed_rad_s`` is 0.0 where it is not known.
     """
 
     def __init__(self, cycles_per_revolution: int, speed_rad_s: Callable[[], float]) -> None:
@@ -255,11 +251,7 @@ def watch(
     usual_s: float,
     progress: Progress = lambda part: None,
 ) -> None:
-    """See for ``duration_s`` seconds that the module flags no more than ``usual``, counted in ``usual_s``
-    seconds before.
-
-    CommissioningError as soon as it does, or processes no samples.
-    """
+    """CommissioningError if the module flags more than ``usual`` (in ``usual_s``), or processes nothing."""
     master = module.master
     began, first = master.now(), read_counters(module)
     samples = module.integer(*od.FEEDBACK_SAMPLES, "I")
@@ -297,13 +289,10 @@ PERCENT = 100.0
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where and when it was measured; "" or None for what is not known.
+    """Where and when it was measured; "" or None: not known.
 
-    date, time      ISO 8601; time of day with the offset to UTC
-    command         the command line
-    identity        1018h of the module: vendor-ID, product code, revision, serial number
-    encoder         name or serial number of the encoder, as the user gave it
-    meanwhile       the module before and after the samples
+    date, time ISO 8601; time of day with the offset to UTC identity 1018h: vendor-ID, product code,
+    revision, serial number encoder as the user named it meanwhile the module before and after
     """
 
     date: str

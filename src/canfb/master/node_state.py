@@ -1,8 +1,7 @@
-"""The NMT state of a node, whether it was restarted meanwhile, and restarting a module.
+"""The NMT state of a node, whether it was restarted, and restarting a module.
 
-The state is in the heartbeat, and in the response to node guarding; the boot-up, one byte 00h, is the sign of
-a reset. A module is restarted at standstill only: on a turning machine whole cycles per interval look like a
-rest. So the machine is watched before the reset and after it.
+A module is restarted at standstill only: whole cycles per interval look like a rest. So the machine is
+watched before and after the reset.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ STEP_S = 0.005
 
 
 def state_in(data: bytes) -> NmtState | None:
-    """The state in a frame with the CAN-ID 700h + id, or None; a boot-up is followed by PRE-OPERATIONAL."""
+    """The state in a frame 700h + id, or None; PRE-OPERATIONAL for a boot-up."""
     if len(data) != 1:
         return None
     value = data[0] & 0x7F
@@ -37,10 +36,7 @@ def state_in(data: bytes) -> NmtState | None:
 
 
 def nmt_state(node: NodeAccess) -> NmtState:
-    """The NMT state of a node that answers SDO, by heartbeat (1017h), guarding (100Ch) or a remote frame.
-
-    CommissioningError if it is not known then.
-    """
+    """By heartbeat (1017h), guarding (100Ch) or a remote frame; CommissioningError if not known."""
     heartbeat_s = node.integer(*HEARTBEAT_TIME, "H") / 1000
     with _received(node) as received:
         if heartbeat_s:
@@ -154,11 +150,9 @@ def watch_standstill(module: NodeAccess) -> MachineLook:
 def reset_nodes(
     master: Master, nodes: Sequence[int], command: NmtCommand = NmtCommand.RESET_NODE, *, force: bool = False
 ) -> list[dict[str, Any]]:
-    """Reset nodes; none of them if the machine of one of the modules among them moves.
+    """Reset nodes; CommissioningError, and no reset, if the machine of a module among them moves.
 
-    A module alone is started and its position waited for (:func:`reset_module`); others stay as they come up.
-    ``force``: without a look at the machines. What was done, for programs. CommissioningError if a machine
-    moves, or a node does not say by SDO whether it is a module.
+    A single module is started and waited for. ``force``: without a look. What was done, for programs.
     """
     found = [NodeAccess(master, node, "node") for node in nodes]
     modules = [] if force and len(found) > 1 else [one for one in found if _is_module(one)]
@@ -193,10 +187,9 @@ def _refuse_motion(module: NodeAccess) -> None:
 def reset_module(
     module: NodeAccess, command: NmtCommand = NmtCommand.RESET_NODE, *, force: bool = False
 ) -> dict[str, Any]:
-    """Reset a module whose machine stands still, start it, and see that its position is valid.
+    """Reset a module at standstill, start it, and see that its position is valid.
 
-    ``force``: without a look at the machine. CommissioningError if it moves, or if the module does not come
-    back valid.
+    ``force``: without a look at the machine. CommissioningError if it moves or does not come back valid.
     """
     if not force:
         _refuse_motion(module)

@@ -26,13 +26,13 @@ LEAST_SKIPPED, SURE_PART = 2, 0.005
 
 @dataclass(frozen=True, eq=False)
 class TrackSamples:
-    """Both tracks in ADC counts, one sample an interval, NaN where a sample was missed.
+    """Both tracks in ADC counts, one sample an interval, NaN where one was missed.
 
-    rate_hz      samples per second without pauses; None: not known
-    time_s       sample times by the clock of the encoder interface, seconds, rising; None: equidistant
-    received_s   when the SYNC of each sample was received, seconds; None: not known
-    coarse       coarse sine and cosine, ADC counts, NaN where they did not come; None: none
-    at_speed     so fast that the analog path of the module counts
+    rate_hz      without pauses; None: not known
+    time_s       sample times, rising; None: equidistant
+    received_s   of the SYNC of each sample; None: not known
+    coarse       sine and cosine, ADC counts, NaN where they did not come
+    at_speed     the analog path counts
     """
 
     sine: FloatArray
@@ -75,10 +75,9 @@ class TrackSamples:
         return recording(self.sine, self.cosine, self.time_s, None, adc_bits)
 
     def together(self, cosine_delay_s: float, cycles_per_s: float) -> TrackSamples:
-        """As if both tracks had been sampled at once, and not the cosine ``cosine_delay_s`` later (2002:06).
+        """As if the cosine had not been sampled ``cosine_delay_s`` later (2002:06), at this mean speed.
 
-        ``cycles_per_s`` is the mean speed. CommissioningError where the rate is not known, CalibrationError
-        where the samples are on no ellipse.
+        CommissioningError without a rate, CalibrationError where the samples are on no ellipse.
         """
         if not cosine_delay_s:
             return self
@@ -153,7 +152,7 @@ def write_npz(path: Path, samples: TrackSamples, hertz: float | None = None) -> 
 
 
 def write_csv(path: Path, samples: TrackSamples) -> None:
-    """Columns t_s (if the rate is known), sine, cosine in counts; a missed sample has no row."""
+    """Columns t_s (if the rate is known), sine, cosine; a missed sample has no row."""
     names = ["t_s", "sine", "cosine"] if samples.rate_hz else ["sine", "cosine"]
     with path.open("w", newline="", encoding="ascii") as file:
         rows = csv.writer(file, lineterminator="\n")

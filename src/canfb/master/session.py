@@ -1,4 +1,4 @@
-"""A module and its encoder interface on a bus: what is active, what limits it, where samples come from."""
+"""A module and its encoder interface: what is active, what limits it, where samples come from."""
 
 from __future__ import annotations
 
@@ -30,10 +30,9 @@ class Session:
     """Both nodes, read once.
 
     limits               2001:02..04
-    samples_itself       the module takes no ADC PDO, and no interface was named
-    named                an interface was named
+    samples_itself       no ADC PDO, and no interface was named
     identity             1018h of the module
-    interface_identity   that of the encoder interface; None if it does not answer
+    interface_identity   None if the interface does not answer
     """
 
     master: Master
@@ -107,11 +106,7 @@ class Session:
         return any(conditioning.harmonics) and bool(conditioning.cosine_delay_s or self.corners.are_there)
 
     def together(self, samples: TrackSamples) -> TrackSamples:
-        """As if both tracks had been sampled at once, without the delay of 2002:06, by the speed of the
-        module.
-
-        CommissioningError where its position is not valid.
-        """
+        """The samples without the delay of 2002:06; CommissioningError if the speed is not known."""
         delay_s = self.active.conditioning.cosine_delay_s
         corners = self.corners
         if not (delay_s or corners.are_there):
@@ -165,10 +160,9 @@ def _interface_of(module: NodeAccess) -> int | None:
 
 
 def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout:
-    """The PDO that the interface sends and the module takes.
+    """The PDO that the interface sends and the module takes; CommissioningError if they differ.
 
-    CommissioningError if both are known and differ: the table would be that of another encoder. An interface
-    that does not answer is taken to send what the module expects.
+    An interface that does not answer is taken to send what the module expects.
     """
     taken = module_layout(module.read_known) if module is not None else None
     if module is not None and taken is None:

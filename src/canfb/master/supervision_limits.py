@@ -1,4 +1,4 @@
-"""The limits of the supervision in a module, 2001h and 2010h: read, written, and put to the chain."""
+"""The limits of the supervision in a module, 2001h and 2010h."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ AMPLITUDES = (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
 
 
 class LimitObject(NamedTuple):
-    """An object that holds a limit: its layout as in struct, its name and the unit of its value."""
+    """An object that holds a limit; its layout as in struct."""
 
     place: Multiplexer
     layout: str
@@ -51,14 +51,10 @@ KINDS = {one.place: one for one in (*LIMITS, CORNER)}
 
 @dataclass(frozen=True)
 class SupervisionLimits:
-    """Values of :data:`LIMITS`, and what the chain has to know beside them.
+    """Values of :data:`LIMITS` in their units, and what the chain needs beside them.
 
-    values                  by object, in its unit
-    full_scale_counts       2001:02
-    cycles_per_revolution   2001:01
-    coast_samples           2010:03
-    motion                  noise margin, samples per SYNC, sample times
-    noise_cycles            2011:0B, of the residual; None: not known
+    coast_samples 2010:03 motion noise margin, samples per SYNC, sample times noise_cycles 2011:0B; None: not
+    known
     """
 
     values: Mapping[Multiplexer, float]
@@ -106,10 +102,7 @@ class SupervisionLimits:
         return self.settings.bounds(self.cycles_per_revolution, interval_s, self.noise_cycles)
 
     def kept_samples(self, interval_s: float, motion_cycles: float) -> int:
-        """Missed or flagged samples in a row after which the position is certain, at most 2010:03.
-
-        ``motion_cycles`` is the largest acceleration of the machine.
-        """
+        """Missed or flagged samples in a row, at most 2010:03, with this largest acceleration."""
         return self.chain_limits(interval_s).kept_samples(motion_cycles)
 
     def changed(self, values: Mapping[Multiplexer, float]) -> SupervisionLimits:
@@ -125,10 +118,7 @@ class SupervisionLimits:
         return self.bounds(interval_s).residual_limit
 
     def chain_limits(self, interval_s: float) -> ChainLimits:
-        """As the module puts them in force, for a chain that gets all samples one by one.
-
-        ``interval_s`` is that from sample to sample.
-        """
+        """For a chain that gets all samples one by one, ``interval_s`` apart."""
         low, high = (self.values[place] for place in AMPLITUDES)
         return ChainLimits.of(
             self.bounds(interval_s),
@@ -142,7 +132,7 @@ class SupervisionLimits:
 
 
 def write_limits(module: NodeAccess, limits: Mapping[Multiplexer, float]) -> None:
-    """Write these objects and read them back. CommissioningError for what does not read as written.
+    """Write and read back; CommissioningError for a difference.
 
     The lower amplitude limit stays below the upper one at all times.
     """

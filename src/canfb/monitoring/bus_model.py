@@ -1,8 +1,6 @@
-"""A bus and its nodes: frames and times in, a snapshot out.
+"""A bus and its nodes: frames and times in, a snapshot out; memory is bounded.
 
-The NMT state of a node is that of its heartbeat or boot-up; without one, that of the last NMT command, or
-OPERATIONAL while it sends PDOs. Memory is bounded: 127 nodes with some EMCYs, a minute of residuals, some
-hundred samples each.
+The NMT state is that of heartbeat or boot-up, else of the last NMT command, or OPERATIONAL while PDOs come.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ COMMANDED = {
 
 
 class NodeModel:
-    """Takes the frames of one node (1..127). ``module`` is set once it is known to be a feedback module."""
+    """Takes the frames of one node (1..127); ``module``: None, or a feedback module."""
 
     def __init__(self, node_id: int, module: ModuleModel | None = None) -> None:
         self.node_id = node_id
@@ -105,10 +103,10 @@ Take = Callable[[bytes, float], None]
 
 
 class BusModel:
-    """Takes each frame of a bus; no frame raises, and what is remembered is bounded.
+    """Takes each frame of a bus; none raises.
 
-    ``layouts`` are those of known modules; ``assume`` gives that of a node that looks like a module.
-    ``bit_rate`` in bit/s is for the load. ``only_known``: other nodes are not shown.
+    ``layouts``: of known modules; ``assume``: of what looks like one. ``bit_rate`` in bit/s. ``only_known``:
+    hides other nodes.
     """
 
     def __init__(
@@ -183,7 +181,7 @@ class BusModel:
         )
 
     def _at(self, now: float) -> float:
-        """Time does not go back, unless the clock was set: then all that is measured begins again."""
+        """Time does not go back; a set clock begins all measurements again."""
         if self._now is not None and now < self._now:
             if now < self._now - BACK_S:
                 self._restart()

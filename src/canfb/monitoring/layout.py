@@ -1,4 +1,4 @@
-"""What the PDOs of a module carry, and what its values mean: by its objects, or by a configuration."""
+"""What the PDOs of a module carry, and what its values mean."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ NEEDED: dict[str, tuple[Multiplexer, ...]] = {
 
 
 class Origin(StrEnum):
-    """How a layout is known. Of a configuration, too, it is an assumption: saved values take precedence."""
+    """How a layout is known; saved values take precedence over a configuration."""
 
     DEFAULT = "EDS"
     CONFIGURATION = "configuration"
@@ -95,9 +95,7 @@ def known_values(pdo: Pdo, data: bytes, kinds: Mapping[Multiplexer, str]) -> dic
 class NodeLayout:
     """What must be known of a module to understand its frames.
 
-    tpdos, inputs       PDOs that it sends, and those that bring it samples
-    supervision         what the residual limit in force depends on
-    assumed             which of :data:`NEEDED` were not read from the module
+    supervision what the residual limit depends on assumed of :data:`NEEDED`, not read from the module
     """
 
     node_id: int
@@ -118,7 +116,7 @@ class NodeLayout:
 
 @dataclass(frozen=True, eq=False)
 class ModuleReading:
-    """What was read of a module. ``correction``: the active one; None where it was not asked for."""
+    """What was read of a module; ``correction`` None: not asked for."""
 
     node_id: int
     values: Mapping[Multiplexer, Number]
@@ -199,13 +197,13 @@ NO_STATUS = 0xC000  # bits that no status word has
 
 
 class Recognition:
-    """Knows a module by what it sends: ALIKE TPDO1 in a row with a position, a status word and a residual."""
+    """Knows a module by ALIKE TPDO1 in a row with position, status and residual."""
 
     def __init__(self) -> None:
         self._alike: dict[int, int] = {}
 
     def found(self, can_id: int, data: bytes) -> int | None:
-        """The node-ID of a frame that shows that its sender is a module; None for all others."""
+        """The node-ID, once its frames show a module, or None."""
         node_id = can_id - cob.TPDO1
         if not 1 <= node_id <= 127:
             return None

@@ -1,7 +1,4 @@
-"""A snapshot in words, with the units of the machine.
-
-One list of rows for each module, which lines, the page in a terminal and that of a browser show.
-"""
+"""A snapshot in words: one list of rows, for lines, terminal and browser."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ SLOTS = 10
 
 
 class SyncMeter:
-    """Rate and jitter by the straight line through the last SYNCs that the judge of the module takes."""
+    """Rate and jitter by the straight line through the last good SYNCs."""
 
     def __init__(self) -> None:
         self._syncs = Syncs()

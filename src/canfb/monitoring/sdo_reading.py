@@ -1,7 +1,7 @@
-"""What no PDO carries, read by SDO beside the reception: while somebody looks, and as seldom as that allows.
+"""What no PDO carries, read by SDO while somebody looks.
 
-Values are read every CYCLE_S, mapping, limits and scales every LAYOUT_S; all at once after a boot-up and when
-bit 7 of the status word changes. The table is read again when its CRC or its conditioning is another one.
+Values every CYCLE_S, mapping, limits and scales every LAYOUT_S; all after a boot-up or a change of status
+bit 7; the table when its CRC or conditioning changes.
 """
 
 from __future__ import annotations
@@ -103,10 +103,9 @@ Take = Callable[[ModuleReading], None]
 
 
 class SdoThread:
-    """Runs ``readers`` on a branch of ``bus``, which another thread receives from.
+    """Runs ``readers`` on a branch of ``bus``, while ``wanted``.
 
-    ``latest`` gives what the bus shows, ``take`` gets each reading, in this thread. Nothing is sent while not
-    ``wanted``.
+    ``latest`` gives what the bus shows, ``take`` gets each reading, in this thread.
     """
 
     def __init__(
@@ -121,7 +120,7 @@ class SdoThread:
         self._stopped = threading.Event()
 
     def running(self, failed: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
-        """It reads while this is entered; ``failed`` is called, from its thread, if it ends by an error."""
+        """It reads while this is entered; ``failed``: called if an error ends it."""
         return beside(self._run, self._stopped.set, failed)
 
     def _run(self) -> None:

@@ -10,11 +10,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class SyncSnapshot:
-    """The SYNC of the last seconds, against the best regular grid; None while there are too few.
-
-    silent_s    since the last SYNC; None before the first
-    count       SYNCs since the beginning
-    """
+    """The last seconds against the best regular grid; None: too few. ``silent_s``: since the last."""
 
     rate_hz: float | None = None
     jitter_rms_s: float | None = None
@@ -25,7 +21,7 @@ class SyncSnapshot:
 
 @dataclass(frozen=True)
 class LoadSnapshot:
-    """The last second, with the most stuff bits that there can be; ``load``, 0..1, needs a bit rate."""
+    """The last second, with most stuff bits; ``load`` 0..1 needs a bit rate."""
 
     frames_per_s: float = 0.0
     bits_per_s: float = 0.0
@@ -46,22 +42,18 @@ class EmergencySnapshot:
 
 @dataclass(frozen=True)
 class ModuleSnapshot:
-    """The feedback of a module. None stands for what was not received.
+    """The feedback of a module; None: not received.
 
-    layout                 how its PDOs are known: EDS, configuration, module, assumed
+    layout                 EDS, configuration, module, assumed
     age_s                  since its last PDO with a position or a status
-    position_units         6004h
     table_crc32            2020:04, by SDO; 0: the identity
     velocity_rad_s         of 2011:07, else from the positions
-    residual_limit_cycles  in force; the peak is of the last second
-    residual_history_cycles  peaks of ``history_bin_s`` each, oldest first
-    amplitude_counts       2011:05, else of the ADC counts before conditioning (``amplitude_is_raw``)
-    tracks_counts          the last pairs of the ADC PDO; ``tracks_heard`` counts all
+    residual_peak_cycles   of the last second; ``history``: of ``history_bin_s`` each, oldest first
+    amplitude_counts       2011:05, else before conditioning (``amplitude_is_raw``)
+    tracks_counts          the last pairs of the ADC PDO
     seen                   position PDOs with each fault, and losses, counted here
-    lost_by                why the position is lost, in words; None: it is not
-    since_fault_s          since a position PDO was not valid
     counters               2012h, where it is read or mapped
-    assumed                names of values above that depend on settings which were not read
+    assumed                values above whose settings were not read
     """
 
     layout: str
@@ -98,10 +90,8 @@ class ModuleSnapshot:
 class NodeSnapshot:
     """A node of the bus.
 
-    state_source    what the NMT state is known by: heartbeat, boot-up, PDO, command
-    heard_s         since its last frame; None for one that never sent any
-    emergencies     the last ones, newest first; ``emergency_count`` in all
-    module          None for a node that is not known as a feedback module
+    state_source heartbeat, boot-up, PDO, command heard_s since its last frame; None: never emergencies the
+    last ones, newest first; ``emergency_count`` in all
     """
 
     node_id: int

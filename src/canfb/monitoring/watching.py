@@ -1,4 +1,4 @@
-"""Frames of a bus as it goes on, or of a log: one reader, for a monitor's model or one by one."""
+"""Frames of a bus or of a log: one reader, for a monitor's model or one by one."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ Show = Callable[[BusSnapshot], None]
 
 
 class MessageReader:
-    """Reads frames, of any kind by :func:`.flagged_id`, until :meth:`stop`, for ``seconds``; None: no end.
+    """Reads frames of any kind until :meth:`stop`, or for ``seconds``.
 
-    An interface that is down or gone is waited for: ``report`` gets a line when it goes, and one when it is
-    back (:class:`.Reception`). ``clock``, ``wall`` and ``sleep`` are those of the system, but for tests.
+    ``report`` gets a line when an interface goes or comes (:class:`.Reception`). ``clock``, ``wall`` and
+    ``sleep``: for tests.
     """
 
     def __init__(
@@ -57,10 +57,7 @@ class MessageReader:
     def bus(
         self, bus: can.BusABC, due: Callable[[], float] = lambda: float("inf")
     ) -> Iterator[tuple[float, Frame | None]]:
-        """Each frame of an open bus and seconds since the beginning; None while none comes, and at ``due``.
-
-        BusError, in one line, when it fails.
-        """
+        """Seconds since the beginning and each frame, None while none comes and at ``due``. BusError."""
         times = ReceiveTimes(self.clock, self._wall)
         reception = Reception(bus, self._report, self.clock, self.sleep)
         began = now = self.clock()
@@ -76,10 +73,7 @@ class MessageReader:
                 yield at, Frame(flagged_id(message), bytes(message.data), message.is_remote_frame, at)
 
     def log(self, path: Path) -> Iterator[tuple[float, Frame]]:
-        """Each frame of a log, as fast as it can be read, and seconds since the first one.
-
-        CanfbError, in one line, for a file that cannot be read (to its end) or has no frame.
-        """
+        """Seconds since the first frame and each frame; CanfbError for an unreadable or empty file."""
         began: float | None = None
         log_file = BusLogFile(path, others=True)
         for frame in log_file:
@@ -111,9 +105,9 @@ def recognised(log: Path) -> dict[int, Read]:
 
 
 class Watching:
-    """Feeds ``model`` and calls ``show`` with a snapshot ``rate_hz`` times a second, until the reader stops.
+    """Feeds ``model``; ``show`` gets a snapshot ``rate_hz`` times a second.
 
-    It sends nothing. :meth:`put` takes what was read by SDO, from any thread.
+    :meth:`put` takes what was read by SDO, from any thread.
     """
 
     def __init__(
@@ -141,10 +135,7 @@ class Watching:
                 self._due_s = max(self._due_s + self._interval_s, at)
 
     def log(self, path: Path, speed: float | None = None) -> None:
-        """From a log that python-can reads, in its own time; the last snapshot is that of its end.
-
-        ``speed``: so many times as fast as it was; None: as fast as it can be read.
-        """
+        """From a log, in its own time; ``speed`` times as fast, None: as fast as it can be read."""
         now, due = 0.0, self._interval_s
         for now, frame in self._reader.log(path):
             if not abs(now - due) < LONGEST_GAP_S:

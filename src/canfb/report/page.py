@@ -98,12 +98,9 @@ footer { color: var(--soft); font-size: .87em; margin: 2em 0; }
 
 
 def page(title: str, place: str, said: Sequence[str], body: str, footer: str, good: bool = True) -> str:
-    """The whole page. All but ``body`` is plain text.
+    """The whole page; all but ``body`` (HTML) is plain text.
 
-    place    below the title: when, where
-    said     the verdict, its first line in bold; at least one line
-    body     HTML, of the functions below
-    good     the verdict is a good one
+    place when, where said the verdict, its first line in bold; ``good``: its tone
     """
     first, *others = (_unbroken(escape(line)) for line in said)
     return (
@@ -148,7 +145,7 @@ def section(one: Section) -> str:
 
 
 def table(title: str, rows: Iterable[Row], heads: Sequence[str] = (), style: str = "") -> str:
-    """The rows that have words, below ``heads`` if there are any; ``style`` "listed" is for much text."""
+    """The rows that have words, below ``heads``; ``style`` "listed": much text."""
     top = "".join(f"<th>{escape(head)}</th>" for head in heads)
     body = "".join(
         f"<tr><th>{escape(row.name)}</th>{_cells(heads, row.words)}</tr>\n" for row in rows if row.words
@@ -170,7 +167,7 @@ KEY_WIDTH = 22.0
 
 
 def svg_file(panels: Sequence[tuple[str, Plot]]) -> str:
-    """One SVG document with these plots, each below its heading and above its legend; at least one."""
+    """One SVG of these plots, each with its heading and legend."""
     parts: list[str] = []
     height = 0.0
     for heading, plot in panels:

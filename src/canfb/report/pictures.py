@@ -1,4 +1,4 @@
-"""The pictures of a report, as SVG. Errors are in cycles; curves over the phase have BINS values or NaN."""
+"""The pictures of a report, as SVG; errors in cycles, curves over the phase of BINS values or NaN."""
 
 from __future__ import annotations
 
@@ -107,10 +107,7 @@ SIGMAS = 5.0
 
 
 def histogram(error: FloatArray, rms: float, noise_cycles: float) -> str:
-    """Deviation of single samples with the table, shape (n,), and what noise alone would give.
-
-    ``rms`` is theirs, corrected for what the smooth motion took with it.
-    """
+    """Deviation of single samples, shape (n,), with what noise alone would give; ``rms``: corrected."""
     span = SIGMAS * max(rms, noise_cycles, 1e-9)
     # A cubic through each block takes some of the noise with it: the same factor as in the rms.
     error = error * (rms / max(root_mean(error), 1e-15))
@@ -127,7 +124,7 @@ def histogram(error: FloatArray, rms: float, noise_cycles: float) -> str:
 
 
 def residual_histogram(residual: FloatArray, before: float, new: float) -> str:
-    """Size of the residuals, cycles, NaN where there is none, with the limit before and the new one."""
+    """Residuals, cycles or NaN, with the limit before and the new one."""
     sizes = np.abs(residual[np.isfinite(residual)])
     most = 1.08 * max(before, new, float(sizes.max(initial=0.0)))
     count, middle, width = _counted(sizes, RESIDUAL_BINS, (0.0, most))
@@ -194,10 +191,7 @@ SIDE = 394.0  # of the square within the axes: a circle is drawn as one
 def lissajous(
     sine: FloatArray, cosine: FloatArray, conditioning: Conditioning, limits: SampleLimits | None
 ) -> str:
-    """Raw and conditioned samples, the amplitude limits, the ends of the converter.
-
-    ``sine`` and ``cosine`` in ADC counts, shape (n,), NaN for a missed sample.
-    """
+    """Samples, shape (n,), ADC counts or NaN, raw and conditioned, with limits and ends of the converter."""
     known = np.isfinite(sine)
     sine, cosine = sine[known], cosine[known]
     s, c = (np.asarray(one) for one in conditioning.apply(sine, cosine))
@@ -229,7 +223,7 @@ def square_plot(title: str, most_counts: float) -> Plot:
 
 
 def cloud(plot: Plot, x: FloatArray, y: FloatArray, style: str, name: str) -> Plot:
-    """Each sample as a dot, or, of many, one for each small cell that has samples: darker for more."""
+    """Each sample as a dot, or, of many, one for each small cell: darker for more."""
     if len(x) <= SHOWN_SAMPLES:
         return plot.dots(x, y, style, name)
     for cells in DENSITY_CELLS:

@@ -29,7 +29,7 @@ def size_around(width: float, height: float) -> tuple[float, float]:
 
 
 class Plot:
-    """One picture; what draws gives it back. ``style`` is a CSS class, ``name`` is in the legend."""
+    """One picture; what draws returns it. ``style``: a CSS class, ``name``: in the legend."""
 
     def __init__(
         self,

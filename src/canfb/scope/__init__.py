@@ -1,1 +1,1 @@
-"""The page of modules in a browser: what it is drawn from, and the server that shows it."""
+"""The page of modules in a browser."""

@@ -1,4 +1,4 @@
-"""What the page gets: a history at its beginning, then a look at the bus with each snapshot, as JSON."""
+"""What the page gets, as JSON: a history, then a look with each snapshot."""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
 """The server of the page: files and one stream of server-sent events, for this computer alone.
 
-It is that of the standard library, which leaves nothing to install: the page only shows, so there are a few
-files and a stream, each connection has a thread, and their number is bounded. What is shown needs the
-**token**, new with each start. It stands in the fragment of the address, which is in no request and no
-Referer; the script keeps it in the sessionStorage and asks for the stream with it. No cookie would do:
-browsers send those of 127.0.0.1 to each of its ports.
+What is shown needs the **token**, new with each start. It stands in the fragment of the address, which is in
+no request and no Referer; the script keeps it in the sessionStorage and asks for the stream with it. No
+cookie would do: browsers send those of 127.0.0.1 to each of its ports.
 """
 
 from __future__ import annotations
@@ -63,9 +61,9 @@ def event(name: str, data: str) -> Event:
 
 
 class PageServer:
-    """Serves at ``port`` of 127.0.0.1, 0: any free one. CanfbError for one that is taken.
+    """Serves at ``port`` of 127.0.0.1 (0: any free one); CanfbError for one that is taken.
 
-    ``first`` gives the event that a page gets at its beginning; those of :meth:`publish` follow.
+    A page gets the event ``first()``, then those of :meth:`publish`.
     """
 
     def __init__(self, port: int, first: Callable[[], Event]) -> None:
@@ -127,7 +125,7 @@ class PageServer:
                 self._viewers.remove(events)
 
     def refusal(self, hosts: list[str], origin: str | None, path: str, token: str) -> str:
-        """Why a request is not served; empty: it is. No name that is made to point here gets an answer."""
+        """Why a request is not served, or "". No name made to point here gets an answer."""
         if hosts != [self.host]:
             return f"another host name than {self.host}"
         if origin not in (None, f"http://{self.host}"):

@@ -1,4 +1,4 @@
-"""What the pictures of one module are drawn from: snapshots in, plain values out, all of it bounded."""
+"""What the pictures of one module are drawn from: snapshots in, plain values out, bounded."""
 
 from __future__ import annotations
 

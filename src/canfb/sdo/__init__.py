@@ -1,1 +1,1 @@
-"""Objects of a node by name: what ``canfb sdo`` reads and writes."""
+"""What the commands sdo, table and backup do."""

@@ -1,4 +1,4 @@
-"""A backup of a module as a file: YAML that a person reads, each parameter with its name and unit."""
+"""A backup of a module: YAML, each parameter with its name and unit."""
 
 from __future__ import annotations
 
@@ -34,12 +34,11 @@ class NodeIdentity(NamedTuple):
 
 @dataclass(frozen=True)
 class Backup:
-    """What a backup holds.
+    """Its content.
 
     date           ISO 8601
-    version        of canfb
     table          the bytes of 2020:01, empty for the identity
-    not_restored   what belongs to the machine: preset and offset
+    not_restored   preset and offset
     unknown        parameters that this version does not know
     """
 
@@ -55,7 +54,7 @@ class Backup:
 
 
 def backup_text(backup: Backup, described: ObjectDescriptions) -> str:
-    """The backup as YAML, with names and units. KeyError for a parameter that the EDS does not have."""
+    """The backup as YAML. KeyError for a parameter that the EDS does not have."""
     entries = (
         {"crc32": f"{CorrectionTable.from_bytes(backup.table).crc32:08X}", "entries": _entries(backup.table)}
         if backup.table

@@ -48,9 +48,7 @@ class RestoreOptions:
 
 @dataclass(frozen=True)
 class Restored:
-    """What came out: ``changes`` are the values of before and of the backup, ``untouched`` what is not
-    in it.
-    """
+    """``changes``: values before and of the backup; ``untouched``: not in it."""
 
     module: NodeAccess
     identity: NodeIdentity
@@ -71,9 +69,9 @@ class Restoring:
     def restore(
         self, backup: Backup, made: Callable[[dict[Place, Any]], Configured], wishes: RestoreOptions
     ) -> Restored:
-        """Write, prove, save. CommissioningError if anything does not work; then all is as before.
+        """Write, prove, save. CommissioningError if anything fails; all is then as before.
 
-        ``made`` makes the configuration of the backup, with the values of before for what is not in it.
+        ``made`` makes the configuration of the backup over the values of before.
         """
         identity = self._check_identity(backup, wishes.force)
         before = self._read()

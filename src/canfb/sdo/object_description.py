@@ -27,9 +27,7 @@ _NUMBERED = re.compile(r"(?:0x)?([0-9a-f]{4})h?(?:[:.](?:0x)?([0-9a-f]{1,2})h?)?
 
 @dataclass(frozen=True)
 class ObjectDescription:
-    """One entry of an object dictionary; ``parent`` is the name of the object, "" where the entry is all of
-    it.
-    """
+    """One entry; ``parent`` is the name of its object, "" where the entry is all of it."""
 
     index: int
     subindex: int
@@ -67,10 +65,9 @@ class ObjectDescription:
         return self.access in ("wo", "rw", "rwr", "rww")
 
     def decode(self, data: bytes) -> Any:
-        """The value of bytes from the bus. ValueError where they are too few.
+        """The value of bytes from the bus; ValueError for too few.
 
-        Of the four bytes of an expedited answer the type decides how many count: some slaves do not say
-        (42h), or say four.
+        The type decides how many of an expedited answer count: some slaves do not say (42h), or say four.
         """
         size = datatypes.byte_length(self.data_type)
         if size and len(data) <= EXPEDITED:
@@ -79,7 +76,7 @@ class ObjectDescription:
 
 
 class ObjectDescriptions:
-    """The objects of a node, of an EDS or DCF. CommissioningError for a file that is none."""
+    """The objects of a node by an EDS or DCF; CommissioningError for any other file."""
 
     def __init__(self, path: Path, node_id: int) -> None:
         self.path = path
@@ -106,10 +103,9 @@ class ObjectDescriptions:
         return [self._entries[place] for place in sorted(self._entries) if place[0] == index]
 
     def meant(self, text: str) -> list[ObjectDescription]:
-        """The entries that are meant: one, or all of a record or an array that is named as a whole.
+        """The entry, or all of a record or array, by number (2010:01) or the beginning of a name.
 
-        ``text`` is a number, 2010:01 or 0x2010:1, or a name or its beginning, in any case: of the entry, the
-        object, or both. ConfigError for none or several.
+        ConfigError for none or several.
         """
         place = numbered(text)
         text = text[:LONGEST_NAME]

@@ -307,10 +307,7 @@ def _times(unit: str) -> str:
 
 
 def raw_text(unit: str, text: str) -> str:
-    """A value in the unit that a reading shows as the number of the object: 0.2 and "0.2 cycle" are 13107.
-
-    ValueError for no such value.
-    """
+    """A shown value (0.2, "0.2 cycle") as the number of the object (13107), or ValueError."""
     part = _part(unit)
     if part is None:
         return text.removesuffix(_times(unit)).rstrip() if unit else text
@@ -345,9 +342,7 @@ class Written:
 
 
 class SdoTasks:
-    """Reads and writes of one node. ConfigError for what is not known, CommissioningError for what is
-    refused.
-    """
+    """Reads and writes of one node. ConfigError for unknown objects, CommissioningError for refusals."""
 
     def __init__(self, node: NodeAccess, described: ObjectDescriptions) -> None:
         self._node = node

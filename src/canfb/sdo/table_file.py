@@ -1,7 +1,4 @@
-"""Correction tables as files and in a module, in figures and in words.
-
-A file is YAML for people and version control, or the bytes of object 2020:01.
-"""
+"""Correction tables as files, YAML or the bytes of 2020:01, and in a module; in figures and words."""
 
 from __future__ import annotations
 
@@ -77,7 +74,7 @@ def conditioning_in_words(conditioning: Conditioning) -> str:
 
 @dataclass(frozen=True)
 class TableFile:
-    """What a table file holds.
+    """Its content.
 
     with_conditioning   False for bytes of 2020:01
     with_delays         it has 2002:06 and 2002:07
@@ -175,12 +172,11 @@ WIDTH = 17
 
 @dataclass(frozen=True)
 class TableState:
-    """A table with its conditioning.
+    """A table with its conditioning, in a module or a file.
 
-    in_file        nothing is staged, active or saved
     staged_crc32   2020:02, 0: nothing is staged
     saved_crc32    2020:06, 0: the identity; None: not known
-    waiting        2002h and 2005h where they are not in force
+    waiting        2002h and 2005h, not yet in force
     """
 
     name: str

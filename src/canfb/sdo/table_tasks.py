@@ -1,4 +1,4 @@
-"""What ``canfb table`` does to a module: all of it, or the module is left as it was."""
+"""What ``canfb table`` does to a module, as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -44,9 +44,8 @@ class TableTasks:
     def upload(self, file: TableFile, *, active: bool, keep: bool, force: bool = False) -> Result:
         """Stage the table of a file and prove it. ``active`` puts it in force, ``keep`` saves it.
 
-        A file without conditioning leaves that of the module. CommissioningError if anything fails, or if the
-        amplitude would leave its limits, unless ``force``; at most a staged table, without effect, is left of
-        it.
+        CommissioningError if anything fails or, unless ``force``, if the amplitude would leave its limits;
+        at most a staged table is left then.
         """
         before, table = read_active(self._module), file.used.table
         if table is None:
@@ -117,11 +116,7 @@ class TableTasks:
         return _result(state, lines, {"file": str(path)})
 
     def _other_settings(self, file: TableFile) -> list[str]:
-        """Settings that are not those with which the table was measured.
-
-        2001h is the encoder and its analog path, acts at once and on the limits as well: it is set up, and no
-        part of a table.
-        """
+        """2001h where it differs from that of the measurement: set up by hand, no part of a table."""
         node = f"{self._module.node_id:#04x}"
         return [
             f"note: it was measured with {text} = {value:g}, {self._module.name} has {there:g}: "
@@ -168,10 +163,7 @@ class TableTasks:
     def _in_force(
         self, before: Correction, new: Correction | None, keep: bool, put: Callable[[], None]
     ) -> dict[str, Any]:
-        """Put it in force, prove it, save it if ``keep``.
-
-        What fails leaves ``before`` in force, and a staged table with its own conditioning.
-        """
+        """Put it in force, prove it, save it if ``keep``; a failure leaves ``before``."""
         if keep:
             check_can_save(self._module)
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")

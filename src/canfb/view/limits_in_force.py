@@ -1,4 +1,4 @@
-"""The limits of the motion that a module has in force, by its objects (2010h) and the SYNC on the bus."""
+"""The limits of the motion in force, by 2010h and the SYNC rate."""
 
 from __future__ import annotations
 
@@ -22,13 +22,10 @@ LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 
 @dataclass(frozen=True)
 class LimitSettings:
-    """What the limit depends on; 0 for what is not set, or not known.
+    """What the limit depends on; 0: not set, or not known.
 
-    widest_cycles      2010:01
-    doubt_acceleration 2010:0B, cycles per interval^2
-    cycle_period_s     1006h
-    samples_per_sync   pairs that its RPDOs carry
-    timed              they carry the sample time
+    widest_cycles 2010:01 doubt_acceleration 2010:0B, cycles per interval^2 cycle_period_s 1006h timed RPDOs
+    carry the sample time
     """
 
     widest_cycles: float = 0.5
@@ -49,9 +46,9 @@ class LimitSettings:
         noise_cycles: float | None = None,
         velocity_rad_s: float | None = None,
     ) -> float:
-        """The limit in force; 2010:01 where nothing narrows it, or the interval is not known.
+        """The limit in force; 2010:01 where nothing narrows it or no interval is known.
 
-        ``sync_hz`` None: as 1006h has it. ``noise_cycles`` is 2011:0B, None: not read.
+        ``sync_hz`` None: by 1006h. ``noise_cycles`` is 2011:0B, None: not read.
         """
         sync_s = 1.0 / sync_hz if sync_hz else self.cycle_period_s
         interval_s = sync_s / self.samples_per_sync
@@ -64,7 +61,7 @@ class LimitSettings:
         return min(limit, self.widest_cycles)
 
     def needed_cycles(self, cycles_per_revolution: int, sync_hz: float) -> float:
-        """The least 2010:01 that good samples keep: those of 2010:02 and 2010:0C (0 Hz: of 2010:0C alone)."""
+        """The least 2010:01 that good samples keep, by 2010:02 and 2010:0C (0 Hz: 2010:0C)."""
         interval_s = 1.0 / (sync_hz * self.samples_per_sync) if sync_hz else 0.0
         expected = cycles_per_interval_squared(self.acceleration_rad_s2, cycles_per_revolution, interval_s)
         return expected + 4.0 * self.phase_error_cycles

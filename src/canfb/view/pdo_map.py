@@ -1,8 +1,4 @@
-"""The PDOs of a node (CiA 301, 7.5.2.36 to 7.5.2.40), and the layout of a sample in them.
-
-A sample is spread over one PDO or several: both tracks in one, beside them or elsewhere the sample time,
-earlier pairs of the same interval, the coarse track.
-"""
+"""The PDOs of a node (CiA 301, 7.5.2.36 to 7.5.2.40), and the layout of a sample in them."""
 
 from __future__ import annotations
 
@@ -36,7 +32,7 @@ class Pdo(NamedTuple):
         return (sum(entry & 0xFF for entry in self.entries) + 7) // 8
 
     def values(self, data: bytes) -> dict[Multiplexer, bytes]:
-        """The bytes of each object in a frame with this ``data``; none of a frame that is too short."""
+        """The bytes of each object in a frame; none if it is too short."""
         if len(data) < self.length_bytes:
             return {}
         whole, found = int.from_bytes(data, "little"), {}
@@ -63,10 +59,7 @@ class Pdo(NamedTuple):
 
 
 def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
-    """The valid PDOs with 11-bit identifiers, read as the iterator goes on.
-
-    ``parameters`` and ``mapping`` are the indices of the first.
-    """
+    """The valid PDOs with 11-bit identifiers; ``parameters``, ``mapping``: indices of the first."""
     for number in range(PDOS):
         cob_id, count = read(Multiplexer(parameters + number, 1)), read(Multiplexer(mapping + number, 0))
         if cob_id is None or count is None or int(cob_id) & (cob.NOT_VALID | cob.EXTENDED):
@@ -89,10 +82,9 @@ SAMPLE_TIMES = (od.INTERFACE_SAMPLE_TIME.mapped(32), od.SAMPLE_TIME.mapped(32))
 
 @dataclass(frozen=True)
 class PdoLayout:
-    """COB-IDs of the PDO with the samples and of the SYNC, and the bytes of both tracks.
+    """Where both tracks, ``coarse``, ``earlier`` pairs (newest first) and the sample time are.
 
-    ``time_byte`` is where the sample time begins, None if it is elsewhere (``timed_by``) or nowhere.
-    ``earlier`` are earlier pairs of the interval, the newest first, ``coarse`` the coarse track.
+    ``time_byte`` is None where the time is elsewhere (``timed_by``) or nowhere.
     """
 
     can_id: int
