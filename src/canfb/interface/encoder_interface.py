@@ -1,8 +1,4 @@
-"""The remote encoder interface: a CiA 401 analog input node that samples at every SYNC.
-
-One class for the interface with a converter and for the simulated one (``canfb simulate``):
-the source makes the difference. Time is an argument, and a source never waits.
-"""
+"""The remote encoder interface: a CiA 401 analog input node that samples any source at every SYNC."""
 
 from __future__ import annotations
 
@@ -30,24 +26,13 @@ PLACES = 65536  # 2000:03 counts the sample interval in 1/65536
 class EncoderInterface(NodeDevice):
     """A CANopen node, sans-I/O, with the ADC channels in 6401h and TPDO1 at each SYNC.
 
-    ``source`` gives the samples: a :class:`Machine` at the time at which the SYNC was received, another
-    source one sample for each SYNC. That is true time, unless ``time_base`` is set to another one (see
-    :class:`TimeBase`). A SYNC for which it has none gets no TPDO, as if the sample
-    were lost on the bus. ``ended`` becomes True when a recording is over. Each sample is an event for the
-    TPDOs of type 0; types FEh and FFh have their event timer.
+    A :class:`Machine` is sampled at the time of ``time_base`` at which the SYNC was received, another source
+    has one sample for each SYNC; without one no TPDO is sent. Each is an event for the TPDOs of type 0. A
+    source that fails is asked again at the next SYNC; ``on_source`` gets one line, and EMCY 5000h is active.
 
-    A source that fails is asked again at the next SYNC. ``on_source`` is called with one line when it fails,
-    works again or has ended; meanwhile EMCY 5000h is active.
-
-    2000:01 is the time of the sample: that of ``clock`` when the SYNC was received, unless the sample
-    brings a time of its own. With ``times`` TPDO1 carries it behind sine and cosine, by default.
-    ``samples_per_sync``, 1..8: so many pairs for each SYNC (6401:05 and up), sampled by the clock of the
-    interface: by the converter (:class:`Grouped`), else see :class:`SeveralSamples`. What TPDO1 has no room
-    for is in TPDO2 and TPDO3.
-
-    ``store`` keeps what 1010h and LSS save. A ``node_id`` of 255 is one that an LSS master gives it; it
-    knows the device by its ``serial_number``, 0..4294967295. ``bit_rates_kbit_s`` are those that LSS may
-    choose.
+    2000:01 is the time of the sample by ``clock``, unless it brings its own; with ``times`` TPDO1 carries it.
+    ``samples_per_sync``, 1..8, pairs are sampled by a :class:`Grouped` source or :class:`SeveralSamples`.
+    ``store`` keeps what 1010h and LSS save; ``bit_rates_kbit_s`` are those that LSS may choose.
     """
 
     def __init__(
@@ -109,27 +94,22 @@ class EncoderInterface(NodeDevice):
 
     @property
     def ended(self) -> bool:
-        """The source has no sample left."""
         return self._watch.ended
 
     def machine_now(self) -> float:
-        """The time of the machine, seconds, at the running call."""
         return self.time_base.at(self._now)
 
     def start(self, now: float) -> list[Frame]:
-        """Power-on at ``now`` (seconds): the boot-up frame."""
         self._now = now
         return super().start(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take a frame from the bus; the frames to send."""
         self._silent = False
         self._now = now
         self._received_s = self.time_base.received_at(frame, now)
         return self._audible(super().receive(frame, now))
 
     def tick(self, now: float) -> list[Frame]:
-        """Do what is due at ``now``, a SYNC of its own too (1005h bit 30); the frames to send."""
         self._silent = False
         self._now = now
         self._received_s = self.time_base.at(now)
@@ -159,7 +139,6 @@ class EncoderInterface(NodeDevice):
             self.clear_emergency(EmergencyCode.HARDWARE, now)
 
     def _ask(self) -> Sample | None:
-        """A machine is sampled when the SYNC is received; a recording has one sample for each SYNC."""
         if self._several is not None:
             return self._several.at_sync(self._received_s)
         return self.source.next() if self._machine is None else self._machine.sample_at(self._received_s)
@@ -169,7 +148,6 @@ class EncoderInterface(NodeDevice):
             self.on_source(text)
 
     def _keep(self, sample: Sample) -> None:
-        """Put the sample into 6401h and 2000h."""
         sine, cosine, _, invalid, coarse_sine, coarse_cosine, pulse, time_100ns, pairs = sample
         self._sine.value, self._cosine.value = sine, cosine
         if coarse_sine is not None and coarse_cosine is not None:

@@ -33,10 +33,8 @@ class Continuous(Protocol):
 class FastRecorder:
     """Samples the encoder from start (2050:01 = 1) to stop (2), or until the memory is full (2050:05).
 
-    The rate is that of 2050:04, in Hz; no SYNC is needed. Nothing happens while it records: the samples
-    are a function of time, computed when 2050:03 is read. Leaving OPERATIONAL changes nothing, a reset
-    of the node drops all. Without a ``source`` that can do this, as when a file is played, start is
-    refused (08000022h).
+    The samples, at the rate of 2050:04, are a function of time, computed when 2050:03 is read. A reset of the
+    node drops them. Without a :class:`Continuous` source start is refused (08000022h).
     """
 
     def __init__(self, dictionary: Dictionary, source: object, now: Callable[[], float]) -> None:
@@ -56,7 +54,6 @@ class FastRecorder:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is recorded, and nothing was."""
         self._began_s: float | None = None  # time of the node, while it records
         self._first_s = 0.0  # time of the machine
         self._kept = 0
@@ -65,12 +62,10 @@ class FastRecorder:
 
     @property
     def is_recording(self) -> bool:
-        """True from start to stop, or until it is full."""
         return self._began_s is not None and self.count < self._capacity.value
 
     @property
     def count(self) -> int:
-        """Samples so far."""
         if self._began_s is None:
             return self._kept
         passed = max(0.0, self._now() - self._began_s)
@@ -78,7 +73,6 @@ class FastRecorder:
         return min(int(passed * self._rate_hz + 1e-6) + 1, int(self._capacity.value))
 
     def to_bytes(self) -> bytes:
-        """All samples so far, sine before cosine, INTEGER16, little-endian."""
         count = self.count
         whole, rest = divmod(count, BLOCK_SAMPLES)
         while len(self._blocks) < whole:

@@ -27,16 +27,13 @@ class TrueTime:
     """The machine turns in true time: at the clock of the bus where there is one."""
 
     def received_at(self, frame: Frame, now: float) -> float:
-        """Receive time of ``frame`` in seconds on the clock of ``now``, the time at which it is handled.
-
-        A time stamp that lies ahead of ``now``, or more than 10 s behind it, belongs to another clock:
-        ``now``.
+        """Receive time on the clock of ``now``; a time stamp ahead of it, or 10 s behind, is of another
+        clock: ``now``.
         """
         stamp = frame.timestamp
         return now if stamp is None or not now - OLDEST_S <= stamp <= now else stamp
 
     def at(self, now: float) -> float:
-        """``now``."""
         return now
 
 
@@ -63,7 +60,6 @@ class SampleClock:
         self._rate = TICKS_PER_S * (1.0 + drift_ppm * 1e-6)
 
     def ticks(self, now: float) -> int:
-        """What it shows at the true time ``now``, seconds: 0..2^32 - 1, rounded down as a counter does."""
         return (self._start + math.floor(now * self._rate)) % TICKS
 
 
@@ -74,9 +70,8 @@ EARLIER_PART = 1.0 / 16.0  # of the interval: so long before the nominal SYNC th
 class SeveralSamples:
     """Gives ``per_sync`` samples, 1..8, of a machine or a recording for each SYNC, in one.
 
-    The sampling instants of a machine do not jitter with SYNC: they lie on a grid that is locked to it, the
-    newest one shortly before SYNC. Where SYNC is earlier than that, the newest sample is taken at SYNC. The
-    first SYNC measures no interval, and has no samples. A recording has ``per_sync`` samples for each SYNC.
+    Those of a machine lie on a grid that is locked to SYNC, the newest one shortly before it, or at a SYNC
+    that is earlier. The first SYNC measures no interval, and has no samples.
     """
 
     def __init__(self, source: Source, per_sync: int) -> None:

@@ -1,8 +1,6 @@
-"""The conventional method (paper, Fig. 1): a hardware counter beside the converters. A reference model.
+"""The conventional method (paper, Fig. 1): a hardware counter of zero crossings beside the converters.
 
-Comparators detect the zero crossings of the tracks, a counter counts whole cycles, two converters give the
-position within the cycle. Counter and converters are never read at quite the same instant; a comparison of
-the quadrants that both see sets the count right by one.
+Both are never read at quite the same instant; a comparison of their quadrants corrects the count by one.
 """
 
 from __future__ import annotations
@@ -48,11 +46,10 @@ def conventional_position(
     fix: bool = True,
     rng: np.random.Generator | None = None,
 ) -> ConventionalPosition:
-    """Positions from a counter and two converters that are not read at the same instant.
+    """Positions from a counter and two converters that are not read at the same instant, at two arrays of
+    positions.
 
-    Arrays of one shape (ValueError): where the machine is when the converters sample, and when the counter is
-    read. ``fix`` corrects the count by one where the counter is in the first and the converters in the last
-    quadrant, or the reverse; two quadrants apart show no direction. ``rng`` is the noise of the tracks.
+    ``fix`` corrects the count where the quadrants show it; two quadrants apart show no direction.
     """
     sampled = np.asarray(position_cycles, dtype=np.float64)
     counted = np.asarray(counter_position_cycles, dtype=np.float64)

@@ -42,7 +42,6 @@ class MotionDemand:
 
     @property
     def allowed_rad_s2(self) -> float:
-        """Eq. 10 with the residual limit of the module."""
         return max_acceleration(self.module.cycles_per_revolution, self.rate_hz, self.module.residual_limit)
 
     @property
@@ -53,21 +52,15 @@ class MotionDemand:
 
     @property
     def asked(self) -> float:
-        """Demand of the motion over the limit that is left for it; inf if none is left."""
         asked, left = self.acceleration_rad_s2, self.left_rad_s2
         return asked / left if left else math.inf * asked if asked else 0.0
 
     @property
     def least_rate_hz(self) -> float:
-        """The SYNC rate at which the module follows: what it follows grows with the square of the rate.
-
-        inf if no rate is enough.
-        """
         return self.sync_hz * math.sqrt(self.asked)
 
     @property
     def sync_hz(self) -> float:
-        """SYNC rate."""
         return self.rate_hz / self.per_sync
 
     @property
@@ -76,7 +69,6 @@ class MotionDemand:
         return f"at {self.sync_hz:g} Hz{several}"
 
     def describe(self) -> str:
-        """One line with the figures."""
         speed = "" if self.speed_cycles is None else f"up to {self.speed_cycles:.3g} cycles per sample, "
         return (
             f"{self.what}: {speed}acceleration up to {self.acceleration_rad_s2:.3g} rad/s^2, "
@@ -84,7 +76,6 @@ class MotionDemand:
         )
 
     def warning(self) -> str | None:
-        """One line if the module cannot follow, None if it can."""
         if self.asked > 1.0:
             if self.asked == math.inf:
                 return (
@@ -142,10 +133,7 @@ def of_drive(motor: MotorConfig, module: ChainConfig, rate_hz: float, revolution
 def of_recording(
     sine: FloatArray, cosine: FloatArray, module: ChainConfig, rate_hz: float, name: str
 ) -> MotionDemand:
-    """Tracks in counts, NaN where a sample is missing; the speed is counted from the first samples on.
-
-    Phases alone leave an acceleration open by whole cycles per sample squared: the smallest is taken.
-    """
+    """Tracks in counts, NaN where a sample is missing, by the smallest acceleration that fits the phases."""
     phase = np.asarray(phase_in_cycle(*module.conditioning.apply(sine, cosine)), np.float64)
     step = np.diff(phase)
     bend = np.diff(step)

@@ -1,8 +1,7 @@
 """A CAN bus inside the process, in simulated time: deterministic, without threads or sockets.
 
-Without a bit rate a frame reaches all at once. With one, the wire carries one frame at a time: of those that
-wait the lowest CAN-ID is next (arbitration), a frame of n bits takes n / bit rate and is not interrupted, and
-it is received at its end. So a SYNC waits for the frame on the wire, and a full bus delays high CAN-IDs.
+Without a bit rate a frame reaches all at once. With one, the lowest CAN-ID that waits goes first
+(arbitration), takes its bits / bit rate, and is received at its end.
 """
 
 from __future__ import annotations
@@ -38,10 +37,7 @@ class Waiting:
 
 
 class Wire:
-    """A bus of ``bit_rate`` bit/s: one frame at a time, and who waits for it is chosen by CAN-ID.
-
-    All frames have the most stuff bits that there can be; a remote frame has no data on the wire.
-    """
+    """A bus of ``bit_rate`` bit/s, one frame at a time, each with the most stuff bits that there can be."""
 
     def __init__(self, bit_rate: int) -> None:
         if not 10_000 <= bit_rate <= 1_000_000:
@@ -55,18 +51,15 @@ class Wire:
 
     @property
     def idle(self) -> bool:
-        """Nothing is on the wire, and nothing waits."""
         return self._sending is None and not self._waiting
 
     @property
     def next_s(self) -> float:
-        """Time of the next event, a frame that begins or ends; NEVER: none."""
         if self._sending is not None:
             return self._end_s
         return self._free_s if self._waiting else NEVER
 
     def put(self, frame: Frame, sender: Any) -> None:
-        """Queue a frame."""
         self._numbers += 1
         heappush(self._waiting, Waiting(frame.can_id, self._numbers, frame, sender))
 
@@ -89,13 +82,12 @@ LONGEST_WAIT_S = 1.0
 
 
 class EmbeddedBus:
-    """Delivers every frame to all other participants, in the order of sending.
+    """Delivers every frame to all others, at once or by a :class:`Wire` of ``bit_rate``, 10000..1000000
+    bit/s.
 
-    Without a ``bit_rate`` at once. With one (10000..1000000 bit/s) by a :class:`Wire`.
-
-    ``now`` is the simulated time in seconds; ``bits`` and ``frames`` count what went over the bus, for its
-    load. ``observers`` are called with every frame and its time. What a participant has to compute is done at
-    once: no simulated time passes, unless ``computes`` is False.
+    ``now`` is the simulated time, ``bits`` and ``frames`` went over the bus, ``observers`` are called with
+    each frame and its time. What a participant has to compute takes no simulated time; ``computes`` False:
+    never done.
     """
 
     def __init__(self, bit_rate: int | None = None) -> None:
@@ -111,7 +103,6 @@ class EmbeddedBus:
         self._running = False
 
     def attach(self, participant: Device) -> None:
-        """Attach a device and power it on."""
         self._participants.append(participant)
         if isinstance(participant, Computing):
             self._computing.append((participant, participant))
@@ -121,8 +112,7 @@ class EmbeddedBus:
     def send(self, frame: Frame) -> None:
         """Send a frame from outside; everything it causes happens before the return.
 
-        Without a bit rate all of it is at this instant. With one, time passes until the bus is idle, at
-        most 1 s; from within a participant or a observer the frame is put behind those that wait.
+        With a bit rate time passes until the bus is idle, at most 1 s, but not from within a participant.
         """
         self._put(None, [frame])
         self._deliver()
@@ -130,7 +120,6 @@ class EmbeddedBus:
             self._run(self.now + LONGEST_WAIT_S, until_idle=True)
 
     def run_until(self, time_s: float) -> None:
-        """Let simulated time pass."""
         self._run(time_s)
         self.now = max(self.now, time_s)
 
@@ -175,7 +164,6 @@ class EmbeddedBus:
                 self._wire.put(frame, sender)
 
     def _deliver(self) -> None:
-        """Hand out what is in the queue, at once: there is no wire."""
         queue = self._queue
         while queue:
             sender, frame = queue.popleft()
@@ -195,13 +183,7 @@ class EmbeddedBus:
 
 
 class BackgroundTraffic(PacedDevice):
-    """Sends frames of 0 to 8 bytes at random times; sans-I/O.
-
-    load      part of the time for which they keep a bus of ``bit_rate`` bit/s busy, 0..0.95
-    seed      the same one gives the same frames again
-
-    ValueError for another load.
-    """
+    """Frames of 0 to 8 bytes at random times that load a bus for a part ``load`` of the time, 0..0.95."""
 
     def __init__(self, load: float, bit_rate: int, seed: int = 1) -> None:
         number_in("load", load, 0.0, HIGHEST_LOAD)
@@ -209,7 +191,6 @@ class BackgroundTraffic(PacedDevice):
         self._mean_gap_s = MEAN_BITS / bit_rate / load if load else None
 
     def start(self, now: float) -> list[Frame]:
-        """Power-on: the first frame comes after a random time."""
         self._plan(now)
         return []
 

@@ -33,7 +33,6 @@ class AnalogPath:
     delay_s: float = 0.0
 
     def lag_s(self, hertz: float) -> float:
-        """How late the sine track is at so many cycles per second."""
         lag_s = self.delay_s
         if self.sine_corner_hz:
             ratio = hertz / self.sine_corner_hz
@@ -109,9 +108,8 @@ class Encoder:
         rng: np.random.Generator | None = None,
         hertz: npt.ArrayLike = 0.0,
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """ADC counts at these positions (cycles), signed, zero at mid-scale.
-
-        Without ``rng`` there is no noise. ``hertz`` is the speed, which the analog path depends on.
+        """ADC counts at these positions (cycles), signed, zero at mid-scale; without noise if ``rng`` is
+        None.
         """
         sine, cosine = self.tracks(position_cycles, hertz)
         if rng is not None and self.noise_lsb > 0.0:
@@ -152,11 +150,10 @@ SPEED_OVER_S = 1e-5  # of the analog path
 
 
 class ShaftEncoder:
-    """Samples an encoder at a position of its shaft, with noise and, optionally, aperture jitter.
+    """Samples an encoder at a position of its shaft, with a coarse track and a zero pulse at whole
+    revolutions.
 
-    The coarse track has one cycle per revolution and the amplitude of the others. The zero pulse is where
-    the position is a whole number of revolutions. ``aperture_jitter_s`` is the rms of the instant at which
-    the tracks are held, normal, cut off at four times that; the clock of the interface knows nothing of it.
+    ``aperture_jitter_s`` is the rms of the instant of holding, normal, cut off at four times that.
     """
 
     def __init__(
@@ -180,7 +177,6 @@ class ShaftEncoder:
         """True position of the last sample, cycles."""
 
     def sample(self, time_s: float, revolutions_at: RevolutionsAt) -> Sample:
-        """The sample at ``time_s`` of the machine."""
         held_s = time_s
         if self._aperture_jitter_s:
             off = float(self._others.normal())
@@ -197,7 +193,6 @@ class ShaftEncoder:
         return Sample(int(sine), int(cosine), 1.0, False, int(coarse_sine), int(coarse_cosine), pulse)
 
     def _hertz(self, at_s: float, revolutions_at: RevolutionsAt) -> float:
-        """The speed there, cycles per second."""
         before_s = max(0.0, at_s - SPEED_OVER_S)
         if before_s == at_s:
             return 0.0
@@ -216,7 +211,6 @@ class ShaftEncoder:
 def _pulse_place(
     from_s: float, from_revolutions: float, to_s: float, to_revolutions: float, at: RevolutionsAt
 ) -> float:
-    """When the last whole revolution was passed, as a part 0..1 of the time between two samples."""
     forward = to_revolutions > from_revolutions
     mark = math.floor(to_revolutions) if forward else math.floor(to_revolutions) + 1
     low_s, high_s = from_s, to_s

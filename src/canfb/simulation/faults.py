@@ -61,7 +61,6 @@ class Samples:
         return len(self.sine)
 
     def tracks(self, places: slice | Counts) -> Tracks:
-        """Both tracks at these places, shape (2, n)."""
         return np.stack([self.sine[places], self.cosine[places]]).astype(np.float64)
 
     def put(self, span: slice, signal: Signal, faulty: npt.ArrayLike) -> Samples:
@@ -80,9 +79,8 @@ class Fault:
     faulty: Callable[[Samples, slice, Rng], Samples]
 
     def inject(self, samples: Samples, start: int, stop: int, rng: Rng) -> Samples:
-        """``samples`` with the fault in the intervals start..stop, 0 <= start < stop <= len(samples).
-
-        ValueError outside this range. ``rng`` is used where chance plays a part.
+        """``samples`` with the fault in the intervals start..stop, 0 <= start < stop <= len(samples), or
+        ValueError.
         """
         if not 0 <= start < stop <= len(samples):
             raise ValueError(f"0 <= start < stop <= {len(samples)} must hold, not {start} and {stop}")
@@ -90,7 +88,6 @@ class Fault:
 
 
 def _changed(change: Change, signal: Signal = Signal.BOTH) -> Fault:
-    """The tracks are changed."""
     return Fault(
         lambda samples, span, rng: samples.put(
             span, signal, change(samples.tracks(span), samples.full_scale_counts, rng)
@@ -192,10 +189,7 @@ def excess_noise(signal: Signal, rms_counts: float) -> Fault:
 
 
 def phase_glitch(amplitude_counts: float, common: bool = False) -> Fault:
-    """Samples at a random point of the circle: any phase, good amplitude.
-
-    ``common``: one random phase error for all of them, else one for each.
-    """
+    """Samples of good amplitude at any phase: one random error for all (``common``), or one for each."""
 
     def change(tracks: Tracks, full: int, rng: Rng) -> Tracks:
         angle = rng.uniform(0.0, 2.0 * math.pi, 1 if common else tracks.shape[1])
@@ -228,10 +222,7 @@ def frozen_samples() -> Fault:
 
 
 def repeated_samples(times: int = 2) -> Fault:
-    """Every sample comes ``times`` times, so the ones between are missing: a converter too slow.
-
-    The first of them repeats the last good sample. ValueError for ``times`` below 2.
-    """
+    """Every sample comes ``times`` times, the first of them the last good one: a converter too slow."""
     if times < 2:
         raise ValueError(f"times must be at least 2, not {times}")
 
@@ -244,11 +235,7 @@ def repeated_samples(times: int = 2) -> Fault:
 
 
 def late_samples(intervals: int = 1) -> Fault:
-    """Every sample comes ``intervals`` later than it was taken; the receiver does not know it.
-
-    At the beginning the last good sample is repeated, at the end ``intervals`` are left out.
-    ValueError for ``intervals`` below 1.
-    """
+    """Every sample comes ``intervals`` later than it was taken; the receiver does not know it."""
     if intervals < 1:
         raise ValueError(f"intervals must be at least 1, not {intervals}")
     return _moved(lambda span: np.maximum(np.arange(span.start, span.stop) - intervals, _last_good(span)))

@@ -33,7 +33,6 @@ class PiecewiseCubic:
         self._pieces = [(0.0, speed, 0.0, 0.0)]
 
     def state(self, time_s: float) -> tuple[float, float]:
-        """Value and speed."""
         place = max(0, bisect_right(self._starts, time_s) - 1)
         passed, (value, speed, half, sixth) = time_s - self._starts[place], self._pieces[place]
         return (
@@ -42,7 +41,6 @@ class PiecewiseCubic:
         )
 
     def at(self, times_s: npt.ArrayLike) -> FloatArray:
-        """The values for an array of times."""
         times = np.asarray(times_s, dtype=np.float64)
         places = np.maximum(np.searchsorted(self._starts, times, "right") - 1, 0)
         passed = times - np.array(self._starts)[places]
@@ -77,10 +75,7 @@ class Ripple(NamedTuple):
 
 @dataclass(frozen=True)
 class Motion:
-    """Position over time: from ``start_rpm`` through ``ramps``, then on at the last speed.
-
-    The ripple starts at phase zero, so the motion starts with the speed ``start_rpm``.
-    """
+    """Position over time from ``start_rpm`` through ``ramps``, then on at the last speed; with ripple."""
 
     ramps: tuple[Ramp, ...]
     ripples: tuple[Ripple, ...] = ()
@@ -98,11 +93,9 @@ class Motion:
         object.__setattr__(self, "_curve", curve)
 
     def revolutions(self, time_s: float) -> float:
-        """Position in revolutions at ``time_s`` >= 0, zero at the start."""
         return self._curve.state(time_s)[0] + float(self._swing(time_s))
 
     def revolutions_at(self, times_s: npt.ArrayLike) -> FloatArray:
-        """:meth:`revolutions` for an array of times."""
         return self._curve.at(times_s) + self._swing(times_s)
 
     def _swing(self, time_s: npt.ArrayLike) -> FloatArray | float:
@@ -114,11 +107,9 @@ class Motion:
 
 
 class SCurve:
-    """Position over time: at rest until ``start_s``, then to ``speed_rad_s`` and on at that speed.
+    """Position over time: at rest until ``start_s``, then to ``speed_rad_s`` at ``end_s`` with limited jerk.
 
-    The acceleration rises to ``acceleration_rad_s2`` with ``jerk_rad_s3``, stays there, and falls again;
-    ``end_s`` is when it has the speed. ValueError unless all are positive, and the speed suffices to reach
-    that acceleration.
+    ValueError unless all are positive, and the speed suffices to reach the acceleration.
     """
 
     def __init__(
@@ -147,16 +138,11 @@ class SCurve:
         self._curve = curve
 
     def revolutions(self, time_s: float) -> float:
-        """Position at ``time_s``, revolutions."""
         return self._curve.state(time_s)[0]
 
 
 class StoppableMotion:
-    """A motion whose own time can be brought to a halt, and on again, within ``ramp_s`` seconds each.
-
-    So it stops with the acceleration of a ramp of that length from its speed, and goes on where it was.
-    Times before keep their positions.
-    """
+    """A motion whose own time is brought to a halt, and on again, within ``ramp_s`` seconds each."""
 
     def __init__(self, motion: ShaftMotion, ramp_s: float) -> None:
         self._motion, self._ramp_s = motion, ramp_s
@@ -176,19 +162,16 @@ class StoppableMotion:
         self._own_time.go_on(self._changed_s + self._ramp_s * abs(step), float(running))
 
     def revolutions(self, time_s: float) -> float:
-        """Position at ``time_s`` of the machine, revolutions."""
         return self._motion.revolutions(self._own_time.state(time_s)[0])
 
     def revolutions_at(self, times_s: FloatArray) -> FloatArray:
-        """:meth:`revolutions` for an array of times."""
         return self._motion.revolutions_at(self._own_time.at(times_s))
 
 
 class MotionSource:
     """An encoder on a machine that moves, whether it is sampled or not; its motion is a function of time.
 
-    :meth:`sample_at` samples at a true time; the motion begins with the first one, or with the first
-    recording. :meth:`next` is for a module that samples itself: one ``interval_s`` passes with every sample.
+    :meth:`sample_at` samples at a true time, from the first one on; :meth:`next` lets one interval pass.
     """
 
     def __init__(self, shaft: ShaftEncoder, motion: ShaftMotion, interval_s: float) -> None:
@@ -200,21 +183,17 @@ class MotionSource:
 
     @property
     def position_cycles(self) -> float:
-        """True position of the last sample, cycles."""
         return self._shaft.position_cycles
 
     def machine_time(self, now: float) -> float:
-        """The time of the motion, seconds, at the time ``now`` of the node."""
         if self._start_s is None:
             self._start_s = now
         return max(0.0, now - self._start_s)
 
     def fast_samples(self, times_s: FloatArray, seed: tuple[int, int]) -> npt.NDArray[np.int16]:
-        """Both tracks at these times of the motion, shape (n, 2), in ADC counts."""
         return self._shaft.fast_samples(self.motion.revolutions_at(times_s), seed)
 
     def sample_at(self, now: float) -> Sample:
-        """The sample at the true time ``now`` of the node, seconds."""
         return self._shaft.sample(self.machine_time(now), self.motion.revolutions)
 
     def next(self) -> Sample:

@@ -85,7 +85,6 @@ class EncoderScenario:
         )
 
     def encoder(self, adc_bits: int) -> Encoder:
-        """The encoder with an ADC of ``adc_bits``."""
         return Encoder(
             amplitude_counts=self.amplitude * (1 << (adc_bits - 1)),
             sine_offset=self.sine_offset,
@@ -133,7 +132,6 @@ class MotionConfig:
         )
 
     def motion(self) -> Motion:
-        """The motion as a function of time."""
         ramps = (Ramp(self.standstill_s, 0.0), Ramp(self.ramp_s, self.rpm))
         return Motion(ramps, (Ripple(self.ripple_rpm, self.ripple_hz),) if self.ripple_rpm else ())
 
@@ -177,12 +175,10 @@ class SimulationConfig(SyncTiming):
             raise ValueError(f"pace must be {' or '.join(PACES)}, not {self.pace!r}")
 
     def source(self, adc_bits: int, cycles_per_revolution: int, interval_s: float) -> MotionSource:
-        """The encoder on its machine, sampled once every ``interval_s`` seconds."""
         motion = StoppableMotion(self.motion.motion(), self.motion.ramp_s)
         return MotionSource(self.shaft(adc_bits, cycles_per_revolution), motion, interval_s)
 
     def shaft(self, adc_bits: int, cycles_per_revolution: int) -> ShaftEncoder:
-        """The encoder on a shaft."""
         encoder = self.encoder.encoder(adc_bits)
         return ShaftEncoder(encoder, cycles_per_revolution, self.seed, self.aperture_jitter_ns * 1e-9)
 

@@ -1,8 +1,6 @@
 """What ``canfb simulate`` puts on a bus: the encoder interface, and what moves the encoder.
 
-The devices take each frame in the order of the list: the machine first, as it must have moved when the
-interface samples at the same SYNC, then the interface, then what records its samples. A drive moves the
-machine by the position of the module that the interface feeds: the control loop is closed over the bus.
+Devices take each frame in the order of the list: first the machine, then the interface, then the others.
 """
 
 from __future__ import annotations
@@ -71,7 +69,6 @@ class FedModule:
 
     @property
     def has_node_id(self) -> bool:
-        """No LSS master has to give it one."""
         return self.node_id != UNCONFIGURED
 
 
@@ -87,12 +84,10 @@ class SimulatedAxis:
     """What it asks of the module, None without a known SYNC rate."""
 
     def describe(self) -> str:
-        """One line on the drive."""
         node, module = self.drive.node_id, self.module_id
         return f"drive: node {node} ({node:02X}h), position from node {module} ({module:02X}h)"
 
     def summary(self) -> str:
-        """One line at the end."""
         state = self.drive.power.name.replace("_", " ").capitalize()
         error = f", error {self.drive.error:04X}h" if self.drive.error else ""
         return f"drive: {state}{error}; the shaft is at {self.plant.motor.revolutions:.3f} revolutions"
@@ -140,10 +135,7 @@ def drive_demand(
 
 
 class SampleRecorder(SilentDevice):
-    """Keeps the sample of each SYNC, from the first sample on; sans-I/O, and it sends nothing.
-
-    It must get the SYNC after the ``interface``: attach it behind. Four bytes for each SYNC.
-    """
+    """Keeps the sample of each SYNC from the first one on; attach it behind the ``interface``."""
 
     def __init__(self, interface: EncoderInterface) -> None:
         self._interface = interface
@@ -154,7 +146,6 @@ class SampleRecorder(SilentDevice):
         ]
 
     def __len__(self) -> int:
-        """Intervals, those without a sample as well."""
         return len(self._counts) // 2
 
     def tracks(self) -> tuple[FloatArray, FloatArray]:
@@ -164,7 +155,6 @@ class SampleRecorder(SilentDevice):
         return pairs[:, 0].copy(), pairs[:, 1].copy()
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take what the interface has sampled at this SYNC."""
         if frame.can_id == cob.SYNC and not frame.rtr:
             if self._interface.samples > self._samples:
                 self._samples = self._interface.samples
@@ -175,13 +165,10 @@ class SampleRecorder(SilentDevice):
 
 
 class SlowMotion(SilentDevice):
-    """The machine goes on by one nominal interval with each SYNC, however late it is, and stands between.
+    """A time base: one nominal interval with each SYNC, however late it is. Attach it before its nodes.
 
-    The samples are equidistant in the time of the machine. Attach it to the bus before the nodes whose
-    ``time_base`` (:mod:`canfb.interface.sample_instants`) it is; it sends nothing.
-
-    ``dictionary`` is that of the node that samples: its 1005h says which frame is the SYNC, its 1006h how
-    long the interval is. ``interval_s``, 1e-6 to 10 s, counts while 1006h is 0; ValueError for another.
+    ``dictionary``, of the node that samples, says which frame is the SYNC and, in 1006h, how long the
+    interval is; ``interval_s``, 1e-6 to 10 s, counts while 1006h is 0.
     """
 
     def __init__(self, dictionary: Dictionary, interval_s: float) -> None:
@@ -193,26 +180,20 @@ class SlowMotion(SilentDevice):
         """The time of the machine."""
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """A SYNC: the machine goes on."""
         if frame.can_id == self._cob_id.value & cob.CAN_ID and not frame.rtr:
             self.time_s += self._period.value * 1e-6 or self._interval_s
         return []
 
     def received_at(self, frame: Frame, now: float) -> float:
-        """The time of the last SYNC."""
         return self.time_s
 
     def at(self, now: float) -> float:
-        """The time of the last SYNC."""
         return self.time_s
 
 
 class MachineSwitch:
-    """Object 2060h of the interface: 1 lets its machine run, 0 stops it. It reads as what was written.
-
-    A lost position comes back after a restart at standstill: this is how to have it over the bus.
-
-    A source whose machine cannot be stopped here (a recording, a drive) refuses it: 08000022h.
+    """Object 2060h of the interface: 1 lets its machine run, 0 stops it; 08000022h where it cannot be
+    stopped.
     """
 
     def __init__(self, interface: EncoderInterface) -> None:
@@ -330,7 +311,6 @@ def source_of(simulation: SimulationConfig, module: FedModule, play: Play) -> So
 
 
 def _demand(simulation: SimulationConfig, module: FedModule, play: Play, source: Source) -> MotionDemand:
-    """What the motion, or the recording, asks of the module."""
     per_sync = module.samples_per_sync
     rate_hz = sync_rate(simulation, play.rate_hz) * per_sync
     if isinstance(source, RecordingSource):

@@ -1,8 +1,6 @@
 """Producers of the SYNC, with drift and jitter: for a bus that has none, or a drive; one watches its rate.
 
-A SYNC goes out at its nominal time n T, T = ``period_s`` / (1 + drift), plus a deviation: the jitter of the
-producer, and the rest of the frame that is on the wire, which no CAN-ID interrupts. A deviation is at most
-0.45 of the period, so that SYNCs keep their order, and it does not add up from one SYNC to the next.
+A SYNC goes out at n T plus a deviation that does not add up: jitter, and the rest of the frame on the wire.
 """
 
 from __future__ import annotations
@@ -58,9 +56,8 @@ REGULAR = SyncTiming()
 
 
 class SyncDeviation:
-    """Draws how far a SYNC is from its nominal time; the same ``seed`` gives the same SYNCs again.
-
-    No SYNC is further off than 0.45 ``period_s``, so that they keep their order.
+    """Draws how far a SYNC is from its nominal time: at most 0.45 ``period_s``, so that they keep their
+    order.
     """
 
     def __init__(self, timing: SyncTiming, period_s: float, seed: int = 1) -> None:
@@ -88,19 +85,15 @@ class SilentDevice:
     """A device that sends nothing and waits for no time; a subclass overrides what it does beyond that."""
 
     def start(self, now: float) -> list[Frame]:
-        """Power-on at ``now``, seconds."""
         return []
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """A frame of another device."""
         return []
 
     def tick(self, now: float) -> list[Frame]:
-        """Do what is due."""
         return []
 
     def deadline(self) -> float | None:
-        """When :meth:`tick` is due; None: never."""
         return None
 
 
@@ -110,25 +103,17 @@ class PacedDevice(SilentDevice):
     _next_s: float | None = None
 
     def deadline(self) -> float | None:
-        """The time of the next frame."""
         return self._next_s
 
     def tick(self, now: float) -> list[Frame]:
-        """The frame when it is due."""
         return [] if self._next_s is None or now < self._next_s else [self._due(self._next_s, now)]
 
     def _due(self, due_s: float, now: float) -> Frame:
-        """The frame of ``due_s``; sets the time of the next one."""
         raise NotImplementedError
 
 
 class SyncProducer(PacedDevice):
-    """Sends a SYNC each ``period_s`` seconds from power-on; sans-I/O.
-
-    ``timing`` makes them drift and jitter about these times. When the caller comes late, the SYNCs that are
-    overdue are left out, so that the bus never gets a burst of them. ValueError unless the period is
-    positive.
-    """
+    """Sends a SYNC each ``period_s`` seconds from power-on; those that are overdue are left out."""
 
     def __init__(self, period_s: float, timing: SyncTiming = REGULAR, seed: int = 1) -> None:
         if not 0.0 < period_s < math.inf:
@@ -137,7 +122,6 @@ class SyncProducer(PacedDevice):
         self._deviation = SyncDeviation(timing, period_s, seed)
 
     def start(self, now: float) -> list[Frame]:
-        """Power-on: the first SYNC comes one period later."""
         self._start_s, self._number = now, 0
         self._plan(now)
         return []
@@ -147,7 +131,6 @@ class SyncProducer(PacedDevice):
         return Frame(cob.SYNC, b"")
 
     def _plan(self, now: float) -> None:
-        """The next SYNC is the first whose nominal time is later than ``now``."""
         period_s = self._deviation.period_s
         # 1e-6: the rounding of times up to a day, in the shortest periods.
         self._number = max(self._number, int((now - self._start_s) / period_s + 1e-6)) + 1
@@ -168,11 +151,7 @@ class Consumed:
 
 
 class Drive(SyncProducer):
-    """A SYNC producer that begins when it is told to, and position consumer.
-
-    ``position_cob_id`` is the module's TPDO1; positions wrap at ``total_range`` measuring
-    units and are unwrapped here: the drive moves less than half of that between two PDOs.
-    """
+    """A SYNC producer that begins when it is told to, and unwraps the positions of ``position_cob_id``."""
 
     def __init__(
         self,
@@ -190,11 +169,9 @@ class Drive(SyncProducer):
         self._last_units: int | None = None
 
     def start(self, now: float) -> list[Frame]:
-        """Power-on: no SYNC before :meth:`start_sync`."""
         return []
 
     def start_sync(self, now: float) -> None:
-        """Produce the SYNC from ``now`` (seconds) on."""
         self._start_s = self._next_s = now
         self._number = self.syncs = 0
 
@@ -203,7 +180,6 @@ class Drive(SyncProducer):
         return super()._due(due_s, now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take the position PDO; every other frame is none of its business."""
         if frame.can_id == self._position_cob_id and len(frame.data) == POSITION_PDO.size:
             position, status, residual = POSITION_PDO.unpack(frame.data)
             consumed = self.consumed
@@ -228,10 +204,7 @@ IN_SLOW_MOTION = ", and the machine turns slower in proportion"
 
 
 class WatchedSyncProducer(SyncProducer):
-    """Calls ``report``, once a minute at most, if another node sends SYNC or its own rate is off by 2 %.
-
-    ``advice`` ends the line on the rate. While the bus is gone nothing is judged.
-    """
+    """Calls ``report``, once a minute at most, if another node sends SYNC or its own rate is off by 2 %."""
 
     def __init__(
         self,
@@ -250,17 +223,14 @@ class WatchedSyncProducer(SyncProducer):
         self._said_s = -math.inf
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Count a SYNC of another node."""
         self._foreign += frame.can_id == cob.SYNC and not frame.rtr
         return []
 
     def bus_off(self, now: float) -> list[Frame]:
-        """Nothing is judged from now on."""
         self._said_s = math.inf
         return []
 
     def bus_back(self, now: float) -> list[Frame]:
-        """A new window begins with the next SYNC."""
         self._said_s, self._began_s = -math.inf, None
         return []
 

@@ -31,15 +31,14 @@ class Columns(NamedTuple):
 
     @property
     def note(self) -> str:
-        """What a reader has to know of how the file was read; empty for an ordinary one."""
         return "" if self.separator == "," else f", separated by {NAMES.get(self.separator, self.separator)}"
 
 
 def read_columns(path: Path, names: Sequence[str]) -> Columns:
     """The columns with these names, or numbers from 0, of a file whose first line has the names.
 
-    The separator is a tab, a semicolon or a comma, whichever the header has, or that of a line ``sep=;``
-    above it. A number may have a decimal comma. CanfbError, with file and line, for anything else.
+    The separator is that of the header, or of a line ``sep=;``; decimal commas are read. CanfbError with the
+    line.
     """
     text = _text(path)
     head, _, rest = text.partition("\n")

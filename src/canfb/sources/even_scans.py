@@ -1,9 +1,7 @@
 """Samples of each SYNC from the scans of a converter that samples faster, by a clock of its own.
 
-A module that gets several samples for each SYNC takes them for equidistant: pair j was taken j/m of an
-interval before the newest. So they are chosen by counting scans, and not by the instant at which a SYNC was
-received: with n scans in an interval the newest sample is the n-th scan after that of the SYNC before, and
-the others are n/m scans apart. Only the drift of the clock against SYNC moves this grid, by one scan.
+With n scans in an interval the newest sample is the n-th scan after that of the SYNC before, and the others
+are n/m scans apart. Only the drift of the clock against SYNC moves this grid, by one scan.
 """
 
 from __future__ import annotations
@@ -25,10 +23,7 @@ MOST_SCANS_OFF, PART_OFF = 1.5, 1.0 / 16.0  # of a block; and so much of an inte
 
 
 class EvenScans:
-    """Gives ``per_sync`` scans, 1..8, for each SYNC, of ``scans_per_sync``: a multiple of it, 2..256.
-
-    :meth:`came` takes the scans as they come, each with its time, and :meth:`take` gives those of a SYNC.
-    """
+    """Takes scans as they come, and gives ``per_sync`` of ``scans_per_sync`` for each SYNC."""
 
     def __init__(self, per_sync: int, scans_per_sync: int) -> None:
         self.per_sync = per_sync
@@ -39,7 +34,6 @@ class EvenScans:
         self.forget()
 
     def forget(self) -> None:
-        """The converter starts again: no scan has come."""
         self._scans: deque[Sample] = deque(maxlen=KEPT_INTERVALS * self._interval + self._lead)
         self._count = 0
         self._last: int | None = None  # the newest sample of the SYNC before, by the number of its scan
@@ -51,7 +45,6 @@ class EvenScans:
         self._misfit = ""
 
     def came(self, scan: Sample) -> None:
-        """A scan, in the order in which they are taken."""
         if self._scans and scan.time_100ns is not None and self._scans[-1].time_100ns is not None:
             self._follow((scan.time_100ns - self._scans[-1].time_100ns) % TICKS)
         self._scans.append(scan)
@@ -65,9 +58,8 @@ class EvenScans:
         self._usual = usual + (min(max(distance, low), high) - usual) / SETTLE
 
     def take(self) -> Sample | None:
-        """The sample of this SYNC, with the earlier ones of its interval; None where there are too few scans.
-
-        SourceError if scans are missing between them, or if their number does not fit ``scans_per_sync``.
+        """The samples of this SYNC; None: too few scans. SourceError for missing ones, or a wrong number of
+        them.
         """
         self._count_sync()
         newest = self._begin() if self._last is None else self._next(self._last)
@@ -140,14 +132,11 @@ class NewestScan:
         self._scan: Sample | None = None
 
     def came(self, scan: Sample) -> None:
-        """A scan, in the order in which they are taken."""
         self._scan = scan
 
     def forget(self) -> None:
-        """A scan that has come belongs to an earlier SYNC, or to a converter that has failed."""
         self._scan = None
 
     def take(self) -> Sample | None:
-        """It, once; None if there is none."""
         scan, self._scan = self._scan, None
         return scan

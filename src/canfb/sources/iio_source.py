@@ -1,9 +1,7 @@
 """A local ADC through Linux IIO as a source: its keys, what the converter has, and capturing scan after scan.
 
-Nothing here has a thread or a clock; :class:`canfb.hosting.captured_source.CapturedSource` waits for the
-scans. One sample for each SYNC is the newest scan; ``scans_per_sync`` makes it one of an even grid, and
-several of them (:mod:`canfb.sources.even_scans`). libiio finds device, channels, formats, trigger, rate and
-clock; what the device does not have is a ConfigError that names the key.
+Nothing here has a thread or a clock (:class:`canfb.hosting.captured_source.CapturedSource`). What the device
+does not have is a ConfigError that names the key.
 """
 
 from __future__ import annotations
@@ -30,10 +28,8 @@ TIMEOUT_MS = 2000
 
 
 class ChannelScaling:
-    """From the readings of a channel to ADC counts of ``adc_bits``, 4..16.
-
-    A converter of more than 16 bits loses the last ones. A reading at either end of its range is a
-    count at the end of the range, wherever mid-scale is: it counts as clipped.
+    """From the readings of a channel to ADC counts of ``adc_bits``, 4..16; either end of the range is
+    clipped.
     """
 
     def __init__(self, bits: int, signed: bool, mid_scale: float | None) -> None:
@@ -45,7 +41,6 @@ class ChannelScaling:
         self._full_scale = 1 << self.adc_bits - 1
 
     def counts(self, reading: int) -> int:
-        """Counts of a reading, -2**(adc_bits - 1) to 2**(adc_bits - 1) - 1."""
         full_scale = self._full_scale
         if reading <= self._lowest:
             return -full_scale
@@ -65,7 +60,6 @@ class ChannelValues:
         self._signed = bool(channel.data_format.is_signed)
 
     def last(self, buffer: Any) -> int:
-        """The reading of the last scan."""
         data = self._channel.read(buffer)
         if len(data) < self._bytes:
             raise OSError(errno.EIO, "the buffer is empty")
@@ -259,7 +253,6 @@ class IioSourceConfig(SourceConfig):
 
     @property
     def title(self) -> str:
-        """The device."""
         return repr(self.device)
 
     def of_module(self, keys: Mapping[str, Any]) -> IioSourceConfig:
@@ -267,7 +260,6 @@ class IioSourceConfig(SourceConfig):
         return replace(self, adc_bits=keys.get("adc_bits"), samples_per_sync=keys.get("samples_per_sync", 1))
 
     def open(self, surroundings: Surroundings) -> Source:
-        """The device, captured in a thread. ConfigError or BusError, see :class:`.IioCapture`."""
         scans = self.scans_per_sync
         picked = None if scans is None else EvenScans(self.samples_per_sync, scans)
         return surroundings.captured(
@@ -276,11 +268,7 @@ class IioSourceConfig(SourceConfig):
 
 
 class IioCapture:
-    """A :class:`canfb.sources.protocol.Capture`: an open device, whose kernel buffers both channels.
-
-    ConfigError, which names the key, for what the device does not have; BusError for what does not
-    work. :meth:`refill` may be called in another thread than :meth:`fire` and :meth:`cancel`.
-    """
+    """An open device, whose kernel buffers both channels. ConfigError, with the key, or BusError."""
 
     def __init__(self, config: IioSourceConfig) -> None:
         iio = binding()
@@ -326,24 +314,17 @@ class IioCapture:
 
     @property
     def adc_bits(self) -> int:
-        """Bits of a count, 4..16."""
         return self._scaling.adc_bits
 
     @property
     def is_fired(self) -> bool:
-        """The trigger waits for :meth:`fire`."""
         return self._trigger is not None and FIRE in self._trigger.attrs
 
     def fire(self) -> None:
-        """Have one scan taken. OSError if that fails."""
         assert self._trigger is not None
         self._trigger.attrs[FIRE].value = "1"
 
     def refill(self) -> Sample | None:
-        """Wait for the next scan; None if there was none for two seconds. OSError when capturing ends.
-
-        A scan that is not later than the one before, because its clock was set, is invalid.
-        """
         try:
             self._buffer.refill()
         except OSError as error:
@@ -360,5 +341,4 @@ class IioCapture:
         return Sample(counts(values[0]), counts(values[1]), invalid=invalid, time_100ns=time)
 
     def cancel(self) -> None:
-        """Let :meth:`refill` end with an OSError, now and ever after."""
         self._buffer.cancel()

@@ -1,8 +1,6 @@
 """Where samples come from: one small interface for a local ADC, a recording and a simulated machine.
 
-A :class:`Source` is asked for one sample at each SYNC, and never waits. A kind of source is one file,
-``*_source.py`` of this folder, with a subclass of :class:`SourceConfig`: :func:`source_kinds` finds it.
-Whatever a source does, its node stays on the bus (:class:`SourceWatch`).
+A kind of source is one file, ``*_source.py``, with a subclass of :class:`SourceConfig`.
 """
 
 from __future__ import annotations
@@ -24,10 +22,9 @@ class Source(Protocol):
     """Gives one sample for each SYNC; it is passive and never waits."""
 
     def next(self) -> Sample | None:
-        """The sample of this SYNC, ADC counts within INTEGER16; None where there is none.
+        """The sample of this SYNC, counts within INTEGER16; None where there is none.
 
-        SourceEnded when none will come any more, SourceError where the converter cannot be read: it is
-        asked again at the next SYNC.
+        SourceEnded: none will come any more; SourceError: not now.
         """
 
 
@@ -134,7 +131,6 @@ class SourceConfig:
 
     @property
     def title(self) -> str:
-        """What it is, for messages."""
         return f"source {self.kind!r}"
 
     def of_module(self, keys: Mapping[str, Any]) -> SourceConfig:
@@ -181,10 +177,7 @@ LEAST, MOST = -32768, 32767  # INTEGER16
 
 
 class SourceWatch:
-    """Calls ``ask`` for one sample at each SYNC; nothing that it raises goes through.
-
-    ``report`` gets one line when the source fails, when it works again, and when it has ended.
-    """
+    """Calls ``ask`` at each SYNC; ``report`` gets a line when the source fails, works again, or has ended."""
 
     def __init__(self, ask: Callable[[], Sample | None], report: Callable[[str], None]) -> None:
         self._ask = ask
@@ -195,7 +188,6 @@ class SourceWatch:
 
     @property
     def failing(self) -> bool:
-        """It has failed, and has not worked for a second since."""
         return self._failed_s is not None
 
     def sample(self, now: float) -> Sample | None:

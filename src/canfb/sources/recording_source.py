@@ -89,7 +89,6 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
             raise ValueError("time_stamps need a time_column")
 
     def check_machine(self) -> None:
-        """ConfigError for a file that cannot be read."""
         try:
             with Path(self.file).open("rb"):
                 pass
@@ -97,7 +96,6 @@ class RecordingSourceConfig(RecordingLayout, SourceConfig):
             raise ConfigError(f"file {Path(self.file)} of source cannot be read: {error.strerror}") from None
 
     def open(self, surroundings: Surroundings) -> Source:
-        """The recording, read."""
         return open_recording(self.file, self)
 
 
@@ -114,10 +112,8 @@ def chosen_layout(columns: str, mid_scale: float, scale: float, time_column: str
 
 
 class RecordingSource:
-    """Plays tracks, one sample for each SYNC; NaN in one of them is a SYNC without a sample.
-
-    ``time_100ns`` are the times that the samples bring along, None: none. ``note`` says how a file was read
-    that is not as usual.
+    """Plays tracks, one sample for each SYNC; NaN is a SYNC without a sample. ``note``: how the file was
+    read.
     """
 
     def __init__(
@@ -129,11 +125,9 @@ class RecordingSource:
         self._samples = zip(sine.tolist(), cosine.tolist(), times, strict=False)
 
     def tracks(self) -> tuple[FloatArray, FloatArray]:
-        """Both tracks as they are played from the start, counts, NaN where a SYNC gets no answer."""
         return self._tracks
 
     def next(self) -> Sample | None:
-        """The next sample, None for a missed one. SourceEnded at the end."""
         try:
             sine, cosine, time = next(self._samples)
         except StopIteration:

@@ -44,9 +44,8 @@ def with_gaps(sine: npt.ArrayLike, cosine: npt.ArrayLike) -> tuple[FloatArray, F
 
 
 def read_tracks(path: Path) -> Tracks:
-    """An NPZ file with arrays sine and cosine, and rate_hz, time_s and cycles_per_s if they are known.
-
-    CanfbError, in one line, for anything else. What numpy and zipfile raise has no common root.
+    """An NPZ file with arrays sine and cosine, and rate_hz, time_s, cycles_per_s if known. CanfbError, one
+    line.
     """
     try:
         with path.open("rb") as file:
@@ -60,7 +59,6 @@ def read_tracks(path: Path) -> Tracks:
 
 
 def _check_size(file: IO[bytes]) -> None:
-    """ValueError for arrays that are larger than any recording."""
     with zipfile.ZipFile(file) as packed:
         size = sum(one.file_size for one in packed.infolist())
     if size > LARGEST_UNPACKED:

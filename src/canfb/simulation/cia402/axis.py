@@ -21,8 +21,8 @@ STANDSTILL_REV_S = 0.02
 class Axis:
     """Computes while the drive has power: :meth:`advance` at each SYNC, :meth:`control` with each position.
 
-    Position demand and actual position are in units of 608Fh, of any size; the objects show them as
-    INTEGER32, which wraps. A target is, of all positions with that value, the one nearest to the demand.
+    Positions are in units of 608Fh, of any size; the objects show them as INTEGER32, which wraps. A target is
+    the nearest to the demand of all positions with its value.
     """
 
     def __init__(self, dictionary: Dictionary, feedback: FeedbackInput) -> None:
@@ -54,17 +54,14 @@ class Axis:
 
     @property
     def mode(self) -> int:
-        """The mode of operation 6060h."""
         return int(self._mode.value)
 
     @property
     def stands_still(self) -> bool:
-        """The ramp is over and the shaft does not turn any more."""
         return self.ramp_is_over and abs(self._feedback.speed) < STANDSTILL_REV_S
 
     @property
     def ramp_is_over(self) -> bool:
-        """The demand has come to a standstill."""
         return self._trajectory.speed == 0.0
 
     def start(self) -> None:
@@ -93,7 +90,6 @@ class Axis:
         self._demand_entry.value = wrapped(round(self._trajectory.position))
 
     def measure(self) -> None:
-        """A position of the feedback: 6063h, 6064h, 606Ch."""
         feedback, units = self._feedback, self.scaling.units
         if not self.motor_increments:
             self._internal.value = wrapped(feedback.position)
@@ -101,7 +97,6 @@ class Axis:
         self._speed.value = saturated(feedback.speed * units, 32)
 
     def measure_motor(self, revolutions: float) -> None:
-        """The position of the motor by its own encoder: 6063h."""
         if self.motor_increments:
             self._internal.value = wrapped(math.floor(revolutions * self.motor_increments))
 
@@ -133,13 +128,11 @@ class Axis:
         return since_s is not None and now - since_s >= self._error_time.value / 1000.0 - 1e-9
 
     def power_off(self) -> None:
-        """Nothing is demanded any more."""
         self._torque_demand.value = 0
         self._error_entry.value = 0
         self._loop.reset()
 
     def show_mode(self) -> bool:
-        """6061h; True if it has changed."""
         changed = self._display.value != self.mode
         self._display.value = self.mode
         return bool(changed)
@@ -171,10 +164,7 @@ class Axis:
         self._new_target = False
 
     def _forward(self, revolutions: float, speed_rad_s: float, period_s: float) -> Demand:
-        """What is fed forward: no faster change of speed than the motor can make.
-
-        A target that jumps, or that misses a SYNC and comes twice with the next, is not a motion.
-        """
+        """What is fed forward: a target that jumps, or comes twice after a lost SYNC, is not a motion."""
         limit = self.scaling.largest_torque_nm / (self._gains[4].value * KG_M2_PER_G_CM2)
         acceleration = (speed_rad_s - self._demanded_rad_s) / period_s
         self._demanded_rad_s = speed_rad_s
@@ -185,7 +175,6 @@ class Axis:
         return Demand(revolutions, self._demand.speed_rad_s + change, forward)
 
     def _within_limits(self, target: float) -> float:
-        """The target within 607Dh; the full range of INTEGER32 means no limit."""
         low, high = self._lowest.value, self._highest.value
         limited = target if low <= -_HALF else max(target, float(low))
         limited = limited if high >= _HALF - 1 else min(limited, float(high))
@@ -208,12 +197,10 @@ class Axis:
         return Gains(position, velocity, integral_s, forward, acceleration, inertia * KG_M2_PER_G_CM2)
 
     def _check_mode(self, value: int) -> None:
-        """Bit n - 1 of 6502h is mode n; 0 is none."""
         if value != NO_MODE and not (0 < value <= 32 and self._supported.value >> (value - 1) & 1):
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
     def _mode_written(self) -> None:
-        """In another mode the targets of the one before mean nothing."""
         if self.mode != self._display.value:
             self._trajectory.drop_target()
             self._new_target = False
@@ -262,29 +249,23 @@ class Scaling:
 
     @property
     def units(self) -> float:
-        """Units of position in a revolution, 608Fh."""
         return float(max(1, self._increments.value) / max(1, self._turns.value))
 
     @property
     def largest_speed(self) -> float:
-        """6080h, revolutions per second."""
         return float(self._speed.value / 60.0)
 
     @property
     def rated_nm(self) -> float:
-        """6076h, Nm."""
         return float(max(1, self._rated.value) / 1000.0)
 
     @property
     def largest_torque_nm(self) -> float:
-        """6072h, Nm."""
         return float(self._torque.value / 1000.0 * self.rated_nm)
 
     def per_mille(self, torque_nm: float) -> int:
-        """A torque in 1/1000 of the rated one."""
         return saturated(1000.0 * torque_nm / self.rated_nm, 16)
 
     @property
     def interpolation_s(self) -> float:
-        """60C2h, seconds; 0.0 for each SYNC."""
         return float(self._time.value * 10.0**self._exponent.value)

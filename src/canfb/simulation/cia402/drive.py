@@ -37,9 +37,8 @@ STOP_TIMEOUT_S = 0.5
 class ServoDrive(NodeDevice):
     """A drive, sans-I/O, that turns the motor of ``plant`` by the positions of a feedback module.
 
-    Attach the plant to the bus before the drive. ``feedback`` sets the defaults of RPDO4, of the EMCY it
-    listens to and of the scale, the motor those of 6076h and 2100:05. With ``motor_increments`` 6063h is the
-    position of an encoder on the motor with so many in a revolution, at the SYNC.
+    Attach the plant to the bus first. ``feedback`` and the motor set defaults (:func:`apply_defaults`). With
+    ``motor_increments`` 6063h is the position of an encoder on the motor at the SYNC.
     """
 
     def __init__(
@@ -91,7 +90,6 @@ class ServoDrive(NodeDevice):
 
     @property
     def error(self) -> int:
-        """603Fh, the last error."""
         return int(self._error.value)
 
     @property
@@ -100,13 +98,11 @@ class ServoDrive(NodeDevice):
         return float(self._period.value / 1e6) or self._interval.seconds
 
     def start(self, now: float) -> list[Frame]:
-        """Power-on at ``now`` (seconds): the boot-up frame."""
         self._now = now
         self._received_s = self.time_base.at(now)
         return super().start(now)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """Take a frame from the bus; the frames to send."""
         self._now = now
         self._received_s = self.time_base.received_at(frame, now)
         if not frame.rtr:
@@ -114,7 +110,6 @@ class ServoDrive(NodeDevice):
         return super().receive(frame, now)
 
     def tick(self, now: float) -> list[Frame]:
-        """Do what is due at ``now``; the frames to send."""
         self._now = now
         self._received_s = self.time_base.at(now)
         due = self._sync_due()
@@ -124,7 +119,6 @@ class ServoDrive(NodeDevice):
         return super().tick(now)
 
     def deadline(self) -> float | None:
-        """When :meth:`tick` is due next, None for not at all."""
         times = [time for time in (super().deadline(), self._sync_due()) if time is not None]
         return min(times, default=None)
 
@@ -177,7 +171,6 @@ class ServoDrive(NodeDevice):
         self._show()
 
     def _supervise(self, now: float) -> None:
-        """What is wrong with the feedback is a fault of a drive that is switched on."""
         wrong = self.feedback.wrong
         if not wrong:
             return
@@ -214,7 +207,6 @@ class ServoDrive(NodeDevice):
         self._switch(self._machine.reaction_done, now)
 
     def _end_stop(self, now: float) -> None:
-        """After the ramp of a quick stop or a fault the power goes off."""
         if self.power is State.OPERATION_ENABLED or not self.axis.ramp_is_over:
             return
         if self._stop_by_s is None:
@@ -227,7 +219,6 @@ class ServoDrive(NodeDevice):
             self._switch(self._machine.quick_stop_done, now)
 
     def _controlled(self) -> None:
-        """6040h was written."""
         controlword, now = self._controlword.value, self._now
         before = self.power
         self._switch(lambda: self._machine.control(controlword, may_reset=not self.feedback.wrong), now)
@@ -237,7 +228,6 @@ class ServoDrive(NodeDevice):
         self._show()
 
     def _switch(self, change: Callable[[], bool], now: float) -> None:
-        """A change of the state, and what it does to the power."""
         before = self.power
         if not change():
             return
@@ -265,7 +255,6 @@ class ServoDrive(NodeDevice):
         self._error.value = int(DriveError.NONE)
 
     def communication_failed(self, now: float) -> None:
-        """The heartbeat of a node of 1016h is lost; its EMCY is out already."""
         self._abort_connection(DriveError.HEARTBEAT, now)
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
@@ -283,7 +272,6 @@ class ServoDrive(NodeDevice):
         self._show()
 
     def _abort_connection(self, error: DriveError, now: float) -> None:
-        """What 6007h says, to a drive that is switched on."""
         option = self._abort_option.value
         if self.power not in SWITCHED_ON:
             return
@@ -307,7 +295,6 @@ class ServoDrive(NodeDevice):
         self._show()
 
     def configuration_changed(self) -> None:
-        """Which RPDO brings the position, and which TPDOs go out with an event."""
         self._rpdo = self.rpdo_with(POSITION)
         self._events = [
             number
@@ -317,7 +304,6 @@ class ServoDrive(NodeDevice):
         ]
 
     def _sync_due(self) -> float | None:
-        """When a SYNC must have come, for a drive that is switched on."""
         timeout_ms = self._sync_timeout.value
         watched = self.power in SWITCHED_ON or self.power is State.FAULT_REACTION_ACTIVE
         if not timeout_ms or not watched or self.state is not NmtState.OPERATIONAL:

@@ -26,12 +26,10 @@ class Wrong(IntFlag):
 class FeedbackInput:
     """Takes 60E4:01 with its status word 2110:01, once for each RPDO.
 
-    A position is used if the status word has the bits that 2110:02 and :03 want, if it is within its
-    range (2110:05, 0 = 2^32), and if the machine can have come there since the last one. It wraps at the
-    range: the difference to the last one is wrapped to ± half the range. The first one counts from
-    -range/2 to range/2, so that a machine a little below zero is not at the far end.
-
-    Before the first position, and again after :meth:`reset`, the feedback is missing.
+    A position is used if the status word is as 2110:02 and :03 require, within its range (2110:05), and
+    within reach of the last one, whose difference is wrapped to ± half the range. The first one counts from
+    -range/2, so that a machine a little below zero is not at the far end. Until it comes the feedback is
+    missing.
     """
 
     def __init__(self, dictionary: Dictionary) -> None:
@@ -50,7 +48,6 @@ class FeedbackInput:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is known of the feedback: it is missing until it comes."""
         self.wrong = Wrong.MISSING
         self.lose()
 
@@ -66,17 +63,14 @@ class FeedbackInput:
 
     @property
     def increments_per_revolution(self) -> float:
-        """60E6h / 60EBh."""
         return float(self._increments.value / max(1, self._turns.value))
 
     @property
     def revolutions(self) -> float:
-        """The position in revolutions."""
         return self.position / self.increments_per_revolution
 
     @property
     def status(self) -> int:
-        """The last status word of the feedback."""
         return int(self._status.value)
 
     def sync(self, received_s: float) -> None:
@@ -99,7 +93,6 @@ class FeedbackInput:
             self._set(Wrong.EMERGENCY)
 
     def boot_up(self) -> None:
-        """The module has started again: it has forgotten its errors, and where it was."""
         self._clear(Wrong.EMERGENCY)
         self._set(Wrong.MISSING)
         self._last = None
@@ -107,8 +100,8 @@ class FeedbackInput:
     def take(self, largest_speed: float, interval_s: float, *, supervised: bool) -> bool:
         """A PDO stands in the dictionary; True if its position is used.
 
-        ``largest_speed`` of the motor in revolutions per second and ``interval_s`` between two SYNCs bound
-        the step. Without ``supervised`` a larger one is a new beginning, as after a preset, not an error.
+        ``largest_speed`` (revolutions/s) bounds the step; one beyond it is a fault if ``supervised``, else a
+        new beginning, as after a preset.
         """
         self._since_pdo = 0
         self._clear(Wrong.MISSING | Wrong.STATUS | Wrong.RANGE | Wrong.STEP)
@@ -153,9 +146,7 @@ class FeedbackInput:
     def _differentiate(self, step: float, interval_s: float) -> None:
         """Speed from a step in revolutions, over the true time between the two SYNCs.
 
-        Where more SYNCs are open, positions are late, or were lost on the bus: the number of intervals is
-        the one that changes the speed least. Two SYNCs that were received at one time, or whose time is not
-        known, are ``interval_s`` apart.
+        Where positions are late or lost, over the number of intervals that changes the speed least.
         """
         begin = self._syncs[0]
 
@@ -170,7 +161,6 @@ class FeedbackInput:
         del self._syncs[:intervals]
 
     def _bound(self, largest_speed: float, interval_s: float) -> float:
-        """The largest believable step between two SYNCs, increments; 0 for no bound."""
         if self._largest.value:
             return float(self._largest.value)
         return 2.0 * largest_speed * interval_s * self.increments_per_revolution
@@ -194,10 +184,7 @@ EXCEPTIONS = 8  # this many in a row are a new rate
 
 
 class SyncInterval:
-    """The mean time between two SYNCs, ``seconds``: 0.0 before the second one.
-
-    Pauses, and SYNCs that are received late, are left out. ``last_s`` is when the last one was received.
-    """
+    """The mean time between two SYNCs without pauses and late ones; 0.0 before the second one."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
@@ -205,7 +192,6 @@ class SyncInterval:
         self._exceptions: list[float] = []
 
     def event(self, now: float) -> None:
-        """A SYNC at ``now``, seconds."""
         last, self.last_s = self.last_s, now
         if last is None or now <= last:
             return

@@ -1,7 +1,6 @@
 """The position demand from SYNC to SYNC, and the position loop that follows it.
 
-Trajectories are in units of position and seconds. The loop computes once for each position of the feedback: a
-proportional position controller, a PI velocity controller, feed-forward, limits; revolutions, rad/s, Nm.
+The loop: proportional position controller, PI velocity controller, feed-forward, limits.
 """
 
 from __future__ import annotations
@@ -17,12 +16,10 @@ class Trajectory:
         self.place(0.0)
 
     def place(self, position: float, speed: float = 0.0) -> None:
-        """Begin here, without a target."""
         self.position, self.speed = position, speed
         self.drop_target()
 
     def drop_target(self) -> None:
-        """There is no target."""
         self._target, self._left = 0.0, 0
 
     def set_target(self, position: float, syncs: int) -> None:
@@ -30,7 +27,6 @@ class Trajectory:
         self._target, self._left = position, syncs
 
     def advance(self, period_s: float) -> None:
-        """One SYNC: go on to the target, or stand still."""
         before, left = self.position, self._left
         if left:
             self.position = self._target if left == 1 else before + (self._target - before) / left
@@ -98,7 +94,6 @@ class PositionLoop:
         """Whether the torque or the speed was limited in the last step."""
 
     def reset(self) -> None:
-        """The power goes on: no torque is left from before."""
         self._integral_nm = 0.0
         self.limited = False
 
@@ -131,9 +126,8 @@ class PositionLoop:
 
 
 def approach(error: float, gain: float, braking: float) -> float:
-    """Speed at which an ``error`` (rad) is made good: ``gain`` times it, but no faster than the motor brakes.
-
-    Far away the square root keeps the deceleration at ``braking`` (rad/s^2); the two join smoothly.
+    """``gain`` times the ``error`` (rad), but no faster than the motor brakes (``braking``, rad/s^2), by a
+    square root.
     """
     near = braking / (gain * gain)
     if abs(error) <= near:

@@ -1,8 +1,7 @@
 """The plant of the simulated drive: a motor with its shaft, a coupling, and the encoder behind it.
 
-J dw/dt = M - M_load - b w - M_friction sign(w), and the torque follows its command with a time constant:
-dM/dt = (M_command - M) / tau. Within a step of 0.1 ms at most torques are constant and the motion is exact; a
-step ends where the shaft comes to rest, since friction then holds it.
+J dw/dt = M - M_load - b w - M_friction sign(w), dM/dt = (M_command - M) / tau, solved exactly for a constant
+torque in steps of 0.1 ms; friction holds a shaft that has come to rest.
 """
 
 from __future__ import annotations
@@ -78,7 +77,6 @@ class Motor:
 
     @property
     def load_nm(self) -> float:
-        """What pulls at the shaft now."""
         return self.config.load_torque_nm if self.time_s >= self.config.load_at_s else 0.0
 
     def revolutions_before(self, seconds: float) -> float:
@@ -122,7 +120,6 @@ class Motor:
         self.time_s += step_s
 
     def _move(self, torque_nm: float, step_s: float) -> None:
-        """The shaft under this torque, until it stands still or the step is over."""
         friction = self.config.coulomb_friction_nm + (self.config.brake_torque_nm if self.braked else 0.0)
         if self.speed_rad_s == 0.0:
             if abs(torque_nm) <= friction:
@@ -139,7 +136,6 @@ class Motor:
         self._move(torque_nm, step_s - stop_s)
 
     def _time_to_stop(self, net_nm: float) -> float:
-        """When the speed is 0 under this torque, in seconds; infinite if it never is."""
         speed, viscous, inertia = (
             self.speed_rad_s,
             self.config.viscous_friction_nm_s,
@@ -152,7 +148,6 @@ class Motor:
         return inertia / viscous * math.log1p(-speed * viscous / net_nm)
 
     def _accelerate(self, net_nm: float, time_s: float) -> None:
-        """J dw/dt = net - b w, solved; the angle is its integral."""
         viscous, inertia, speed = (
             self.config.viscous_friction_nm_s,
             self.config.inertia_kg_m2,
@@ -226,19 +221,14 @@ class Coupling:
     at_s: float = 0.0
 
     def slipped(self, time_s: float) -> float:
-        """How far it has slipped by this time of the machine, revolutions."""
         part = min(1.0, max(0.0, (time_s - self.at_s) / SLIP_S))
         return self.revolutions * (1.0 - math.cos(math.pi * part)) / 2.0
 
 
 class Plant(SilentDevice):
-    """A motor that turns in true time, from the first SYNC on, also while no SYNC comes.
+    """A motor that turns in the time of ``time_base`` from the first SYNC on, also while no SYNC comes.
 
-    ``time_base`` (a :class:`canfb.interface.sample_instants.TimeBase`) need not be true time: all times
-    of the plant are of that.
-
-    It sends nothing, but must get the SYNC before those who sample or drive it: attach it first.
-    ``syncs`` counts them.
+    It must get the SYNC before those who sample or drive it: attach it first.
     """
 
     def __init__(self, motor: Motor) -> None:
@@ -286,27 +276,22 @@ class PlantSource:
 
     @property
     def position_cycles(self) -> float:
-        """True position of the last sample, cycles."""
         return self._shaft.position_cycles
 
     def sample_at(self, now: float) -> Sample:
-        """The sample at the true time ``now``, seconds."""
         self._plant.go_on_to(now)
         return self._sample(self._plant.ahead_s(now))
 
     def next(self) -> Sample:
-        """The sample at the time of the plant."""
         return self._sample(0.0)
 
     def _sample(self, ahead_s: float) -> Sample:
-        """A sample this many seconds before the time of the plant."""
         motor = self._plant.motor
         time_s = motor.time_s - ahead_s
         from_s, start = self._last_s, self._last_revolutions
         end = motor.revolutions_before(ahead_s) - self._coupling.slipped(time_s)
 
         def between(at_s: float) -> float:
-            """Straight from sample to sample; about the sample itself with the speed of the motor."""
             if not from_s < at_s < time_s:
                 return motor.revolutions_before(motor.time_s - at_s) - self._coupling.slipped(at_s)
             return start + (end - start) * (at_s - from_s) / (time_s - from_s)

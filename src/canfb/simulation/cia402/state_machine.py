@@ -100,7 +100,6 @@ class StateMachine:
         self._controlword = 0
 
     def power_on(self) -> None:
-        """Transitions 0 and 1: self-test and initialisation take no time."""
         self.state = State.SWITCH_ON_DISABLED
         self._controlword = 0
 
