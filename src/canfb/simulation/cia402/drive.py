@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -21,7 +20,7 @@ from canfb.interface.sample_instants import TRUE_TIME, TimeBase
 from canfb.simulation.cia402.axis import Axis, saturated
 from canfb.simulation.cia402.feedback_input import FeedbackInput, SyncInterval, Wrong
 from canfb.simulation.cia402.plant import MotorConfig, Plant
-from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State, StateMachine, Status
+from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, Command, State, StateMachine, Status
 
 EDS = "drive"
 POSITION = (0x60E4, 1)
@@ -115,7 +114,7 @@ class ServoDrive(NodeDevice):
         due = self._sync_due()
         if due is not None and now >= due:
             self._fail(DriveError.SYNC_CONTROLLER, now)
-            self._finish_reaction(now)  # a ramp needs the SYNC as well
+            self._switch(Command.RAMP_DONE, now)  # a ramp needs the SYNC as well
         return super().tick(now)
 
     def deadline(self) -> float | None:
@@ -178,13 +177,13 @@ class ServoDrive(NodeDevice):
             position = wrong & (Wrong.RANGE | Wrong.STEP)
             self._fail(DriveError.POSITION_SENSOR if position else DriveError.INCREMENTAL_SENSOR, now)
         elif self.power is State.FAULT_REACTION_ACTIVE:  # no ramp without a position
-            self._finish_reaction(now)
+            self._switch(Command.RAMP_DONE, now)
 
     def _fail(self, error: DriveError, now: float, *, announced: bool = False) -> None:
         """A fault: 603Fh, EMCY unless ``announced``, the reaction of 605Eh."""
         ramp = self._fault_option.value if error is DriveError.FOLLOWING_ERROR else 0
         powered = self.power in POWERED
-        if not self._machine.fail():
+        if not self._machine.go(Command.FAIL):
             return
         self._error.value = int(error)
         if not announced:
@@ -194,7 +193,7 @@ class ServoDrive(NodeDevice):
             self.axis.ramp_down(from_actual=True)
             self._stop_by_s = None
         else:
-            self._finish_reaction(now)
+            self._switch(Command.RAMP_DONE, now)
 
     def _announce(self, error: DriveError, now: float) -> None:
         detail = int(self.feedback.wrong).to_bytes(2, "little") + self.feedback.status.to_bytes(2, "little")
@@ -203,9 +202,6 @@ class ServoDrive(NodeDevice):
             register |= ErrorRegister.COMMUNICATION
         self.emergency(error, register, detail, now)
 
-    def _finish_reaction(self, now: float) -> None:
-        self._switch(self._machine.reaction_done, now)
-
     def _end_stop(self, now: float) -> None:
         if self.power is State.OPERATION_ENABLED or not self.axis.ramp_is_over:
             return
@@ -213,23 +209,22 @@ class ServoDrive(NodeDevice):
             self._stop_by_s = self._received_s + STOP_TIMEOUT_S
         if not self.axis.stands_still and self._received_s < self._stop_by_s:
             return
-        if self.power is State.FAULT_REACTION_ACTIVE:
-            self._finish_reaction(now)
-        else:
-            self._switch(self._machine.quick_stop_done, now)
+        self._switch(Command.RAMP_DONE, now)
 
     def _controlled(self) -> None:
         controlword, now = self._controlword.value, self._now
         before = self.power
-        self._switch(lambda: self._machine.control(controlword, may_reset=not self.feedback.wrong), now)
+        command = self._machine.command(controlword)
+        if command is not Command.FAULT_RESET or not self.feedback.wrong:
+            self._switch(command, now)
         if before is State.FAULT and self.power is not State.FAULT:
             self._clear_error(now)
         self._supervise(now)
         self._show()
 
-    def _switch(self, change: Callable[[], bool], now: float) -> None:
+    def _switch(self, command: Command, now: float) -> None:
         before = self.power
-        if not change():
+        if not self._machine.go(command):
             return
         after = self.power
         if after in SWITCHED_ON and before not in SWITCHED_ON:
@@ -268,7 +263,7 @@ class ServoDrive(NodeDevice):
             self.feedback.lose()
             self._abort_connection(DriveError.COMMUNICATION, now)
             if self.power in POWERED:  # no SYNC, no position: nothing may turn
-                self._switch(self._machine.disable_voltage, now)
+                self._switch(Command.DISABLE_VOLTAGE, now)
         self._show()
 
     def _abort_connection(self, error: DriveError, now: float) -> None:
@@ -278,16 +273,16 @@ class ServoDrive(NodeDevice):
         if option == 1:
             self._fail(error, now, announced=error is DriveError.HEARTBEAT)
         elif option == 2:
-            self._switch(self._machine.disable_voltage, now)
+            self._switch(Command.DISABLE_VOLTAGE, now)
         elif option == 3:
-            self._switch(self._machine.quick_stop, now)
+            self._switch(Command.QUICK_STOP, now)
 
     def reset_done(self, communication_only: bool, now: float) -> None:
         """Power-on of the drive; after a reset of the communication a fault is announced again."""
         self._interval = SyncInterval()
         self.feedback.reset()
         if not communication_only:
-            self._machine.power_on()
+            self._machine = StateMachine(State.SWITCH_ON_DISABLED)
             self._error.value = int(DriveError.NONE)
             self._power_off(now)
         elif self.power is State.FAULT:

@@ -19,7 +19,7 @@ class State(Enum):
 
 
 class Command(Enum):
-    """What a controlword 6040h asks for."""
+    """What a controlword 6040h asks for, and what happens without one."""
 
     SHUTDOWN = "shutdown"
     SWITCH_ON = "switch on"  # in Operation enabled: disable operation
@@ -27,6 +27,8 @@ class Command(Enum):
     DISABLE_VOLTAGE = "disable voltage"
     QUICK_STOP = "quick stop"
     FAULT_RESET = "fault reset"
+    FAIL = "an error"
+    RAMP_DONE = "the ramp of a quick stop or of the reaction to a fault is over"
     NONE = "none"
 
 
@@ -72,9 +74,14 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
     (State.OPERATION_ENABLED, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 9
     (State.OPERATION_ENABLED, Command.QUICK_STOP): State.QUICK_STOP_ACTIVE,  # 11
     (State.QUICK_STOP_ACTIVE, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 12
+    (State.QUICK_STOP_ACTIVE, Command.RAMP_DONE): State.SWITCH_ON_DISABLED,  # 12
+    **{(state, Command.FAIL): State.FAULT_REACTION_ACTIVE for state in State},  # 13, but for the next two
+    (State.FAULT_REACTION_ACTIVE, Command.FAIL): State.FAULT_REACTION_ACTIVE,
+    (State.FAULT, Command.FAIL): State.FAULT,
+    (State.FAULT_REACTION_ACTIVE, Command.RAMP_DONE): State.FAULT,  # 14
     (State.FAULT, Command.FAULT_RESET): State.SWITCH_ON_DISABLED,  # 15, when the error is gone
 }
-"""The transitions that a controlword causes, with their numbers in the standard; any other does nothing."""
+"""The transitions with their numbers in the standard; any other command does nothing."""
 
 
 def command_of(controlword: int, before: int = 0) -> Command:
@@ -93,47 +100,18 @@ def command_of(controlword: int, before: int = 0) -> Command:
 
 
 class StateMachine:
-    """The state of the drive. It begins in Not ready to switch on."""
+    """The state of the drive, and the last controlword, for the edge of a fault reset."""
 
-    def __init__(self) -> None:
-        self.state = State.NOT_READY_TO_SWITCH_ON
-        self._controlword = 0
-
-    def power_on(self) -> None:
-        self.state = State.SWITCH_ON_DISABLED
-        self._controlword = 0
-
-    def control(self, controlword: int, *, may_reset: bool = True) -> bool:
-        """Take a ``controlword`` 0..FFFFh; True if the state has changed. ``may_reset``: no error is left."""
-        command = command_of(controlword, self._controlword)
-        self._controlword = controlword
-        if command is Command.FAULT_RESET and not may_reset:
-            return False
-        return self._go(TRANSITIONS.get((self.state, command), self.state))
-
-    def fail(self) -> bool:
-        """Transition 13, an error; True if the state has changed: not when it is a fault already."""
-        if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
-            return False
-        return self._go(State.FAULT_REACTION_ACTIVE)
-
-    def reaction_done(self) -> bool:
-        """Transition 14: the reaction to the fault is over; True if the state has changed."""
-        return self.state is State.FAULT_REACTION_ACTIVE and self._go(State.FAULT)
-
-    def quick_stop_done(self) -> bool:
-        """Transition 12 by itself: the quick stop is over; True if the state has changed."""
-        return self.state is State.QUICK_STOP_ACTIVE and self._go(State.SWITCH_ON_DISABLED)
-
-    def disable_voltage(self) -> bool:
-        """Transitions 7, 9, 10 and 12 without a controlword; True if the state has changed."""
-        return self._go(TRANSITIONS.get((self.state, Command.DISABLE_VOLTAGE), self.state))
-
-    def quick_stop(self) -> bool:
-        """Transition 11 without a controlword; True if the state has changed."""
-        return self.state is State.OPERATION_ENABLED and self._go(State.QUICK_STOP_ACTIVE)
-
-    def _go(self, state: State) -> bool:
-        changed = state is not self.state
+    def __init__(self, state: State = State.NOT_READY_TO_SWITCH_ON) -> None:
         self.state = state
-        return changed
+        self._controlword = 0
+
+    def command(self, controlword: int) -> Command:
+        """What a ``controlword`` 0..FFFFh asks for."""
+        before, self._controlword = self._controlword, controlword
+        return command_of(controlword, before)
+
+    def go(self, command: Command) -> bool:
+        """Obey; True if the state has changed."""
+        before, self.state = self.state, TRANSITIONS.get((self.state, command), self.state)
+        return self.state is not before
