@@ -37,28 +37,3 @@ def test_failing_cases_are_named_and_the_others_tried() -> None:
     assert "no good" in str(caught.value)
     assert isinstance(caught.value.__cause__, AssertionError)
     assert tried == list(range(100))
-
-
-def test_of_many_failing_cases_some_are_named_and_all_are_counted() -> None:
-    @each("number", range(100))
-    def checks(number: int) -> None:
-        raise ValueError(f"all wrong, also {number}")
-
-    with pytest.raises(AssertionError, match=r"100 of 100 cases fail:(?s:.*)and 80 more$") as caught:
-        checks()
-    assert "number=19: ValueError: all wrong, also 19" in str(caught.value)
-
-
-def test_no_case_is_a_mistake() -> None:
-    with pytest.raises(ValueError, match="nothing would be tested"):
-        each("number", [])
-
-
-@pytest.fixture
-def ten() -> int:
-    return 10
-
-
-@each("number", range(3))
-def test_pytest_gives_fixtures_to_a_folded_test(ten: int, number: int) -> None:
-    assert ten + number in (10, 11, 12)

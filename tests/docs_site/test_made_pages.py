@@ -16,7 +16,7 @@ import canfb
 from canfb.cli.commands import build_parser
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import source_kinds
-from tools.site.api_page import as_rst, escaped
+from tools.site.api_page import as_rst
 from tools.site.commands_page import commands_of
 from tools.site.keys_page import SECTIONS, Key, keys_of
 from tools.site.made import MADE
@@ -149,9 +149,3 @@ def test_columns_of_a_docstring_become_fields() -> None:
         "",
         "After.",
     ]
-
-
-def test_markup_stands_for_itself() -> None:
-    assert escaped("2**n |x| ``a*b`` :func:`f_` and name_ but in_name") == (
-        "2\\*\\*n \\|x\\| ``a*b`` :func:`f_` and name\\_ but in_name"
-    )

@@ -82,24 +82,6 @@ def test_eds_validate_would_say_it(tmp_path: Path) -> None:
     assert any("0x1017 was in [OptionalObjects]" in message for message in messages)
 
 
-@pytest.mark.parametrize(
-    ("ours", "theirs", "said"),
-    [
-        ("DefaultValue=0x60040020", "DefaultValue=0x60040010", "wrong mapped object size"),
-        ("[1016sub2]\n", "[1016sub2]\nDataType=0x0006\n", "data type does not match array"),
-    ],
-)
-def test_eds_validate_has_these_rules(ours: str, theirs: str, said: str, tmp_path: Path) -> None:
-    """test_cia301 leaves them to it."""
-    path = translated(NAMES[0], tmp_path)
-    head, found, rest = path.read_text().partition(ours)
-    assert found
-    if theirs.startswith(ours):
-        rest = rest.replace("DataType=0x0007\n", "", 1)
-    path.write_text(head + theirs + rest, encoding="ascii")
-    assert any(said in message for _, message in complaints(EDS_VALIDATE, path))
-
-
 def translated(name: str, folder: Path) -> Path:
     """A copy that eds-validate can read."""
     text = eds_path(name).read_text(encoding="ascii")

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from motion_oracles import all_motions, ends_through
 
 from tools.faults.estimator.declared import Declared
 from tools.faults.estimator.episodes import draw
 from tools.faults.estimator.kinds import KINDS, State
-from tools.faults.estimator.legal import LegalMotions, is_legal, least_bound, nodes_of, window
+from tools.faults.estimator.legal import LegalMotions, is_legal, least_bound, window
 
 Q = 24  # grid steps per cycle
 
@@ -24,54 +22,6 @@ def test_a_whole_cycle_over_a_gap_takes_the_bound_of_the_proof(missed: int) -> N
     assert least == pytest.approx(1.0 / ((missed + 2) ** 2 // 4))
     if missed == 2:  # the divided differences of the received samples alone are too loose
         assert least > 1.0 / 12.0 + 0.1
-
-
-@pytest.mark.parametrize("missed", [1, 2, 3, 4])
-def test_another_whole_speed_after_a_gap_takes_the_bound_of_the_proof(missed: int) -> None:
-    """The speed changes by a whole cycle in n + 2 steps; where it is then is free."""
-    least = min(
-        least_bound(
-            np.array([0.0, 1.0, missed + 2.0, missed + 3.0]), np.array([0.0, 0.0, c, c + 1.0]), 0.0, 2
-        )
-        for c in range(missed + 3)
-    )
-    sharp = 1.0 / (missed + 2)
-    assert sharp - 1e-9 <= least
-    grid = [c for c in range(missed + 3) if 2 * c == missed + 1]
-    if grid:  # an even change of speed ends on a whole number of cycles
-        assert least == pytest.approx(sharp)
-
-
-def test_the_phase_error_is_taken_off_with_its_weights() -> None:
-    at, cycles = np.arange(3.0), np.array([0.0, 0.0, 1.0])
-    assert least_bound(at, cycles, 0.0125, 2) == pytest.approx(1.0 - 4 * 0.0125)
-    assert least_bound(np.arange(4.0), np.array([0.0, 0.0, 0.0, 1.0]), 0.0125, 3) == pytest.approx(1.0 - 0.1)
-    assert least_bound(at[:2], cycles[:2], 0.0, 2) == 0.0
-
-
-@given(
-    st.integers(2, 3),
-    st.lists(st.floats(0.2, 3.4), min_size=3, max_size=7),
-    st.randoms(use_true_random=False),
-)
-def test_the_least_bound_is_one_that_is_met(order: int, apart: list[float], random) -> None:
-    """A motion with a bound fits its samples with that bound, those moved by the error as well."""
-    at = np.concatenate(([0.0], np.cumsum(apart)))
-    nodes, places = nodes_of(at)
-    samples = np.array([random.uniform(-1.0, 1.0) for _ in nodes])
-    rows = [
-        abs(_divided(nodes[n : n + order + 1], samples[n : n + order + 1])) for n in range(len(nodes) - order)
-    ]
-    bound = max(rows, default=0.0) * (2.0 if order == 2 else 6.0)
-    moved = samples[places] + np.array([random.uniform(-0.01, 0.01) for _ in places])
-    assert least_bound(at, samples[places], 0.0, order) <= bound * (1.0 + 1e-6) + 1e-6
-    assert least_bound(at, moved, 0.01, order) <= bound * (1.0 + 1e-6) + 1e-6
-
-
-def _divided(at: np.ndarray, values: np.ndarray) -> float:
-    while len(values) > 1:
-        values = np.diff(values) / (at[len(at) - len(values) + 1 :] - at[: len(values) - 1])
-    return float(values[0])
 
 
 @pytest.mark.parametrize(
