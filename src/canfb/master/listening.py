@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
 from canfb import objects as od
-from canfb.master.access import CommissioningError, Master, NodeAccess, ObjectAbsentError, Progress
+from canfb.master.access import CommissioningError, Master, NodeAccess, ObjectAbsentError, OnFrame, Progress
 from canfb.master.samples import TrackSamples
 from canfb.objects import MISSED_COUNTS
 from canfb.objects import RecordingCommand as Command
@@ -19,7 +19,19 @@ PATIENCE_S = 2.0  # for the first SYNC, the first sample, and for either to go o
 LOOK_S = 0.1
 LONGEST = 6.0  # times the duration that was asked for, where SYNCs are rare
 PART_MISSED = 0.5
-MISSED = (MISSED_COUNTS, MISSED_COUNTS)
+Pair = tuple[int, int]
+MISSED: Pair = (MISSED_COUNTS, MISSED_COUNTS)
+
+
+@dataclass(slots=True)
+class _Interval:
+    """What came from one SYNC, received at ``at_s``, to the next; ``stamp``: 100 ns."""
+
+    at_s: float
+    earlier: list[Pair]
+    pair: Pair = MISSED
+    stamp: int | None = None
+    coarse: Pair | None = None
 
 
 class PdoRecorder:
@@ -30,83 +42,77 @@ class PdoRecorder:
 
     def __init__(self, layout: PdoLayout) -> None:
         self._layout = layout
-        self._pairs: list[tuple[int, int]] = []
-        self._times: list[float] = []
-        self._stamps: list[int | None] = []  # sample times, 100 ns
-        self._coarse: list[tuple[int, int] | None] = []
-        self._earlier: list[list[tuple[int, int]]] = []
+        self._intervals: list[_Interval] = []
         self.samples = 0
 
     @property
     def syncs(self) -> int:
         """SYNCs that came."""
-        return len(self._times)
+        return len(self._intervals)
+
+    def callbacks(self) -> list[tuple[int, OnFrame]]:
+        """Who gets the frames of which CAN-ID; the SYNC is the last."""
+        layout = self._layout
+        found: list[tuple[int, OnFrame]] = [(layout.can_id, self.on_pdo)]
+        if layout.coarse is not None:
+            found.append((layout.coarse.can_id, self.on_coarse))
+        return [*found, *((can_id, self.on_part) for can_id in layout.others), (layout.sync_id, self.on_sync)]
 
     def on_sync(self, can_id: int, data: bytes, time_s: float) -> None:
         """A SYNC: a new interval begins."""
-        self._pairs.append(MISSED)
-        self._times.append(time_s)
-        self._stamps.append(None)
-        self._coarse.append(None)
-        self._earlier.append([MISSED] * len(self._layout.earlier))
+        self._intervals.append(_Interval(time_s, [MISSED] * len(self._layout.earlier)))
 
     def on_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
-        """A PDO with a sample."""
-        if not self._pairs:
-            return  # it belongs to a SYNC that was before
+        """A PDO with a sample; one that is too short, or beyond one for each SYNC, is not taken."""
         counts = self._layout.unpack(data)
-        if counts is None or self._pairs[-1] != MISSED:
-            return  # too short, or beyond one for each SYNC
-        self._pairs[-1] = counts
+        if counts is None or not self._intervals or self._intervals[-1].pair != MISSED:
+            return
+        self._intervals[-1].pair = counts
         if self._layout.time_byte is not None:
-            self._stamps[-1] = self._layout.sample_time(data)
+            self._intervals[-1].stamp = self._layout.sample_time(data)
         self.samples += 1
         self.on_part(can_id, data, time_s)
 
     def on_part(self, can_id: int, data: bytes, time_s: float) -> None:
         """A PDO with earlier pairs, or the time."""
-        if not self._pairs:
+        if not self._intervals:
             return
-        layout, earlier = self._layout, self._earlier[-1]
+        layout, now = self._layout, self._intervals[-1]
         for place, part in enumerate(layout.earlier):
-            if part.can_id == can_id and earlier[place] == MISSED:
-                earlier[place] = part.unpack(data) or MISSED
-        if layout.timed_by is not None and layout.timed_by.can_id == can_id and self._stamps[-1] is None:
-            self._stamps[-1] = layout.timed_by.sample_time(data)
+            if part.can_id == can_id and now.earlier[place] == MISSED:
+                now.earlier[place] = part.unpack(data) or MISSED
+        if layout.timed_by is not None and layout.timed_by.can_id == can_id and now.stamp is None:
+            now.stamp = layout.timed_by.sample_time(data)
 
     def on_coarse(self, can_id: int, data: bytes, time_s: float) -> None:
         """A PDO with the coarse track."""
         layout = self._layout.coarse
-        if self._coarse and layout is not None and self._coarse[-1] is None:
-            self._coarse[-1] = layout.unpack(data)
+        if self._intervals and layout is not None and self._intervals[-1].coarse is None:
+            self._intervals[-1].coarse = layout.unpack(data)
 
     def result(self, origin: str) -> TrackSamples:
         """What came, in order, without the open interval."""
-        last, per_sync = len(self._pairs) - 1, 1 + len(self._layout.earlier)
+        intervals, per_sync = self._intervals[:-1], 1 + len(self._layout.earlier)
         rate_hz = self._rate_hz()
-        in_order = [
-            pair
-            for newest, earlier in zip(self._pairs[:last], self._earlier, strict=False)
-            for pair in (*earlier[::-1], newest)
-        ]
+        in_order = [pair for one in intervals for pair in (*one.earlier[::-1], one.pair)]
         pairs = np.array(in_order, np.float64).reshape(-1, 2)
         samples = TrackSamples.of(pairs[:, 0], pairs[:, 1], rate_hz and rate_hz * per_sync, origin)
         if rate_hz or per_sync == 1:
             before_s = np.arange(per_sync - 1, -1, -1) / per_sync / (rate_hz or 1.0)
-            received_s = (np.array(self._times[:last])[:, None] - before_s).reshape(-1)
-            samples = replace(samples, received_s=received_s)
+            at_s = np.array([one.at_s for one in intervals])
+            samples = replace(samples, received_s=(at_s[:, None] - before_s).reshape(-1))
         if self._layout.coarse is not None:
             tracks = np.full((len(pairs), 2), np.nan)
-            tracks[per_sync - 1 :: per_sync] = [one or (np.nan, np.nan) for one in self._coarse[:last]]
+            tracks[per_sync - 1 :: per_sync] = [one.coarse or (np.nan, np.nan) for one in intervals]
             samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
         if not self._layout.is_timed:
             return samples
         stamps: list[int | None] = [None] * len(pairs)
-        stamps[per_sync - 1 :: per_sync] = self._stamps[:last]
+        stamps[per_sync - 1 :: per_sync] = [one.stamp for one in intervals]
         return samples.timed(stamps)
 
     def _rate_hz(self) -> float | None:
-        steps = np.diff(self._times)
+        steps = np.diff([one.at_s for one in self._intervals])
         # The median does not mind a pause; the mean of what is near it does not mind late time stamps.
         if not len(steps) or (middle := float(np.median(steps))) <= 0.0:
             return None
@@ -126,21 +132,13 @@ class Listener:
 
     def __enter__(self) -> Self:
         self._last_sync_s = self._last_sample_s = self._master.now()
-        self._master.subscribe(self._layout.can_id, self._recorder.on_pdo)
-        if self._layout.coarse is not None:
-            self._master.subscribe(self._layout.coarse.can_id, self._recorder.on_coarse)
-        for can_id in self._layout.others:
-            self._master.subscribe(can_id, self._recorder.on_part)
-        self._master.subscribe(self._layout.sync_id, self._recorder.on_sync)
+        for can_id, take in self._recorder.callbacks():
+            self._master.subscribe(can_id, take)
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._master.unsubscribe(self._layout.sync_id, self._recorder.on_sync)
-        for can_id in self._layout.others:
-            self._master.unsubscribe(can_id, self._recorder.on_part)
-        if self._layout.coarse is not None:
-            self._master.unsubscribe(self._layout.coarse.can_id, self._recorder.on_coarse)
-        self._master.unsubscribe(self._layout.can_id, self._recorder.on_pdo)
+        for can_id, take in reversed(self._recorder.callbacks()):
+            self._master.unsubscribe(can_id, take)
 
     @property
     def intervals(self) -> int:

@@ -291,8 +291,10 @@ PERCENT = 100.0
 class Provenance:
     """Where and when it was measured; "" or None: not known.
 
-    date, time ISO 8601; time of day with the offset to UTC identity 1018h: vendor-ID, product code,
-    revision, serial number encoder as the user named it meanwhile the module before and after
+    date, time      ISO 8601; time of day with the offset to UTC
+    identity        1018h: vendor-ID, product code, revision, serial number
+    encoder         as the user named it
+    meanwhile       the module before and after
     """
 
     date: str

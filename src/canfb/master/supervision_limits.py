@@ -53,8 +53,9 @@ KINDS = {one.place: one for one in (*LIMITS, CORNER)}
 class SupervisionLimits:
     """Values of :data:`LIMITS` in their units, and what the chain needs beside them.
 
-    coast_samples 2010:03 motion noise margin, samples per SYNC, sample times noise_cycles 2011:0B; None: not
-    known
+    coast_samples           2010:03
+    motion                  noise margin, samples per SYNC, sample times
+    noise_cycles            2011:0B; None: not known
     """
 
     values: Mapping[Multiplexer, float]

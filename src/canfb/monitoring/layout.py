@@ -95,7 +95,8 @@ def known_values(pdo: Pdo, data: bytes, kinds: Mapping[Multiplexer, str]) -> dic
 class NodeLayout:
     """What must be known of a module to understand its frames.
 
-    supervision what the residual limit depends on assumed of :data:`NEEDED`, not read from the module
+    supervision         what the residual limit depends on
+    assumed             of :data:`NEEDED`, not read from the module
     """
 
     node_id: int

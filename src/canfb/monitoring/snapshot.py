@@ -90,8 +90,9 @@ class ModuleSnapshot:
 class NodeSnapshot:
     """A node of the bus.
 
-    state_source heartbeat, boot-up, PDO, command heard_s since its last frame; None: never emergencies the
-    last ones, newest first; ``emergency_count`` in all
+    state_source    heartbeat, boot-up, PDO, command
+    heard_s         since its last frame; None: never
+    emergencies     the last ones, newest first; ``emergency_count`` in all
     """
 
     node_id: int

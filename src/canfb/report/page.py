@@ -100,7 +100,8 @@ footer { color: var(--soft); font-size: .87em; margin: 2em 0; }
 def page(title: str, place: str, said: Sequence[str], body: str, footer: str, good: bool = True) -> str:
     """The whole page; all but ``body`` (HTML) is plain text.
 
-    place when, where said the verdict, its first line in bold; ``good``: its tone
+    place    when, where
+    said     the verdict, its first line in bold; ``good``: its tone
     """
     first, *others = (_unbroken(escape(line)) for line in said)
     return (

@@ -24,8 +24,10 @@ LIMIT_UNITS = 65536  # 2010:01 and 2011:02 count in 1/65536 cycle
 class LimitSettings:
     """What the limit depends on; 0: not set, or not known.
 
-    widest_cycles 2010:01 doubt_acceleration 2010:0B, cycles per interval^2 cycle_period_s 1006h timed RPDOs
-    carry the sample time
+    widest_cycles      2010:01
+    doubt_acceleration 2010:0B, cycles per interval^2
+    cycle_period_s     1006h
+    timed              RPDOs carry the sample time
     """
 
     widest_cycles: float = 0.5
