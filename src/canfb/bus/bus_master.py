@@ -21,7 +21,7 @@ STOP_S = 1.0  # for the receiving thread to end
 
 
 class BusMaster:
-    """The master's side of a network; a context manager. Methods raise BusError when the bus fails."""
+    """The master's side of a network; a context manager. BusError when the bus fails."""
 
     def __init__(self, bus: can.BusABC, answer_within_s: float = 1.0) -> None:
         self._bus = bus
@@ -42,14 +42,14 @@ class BusMaster:
         self._bus.shutdown()
 
     def sdo(self, node_id: int) -> SharedClient:
-        """The SDO client for a node (1..127): bytes in, bytes out."""
+        """The SDO client for a node (1..127)."""
         if node_id not in self._clients:
             turn = partial(sdo_turn, str(self._bus.channel_info), node_id)
             self._clients[node_id] = SharedClient(self._network, node_id, self._answer_within_s, turn)
         return self._clients[node_id]
 
     def subscribe(self, can_id: int, on_frame: OnFrame) -> None:
-        """Call ``on_frame`` with CAN-ID, data and time stamp of each data frame, in the receiving thread."""
+        """``on_frame`` gets CAN-ID, data and time stamp, in the receiving thread."""
         self._network.subscribe(can_id, on_frame)
 
     def unsubscribe(self, can_id: int, on_frame: OnFrame) -> None:
@@ -68,7 +68,7 @@ class BusMaster:
         self.send(can_id, b"", remote=True)
 
     def produce_sync(self, rate_hz: float) -> None:
-        """Send the SYNC at this rate until the end."""
+        """Send SYNC until the end."""
         message = can.Message(arbitration_id=cob.SYNC, is_extended_id=False)
         try:
             self._syncs.append(self._bus.send_periodic(message, 1.0 / rate_hz))
@@ -109,7 +109,7 @@ class _Network(canopen.Network):
         self.listeners = [self.listener]
 
     def subscribe(self, can_id: int, callback: Callable[..., None]) -> None:
-        """As in canopen; frames without a subscriber are filtered."""
+        """Frames without a subscriber are filtered."""
         super().subscribe(can_id, callback)
         self._filter()
 
@@ -124,7 +124,7 @@ class _Network(canopen.Network):
 
 
 class _Listener(MessageListener):
-    """Passes classic frames with 11-bit identifiers; keeps the error that ended the reception."""
+    """Passes classic frames with 11-bit identifiers; keeps the error that ended it."""
 
     def __init__(self, network: canopen.Network) -> None:
         super().__init__(network)

@@ -1,4 +1,4 @@
-"""Whether the bus is there, from its failures and error frames."""
+"""Whether the bus is there."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ INTERFACE_DOWN = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO})
 
 
 class FailureWatch:
-    """Sending or receiving: reports a failure once, and its end once that has lasted."""
+    """Reports a failure once, and its end once that has lasted."""
 
     def __init__(self, report: Callable[[str], None], trouble: str, recovered: str) -> None:
         self._report = report
@@ -33,7 +33,7 @@ class FailureWatch:
         """When it last failed; None once its end is reported: :meth:`worked` need not be called then."""
 
     def failed(self, error: Exception, now: float, *, known: bool = False) -> bool:
-        """Note a failure (``known``: reported already); True if the one before was only just now."""
+        """Note a failure, ``known``: reported already; True if the one before was just now."""
         before, self.failed_s = self.failed_s, now
         if not (self._reported or known):
             self._reported = True
@@ -41,7 +41,7 @@ class FailureWatch:
         return before is not None and now - before < RETRY_S
 
     def worked(self, now: float) -> None:
-        """Note that it worked."""
+        """It worked."""
         if self.failed_s is not None and now - self.failed_s >= SETTLED_S:
             self.failed_s = None
             if self._reported:
@@ -69,7 +69,7 @@ class BusState:
         self._failing_since_s: float | None = None
 
     def error_frame(self, error_class: int, now: float) -> None:
-        """An error frame of SocketCAN; `error_class` is its CAN-ID."""
+        """An error frame; `error_class` is its CAN-ID."""
         if error_class & ERROR_BUS_OFF:
             self._lose(_OFF, _ON)
             self._bus_off = True
@@ -77,7 +77,7 @@ class BusState:
             self._show_life(now)
 
     def reading_failed(self, error: Exception, now: float) -> bool:
-        """The bus could not be read; True if the failure before was only just now."""
+        """True if the failure before was just now."""
         self.troubled = True
         if self._failing_since_s is None:
             self._failing_since_s = now
@@ -88,7 +88,7 @@ class BusState:
         return self._reading.failed(error, now, known=is_down(error))
 
     def reading_worked(self, now: float, *, frame: bool) -> None:
-        """The bus could be read; `frame`: and there was a frame."""
+        """The bus could be read; `frame`: a frame came."""
         self._failing_since_s = None
         if frame:
             self._reading.worked(now)
@@ -103,7 +103,7 @@ class BusState:
         self._sending.failed(error, now, known=self.gone)
 
     def sending_worked(self, now: float) -> None:
-        """A frame could be sent, or was taken into a queue."""
+        """A frame could be sent, or queued."""
         self._sending.worked(now)
         if not self._bus_off:
             self._show_life(now)
@@ -127,7 +127,6 @@ class BusState:
         return True
 
     def _lose(self, trouble: str = "", recovered: str = "") -> None:
-        """It is gone; a ``trouble`` is reported unless an earlier one is not over."""
         if trouble and not self._recovered:
             self._recovered = recovered
             self._report(trouble)
@@ -147,7 +146,7 @@ class BusState:
 
 
 def is_down(error: Exception) -> bool:
-    """Whether a failure means that the interface is down, or removed."""
+    """The interface is down or removed."""
     return code_of(error) in INTERFACE_DOWN
 
 

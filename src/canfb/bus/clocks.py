@@ -21,7 +21,7 @@ def now_s() -> float:
 
 
 def date_and_time() -> str:
-    """Now, as reports have it (ISO 8601): yyyy-mm-dd hh:mm:ss and the offset to UTC."""
+    """Now: yyyy-mm-dd hh:mm:ss and the offset to UTC."""
     return local_time().isoformat(" ", "seconds")
 
 
@@ -37,13 +37,13 @@ def page_date() -> str:
 
 
 def file_date_and_time() -> tuple[str, str]:
-    """Now, as EDS and DCF have it (CiA 306): mm-dd-yyyy, and hh:mm with AM or PM."""
+    """Now, as CiA 306 has it: mm-dd-yyyy, and hh:mm with AM or PM."""
     now = datetime.now()
     return now.strftime("%m-%d-%Y"), now.strftime("%I:%M%p")
 
 
 def local_time() -> datetime:
-    """Now, with the offset of the local time to UTC."""
+    """Now, with the offset to UTC."""
     return datetime.now().astimezone()
 
 
@@ -71,7 +71,7 @@ class OtherClock:
         self._known = False
 
     def received(self, stamp_s: float, now: float) -> float | None:
-        """When a frame with this stamp was received, never after ``now``, or None."""
+        """When the frame with this stamp came, never after ``now``, or None."""
         last, self._stamp_s = self._stamp_s, stamp_s
         passed_s, self._taken_s = now - self._taken_s, now
         difference_s = now - stamp_s
@@ -116,7 +116,7 @@ class ReceiveTimes:
             self._difference_s = self._look()
 
     def received(self, stamp_s: float, now: float) -> float | None:
-        """When a frame with this stamp came, on the clock of ``now``, or None."""
+        """When the frame with this stamp came, or None."""
         difference_s = self._wall() - now
         if not -LARGEST_STEP_S <= difference_s - self._difference_s <= CLOSE_S:
             difference_s = self._look()  # else the frames would seem to have come earlier than they did

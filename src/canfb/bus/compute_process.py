@@ -1,4 +1,4 @@
-"""The other process: takes one job from standard input, computes it, reports progress and result."""
+"""Takes one job from standard input, computes it, reports progress and result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NICENESS = 10  # frames come first
 
 
 def main() -> None:
-    """Compute; what the job itself prints goes nowhere near the answers."""
+    """Compute; what the job prints goes to standard error."""
     with contextlib.suppress(OSError, AttributeError):
         os.nice(NICENESS)
     answers = Connection(os.dup(sys.stdout.fileno()), readable=False)

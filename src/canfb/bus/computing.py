@@ -40,7 +40,7 @@ class Computation:
         self._cpus = os.sched_getaffinity(0) if sys.platform == "linux" else set()
 
     def poll(self, now: float) -> list[Frame]:
-        """Start, read or end what there is, without waiting."""
+        """Start, read or end, without waiting."""
         self._killed = [process for process in self._killed if process.poll() is None]
         job = self._device.pending_job()
         try:
@@ -62,7 +62,7 @@ class Computation:
         return self._device.finish_job(self._job, result, now)
 
     def close(self) -> None:
-        """Kill the process, if there is one, and wait for its end."""
+        """Kill the process, and wait for its end."""
         self._kill()
         for process in self._killed:
             process.wait()

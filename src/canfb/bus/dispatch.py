@@ -1,4 +1,4 @@
-"""Which device gets which frame, which is due first, and how its frames are sent."""
+"""Which device gets which frame, which is due first, how frames are sent."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Dispatch:
                 port.device.follow_can_ids(self._mover(port))
 
     def due_s(self) -> float:
-        """The earliest deadline of all devices, NEVER for none."""
+        """The earliest deadline, or NEVER."""
         if self._stale:
             self._stale = False
             self._earliest_s = min([port.due_s for port in self.ports], default=NEVER)
@@ -96,7 +96,7 @@ class Dispatch:
         return (self.remote if frame.rtr else self.data).get(frame.can_id, self.everyone)
 
     def follow(self) -> None:
-        """Take over the CAN-IDs of the devices that have moved, and filter."""
+        """Take over the CAN-IDs of devices that have moved."""
         self.moved = False
         for port in self.ports:
             if port.moved and isinstance(port.device, Selective):
@@ -107,7 +107,7 @@ class Dispatch:
         self._set_filters()
 
     def accept_all(self, enabled: bool) -> None:
-        """Ask the bus for all frames, or for those that are listened to."""
+        """Ask the bus for all frames, or those that are listened to."""
         enabled = enabled or bool(self.everyone)
         if enabled is not self._accepts_all:
             self._accepts_all = enabled
@@ -163,7 +163,7 @@ class FrameSender:
         """Boot-ups that failed, by their CAN-ID: for :meth:`retry_owed`."""
 
     def send(self, port: Port, frame: Frame) -> None:
-        """Send a frame of the device at ``port``, or queue it."""
+        """Send, or queue."""
         if self.owed:
             self.retry_owed()
         if self.waiting or not self._try(port, frame):
@@ -173,7 +173,7 @@ class FrameSender:
                 self._failed(port, frame, _no_room())
 
     def _try(self, port: Port, frame: Frame) -> bool:
-        """Send it, now or never; False if the bus takes none now."""
+        """False if the bus takes none now."""
         can_id, data, remote, _ = frame
         try:
             if not self._bus_send(can_id, data, remote):
@@ -187,7 +187,7 @@ class FrameSender:
         return True
 
     def retry(self, now: float) -> None:
-        """Send what waits, as far as the bus takes it."""
+        """Send what waits."""
         while self.waiting:
             port, frame, since_s = self.waiting[0]
             if now - since_s > LONGEST_DELAY_S:
@@ -197,7 +197,7 @@ class FrameSender:
             self.waiting.popleft()
 
     def retry_owed(self) -> None:
-        """Send the boot-ups that failed, if the bus takes them now."""
+        """Send the boot-ups that failed."""
         for can_id, (port, frame) in list(self.owed.items()):
             try:
                 gone = not self.waiting and self._bus_send(can_id, frame.data, frame.rtr)

@@ -31,7 +31,7 @@ ERROR = 0x2000_0000
 
 
 def flagged_id(message: can.Message) -> int:
-    """The CAN-ID of a message, with ERROR, or EXTENDED for all else that is not of CANopen."""
+    """The CAN-ID, with ERROR, or EXTENDED for what is not CANopen."""
     if message.is_error_frame:
         return message.arbitration_id | ERROR
     return message.arbitration_id | (EXTENDED if message.is_extended_id or message.is_fd else 0)
@@ -44,13 +44,13 @@ Received = tuple[int, bytes, float]
 
 
 class FrameBus(Protocol):
-    """A bus as frames; a context manager. CanError or OSError for what fails."""
+    """A bus as frames; a context manager. CanError or OSError."""
 
     def receive(self, wait_s: float) -> Received | None:
-        """Wait so long for a frame; None: none came."""
+        """Wait so long; None: no frame."""
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
-        """Send a frame; False if the bus takes none now."""
+        """False if the bus takes none now."""
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
         """The CAN-IDs that are needed, None for all."""
@@ -80,7 +80,7 @@ def enlarge_queue(one: socket.socket) -> None:
 
 
 def enlarge_queue_of(bus: can.BusABC) -> None:
-    """That of a bus of python-can, if it is a socket."""
+    """For a bus of python-can that is a socket."""
     with (
         contextlib.suppress(OSError, NotImplementedError, ValueError),
         socket.socket(fileno=os.dup(bus.fileno())) as one,
@@ -102,7 +102,7 @@ class NamedInterface:
         return code_of(error) == errno.ENETDOWN or (self._bus is not None and is_down(error))
 
     def bind(self) -> None:
-        """Bind the socket again. OSError while there is no such interface."""
+        """Bind the socket again. OSError without the interface."""
         bus = self._bus
         if bus is not None and bus.socket.getsockname()[0] != bus.channel:
             bus.socket.bind((bus.channel,))
@@ -144,7 +144,7 @@ class Reception:
         return message
 
     def failed(self, error: Exception) -> None:
-        """Outlast a failure, of sending too; BusError for one that nothing ends."""
+        """Outlast a failure, of sending too; or BusError."""
         self.failures += 1
         if not self._lasts and not self._interface.comes_back(error):
             raise BusError(f"{BUS_FAILS}: {reason(error)}") from error
@@ -159,7 +159,7 @@ _IGNORED: Received = EXTENDED, b"", 0.0
 
 
 class PythonCanBus:
-    """A :class:`.FrameBus` on python-can, without CAN FD and its own frames."""
+    """A :class:`.FrameBus` on python-can, without its own frames."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
@@ -169,7 +169,7 @@ class PythonCanBus:
         self._echoes = type(bus).__name__ in _ECHOING
 
     def receive(self, wait_s: float) -> Received | None:
-        """See :class:`.FrameBus`. An interface that was removed and made again is bound again."""
+        """See :class:`.FrameBus`."""
         message = self._bus.recv(wait_s)
         if message is None:
             self._interface.bind()
@@ -195,7 +195,7 @@ class PythonCanBus:
         return True
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
-        """All frames are received: a filter is another thing on each interface."""
+        """All frames: a filter differs from interface to interface."""
 
     def __enter__(self) -> Self:
         return self

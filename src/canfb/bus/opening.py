@@ -1,4 +1,4 @@
-"""Opening a bus with python-can's own words, and one clear line when it does not work."""
+"""Opening a bus with python-can's own words, or one clear line."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
 
 
 def _completed(options: dict[str, Any]) -> dict[str, Any]:
-    """The words with those of python-can's environment and files; {} for what it will refuse."""
+    """With those of python-can's environment and files; {} for what it will refuse."""
     words = {key: value for key, value in options.items() if value is not None and key != FORCE_PYTHON_CAN}
     try:
         return dict(can.util.load_config(config=words))
@@ -85,7 +85,7 @@ def group_port(group: object) -> int | None:
 
 
 def open_device_bus(options: dict[str, Any]) -> FrameBus:
-    """The bus for devices: a raw socket for SocketCAN, else, or with ``python_can: true``, python-can."""
+    """For devices: a raw socket for SocketCAN, else, or with ``python_can: true``, python-can."""
     check_device_bus(options)
     channel = _raw_channel(options)
     if channel is None:
@@ -97,7 +97,6 @@ def open_device_bus(options: dict[str, Any]) -> FrameBus:
 
 
 def _raw_channel(options: dict[str, Any]) -> str | None:
-    """The SocketCAN interface for a raw socket of our own, or None."""
     words = {key: value for key, value in options.items() if value is not None}
     if not sys.platform.startswith("linux") or words.get(FORCE_PYTHON_CAN) or words.keys() - _RAW_WORDS:
         return None
@@ -112,7 +111,6 @@ def _raw_channel(options: dict[str, Any]) -> str | None:
 
 @contextlib.contextmanager
 def _failing_in_one_line(options: dict[str, Any]) -> Iterator[None]:
-    """BusError, in one line, for whatever a driver raises."""
     try:
         yield
     except Exception as error:  # what the drivers raise has no common root
@@ -120,7 +118,7 @@ def _failing_in_one_line(options: dict[str, Any]) -> Iterator[None]:
 
 
 def open_sync_bus(options: dict[str, Any], *, receives_own: bool) -> can.BusABC:
-    """:func:`open_bus`, for a program that counts by the SYNC; ``receives_own``: that produces it."""
+    """For a program that counts SYNCs; ``receives_own``: that produces them."""
     if receives_own:
         with contextlib.suppress(BusError):  # udp_multicast always does, and has no such option
             return open_bus(options | {"receive_own_messages": True})
@@ -146,7 +144,6 @@ def describe(options: dict[str, Any]) -> str:
 
 
 def _advice(options: dict[str, Any], error: Exception) -> str:
-    """The reason, and what to do where python-can does not say so."""
     interface, text = options.get("interface"), reason(error)
     if interface is None and UNNAMED in text:
         return (
@@ -184,7 +181,7 @@ _GENERAL = frozenset({
 
 
 def check_interface(words: Mapping[str, Any]) -> None:
-    """ConfigError for an ``interface`` that python-can does not have."""
+    """ConfigError for an unknown ``interface``."""
     interface = words.get("interface")
     if interface is not None and (not isinstance(interface, str) or interface not in can.VALID_INTERFACES):
         known = sorted(can.VALID_INTERFACES)
@@ -192,7 +189,7 @@ def check_interface(words: Mapping[str, Any]) -> None:
 
 
 def check_words(words: Mapping[str, Any]) -> None:
-    """ConfigError for a key that means nothing to this interface, or a bad bit rate."""
+    """ConfigError for a key that this interface does not have, or a bad bit rate."""
     check_interface(words)
     for key in ("bitrate", "data_bitrate"):
         value = words.get(key)

@@ -34,7 +34,7 @@ LONGEST_LATENCY_S = 0.01  # from the controller to the kernel; more: its clock w
 
 
 class FrameReader:
-    """Reads struct can_frame from a datagram socket ``source`` without waiting; it turns on receive times."""
+    """Reads struct can_frame, with receive times, from a datagram socket, without waiting."""
 
     def __init__(self, source: socket.socket) -> None:
         source.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
@@ -44,7 +44,7 @@ class FrameReader:
         self._controller = OtherClock(LONGEST_LATENCY_S)
 
     def read(self) -> Received | None:
-        """The frame that has waited longest, or None. OSError as recv raises it."""
+        """The next frame, or None. OSError as recv."""
         try:
             frame, controls, _, _ = self._receive(_FRAME.size, _CONTROL_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -84,7 +84,7 @@ class RawCanBus:
     """
 
     def __init__(self, raw: socket.socket, channel: str = "") -> None:
-        """``raw`` is a bound raw CAN socket, or another that carries struct can_frame."""
+        """``raw``: a bound raw CAN socket, or another that carries struct can_frame."""
         self._channel = channel
         self._down = False
         raw.setblocking(False)
@@ -105,7 +105,7 @@ class RawCanBus:
 
     @classmethod
     def open(cls, channel: str) -> Self:
-        """Open the interface. Raises OSError if it does not exist or SocketCAN is missing."""
+        """OSError if there is no such interface, or no SocketCAN."""
         with contextlib.ExitStack() as opened:
             raw = opened.enter_context(socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW))
             bus = cls(raw, channel)  # times and error frames, before the first frame
@@ -147,7 +147,7 @@ class RawCanBus:
         return True
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
-        """Filters in the kernel, new ones before old ones go."""
+        """Filters in the kernel."""
         if not self._is_can:
             return
         filters = _ANY_STANDARD
@@ -165,7 +165,7 @@ class RawCanBus:
         self._down = bool(self._channel) and error.errno in INTERFACE_DOWN
 
     def _came_up(self) -> Received:
-        """A frame that says "restarted" once the interface is up; OSError until then."""
+        """An error frame "restarted" once the interface is up; OSError until then."""
         raw = self._socket
         if raw.getsockname()[0] != self._channel:  # unbound by the kernel when the interface went
             raw.bind((self._channel,))

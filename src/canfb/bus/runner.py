@@ -50,7 +50,7 @@ _new = tuple.__new__
 
 
 class DeviceFailure(CanfbError):
-    """A program error in ``device``; what it raised is the cause."""
+    """A program error in ``device``."""
 
     def __init__(self, device: object, error: Exception) -> None:
         self.device = device
@@ -59,7 +59,7 @@ class DeviceFailure(CanfbError):
 
 @dataclass
 class BusCounters:
-    """What went over the bus, and what went wrong there."""
+    """What went over the bus."""
 
     received: int = 0
     sent: int = 0
@@ -121,7 +121,7 @@ class Runner:
         )
 
     def stop(self) -> None:
-        """End :meth:`run`; may be called from a signal handler or another thread."""
+        """End :meth:`run`; from a signal handler or thread, too."""
         self._stopped = True
 
     def hears(self, can_ids: Collection[int], wait_s: float, asked: Iterable[Frame] = ()) -> int | None:
@@ -144,7 +144,7 @@ class Runner:
     def run(
         self, finished: Callable[[], bool] = lambda: False, ready: Callable[[], None] = lambda: None
     ) -> None:
-        """Power the devices on, call ``ready``, and serve them until :meth:`stop` or ``finished()``."""
+        """Power on, call ``ready``, serve until :meth:`stop` or ``finished()``."""
         try:
             for port in self._dispatch.ports:
                 self._ask(port, port.device.start, self._clock())
@@ -244,7 +244,7 @@ class Runner:
                 self._ask(port, port.device.tick, now)
 
     def _notify_bus_state(self) -> None:
-        """The bus has gone, or is back; not for one whose boot-up has not left."""
+        """Not a device whose boot-up has not left."""
         self._now = now = self._clock()
         lost, returned = self._bus_state.lost(), self._bus_state.returned(now)
         starting = {port for port, _ in self._sender.owed.values()}
@@ -260,7 +260,6 @@ class Runner:
         self._dispatch.accept_all(self._bus_state.gone)  # any frame is a sign of life
 
     def _compute(self) -> None:
-        """Look for computations, at this rate only: they take seconds."""
         self._compute_s = self._asked_s + POLL_S
         for port, computation in self._computations:
             self._ask(port, computation.poll, self._clock())
@@ -291,7 +290,6 @@ class Runner:
                     dispatch.follow()
 
     def _called(self, port: Port, method: Callable[..., list[Frame]], *arguments: Any) -> list[Frame]:
-        """What a method of the device gives; DeviceFailure for what it raises."""
         try:
             frames = method(*arguments)
         except Exception as error:
@@ -326,7 +324,7 @@ def on_signals(call: Callable[[], None], numbers: Iterable[int]) -> Iterator[Non
 
 
 def ending_on_signals(stop: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
-    """Call ``stop`` on Ctrl-C, SIGTERM and SIGHUP, unless that is ignored (nohup)."""
+    """``stop`` on Ctrl-C, SIGTERM and SIGHUP, unless ignored (nohup)."""
     endings = [signal.SIGINT, signal.SIGTERM]
     hangup = getattr(signal, "SIGHUP", None)  # not on every system
     if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:

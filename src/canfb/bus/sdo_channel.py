@@ -52,7 +52,6 @@ def sdo_turn(bus: str, node_id: int, longest_s: float = LONGEST_TURN_S) -> Itera
 
 
 def _opened(path: str) -> int | None:
-    """The file, made if it is missing, or None."""
     wanted = os.O_RDWR if sys.platform == "win32" else os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
     for flags in (wanted, wanted | os.O_CREAT | os.O_EXCL, wanted):
         with contextlib.suppress(OSError):
@@ -69,7 +68,7 @@ def _is_locked(file: int) -> bool:
 
 
 def lock_file(file: int) -> None:
-    """Lock an open file until it is closed. OSError if another has it."""
+    """Until it is closed. OSError if another has it."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -111,7 +110,7 @@ class SharedClient(SdoClient):
         network.subscribe(self.tx_cobid, self.on_response)
 
     def frame(self, within_s: float) -> bytes:
-        """The next frame of the node. queue.Empty if none comes."""
+        """The next frame, or queue.Empty."""
         data: bytes = self.responses.get(timeout=max(0.0, within_s))
         return data
 
@@ -120,7 +119,7 @@ class SharedClient(SdoClient):
         return time.monotonic()
 
     def read_response(self, fits: Callable[[bytes], bool] = lambda data: True) -> bytes:
-        """As in canopen; what does not fit is ignored."""
+        """What does not fit is ignored."""
         end = self.now() + self.RESPONSE_TIMEOUT
         said = "No SDO response received"
         while True:
@@ -136,7 +135,7 @@ class SharedClient(SdoClient):
             said = f"only answers to others come (the last: {data.hex()}): another master uses this node"
 
     def request_response(self, sdo_request: bytes) -> bytes:
-        """As in canopen; an answer to another request is ignored."""
+        """An answer to another request is ignored."""
         command, place = sdo_request[0], bytes(sdo_request[1:4])
         expected, names = _ANSWERS[command >> 5]
         begins = names and (command >> 5 < 5 or not command & 0x01)

@@ -1,4 +1,4 @@
-"""One bus for several users in a process: one receives, each may send."""
+"""One bus for several users in a process."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class SharedBus(can.BusABC):
         self.channel_info = bus.channel_info
 
     def branch(self) -> can.BusABC:
-        """A bus for another thread; its shutdown leaves the others running."""
+        """A bus for another thread, with a shutdown of its own."""
         branch = _Branch(self)
         self._branches.append(branch)
         return branch

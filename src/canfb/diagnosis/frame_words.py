@@ -1,4 +1,4 @@
-"""CANopen frames in words: PDOs by the mapping of their module, others by the predefined connection set."""
+"""CANopen frames in words."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class DecodedFrame(NamedTuple):
 
     @property
     def is_pdo(self) -> bool:
-        """It is a PDO of a module that is known."""
+        """A PDO of a known module."""
         return self.kind in ("tpdo", "rpdo")
 
     def line(self, time_s: float) -> str:
@@ -67,14 +67,14 @@ class DecodedFrame(NamedTuple):
 
 
 class FrameWords:
-    """Says what each frame is, with PDOs of the modules that it has learned."""
+    """With PDOs of the modules that it has learned."""
 
     def __init__(self, described: ObjectDescriptions) -> None:
         self._described = described
         self._pdos: dict[int, tuple[str, int, Pdo]] = {}
 
     def learn(self, node: int, read: Read) -> None:
-        """Take the mapping of a module; several may take the same samples."""
+        """Take the mapping of a module."""
         for name, parameters, mapping in PARAMETERS:
             for pdo in valid_pdos(read, parameters, mapping):
                 if pdo.entries:
@@ -104,7 +104,7 @@ class FrameWords:
 
 
 def learn_by_sdo(words: FrameWords, master: Master, nodes: Iterable[int]) -> set[int]:
-    """Learn the mapping of these modules, by default of all; the nodes that have answered."""
+    """Learn these modules, by default all; the nodes that have answered."""
     known = set()
     for node in nodes or [one.node_id for one in scan(master, SCAN_S) if one.device_type]:
         read = NodeAccess(master, node, "module").read_known
@@ -116,7 +116,6 @@ def learn_by_sdo(words: FrameWords, master: Master, nodes: Iterable[int]) -> set
 
 
 def _service(frame: Frame) -> tuple[str, int | None, str]:
-    """Kind, node and words of a frame of the predefined connection set."""
     can_id, data = frame.can_id, frame.data
     node = can_id & 0x7F
     function = can_id - node

@@ -168,7 +168,7 @@ class LostPosition:
         return f"{cycles:.3g} cycles per interval, {rpm:.3g} rpm"
 
     def brings_back(self) -> list[str]:
-        """How a lost position becomes valid again, with what this module has."""
+        """With what this module has."""
         node = f"{self.node_id:#04x}"
         return [
             f"stand still, then canfb node reset {node}: the count begins at 0; reference the machine again",
@@ -184,7 +184,7 @@ class LostPosition:
         ]
 
     def would_have_kept(self) -> list[str]:
-        """Settings and measures against this cause; empty without a loss."""
+        """Against this cause; empty without a loss."""
         loss = self.loss
         return [] if loss is None else list(self._kept(loss))
 
@@ -246,7 +246,7 @@ class LostPosition:
         )
 
     def longest_gap(self) -> int | None:
-        """Missed samples over which 2010:02 leaves one motion (docs/legal-motion.md), or None."""
+        """Missed samples over which 2010:02 leaves one motion, or None."""
         if not (self.acceleration_rad_s2 and self.sample_hz):
             return None
         n, interval_s = self.cycles_per_revolution, 1.0 / self.sample_hz
@@ -254,7 +254,7 @@ class LostPosition:
         return kept_samples(largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
 
     def _narrow(self, loss: Loss) -> Iterator[str]:
-        """A residual limit that was too narrow, by the object that made it so."""
+        """By the object that made the limit so."""
         then, now = f"{loss.limit_cycles:.3g} cycle", f"{self.limit_now_cycles:.3g} cycle"
         if loss.limit_cycles < SAME * self.limit_now_cycles:
             yield (
@@ -283,7 +283,7 @@ class LostPosition:
 
 
 def read_lost_position(module: NodeAccess) -> LostPosition:
-    """Read it by SDO, in about half a second. CommissioningError for what does not work."""
+    """By SDO, in half a second. CommissioningError."""
     master = module.master
     began, first = master.now(), module.integer(*od.FEEDBACK_SAMPLES, "I")
     status = module.integer(*od.FEEDBACK_STATUS, "H")
@@ -322,7 +322,7 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
 
 
 def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
-    """The last loss, None without one; and whether the module keeps it."""
+    """None without one; whether the module keeps it."""
     try:
         number = module.integer(*od.COUNTER_LOSS_CAUSE, "I")
     except ObjectAbsentError:
@@ -346,7 +346,7 @@ def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
 
 
 def _read(module: NodeAccess, place: Multiplexer, layout: str) -> float:
-    """A number; 0 where the module does not have the object."""
+    """0 for a missing object."""
     try:
         return module.read(*place, layout)
     except ObjectAbsentError:

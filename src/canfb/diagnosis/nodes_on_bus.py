@@ -34,7 +34,7 @@ REQUEST = struct.pack("<BHB4x", 0x40, *od.DEVICE_TYPE)
 
 @dataclass(frozen=True)
 class FoundNode:
-    """A node of the bus; None for what is not known."""
+    """None: not known."""
 
     node_id: int
     state: str | None
@@ -66,7 +66,7 @@ class FoundNode:
 
 
 def scan(master: Master, listen_s: float) -> list[FoundNode]:
-    """Who is there, within ``listen_s`` seconds. CanfbError if the bus fails."""
+    """Within ``listen_s``. CanfbError if the bus fails."""
     answers: set[int] = set()
     states: dict[int, NmtState | None] = {}
 
@@ -158,7 +158,7 @@ def _read_all(node: NodeAccess, described: ObjectDescriptions, objects: Figures)
 
 
 def frame_counts(master: Master, seconds: float) -> dict[str, int]:
-    """The frames of all CAN-IDs with 11 bits within ``seconds``, by CAN-ID."""
+    """Within ``seconds``, by CAN-ID (11 bits)."""
     counts: Counter[int] = Counter()
 
     def count(can_id: int, data: bytes, at: float) -> None:

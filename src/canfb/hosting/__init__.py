@@ -1,1 +1,1 @@
-"""Nodes of a configuration on a real bus: sources, state files, real time, logs, readiness."""
+"""Nodes of a configuration on a real bus."""

@@ -59,7 +59,7 @@ class CapturedSource(Closing):
         self._thread.join(CLOSE_S)
 
     def next(self) -> Sample | None:
-        """The scans of this SYNC, or None. SourceError while the device does not work."""
+        """The scans of this SYNC, or None. SourceError while the device fails."""
         with self._changed:
             capture = self._capture
             if capture is not None and capture.is_fired:

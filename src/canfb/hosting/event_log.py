@@ -1,4 +1,4 @@
-"""What a program says of the nodes that it serves; what comes too often is counted."""
+"""What a program says of its nodes; what comes too often is counted."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LONGEST_WINDOW_S = 10.0
 
 
 class Held(NamedTuple):
-    """How many were held back in the last ``seconds``, and the last of them."""
+    """``number`` held back in ``seconds``."""
 
     number: int
     seconds: float
@@ -66,7 +66,7 @@ class Throttle:
         return False
 
     def ended(self, now: float, *, closing: bool = False) -> list[Held]:
-        """What was held back in windows that have ended by ``now``; ``closing``: in all."""
+        """What was held back in windows that are over; ``closing``: in all."""
         if now < self._due_s and not closing:
             return []
         found = []
@@ -93,7 +93,7 @@ COUNTERS = {
 
 
 def name_of(device: NodeDevice) -> str:
-    """The node-ID that it has, or is going to have; before its start."""
+    """The node-ID that it is going to have; before its start."""
     device.storage.power_on()  # a node-ID stored by LSS takes precedence over the configuration
     device.lss.power_on()
     node_id = device.lss.pending_node_id
@@ -103,7 +103,7 @@ def name_of(device: NodeDevice) -> str:
 
 
 def title_of(device: NodeDevice) -> str:
-    """The node, by the node-ID that it has now."""
+    """The node, by its node-ID of now."""
     node_id = device.node_id
     if node_id == UNCONFIGURED:
         return f"node without a node-ID (serial number {_serial_number(device)})"
@@ -111,13 +111,13 @@ def title_of(device: NodeDevice) -> str:
 
 
 def short_title_of(device: NodeDevice) -> str:
-    """The same, for a line with figures."""
+    """For a line with figures."""
     node_id = device.node_id
     return title_of(device) if node_id == UNCONFIGURED else f"node {node_id}"
 
 
 def duplicates_of(device: NodeDevice) -> str:
-    """Frames of another node with the same node-ID, "" for none."""
+    """Frames of another node with the same node-ID, or ""."""
     duplicates = device.counters.duplicate_frames
     return f"; {duplicates} frames of another node with this node-ID" if duplicates else ""
 
@@ -127,7 +127,7 @@ def _serial_number(device: NodeDevice) -> int:
 
 
 def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
-    """Which values of the configuration are not used, because others were saved: a line, or none."""
+    """A line on configured values that saved ones replace, or none."""
     module.node.storage.restore()  # the start does it again
     changed = []
     for index, subindex in configured_defaults(module.config):
@@ -141,7 +141,7 @@ def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
 
 
 def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:
-    """How fast the encoders may turn for a jitter of SYNC."""
+    """How fast encoders may turn, by the SYNC jitter."""
     names: dict[str, list[str]] = {}
     for module, name in modules:
         if text := module.speed_limit():
@@ -150,7 +150,7 @@ def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:
 
 
 def summary_of(module: FeedbackModule) -> str:
-    """Samples and counters of the module, at the end."""
+    """Samples and counters, at the end."""
     counts = ", ".join(f"{name} {module.dictionary.entry(*place).value}" for name, place in COUNTERS.items())
     samples = module.dictionary.entry(*od.FEEDBACK_SAMPLES).value
     return f"{short_title_of(module)}: {samples} samples; {counts}{duplicates_of(module)}"
@@ -173,17 +173,17 @@ class EventLog:
         self._begun = False
 
     def watch(self, device: NodeDevice, events: NodeEvents) -> None:
-        """Write the events of this device from now on."""
+        """Write its events from now on."""
         events.detailed = self._verbose
         events.on_event = lambda event: self._take(device, event)
 
     def begin(self) -> None:
-        """The nodes are on the bus: write what has happened."""
+        """On the bus: write what has happened."""
         self._begun = True
         self._write_noted()
 
     def tick(self, now: float) -> None:
-        """Write what has happened, and what was held back, when it is due."""
+        """Write what is due."""
         self._note_held(self._throttle.ended(now))
         if self._begun:
             self._write_noted()
@@ -206,7 +206,6 @@ class EventLog:
             self._note(device, event, text, {"more": number, "seconds": round(seconds, 3)})
 
     def _note(self, device: NodeDevice, event: Event, text: str, more: Mapping[str, Any]) -> None:
-        """With the node-ID of now, which may be another one soon."""
         self._noted.append((self._wall(), device.node_id, title_of(device), event, text, more))
 
     def _write_noted(self) -> None:

@@ -1,4 +1,4 @@
-"""From a configuration to modules and encoder interfaces that are served on a bus."""
+"""From a configuration to nodes on a bus."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from canfb.sources.protocol import Converter, Source, SourceConfig, Surroundings
 
 
 def check_machine(path: Path, config: Config) -> None:
-    """ConfigError, with file, line and key, for what cannot be on this machine."""
+    """ConfigError, with line and key, for what this machine does not have."""
     try:
         keys: tuple[str | int, ...] = ("bus",)
         check_words(config.bus)
@@ -158,7 +158,7 @@ class Hosting(OnBus):
         return BusCounters() if self._runner is None else self._runner.counters
 
     def diagnose(self) -> None:
-        """Write a diagnosis soon; from a signal handler, too."""
+        """Write a diagnosis soon; for a signal handler."""
         self._diagnosis.request()
 
     def run(
@@ -197,7 +197,7 @@ def make_module(
     bus_words: Mapping[str, Any],
     simulation: SimulationConfig | None = None,
 ) -> FeedbackModule:
-    """The module with its state_dir and its source, held by `resources`."""
+    """With its state_dir and source, held by `resources`."""
     store = open_store(config.state_dir, resources)
     source = None
     if config.source is not None:
@@ -209,20 +209,20 @@ def make_module(
 
 
 def open_store(state_dir: str | None, resources: contextlib.ExitStack) -> ThreadedStore | None:
-    """The state_dir, held until `resources` are closed; None without one."""
+    """Held by `resources`; None without a state_dir."""
     if state_dir is None:
         return None
     return resources.enter_context(ThreadedStore(resources.enter_context(StateFiles(state_dir))))
 
 
 def bit_rates_of(bus_words: Mapping[str, Any]) -> list[int]:
-    """In kbit/s, those that LSS may choose: the one of the system."""
+    """Those that LSS may choose, kbit/s: that of the system."""
     bit_rate = bus_words.get("bitrate")
     return [bit_rate // 1000] if isinstance(bit_rate, int) else []
 
 
 def warn_about(device: FeedbackModule | EncoderInterface, state_dir: str | None) -> None:
-    """Log refused parameters, another node with its node-ID, and a source that fails."""
+    """Log refused parameters, a doubled node-ID, a failing source."""
 
     def report_faults(faults: Mapping[ParameterGroup, str]) -> None:
         for group, why in faults.items():
@@ -270,7 +270,7 @@ def make_interface(
     bus_words: Mapping[str, Any],
     simulation: SimulationConfig | None = None,
 ) -> EncoderInterface:
-    """The interface with its source and its state_dir, held by `resources`."""
+    """With its source and state_dir, held by `resources`."""
     store = open_store(config.state_dir, resources)
     config, source = open_source(config, config.source, simulation or SimulationConfig(), resources)
     interface = EncoderInterface(

@@ -1,4 +1,4 @@
-"""Telling others that a program is on its bus: a file, systemd's notification."""
+"""Telling others that a program is on its bus: a file, systemd."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Readiness:
             self._path.unlink(missing_ok=True)
 
     def ready(self) -> None:
-        """The program is on its bus. CanfbError if the file cannot be written."""
+        """On the bus. CanfbError if the file cannot be written."""
         if self._path is not None:
             unfinished = self._path.with_name(f"{self._path.name}.{os.getpid()}")
             try:
@@ -79,7 +79,6 @@ class Readiness:
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float:
-    """How long systemd waits for WATCHDOG=1, seconds; 0: not at all."""
     try:
         watched = int(environment.get("WATCHDOG_PID", os.getpid())) == os.getpid()
         return 1e-6 * int(environment.get("WATCHDOG_USEC", 0)) if watched else 0.0
@@ -106,6 +105,6 @@ def _clear(path: Path) -> None:
 
 
 def _process_of(path: Path) -> int | None:
-    """The process id in a ready file; None for any other file, or none."""
+    """The process id in a ready file, or None."""
     content = path.read_bytes()[:16] if path.is_file() else b""
     return int(content) if OURS.fullmatch(content) else None

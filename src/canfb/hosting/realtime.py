@@ -1,4 +1,4 @@
-"""Real-time options of the process (Linux): scheduling, memory lock, processor."""
+"""Real-time options of the process (Linux)."""
 
 from __future__ import annotations
 
@@ -69,7 +69,6 @@ def _set_cpu(cpu: int, threads: list[int]) -> None:
 
 
 def _threads() -> list[int]:
-    """The calling thread, and those that share its cycle."""
     others = [thread.native_id for thread in threading.enumerate() if isinstance(thread, RealtimeThread)]
     return [0, *(number for number in others if number is not None)]
 

@@ -46,7 +46,7 @@ HIDDEN = "(left out)"
 
 
 def versions() -> dict[str, Any]:
-    """Of canfb, Python, what canfb uses, and the system."""
+    """Of canfb, its packages, Python, and the system."""
     packages = {}
     for name in PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
@@ -78,7 +78,7 @@ def plain(value: Any) -> Any:
 
 
 def interface_facts(words: Mapping[str, Any]) -> dict[str, Any]:
-    """Of the bus: its words, and what ``ip`` says of SocketCAN."""
+    """The words of the bus, and what ``ip`` says."""
     channel = words.get("channel")
     facts: dict[str, Any] = {"words": plain(words)}
     if words.get("interface") == "socketcan" and isinstance(channel, str):
@@ -87,14 +87,13 @@ def interface_facts(words: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def journal(name: str) -> list[str]:
-    """The last lines of the services of this name, canfb@NAME and canfb-interface@NAME."""
+    """The last lines of canfb@NAME and canfb-interface@NAME."""
     units = [word for unit in UNITS for word in ("-u", f"{unit}@{name}")]
     lines = ["-n", str(MOST_LINES), "-o", "short-iso", "--no-hostname", "--no-pager", "-q"]
     return _said(["journalctl", *units, *lines])
 
 
 def _said(command: list[str]) -> list[str]:
-    """The lines that a command prints; one line that says why not."""
     program = shutil.which(command[0])
     if program is None:
         return [f"{command[0]} is not there"]
@@ -119,7 +118,7 @@ class KeptLines(logging.Handler):
         self._lines.append((record.created, record.levelname, record.getMessage()))
 
     def lines(self) -> list[str]:
-        """With the time of day and the level, the oldest first."""
+        """With time and level, the oldest first."""
         return [
             f"{datetime.fromtimestamp(at).astimezone().isoformat(' ', 'milliseconds')} {level} {text}"
             for at, level, text in list(self._lines)
@@ -127,7 +126,7 @@ class KeptLines(logging.Handler):
 
 
 def diagnosis_text(made_by: str, parts: Mapping[str, Any]) -> str:
-    """The file: who made it and when, then the parts."""
+    """The file."""
     whole = {"canfb_diagnosis": 1, "made": date_and_time(), "made_by": made_by, **parts}
     return json.dumps(plain(whole), indent=1, ensure_ascii=False) + "\n"
 
@@ -155,7 +154,7 @@ class SelfDiagnosis:
 
     @contextlib.contextmanager
     def keeping_the_log(self) -> Iterator[None]:
-        """Within this the lines of the loggers ``canfb.*`` are kept."""
+        """The lines of ``canfb.*`` are kept."""
         logger = logging.getLogger("canfb")
         logger.addHandler(self._kept)
         try:
@@ -170,7 +169,7 @@ class SelfDiagnosis:
         self._requested = True
 
     def step(self, nodes: Sequence[NodeDevice]) -> None:
-        """Go on: ten microseconds as a rule, half a millisecond at most."""
+        """Go on, for half a millisecond at most."""
         with contextlib.suppress(StopIteration):
             next(self._working)
             return
@@ -237,7 +236,7 @@ class SelfDiagnosis:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Write it whole, readable by its owner alone; no link is followed."""
+    """Whole, readable by its owner alone; no link is followed."""
     descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(descriptor, "w", encoding="utf-8") as file:
@@ -249,6 +248,6 @@ def _replace(path: Path, text: str) -> None:
 
 
 def diagnosing_on_signal(request: Callable[[], None]) -> contextlib.AbstractContextManager[None]:
-    """Call ``request`` on SIGUSR1, where the system has it."""
+    """On SIGUSR1, where there is one."""
     number = getattr(signal, "SIGUSR1", None)
     return on_signals(request, [] if number is None else [number])

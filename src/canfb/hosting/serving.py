@@ -27,7 +27,7 @@ READ_DEVICE_TYPE = b"\x40\x00\x10\x00\0\0\0\0"  # SDO upload of 1000h (CiA 301, 
 
 
 class OnBus(ABC):
-    """A context manager that holds bus, runner and what the devices need. ConfigError and CanfbError."""
+    """Holds bus, runner and what the devices need. ConfigError and CanfbError."""
 
     def __init__(self, words: Mapping[str, Any], realtime: RealtimeConfig) -> None:
         self.words = dict(words)
@@ -39,14 +39,14 @@ class OnBus(ABC):
 
     @abstractmethod
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
-        """The devices; ``resources`` closes what they open. Before the bus is opened."""
+        """``resources`` closes what they open. Before the bus is opened."""
 
     @abstractmethod
     def _node_ids(self) -> list[int]:
         """The node-IDs of the devices, those that have one."""
 
     def _refuse_used_node_ids(self, runner: Runner) -> None:
-        """CanfbError if another node, not STOPPED or with a heartbeat, has one of the node-IDs."""
+        """CanfbError if another node, not STOPPED or with a heartbeat, has one."""
         node_ids = self._node_ids()
         signs = {base + node: node for node in node_ids for base in (cob.SDO_RESPONSE, cob.ERROR_CONTROL)}
         asked = [Frame(cob.SDO_REQUEST + node, READ_DEVICE_TYPE) for node in node_ids]
@@ -85,6 +85,6 @@ class OnBus(ABC):
         return self._runner
 
     def stop(self) -> None:
-        """End the run; may be called from a signal handler or another thread."""
+        """End the run; from a signal handler or thread, too."""
         if self._runner is not None:
             self._runner.stop()

@@ -64,7 +64,7 @@ class Simulating(OnBus):
         return [self._interface_id, *([] if axis is None else [axis.drive.node_id])]
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
-        """Serve the interface until the end. ``ready`` is called on the bus."""
+        """Until the end; ``ready`` is called on the bus."""
         runner, network = self._entered(), self.network
 
         def on_the_bus() -> None:

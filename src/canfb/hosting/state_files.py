@@ -52,7 +52,7 @@ _CRC = struct.Struct("<I")
 
 
 class StateDirError(CanfbError):
-    """A state_dir that cannot be used; the text says which, and why."""
+    """A state_dir that cannot be used."""
 
 
 class StateFiles(Closing):
@@ -106,7 +106,7 @@ class StateFiles(Closing):
         return kept
 
     def save(self, changes: Changes) -> None:
-        """Keep ``changes``, None forgets: all or, with an OSError, none."""
+        """All of ``changes`` or, with an OSError, none; None forgets."""
         try:
             self._finish(self._pending())
         except OSError as error:
@@ -127,7 +127,7 @@ class StateFiles(Closing):
             self._finish(changes)
 
     def _pending(self) -> Changes:
-        """The valid change that is not yet copied; OSError EBADMSG if damaged."""
+        """OSError EBADMSG if damaged."""
         data = self._read(PENDING)
         return {} if data is None else _unpack(data)
 
@@ -147,7 +147,6 @@ class StateFiles(Closing):
         _sync_folder(self.folder)
 
     def _read(self, name: str) -> bytes | None:
-        """The content of a file, None when there is none."""
         try:
             handle = os.open(self.folder / name, os.O_RDONLY)
         except FileNotFoundError:
@@ -230,7 +229,7 @@ STACK_BYTES = 1 << 18  # a locked memory would hold all of the usual 8 MB
 
 @contextlib.contextmanager
 def small_stack() -> Iterator[None]:
-    """Threads that begin in here have a small stack."""
+    """For threads that begin in here."""
     before = threading.stack_size(STACK_BYTES)
     try:
         yield
@@ -239,7 +238,7 @@ def small_stack() -> Iterator[None]:
 
 
 class ThreadedStore(Closing):
-    """``store``, written in one thread, a change after the other; :meth:`close` waits for it."""
+    """``store``, written in one thread; :meth:`close` waits for it."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -251,7 +250,7 @@ class ThreadedStore(Closing):
             self._executor.submit(int).result()
 
     def close(self) -> None:
-        """Wait for what was begun, and end the thread."""
+        """Wait, and end the thread."""
         self._executor.shutdown()
         sys.setswitchinterval(self._switch_s)
 
@@ -260,15 +259,15 @@ class ThreadedStore(Closing):
         return self._executor.submit(self._store.load).result()
 
     def save(self, changes: Changes) -> None:
-        """Keep ``changes``, and wait for it; OSError if that fails."""
+        """Wait for it; OSError if it fails."""
         self._executor.submit(self._store.save, changes).result()
 
     def begin(self, changes: Changes) -> None:
-        """Begin to keep ``changes``, behind those that were begun."""
+        """Save in the thread."""
         self._begun.append(self._executor.submit(self._store.save, changes))
 
     def ended(self) -> list[OSError | None]:
-        """What has ended since the last call, in order."""
+        """Since the last call, in order."""
         ended: list[OSError | None] = []
         while self._begun and self._begun[0].done():
             try:
@@ -279,14 +278,14 @@ class ThreadedStore(Closing):
 
 
 class SavedParameters(StateFiles):
-    """A store to read from: no lock, no new folder."""
+    """To read from: no lock, no new folder."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self._lock = -1
 
     def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
-        """What is kept, read until two readings agree: a save may be in progress."""
+        """Read until two readings agree: a save may be in progress."""
         before = super().load()
         for _ in range(_MOST_READINGS):
             again = super().load()

@@ -1,4 +1,4 @@
-"""A network in simulated time on a bus that other programs can open: what ``canfb try`` shows."""
+"""A network in simulated time on a bus: what ``canfb try`` shows."""
 
 from __future__ import annotations
 
@@ -41,9 +41,7 @@ PRIVATE_GROUPS = 16  # for one user of one computer, side by side
 
 @contextlib.contextmanager
 def private_bus() -> Iterator[dict[str, Any]]:
-    """python-can's words for a multicast group that nobody else uses, on this computer. BusError
-    without one.
-    """
+    """Words for a multicast group of this user of this computer. BusError if all are in use."""
     user = f"{platform.node()} {os.getuid() if hasattr(os, 'getuid') else os.environ.get('USERNAME')}"
     for number in range(PRIVATE_GROUPS):
         place = zlib.crc32(f"{user} {number}".encode()) % (256 * 254)
@@ -65,7 +63,7 @@ def _bound(lock: socket.socket, port: int | None) -> bool:
 
 
 def end_main() -> None:
-    """End the program as Ctrl-C does; from any thread."""
+    """As Ctrl-C does; from any thread."""
     _thread.interrupt_main()
 
 
@@ -120,7 +118,7 @@ class NetworkOnBus:
         self._held.close()
 
     def stop(self) -> None:
-        """End it; from any thread, or a signal handler."""
+        """End it; from any thread or signal handler."""
         self._stopped.set()
 
     def wait(self) -> None:
@@ -157,6 +155,5 @@ class NetworkOnBus:
             self._network.send(self._received)
 
     def _send(self, frame: Frame, now: float) -> None:
-        """What the network sends; not what it has received."""
         if frame is not self._received:
             self._bus.send(frame.can_id, bytes(frame.data), frame.rtr)

@@ -1,4 +1,4 @@
-"""What the tools need of a bus, and the objects of a node by SDO."""
+"""A bus for tools, and the objects of a node by SDO."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ SEGMENT = 7
 
 
 def _fetch(client: Client, index: int, subindex: int, block: bool, progress: Progress) -> bytes:
-    """Upload an object; ``progress`` gets 0..1 where the size is known."""
 
     def take(stream: Any) -> bytes:
         chunks: list[bytes] = []
@@ -88,7 +87,7 @@ class CommissioningError(CanfbError):
 
 
 class RefusedError(CommissioningError):
-    """The node has refused an access, with abort ``code``."""
+    """With the abort ``code``."""
 
     def __init__(self, text: str, code: int = AbortCode.GENERAL) -> None:
         super().__init__(text)
@@ -125,7 +124,7 @@ class Master(Protocol):
 
 
 class NodeAccess:
-    """Objects of one node by SDO. CommissioningError for whatever does not work."""
+    """Objects of one node by SDO. CommissioningError for what fails."""
 
     def __init__(self, master: Master, node_id: int, name: str) -> None:
         self.master = master
@@ -206,7 +205,7 @@ class NodeAccess:
     def _by_blocks(
         self, doing: str, index: int, subindex: int, act: Callable[[Client, bool], bytes]
     ) -> bytes:
-        """By block transfer; segmented if that fails: some servers have none, with some canopen's fails."""
+        """Segmented if that fails: some servers have none."""
         try:
             return self._transfer(doing, index, subindex, lambda client: act(client, True))
         except ObjectAbsentError:
@@ -216,7 +215,7 @@ class NodeAccess:
         return self._transfer(doing, index, subindex, lambda client: act(client, False))
 
     def _transfer(self, doing: str, index: int, subindex: int, act: Callable[[Client], bytes]) -> bytes:
-        """One transfer, again if another master has broken it."""
+        """Again if another master has broken it."""
         what = f"{self.name}: {doing} {index:04X}:{subindex:02X}"
         for attempt in itertools.count(1):
             client = self.master.sdo(self.node_id)

@@ -27,7 +27,7 @@ SAVE_WITHIN_S = 10.0
 
 
 def read_active(module: NodeAccess) -> Correction:
-    """The active set. CommissioningError if the node is no feedback module."""
+    """CommissioningError if it is no feedback module."""
     try:
         crc32 = module.integer(*od.TABLE_ACTIVE_CRC, "I")
     except ObjectAbsentError:
@@ -49,7 +49,7 @@ def read_active(module: NodeAccess) -> Correction:
 
 
 def active_conditioning(module: NodeAccess) -> Conditioning:
-    """The conditioning in force (2020:07); 2002h of an older module."""
+    """2020:07; 2002h of an older module."""
     try:
         data = module.read_bytes(*od.TABLE_ACTIVE_CONDITIONING)
     except ObjectAbsentError:
@@ -61,7 +61,7 @@ def active_conditioning(module: NodeAccess) -> Conditioning:
 
 
 def read_conditioning(module: NodeAccess) -> Conditioning:
-    """2002h and 2005h, in force with the next activation; an older module lacks some."""
+    """2002h and 2005h, not yet in force."""
     try:
         values = [float(module.read(*place, "f")) for place in od.CONDITIONING[:OLD_CONDITIONING]]
         with contextlib.suppress(ObjectAbsentError):
@@ -82,13 +82,13 @@ def put_in_force(module: NodeAccess, correction: Correction) -> None:
 
 
 def stage(module: NodeAccess, table: CorrectionTable) -> None:
-    """Write a table to 2020:01, and check its CRC."""
+    """Write 2020:01, check its CRC."""
     module.download_domain(*od.TABLE_STAGED, table.to_bytes())
     _check_crc(module, od.TABLE_STAGED_CRC, "staged", table.crc32)
 
 
 def activate(module: NodeAccess, crc32: int) -> None:
-    """Put the table with this CRC in force, with 2002h; 0: none."""
+    """The table with this CRC, with 2002h; 0: none."""
     module.write(*od.TABLE_ACTIVATE, "I", crc32)
     _check_crc(module, od.TABLE_ACTIVE_CRC, "active", crc32)
 
@@ -135,7 +135,7 @@ def check_can_save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES
 
 
 def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> od.Multiplexer | None:
-    """The first of these objects that saves on command, or None."""
+    """The first that saves on command, or None."""
     for store in stores:
         try:
             ability = module.integer(*store, "I")
@@ -147,7 +147,7 @@ def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES)
 
 
 def write_conditioning(module: NodeAccess, conditioning: Conditioning) -> None:
-    """Write 2002h, which waits for the next activation, and read it back."""
+    """Write 2002h, and read it back."""
     values = zip(od.CONDITIONING, conditioning.values, read_conditioning(module).values, strict=True)
     changed = [(place, value) for place, value, before in values if value != before]
     for place, value in changed:

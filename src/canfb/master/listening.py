@@ -25,7 +25,7 @@ MISSED: Pair = (MISSED_COUNTS, MISSED_COUNTS)
 
 @dataclass(slots=True)
 class _Interval:
-    """What came from one SYNC, received at ``at_s``, to the next; ``stamp``: 100 ns."""
+    """From one SYNC to the next; ``stamp``: 100 ns."""
 
     at_s: float
     earlier: list[Pair]
@@ -51,7 +51,7 @@ class PdoRecorder:
         return len(self._intervals)
 
     def callbacks(self) -> list[tuple[int, OnFrame]]:
-        """Who gets the frames of which CAN-ID; the SYNC is the last."""
+        """For each CAN-ID; the SYNC is the last."""
         layout = self._layout
         found: list[tuple[int, OnFrame]] = [(layout.can_id, self.on_pdo)]
         if layout.coarse is not None:
@@ -63,7 +63,7 @@ class PdoRecorder:
         self._intervals.append(_Interval(time_s, [MISSED] * len(self._layout.earlier)))
 
     def on_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
-        """A PDO with a sample; one that is too short, or beyond one for each SYNC, is not taken."""
+        """The first good sample since the SYNC is taken."""
         counts = self._layout.unpack(data)
         if counts is None or not self._intervals or self._intervals[-1].pair != MISSED:
             return
@@ -121,7 +121,7 @@ class PdoRecorder:
 
 
 class Listener:
-    """Hears SYNC and PDO; call :meth:`look` now and then."""
+    """Call :meth:`look` now and then."""
 
     def __init__(self, master: Master, layout: PdoLayout) -> None:
         self._master = master

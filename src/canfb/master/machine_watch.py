@@ -62,7 +62,7 @@ class LockWatch:
             raise self.found
 
     def _error(self, lock: Lock, speed: float, rate_hz: float | None) -> CalibrationError:
-        """``speed`` in cycles per sample, less than a half where it is not known."""
+        """``speed`` in cycles per sample, below a half where it is not known."""
         step = away_from(lock.numerator / lock.denominator)
         rpm = 60.0 * rate_hz / self._cycles_per_revolution if rate_hz else 0.0  # of one cycle per sample
         faster = f"{step * rpm:.3g} rpm faster" if rpm else f"by {step} of a cycle per sample faster"
@@ -179,14 +179,14 @@ def lost_words(module: NodeAccess, status: int) -> str:
 
 @dataclass(frozen=True)
 class SpeedReading:
-    """Speed, rad/s, ``at`` this many intervals after the first sample."""
+    """``at``: intervals after the first sample."""
 
     at: float
     rad_per_s: float
 
 
 class SpeedReadings:
-    """Speeds while samples are collected. CommissioningError without a valid position."""
+    """CommissioningError without a valid position."""
 
     def __init__(self, module: NodeAccess) -> None:
         self._module = module
@@ -311,7 +311,7 @@ class Provenance:
 
     @classmethod
     def of_run(cls, date: str, command: str, **known: Any) -> Provenance:
-        """Of a command of today; ``date`` is ISO 8601, the time of day behind a space."""
+        """Of today; ``date`` is ISO 8601, the time behind a space."""
         day, _, time = date.partition(" ")
         return cls(day, time=time, version=version("canfb"), command=command, **known)
 
@@ -361,7 +361,7 @@ def _listed(identity: tuple[int, ...] | None) -> list[int] | None:
 
 
 def percent(cycles: float, where: Provenance) -> str:
-    """A part of the cycle in percent and at the shaft."""
+    """Also at the shaft."""
     arc = where.arc_seconds(cycles)
     words = f"{PERCENT * cycles:.3g} %"
     return words if arc is None else f"{words} ({arc:.2g}″)"

@@ -58,7 +58,7 @@ def nmt_state(node: NodeAccess) -> NmtState:
 
 @contextlib.contextmanager
 def without_restart(node: NodeAccess) -> Iterator[None]:
-    """CommissioningError at the end if the node was restarted in here."""
+    """CommissioningError at the end after a restart."""
     with _received(node) as received:
         yield
     if b"\0" in received:
@@ -67,7 +67,6 @@ def without_restart(node: NodeAccess) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _received(node: NodeAccess) -> Iterator[list[bytes]]:
-    """The data of frames at 700h + id from now on."""
     received: list[bytes] = []
 
     def on_frame(can_id: int, data: bytes, at: float) -> None:
@@ -97,7 +96,7 @@ UNITS = 65536.0
 
 @dataclass(frozen=True)
 class MachineLook:
-    """Spread of the phase in cycles, samples, and by how much the count moved."""
+    """Spread of the phase in cycles, samples, cycles counted."""
 
     spread_cycles: float
     samples: int
@@ -117,7 +116,7 @@ class MachineLook:
 
 
 def watch_standstill(module: NodeAccess) -> MachineLook:
-    """Watch the phase of a module. CommissioningError if it gets too few samples."""
+    """CommissioningError for too few samples."""
     master = module.master
     began = master.now()
     first: float | None = None
@@ -228,7 +227,6 @@ def _restart(module: NodeAccess, command: NmtCommand) -> None:
 
 
 def _wait_for_valid(module: NodeAccess) -> int:
-    """The status word once it is valid, or late."""
     master = module.master
     end = master.now() + VALID_S
     while True:

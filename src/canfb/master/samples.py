@@ -1,4 +1,4 @@
-"""Samples of both tracks, and as NPZ or CSV files."""
+"""Samples of both tracks, in memory and in files."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class TrackSamples:
     def of(
         cls, sine: npt.ArrayLike, cosine: npt.ArrayLike, rate_hz: float | None, origin: str
     ) -> TrackSamples:
-        """From counts; pairs of -32768 are missed. ValueError for different lengths."""
+        """Pairs of -32768 are missed. ValueError for different lengths."""
         return cls(*with_gaps(sine, cosine), rate_hz, origin)
 
     @classmethod
@@ -58,7 +58,7 @@ class TrackSamples:
         return cls.of(pairs[:, 0], pairs[:, 1], rate_hz, origin)
 
     def timed(self, stamps: Sequence[int | None]) -> TrackSamples:
-        """With sample times in 100 ns, modulo 2^32, None for a missed sample."""
+        """Sample times in 100 ns, modulo 2^32, or None."""
         known = [n for n, stamp in enumerate(stamps) if stamp is not None]
         if len(known) < 2:
             return self
@@ -169,6 +169,6 @@ def read_speed(path: Path) -> float | None:
 
 
 def read_npz(path: Path) -> TrackSamples:
-    """An NPZ file with sine and cosine, rate_hz and time_s. CanfbError for anything else."""
+    """CanfbError for anything else."""
     tracks = read_tracks(path)
     return TrackSamples(tracks.sine, tracks.cosine, tracks.rate_hz, f"file {path.name}", tracks.time_s)

@@ -48,7 +48,7 @@ class Session:
 
     @classmethod
     def open(cls, master: Master, module_id: int, interface_id: int | None) -> Session:
-        """Read both nodes. CommissioningError if the module is none."""
+        """CommissioningError if the module is none."""
         module = NodeAccess(master, module_id, "module")
         active = read_active(module)
         cycles = module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I")
@@ -78,7 +78,7 @@ class Session:
         rate_hz: float | None,
         enough: Callable[[Listener], bool] = lambda listener: False,
     ) -> Source:
-        """Samples of "pdo", until ``enough`` is true, or of the "recording" of "interface" or "module"."""
+        """Of "pdo", until ``enough``, or of a "recording" of "interface" or "module"."""
         if kind == "recording":
             self.check_interface()
             node = self.module if recorder == "module" else self.interface
@@ -101,7 +101,7 @@ class Session:
 
     @property
     def path_is_known(self) -> bool:
-        """Something depends on the speed, and the active table is that of standstill."""
+        """The speed matters, and the active table is that of standstill."""
         conditioning = self.active.conditioning
         return any(conditioning.harmonics) and bool(conditioning.cosine_delay_s or self.corners.are_there)
 
@@ -128,7 +128,7 @@ class Session:
         )
 
     def check_interface(self) -> None:
-        """CommissioningError if the module takes its samples from another interface."""
+        """CommissioningError if the module takes another one's samples."""
         if self.named and module_layout(self.module.read_known) is not None:
             self.layout()
 
@@ -154,7 +154,6 @@ def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
 
 
 def _interface_of(module: NodeAccess) -> int | None:
-    """The node from which the module takes its samples, or None."""
     layout = module_layout(module.read_known)
     return None if layout is None else layout.sender or DEFAULT_INTERFACE
 

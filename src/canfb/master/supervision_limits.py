@@ -161,7 +161,6 @@ def write_limits(module: NodeAccess, limits: Mapping[Multiplexer, float]) -> Non
 def _about_the_corner(
     module: NodeAccess, places: list[Multiplexer], limits: Mapping[Multiplexer, float]
 ) -> list[Multiplexer]:
-    """The corner between both limits of the amplitude, valid before and after."""
     low, high = AMPLITUDES
     before, after = float(module.read(*CORNER.place, CORNER.layout)), limits[CORNER.place]
     rises = after > 0.0 and (before == 0.0 or after < before)

@@ -35,7 +35,7 @@ COMMANDED = {
 
 
 class NodeModel:
-    """Takes the frames of one node (1..127); ``module``: None, or a feedback module."""
+    """Node 1..127; ``module``: None, or a feedback module."""
 
     def __init__(self, node_id: int, module: ModuleModel | None = None) -> None:
         self.node_id = node_id
@@ -48,7 +48,7 @@ class NodeModel:
         self._emergency_count = 0
 
     def error_control(self, data: bytes, now: float) -> None:
-        """Boot-up, heartbeat or the answer of node guarding (CiA 301, 7.2.8.3.2)."""
+        """Boot-up, heartbeat, guarding (CiA 301, 7.2.8.3.2)."""
         state = HEARD_STATES.get(data[0] & 0x7F) if len(data) == 1 else None
         if state is NmtState.INITIALISING:
             self._boot_ups += 1
@@ -62,7 +62,7 @@ class NodeModel:
             self._state, self._source = COMMANDED[NmtCommand(command)], "command"
 
     def sends_pdos(self) -> None:
-        """It sends PDOs, which it does in OPERATIONAL alone; a heartbeat knows better."""
+        """OPERATIONAL, unless a heartbeat says otherwise."""
         if self._source != "heartbeat":
             self._state, self._source = NmtState.OPERATIONAL, "PDO"
 
@@ -130,7 +130,7 @@ class BusModel:
             self.learn(layout)
 
     def learn(self, layout: NodeLayout) -> None:
-        """Take, or replace, what is known of a module."""
+        """What is known of a module."""
         node = self._node(layout.node_id)
         if node.module is None:
             node.module = ModuleModel(layout)
@@ -138,7 +138,7 @@ class BusModel:
         self._route()
 
     def put(self, node_id: int, place: Multiplexer, value: Number, now: float) -> None:
-        """A value of a known module that came by SDO."""
+        """A value by SDO."""
         module = self._node(node_id).module
         if module is not None:
             module.put(place, value, now)
@@ -148,11 +148,11 @@ class BusModel:
         self._error_frames += 1
 
     def other_frame(self, data_bytes: int, now: float) -> None:
-        """A frame that is no CANopen and only counts for the load."""
+        """One that only counts for the load."""
         self._load.frame(frame_bits(min(data_bytes, LONGEST_DATA), extended=True), self._at(now))
 
     def receive(self, frame: Frame, now: float) -> None:
-        """A frame at ``now``: when it was received, seconds."""
+        """``now``: when it was received, seconds."""
         now = self._at(now)
         can_id, data = frame.can_id, frame.data
         self._load.frame(frame_bits(0 if frame.rtr else min(len(data), LONGEST_DATA)), now)
@@ -166,7 +166,7 @@ class BusModel:
         self._by_function(can_id, data, now)
 
     def snapshot(self, now: float | None = None) -> BusSnapshot:
-        """All of it by ``now``, by default the time of the last frame."""
+        """By default at the last frame."""
         now = max(self._now or 0.0, self._now or 0.0 if now is None else now)
         shown = [
             node for _, node in sorted(self._nodes.items()) if node.module is not None or not self._only_known

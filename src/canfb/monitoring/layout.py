@@ -83,7 +83,7 @@ class Origin(StrEnum):
 
 
 def known_values(pdo: Pdo, data: bytes, kinds: Mapping[Multiplexer, str]) -> dict[Multiplexer, Number]:
-    """Those objects of ``kinds`` (as struct has their types) that a PDO with this ``data`` carries."""
+    """Objects of ``kinds`` (types as in struct) in a PDO."""
     return {
         place: struct.unpack(f"<{kinds[place]}", part)[0]
         for place, part in pdo.values(data).items()
@@ -126,7 +126,7 @@ class ModuleReading:
 
 
 def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
-    """The layout of the module ``node_id`` (1..127) whose objects ``read`` gives."""
+    """Of the module ``node_id`` (1..127)."""
 
     def integer(place: Multiplexer, default: int) -> int:
         value = read(place)
@@ -160,22 +160,22 @@ def _pdos(read: Read, parameters: int, mapping: int, known: Mapping[Multiplexer,
 
 
 def known_layouts(config: Config, nodes: Sequence[int] = ()) -> list[NodeLayout]:
-    """Of these nodes (1..127); without any, of all modules of the configuration that have a node-ID."""
+    """Of these nodes (1..127), by default of all configured ones."""
     return [layout_of(node, read, origin) for node, read, origin in _known(config, nodes)]
 
 
 def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, Read]:
-    """Objects of the same modules by node-ID, as configured or by default."""
+    """The same by node-ID, as configured or by default."""
     return {node: read for node, read, _ in _known(config, nodes)}
 
 
 def assumed_layout(node_id: int) -> NodeLayout:
-    """Of a node (1..127) that looks like a module: as the EDS has it."""
+    """As the EDS has it."""
     return layout_of(node_id, assumed_objects(node_id), Origin.ASSUMED)
 
 
 def assumed_objects(node_id: int) -> Read:
-    """Objects of a node (1..127) that looks like a module, with the usual encoder interface."""
+    """With the usual encoder interface."""
     usual = ModuleConfig(node_id=UNCONFIGURED).encoder_interface
     interface = usual if node_id != usual else node_id % 127 + 1
     return _reader(ModuleConfig(node_id=node_id, encoder_interface=interface))

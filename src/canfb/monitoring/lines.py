@@ -22,14 +22,14 @@ SPELLING = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\s\d
 
 @dataclass(frozen=True)
 class MachineUnits:
-    """``per_revolution`` of ``name`` are one revolution of the encoder; by default 1 rev, and min⁻¹."""
+    """``per_revolution`` of ``name`` are one revolution; by default 1 rev, and min⁻¹."""
 
     per_revolution: float = 1.0
     name: str = "rev"
 
     @classmethod
     def parse(cls, text: str) -> MachineUnits:
-        """``"5 mm"``: 5 mm for each revolution. ValueError for anything else."""
+        """Of ``"5 mm"``, or ValueError."""
         match = SPELLING.fullmatch(text)
         number = float(match[1]) if match else math.nan
         if match is None or not math.isfinite(number) or number == 0.0:
@@ -46,7 +46,7 @@ class MachineUnits:
         return "rpm" if self.name == "rev" else f"{self.name}/s"
 
     def speed(self, rad_s: float) -> float:
-        """In the unit of the machine per second, or in rpm."""
+        """Per second, or in rpm."""
         return rad_s * RPM if self.name == "rev" else rad_s / (2.0 * math.pi) * self.per_revolution
 
     def velocity(self, rad_s: float | None) -> str:
@@ -66,7 +66,7 @@ Parts = tuple[tuple[str, Tone], ...]
 
 
 class Line(NamedTuple):
-    """One row: its label, and texts with their tones."""
+    """Texts with their tones."""
 
     label: str
     parts: Parts
@@ -131,7 +131,7 @@ def tone_of(module: ModuleSnapshot) -> Tone:
 
 
 def residual_tone(module: ModuleSnapshot, residual: float | None) -> Tone:
-    """Of a residual that is near its limit, or over it."""
+    """Near its limit, or over it."""
     limit = module.residual_limit_cycles
     if is_stale(module) or not limit or residual is None or residual <= NEAR * limit:
         return ""
@@ -146,7 +146,7 @@ def bus_lines(snapshot: BusSnapshot) -> list[Line]:
 
 
 def other_nodes(snapshot: BusSnapshot) -> str:
-    """Nodes that are not modules, with their NMT state."""
+    """With their NMT state."""
     return ", ".join(f"{node.node_id} {node.state or '-'}" for node in snapshot.nodes if node.module is None)
 
 
@@ -181,21 +181,21 @@ def state_words(node: NodeSnapshot) -> str:
 
 
 def position_words(module: ModuleSnapshot) -> str:
-    """The status word in short; "no data" if it is old."""
+    """ "no data" if it is old."""
     if is_stale(module):
         return "no data" if module.age_s is None else f"no data for {age(module.age_s)}"
     return module.position_state or "no status"
 
 
 def lost_words(node: NodeSnapshot, module: ModuleSnapshot) -> str:
-    """Why the position is lost, and the command that says more."""
+    """And the command that says more."""
     if is_stale(module) or module.position_state != PositionState.LOST:
         return ""
     return f"canfb why {node.node_id:#04x}: {module.lost_by or 'its cause was not heard'}"
 
 
 def is_stale(module: ModuleSnapshot) -> bool:
-    """No PDO with a position or a status for a second."""
+    """Nothing for a second."""
     return module.age_s is None or module.age_s > STALE_S
 
 
@@ -242,7 +242,7 @@ def age(seconds: float) -> str:
 
 
 def plain_lines(snapshot: BusSnapshot, units: MachineUnits) -> list[str]:
-    """One line for each module; one for the bus where there is none."""
+    """One for each module, or one for the bus."""
     bus = ", ".join(f"{line.label} {line.text}" for line in bus_lines(snapshot))
     head = f"{snapshot.time_s:.3f}"
     modules = []

@@ -1,4 +1,4 @@
-"""A feedback module as its PDOs show it, and meters of a bus. Times are seconds."""
+"""A feedback module as its PDOs show it, and meters of a bus. Seconds."""
 
 from __future__ import annotations
 
@@ -51,7 +51,6 @@ class SyncMeter:
 
     @property
     def _longest_s(self) -> float:
-        """So long without a SYNC, and there is none."""
         period_s = self._syncs.period_s
         return max(LEAST_SILENCE_S, MISSING_PERIODS * period_s) if period_s else math.inf
 
@@ -72,7 +71,7 @@ class SyncMeter:
 
 
 class Bins:
-    """Values of the last ``count`` intervals of ``width_s`` seconds, joined (max, add) within each."""
+    """Values of the last ``count`` intervals of ``width_s``, joined within each."""
 
     def __init__(self, width_s: float, count: int, join: Callable[[float, float], float]) -> None:
         self.width_s, self._count, self._join = width_s, count, join
@@ -83,7 +82,7 @@ class Bins:
         return math.floor(now / self.width_s)
 
     def add(self, value: float, now: float) -> None:
-        """A value at this time, which does not go back."""
+        """``now`` does not go back."""
         number = self.number(now)
         if self._bins and self._bins[-1][0] >= number:
             last, before = self._bins[-1]
@@ -92,7 +91,7 @@ class Bins:
             self._bins.append((number, value))
 
     def values(self, now: float) -> list[float | None]:
-        """Of each interval until ``now``; None where there was no value."""
+        """Until ``now``; None without a value."""
         if not self._bins:
             return []
         last, known = self.number(now), dict(self._bins)
@@ -100,20 +99,20 @@ class Bins:
         return [known.get(number) for number in range(first, last + 1)]
 
     def since(self, now: float, seconds: float) -> list[float]:
-        """Values of the last ``seconds``, as far as intervals allow."""
+        """Of the last ``seconds``."""
         oldest = self.number(now - seconds)
         return [value for number, value in self._bins if number >= oldest]
 
 
 class LoadMeter:
-    """Bits and frames of the last second, in slots of a tenth."""
+    """Bits and frames of the last second."""
 
     def __init__(self, bit_rate: int | None = None) -> None:
         self.bit_rate = bit_rate
         self._bits, self._frames = (Bins(SLOT_S, SLOTS + 1, operator.add) for _ in range(2))
 
     def frame(self, bits: int, now: float) -> None:
-        """A frame with so many bits on the wire."""
+        """``bits`` on the wire."""
         self._bits.add(bits, now)
         self._frames.add(1, now)
 
@@ -146,7 +145,7 @@ COUNTED = {
 
 
 class ModuleModel:
-    """Takes what the PDOs of one module carry; what is remembered is bounded."""
+    """Takes the PDOs of one module; memory is bounded."""
 
     def __init__(self, layout: NodeLayout) -> None:
         self.layout = layout
@@ -162,7 +161,7 @@ class ModuleModel:
         self._fault_s: float | None = None
 
     def sent(self, pdo: Pdo, data: bytes, now: float) -> bool:
-        """A PDO of the module; False if it is too short to be one."""
+        """False if it is too short."""
         values = known_values(pdo, data, VALUES)
         for place, value in values.items():
             self.put(place, value, now)
@@ -203,7 +202,7 @@ class ModuleModel:
             self._positions.append((now, position))
 
     def snapshot(self, now: float, sync_hz: float | None = None) -> ModuleSnapshot:
-        """What is known by ``now``; ``sync_hz`` is the SYNC rate on the bus."""
+        """``sync_hz``: on the bus."""
         layout, values = self.layout, self._values
         status = values.get(od.FEEDBACK_STATUS)
         units, residual = values.get(od.POSITION_VALUE), values.get(od.FEEDBACK_RESIDUAL)

@@ -1,4 +1,4 @@
-"""A snapshot as a page of a terminal, by rich."""
+"""A snapshot in a terminal, by rich."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # of a characte
 
 
 def bar(part: float, width: int, *, plain: bool = False) -> str:
-    """``width`` characters, the part 0..1 of them full; one at least."""
+    """The part 0..1 of ``width`` characters."""
     part = min(max(part, 0.0), 1.0) if math.isfinite(part) else 1.0
     full = min(width, math.ceil(part * width - 1e-9))
     return ("#" if plain else "█") * full + ("." if plain else "░") * (width - full)
 
 
 def history(values: Sequence[float | None], top: float, width: int, *, plain: bool = False) -> str:
-    """The last ``width`` values as heights up to ``top``."""
+    """``width`` heights up to ``top``."""
     heights = PLAIN_HEIGHTS if plain else HEIGHTS
     shown = []
     for value in values[-width:]:
@@ -41,7 +41,7 @@ def history(values: Sequence[float | None], top: float, width: int, *, plain: bo
 def dots(
     points: Iterable[tuple[float, float]], limit: float, width: int, height: int, *, plain: bool = False
 ) -> list[str]:
-    """``height`` lines of ``width`` braille patterns (``plain``: asterisks); x, y are -limit..limit."""
+    """Lines of braille patterns (``plain``: asterisks); x, y are -limit..limit."""
     cells = [[0] * width for _ in range(height)]
     for x, y in points:
         column = int((x / limit + 1.0) / 2.0 * width * 2) if limit > 0.0 else width
@@ -66,7 +66,7 @@ Modules = Sequence[tuple[NodeSnapshot, ModuleSnapshot]]
 
 
 class Page:
-    """The whole picture, for the size of the console; ``plain``: in ASCII."""
+    """For the size of the console; ``plain``: in ASCII."""
 
     def __init__(
         self, snapshot: BusSnapshot, units: MachineUnits, title: str, *, plain: bool = False
@@ -77,7 +77,7 @@ class Page:
         yield self.layout(options.max_width, options.height or console.height)
 
     def layout(self, width: int, height: int) -> RenderableType:
-        """All modules with their pictures where they fit, else a line for each."""
+        """Pictures where they fit, else lines."""
         snapshot, modules, others = self._snapshot, self._snapshot.modules, lines.other_nodes(self._snapshot)
         room = height - HEAD_LINES - bool(others)
         body: list[RenderableType]
@@ -124,7 +124,7 @@ class Page:
         )
 
     def _figures(self, node: NodeSnapshot, module: ModuleSnapshot, room: int) -> list[Text]:
-        """The rows, and the residual as pictures; without the peak where a loss needs the room."""
+        """Without the peak where a loss needs the room."""
         rows = lines.module_lines(node, module, self._units)
         labels = [row.label for row in rows]
         drawn = [self._residual_history(module, room)]
@@ -135,7 +135,6 @@ class Page:
         return [*texts[:at], *drawn, *texts[at:]]
 
     def _peak(self, module: ModuleSnapshot, width: int, head: str = "", behind: str = "") -> Text:
-        """The peak residual of the last second: single samples change faster than anybody reads."""
         limit, peak = module.residual_limit_cycles, module.residual_peak_cycles
         if not limit or peak is None:
             return Text("" if behind else "-")

@@ -42,7 +42,7 @@ REPEATED = (
 
 
 class ModuleReader:
-    """Reads the module ``node_id`` (1..127) when it is due; with its table if asked for."""
+    """One module (1..127), ``with_table``."""
 
     def __init__(self, node_id: int, *, with_table: bool = False) -> None:
         self.node_id = node_id
@@ -53,11 +53,11 @@ class ModuleReader:
         self._due_s = self._layout_due_s = self._not_before_s = -math.inf
 
     def due(self, now: float, node: NodeSnapshot | None) -> bool:
-        """Whether to read, seconds, by what the bus shows of the node."""
+        """By what the bus shows of the node."""
         return now >= self._not_before_s and (now >= self._due_s or _changes(node) != self._seen)
 
     def read(self, module: NodeAccess, now: float, node: NodeSnapshot | None) -> ModuleReading:
-        """Read what is due. CanfbError: it does not answer, and is left alone for QUIET_S."""
+        """CanfbError: no answer, left alone for QUIET_S."""
         seen = _changes(node)
         self._not_before_s = now + QUIET_S
         if self._layout is None or seen != self._seen or now >= self._layout_due_s:
@@ -88,7 +88,7 @@ class ModuleReader:
 
 
 def _changes(node: NodeSnapshot | None) -> tuple[int, bool] | None:
-    """What makes all of it worth reading again: boot-ups, and bit 7 of the status word."""
+    """Boot-ups, and bit 7 of the status word."""
     return None if node is None or node.module is None else (node.boot_ups, node.module.table_active)
 
 

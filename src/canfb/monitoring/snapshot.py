@@ -1,4 +1,4 @@
-"""One look at a bus: plain values that are shown, or turned to JSON."""
+"""One look at a bus: plain values."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class LoadSnapshot:
 
 @dataclass(frozen=True)
 class EmergencySnapshot:
-    """One EMCY; ``register`` is 1001h, ``detail`` the five bytes of the device as hex."""
+    """``register`` is 1001h, ``detail`` hexadecimal."""
 
     age_s: float
     code: int
@@ -107,7 +107,7 @@ class NodeSnapshot:
 
 @dataclass(frozen=True)
 class BusSnapshot:
-    """All of it at ``time_s``, seconds on the clock of the frames."""
+    """``time_s`` on the clock of the frames."""
 
     time_s: float
     sync: SyncSnapshot
@@ -121,7 +121,7 @@ class BusSnapshot:
         return [(node, node.module) for node in self.nodes if node.module is not None]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values for json.dumps: what is no finite number is None."""
+        """No finite number: None."""
         plain = _plain(dataclasses.asdict(self))
         assert isinstance(plain, dict)
         return plain

@@ -1,4 +1,4 @@
-"""Frames of a bus or of a log: one reader, for a monitor's model or one by one."""
+"""Frames of a bus or of a log: one reader."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class MessageReader:
         self.stopped = False
 
     def stop(self) -> None:
-        """End it; may be called from a signal handler."""
+        """End it; for a signal handler."""
         self.stopped = True
 
     def bus(
@@ -88,7 +88,7 @@ class MessageReader:
 
 
 def classic(frames: Iterable[tuple[float, Frame | None]]) -> Iterator[tuple[float, Frame]]:
-    """CAN frames with 11-bit identifiers, and seconds since the first one."""
+    """Those with 11-bit identifiers, and seconds since the first."""
     first_s: float | None = None
     for time_s, frame in frames:
         if frame is not None and frame.can_id <= HIGHEST_ID:
@@ -97,7 +97,7 @@ def classic(frames: Iterable[tuple[float, Frame | None]]) -> Iterator[tuple[floa
 
 
 def recognised(log: Path) -> dict[int, Read]:
-    """Objects, by node-ID, of the modules that send in the first frames of a log."""
+    """Objects, by node-ID, of modules in a log."""
     recognition, found = Recognition(), set()
     for _, frame in classic(itertools.islice(MessageReader().log(log), RECOGNISED_IN)):
         found.add(recognition.found(frame.can_id, frame.data))
@@ -121,11 +121,11 @@ class Watching:
         self.stop = self._reader.stop
 
     def put(self, reading: ModuleReading) -> None:
-        """What was read of a module; it counts from the next snapshot on."""
+        """It counts from the next snapshot on."""
         self._readings.append(reading)
 
     def opened(self, bus: can.BusABC) -> None:
-        """From a bus that is open. BusError, in one line, when it fails."""
+        """BusError, in one line, when it fails."""
         self._due_s = self._interval_s
         for at, frame in self._reader.bus(bus, lambda: self._due_s):
             if frame is not None:

@@ -1,1 +1,1 @@
-"""Pictures and pages: SVG and HTML that stand alone, in light, dark and print."""
+"""SVG and HTML that stand alone, in light, dark and print."""

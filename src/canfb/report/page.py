@@ -1,4 +1,4 @@
-"""HTML pages and SVG files that stand alone, without script; and their CSS."""
+"""HTML pages and SVG files that stand alone, and their CSS."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ CYCLE = 0.0, 1.0
 
 
 def error_over_phase(before: FloatArray, after: FloatArray, title: str) -> str:
-    """Mean error over the phase, both on one scale."""
+    """Means, both on one scale."""
     most = PERCENT * nice_limit(np.concatenate([before, after]))
     plot = Plot(title, CYCLE, (-most, most), ERROR_LABELS)
     plot.line(PHASES, PERCENT * before, "before", "before")
@@ -30,7 +30,7 @@ def error_over_phase(before: FloatArray, after: FloatArray, title: str) -> str:
 
 
 def remaining_error(after: FloatArray, uncertainty: float) -> str:
-    """What is left, on a scale of its own, with the uncertainty of the table."""
+    """With the uncertainty of the table."""
     most = PERCENT * nice_limit(after, 1.3 * uncertainty)
     plot = Plot("Remaining mean error over the phase", CYCLE, (-most, most), ERROR_LABELS)
     plot.line(PHASES, PERCENT * after, "after", "after, mean of each 1/64 cycle")
@@ -39,7 +39,7 @@ def remaining_error(after: FloatArray, uncertainty: float) -> str:
 
 
 def rms_over_speed(speed: FloatArray, before: FloatArray, after: FloatArray, unit: str) -> str:
-    """Rms error at each speed, shape (n,); NaN where the position was lost."""
+    """Shape (n,); NaN where the position was lost."""
     values = np.concatenate([before, after])
     values = values[np.isfinite(values) & (values > 0.0)] if np.any(values > 0.0) else np.array([1e-4])
     extent = _decades(PERCENT * float(values.min()), 1.01 * PERCENT * float(values.max()))
@@ -47,7 +47,7 @@ def rms_over_speed(speed: FloatArray, before: FloatArray, after: FloatArray, uni
 
 
 def mean_over_speed(speed: FloatArray, before: FloatArray, after: FloatArray, unit: str) -> str:
-    """Mean error at each speed, shape (n,); NaN where it is not known."""
+    """Shape (n,); NaN: not known."""
     most = PERCENT * nice_limit(np.concatenate([before, after]), 1e-5)
     return _over_speed("Mean error", (-most, most), speed, (before, after), unit)
 
@@ -78,7 +78,7 @@ HIGHEST_ORDER = 20
 
 
 def harmonics(before: FloatArray, after: FloatArray, noise_rms: float, samples: int) -> str:
-    """Amplitudes of the harmonics of the error, before and after."""
+    """Amplitudes, before and after."""
     place = np.arange(1.0, HIGHEST_ORDER + 1.0)
     old, new = (PERCENT * _amplitudes(curve)[1 : HIGHEST_ORDER + 1] for curve in (before, after))
     floor = PERCENT * 2.0 * noise_rms / np.sqrt(max(1, samples))
@@ -140,14 +140,14 @@ def residual_histogram(residual: FloatArray, before: float, new: float) -> str:
 def _counted(
     values: FloatArray, bins: int, extent: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Values in each bin, the middles of the bins, their width."""
+    """Values, middles, width."""
     count, edges = np.histogram(values, bins, extent)
     middle = np.asarray((edges[:-1] + edges[1:]) / 2.0, np.float64)
     return count.astype(np.float64), middle, float(edges[1] - edges[0])
 
 
 def coverage(samples: npt.NDArray[np.int64]) -> str:
-    """Samples in each 1/64 of the cycle, shape (64,)."""
+    """Samples in each 1/64 cycle, shape (64,)."""
     count = samples.astype(np.float64)
     extent = 0.0, 1.15 * max(float(count.max()), 1.0)
     plot = Plot("Samples over the phase", CYCLE, extent, ("phase, cycles", "samples in 1/64 cycle"))
@@ -156,7 +156,7 @@ def coverage(samples: npt.NDArray[np.int64]) -> str:
 
 
 def table_curve(table: CorrectionTable, before: CorrectionTable | None) -> str:
-    """Phase less raw phase, of the new table and of the one before."""
+    """Phase less raw phase, new and before."""
     place = np.arange(512) / 512.0
     curves = [("after", "new table", table)]
     if before is not None:
@@ -171,7 +171,7 @@ def table_curve(table: CorrectionTable, before: CorrectionTable | None) -> str:
 
 
 def amplitude_over_phase(over_phase: FloatArray, low: float, high: float) -> str:
-    """Lowest, mean and highest amplitude in each 1/64 cycle, counts, shape (3, 64), with its limits."""
+    """Lowest, mean, highest in each 1/64 cycle, counts, shape (3, 64)."""
     known = over_phase[np.isfinite(over_phase)]
     extent = 0.92 * min(low, float(known.min(initial=low))), 1.08 * max(high, float(known.max(initial=0.0)))
     labels = "phase, cycles", "amplitude, counts"
@@ -212,7 +212,7 @@ def lissajous(
 
 
 def is_dense(sine: FloatArray) -> bool:
-    """Whether :func:`lissajous` shows their density in place of each one."""
+    """:func:`lissajous` shows a density."""
     return int(np.isfinite(sine).sum()) > SHOWN_SAMPLES
 
 
@@ -249,7 +249,6 @@ def circle(plot: Plot, radius: float, style: str, name: str | None) -> Plot:
 
 
 def _cell(values: FloatArray, scale: Scale, cells: int) -> npt.NDArray[np.int64]:
-    """Number of the cell along one axis, 0..cells - 1."""
     part = (values - scale.low) / (scale.high - scale.low)
     return np.clip((part * cells).astype(np.int64), 0, cells - 1)
 
@@ -258,7 +257,7 @@ MOST_POINTS = 600  # of a curve over time: each is the lowest and the highest va
 
 
 def acceleration_over_time(acceleration: FloatArray, interval_s: float, largest: float) -> str:
-    """Acceleration at each sample, rad/s², NaN where not known, with the limit; 0: there is none."""
+    """rad/s², NaN: not known; ``largest`` 0: no limit."""
     parts = np.array_split(acceleration, min(MOST_POINTS, max(1, len(acceleration))))
     known = [part[np.isfinite(part)] for part in parts]
     ends = np.array([(part.min(), part.max()) if len(part) else (np.nan, np.nan) for part in known])
@@ -278,7 +277,7 @@ ROOM = 0.06  # of the height, above and below what is drawn
 
 
 class Curve(NamedTuple):
-    """Values at the times, NaN where there is none."""
+    """NaN: no value."""
 
     values: FloatArray
     style: str
@@ -288,7 +287,7 @@ class Curve(NamedTuple):
 def over_time(
     title: str, label: str, time_s: FloatArray, curves: Sequence[Curve], least: float | None = None
 ) -> str:
-    """``curves`` over ``time_s`` (seconds), from ``least`` on if given."""
+    """``time_s`` in seconds; from ``least`` on."""
     values = np.concatenate([curve.values for curve in curves])
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Small plots as SVG, without a library; their CSS is in page."""
+"""Small plots as SVG."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RING_RADIUS = 6.0
 
 
 class Key(NamedTuple):
-    """One line of the legend; ``kind`` is "line", "dot", "bar" or "ring"."""
+    """``kind``: "line", "dot", "bar" or "ring"."""
 
     name: str
     style: str
@@ -24,7 +24,7 @@ class Key(NamedTuple):
 
 
 def size_around(width: float, height: float) -> tuple[float, float]:
-    """Size of a picture with this much room within its axes."""
+    """With this much room within the axes."""
     return width + LEFT + RIGHT, height + TOP + BOTTOM
 
 
@@ -49,7 +49,7 @@ class Plot:
         self._parts: list[str] = []
 
     def line(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> Self:
-        """A line through points, broken where a value is not a number."""
+        """Broken where a value is not a number."""
         path, pen = [], "M"
         for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
             if math.isfinite(other):
@@ -67,7 +67,7 @@ class Plot:
         name: str | None = None,
         opacity: float | None = None,
     ) -> Self:
-        """Small dots: one path for all of them keeps the page small."""
+        """One path keeps the page small."""
         path = "".join(
             f"M{self.x(one):.1f} {self.y(other):.1f}h0"
             for one, other in zip(xs.tolist(), ys.tolist(), strict=True)
@@ -76,7 +76,7 @@ class Plot:
         return self._draw(f'<path class="dots {style}"{faint} d="{path}"/>', style, name, "dot")
 
     def bars(self, xs: FloatArray, ys: FloatArray, width: float, style: str, name: str | None = None) -> Self:
-        """Bars from the bottom of the picture, ``width`` in units of x."""
+        """``width`` in units of x."""
         bottom = self.y(self.y.low)
         parts = []
         for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
@@ -100,12 +100,12 @@ class Plot:
         return self
 
     def note(self, x: float, y: float, words: str, style: str, offset: tuple[float, float]) -> Self:
-        """Words beside a point, ``offset`` to the right and down; with style "end" they end there."""
+        """``offset`` right and down; style "end": they end there."""
         self._parts.append(_text(self.x(x) + offset[0], self.y(y) + offset[1], f"note {style}", words))
         return self
 
     def svg(self) -> str:
-        """The picture, with its legend, for a page of HTML."""
+        """With its legend, for HTML."""
         return (
             f'<svg viewBox="0 0 {self.width:g} {self.height:g}" role="img" '
             f'aria-label="{escape(self.title)}">{self.drawing()}</svg>{self._legend_html()}'
@@ -164,7 +164,7 @@ FEWER = 0.8  # of a step: rather seven ticks than three
 
 
 class Scale:
-    """From values to places on the picture, linear or logarithmic."""
+    """Linear or logarithmic."""
 
     def __init__(self, low: float, high: float, start: float, stop: float, log: bool = False) -> None:
         if not high > low:
@@ -173,7 +173,7 @@ class Scale:
         self._start, self._stop = start, stop
 
     def __call__(self, value: float) -> float:
-        """The place, held within a margin of the picture."""
+        """Held within a margin."""
         if self.log:
             part = math.log10(max(value, self.low) / self.low) / math.log10(self.high / self.low)
         else:
@@ -193,7 +193,7 @@ class Scale:
 
 
 def nice_limit(values: Sequence[float] | FloatArray, least: float = 0.0) -> float:
-    """A little more than the largest size of the values that are numbers, at least ``least``."""
+    """A little more than the largest finite size, at least ``least``."""
     sizes = np.abs(np.asarray(values, np.float64))
     sizes = sizes[np.isfinite(sizes)]
     return max(1.1 * float(sizes.max()) if len(sizes) else 0.0, least, 1e-12)

@@ -1,4 +1,4 @@
-"""What the page gets, as JSON: a history, then a look with each snapshot."""
+"""What the page gets, as JSON."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from canfb.scope.traces import Curve, ModuleTraces
 
 
 class LivePage:
-    """Turns snapshots into events for the pages of a :class:`PageServer` at ``port``."""
+    """Snapshots become events of a :class:`PageServer` at ``port``."""
 
     def __init__(self, port: int, units: MachineUnits) -> None:
         self.server = PageServer(port, self.first)
@@ -26,7 +26,7 @@ class LivePage:
         self._lock = threading.Lock()
 
     def know(self, reading: ModuleReading) -> None:
-        """The active table of a module was read; from any thread."""
+        """A table was read; from any thread."""
         if reading.correction is not None:
             with self._lock:
                 self._of(reading.node_id).know(reading.correction)
@@ -43,7 +43,7 @@ class LivePage:
         self.server.publish(look)
 
     def first(self) -> Event:
-        """What a page begins with: units, the points and deviations until now, and the last look."""
+        """Units, points and deviations until now, the last look."""
         with self._lock:
             past = {node: list(traces.points) for node, traces in self._traces.items()}
             units = {"position": self._units.name, "velocity": self._units.speed_name}

@@ -56,7 +56,7 @@ Events = queue.Queue[Event | None]
 
 
 def event(name: str, data: str) -> Event:
-    """An event of the stream (HTML, server-sent events); ``data`` is one line."""
+    """Of the stream (server-sent events); ``data`` is one line."""
     return f"event: {name}\ndata: {data}\n\n".encode()
 
 
@@ -175,7 +175,7 @@ class _Server(ThreadingHTTPServer):
             self._places.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """A peer that has gone, or takes nothing, is no error."""
+        """A peer that has gone is no error."""
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -69,12 +69,12 @@ class ModuleTraces:
         self._follow(module)
 
     def know(self, correction: Correction) -> None:
-        """This was read as the active table and conditioning."""
+        """Read as active."""
         if correction != self._read:
             self._read, self._due_s = correction, -math.inf
 
     def _judge(self) -> None:
-        """What was read counts while 2020:04 and bit 7 of the status word say the same."""
+        """It counts while 2020:04 and status bit 7 agree."""
         module, read = self._module, self._read
         assert module is not None
         before = self.correction
@@ -105,7 +105,6 @@ class ModuleTraces:
         )
 
     def _follow(self, module: ModuleSnapshot) -> None:
-        """The samples that have come since; over those that were missed there is a gap."""
         new = module.tracks_heard - self._received
         self._received = module.tracks_heard
         if new < 0:
@@ -119,7 +118,7 @@ class ModuleTraces:
             self._samples.append((self._place, sine, cosine))
 
     def deviation(self, now: float) -> Curve | None:
-        """Of the last samples; None while the one before is not EVERY_S old."""
+        """None while the last is not EVERY_S old."""
         if self._module is None or now < self._due_s:
             return None
         self._due_s = now + EVERY_S

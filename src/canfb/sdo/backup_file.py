@@ -77,7 +77,7 @@ def backup_text(backup: Backup, described: ObjectDescriptions) -> str:
 
 
 def read_backup(path: Path, described: ObjectDescriptions, accept_unknown: bool = False) -> Backup:
-    """The backup of a file. CommissioningError, with line and key, for anything else."""
+    """CommissioningError, with line and key, for anything else."""
     data = read_bytes(path, CommissioningError)
     try:
         return _BackupReader(MarkedYaml(data), described, accept_unknown).backup()
@@ -86,7 +86,7 @@ def read_backup(path: Path, described: ObjectDescriptions, accept_unknown: bool 
 
 
 class _BackupReader:
-    """ValueError, with the line and the key, for what is wrong."""
+    """ValueError, with line and key."""
 
     def __init__(self, marked: MarkedYaml, described: ObjectDescriptions, accept_unknown: bool) -> None:
         self._marked = marked

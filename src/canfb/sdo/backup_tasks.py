@@ -1,4 +1,4 @@
-"""A backup back into a module: written in order, proven, saved; or the parameters from before."""
+"""A backup back into a module: written, proven, saved; or undone."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class Configured(Protocol):
         """The value of each object."""
 
     def writes(self) -> Sequence[Write]:
-        """SDO writes that bring it about in Pre-operational, in their order."""
+        """SDO writes, in their order, for Pre-operational."""
 
 
 @dataclass(frozen=True)
 class RestoreOptions:
-    """Save at the end, accept what is unknown, send to PRE-OPERATIONAL first, write nothing."""
+    """Save, accept what is unknown, PRE-OPERATIONAL first, write nothing."""
 
     keep: bool = False
     force: bool = False
@@ -59,7 +59,7 @@ class Restored:
 
 
 class Restoring:
-    """Backups into one module; ``read`` gives its configuration, or CanfbError."""
+    """``read`` gives the configuration of the module, or CanfbError."""
 
     def __init__(self, module: NodeAccess, read: Callable[[], Configured], guard: Guard) -> None:
         self._module = module
@@ -106,7 +106,7 @@ class Restoring:
         return there
 
     def _leave_operational(self, preop: bool) -> None:
-        """CommissioningError while PDOs are sent on which somebody may rely."""
+        """CommissioningError in OPERATIONAL."""
         module = self._module
         if preop:
             module.master.send(NMT, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, module.node_id)))
@@ -149,7 +149,7 @@ class Restoring:
 
 
 def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, Any]]:
-    """The objects whose values differ, in order; None for a missing one."""
+    """The objects that differ; None for a missing one."""
     values, others = one.values(), other.values()
     places = sorted((values.keys() | others.keys()) - set(LEFT_ALONE))
     pairs = {place: (values.get(place), others.get(place)) for place in places}
@@ -189,7 +189,7 @@ def backup_result(backup: Backup, path: Path) -> Result:
 
 
 def restored_result(path: Path, backup: Backup, done: Restored, described: ObjectDescriptions) -> Result:
-    """What changed in the module, and what the operator should know."""
+    """What changed, and what the operator should know."""
     name, wishes = done.module.name, done.wishes
     lines = [_change(place, pair, described) for place, pair in done.changes.items()]
     count = f"{len(done.changes)} of {len(backup.values) + 1} values"

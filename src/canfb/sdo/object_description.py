@@ -1,4 +1,4 @@
-"""Objects of a node by its EDS: names, types, units, limits; and look-up by name."""
+"""Objects of a node by its EDS, and look-up by name."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class ObjectDescriptions:
         return iter(self._entries.values())
 
     def find(self, index: int, subindex: int) -> ObjectDescription | None:
-        """The entry, None if the EDS does not have it."""
+        """The entry, or None."""
         return self._entries.get((index, subindex))
 
     def of_object(self, index: int) -> list[ObjectDescription]:
@@ -144,7 +144,7 @@ class ObjectDescriptions:
 
 
 def numbered(text: str) -> tuple[int, int | None] | None:
-    """Index and sub-index of 2010:01, 0x2010:1 or 2010h, or None."""
+    """Index and sub-index of 2010:01 or 2010h, or None."""
     match = _NUMBERED.fullmatch(text.strip())
     if match is None:
         return None

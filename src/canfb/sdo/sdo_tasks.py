@@ -1,4 +1,4 @@
-"""Objects of a node by name, in words: what ``canfb sdo`` reads and writes."""
+"""Objects of a node by name: what ``canfb sdo`` reads and writes."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def value_range(data_type: int) -> tuple[int, int]:
 
 
 def check_value(data_type: int, value: Any, low: float | None = None, high: float | None = None) -> Any:
-    """``value`` as its type has it, a REAL32 rounded to one, or ValueError."""
+    """``value`` as its type has it, or ValueError."""
     if data_type in datatypes.FLOATS:
         checked: Any = _real(data_type, value)
     elif data_type in datatypes.STRINGS:
@@ -81,7 +81,7 @@ def _real(data_type: int, value: Any) -> float:
 
 
 def parse_value(data_type: int, text: str, low: float | None = None, high: float | None = None) -> Any:
-    """The value of a text (12, 0x1F, -3.5, on, DE AD BE EF), or ValueError."""
+    """Of a text (12, 0x1F, -3.5, on, DE AD BE EF), or ValueError."""
     value: Any = text
     if data_type in OCTETS or data_type not in datatypes.KNOWN:
         value = _parsed(bytes.fromhex, text, "bytes in hexadecimal such as 01FF")
@@ -102,7 +102,7 @@ def _parsed(how: Callable[[str], Any], text: str, what: str) -> Any:
 
 
 def short_real(value: float, data_type: int = DataType.REAL32) -> float:
-    """The float with the fewest digits that is the same REAL32."""
+    """The shortest float that is the same REAL32."""
     return float(real_as_text(data_type, value, Reals.DECIMAL)) if math.isfinite(value) else value
 
 
@@ -164,7 +164,7 @@ _OF_PLACE: dict[str, dict[Place, str]] = {
 
 
 def in_words(product: str, place: Place, value: object) -> str:
-    """An enumeration or bits in words, or "". Bits without a name are numbered."""
+    """An enumeration or bits in words, or ""."""
     kind = _kind(product, place)
     if not isinstance(value, int):
         return ""
@@ -182,12 +182,12 @@ def in_words(product: str, place: Place, value: object) -> str:
 
 
 def from_words(product: str, place: Place, text: str) -> int | None:
-    """The number of a word such as start, or save for 1010h, or None."""
+    """The number of a word such as start, or None."""
     return words_of(product, place).get(text.strip().lower().replace("_", " "))
 
 
 def words_of(product: str, place: Place) -> Mapping[str, int]:
-    """The words that can be written to an object."""
+    """The words that can be written."""
     signatures = {0x1010: SAVE_SIGNATURE, 0x1011: LOAD_SIGNATURE}
     if place[0] in signatures and place[1]:
         return signatures[place[0]]
@@ -234,7 +234,7 @@ class Reading:
 
     @property
     def value(self) -> Any:
-        """By the type of the EDS; None where the bytes are not of it."""
+        """By the type of the EDS, or None."""
         try:
             return self.entry.decode(self.data)
         except ValueError:
@@ -266,7 +266,6 @@ class Reading:
 
     @property
     def _is_number_of_bits(self) -> bool:
-        """COB-IDs, mapped objects, CRCs: they are written in hexadecimal."""
         entry = self.entry
         is_plain = entry.data_type == DataType.UNSIGNED32 and not entry.unit
         return is_plain and (entry.index in _COMMUNICATION or "CRC" in entry.name)
@@ -276,7 +275,7 @@ class Reading:
         return f"{self.entry.number} {self.entry.title}: {self.text()}"
 
     def figures(self) -> dict[str, Any]:
-        """For programs. A value that is no number (NaN) is null."""
+        """For programs; NaN is null."""
         entry, value = self.entry, self.value
         if isinstance(value, bytes):
             value = value.hex()
@@ -302,7 +301,6 @@ def _part(unit: str) -> tuple[int, str] | None:
 
 
 def _times(unit: str) -> str:
-    """As it stands behind a number: 3 ms, 3 x 100 us."""
     return f"x {unit}" if unit[:1].isdigit() else unit
 
 
@@ -319,7 +317,7 @@ def raw_text(unit: str, text: str) -> str:
 
 @dataclass(frozen=True)
 class Written:
-    """A value that was written, before and after (None: cannot be read), and a warning."""
+    """Before, after (None: cannot be read), and a warning."""
 
     before: Reading | None
     now: Reading | None
@@ -349,7 +347,7 @@ class SdoTasks:
         self._described = described
 
     def read(self, text: str) -> list[Reading]:
-        """What an object holds; all of a record or an array named as a whole."""
+        """One object, or all of a record or array."""
         meant = self._described.meant(text)
         readable = [entry for entry in meant if entry.readable]
         if not readable:
@@ -359,7 +357,7 @@ class SdoTasks:
         return [self._read(entry) for entry in readable]
 
     def write(self, text: str, value: str | bytes, *, raw: bool = False) -> Written:
-        """Write a value, in the unit that a reading shows unless ``raw``."""
+        """In the unit that a reading shows, unless ``raw``."""
         entry = self._one(text)
         data = value if isinstance(value, bytes) else self._encoded(entry, value, raw)
         watched = self._described.product == MODULE and entry.index in SUPERVISION
@@ -382,7 +380,7 @@ class SdoTasks:
         return bool(int(self._node.read_known(od.FEEDBACK_STATUS) or 0) & od.StatusBit.VALID)
 
     def _warning(self) -> str:
-        """What a new limit does to some samples, or ""."""
+        """What a new limit does, or ""."""
         node, master = self._node, self._node.master
         began, first = master.now(), node.integer(*od.FEEDBACK_SAMPLES, "I")
         master.wait(WATCH_S)
@@ -440,7 +438,7 @@ _COUNTED = frozenset({0x1003, *range(0x1600, 0x1800), *range(0x1A00, 0x1C00)})
 
 
 def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDescriptions:
-    """The EDS of the product of a node (1018h), of those ``known``, or ConfigError."""
+    """The EDS, of those ``known``, by 1018h; or ConfigError."""
     vendor = node.integer(*od.IDENTITY_VENDOR_ID, "I")
     product = node.integer(*od.IDENTITY_PRODUCT_CODE, "I")
     for described in (ObjectDescriptions(path, node.node_id) for path in known):
@@ -455,7 +453,7 @@ def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDe
 
 
 def is_lost(reading: Reading) -> bool:
-    """It is a status word that says that the position is lost."""
+    """A status word that says lost."""
     is_status = reading.product == MODULE and reading.entry.place == od.FEEDBACK_STATUS
     return is_status and isinstance(reading.value, int) and bool(reading.value & od.StatusBit.LOST)
 

@@ -1,4 +1,4 @@
-"""Correction tables as files, YAML or the bytes of 2020:01, and in a module; in figures and words."""
+"""Correction tables as files (YAML, or the bytes of 2020:01) and in a module."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NOTED = {
 
 
 def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
-    """The set as YAML: what is known of it, then the entries, in cycles."""
+    """``meta``, conditioning, then the entries, in cycles."""
     table = used.table or CorrectionTable.identity()
     content = {
         "canfb_table": 1,
@@ -49,7 +49,7 @@ def as_yaml(used: Correction, meta: dict[str, Any]) -> str:
 
 
 def conditioning_words(conditioning: Conditioning) -> dict[str, float]:
-    """Object 2002:01..07 by name, and the harmonics of 2005h that are there."""
+    """2002:01..07 by name, and the harmonics (2005h) that are there."""
     words = conditioning.words.items()
     return {name: float(value) for name, value in words if value or not name.startswith("harmonic")}
 
@@ -89,12 +89,12 @@ class TableFile:
 
     @property
     def cycles_per_revolution(self) -> int | None:
-        """Of the encoder, None if it is not noted."""
+        """None if not noted."""
         cycles = self.noted.get(od.ENCODER_CYCLES_PER_REVOLUTION)
         return None if cycles is None else int(cycles)
 
     def for_module(self, active: Conditioning) -> Correction:
-        """Its table and conditioning; what it does not know of 2002h stays ``active``."""
+        """What it does not know of 2002h stays ``active``."""
         if not self.with_conditioning:
             return Correction(self.used.table, active)
         if self.with_delays:
@@ -103,7 +103,7 @@ class TableFile:
 
 
 def read_table(path: str | Path) -> Correction:
-    """A table file, YAML or the bytes of 2020:01. CommissioningError for anything else."""
+    """CommissioningError for no table file."""
     return read_table_file(path).used
 
 
@@ -121,7 +121,7 @@ def read_table_file(path: str | Path) -> TableFile:
 
 
 def is_yaml(path: Path) -> bool:
-    """Whether a table file of this name is YAML."""
+    """By the name."""
     return path.suffix in (".yaml", ".yml")
 
 
@@ -208,11 +208,11 @@ class TableState:
 
     @property
     def saved(self) -> bool | None:
-        """Whether a reset brings this very table back; None: not known."""
+        """Whether a reset brings this table back; None: not known."""
         return None if self.in_file or self.saved_crc32 is None else self.saved_crc32 == self.used.crc32
 
     def rows(self) -> list[Row]:
-        """What there is to say of it: cycles, degrees of the cycle."""
+        """Cycles, and degrees of the cycle."""
         used, waiting, in_module = self.used, self.waiting, not self.in_file
         rms, high = difference(used.table, None)
         return [
@@ -263,7 +263,7 @@ class TableState:
         return Result(as_figures(self.rows()), [self.name, *as_lines(self.rows(), WIDTH)])
 
     def cycles_in_words(self, cycles: float) -> str:
-        """A part of a cycle, in degrees and as an angle of the shaft."""
+        """Also in degrees, and at the shaft."""
         arc = Provenance("", cycles_per_revolution=self.cycles_per_revolution).arc_seconds(cycles)
         shaft = "" if arc is None else f"; {arc:.2g}″ of the shaft"
         return f"{cycles:.3g} cycle ({DEGREES * cycles:.3g}° of the cycle{shaft})"
@@ -284,7 +284,7 @@ class TableState:
 
 
 def difference(one: CorrectionTable | None, other: CorrectionTable | None) -> tuple[float, float]:
-    """How far two tables are apart, cycles: rms and peak; None is the identity."""
+    """Rms and peak, cycles; None is the identity."""
     length = max(len(table) for table in (one, other) if table is not None) if one or other else 1
     raw = np.arange(length) / length
     apart = (_phases(one, raw) - _phases(other, raw) + 0.5) % 1.0 - 0.5

@@ -35,7 +35,7 @@ AS_IT_WAS = "the previous table and conditioning"
 
 
 class TableTasks:
-    """The tasks on one module; ``guard`` keeps interruptions away from what puts things back."""
+    """``guard`` keeps interruptions away from what puts things back."""
 
     def __init__(self, module: NodeAccess, guard: Guard) -> None:
         self._module = module
@@ -70,7 +70,7 @@ class TableTasks:
         return _result(state, [*lines, *self._outcome(new, done)], done)
 
     def activate(self, *, keep: bool, force: bool = False) -> Result:
-        """Put the staged table in force, with 2002h and 2005h."""
+        """The staged table, with 2002h and 2005h."""
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
         if not staged:
             raise CommissioningError(
@@ -83,7 +83,7 @@ class TableTasks:
         return _result(now, [self._moves(now, before, now.used), *self._outcome(now.used, done)], done)
 
     def clear(self, *, conditioning: bool, keep: bool) -> Result:
-        """Back to the identity; the conditioning stays unless ``conditioning``."""
+        """Back to the identity, the ``conditioning`` too."""
         before = read_active(self._module)
         new = Correction(None, IDENTITY if conditioning else before.conditioning)
         done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
@@ -94,7 +94,7 @@ class TableTasks:
         return _result(state, lines, done)
 
     def download(self, path: Path, date: str) -> Result:
-        """The active table into a file; ``date`` is ISO 8601."""
+        """Into a file; ``date`` is ISO 8601."""
         state = TableState.of_module(self._module)
         table = state.used.table or CorrectionTable.identity()
         used = Correction(table, state.used.conditioning)
@@ -163,7 +163,7 @@ class TableTasks:
     def _in_force(
         self, before: Correction, new: Correction | None, keep: bool, put: Callable[[], None]
     ) -> dict[str, Any]:
-        """Put it in force, prove it, save it if ``keep``; a failure leaves ``before``."""
+        """A failure leaves ``before``."""
         if keep:
             check_can_save(self._module)
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
@@ -185,7 +185,7 @@ class TableTasks:
         return {"staged": False, "active": True, "saved_as": saved_as}
 
     def _state_after(self, used: Correction | None, done: dict[str, Any]) -> TableState:
-        """The state after a change, or CommissioningError, which says what was done."""
+        """CommissioningError says what was done."""
         try:
             return TableState.of_module(self._module)
         except CanfbError as error:
@@ -197,7 +197,6 @@ class TableTasks:
             ) from error
 
     def _moves(self, state: TableState, before: Correction, after: Correction) -> str:
-        """By how much a position within the cycle moves with the other table."""
         _, apart = difference(before.table, after.table)
         words = f"positions move by at most {state.cycles_in_words(apart)}"
         same = before.conditioning == after.conditioning

@@ -71,7 +71,7 @@ class LimitSettings:
     def bounds(
         self, cycles_per_revolution: int, interval_s: float, noise_cycles: float | None = None
     ) -> Declared:
-        """All that bounds the motion, at this interval from sample to sample; 0.0: not known."""
+        """At this interval from sample to sample; 0.0: not known."""
         n, widest = cycles_per_revolution, self.widest_cycles
         margin = math.inf
         if self.noise_margin and noise_cycles is not None:

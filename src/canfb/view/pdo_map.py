@@ -20,7 +20,7 @@ MOST_ENTRIES = 64  # above, sub-index 0 of a mapping stands for a multiplexed PD
 
 
 class Pdo(NamedTuple):
-    """A valid PDO: its number, 1.., its CAN-ID, and what it maps, as in 1600h."""
+    """Valid; ``number`` from 1, ``entries`` as in 1600h."""
 
     number: int
     can_id: int
@@ -44,11 +44,11 @@ class Pdo(NamedTuple):
         return found
 
     def carries(self, index: int) -> bool:
-        """It maps at least one entry of this object."""
+        """An entry of this object."""
         return any(entry >> 16 == index for entry in self.entries)
 
     def bytes_of(self) -> dict[int, int]:
-        """The byte at which each entry begins, of those that begin at one."""
+        """The byte at which each entry begins."""
         at: dict[int, int] = {}
         bit = 0
         for entry in self.entries:
@@ -98,7 +98,7 @@ class PdoLayout:
 
     @property
     def others(self) -> list[int]:
-        """COB-IDs of the other PDOs that bring a part of the sample."""
+        """Other COB-IDs that bring a part of the sample."""
         parts = (*self.earlier, *(() if self.timed_by is None else (self.timed_by,)))
         return sorted({part.can_id for part in parts} - {self.can_id})
 
@@ -109,11 +109,11 @@ class PdoLayout:
 
     @property
     def sender(self) -> int | None:
-        """The node that sends it by the predefined connection set, or None."""
+        """By the predefined connection set, or None."""
         return (self.can_id & 0x7F or None) if self.can_id & 0x780 in PREDEFINED else None
 
     def unpack(self, data: bytes) -> tuple[int, int] | None:
-        """Sine and cosine, counts; None for a PDO that is too short."""
+        """Sine and cosine, counts, or None."""
         if len(data) < max(self.sine_byte, self.cosine_byte) + 2:
             return None
         return (
@@ -122,7 +122,7 @@ class PdoLayout:
         )
 
     def sample_time(self, data: bytes) -> int | None:
-        """Sample time, 100 ns, modulo 2^32; None for a PDO that has none."""
+        """100 ns, modulo 2^32, or None."""
         begin = self.time_byte
         if begin is None or len(data) < begin + 4:
             return None
@@ -130,22 +130,22 @@ class PdoLayout:
 
 
 def module_layout(read: Read) -> PdoLayout | None:
-    """The RPDO from which a module takes its samples, or None."""
+    """Where a module takes its samples from, or None."""
     return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_TRACKS, MODULE_EARLIER)
 
 
 def coarse_layout(read: Read) -> PdoLayout | None:
-    """The RPDO from which a module takes the coarse track, or None."""
+    """The same of the coarse track."""
     return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_COARSE_TRACKS, ())
 
 
 def interface_layout(read: Read) -> PdoLayout | None:
-    """The TPDO in which an encoder interface sends both tracks, or None."""
+    """Where an encoder interface sends both tracks, or None."""
     return _layout(read, od.TPDO, od.TPDO_MAPPING, INTERFACE_TRACKS, INTERFACE_EARLIER)
 
 
 def mapped_objects(read: Read) -> set[int]:
-    """All mapping entries of the valid RPDOs, as in 1600h."""
+    """Entries of the valid RPDOs."""
     return {entry for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING) for entry in pdo.entries}
 
 
