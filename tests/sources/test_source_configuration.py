@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import pytest
@@ -122,9 +123,8 @@ def test_the_encoder_interface_is_nobodys_business_with_a_source() -> None:
 
 
 plain = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8))
-KEYS = st.sampled_from(
-    [f for kind in (RecordingSourceConfig, MotionSourceConfig, IioSourceConfig) for f in kind.__annotations__]
-)
+KINDS = (RecordingSourceConfig, MotionSourceConfig, IioSourceConfig)
+KEYS = st.sampled_from([field.name for kind in KINDS for field in dataclasses.fields(kind)])
 
 
 @given(

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+import contextlib
 import math
+import time
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.simulation.cia402.plant import Motor, MotorConfig
+from folding import each
 
 FREE = {"coulomb_friction_nm": 0.0, "viscous_friction_nm_s": 0.0, "torque_time_constant_s": 0.0}
 
@@ -19,31 +22,26 @@ def motor(command_nm: float = 0.0, speed_rad_s: float = 0.0, **fields: float) ->
     return made
 
 
-def test_a_constant_torque_accelerates_evenly() -> None:
-    one = motor(0.3, **FREE)
-    one.run(0.5)
-    assert one.speed_rad_s == pytest.approx(150.0, rel=1e-12)
-    assert one.revolutions == pytest.approx(0.5 * 300.0 * 0.25 / (2 * math.pi), rel=1e-9)
-    assert one.time_s == 0.5
-
-
-def test_viscous_friction_ends_the_acceleration_as_the_exponential_says() -> None:
-    one = motor(0.3, **FREE | {"viscous_friction_nm_s": 2e-3})
+# With 2e-3 Nm s/rad the time constant of the speed is 0.5 s.
+@each(
+    "viscous, speed, angle",
+    [
+        (0.0, 210.0, 0.5 * 300.0 * 0.49),
+        (1e-13, 210.0, 0.5 * 300.0 * 0.49),
+        (2e-3, 150.0 * (1 - math.exp(-1.4)), 150.0 * (0.7 - 0.5 * (1 - math.exp(-1.4)))),
+    ],
+)
+def test_a_constant_torque_accelerates_against_viscous_friction(
+    viscous: float, speed: float, angle: float
+) -> None:
+    one = motor(0.3, **FREE | {"viscous_friction_nm_s": viscous})
     one.run(0.7)
-    tau = 1e-3 / 2e-3
-    assert one.speed_rad_s == pytest.approx(150.0 * (1 - math.exp(-0.7 / tau)), rel=1e-9)
-    angle = 150.0 * (0.7 - tau * (1 - math.exp(-0.7 / tau)))
+    assert one.speed_rad_s == pytest.approx(speed, rel=1e-9)
     assert one.revolutions == pytest.approx(angle / (2 * math.pi), rel=1e-9)
+    assert one.time_s == 0.7
 
 
-def test_almost_no_viscous_friction_is_almost_none() -> None:
-    one, none = motor(0.3, **FREE | {"viscous_friction_nm_s": 1e-13}), motor(0.3, **FREE)
-    one.run(0.1)
-    none.run(0.1)
-    assert one.revolutions == pytest.approx(none.revolutions, rel=1e-9)
-
-
-@pytest.mark.parametrize("viscous", [0.0, 1e-4])
+@each("viscous", [0.0, 1e-4])
 def test_coulomb_friction_brings_the_shaft_to_rest_and_holds_it(viscous: float) -> None:
     one = motor(0.0, 10.0, **FREE | {"coulomb_friction_nm": 0.01, "viscous_friction_nm_s": viscous})
     one.run(0.9)
@@ -67,22 +65,17 @@ def test_a_torque_beyond_friction_turns_the_motion_round_within_a_step() -> None
     assert one.speed_rad_s == pytest.approx(-10.0 * (1e-4 - 0.0005 / 30.0), rel=1e-6)
 
 
-def test_the_brake_holds_what_the_load_would_turn() -> None:
-    one = motor(**FREE | {"load_torque_nm": 0.3, "brake_torque_nm": 1.0})
-    one.braked = True
-    one.run(1.0)
-    assert one.revolutions == 0.0
-    one.braked = False
-    one.run(0.1)
-    assert one.speed_rad_s == pytest.approx(-30.0, rel=1e-9)
-
-
-def test_the_load_comes_at_its_time() -> None:
-    one = motor(**FREE | {"load_torque_nm": 0.1, "load_at_s": 0.5})
+def test_the_load_comes_at_its_time_and_the_brake_holds_it() -> None:
+    one = motor(**FREE | {"load_torque_nm": 0.3, "load_at_s": 0.5, "brake_torque_nm": 1.0})
     one.run(0.5)
     assert one.revolutions == 0.0
     one.run(0.1)
-    assert one.speed_rad_s == pytest.approx(-10.0, rel=1e-6)
+    assert one.speed_rad_s == pytest.approx(-30.0, rel=1e-6)
+    one.braked = True
+    one.run(1.0)
+    rest = one.revolutions
+    one.run(1.0)
+    assert (one.speed_rad_s, one.revolutions) == (0.0, rest)
 
 
 def test_the_torque_follows_its_command_with_the_time_constant() -> None:
@@ -121,13 +114,33 @@ def test_friction_and_no_torque_never_add_energy(load: float, speed: float) -> N
         assert one.speed_rad_s * speed >= 0
 
 
-@pytest.mark.parametrize("time_s", [-1e-9, math.nan, math.inf])
-def test_time_does_not_go_back(time_s: float) -> None:
-    with pytest.raises(ValueError, match="duration_s"):
-        motor().run(time_s)
-
-
-def test_no_time_changes_nothing() -> None:
+@each("time_s", [-1e-9, math.nan, math.inf, 0.0])
+def test_time_does_not_go_back_and_no_time_changes_nothing(time_s: float) -> None:
     one = motor(0.3, 5.0)
-    one.run(0.0)
+    with contextlib.nullcontext() if time_s == 0.0 else pytest.raises(ValueError, match="duration_s"):
+        one.run(time_s)
     assert (one.time_s, one.revolutions, one.torque_nm) == (0.0, 0.0, 0.0)
+
+
+LOADED = MotorConfig(load_torque_nm=-0.02, load_at_s=2.0, viscous_friction_nm_s=1e-3)
+
+
+@each("config", [MotorConfig(), LOADED])
+@each("speed", [0.0, 3.0, -50.0])
+def test_a_long_pause_in_one_step_is_what_it_is_in_many(config: MotorConfig, speed: float) -> None:
+    at_once, often = Motor(config), Motor(config)
+    for motor in (at_once, often):
+        motor.speed_rad_s, motor.command_nm, motor.braked = speed, 0.03, False
+    at_once.run(5.0)
+    for _ in range(5000):
+        often.run(0.001)
+    assert at_once.revolutions == pytest.approx(often.revolutions, rel=1e-7, abs=1e-9)
+    assert at_once.speed_rad_s == pytest.approx(often.speed_rad_s, rel=1e-7, abs=1e-9)
+    assert at_once.time_s == pytest.approx(5.0)
+
+
+def test_a_pause_of_a_day_takes_no_time() -> None:
+    motor, began = Motor(MotorConfig()), time.process_time()
+    motor.run(86_400.0)
+    assert motor.time_s == pytest.approx(86_400.0)
+    assert time.process_time() - began < 1.0

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import pytest
 from hypothesis import given
@@ -11,6 +10,7 @@ from canfb.cia301.frame import Frame
 from canfb.simulation.cia402.feedback_input import SyncInterval
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant, PlantSource
 from canfb.simulation.encoder import Encoder, ShaftEncoder
+from folding import each
 
 SYNC = Frame(0x80, b"")
 
@@ -34,60 +34,46 @@ def test_the_machine_turns_in_true_time_however_the_syncs_come(steps: list[float
     assert one.syncs == len(steps) + 1
 
 
-def test_before_the_first_sync_no_time_passes() -> None:
+@each(
+    "syncs, passed_s",
+    [
+        ([], 0.0),
+        ([(SYNC._replace(timestamp=5.0), 5.003), (SYNC._replace(timestamp=5.25), 5.4)], 0.25),
+        ([(SYNC, 5.0), (SYNC._replace(timestamp=5.25), 5.4), (SYNC._replace(timestamp=5.1), 5.5)], 0.25),
+        ([(Frame(0x80, b"\x01"), 0.0), (Frame(0x80, b"\x02"), 0.001)], 1e-3),
+        (
+            [(SYNC, 1.0), (Frame(0x81, b""), 2.0), (Frame(0x80, b"", True), 2.0), (Frame(0x180, b""), 2.0)],
+            0.0,
+        ),
+    ],
+)
+def test_time_passes_from_the_first_sync_on_by_when_syncs_are_received(
+    syncs: list[tuple[Frame, float]], passed_s: float
+) -> None:
     one = plant()
     one.go_on_to(100.0)
-    one.receive(SYNC, 1000.0)
-    assert one.motor.time_s == 0.0
-
-
-def test_the_time_of_a_sync_is_that_of_its_reception() -> None:
-    one = plant()
-    one.receive(SYNC._replace(timestamp=5.0), 5.003)
-    one.receive(SYNC._replace(timestamp=5.25), 5.4)
-    assert one.motor.time_s == pytest.approx(0.25)
-    one.receive(SYNC._replace(timestamp=5.1), 5.5)
-    assert one.motor.time_s == pytest.approx(0.25), "time does not go back"
-
-
-def test_other_frames_and_a_remote_frame_move_nothing() -> None:
-    one = plant()
-    for frame in (SYNC, Frame(0x81, b""), Frame(0x80, b"", True), Frame(0x180, b"")):
-        one.receive(frame, 1.0 if frame is SYNC else 2.0)
-    assert one.motor.time_s == 0.0
+    for frame, now in syncs:
+        assert one.receive(frame, now) == []
+    assert one.motor.time_s == pytest.approx(passed_s)
     assert (one.start(0.0), one.tick(0.0), one.deadline()) == ([], [], None)
 
 
-def test_a_sync_with_a_counter_is_one() -> None:
-    one = plant()
-    one.receive(Frame(0x80, b"\x01"), 0.0)
-    one.receive(Frame(0x80, b"\x02"), 0.001)
-    assert one.motor.time_s == pytest.approx(1e-3)
-
-
-def test_a_torque_acts_from_its_time_on() -> None:
+@each(
+    "first_s, torque_s, last_s, acting_s",
+    [(1.0, 1.00025, 1.001, 0.75e-3), (1.0, 1.5, 1.6, 0.1), (1.0, 0.5, 1.001, 1e-3)],
+)
+def test_a_torque_acts_from_its_time_on_but_not_before_the_first_sync(
+    first_s: float, torque_s: float, last_s: float, acting_s: float
+) -> None:
     one = plant(speed=0.0)
-    one.receive(SYNC, 1.0)
-    one.drive(0.1, True, 1.00025)
-    one.receive(SYNC, 1.001)
-    assert one.motor.speed_rad_s == pytest.approx(100.0 * 0.75e-3)
-
-
-def test_a_torque_that_comes_later_than_the_next_sync_should_have_acts_from_there() -> None:
-    one = plant(speed=0.0)
-    one.receive(SYNC, 1.0)
-    one.drive(0.1, True, 1.5)
-    one.receive(SYNC, 1.6)
-    assert one.motor.speed_rad_s == pytest.approx(100.0 * 0.1)
-
-
-def test_a_torque_before_the_first_sync_waits_for_it() -> None:
-    one = plant(speed=0.0)
-    one.drive(0.1, True, 0.5)
-    one.receive(SYNC, 1.0)
-    assert one.motor.speed_rad_s == 0.0
-    one.receive(SYNC, 1.001)
-    assert one.motor.speed_rad_s == pytest.approx(0.1)
+    steps = [
+        (first_s, lambda: one.receive(SYNC, first_s)),
+        (torque_s, lambda: one.drive(0.1, True, torque_s)),
+        (last_s, lambda: one.receive(SYNC, last_s)),
+    ]
+    for _, step in sorted(steps, key=lambda pair: pair[0]):
+        step()
+    assert one.motor.speed_rad_s == pytest.approx(100.0 * acting_s)
 
 
 def test_without_power_there_is_no_torque_and_the_brake_is_closed() -> None:
@@ -126,52 +112,22 @@ def test_the_zero_pulse_is_where_the_shaft_passes_a_revolution() -> None:
     assert pulses == pytest.approx({math.ceil(at): at % 1.0 for at in passed})
 
 
-LOADED = MotorConfig(load_torque_nm=-0.02, load_at_s=2.0, viscous_friction_nm_s=1e-3)
-
-
-@pytest.mark.parametrize("config", [MotorConfig(), LOADED], ids=["friction", "a load that comes"])
-@pytest.mark.parametrize("speed", [0.0, 3.0, -50.0])
-def test_a_long_pause_in_one_step_is_what_it_is_in_many(config: MotorConfig, speed: float) -> None:
-    at_once, often = Motor(config), Motor(config)
-    for motor in (at_once, often):
-        motor.speed_rad_s, motor.command_nm, motor.braked = speed, 0.03, False
-    at_once.run(5.0)
-    for _ in range(5000):
-        often.run(0.001)
-    assert at_once.revolutions == pytest.approx(often.revolutions, rel=1e-7, abs=1e-9)
-    assert at_once.speed_rad_s == pytest.approx(often.speed_rad_s, rel=1e-7, abs=1e-9)
-    assert at_once.time_s == pytest.approx(5.0)
-
-
-def test_a_pause_of_a_day_takes_no_time() -> None:
-    motor, began = Motor(MotorConfig()), time.process_time()
-    motor.run(86_400.0)
-    assert motor.time_s == pytest.approx(86_400.0)
-    assert time.process_time() - began < 1.0
-
-
-def test_the_interval_is_measured_without_pauses_and_late_ones() -> None:
-    interval = SyncInterval()
-    now = 0.0
-    for step in [1e-3] * 50 + [0.2] + [1e-3] * 50 + [5e-3, 1e-5, 1e-5, 1e-5] + [1e-3] * 5:
+@each(
+    "steps, seconds",
+    [
+        ([], 0.0),
+        ([0.0], 0.0),
+        ([1e-3] * 50 + [0.2] + [1e-3] * 50 + [5e-3, 1e-5, 1e-5, 1e-5] + [1e-3] * 5, 1e-3),
+        ([1e-3] * 20 + [1e-4] * 8, 1e-4),
+        ([1e-3] * 20 + [3e-3] * 8, 3e-3),
+        ([1e-3] * 20 + [0.5] * 8, 0.5),
+    ],
+)
+def test_the_interval_is_measured_without_pauses_and_late_ones(steps: list[float], seconds: float) -> None:
+    interval, now = SyncInterval(), 7.0
+    interval.event(now)
+    for step in steps:
         now += step
         interval.event(now)
-    assert interval.seconds == pytest.approx(1e-3, rel=1e-6)
-
-
-@pytest.mark.parametrize("other", [1e-4, 3e-3, 0.5])
-def test_another_rate_is_learnt(other: float) -> None:
-    interval = SyncInterval()
-    now = 0.0
-    for step in [1e-3] * 20 + [other] * 8:
-        now += step
-        interval.event(now)
-    assert interval.seconds == pytest.approx(other)
-
-
-def test_before_the_second_sync_the_interval_is_not_known() -> None:
-    interval = SyncInterval()
-    assert interval.seconds == 0.0
-    interval.event(7.0)
-    interval.event(7.0)
-    assert (interval.seconds, interval.last_s) == (0.0, 7.0)
+    assert interval.seconds == pytest.approx(seconds, rel=1e-6)
+    assert interval.last_s == now
