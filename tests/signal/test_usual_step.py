@@ -38,6 +38,12 @@ LIMITS = ChainLimits(
 )
 
 
+KINDS = (
+    "run run run jump still weak clipped invalid zeros late time pulse coarse missed limits several table "
+    "restart resume lose uncertain interval second front corner"
+)
+
+
 class Resolving(Stages):
     """Stages that take no sample for a usual one."""
 
@@ -67,35 +73,7 @@ def same(ours: Feedback | None, theirs: Feedback | None) -> bool:
 @st.composite
 def events(draw: st.DrawFn) -> list[tuple[str, float]]:
     """Runs of samples, and what happens between them."""
-    kinds = st.sampled_from(
-        [
-            "run",
-            "run",
-            "run",
-            "jump",
-            "still",
-            "weak",
-            "clipped",
-            "invalid",
-            "zeros",
-            "late",
-            "time",
-            "pulse",
-            "coarse",
-            "missed",
-            "limits",
-            "several",
-            "table",
-            "restart",
-            "resume",
-            "lose",
-            "uncertain",
-            "interval",
-            "second",
-            "front",
-            "corner",
-        ]
-    )
+    kinds = st.sampled_from(KINDS.split())
     return draw(st.lists(st.tuples(kinds, st.floats(-1.0, 1.0, allow_nan=False)), min_size=3, max_size=20))
 
 

@@ -126,6 +126,8 @@ class Grid:
         first.append(instant)
         if len(first) >= CALLS and (len(first) == MOST_CALLS or _is_straight(first)):
             self.set_again(_lowest(first))
+            self.seen = 2  # the two that it lies on: one of eight calls follows
+            self._find_gains()
 
     def nearest(self, instant: float) -> tuple[int, float]:
         """Places from the last one to the nearest, and how much later than that the instant is."""
@@ -188,7 +190,7 @@ class Grid:
         row, enough = self.row, FIRST if self.early > 1 else CALLS
         if not self.early and row[-1] - row[0] < TOGETHER * self.period * (len(row) - 1):
             return False
-        if not self.early and len(row) == MOST_CALLS:
+        if self.early < 2 and len(row) == MOST_CALLS:
             self.row = _lowest(row)
         elif len(row) >= enough and _is_straight(row[-enough:]):
             del row[:-enough], self._in_turn[:-enough]

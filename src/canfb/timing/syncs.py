@@ -13,7 +13,8 @@ Without receive times the call is only the latest time of the frame. SYNCs are c
 with their counter where they have one, and the line follows the earliest of TOGETHER calls. One that is
 late by a turn of its counter, without a counter by a period, may come after others that were lost: nothing is
 valid until one is in time again. Those that stay late, a period apart, were not late: SYNCs
-are missing, which is as many intervals of doubt. Doubt is speed times intervals: at standstill it is none.
+are missing, which is as many intervals of doubt. So is one late by half a period behind an extra one: that
+may have been the SYNC of this place. Doubt is speed times intervals: at standstill it is none.
 
 | bound | value | reason |
 |---|---|---|
@@ -296,7 +297,8 @@ class Syncs:
         turn = self.overflow if missing is not None else 1
         late_s = time_s - grid.due - lost * grid.period
         apart_s = time_s - self._received_s
-        early, late = late_s < self._early_s(missing is not None), late_s > (turn - 1 + LATE) * grid.period
+        most = turn - 1 + (HALF if self.late_s or self.extra_came else LATE)
+        early, late = late_s < self._early_s(missing is not None), late_s > most * grid.period
         if early and missing:
             # It was due much later: a counter that jumped, or one of another producer.
             doubt, lost, late_s = float(lost), 0, time_s - grid.due
@@ -324,9 +326,10 @@ class Syncs:
     def _relocked(
         self, time_s: float, counter: int | None, late_s: float, turn: int, missing: int | None
     ) -> SyncVerdict:
+        late = abs(late_s) / self.grid.period
         behind = round(late_s / self.grid.period / turn) * turn
         verdict = self._set_again(time_s, counter, 1, late_s, missing)
-        lost = max(0, behind) if verdict.doubt == abs(late_s) / self.grid.period else 0
+        lost = max(0, behind) if verdict.doubt == late else 0
         self.place += lost
         return verdict._replace(lost=verdict.lost + lost, doubt=max(1.0, verdict.doubt))
 

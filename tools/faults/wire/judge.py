@@ -8,7 +8,8 @@ J2  SYNC s (synchronous TPDOs and RPDOs), or a foreign PDO after it: that of the
     With 2013h, that at the SYNC itself, or one period after the sample (docs/latency.md).
 J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
     position at that very moment. So a frozen position is wrong once the machine has moved on.
-J4  a sample time that is off by no more than the wire can be (P4): also the position at the time it names.
+J4  a sample time that is off its SYNC, or its place on the grid, by no more than the wire can be (P4): also the
+    position at the time it names.
 
 "Is that of" means within half a cycle. A frame with bit 0 whose position is that of no instant that the rules
 admit is **valid and wrong**. No latency is allowed. Frames without bit 0 are never wrong.
@@ -290,8 +291,14 @@ class Judge:
     def _named(self, samples: Iterable[int]) -> list[float]:
         """Rule J4."""
         line, tolerance = self._line, self._tolerance
-        off = [line.named[n] for n in samples if 0.0 < abs(line.named[n] - line.sample_times[n]) <= tolerance]
-        return self._plan.motion.at(off).tolist() if off else []
+        named = []
+        for n in samples:
+            at, time = line.named[n], line.sample_times[n]
+            # Without receive times of SYNC the module knows its place only.
+            place = time if self._plan.setup.stamps else line.sample_slots[n] + 1.0
+            if at != time and min(abs(at - time), abs(at - place)) <= tolerance:
+                named.append(at)
+        return self._plan.motion.at(named).tolist() if named else []
 
     def _see_acceleration(self, one: Sent, status: int, rad_s2: float) -> None:
         if not status & VALID or one.newest < MEMORY or one.cause is None or one.cause.what != "pdo":
