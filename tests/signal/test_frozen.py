@@ -38,40 +38,14 @@ def test_below_the_residual_limit_a_machine_may_have_stopped(limit: float, sampl
         assert first_proof(samples, sign * speed, limit) == samples
 
 
-runs = st.lists(
-    st.tuples(st.booleans(), st.sampled_from([0.0, 0.124, 0.125, -0.125, -0.124, 0.3, 1.0, -5.0, 83.2])),
-    max_size=30,
-)
-
-
-@given(runs, st.sampled_from([0, 1, 2, 3, 5]), st.integers(0, 5))
-@example([(True, 5.0)] * 6, 5, 1)
-@example([(False, 5.0), (True, 5.0)], 1, 0)
-@example([(False, 5.0), (True, 5.0)], 0, 0)
-@example([(False, 0.3), (True, 0.3), (True, 0.3)], 2, 3)
-def test_a_run_of_samples_is_taken_as_one_by_one(
-    samples: list[tuple[bool, float]], frozen_samples: int, before: int
-) -> None:
-    run, single = FrozenInput(frozen_samples, 0.125), FrozenInput(frozen_samples, 0.125)
-    for frozen in (run, single):
-        for _ in range(before):
-            frozen.repeated(5.0)
-    wanted = 0
-    for equal, speed in samples:
-        if not equal:
-            single.moved()
-        elif single.repeated(speed):
-            break
-        wanted += 1
-    equals = np.array([equal for equal, _ in samples], dtype=bool)
-    speeds = np.array([speed for _, speed in samples])
-    assert run.take_run(equals, speeds if equals.any() else np.zeros(0)) == wanted
-    if wanted < len(samples):
-        assert run.repeated(samples[wanted][1]), "the first that is frozen was not taken"
-    else:
-        assert run.repeats == single.repeats
-        follow = [(run.repeated(0.3), single.repeated(0.3)) for _ in range(8)]
-        assert [a for a, _ in follow] == [b for _, b in follow]
+@given(st.lists(st.booleans()), st.integers(1, 5))
+@example([False, True, True, False, True], 3)
+def test_a_run_ends_before_the_first_row_that_may_freeze(samples: list[bool], frozen_samples: int) -> None:
+    taken = FrozenInput(frozen_samples, 0.125).before_row(np.array(samples, bool))
+    rows = "".join("=" if equal else "." for equal in samples)
+    assert "=" * frozen_samples not in rows[:taken]
+    assert not rows[:taken].endswith("=")
+    assert rows[taken:].startswith("=" * frozen_samples) or not rows[taken:].strip("=")
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -160,7 +134,7 @@ def test_a_machine_stands_where_no_number_of_repeats_is_a_fault(
     assert frozen.stands is stands
     flagged += [frozen.repeated(speed) for _ in range(20)]
     assert any(flagged) is not stands
-    assert frozen.take_run(np.zeros(3, np.bool_), np.zeros(3)) == 3
+    frozen.moved()
     assert not frozen.stands
     assert frozen.repeats == 0
 

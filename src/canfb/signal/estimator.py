@@ -305,15 +305,13 @@ class Estimator:
     def _usual_radius(self, elapsed: float) -> float:
         """Half the window of a sample in turn, cycles; 1.0 where two samples do not give it."""
         last = self.tracker.elapsed
-        if last < SHORT_INTERVAL or elapsed >= LONG_INTERVAL or len(self.places) < 2:
+        if last < SHORT_INTERVAL or len(self.places) < 2:
             return 1.0
         error = self._error + self._instant_error * abs(self.tracker.step_cycles)
         return self._largest * elapsed * (elapsed + last) / 2.0 + error * (2.0 + 2.0 * elapsed / last)
 
     def _counted(self, phase: float, elapsed: float) -> Track | None:
         """The position of a sample in turn, if it is the only one that the machine can be at."""
-        if elapsed >= LONG_INTERVAL:
-            return None
         if elapsed == 1.0 and self.tracker.is_steady and not (self.declared.instant_error or self.searches):
             if len(self.places) > 1:
                 return None  # the prediction has refused it already

@@ -95,18 +95,11 @@ class FrontEnd:
 
         With ``amplitude_known`` False the attenuation is left in.
         """
-        angle = self._phase_error - self._delay * speed_cycles
+        angle = self._phase_error - self.turned_rad(speed_cycles)
         (offset_s, offset_c), (gain_s, gain_c) = self._offsets, self._gains
-        if self._differ:
-            angle = self._phase_error - self.turned_rad(speed_cycles)
-            if amplitude_known:
-                gain_s *= _rise(self._corner * speed_cycles)
-                gain_c *= _rise(self._cosine_corner * speed_cycles)
-        elif self._corner and amplitude_known:
-            ratio = self._corner * speed_cycles
-            rise = sqrt(1.0 + ratio * ratio)
-            gain_s *= rise
-            gain_c *= rise
+        if self._cosine_corner and amplitude_known:
+            gain_s *= _rise(self._corner * speed_cycles)
+            gain_c *= _rise(self._cosine_corner * speed_cycles)
         if not -LARGEST_RAD < angle < LARGEST_RAD:
             return 0.0, 0.0, 0.0, 0.0, 0.0
         skew = tan(angle)

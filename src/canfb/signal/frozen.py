@@ -71,30 +71,12 @@ class FrozenInput:
         slow = not self.frozen_samples or abs(self._speed) < self.residual_limit_cycles
         return self.repeats > 0 and slow
 
-    def take_run(self, equal: npt.NDArray[np.bool_], speeds: npt.NDArray[np.float64]) -> int:
-        """:meth:`repeated` where a sample is ``equal`` to the one before, :meth:`moved` where not.
+    def before_row(self, equal: npt.NDArray[np.bool_]) -> int:
+        """Samples before the first row of repeats that may freeze: long enough, or with no end yet.
 
-        ``speeds`` before each sample, cycles per interval. The result: samples before the first frozen one;
-        only these are taken.
+        ``equal``: which samples are equal to the one before; the first one begins a row.
         """
-        at = np.flatnonzero(equal)
-        if not len(at):
-            self.repeats = 0 if len(equal) else self.repeats
-            return len(equal)
-        begin = ~equal[at - 1]
-        begin[0] = True  # none before it, and at 0 there is no at - 1
-        begins = at[begin]
-        speed = speeds[begins]
-        if begins[0] == 0 and self.repeats:  # the repeats began before this run
-            begins[0], speed[0] = -self.repeats, self._speed
-        row = np.add.accumulate(begin, dtype=np.intp) - 1
-        repeats = at - begins[row] + 1
-        moving = (np.abs(speed) >= self.residual_limit_cycles) & (self.frozen_samples > 0)
-        frozen = np.flatnonzero(moving[row] & (repeats >= self.frozen_samples))
-        taken = int(at[frozen[0]]) if len(frozen) else len(equal)
-        if taken and not equal[taken - 1]:
-            self.repeats = 0
-        elif taken:
-            last = int(np.searchsorted(at, taken)) - 1
-            self.repeats, self._speed = int(repeats[last]), float(speed[row[last]])
-        return taken
+        changes = np.flatnonzero(np.diff(equal, prepend=False, append=False))
+        begins, ends = changes[::2], changes[1::2]
+        rows = begins[(ends - begins >= self.frozen_samples) | (ends == len(equal))]
+        return int(rows[0]) if len(rows) else len(equal)

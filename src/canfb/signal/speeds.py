@@ -10,11 +10,6 @@ import itertools
 import math
 from collections.abc import Sequence
 
-import numpy as np
-import numpy.typing as npt
-
-from canfb.signal.phase import FloatArray
-
 STANDSTILL_CYCLES = 0.001  # per interval, on average: what noise and a servo at rest may show
 STILL_SAMPLES, STILL_CYCLES = 256, 0.02
 STEADY_SAMPLES = 16  # show whether the machine stands still
@@ -55,28 +50,6 @@ def least_speed(places: Sequence[Place], steps: int) -> float:
     recent = list(places)[-steps - 1 :]
     speeds = [((new[0] - old[0]) + (new[1] - old[1])) / new[2] for old, new in itertools.pairwise(recent)]
     return min(speeds, key=abs, default=0.0)
-
-
-def least_speeds(
-    places: Sequence[Place], cycles: npt.NDArray[np.int64], phase: FloatArray, steps: int
-) -> FloatArray:
-    """The size of :func:`least_speed` before each of these samples, one interval apart, which follow
-    ``places``; 0 without any.
-
-    ``cycles`` and ``phase`` have shape (n,), and so has the result.
-    """
-    if not places:
-        return np.zeros(len(cycles))
-    known = list(places)[-steps - 1 :]
-    counts = np.concatenate([[place[0] for place in known], cycles[:-1]])
-    phases = np.concatenate([[place[1] for place in known], phase[:-1]])
-    speeds: FloatArray = np.diff(counts) + np.diff(phases)
-    speeds[: len(known) - 1] /= [place[2] for place in known[1:]]
-    padded = np.concatenate([np.full(steps, np.inf), np.abs(speeds)])[len(known) - 1 :]
-    least = padded[: len(cycles)]
-    for later in range(1, steps):
-        least = np.minimum(least, padded[later : later + len(cycles)])
-    return np.where(np.isfinite(least), least, 0.0)
 
 
 class StillPhase:

@@ -382,6 +382,7 @@ class Stages:
             or self.estimator.searches
             or self._supervision.after_fault
             or self.reference.in_doubt
+            or (self._frozen.frozen_samples and self._frozen.repeats)
         )
         return not doubts and continues(self._tracker, tracked, at)
 
@@ -404,13 +405,7 @@ class Stages:
         if stop > start and self._frozen.frozen_samples:
             before = self._sine, self._cosine
             equal = repeats(sine[: stop - start], cosine[: stop - start], before, scratch.bit)
-            if equal is None:
-                self._frozen.moved()
-            else:
-                places = () if estimator.lost else estimator.places
-                doubtful = estimator.declared.bad_samples + 1
-                least = speeds.least_speeds(places, cycles[start:stop], phase[start:stop], doubtful)
-                stop = start + self._frozen.take_run(equal, least)
+            stop = stop if equal is None else start + self._frozen.before_row(equal)
         if stop == start:
             tracker.set_state(*state)
             return 0
