@@ -8,8 +8,7 @@ J2  SYNC s (synchronous TPDOs and RPDOs), or a foreign PDO after it: that of the
     With 2013h, that at the SYNC itself, or one period after the sample (docs/latency.md).
 J3  a timer, an SDO read, NMT: that of the newest sample heard, if it is no older than FRESH; else the true
     position at that very moment. So a frozen position is wrong once the machine has moved on.
-J4  a sample time that is off its SYNC, or its place on the grid, by no more than the wire can be (P4): also the
-    position at the time it names.
+J4  a sample time that is off by no more than the wire can be (P4): also the position at the time it names.
 
 "Is that of" means within half a cycle. A frame with bit 0 whose position is that of no instant that the rules
 admit is **valid and wrong**. No latency is allowed. Frames without bit 0 are never wrong.
@@ -130,10 +129,8 @@ class Judge:
                 self._see_acceleration(one, *struct.unpack("<Hf", data))
             elif can_id == EMCY_ID:
                 emergencies.append(one.now * plan.options.interval_s)
-        for n, at in enumerate(emergencies):
-            verdict.emergencies = max(
-                verdict.emergencies, n + 1 - bisect_left(emergencies, at - EMCY_WINDOW_S)
-            )
+        counts = (n + 1 - bisect_left(emergencies, at - EMCY_WINDOW_S) for n, at in enumerate(emergencies))
+        verdict.emergencies = max(counts, default=0)
         self._conclude()
         if plan.options.tpdo_type == 1 and not plan.actions:
             verdict.unanswered = self._unanswered(sent)
@@ -247,12 +244,9 @@ class Judge:
         return within
 
     def _nearest(self, one: Sent, position: float) -> tuple[float, float]:
-        best = None
-        for truth in self._admissible(one):
-            error = within_half(position - (truth - self._base), RANGE_CYCLES)
-            if best is None or abs(error) < abs(best[1]):
-                best = truth - self._base, error
-        return best or (0.0, RANGE_CYCLES)
+        truths = [truth - self._base for truth in self._admissible(one)]
+        errors = ((truth, within_half(position - truth, RANGE_CYCLES)) for truth in truths)
+        return min(errors, key=lambda one: abs(one[1]), default=(0.0, RANGE_CYCLES))
 
     def _admissible(self, one: Sent) -> list[float]:
         """True positions at the instants of rules J1 to J4."""
@@ -291,11 +285,9 @@ class Judge:
     def _named(self, samples: Iterable[int]) -> list[float]:
         """Rule J4."""
         line, tolerance = self._line, self._tolerance
-        named = []
-        for n in samples:
-            at, time = line.named[n], line.sample_times[n]
-            # Without receive times of SYNC the module knows its place only.
-            place = time if self._plan.setup.stamps else line.sample_slots[n] + 1.0
+        stamped, named = self._plan.setup.stamps, []
+        for at, time, slot in ((line.named[n], line.sample_times[n], line.sample_slots[n]) for n in samples):
+            place = time if stamped else slot + 1.0  # all that is known without receive times
             if at != time and min(abs(at - time), abs(at - place)) <= tolerance:
                 named.append(at)
         return self._plan.motion.at(named).tolist() if named else []
