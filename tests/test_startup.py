@@ -13,7 +13,7 @@ import pytest
 import canfb
 
 # Slow to import: together many times the rest of a start.
-HEAVY = ("numpy", "can", "canopen", "yaml", "msgpack")
+HEAVY = ("numpy", "can", "canopen", "yaml", "msgpack", "canfb.simulation")
 # What each use may load of these.
 USES: dict[str, set[str]] = {
     "import canfb": set(),
@@ -21,6 +21,8 @@ USES: dict[str, set[str]] = {
     "from canfb import phase_in_cycle, process, calibrate_from_motion": {"numpy"},
     "from canfb import ModuleConfig": {"numpy"},
     "from canfb import load_config": {"numpy", "yaml"},
+    "from canfb.cli.run import Hosting; from canfb.configuration import parse_config; "
+    "Hosting(parse_config('modules: [{node_id: 32}]'))": {"numpy", "yaml", "can", "canopen", "msgpack"},
     "from canfb.cli.main import main; main([])": set(),
     "from canfb.cli.main import main; main(['--help'])": set(),
     "from canfb.cli.main import main; main(['--version'])": set(),

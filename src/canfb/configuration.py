@@ -13,7 +13,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
@@ -25,9 +25,10 @@ from canfb.marked_yaml import line_of as yaml_line
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig, SecondPositionConfig
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.simulation.cia402.plant import DriveConfig
-from canfb.simulation.scenario import EncoderScenario, HarmonicConfig, MotionConfig, SimulationConfig
 from canfb.sources.protocol import SourceConfig, source_kinds
+
+if TYPE_CHECKING:
+    from canfb.simulation.scenario import SimulationConfig
 
 MODULES, INTERFACES = ("modules",), ("interfaces",)
 ANY_NODES = MODULES + INTERFACES
@@ -75,14 +76,21 @@ class Config:
     modules      the drive feedback modules, which one process serves
     interfaces   the encoder interfaces with a source, which ``canfb run`` serves
     realtime     real-time options
-    simulation   what ``canfb simulate`` plays
+    played       its ``simulation`` section; None: there is none
     """
 
     bus: dict[str, Any] = field(default_factory=dict)
     modules: list[ModuleConfig] = field(default_factory=list)
     interfaces: list[InterfaceConfig] = field(default_factory=list)
     realtime: RealtimeConfig = field(default_factory=RealtimeConfig)
-    simulation: SimulationConfig = field(default_factory=SimulationConfig)
+    played: SimulationConfig | None = field(default=None, metadata={"named": "simulation"})
+
+    @property
+    def simulation(self) -> SimulationConfig:
+        """What ``canfb simulate`` plays, the defaults without a section."""
+        from canfb.simulation.scenario import SimulationConfig  # here: who serves nodes plays nothing
+
+        return self.played or SimulationConfig()
 
     @property
     def nodes(self) -> list[tuple[str, int, NodeConfig]]:
@@ -99,11 +107,6 @@ _NESTED: dict[str, type] = {
     "conditioning": Conditioning,
     "adapt": AdaptConfig,
     "second_position": SecondPositionConfig,
-    "simulation": SimulationConfig,
-    "encoder": EncoderScenario,
-    "motion": MotionConfig,
-    "harmonics": HarmonicConfig,
-    "drive": DriveConfig,
 }
 _LISTS = frozenset({"modules", "interfaces", "harmonics"})
 _OR_FLAG = frozenset({"adapt"})  # or true for its defaults, or false
@@ -202,6 +205,7 @@ class _Reader:
 
     def __init__(self, name: str) -> None:
         self._name = name
+        self._nested = dict(_NESTED)
 
     def fail(self, node: yaml.Node, text: str) -> ConfigError:
         return _config_error(self._name, yaml_line(node), text)
@@ -211,15 +215,19 @@ class _Reader:
         if not isinstance(node, yaml.MappingNode):
             raise self.fail(node, f"{where} must be a mapping of keys to values")
         self._check_tag(node, "map", where)
-        known = {f.name: f for f in dataclasses.fields(kind) if f.metadata.get("key", True)}
+        known = {
+            f.metadata.get("named", f.name): f
+            for f in dataclasses.fields(kind)
+            if f.metadata.get("key", True)
+        }
         values: dict[str, Any] = {}
         lines: dict[str, yaml.Node] = {}
-        for key_node, value_node in self._pairs(node, where):
+        for key_node, value_node in pairs(node):
             key = key_node.value
             if key not in known:
                 raise self.fail(key_node, self.unknown(key, list(known), where))
             is_list = known[key].metadata.get("list", False)
-            values[key] = self._value(key, value_node, where, is_list)
+            values[known[key].name] = self._value(key, value_node, where, is_list)
             lines[key] = key_node
         for required in dataclasses.fields(kind):
             no_default = required.default is required.default_factory is dataclasses.MISSING
@@ -232,17 +240,6 @@ class _Reader:
         except (ValueError, TypeError) as error:
             guilty = self._guilty(str(error), lines)
             raise self.fail(node if guilty is None else guilty, f"{where}: {error}") from None
-
-    def _pairs(self, node: yaml.MappingNode, where: str) -> list[tuple[yaml.ScalarNode, yaml.Node]]:
-        """Keys and values of a mapping; every key is one word, and there once."""
-        seen: set[str] = set()
-        for key_node, _ in node.value:
-            if not isinstance(key_node, yaml.ScalarNode):
-                raise self.fail(key_node, f"a key in {where} must be a single word")
-            if key_node.value in seen:
-                raise self.fail(key_node, f"key {key_node.value!r} appears twice in {where}")
-            seen.add(key_node.value)
-        return list(node.value)
 
     def _check_tag(self, node: yaml.Node, tag: str, where: str) -> None:
         if node.tag != f"tag:yaml.org,2002:{tag}":
@@ -262,23 +259,25 @@ class _Reader:
         if is_list and isinstance(node, yaml.SequenceNode):
             self._check_tag(node, "seq", f"'{key}' in {where}")
             return [self._single(item, f"a part of '{key}' in {where}") for item in node.value]
-        if key not in _NESTED or (key in _OR_FLAG and isinstance(node, yaml.ScalarNode)):
+        if key == "simulation":
+            from canfb.simulation.scenario import SECTION  # here: a file without it loads no simulation
+
+            self._nested |= SECTION
+        if key not in self._nested or (key in _OR_FLAG and isinstance(node, yaml.ScalarNode)):
             return self._single(node, f"'{key}' in {where}")
         if key not in _LISTS:
-            return self.read(node, _NESTED[key], key)
+            return self.read(node, self._nested[key], key)
         if not isinstance(node, yaml.SequenceNode):
             raise self.fail(node, f"'{key}' in {where} must be a list")
         self._check_tag(node, "seq", f"'{key}' in {where}")
-        return [self.read(item, _NESTED[key], f"{key}[{n}]") for n, item in enumerate(node.value)]
+        return [self.read(item, self._nested[key], f"{key}[{n}]") for n, item in enumerate(node.value)]
 
     def _bus(self, node: yaml.Node) -> dict[str, Any]:
         if not isinstance(node, yaml.MappingNode):
             raise self.fail(
                 node, "'bus' must be a mapping of python-can's parameters, such as {interface: socketcan}"
             )
-        return {
-            key.value: self._plain(value, f"{key.value!r} in bus") for key, value in self._pairs(node, "bus")
-        }
+        return {key.value: self._plain(value, f"{key.value!r} in bus") for key, value in pairs(node)}
 
     def _source(self, node: yaml.Node) -> Any:
         """One of several classes, by its ``kind``; null is none."""
@@ -289,7 +288,7 @@ class _Reader:
                 node, "'source' must be a mapping with a kind, such as {kind: iio, device: ads7950}"
             )
         known = source_kinds()
-        kinds = [value for key, value in self._pairs(node, "source") if key.value == "kind"]
+        kinds = [value for key, value in pairs(node) if key.value == "kind"]
         if not kinds:
             raise self.fail(node, f"'kind' is missing in source; known: {', '.join(known)}")
         kind = kinds[0].value if isinstance(kinds[0], yaml.ScalarNode) else None
@@ -349,10 +348,11 @@ class _Reader:
                 if alike and UNCONFIGURED in (mine.node_id, theirs.node_id):
                     said = f"serial_number {mine.serial_number} {both}: LSS needs unique ones"
                     raise self.fail(one.node, said)
-        if config.simulation.drive is not None:
+        played = config.played
+        if played is not None and played.drive is not None:
             taken = {one.config.node_id: f"node_id of {one.title}" for one in devices}
             taken |= {node: f"encoder_interface of {title}" for title, node in sampled.items()}
-            drive = config.simulation.drive.node_id
+            drive = played.drive.node_id
             if drive in taken:
                 line, _ = found_at(root, "simulation", "drive", "node_id")
                 raise _config_error(self._name, line, f"drive: node_id {drive} is the {taken[drive]}")

@@ -59,7 +59,9 @@ _LoaderWithExponents.add_implicit_resolver(
 
 
 def compose(text: str | bytes, *, exponents: bool = False) -> yaml.Node | None:
-    """The nodes of a YAML text, each with its line; None for an empty text. YamlError.
+    """The nodes of a YAML text, each with its line; None for an empty text.
+
+    YamlError, also for a key that is no word or comes twice.
 
     ``exponents``: 1e6 is a number, as people write it; in a file of ours it may be a CRC (388251E1).
     """
@@ -73,6 +75,7 @@ def compose(text: str | bytes, *, exponents: bool = False) -> yaml.Node | None:
         root: yaml.Node | None = loader.get_single_node()
         if root is not None and _values(root, {}) > MOST_VALUES:
             raise YamlError(loader.line + 1, f"the file stands for more than {MOST_VALUES} values")
+        _check_keys(root)
         return root
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -129,11 +132,10 @@ def line_of(node: yaml.Node) -> int:
 
 
 class MarkedYaml:
-    """The content of a YAML text, and where its keys are. YamlError, also for a key that comes twice."""
+    """The content of a YAML text, and where its keys are. YamlError."""
 
     def __init__(self, data: bytes) -> None:
         self._root = compose(data)
-        _refuse_doubles(self._root)
         try:
             self.content: Any = construct(self._root)
         except yaml.MarkedYAMLError as error:
@@ -145,8 +147,8 @@ class MarkedYaml:
         return found_at(self._root, *keys)[0]
 
 
-def _refuse_doubles(root: yaml.Node | None) -> None:
-    """YamlError for the first double in the file."""
+def _check_keys(root: yaml.Node | None) -> None:
+    """YamlError for a key that is no single word, or that comes twice."""
     waiting, known = [root], set[int]()
     while waiting:
         node = waiting.pop()
@@ -155,11 +157,12 @@ def _refuse_doubles(root: yaml.Node | None) -> None:
         known.add(id(node))
         seen: dict[str, int] = {}
         for key, value in pairs(node):
-            if isinstance(key, yaml.ScalarNode):
-                if key.value in seen:
-                    said = f"key {key.value!r} is there already, in line {seen[key.value]}"
-                    raise YamlError(line_of(key), said)
-                seen[key.value] = line_of(key)
+            if not isinstance(key, yaml.ScalarNode):
+                raise YamlError(line_of(key), "a key must be a single word")
+            if key.value in seen:
+                said = f"key {key.value!r} is there already, in line {seen[key.value]}"
+                raise YamlError(line_of(key), said)
+            seen[key.value] = line_of(key)
             waiting.append(value)
         if isinstance(node, yaml.SequenceNode):
             waiting.extend(node.value)

@@ -95,7 +95,7 @@ class DriveNetwork:
         config = load_config(FOLDER / "feedback.yaml")
         assert config.simulation.drive is not None
         changed = dataclasses.replace(config.simulation.drive, **drive)  # type: ignore[arg-type]
-        config = dataclasses.replace(config, simulation=dataclasses.replace(config.simulation, drive=changed))
+        config = dataclasses.replace(config, played=dataclasses.replace(config.simulation, drive=changed))
         simulated = simulated_axis(config.simulation, fed_module(config.modules[0]))
         assert simulated is not None
         self.plant, self.drive = simulated.plant, simulated.drive

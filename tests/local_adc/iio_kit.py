@@ -30,7 +30,7 @@ def iio_source(config: IioSourceConfig, reopen_s: float = REOPEN_S) -> CapturedS
     """The source of this configuration; what opens it closes it."""
     with contextlib.ExitStack() as resources:
         source = config.open(
-            Surroundings(12, 2500, SimulationConfig(), partial(CapturedSource, reopen_s=reopen_s), resources)
+            Surroundings(12, 2500, SimulationConfig, partial(CapturedSource, reopen_s=reopen_s), resources)
         )
     assert isinstance(source, CapturedSource)
     return source

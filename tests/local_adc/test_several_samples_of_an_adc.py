@@ -13,7 +13,7 @@ from emulated_iiod import EmulatedIiod
 from iio_kit import LIMIT_S, deliver, reading
 
 from canfb.cia301.frame import Frame
-from canfb.configuration import ANY_NODES, parse_config
+from canfb.configuration import ANY_NODES, Config, parse_config
 from canfb.errors import ConfigError
 from canfb.hosting.captured_source import CapturedSource
 from canfb.hosting.hosting import make_interface, open_source
@@ -22,7 +22,6 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import MISSED, VALID
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp
-from canfb.simulation.scenario import SimulationConfig
 
 Iiod = Callable[..., EmulatedIiod]
 SYNC = Frame(0x80, b"")
@@ -91,7 +90,7 @@ def test_a_module_with_an_adc_of_its_own_takes_two(iiod: Iiod, resources: contex
     server = iiod()
     (config,) = configured(server, f"modules: [{{node_id: 32, {KEYS}}}]").modules
     assert config.source is not None
-    config, source = open_source(config, config.source, SimulationConfig(), resources)
+    config, source = open_source(config, config.source, Config(), resources)
     assert isinstance(source, CapturedSource)
     assert server.opened.wait(LIMIT_S)
     module = FeedbackModule(config, source=source)

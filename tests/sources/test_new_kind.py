@@ -122,7 +122,7 @@ def test_a_module_runs_on_it() -> None:
     with contextlib.ExitStack() as resources:
         (module_config,) = config.modules
         assert module_config.source is not None
-        module_config, source = open_source(module_config, module_config.source, config.simulation, resources)
+        module_config, source = open_source(module_config, module_config.source, config, resources)
         assert module_config.adc_bits == 14, "those of its converter"
         module = FeedbackModule(module_config, source=source)
         told: list[str] = []

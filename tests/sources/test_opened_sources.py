@@ -24,7 +24,7 @@ def opened(source: str, more: str = "") -> Source:
     (module,) = config.modules
     assert module.source is not None
     with contextlib.ExitStack() as resources:
-        return open_source(module, module.source, config.simulation, resources)[1]
+        return open_source(module, module.source, config, resources)[1]
 
 
 def played(source: Source) -> list[Sample | None]:
@@ -86,7 +86,7 @@ def test_a_module_of_the_command_runs_on_its_source(capsys: pytest.CaptureFixtur
     text = f"{{kind: recording, file: {tracks}, columns: [a, b], mid_scale: 1000}}"
     config = parse_config(f"modules: [{{node_id: 32, autostart: true, source: {text}}}]")
     with contextlib.ExitStack() as resources, printed_log():
-        module = make_module(config.modules[0], resources, {}, config.simulation)
+        module = make_module(config.modules[0], resources, {}, config)
         module.start(0.0)
         for n in range(4):
             module.receive(Frame(0x80, b""), n * 1e-3)

@@ -187,7 +187,7 @@ def jittered(config: Config, options: argparse.Namespace) -> Config:
             f"({LARGEST_PART / options.rate * 1e6:.0f}us)"
         )
     simulation = replace(config.simulation, sync_jitter_us=seconds * 1e6, sync_jitter_rms_us=0.0)
-    return replace(config, simulation=simulation)
+    return replace(config, played=simulation)
 
 
 def bit_rate_of(words: Mapping[str, Any]) -> int | None:

@@ -39,7 +39,6 @@ from canfb.module.device_configuration import DeviceConfiguration, configuration
 from canfb.module.events import NodeEvents
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
-from canfb.simulation.scenario import SimulationConfig
 from canfb.sources.protocol import Converter, Source, SourceConfig, Surroundings
 
 
@@ -110,11 +109,9 @@ class Hosting(OnBus):
 
     def _make_devices(self, resources: contextlib.ExitStack) -> list[Device]:
         resources.enter_context(self._diagnosis.keeping_the_log())
-        config, simulation = self.config, self.config.simulation
-        self.modules = [make_module(one, resources, self.words, simulation) for one in config.modules]
-        self.interfaces = [
-            make_interface(one, resources, self.words, simulation) for one in config.interfaces
-        ]
+        config = self.config
+        self.modules = [make_module(one, resources, self.words, config) for one in config.modules]
+        self.interfaces = [make_interface(one, resources, self.words, config) for one in config.interfaces]
         for module in self.modules:
             self._events.watch(module, module.events)
         for interface in self.interfaces:
@@ -195,13 +192,13 @@ def make_module(
     config: ModuleConfig,
     resources: contextlib.ExitStack,
     bus_words: Mapping[str, Any],
-    simulation: SimulationConfig | None = None,
+    whole: Config | None = None,
 ) -> FeedbackModule:
     """With its state_dir and source, held by `resources`."""
     store = open_store(config.state_dir, resources)
     source = None
     if config.source is not None:
-        config, source = open_source(config, config.source, simulation or SimulationConfig(), resources)
+        config, source = open_source(config, config.source, whole or Config(), resources)
     module = FeedbackModule(config, store, source=source, bit_rates_kbit_s=bit_rates_of(bus_words))
     warn_about(module, config.state_dir)
     module.on_warning = module.on_source
@@ -244,7 +241,7 @@ Sampling = TypeVar("Sampling", ModuleConfig, InterfaceConfig)
 
 
 def open_source(
-    config: Sampling, settings: SourceConfig, simulation: SimulationConfig, resources: contextlib.ExitStack
+    config: Sampling, settings: SourceConfig, whole: Config, resources: contextlib.ExitStack
 ) -> tuple[Sampling, Source]:
     """The source with these ``settings``, closed by ``resources``, and the bits of its converter.
 
@@ -254,7 +251,9 @@ def open_source(
     def captured(*opening: Any) -> Source:
         return resources.enter_context(CapturedSource(*opening))
 
-    around = Surroundings(config.adc_bits, config.cycles_per_revolution, simulation, captured, resources)
+    around = Surroundings(
+        config.adc_bits, config.cycles_per_revolution, lambda: whole.simulation, captured, resources
+    )
     source = settings.open(around)
     if isinstance(source, Converter):
         try:
@@ -268,11 +267,11 @@ def make_interface(
     config: InterfaceConfig,
     resources: contextlib.ExitStack,
     bus_words: Mapping[str, Any],
-    simulation: SimulationConfig | None = None,
+    whole: Config | None = None,
 ) -> EncoderInterface:
     """With its source and state_dir, held by `resources`."""
     store = open_store(config.state_dir, resources)
-    config, source = open_source(config, config.source, simulation or SimulationConfig(), resources)
+    config, source = open_source(config, config.source, whole or Config(), resources)
     interface = EncoderInterface(
         config.node_id,
         source,

@@ -48,17 +48,8 @@ def is_log(path: Path) -> bool:
     return suffix in readable() and suffix not in IN_NO_FOLDER and not (zipped and suffix in NOT_ZIPPED)
 
 
-def check_readable(path: Path) -> str:
-    """The suffix. ConfigError for one that nobody reads."""
-    return _checked(path, readable())
-
-
-def check_writable(path: Path) -> str:
-    """The suffix. ConfigError for one that nobody writes."""
-    return _checked(path, writable())
-
-
-def _checked(path: Path, known: list[str]) -> str:
+def check_suffix(path: Path, known: list[str]) -> str:
+    """The suffix, one of :func:`readable` or :func:`writable`. ConfigError for another one."""
     suffix, zipped = log_suffix(path)
     if suffix in known and not (zipped and suffix in NOT_ZIPPED):
         return suffix

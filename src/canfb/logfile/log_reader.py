@@ -15,7 +15,7 @@ from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.errors import CanfbError, reason
 from canfb.logfile.candump import USUAL, blocks_of, usual_frames
 from canfb.logfile.in_order import InOrder
-from canfb.logfile.log_files import NEEDS_PACKAGE, LogCounters, LogError, check_readable, opened
+from canfb.logfile.log_files import NEEDS_PACKAGE, LogCounters, LogError, check_suffix, opened, readable
 from canfb.logfile.python_can_logs import CandumpLines, messages_of
 
 BATCH_FRAMES = 4096
@@ -41,7 +41,7 @@ class BusLogFile:
     trouble: str | None = None
 
     def __post_init__(self) -> None:
-        self.suffix = check_readable(self.path)
+        self.suffix = check_suffix(self.path, readable())
         try:
             with self.path.open("rb") as file:
                 self._bytes = max(1, file.seek(0, 2))

@@ -42,7 +42,7 @@ WEIGHTS, SQUARES = 4.0, 6.0  # sums of the sizes and of the squares of 1, 2, 1 (
 
 @dataclass(frozen=True)
 class PhaseErrors:
-    """Of the encoder of a module, without those of the sampling instants."""
+    """Those of an encoder."""
 
     errors: EncoderErrors
     module: PlannedModule
@@ -56,14 +56,14 @@ class PhaseErrors:
 
     @property
     def largest_cycles(self) -> float:
-        """The largest error of a phase but for noise, given or usual."""
+        """Without noise, given or usual."""
         if self.errors.phase_cycles is not None:
             return self.errors.phase_cycles
         return TABLE_PHASE_ERROR_CYCLES if self.module.has_table else RAW_PHASE_ERROR_CYCLES
 
     @property
     def largest_residual(self) -> float:
-        """At most in a residual: all errors at the same time, and the noise."""
+        """All errors at the same time, and the noise."""
         return WEIGHTS * self.largest_cycles + PEAK * math.sqrt(SQUARES) * self.noise_cycles
 
     @property
@@ -96,7 +96,7 @@ class ResidualBudget:
 
     @property
     def interval_s(self) -> float:
-        """The nominal sampling interval: that of SYNC, divided by the samples in it."""
+        """From sample to sample, nominal."""
         return 1.0 / self.sample_hz
 
     @property
@@ -106,13 +106,13 @@ class ResidualBudget:
 
     @cached_property
     def limit_cycles(self) -> float:
-        """The residual limit in force at the given speed: uncertain sample times widen a narrowed one."""
+        """In force at the given speed: uncertain sample times widen a narrowed one."""
         uncertain = WEIGHTS * self._cycles_per_s * self.known_uncertainty_s
         return min(self.slow_limit_cycles + uncertain, self.module.widest_limit_cycles)
 
     @cached_property
     def slow_limit_cycles(self) -> float:
-        """The residual limit of a machine that turns slowly."""
+        """Of a machine that turns slowly."""
         return self.bounds.residual_limit
 
     @cached_property
@@ -127,39 +127,39 @@ class ResidualBudget:
 
     @property
     def is_narrowed(self) -> bool:
-        """What is known of the machine is narrower than 2010:01."""
+        """By 2010:02, below 2010:01."""
         return self.slow_limit_cycles < self.module.widest_limit_cycles
 
     @cached_property
     def measured_noise_cycles(self) -> float:
-        """The rms of the residual without the motion (2011:0B)."""
+        """Rms of the residual without motion (2011:0B)."""
         return self.phase_errors.rms_residual
 
     @cached_property
     def noise_margin_cycles(self) -> float:
-        """2010:09 times the noise that the module will measure; inf while it is 0."""
+        """2010:09 times the measured noise; inf while it is 0."""
         return self.module.settings.noise_margin * self.measured_noise_cycles or math.inf
 
     @property
     def has_noise_margin(self) -> bool:
-        """The margin of the limit in force is that of the measured noise."""
+        """The limit in force is that of the measured noise."""
         return self.is_narrowed and self.noise_margin_cycles < self._declared_cycles
 
     @property
     def asked_rad_s2(self) -> float | None:
-        """The largest acceleration that the module has to follow; None: not given."""
+        """None: not given."""
         return self.plan_input.motion.acceleration_of(self.module)
 
     @cached_property
     def sync_jitter_s(self) -> float:
-        """Half the range of the SYNC on the bus: of its producer, and of frames before it; or 2010:0D."""
+        """Half its range: of the producer and of frames before it; or 2010:0D."""
         return max(
             self.plan_input.jitter_s + self.plan_input.bus.sync_delay_s / 2.0, self.module.declared_jitter_s
         )
 
     @cached_property
     def uncertainty_s(self) -> float:
-        """Half the range in which the sampling instant may be; 0.0 for a module that samples itself."""
+        """Of the sampling instant, half its range; 0.0 for a module that samples itself."""
         if self.module.samples_itself:
             return 0.0
         jitter_s = 0.0 if self.module.samples_per_sync > 1 else self.sync_jitter_s
@@ -167,12 +167,12 @@ class ResidualBudget:
 
     @property
     def known_uncertainty_s(self) -> float:
-        """What of it the module knows, and adds to its limit: the resolution of sample times."""
+        """Resolution of sample times, which the module adds to its limit."""
         return HALF_TICK_S if self.module.times and not self.module.samples_itself else 0.0
 
     @property
     def parts(self) -> tuple[ResidualPart, ...]:
-        """What the residual is made of, at worst, all at the same time."""
+        """Of the largest residual, all at the same time."""
         instants = self.instants_cycles
         return (
             self.motion_part,
@@ -187,22 +187,22 @@ class ResidualBudget:
 
     @cached_property
     def needed_cycles(self) -> float:
-        """The largest residual of the healthy machine; the limit has to be above it."""
+        """The largest residual of the healthy machine."""
         return sum(part.cycles for part in self.parts)
 
     @property
     def margin(self) -> float:
-        """Residual limit over what is needed."""
+        """Limit over needed."""
         return over(self.limit_cycles, self.needed_cycles)
 
     @property
     def equation_rad_s2(self) -> float:
-        """The acceleration that eq. 12 allows without any errors."""
+        """Eq. 12 without any errors."""
         return self._acceleration(self.limit_cycles, self.sample_hz)
 
     @property
     def paper_rad_s2(self) -> float:
-        """The acceleration that eq. 10 allows."""
+        """Eq. 10."""
         return max_acceleration(self.module.cycles_per_revolution, self.sample_hz)
 
     @property
@@ -212,7 +212,7 @@ class ResidualBudget:
 
     @property
     def equation_speed_rad_s(self) -> float:
-        """The speed that w v u < L allows without any errors; inf without an uncertainty."""
+        """w v u < L without any errors; inf without an uncertainty."""
         return self._speed_beside(0.0)
 
     @property
@@ -227,7 +227,7 @@ class ResidualBudget:
         return self._speed_beside(motion + self.phase_cycles)
 
     def _speed_beside(self, needed_cycles: float) -> float:
-        """The speed at which the sampling instants need what this leaves; the limit grows with the speed."""
+        """The limit grows with the speed."""
         own_s = self.uncertainty_s - self.known_uncertainty_s
         return min(
             self.speed_rad_s(self.slow_limit_cycles - needed_cycles, own_s),
@@ -258,14 +258,11 @@ class ResidualBudget:
 
     @property
     def worst_interval_s(self) -> float:
-        """The equal intervals that would do to eq. 9 what unequal ones do at worst.
-
-        With intervals g and h it leaves a h (g + h)/2, here with instants off by +-jitter.
-        """
+        """Equal intervals that leave as much of eq. 9 as unequal ones at worst: a h (g + h)/2."""
         return math.sqrt((self.interval_s + 2.0 * self.off_s) * (self.interval_s + self.off_s))
 
     def acceleration_cycles(self, acceleration_rad_s2: float) -> float:
-        """The second difference that an acceleration leaves."""
+        """Its second difference."""
         return cycles_per_interval_squared(
             acceleration_rad_s2, self.module.cycles_per_revolution, self.worst_interval_s
         )
@@ -277,10 +274,7 @@ class ResidualBudget:
 
     @property
     def phase_cycles(self) -> float:
-        """Errors of the phases in a residual, without those of their instants.
-
-        All at the same time; with a margin by the measured noise six standard deviations, if that is less.
-        """
+        """Errors of the phases in a residual: all at the same time, or six deviations of the noise."""
         largest = self.phase_errors.largest_residual
         return min(largest, PEAK * self.measured_noise_cycles) if self.has_noise_margin else largest
 
@@ -292,35 +286,32 @@ class ResidualBudget:
 
     @property
     def instants_cycles(self) -> float:
-        """Errors of the sampling instants in a residual."""
+        """Of the sampling instants in a residual."""
         return WEIGHTS * self._cycles_per_s * self.uncertainty_s
 
     def rest_cycles(self, instants_cycles: float) -> float:
-        """All but the motion, not below what the module itself allows for an uncorrected phase."""
+        """All but the motion; without a table 4 x 2010:0C at least."""
         uncorrected = self.plan_input.errors.phase_cycles is None and not self.module.has_table
         rest = self.phase_cycles + instants_cycles
         return max(rest, self._declared_cycles) if uncorrected else rest
 
     @property
     def _declared_cycles(self) -> float:
-        """What the module allows for errors of the phases: each of the size of 2010:0C."""
+        """Errors of the phases of the size of 2010:0C."""
         return WEIGHTS * self.module.settings.phase_error_cycles
 
     @property
     def left_in_force_cycles(self) -> float:
-        """What the limit in force leaves for the motion, as :meth:`left_cycles`."""
+        """:meth:`left_cycles` of the limit in force."""
         return self.left_cycles(self.limit_cycles, self.slow_limit_cycles)
 
     def left_cycles(self, limit_cycles: float, slow_limit_cycles: float) -> float:
-        """What a limit leaves for the motion, with the speed as given unless that alone is too much.
-
-        ``slow_limit_cycles`` is that of a machine that turns slowly.
-        """
+        """What a limit, and that of a slow machine, leave; without the speed if that is too much."""
         left = limit_cycles - self.rest_cycles(self.instants_cycles)
         return left if left > 0.0 else slow_limit_cycles - self.rest_cycles(0.0)
 
     def speed_rad_s(self, left_cycles: float, uncertainty_s: float) -> float:
-        """The speed at which the sampling instants need so much; inf if they are known."""
+        """At which the instants need so much; inf if they are known."""
         if left_cycles <= 0.0:
             return 0.0
         if uncertainty_s <= 0.0:

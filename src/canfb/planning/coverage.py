@@ -158,7 +158,7 @@ def _covered(window: SampleWindow, name: str, draw: Callable[[Rng, float], Fault
 
 
 def _motion(window: SampleWindow, total: int, rng: Rng) -> Floats:
-    """True positions, cycles: any phase and speed; from the fault on a constant acceleration.
+    """True positions, cycles; from the fault on accelerated.
 
     Whole cycles per interval make no difference to eq. 9, so the speed is within half a cycle.
     """

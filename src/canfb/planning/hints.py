@@ -193,7 +193,7 @@ def _narrower(plan: Plan) -> Ways:
 
 
 def _sharper(plan: Plan) -> Ways:
-    """A measured noise margin; the rate at which motion + margin + motion is sharp: the limit follows it."""
+    """A measured noise margin; the rate at which twice the motion and the margin are sharp."""
     given = plan.plan_input
     if not all(one.known_acceleration_rad_s2 for one in given.modules):
         return
@@ -227,7 +227,7 @@ def _at(given: PlanInput, bit_rate: int) -> PlanInput:
 
 
 def _needed_limit(plan: Plan) -> float:
-    """Above what is needed, in thousandths: 2010:01 rounds down by 1/65536."""
+    """In thousandths: 2010:01 rounds down by 1/65536."""
     needed = max(budget.needed_cycles for budget in plan.budgets)
     return math.floor(min(needed, 1.0) * 1000.0 + 1.1) / 1000.0
 

@@ -38,12 +38,12 @@ class CountDetection:
 
     @property
     def bad_samples(self) -> int:
-        """Bad samples in a row, of any phase, that cannot make an unseen error of the count."""
+        """In a row, of any phase, that cannot change the count unseen."""
         return samples_without_harm(self.limit_cycles + self.motion_cycles)
 
     @property
     def missed_samples(self) -> int:
-        """Missed or flagged samples in a row after which exactly one motion is left."""
+        """Missed or flagged in a row, after which one motion is left."""
         return self.declared.kept_samples(self.motion_cycles)
 
     def kept_with(self, **declared: Any) -> int:
@@ -52,7 +52,7 @@ class CountDetection:
 
     @property
     def is_declared(self) -> bool:
-        """The motion is within what is declared, or assumed after a gap."""
+        """The motion is within what is followed after a gap."""
         return self.motion_cycles <= self.declared.followed + ROUNDING
 
     @property
@@ -62,12 +62,12 @@ class CountDetection:
 
     @property
     def half_cycle(self) -> bool:
-        """A jump of half a cycle (both tracks inverted) is over the limit in its own sample."""
+        """A jump of half a cycle (both tracks inverted) is seen at once."""
         return self.limit_cycles + self.motion_cycles < 0.5
 
     @property
     def is_sharp(self) -> bool:
-        """The limit is as narrow as docs/faults.md recommends."""
+        """Below 1/6 (docs/faults.md)."""
         return self.limit_cycles + self.motion_cycles <= WELL + ROUNDING
 
 
@@ -116,7 +116,7 @@ class Plan:
 
     @property
     def tightest(self) -> Margin:
-        """The limit with the smallest margin."""
+        """The smallest margin."""
         return self.margins[0]
 
     @property
@@ -125,7 +125,7 @@ class Plan:
         return all(margin.holds for margin in self.margins)
 
     def detection(self, budget: ResidualBudget, limit_cycles: float | None = None) -> CountDetection:
-        """Detection with this residual limit; None: the one in force."""
+        """With this limit; None: the one in force."""
         limit = budget.limit_cycles if limit_cycles is None else limit_cycles
         declared = budget.declared
         if limit != budget.limit_cycles:

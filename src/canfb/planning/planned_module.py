@@ -38,8 +38,8 @@ def sample_bytes(values: Values) -> int:
 def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
     """The objects of the RPDOs with ``pairs`` 1..8 pairs of each SYNC, and the time of the newest or not.
 
-    What else they bring of the sample stays. They are filled in their order, those of the same interface
-    first, then those that are not in use. ValueError if there are too few.
+    What else they bring stays. RPDOs of the same interface come first, then free ones. ValueError if there
+    are too few.
     """
     pdos = _of_samples(values)
     tracks = next((pdo for pdo in pdos if {one.mapped(16) for one in NEWEST} <= set(pdo.entries)), None)
@@ -111,7 +111,7 @@ class PlannedModule:
 
     @property
     def widest_limit_cycles(self) -> float:
-        """2010:01, the residual limit without narrowing."""
+        """2010:01."""
         return self.settings.widest_cycles
 
     @property
@@ -125,7 +125,7 @@ class PlannedModule:
         return limit_settings(self.values.get)
 
     def bounds(self, interval_s: float, noise_cycles: float) -> Declared:
-        """What is in force at this interval from sample to sample, with this rms noise of the residual."""
+        """In force at this sampling interval and rms noise of the residual."""
         return self.settings.bounds(self.cycles_per_revolution, interval_s, noise_cycles)
 
     @property
@@ -140,7 +140,7 @@ class PlannedModule:
 
     @cached_property
     def times(self) -> bool:
-        """The ADC PDO brings the time of each sample, or the module takes the sample itself."""
+        """Sample times are known."""
         return self.samples_itself or self.settings.timed
 
     @cached_property
@@ -150,21 +150,21 @@ class PlannedModule:
 
     @property
     def sample_bytes(self) -> int:
-        """Data bytes of the ADC PDOs for each SYNC."""
+        """Of the ADC PDOs, for each SYNC."""
         return 0 if self.samples_itself else sample_bytes(self.values)
 
     def with_values(self, values: Mapping[Place, Any]) -> PlannedModule:
-        """The same with other values of these objects."""
+        """With other values of these objects."""
         return replace(self, values={**self.values, **values})
 
     def with_times(self) -> PlannedModule:
-        """The same with ``times: true``. ValueError if no RPDO has room for it."""
+        """``times: true``. ValueError without room in the RPDOs."""
         if self.times:
             return self
         return self.with_values(laid_out(self.values, self.samples_per_sync, times=True))
 
     def with_samples(self, per_sync: int) -> PlannedModule:
-        """The same with ``samples_per_sync``, 1..8; a module that samples itself stays. ValueError."""
+        """``samples_per_sync``, 1..8. ValueError without room in the RPDOs."""
         if self.samples_itself or per_sync == self.samples_per_sync:
             return self
         return self.with_values(laid_out(self.values, per_sync, self.times))

@@ -69,11 +69,11 @@ class Message:
         return min(by_sync + timed, self.most_hz)
 
     def bits_per_s(self, sync_hz: float) -> float:
-        """Part of the bit rate that it takes at this SYNC rate, bit/s."""
+        """Of the bit rate, at this SYNC rate."""
         return self.bits * self.rate_hz(sync_hz)
 
     def follows_sync(self, sync_hz: float) -> bool:
-        """Whether each of its frames goes out just after a SYNC, and so before the next one."""
+        """Whether each of its frames goes out just after a SYNC."""
         return self.each_syncs is not None and self.rate_hz(sync_hz) == sync_hz / self.each_syncs
 
 
@@ -203,19 +203,19 @@ class BusLoad:
 
     @cached_property
     def longest_turn_s(self) -> float:
-        """From a SYNC that is due until all frames that follow one are through, if all come at once."""
+        """From a SYNC until all frames that follow it are through."""
         bits = sum(message.bits for message in self.messages if message.follows_sync(self.sync_hz))
         return (bits + self._free_bits()) / self.bit_rate
 
     @cached_property
     def sync_delay_s(self) -> float:
-        """Longest wait of a SYNC for the bus: the longest frame that may be on the wire when it is due."""
+        """Longest wait of a SYNC: the longest frame on the wire when it is due."""
         late = self.longest_turn_s * self.sync_hz > 1.0
         longest = max((message.bits for message in self.messages), default=0) if late else self._free_bits()
         return longest / self.bit_rate
 
     def _free_bits(self) -> int:
-        """The longest frame that may be on the wire at any time."""
+        """The longest frame at any time."""
         free = [
             message.bits
             for message in self.messages

@@ -149,8 +149,7 @@ class Margins:
         self._look("acceleration_cycles", block, acceleration, block["residual_limit"])
         known = block["acceleration_limit_cycles"]
         self._look("machine_acceleration_cycles", block, acceleration, _where(known > 0.0, known))
-        interval_s = _where(block["interval_s"] > 0.0, block["interval_s"])
-        rad = 2.0 * math.pi / block["cycles_per_revolution"]
+        rad, interval_s = _units(block)
         speed = _where(valid, np.abs(block["speed_cycles"])) * rad / interval_s
         self._look("speed_rad_s", block, speed, np.full(len(speed), self.max_speed_rad_s))
         squared = acceleration * rad / interval_s**2
@@ -171,6 +170,13 @@ class Margins:
 
 def _where(chosen: BoolArray, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return np.where(chosen, values, np.nan)
+
+
+def _units(block: Block) -> tuple[FloatArray, FloatArray]:
+    """Radians in a cycle, seconds in an interval (NaN: not known)."""
+    return 2.0 * np.pi / block["cycles_per_revolution"], _where(
+        block["interval_s"] > 0.0, block["interval_s"]
+    )
 
 
 MOST_MEASURED = 1 << 15
@@ -261,12 +267,10 @@ class Overview:
         columns = {name: block[name] for name in COLUMNS}
         came = block["status"] & StatusBit.MISSED == 0
         columns["faulty"] = (block["status"] & FAULTY != 0).astype(np.float64)
-        columns["residual"] = np.where(came, block["residual"], np.nan)
-        columns["amplitude_counts"] = np.where(came, block["amplitude_counts"], np.nan)
-        interval_s = _where(block["interval_s"] > 0.0, block["interval_s"])
-        rad = 2.0 * np.pi / block["cycles_per_revolution"]
+        columns |= {name: _where(came, block[name]) for name in ("residual", "amplitude_counts")}
+        rad, interval_s = _units(block)
         valid = block["status"] & StatusBit.VALID != 0
-        columns["speed_rad_s"] = _where(valid, block["speed_cycles"] * rad / interval_s)
+        columns["speed_rad_s"] = _where(valid, block["speed_cycles"]) * rad / interval_s
         begins = np.arange(0, len(came), STRETCH_ROWS)
         for name, (column, how) in _KEPT.items():
             reduced = how.reduceat(columns[column].astype(np.float64), begins)

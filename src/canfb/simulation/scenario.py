@@ -132,8 +132,10 @@ class MotionConfig:
         )
 
     def motion(self) -> Motion:
-        ramps = (Ramp(self.standstill_s, 0.0), Ramp(self.ramp_s, self.rpm))
-        return Motion(ramps, (Ripple(self.ripple_rpm, self.ripple_hz),) if self.ripple_rpm else ())
+        return Motion(
+            (Ramp(self.standstill_s, 0.0), Ramp(self.ramp_s, self.rpm)),
+            (Ripple(self.ripple_rpm, self.ripple_hz),) if self.ripple_rpm else (),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,3 +187,13 @@ class SimulationConfig(SyncTiming):
     def sample_clock(self) -> SampleClock:
         """The clock of the interface; what it shows at the start is arbitrary."""
         return SampleClock(self.clock_drift_ppm, random.Random(self.seed).getrandbits(32))
+
+
+# Which class each key of the section holds.
+SECTION: dict[str, type] = {
+    "simulation": SimulationConfig,
+    "encoder": EncoderScenario,
+    "motion": MotionConfig,
+    "harmonics": HarmonicConfig,
+    "drive": DriveConfig,
+}

@@ -24,4 +24,4 @@ class MotionSourceConfig(SourceConfig):
 
     def open(self, surroundings: Surroundings) -> Source:
         around = surroundings
-        return around.simulation.source(around.adc_bits, around.cycles_per_revolution, 1.0 / self.rate_hz)
+        return around.simulation().source(around.adc_bits, around.cycles_per_revolution, 1.0 / self.rate_hz)

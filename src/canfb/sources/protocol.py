@@ -98,7 +98,7 @@ class Surroundings:
     """What there is for a source that is opened.
 
     adc_bits, cycles_per_revolution   of the module
-    simulation                        the simulated machine
+    simulation                        gives the simulated machine
     captured                          (opened, name, wait_s, picked): runs a capture in a thread, and gives
                                       a source of the scans that are picked, the newest without; a SYNC
                                       waits ``wait_s`` for a scan that it has fired
@@ -107,7 +107,7 @@ class Surroundings:
 
     adc_bits: int
     cycles_per_revolution: int
-    simulation: SimulatedMachine
+    simulation: Callable[[], SimulatedMachine]
     captured: Callable[..., Source]
     resources: contextlib.ExitStack
 
