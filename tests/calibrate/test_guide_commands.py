@@ -41,7 +41,6 @@ OF_OTHERS = {
     "needs CAN hardware or root": {"sudo", "ip", "candump", "dmesg"},
     "tells of this computer": {"uname"},
     "installs canfb": {"python3", "git", ".", "canfb-venv/bin/pip", "~/canfb-venv/bin/pip"},
-    "runs tests": {".venv/bin/python"},
     "is not a command": {
         *(
             "dtparam=spi=on",

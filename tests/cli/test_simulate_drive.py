@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import re
 import struct
@@ -50,12 +49,6 @@ def test_the_yaml_of_the_page_is_a_drive() -> None:
     assert axis is not None
     assert axis.demand is not None
     assert axis.demand.warning() is None
-
-
-def test_the_page_names_every_key_and_its_default() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
-    told = set(re.findall(r"`(\w+)`", page.partition("| key of `drive` |")[2].partition("\n\n")[0]))
-    assert told == {field.name for field in dataclasses.fields(DriveConfig)}
 
 
 def test_each_key_is_read_and_has_a_default() -> None:
