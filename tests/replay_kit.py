@@ -17,6 +17,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.module_replay import ModuleReplay
+from ideal_tracks import counts_at
 
 EPOCH_S = 1e6  # as a monotonic clock: near 1.7e9 a float is exact to 0.24 us only, and periods differ by it
 NODE_ID, INTERFACE_ID = 0x20, 0x10
@@ -129,9 +130,7 @@ def sdo_write(index: int, subindex: int, data: bytes) -> Frame:
 
 
 def adc(cycles: float, amplitude: float = 1500.0) -> Frame:
-    angle = 2.0 * math.pi * cycles
-    counts = round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle))
-    return Frame(ADC_ID, struct.pack("<hh", *counts))
+    return Frame(ADC_ID, struct.pack("<hh", *counts_at(cycles, amplitude)))
 
 
 def motion(samples: int, begin_s: float = 0.1, speed: float = 0.07, jitter_s: float = 0.0) -> list[Planned]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
@@ -21,6 +20,7 @@ from canfb.device.device_protocol import Device, Selective
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from fake_bus import FakeClock
+from ideal_tracks import counts_at
 
 NODES, UNCONFIGURED, SERIAL = (32, 33, 34), 255, 4711
 NEW_NODE = 35  # what LSS gives the last module
@@ -120,8 +120,7 @@ def cycle(number: int, sync_id: int = 0x080) -> list[tuple[int, bytes]]:
     """A SYNC, and the samples of all encoders, some of which turn fast."""
     frames = [(sync_id, b"")]
     for interface in (16, 17, 18):
-        angle = 2.0 * math.pi * (0.11 * (interface - 15)) * number
-        counts = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        counts = struct.pack("<hh", *counts_at(0.11 * (interface - 15) * number))
         frames.append((0x180 + interface, counts))
     return frames
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 import re
 import struct
@@ -21,6 +20,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.simulation.embedded_bus import EmbeddedBus
+from ideal_tracks import counts_at
 
 PAGE = (Path(__file__).parents[2] / "docs" / "attach.md").read_text(encoding="utf-8")
 NODE, INTERFACE = 0x20, 0x10
@@ -67,9 +67,7 @@ class Bus:
         self.hear(Frame(0, bytes([1, 0])))
 
     def sample(self, cycles: float = 0.0) -> list[Frame]:
-        x = 2 * math.pi * cycles
-        counts = round(1500 * math.sin(x)), round(1500 * math.cos(x))
-        return self.hear(Frame(self.tracks, struct.pack("<hh", *counts)))
+        return self.hear(Frame(self.tracks, struct.pack("<hh", *counts_at(cycles))))
 
 
 def ids(frames: list[Frame]) -> set[int]:

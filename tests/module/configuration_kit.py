@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from typing import Any
 
@@ -19,6 +18,7 @@ from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable
+from ideal_tracks import counts_at
 
 NODE_ID = 32
 RESET_NODE, START = Frame(0, bytes([0x81, NODE_ID])), Frame(0, bytes([0x01, NODE_ID]))
@@ -152,8 +152,7 @@ def played(module: FeedbackModule, samples: int = 40) -> list[Frame]:
             sent += module.tick(due)
         counter = bytes([n % overflow + 1]) if overflow > 1 else b""
         sent += module.receive(Frame(sync_id, counter), now)
-        angle = 2 * math.pi * (0.003 * n * n)
-        counts = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        counts = struct.pack("<hh", *counts_at(0.003 * n * n))
         for index in (0x1400, 0x1401):
             can_id = module.dictionary.entry(index, 1).value & 0x7FF
             sent += module.receive(Frame(can_id, (counts + bytes([n] * 4))[: 4 + n % 5]), now)

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 import struct
 from typing import Any
 
@@ -13,6 +12,7 @@ from canfb.eds_files import eds_path
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
+from ideal_tracks import counts_at
 
 SYNC = Frame(0x80, b"")
 
@@ -53,10 +53,7 @@ class Bench:
     def at(self, position_cycles: float, amplitude: float = 1500.0) -> tuple[int, int, int]:
         """One SYNC and one sample at this position: the position PDO's fields."""
         self.sync()
-        angle = 2 * math.pi * position_cycles
-        return self.position(
-            self.counts(round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle)))
-        )
+        return self.position(self.counts(*counts_at(position_cycles, amplitude)))
 
     @staticmethod
     def position(frames: list[Frame]) -> tuple[int, int, int]:

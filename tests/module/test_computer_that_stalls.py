@@ -13,6 +13,7 @@ from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.module.feedback_module import FeedbackModule
+from ideal_tracks import counts_at
 from judged_session import Judge, TrueMotion
 
 CONFIG = parse_config(EXAMPLE)
@@ -57,8 +58,7 @@ def test_no_position_is_valid_and_wrong(seed: int, load: float, stamped: bool, l
         data = b""
         if sampled_s is not None:
             begin_s = begin_s or sampled_s
-            angle = 2.0 * math.pi * judge.truth.at(sampled_s - begin_s) / judge.truth.units_per_cycle
-            counts = round(1500.0 * math.sin(angle)), round(1500.0 * math.cos(angle))
+            counts = counts_at(judge.truth.at(sampled_s - begin_s) / judge.truth.units_per_cycle)
             data = struct.pack("<hhI", *counts, round(sampled_s * 1e7))
         frame = Frame(0x190 if data else 0x80, data, False, sent_s if stamped else None)
         judge.take_all([frame, *module.receive(frame, now_s)], now_s)

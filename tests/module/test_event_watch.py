@@ -14,6 +14,7 @@ from canfb.cia301.nmt import NmtCommand
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.events import Event, EventKind
 from canfb.signal.feedback import Feedback
+from ideal_tracks import counts_at
 
 NODE, INTERFACE = 0x20, 0x10
 PERIOD_S = 1e-3
@@ -236,9 +237,7 @@ def test_a_sample_time_that_fits_nothing_is_reported() -> None:
 
     def sample(k: int, off_s: float = 0.0) -> None:
         at = 0.01 * k
-        angle = 2.0 * math.pi * 0.3 * k
-        ticks = round((at + off_s) * 1e7)
-        data = struct.pack("<hhI", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)), ticks)
+        data = struct.pack("<hhI", *counts_at(0.3 * k), round((at + off_s) * 1e7))
         module.receive(Frame(0x080, b"", timestamp=at), at)
         module.receive(Frame(0x180 + INTERFACE, data, timestamp=at + 2e-4), at + 2e-4)
 

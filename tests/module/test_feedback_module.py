@@ -14,6 +14,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal.speeds import STILL_SAMPLES
+from ideal_tracks import counts_at
 
 
 def test_the_counts_are_in_the_dictionary_and_every_stage_of_them(bench: Bench) -> None:
@@ -213,9 +214,8 @@ def test_two_zero_pulses_reference_the_position(bench: Bench) -> None:
     map_second_rpdo(bench, 0x20000608, 0x20000710)
     bench.sdo[0x2001][1].raw = 10
     for n in range(120):
-        angle = 2 * math.pi * 0.2 * n  # 50 samples in a revolution
         bench.sync()
-        bench.counts(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        bench.counts(*counts_at(0.2 * n))  # 50 samples in a revolution
         frames = bench.sent(Frame(0x290, struct.pack("<BH", n % 50 == 20, 32768)))
         _, status, _ = bench.position(frames)
         assert bool(status & StatusBit.REFERENCED) == (n >= 70)

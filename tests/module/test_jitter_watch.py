@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import canfb
 from canfb.cia301.frame import Frame
+from ideal_tracks import counts_at
 
 NODE, INTERFACE = 0x20, 0x10
 PERIOD_S = 1e-3
@@ -31,8 +32,7 @@ def turning(
     for k in range(1, syncs):
         now = k * PERIOD_S + draw.uniform(-jitter_us, jitter_us) * 1e-6
         cycles = speed * (now * now / 2.0 if now < 1.0 else now - 0.5)
-        angle = 2.0 * math.pi * cycles
-        data = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        data = struct.pack("<hh", *counts_at(cycles))
         if times:
             data += struct.pack("<I", round(now * 1e7))
         for can_id, content, later in ((0x80, b"", 0.0), (0x180 + INTERFACE, data, 3e-4)):

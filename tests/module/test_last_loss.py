@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 
 import pytest
@@ -13,6 +12,7 @@ from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import LossCause, StatusBit
+from ideal_tracks import counts_at
 
 LOSS = range(0x10, 0x17)
 EMCY = 0xA0
@@ -138,5 +138,4 @@ def give(module: canfb.FeedbackModule, can_id: int, data: bytes, at: float) -> N
 
 
 def counts(position_cycles: float) -> bytes:
-    angle = 2.0 * math.pi * position_cycles
-    return struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+    return struct.pack("<hh", *counts_at(position_cycles))

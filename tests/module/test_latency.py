@@ -9,6 +9,7 @@ from latency_bench import ADC_DELAY, REMOTE_DELAY, Timeline
 
 from canfb.objects import StatusBit
 from canfb.signal.sample import Sample
+from ideal_tracks import counts_at
 
 STEP = 0.25  # cycles from sample to sample: the position tells which sample it is of
 AT_ONCE, AT_SYNC = (254, 255), (0, 1, 2)
@@ -66,8 +67,7 @@ def test_a_sample_of_a_source_is_of_the_very_sync() -> None:
 
         def next(self) -> Sample:
             self.count += 1
-            angle = 2 * math.pi * STEP * self.count
-            return Sample(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+            return Sample(*counts_at(STEP * self.count))
 
     source = Source()
     module = FeedbackModule(ModuleConfig(node_id=32, autostart=True, predict=True), source=source)

@@ -22,6 +22,7 @@ from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource, Ramp
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import SourceEnded, SourceError
+from ideal_tracks import counts_at
 
 NODE = 32
 SYNC = Frame(0x80, b"")
@@ -73,9 +74,8 @@ class Local:
 
 
 def at(cycles: float, time_s: float | None = None) -> Sample:
-    angle = 2.0 * math.pi * cycles
     time = None if time_s is None else round(time_s * 1e7) & 0xFFFFFFFF
-    return Sample(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)), time_100ns=time)
+    return Sample(*counts_at(cycles), time_100ns=time)
 
 
 def test_each_sync_brings_the_position_of_its_own_sample() -> None:

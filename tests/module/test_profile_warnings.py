@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 
 import pytest
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
+from ideal_tracks import counts_at
 
 FREQUENCY, AMPLITUDE, REFERENCE = 0xFF10, 0xFF11, 0xFF15
 LOW, GOOD, BAD = 430.0, 1500.0, 10.0  # amplitudes; 400 is the lowest accepted one
@@ -76,9 +76,8 @@ def zero_pulse(bench: Bench) -> None:
 
 
 def flagged(bench: Bench, flags: int, position: float = 0.0) -> None:
-    angle = 2 * math.pi * position
     bench.sync()
-    bench.counts(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+    bench.counts(*counts_at(position))
     bench.sent(Frame(0x290, bytes([flags])))
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from reference_model import RANGE, ReferenceModel
 
 from canfb.objects import StatusBit as Bit
+from ideal_tracks import counts_at
 
 MOST_ACCELERATION = 0.06  # cycles per interval^2
 
@@ -25,7 +24,6 @@ def test_the_model_follows_the_machine(speed: float) -> None:
             assert missed is not None
             assert missed.status == Bit.COASTING | Bit.MISSED
             continue
-        angle = 2.0 * math.pi * position
-        published = model.sample(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        published = model.sample(*counts_at(position))
         assert published.status == Bit.VALID
         assert abs((published.position - position * 8192 + RANGE // 2) % RANGE - RANGE // 2) < 0.0125 * 8192

@@ -16,6 +16,7 @@ from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.objects import StatusBit
 from canfb.signal.sample import Sample
 from folding import each
+from ideal_tracks import counts_at
 
 N, INCREMENTS = 2500, 1 << 20
 VALUE_ID = 0x1B0
@@ -48,8 +49,7 @@ class Axis(Bench):
         data = struct.pack("<HBi", 0x1234, 8, increments)
         if not self.late:
             self._values(data, values)
-        angle = 2 * math.pi * self.place
-        sent = self.counts(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        sent = self.counts(*counts_at(self.place))
         if self.late:
             self._values(data, values)
         return self.position(sent)[1]
@@ -217,11 +217,9 @@ def test_with_several_samples_in_one_sync(pairs: int) -> None:
         frames = bench.sync()
         increments = math.floor((place + slip) / N * (1 << 24))
         bench.sent(Frame(VALUE_ID, struct.pack("<i", increments)))
-        counts = []
+        counts: list[int] = []
         for j in range(pairs):
-            angle = 2 * math.pi * (place - speed * j / pairs)
-            size = 0 if dead else 1500
-            counts += [round(size * math.sin(angle)), round(size * math.cos(angle))]
+            counts += counts_at(place - speed * j / pairs, 0.0 if dead else 1500.0)
         frames = []
         for n in range(0, 2 * pairs, 4):
             frames += bench.sent(Frame(0x190 + 0x40 * n, struct.pack("<4h", *counts[n : n + 4])))
@@ -257,8 +255,7 @@ class Turning:
     def next(self) -> Sample:
         self.samples += 1
         self.place += min(max(0.0, 0.2 * (self.samples - 20)), 30.0)
-        angle = 2 * math.pi * self.place
-        return Sample(round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
+        return Sample(*counts_at(self.place))
 
 
 def test_with_the_samples_of_a_source() -> None:

@@ -12,6 +12,7 @@ import pytest
 from canfb import FeedbackModule, Frame, ModuleConfig, Sample, SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.supervision import VALID
+from ideal_tracks import counts_at
 
 N, PERIOD_S, JITTER_S, STARTS = 2500, 1e-3, 80e-6, 12
 RAD_S2 = 2.0 * math.pi / N / PERIOD_S**2  # of one cycle per period^2
@@ -120,9 +121,7 @@ def test_a_chain_alone_does_the_same_without_an_interval() -> None:
         speed, first = float(rng.uniform(2.0, 125.0)), None
         for number in range(60):
             time = number + float(rng.uniform(-0.08, 0.08))
-            angle = 2.0 * math.pi * speed * time
-            sine, cosine = round(1500 * math.sin(angle)), round(1500 * math.cos(angle))
-            feedback = chain.step(Sample(sine, cosine, time_100ns=round((time + 1.0) * 1e4)))
+            feedback = chain.step(Sample(*counts_at(speed * time), time_100ns=round((time + 1.0) * 1e4)))
             if feedback.status & VALID:
                 off = round(feedback.cycles + feedback.phase - speed * time)
                 first = off if first is None else first

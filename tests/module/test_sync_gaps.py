@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from typing import Any
 
@@ -13,6 +12,7 @@ from module_bench import Bench
 
 from canfb.cia301.frame import Frame
 from canfb.objects import StatusBit
+from ideal_tracks import counts_at
 
 SPEED = 0.3  # cycles per SYNC
 
@@ -40,9 +40,8 @@ class Counted(Bench):
             self.sent(Frame(0x80, bytes([(self.number - 1) % self.overflow + 1])))
         elif not answered:
             return None
-        angle = 2 * math.pi * SPEED * self.number
         time = round(self.number * self.interval_s * 1e7)
-        sample = struct.pack("<hhI", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)), time)
+        sample = struct.pack("<hhI", *counts_at(SPEED * self.number), time)
         return self.position(self.sent(Frame(0x190, sample if self.timed else sample[:4])))[:2]
 
     def count(self) -> float:

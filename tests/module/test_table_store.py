@@ -12,6 +12,7 @@ from module_bench import Bench
 from canfb.device.storage.storage import MemoryStore
 from canfb.objects import StatusBit
 from canfb.signal.correction import CorrectionTable
+from ideal_tracks import counts_at
 
 
 def wavy(n: int = 256, size: float = 0.01) -> CorrectionTable:
@@ -43,7 +44,7 @@ def test_staged_checked_activated_and_read_back(bench: Bench, n: int) -> None:
     assert bench.sdo.upload(0x2020, 1) == table.to_bytes()
     _, status, _ = bench.at(0.1)
     assert status == StatusBit.VALID | StatusBit.TABLE_ACTIVE
-    sine, cosine = round(1500 * math.sin(0.2 * math.pi)), round(1500 * math.cos(0.2 * math.pi))
+    sine, cosine = counts_at(0.1)
     expected = table(sine / cosine / 8)
     assert bench.sdo[0x2011][3].raw / 2**32 == pytest.approx(expected, abs=1e-9)
     activate(bench, 0)

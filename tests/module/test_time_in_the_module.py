@@ -17,6 +17,7 @@ from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import COASTING, LOST, VALID
+from ideal_tracks import counts_at
 
 NODE, INTERFACE = 0x20, 0x10
 PERIOD_S = 4e-3
@@ -96,9 +97,7 @@ class Machine:
 
     def sample(self, k: float, at: float | None = None, off: float = 0.0) -> None:
         """The ADC PDO with the sample of SYNC k, usually a quarter of a period after it."""
-        angle = 2 * math.pi * (self.motion(k) + off)
-        tracks = round(1500 * math.sin(angle)), round(1500 * math.cos(angle))
-        data = struct.pack("<hhI", *tracks, round(k * PERIOD_S * 1e7))
+        data = struct.pack("<hhI", *counts_at(self.motion(k) + off), round(k * PERIOD_S * 1e7))
         at = k + ADC if at is None else at
         self.until(at)
         self.sampled = k

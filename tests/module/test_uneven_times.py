@@ -18,6 +18,7 @@ from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import LOST, VALID
+from ideal_tracks import counts_at
 
 SPARE_CYCLES = 0.1
 ACCELERATION_RAD_S2 = 0.2
@@ -60,13 +61,8 @@ class Desktop:
             if one.heard:
                 frames.append((self.synced_s, Frame(0x80, b""), None))
             sampled_s = self.synced_s + 1e-3 * one.sampled_ms
-            angle = math.tau * self.cycles_at(sampled_s)
-            data = struct.pack(
-                "<hhI",
-                round(1500 * math.sin(angle)),
-                round(1500 * math.cos(angle)),
-                round(sampled_s * 1e7) % 2**32,
-            )
+            counts = counts_at(self.cycles_at(sampled_s))
+            data = struct.pack("<hhI", *counts, round(sampled_s * 1e7) % 2**32)
             frames.append((sampled_s + 1e-3 * one.sent_ms, Frame(0x190, data), sampled_s))
         before = len(self.statuses)
         for at_s, frame, sample_s in sorted(frames, key=lambda entry: entry[0]):

@@ -18,6 +18,7 @@ from canfb.signal.correction import CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.stages import Stages
+from ideal_tracks import counts_at
 
 SYNC, ADC_PDO = 0x80, 0x190
 TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in range(64)])
@@ -132,9 +133,7 @@ class Pair:
         assert ours == theirs
 
     def sample(self, position: float, amplitude: float = 1500.0) -> None:
-        angle = 2 * math.pi * position
-        pair = round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle))
-        data = struct.pack("<hh", *pair)
+        data = struct.pack("<hh", *counts_at(position, amplitude))
         if self.times:
             data += struct.pack("<I", round(self.now * 1e7) & 0xFFFFFFFF)
         self.send(Frame(ADC_PDO, data), 0.0002)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from typing import Any
 
@@ -11,6 +10,7 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.replay.sample_columns import Block
+from ideal_tracks import counts_at
 from replay_kit import ADC_ID, EPOCH_S, PERIOD_S, SYNC_ID, Planned, contents, live, replayed
 
 SPEED = 0.035  # cycles from sample to sample
@@ -18,17 +18,12 @@ GLITCH_AT, GLITCH = 200, 0.05
 WEAK_AT, WEAK_COUNTS = 300, 900.0
 
 
-def counts(cycles: float, amplitude: float = 1500.0) -> tuple[int, int]:
-    angle = 2.0 * math.pi * cycles
-    return round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle))
-
-
 def session() -> list[Planned]:
     plan: list[Planned] = []
     for n in range(500):
         at = 0.1 + n * PERIOD_S
-        newest = counts(2 * n * SPEED + (GLITCH if n == GLITCH_AT else 0.0))
-        earlier = counts((2 * n - 1) * SPEED, WEAK_COUNTS if n == WEAK_AT else 1500.0)
+        newest = counts_at(2 * n * SPEED + (GLITCH if n == GLITCH_AT else 0.0))
+        earlier = counts_at((2 * n - 1) * SPEED, WEAK_COUNTS if n == WEAK_AT else 1500.0)
         plan += [
             (at, Frame(SYNC_ID, b"")),
             (at + 2e-4, Frame(ADC_ID, struct.pack("<hhhh", *newest, *earlier))),

@@ -16,6 +16,7 @@ from canfb.signal.sample import Sample
 from canfb.signal.witness.coarse import CoarseTrack
 from canfb.signal.witness.witness import Pair
 from folding import each
+from ideal_tracks import counts_at
 
 N = 4096  # with powers of two the limits are exact
 FULL = 2048
@@ -278,8 +279,7 @@ class Starting:
     def sample(self) -> Sample:
         self.position += self.speed
         turn = self.position / self.n
-        angle = 2 * math.pi * (turn + self.error * math.sin(2 * math.pi * turn))
-        sine, cosine = round(1500 * math.sin(angle)), round(1500 * math.cos(angle))
+        sine, cosine = counts_at(turn + self.error * math.sin(2 * math.pi * turn))
         return at(self.position, coarse_sine=sine, coarse_cosine=cosine)
 
     def run(self, samples: int) -> None:

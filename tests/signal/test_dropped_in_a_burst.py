@@ -17,6 +17,7 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICK_S, TICKS, Sample
 from canfb.signal.supervision import LOST, VALID
+from ideal_tracks import counts_at
 
 PERIOD_S = 1e-3
 AT_REST, RAMP, STEADY = 80, 400, 60  # periods; then it turns by SPEED
@@ -42,9 +43,8 @@ class Interface:
         """The next one, whose SYNC the host takes then."""
         self.n += 1
         at = float(self.n)
-        angle = 2.0 * math.pi * position(at)
         time_100ns = round((self.n + self.set_periods) * PERIOD_S / TICK_S) % TICKS
-        sample = Sample(round(1800 * math.sin(angle)), round(1800 * math.cos(angle)), time_100ns=time_100ns)
+        sample = Sample(*counts_at(position(at), 1800.0), time_100ns=time_100ns)
         jitter_s = 20e-6 * abs(math.sin(1.3 * self.n))
         synced_s = self.n * PERIOD_S + jitter_s if taken_s is None else taken_s
         feedback = self.chain.take_in_turn(sample.sine, sample.cosine, time_100ns, None, synced_s)

@@ -21,6 +21,7 @@ from canfb.signal.front_end import FrontEnd
 from canfb.signal.harmonics import NO_LOW_PASS, Corners
 from canfb.signal.sample import Sample
 from folding import each
+from ideal_tracks import counts_at
 
 INTERVAL_S = 1e-3
 TICKS = 10_000  # of 100 ns in it
@@ -188,8 +189,7 @@ def test_a_lost_position_is_found_though_its_speed_is_not_known() -> None:
 
     def take(k: int) -> Feedback:
         position = 0.1 + FAST * k
-        x = 2.0 * math.pi * (position / n % 1.0)
-        coarse = round(1500.0 * math.sin(x)), round(1500.0 * math.cos(x))
+        coarse = counts_at(position / n % 1.0)
         return chain.step(Sample(*counts(position, FAST, ELLIPSE, 1500.0, 125e3), 1.0, False, *coarse))
 
     first = [take(k) for k in range(10)]

@@ -14,6 +14,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import TICKS
 from canfb.signal.supervision import EXTRAPOLATED, VALID
 from canfb.timing.grid import LEARNED, MEMORY, Grid
+from ideal_tracks import counts_at
 
 NODE, INTERFACE = 0x20, 0x10
 PERIOD_TICKS = 10_000
@@ -61,11 +62,8 @@ class Shaft:
         for k in range(first, first + periods):
             at = k + 0.5 + self._jitter.gauss(0.0, self._sigma_ms)
             sent = self._give(Frame(0x80, b""), at)
-            angle = 2.0 * math.pi * self.motion(at)
-            tracks = struct.pack("<hh", round(1500 * math.sin(angle)), round(1500 * math.cos(angle)))
-            sent += self._give(
-                Frame(0x180 + INTERFACE, tracks + struct.pack("<I", round(at * 10_000) % TICKS)), at + 0.3
-            )
+            data = struct.pack("<hhI", *counts_at(self.motion(at)), round(at * 10_000) % TICKS)
+            sent += self._give(Frame(0x180 + INTERFACE, data), at + 0.3)
             for position in sent:
                 if k < first + skip:
                     continue

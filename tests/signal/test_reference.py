@@ -10,6 +10,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
+from ideal_tracks import counts_at
 
 N = 2500
 AMPLITUDE = 1500.0
@@ -36,8 +37,7 @@ class Machine:
         if not self.coarse:
             return None, None
         turn = self.position / N
-        angle = 2 * math.pi * (turn + COARSE_ERROR * math.sin(2 * math.pi * turn))
-        return round(AMPLITUDE * math.sin(angle)), round(AMPLITUDE * math.cos(angle))
+        return counts_at(turn + COARSE_ERROR * math.sin(2 * math.pi * turn), AMPLITUDE)
 
     def _zero_pulse(self, before: float) -> float | None:
         low, high = sorted((before, self.position))

@@ -24,6 +24,7 @@ from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Stages
 from canfb.signal.stream import process_stream
 from canfb.signal.supervision import SECOND_POSITION, SampleLimits
+from ideal_tracks import counts_at
 
 TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in range(64)])
 CONDITIONING = Conditioning(3.0, -2.0, 1.01, 0.98, 0.02)
@@ -60,11 +61,6 @@ class Parts(SignalChain):
         self.stages.__class__ = Resolving
 
 
-def counts(position: float, amplitude: float = 1500.0) -> tuple[int, int]:
-    angle = 2.0 * math.pi * position
-    return round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle))
-
-
 def same(ours: Feedback | None, theirs: Feedback | None) -> bool:
     """Bit for bit: repr tells -0.0 from 0.0 and takes NaN for equal."""
     return repr(ours) == repr(theirs)
@@ -79,13 +75,13 @@ def events(draw: st.DrawFn) -> list[tuple[str, float]]:
 
 def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int) -> Feedback | None:
     """One thing that is no usual sample."""
-    sine, cosine = counts(position)
+    sine, cosine = counts_at(position)
     if kind == "jump":
-        return chain.step(Sample(*counts(position + x)))
+        return chain.step(Sample(*counts_at(position + x)))
     if kind == "weak":
-        return chain.step(Sample(*counts(position, 1500.0 * abs(x))))
+        return chain.step(Sample(*counts_at(position, 1500.0 * abs(x))))
     if kind == "clipped":
-        return chain.step(Sample(*counts(position, 2047.0 + 30 * x)))
+        return chain.step(Sample(*counts_at(position, 2047.0 + 30 * x)))
     if kind == "invalid":
         return chain.step(Sample(sine, cosine, invalid=True))
     if kind == "zeros":
@@ -97,7 +93,7 @@ def happen(chain: SignalChain, kind: str, x: float, position: float, ticks: int)
     if kind == "pulse":
         return chain.step(Sample(sine, cosine, zero_pulse=abs(x)))
     if kind == "coarse":
-        return chain.step(Sample(sine, cosine, 1.0, False, *counts(position / 2500)))
+        return chain.step(Sample(sine, cosine, 1.0, False, *counts_at(position / 2500)))
     if kind == "missed":
         return chain.miss()
     if kind == "limits":
@@ -164,10 +160,10 @@ def test_same_bits_as_the_parts_called_one_by_one(
                     happen(ours, kind, x, position, ticks), happen(theirs, kind, x, position, ticks)
                 ), kind
             else:
-                sample = Sample(*counts(position))
+                sample = Sample(*counts_at(position))
                 if jitter_ticks is not None:
                     early = random.randint(-jitter_ticks, jitter_ticks)
-                    sample = Sample(*counts(position + step * early / 10000), time_100ns=ticks + early)
+                    sample = Sample(*counts_at(position + step * early / 10000), time_100ns=ticks + early)
                 for chain in (ours, theirs):  # the other sensor says what it likes
                     chain.hear_second(1, round(position / 2500 * 4096 + 4096 * x))
                 assert same(ours.step(sample), theirs.step(sample)), (kind, k)
@@ -193,7 +189,7 @@ def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way(
     chain.restart(0, speed)
     for k in range(1000):
         early = random.randint(-(jitter_ticks or 0), jitter_ticks or 0)
-        pair = counts(0.1 + speed * (k + early / 10000))
+        pair = counts_at(0.1 + speed * (k + early / 10000))
         chain.step(Sample(*pair, time_100ns=None if jitter_ticks is None else 10000 * k + early))
     assert resolved < 20
 
@@ -203,7 +199,7 @@ def test_nan_and_infinite_counts_are_flagged() -> None:
         for place in ((bad, 100.0), (100.0, bad)):
             ours, theirs = (kind(ChainConfig(), TABLE) for kind in (SignalChain, Parts))
             for k in range(20):
-                sample = Sample(*counts(0.1 + 0.3 * k))
+                sample = Sample(*counts_at(0.1 + 0.3 * k))
                 assert same(ours.step(sample), theirs.step(sample))
             got = ours.step(Sample(*place))
             assert same(got, theirs.step(Sample(*place)))
@@ -213,11 +209,11 @@ def test_nan_and_infinite_counts_are_flagged() -> None:
 def test_samples_between_are_forgotten_with_one_sample_for_each_sync() -> None:
     chain = SignalChain(ChainConfig(), TABLE)
     chain.set_limits(replace(LIMITS, samples_per_sync=2))
-    chain.step(Sample(*counts(0.1)))
-    chain.step(Sample(*counts(0.2), earlier=(counts(0.15),)))
+    chain.step(Sample(*counts_at(0.1)))
+    chain.step(Sample(*counts_at(0.2), earlier=(counts_at(0.15),)))
     assert len(chain.between) == 1
     chain.set_limits(replace(LIMITS, samples_per_sync=1))
-    chain.step(Sample(*counts(0.3)))
+    chain.step(Sample(*counts_at(0.3)))
     assert chain.between == ()
 
 
@@ -230,7 +226,7 @@ def test_another_sensor_is_asked_from_its_first_sample_on() -> None:
             chain.use_second(SecondSensor(increments=4096, tolerance_revolutions=0.01))
         slipped = 800 if k >= 250 else 0
         chain.hear_second(1, round(position / 2500 * 4096) + slipped)
-        disagreed.append(bool(chain.step(Sample(*counts(position))).status & SECOND_POSITION))
+        disagreed.append(bool(chain.step(Sample(*counts_at(position))).status & SECOND_POSITION))
     assert not any(disagreed[:250])
     assert all(disagreed[260:])
 
@@ -240,7 +236,7 @@ def test_repeats_of_a_run_on_arrays_are_counted_on() -> None:
     config = ChainConfig(frozen_samples=6)
     steps = [1.1] * 36 + [1.0] * 4 + [1.1] * 2 + [1.0] * 4 + [1.1] * 10  # a whole cycle looks like none
     positions = np.cumsum(steps).tolist()
-    pairs = np.array([counts(position) for position in positions], float)
+    pairs = np.array([counts_at(position) for position in positions], float)
     by_parts = Parts(config)
     by_parts.restart(0, 1.1)
     wanted = [by_parts.step(Sample(*pair)) for pair in pairs.tolist()]

@@ -12,6 +12,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICK_S, TICKS, Sample
+from ideal_tracks import counts_at
 
 PERIOD_S = 1e-3
 LEARNED = 60  # samples
@@ -36,9 +37,9 @@ class Line:
         true_s = (
             self._base_s + (n + 1) * PERIOD_S + self._jitter_us * 1e-6 * math.sin(n * n * 0.7 + self._seed)
         )
-        angle = 2.0 * math.pi * (0.3 + self._speed * max(0.0, true_s / PERIOD_S - 8.0) ** 2 / 200.0)
+        position = 0.3 + self._speed * max(0.0, true_s / PERIOD_S - 8.0) ** 2 / 200.0
         time = (round(true_s * 1.00004 / TICK_S) + round(add_us * 10.0) + self._seed) % TICKS
-        sample = Sample(round(1800 * math.sin(angle)), round(1800 * math.cos(angle)), time_100ns=time)
+        sample = Sample(*counts_at(position, 1800.0), time_100ns=time)
         late_s = 20e-6 * abs(math.sin(n * 1.3)) + late_us * 1e-6
         if self._proved is None:
             return sample, None, None
