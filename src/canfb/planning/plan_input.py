@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from canfb import objects as od
-from canfb.checks import integer_in, number_in
+from canfb.checks import integer_in, within
 from canfb.configuration import Config
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration
-from canfb.module.module_config import UNCONFIGURED, ModuleConfig
+from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, UNCONFIGURED, ModuleConfig
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.traffic import (
     HEARTBEAT,
@@ -124,8 +124,6 @@ class PlanInput:
 
 
 RAD_S = 2.0 * math.pi / 60.0  # of a speed in rpm
-LARGEST_ACCELERATION = 1e9  # rad/s^2, as 2010:02 has it
-LARGEST_EXTRA = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,28 +166,23 @@ class PlanOptions:
     table: bool = False
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("rate_hz", 0.1, 100_000.0),
-            ("jitter_us", 0.0, 1e6),
-            ("extra_load", 0.0, LARGEST_EXTRA),
-            ("heartbeat_ms", 1.0, 65_535.0),
-            ("rpm", 0.0, 1e6),
-            ("acceleration_rad_s2", 0.0, LARGEST_ACCELERATION),
-            ("noise_counts", 0.0, 1000.0),
-            ("phase_error_cycles", 0.0, 0.25),
-        ):
-            if getattr(self, name) is not None:
-                number_in(name, getattr(self, name), low, high)
-        if self.bit_rate is not None:
-            integer_in("bit_rate", self.bit_rate, 10_000, 1_000_000)
-        if self.cycles_per_revolution is not None:
-            integer_in("cycles_per_revolution", self.cycles_per_revolution, 1, 1_048_576)
+        ranges: dict[str, tuple[float, float]] = {
+            "rate_hz": (0.1, 100_000.0),
+            "jitter_us": (0.0, 1e6),
+            "extra_load": (0.0, 1.0),
+            "heartbeat_ms": (1.0, 65_535.0),
+            "rpm": (0.0, 1e6),
+            "acceleration_rad_s2": (0.0, MOST_ACCELERATION_RAD_S2),
+            "noise_counts": (0.0, 1000.0),
+            "phase_error_cycles": (0.0, 0.25),
+            "bit_rate": (10_000, 1_000_000),
+            "cycles_per_revolution": (1, 1_048_576),
+            "samples_per_sync": (1, MOST_PER_SYNC),
+            "noise_margin": (0, 255),
+        }
+        within(self, **{name: one for name, one in ranges.items() if getattr(self, name) is not None})
         if self.residual_limit is not None:
             check_residual_limit(self.residual_limit)
-        if self.samples_per_sync is not None:
-            integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
-        if self.noise_margin is not None:
-            integer_in("noise_margin", self.noise_margin, 0, 255)
 
 
 def plan_input_of(config: Config, modules: Iterable[DeviceConfiguration], options: PlanOptions) -> PlanInput:
@@ -224,19 +217,21 @@ def plan_input_of(config: Config, modules: Iterable[DeviceConfiguration], option
 
 
 def _planned(config: ModuleConfig, found: DeviceConfiguration, options: PlanOptions) -> PlannedModule:
+    limit = options.residual_limit
+    given = {
+        od.ENCODER_CYCLES_PER_REVOLUTION: options.cycles_per_revolution,
+        od.SUPERVISION_RESIDUAL_LIMIT: None if limit is None else int(limit * LIMIT_UNITS),
+        od.SUPERVISION_NOISE_MARGIN: options.noise_margin,
+    }
     module = PlannedModule(
         node_id=found.node_id,
-        values=found.values(with_table=False),
+        values={
+            **found.values(with_table=False),
+            **{place: value for place, value in given.items() if value is not None},
+        },
         has_table=options.table or bool(found.table),
         samples_itself=config.source is not None,
     )
-    if options.cycles_per_revolution is not None:
-        module = module.with_values({od.ENCODER_CYCLES_PER_REVOLUTION: options.cycles_per_revolution})
-    if options.residual_limit is not None:
-        limit = int(options.residual_limit * LIMIT_UNITS)
-        module = module.with_values({od.SUPERVISION_RESIDUAL_LIMIT: limit})
-    if options.noise_margin is not None:
-        module = module.with_values({od.SUPERVISION_NOISE_MARGIN: options.noise_margin})
     if options.samples_per_sync is not None:
         module = module.with_samples(options.samples_per_sync)
     return module.with_times() if options.times else module
