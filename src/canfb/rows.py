@@ -10,9 +10,8 @@ the unit in the key, are for programs::
     as_figures    JSON: the figures of all rows
     page.table    HTML
 
-A row whose words are None is for programs alone: a value that is not known is null there, and not printed.
-So the three outputs have the same facts, and a fact that is added is added to all of them. :class:`Findings`
-are all rows of a command, by subject, with what is said of them.
+A row whose words are None is for programs alone. :class:`Findings` are all rows of a command, by subject,
+with what is said of them.
 """
 
 from __future__ import annotations
@@ -80,8 +79,8 @@ class Section:
     """The rows of one subject.
 
     heads    of their words, if there are several
-    beside   so many of these stand side by side in a terminal, the others below; None: all of them
-    key      of a list with the figures of each row; "": they are among those of all
+    beside   side by side in a terminal, the others below; None: all
+    key      of a list with the figures of each row; "": among those of all
     """
 
     title: str

@@ -29,10 +29,9 @@ class BusLog:
 
     A bus that fails is tried again, and an interface that was removed and made again is opened.
 
-    ``path`` has the suffix of a format that python-can writes. With ``max_bytes`` a file that has become
-    as large is renamed, with date, time and a number in its name, and the next one begins. ConfigError
-    for a suffix, a size or a place that cannot be, and for a file that is there already unless
-    ``overwrite``; CanfbError when the file fails.
+    With ``max_bytes`` a file that has become as large is renamed, and the next one begins. ConfigError for a
+    suffix, size or place that cannot be, and for a file that is there unless ``overwrite``; CanfbError when
+    the file fails.
 
     ``clock`` and ``sleep`` are those of the system, but for tests.
     """

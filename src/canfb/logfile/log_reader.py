@@ -25,13 +25,11 @@ BATCH_FRAMES = 4096
 class BusLogFile:
     """The frames of a log with 11-bit identifiers on one ``channel``, once; None: on all of them.
 
-    All are taken for one bus: some adapters give every sender a channel name of its own. Frames that were
-    written down late get their place (:mod:`.in_order`). With ``others`` error frames, and frames with 29
-    bits or of CAN FD, are given as well, with a flag in their CAN-ID (:func:`.flagged_id`).
+    Late frames get their place (:mod:`.in_order`). With ``others`` error frames, and frames with 29 bits or
+    of CAN FD, are given as well, flagged (:func:`.flagged_id`).
 
-    ``counters`` are complete when the frames have been read. Damaged lines are left out; what comes behind a
-    place where nothing can be read is missing, and ``trouble`` says so in one line. ConfigError for an
-    unknown suffix, LogError for a file that cannot be read.
+    ``counters`` are complete at the end. Damaged lines are left out; where nothing more can be read,
+    ``trouble`` says so. ConfigError for an unknown suffix, LogError for a file that cannot be read.
     """
 
     path: Path
@@ -57,7 +55,7 @@ class BusLogFile:
         return chain.from_iterable(self.batches())
 
     def batches(self) -> Iterator[list[Frame]]:
-        """The frames, many at a time: to hand on each by itself costs more than to read it."""
+        """The frames, many at a time, which is faster."""
         order = InOrder()
         yield from order.sorted(self._as_written())
         self.counters.late = order.late

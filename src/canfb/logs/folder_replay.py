@@ -64,8 +64,7 @@ def do_work(
     """Do the logs, write the table, and give all its rows, by log and module; None: no table is written.
 
     In ``workers`` processes, None: one for each processor, 1: this one; or on ``executor``. A log whose
-    process is killed is done once more. If the work is interrupted, the table has what is done. ``progress``
-    gets the part that is done, by bytes. CanfbError if a file fails.
+    process is killed is done once more. Interrupted, the table has what is done. CanfbError if a file fails.
     """
     rows = list(work.done)
     total, ready = sum(job.size for job in work.jobs) or 1, 0

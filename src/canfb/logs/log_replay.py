@@ -186,8 +186,7 @@ class LogJob:
 def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
     """The job for a log. OSError if it has gone.
 
-    Its fingerprint is of size and time of change of the file, the settings, what is saved in their
-    state_dir, the columns, and the version of canfb: another one, and the log is done again.
+    Fingerprint: size and time of change, settings, what is saved in state_dir, columns, version of canfb.
     """
     status, used = path.stat(), settings.correction
     saved = [

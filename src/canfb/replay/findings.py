@@ -1,8 +1,7 @@
 """What is found in the samples of a replay, block by block: faults, margins, drift, an overview for pictures.
 
-Each is given the blocks by its ``take`` and keeps a bounded amount of them, however long the log is: the
-faults that are listed, the sample nearest to each limit, the first samples in motion (as a reference
-measurement, against the table in force), and the extremes of stretches of time, which double in length when
+Each takes blocks by its ``take`` and keeps a bounded amount: the faults that are listed, the sample nearest
+to each limit, the first samples in motion, the extremes of stretches of time, which double in length when
 there are too many.
 """
 
@@ -252,9 +251,8 @@ _KEPT: dict[str, tuple[str, Any]] = {
 class Overview:
     """Give it blocks by :meth:`take`.
 
-    ``stretches`` has, for each stretch: begin_s (stamp of the log), residual (the largest) and its limit,
-    amplitude_least, amplitude_most and their limits (counts), speed_least, speed_most (rad/s), and faults
-    (intervals with one). ``sine`` and ``cosine`` are ADC counts of some samples, evenly chosen.
+    ``stretches``: a column for each of ``_KEPT``, in s, cycles, counts, rad/s and intervals with a fault.
+    ``sine`` and ``cosine``: ADC counts of some samples, evenly chosen.
     """
 
     def __init__(self) -> None:

@@ -35,9 +35,8 @@ LONGEST_GAP_S = 60.0
 class LogTime:
     """Turns stamps of a log (seconds, of any clock) into the seconds of ``now``.
 
-    ``origin_s`` is what has to be added to ``now`` to give the stamp. ``steps_back`` counts how often the
-    clock of the log was set back, ``gaps`` the silences of more than a minute, ``bad`` the frames whose
-    stamp was not a number.
+    ``origin_s``: stamp less ``now``. Counted: ``steps_back`` of the clock of the log, ``gaps`` of more than a
+    minute, ``bad`` stamps that are no number.
     """
 
     def __init__(self) -> None:
@@ -79,9 +78,8 @@ class Begin(Enum):
 def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) -> Begin:
     """NMT state by the first frame that shows it.
 
-    A boot-up of the module: it is powered on there. A PDO of its own, or a heartbeat with 05h: it was
-    OPERATIONAL. Another heartbeat, or an NMT start: it was not. A log without any of these has no master:
-    OPERATIONAL, or the replay would show nothing.
+    A boot-up: it is powered on there. A PDO of its own, or a heartbeat with 05h: OPERATIONAL. Another
+    heartbeat, or an NMT start: it was not. None of these: there is no master, so OPERATIONAL.
     """
     error_control = ERROR_CONTROL + node_id
     pdos = {can_id for can_id in own_can_ids if 0x180 < can_id < 0x580}
@@ -158,20 +156,20 @@ class ModuleReplay:
 
     @property
     def compared(self) -> dict[int, Compared]:
-        """What the log has of the module against the replay, by CAN-ID; empty where the log has nothing."""
+        """By CAN-ID; empty if the log has no frame of the module."""
         if not self.counters.recorded_own:
             return {}
         return {can_id: one.compared for can_id, one in sorted(self._own_frames.items())}
 
     @property
     def own_can_ids(self) -> frozenset[int]:
-        """CAN-IDs of what it sends and takes, without those for all nodes: NMT, SYNC, TIME and LSS."""
+        """CAN-IDs of what it sends and takes, without those for all nodes."""
         node = self.module.node
         sync = self.module.dictionary.entry(*od.SYNC_COB_ID).value & cob.CAN_ID
         return (node.own_can_ids | node.can_ids().any_state) - EVERYBODY - {sync}
 
     def differences(self, can_id: int) -> list[FieldDifference]:
-        """By how much the objects in the PDOs with this CAN-ID differ; none if all are equal."""
+        """Of the objects in the PDOs with this CAN-ID."""
         return self._own_frames[can_id].differences
 
     def feed(self, frames: list[Frame]) -> None:
