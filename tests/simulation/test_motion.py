@@ -60,10 +60,6 @@ def test_written_out_by_hand() -> None:
     assert [motion.revolutions(t) for t in (0.0, 1.0, 2.0, 3.0, 4.0)] == [0.0, 0.0, 0.25, 1.0, 0.0]
 
 
-def test_without_ramps_the_first_speed_stays() -> None:
-    assert Motion((), start_rpm=120.0).revolutions(7.5) == 15.0
-
-
 def test_a_ripple_swings_about_its_mean_and_comes_back() -> None:
     motion = Motion((), (Ripple(60.0, 2.0),))
     assert motion.revolutions(0.25) == pytest.approx(2.0 / (2 * math.pi * 2.0))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
+from functools import partial
 
 import pytest
 from hypothesis import given
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus, Wire
 from canfb.simulation.sync_producer import LONGEST_FRAME_BITS, SyncProducer
+from folding import each
 
 BIT_S = 1e-6
 SYNC_BITS = frame_bits(0) - 3  # its end: the interframe space comes behind
@@ -48,8 +51,8 @@ def heard_on(bit_rate: int, *frames: tuple[float, Frame]) -> list[tuple[int, flo
     return listener.heard
 
 
-@pytest.mark.parametrize("bit_rate", [1_000_000, 125_000])
-@pytest.mark.parametrize("size", [0, 4, 8])
+@each("bit_rate", [1_000_000, 125_000])
+@each("size", [0, 4, 8])
 def test_a_frame_is_received_at_its_end(size: int, bit_rate: int) -> None:
     ((can_id, at),) = heard_on(bit_rate, (0.5, Frame(0x181, bytes(size))))
     assert can_id == 0x181
@@ -146,17 +149,16 @@ def test_the_load_is_what_was_asked_for() -> None:
 def test_no_traffic_is_none() -> None:
     traffic = BackgroundTraffic(0.0, 1_000_000)
     traffic.start(0.0)
-    assert traffic.deadline() is None
-    assert traffic.tick(5.0) == []
+    assert (traffic.deadline(), traffic.tick(5.0)) == (None, [])
 
 
-@pytest.mark.parametrize("bit_rate", [9_999, 1_000_001, 0, -5])
-def test_a_bit_rate_that_no_bus_has_is_refused(bit_rate: int) -> None:
-    with pytest.raises(ValueError, match="bit_rate must be"):
-        Wire(bit_rate)
-
-
-@pytest.mark.parametrize("load", [-0.1, 0.96, float("nan")])
-def test_a_load_that_is_none_is_refused(load: float) -> None:
-    with pytest.raises(ValueError, match="load must be"):
-        BackgroundTraffic(load, 1_000_000)
+@each(
+    "build, name",
+    [
+        *((partial(Wire, rate), "bit_rate") for rate in (9_999, 1_000_001, 0, -5)),
+        *((partial(BackgroundTraffic, load, 1_000_000), "load") for load in (-0.1, 0.96, float("nan"))),
+    ],
+)
+def test_what_no_bus_has_is_refused(build: Callable[[], object], name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name} must be"):
+        build()

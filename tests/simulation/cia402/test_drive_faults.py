@@ -11,6 +11,7 @@ from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS, DriveBench, cruising
 from canfb.cia301.frame import Frame
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.state_machine import State
+from folding import each
 
 HEARTBEAT_MS = 20
 
@@ -34,17 +35,17 @@ def restart_module(bench: DriveBench) -> None:
     bench.cycle(10)
 
 
-@pytest.mark.parametrize(
-    ("what", "spoil"),
+@each("synchronous", [False, True])
+@each(
+    "spoil",
     [
-        ("no amplitude", lambda sample: Sample(0, 0)),
-        ("clipped", lambda sample: Sample(2047, 2047)),
-        ("half a cycle away", lambda sample: Sample(-sample.sine, -sample.cosine)),
+        lambda sample: Sample(0, 0),
+        lambda sample: Sample(2047, 2047),
+        lambda sample: Sample(-sample.sine, -sample.cosine),
     ],
 )
-@pytest.mark.parametrize("synchronous", [False, True])
 def test_wrong_feedback_takes_the_torque_away_in_the_same_cycle(
-    what: str, spoil: Callable[[Sample], Sample], synchronous: bool
+    spoil: Callable[[Sample], Sample], synchronous: bool
 ) -> None:
     bench = cruising(synchronous=synchronous)
     bench.source.fault = spoil
@@ -79,17 +80,15 @@ def test_the_fault_stays_until_it_is_reset_and_the_feedback_is_good() -> None:
     assert bench.motor.revolutions == pytest.approx(place, abs=1e-4), "where it stood, not where it was to go"
 
 
-def test_the_emergency_of_the_module_is_enough() -> None:
+@each("code, is_fault", [(0x7300, True), (0x8210, False)])
+def test_a_sensor_emergency_of_the_module_is_enough(code: int, is_fault: bool) -> None:
     bench = cruising()
-    bench.bus.send(Frame(0x80 + MODULE_ID, struct.pack("<HB5x", 0x7300, 0x21)))
-    assert_fault(bench, 0x7305)
-
-
-def test_another_emergency_of_the_module_is_no_fault() -> None:
-    bench = cruising()
-    bench.bus.send(Frame(0x80 + MODULE_ID, struct.pack("<HB5x", 0x8210, 0x11)))
-    bench.onward()
-    assert bench.state is State.OPERATION_ENABLED
+    bench.bus.send(Frame(0x80 + MODULE_ID, struct.pack("<HB5x", code, 0x21)))
+    if is_fault:
+        assert_fault(bench, 0x7305)
+    else:
+        bench.onward()
+        assert bench.state is State.OPERATION_ENABLED
 
 
 def test_who_wants_to_ride_through_a_coasted_sample_says_so() -> None:
@@ -124,10 +123,12 @@ def test_feedback_that_stops_coming_is_a_fault_after_n_syncs(tolerated: int) -> 
     assert bench.read(0x2111, 3) == missed + tolerated + 1
 
 
-def test_a_module_that_restarts_is_a_fault_at_once() -> None:
+@each("of_module, command, error", [(True, 0x81, 0x7305), (False, 0x82, 0x8100)])
+def test_a_restart_is_a_fault_at_once_and_is_told_once(of_module: bool, command: int, error: int) -> None:
     bench = cruising()
-    bench.module_master.nmt.send_command(0x81)
-    assert_fault(bench, 0x7305)
+    (bench.module_master if of_module else bench.master).nmt.send_command(command)
+    assert_fault(bench, error)
+    assert bench.emergencies() == [error]
 
 
 def test_a_lost_heartbeat_of_the_module_is_a_fault() -> None:
@@ -183,32 +184,19 @@ def test_outside_of_operational_there_is_no_torque(option: int, command: str) ->
     assert bench.motor.command_nm == 0.0
 
 
-def test_a_reset_of_the_communication_keeps_the_fault_and_tells_it_again() -> None:
-    bench = cruising()
-    bench.master.nmt.send_command(0x82)
-    assert_fault(bench, 0x8100)
-    assert bench.emergencies() == [0x8100]
-
-
-@pytest.mark.parametrize("timeout_ms", [10, 100])
-def test_without_sync_the_torque_goes_off_in_time(timeout_ms: int) -> None:
+@each("timeout_ms", [10, 100, 0])
+def test_without_sync_the_torque_goes_off_in_time_unless_it_is_switched_off(timeout_ms: int) -> None:
     bench = cruising()
     bench.module_master.sdo[0x2010][6].raw = 255  # else the module says first that its position is not valid
     bench.onward()
     bench.write(0x2110, timeout_ms, 8)
-    bench.bus.run_until(bench.bus.now + timeout_ms / 1000 - 1e-6)
+    bench.bus.run_until(bench.bus.now + (timeout_ms or 250) / 1000 - 1e-6)
     assert bench.state is State.OPERATION_ENABLED
     bench.bus.run_until(bench.bus.now + 2e-6)
-    assert_fault(bench, 0x8700)
-
-
-def test_the_supervision_of_the_sync_can_be_switched_off() -> None:
-    bench = cruising()
-    bench.module_master.sdo[0x2010][6].raw = 255
-    bench.onward()
-    bench.write(0x2110, 0, 8)
-    bench.bus.run_until(bench.bus.now + 0.25)
-    assert bench.state is State.OPERATION_ENABLED
+    if timeout_ms:
+        assert_fault(bench, 0x8700)
+    else:
+        assert bench.state is State.OPERATION_ENABLED
 
 
 def test_a_drive_that_is_off_misses_neither_sync_nor_feedback() -> None:
@@ -300,26 +288,24 @@ def test_the_time_of_6066h_passes_before_the_fault() -> None:
     assert bench.read(0x603F) == 0x8611
 
 
-def test_feedback_lost_during_a_reaction_ends_the_ramp() -> None:
-    bench = cruising()
-    bench.write(0x6065, 10)
-    bench.write(0x6066, 0)
-    bench.place += 1000
-    bench.onward()
-    assert bench.state is State.FAULT_REACTION_ACTIVE
+def lose_feedback(bench: DriveBench) -> None:
     bench.source.fault = lambda sample: Sample(0, 0)
     bench.cycle()
-    assert_fault(bench, 0x8611)
 
 
-def test_the_sync_lost_during_a_reaction_ends_it_too() -> None:
+def lose_sync(bench: DriveBench) -> None:
+    bench.bus.run_until(bench.bus.now + 0.2)
+
+
+@each("lose", [lose_feedback, lose_sync])
+def test_what_is_lost_during_a_reaction_ends_the_ramp(lose: Callable[[DriveBench], None]) -> None:
     bench = cruising()
     bench.write(0x6065, 10)
     bench.write(0x6066, 0)
     bench.place += 1000
     bench.onward()
     assert bench.state is State.FAULT_REACTION_ACTIVE
-    bench.bus.run_until(bench.bus.now + 0.2)
+    lose(bench)
     assert_fault(bench, 0x8611)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from typing import Any
+from collections.abc import Callable
 
 import canopen
 import pytest
@@ -15,6 +15,7 @@ from canfb.cia301.frame import Frame
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
 from canfb.simulation.cia402.state_machine import State
+from folding import each
 
 CYCLIC = "CYCLIC SYNCHRONOUS POSITION"
 
@@ -51,6 +52,12 @@ def test_the_modes_are_those_of_6502h(bench: DriveBench) -> None:
     assert bench.read(0x6061) == 8
     bench.write(0x6060, 0)
     assert bench.read(0x6061) == 0
+
+
+def test_other_fault_reactions_are_refused(bench: DriveBench) -> None:
+    for option in (-1, 1, 3):
+        with pytest.raises(canopen.SdoAbortedError, match="0x060900"):
+            bench.write(0x605E, option)
 
 
 def test_each_change_of_state_is_told_at_once(bench: DriveBench) -> None:
@@ -111,12 +118,6 @@ def test_a_quick_stop_is_the_ramp_of_6085h_and_then_the_power_goes() -> None:
     assert bench.motor.revolutions - start == pytest.approx(25 / 120, abs=0.008)
     assert abs(bench.motor.speed_rad_s) < 0.1
     assert bench.motor.braked
-
-
-@pytest.mark.parametrize("option", [-1, 1, 3])
-def test_other_fault_reactions_are_refused(bench: DriveBench, option: int) -> None:
-    with pytest.raises(canopen.SdoAbortedError, match="0x060900"):
-        bench.write(0x605E, option)
 
 
 def test_disable_operation_takes_the_torque_away() -> None:
@@ -181,19 +182,19 @@ def test_the_parameters_of_a_motor_and_a_module_are_defaults() -> None:
     assert alone.dictionary.entry(0x1403, 1).value == 0x80000500 + DRIVE_ID
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("node_id", 0), ("node_id", 128), ("increments_per_revolution", 0), ("total_range", 1 << 32)],
+@each(
+    "build, field",
+    [
+        (lambda: FeedbackModuleLink(node_id=0), "node_id"),
+        (lambda: FeedbackModuleLink(node_id=128), "node_id"),
+        (lambda: FeedbackModuleLink(node_id=32, increments_per_revolution=0), "increments_per_revolution"),
+        (lambda: FeedbackModuleLink(node_id=32, total_range=1 << 32), "total_range"),
+        (lambda: ServoDrive(48, Plant(Motor(MotorConfig())), serial_number=1 << 32), "serial_number"),
+    ],
 )
-def test_a_module_that_cannot_be_is_refused(field: str, value: int) -> None:
-    fields: dict[str, Any] = {"node_id": 32, field: value}
+def test_a_module_or_a_number_that_cannot_be_is_refused(build: Callable[[], object], field: str) -> None:
     with pytest.raises(ValueError, match=field):
-        FeedbackModuleLink(**fields)
-
-
-def test_a_serial_number_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(ValueError, match="serial_number"):
-        ServoDrive(DRIVE_ID, Plant(Motor(MotorConfig())), serial_number=1 << 32)
+        build()
 
 
 IDS = [0x000, 0x080, 0x0A0, 0x100, 0x1A0, 0x230, 0x330, 0x630, 0x720, 0x7E5]

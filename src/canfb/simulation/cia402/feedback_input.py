@@ -47,6 +47,14 @@ class FeedbackInput:
         """Revolutions per second, the mean over the last interval, in true time."""
         self.reset()
 
+    @property
+    def wrong(self) -> Wrong:
+        return Wrong(self._wrong_entry.value)
+
+    @wrong.setter
+    def wrong(self, what: Wrong) -> None:
+        self._wrong_entry.value = int(what)
+
     def reset(self) -> None:
         self.wrong = Wrong.MISSING
         self.lose()
@@ -59,7 +67,6 @@ class FeedbackInput:
         self._open = 0  # SYNCs whose positions have not come, since the last one that was used
         self._syncs: list[float] = [math.nan]  # times of that one and of the open ones, the last 256
         self.speed = 0.0
-        self._publish()
 
     @property
     def increments_per_revolution(self) -> float:
@@ -83,18 +90,18 @@ class FeedbackInput:
         if self._since_pdo > 1:
             self._missed.value = (self._missed.value + 1) & 0xFFFFFFFF
         if self._since_pdo - 1 > self._tolerated.value:
-            self._set(Wrong.MISSING)
+            self.wrong |= Wrong.MISSING
 
     def emergency(self, code: int) -> None:
         """An EMCY of the module: a sensor error, or 0000h, the end of one."""
         if code == 0:
-            self._clear(Wrong.EMERGENCY)
+            self.wrong &= ~Wrong.EMERGENCY
         elif code & 0xFF00 == SENSOR_CODES:
-            self._set(Wrong.EMERGENCY)
+            self.wrong |= Wrong.EMERGENCY
 
     def boot_up(self) -> None:
-        self._clear(Wrong.EMERGENCY)
-        self._set(Wrong.MISSING)
+        self.wrong &= ~Wrong.EMERGENCY
+        self.wrong |= Wrong.MISSING
         self._last = None
 
     def take(self, largest_speed: float, interval_s: float, *, supervised: bool) -> bool:
@@ -104,13 +111,13 @@ class FeedbackInput:
         new beginning, as after a preset.
         """
         self._since_pdo = 0
-        self._clear(Wrong.MISSING | Wrong.STATUS | Wrong.RANGE | Wrong.STEP)
+        self.wrong &= Wrong.EMERGENCY
         if self._status.value & self._mask.value != self._expected.value & self._mask.value:
-            self._set(Wrong.STATUS)
+            self.wrong |= Wrong.STATUS
             return False
         raw, full = self._value.value & 0xFFFFFFFF, self._range.value or U32_RANGE
         if raw >= full:
-            self._set(Wrong.RANGE)
+            self.wrong |= Wrong.RANGE
             return False
         return self._step(raw, full, largest_speed, interval_s, supervised)
 
@@ -131,7 +138,7 @@ class FeedbackInput:
                 self._last = raw
             return False
         if too_far and supervised:
-            self._set(Wrong.STEP)
+            self.wrong |= Wrong.STEP
             self._last = None  # from here on, when it is believed again
             return False
         self.position += step
@@ -164,18 +171,6 @@ class FeedbackInput:
         if self._largest.value:
             return float(self._largest.value)
         return 2.0 * largest_speed * interval_s * self.increments_per_revolution
-
-    def _set(self, what: Wrong) -> None:
-        self.wrong |= what
-        self._publish()
-
-    def _clear(self, what: Wrong) -> None:
-        if self.wrong & what:
-            self.wrong &= ~what
-            self._publish()
-
-    def _publish(self) -> None:
-        self._wrong_entry.value = int(self.wrong)
 
 
 SMOOTHING = 1.0 / 32.0
