@@ -122,9 +122,7 @@ def test_repeats_are_pairs_like_the_one_before(pairs: list[tuple[int, int]], bef
     assert (found is None) == (not any(wanted))
 
 
-@pytest.mark.parametrize(
-    ("samples", "speed", "stands"), [(4, 0.1, True), (4, -0.9, False), (4, 0.3, False), (0, 0.9, True)]
-)
+@each("samples, speed, stands", [(4, 0.1, True), (4, -0.9, False), (4, 0.3, False), (0, 0.9, True)])
 def test_a_machine_stands_where_no_number_of_repeats_is_a_fault(
     samples: int, speed: float, stands: bool
 ) -> None:

@@ -51,7 +51,7 @@ def test_without_receive_times_the_counter_counts(overflow: int, missed: int) ->
 
 
 @COUNTERS
-@given(stall=st.integers(1, 200))
+@given(stall=st.integers(1, 60))
 def test_a_late_host_loses_nothing_that_waited(overflow: int, stall: int) -> None:
     producer = Producer(stamped=False, overflow=overflow)
     before = producer.syncs.place
@@ -60,6 +60,12 @@ def test_a_late_host_loses_nothing_that_waited(overflow: int, stall: int) -> Non
     assert not any(one.lost or one.extra or one.doubt for one in got)
     assert producer.syncs.place == before + stall + 15
     assert not producer.syncs.late_s
+
+
+@given(stall=st.integers(70, 1000))
+def test_a_host_that_is_late_for_longer_than_its_syncs_were_known_is_doubt(stall: int) -> None:
+    assert Producer(stamped=False).sync(60 + stall).doubt >= 1.0
+    assert not Producer(stamped=False, overflow=10).sync(60 + stall, 60).doubt
 
 
 @given(lost=st.integers(1, 30))
@@ -160,9 +166,7 @@ def learned(delay_s: float, jitter_s: float = 0.0) -> tuple[Answers, Syncs]:
 
 
 @given(delay=st.floats(0.05, 0.6), late=st.floats(0.0, 0.2), places=st.integers(0, 5))
-def test_a_pdo_answers_the_sync_that_was_the_least_delay_before(
-    delay: float, late: float, places: int
-) -> None:
+def test_a_pdo_answers_the_sync_the_least_delay_before(delay: float, late: float, places: int) -> None:
     answers, syncs = learned(delay * T)
     assert answers.place((delay + places + late) * T, syncs.grid) == places
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from canfb.objects import LossCause
 from canfb.signal import speeds
@@ -373,9 +373,9 @@ class Estimator:
         assert candidate is not None
         spots = candidate.run_spots if verdict.settled else candidate.spots
         doubt, past = self._doubt, self._past
-        times = [spot.time for spot in spots]
-        elapsed = [1.0, *(b - a for a, b in itertools.pairwise(times))]
-        self._follow_spots(spots, elapsed)
+        elapsed = [1.0, *(b.time - a.time for a, b in itertools.pairwise(spots))]
+        before, last = (Track(spot.cycles, spot.phase, 0.0, True) for spot in spots[-2:])
+        self.tracker.set_places(before, last, elapsed[-1])
         if verdict.settled and not self._at_start:  # else the places would count as the first ones
             self._virtual = None
         at_start = self._at_start
@@ -385,10 +385,6 @@ class Estimator:
         self._doubt, self._past = (None, doubt) if verdict.settled else (doubt, past)
         self._past_places = len(self.places)
         return Track(candidate.last.cycles, candidate.last.phase, 0.0, True)
-
-    def _follow_spots(self, spots: Sequence[Spot], elapsed: Sequence[float]) -> None:
-        before, last = (Track(spot.cycles, spot.phase, 0.0, True) for spot in spots[-2:])
-        self.tracker.set_places(before, last, elapsed[-1])
 
     def _spots(self) -> tuple[Spot, ...]:
         """The last samples that were counted, the newest at time 0; two at least."""

@@ -302,8 +302,9 @@ class Syncs:
         if early and missing:
             # It was due much later: a counter that jumped, or one of another producer.
             doubt, lost, late_s = float(lost), 0, time_s - grid.due
-        else:
-            doubt = 0.0
+        else:  # the line is good for as many places ahead as it was learned from
+            ahead = late_s / (TOGETHER * grid.seen * grid.period)
+            doubt = ahead if missing is None and ahead > 1.0 else 0.0
         in_time = not early and not late and not self.extra_came
         if in_time and not doubt:
             grid.is_in_turn(time_s, may_be_late=True)
