@@ -32,12 +32,15 @@ def type_name(data_type: int) -> str:
     return DataType(data_type).name if data_type in datatypes.KNOWN else f"type {data_type:04X}h"
 
 
-def value_range(data_type: int) -> tuple[int, int]:
-    """Lowest and highest value of an integer type."""
+def value_range(data_type: int, low: float | None = None, high: float | None = None) -> tuple[int, int]:
+    """Lowest and highest value of an integer type, within ``low`` and ``high``."""
     bits = datatypes.bit_length(data_type)
-    if data_type in datatypes.SIGNED_BITS:
-        return -(1 << bits - 1), (1 << bits - 1) - 1
-    return 0, (1 << bits) - 1
+    signed = data_type in datatypes.SIGNED_BITS
+    lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+    return (
+        lowest if low is None else max(lowest, int(low)),
+        highest if high is None else min(highest, int(high)),
+    )
 
 
 def check_value(data_type: int, value: Any, low: float | None = None, high: float | None = None) -> Any:
@@ -63,9 +66,7 @@ def check_value(data_type: int, value: Any, low: float | None = None, high: floa
 
 
 def _integer(data_type: int, value: Any, low: float | None, high: float | None) -> int:
-    lowest, highest = value_range(data_type)
-    lowest = lowest if low is None else max(lowest, int(low))
-    highest = highest if high is None else min(highest, int(high))
+    lowest, highest = value_range(data_type, low, high)
     if not isinstance(value, int) or isinstance(value, bool) or not lowest <= value <= highest:
         raise ValueError(f"must be a whole number {lowest}..{highest}, not {value!r}")
     return value
@@ -309,10 +310,7 @@ def raw_text(unit: str, text: str) -> str:
     part = _part(unit)
     if part is None:
         return text.removesuffix(_times(unit)).rstrip() if unit else text
-    try:
-        return str(round(float(text.removesuffix(part[1])) * part[0]))
-    except (ValueError, OverflowError):
-        raise ValueError(f"must be a number of {part[1]}, not {text!r}") from None
+    return str(round(float(text.removesuffix(part[1])) * part[0]))
 
 
 @dataclass(frozen=True)
@@ -413,11 +411,14 @@ class SdoTasks:
             if value is None:
                 number = text if raw else raw_text(entry.unit, text)
                 value = parse_value(entry.data_type, number, entry.low, entry.high)
-        except ValueError as error:
-            words = ", ".join(words_of(self._described.product, entry.place))
-            hint = f"; or one of the words {words}" if words else ""
-            hint += f" ({entry.unit} with --raw)" if _part(entry.unit) and not raw else ""
-            raise ConfigError(f"{entry.number} {entry.title} {error}{hint}") from None
+        except (ValueError, OverflowError) as error:
+            reason = str(error)
+            if words := ", ".join(words_of(self._described.product, entry.place)):
+                reason += f"; or one of the words {words}"
+            elif (part := _part(entry.unit)) and not raw:
+                low, high = (end / part[0] for end in value_range(entry.data_type, entry.low, entry.high))
+                reason = f"must be {low:.6g}..{high:.6g} {part[1]}, not {text!r} ({entry.unit} with --raw)"
+            raise ConfigError(f"{entry.number} {entry.title} {reason}") from None
         return value if isinstance(value, bytes) else datatypes.encode(entry.data_type, value)
 
     def _read(self, entry: ObjectDescription) -> Reading:
