@@ -33,7 +33,7 @@ def type_name(data_type: int) -> str:
 
 
 def value_range(data_type: int, low: float | None = None, high: float | None = None) -> tuple[int, int]:
-    """Lowest and highest value of an integer type, within ``low`` and ``high``."""
+    """Of an integer type, within ``low`` and ``high``."""
     bits = datatypes.bit_length(data_type)
     signed = data_type in datatypes.SIGNED_BITS
     lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
