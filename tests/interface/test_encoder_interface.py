@@ -16,6 +16,7 @@ from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource
 from canfb.sources.protocol import SourceEnded
+from folding import each
 
 NODE, TPDO1 = 16, 0x190
 SYNC = Frame(0x80, b"")
@@ -80,15 +81,11 @@ def test_it_boots_up_and_waits_for_a_master() -> None:
     assert source.taken == 0
 
 
-def test_with_autostart_it_samples_at_once() -> None:
-    interface = EncoderInterface(NODE, Listed([(5, -6)]), autostart=True)
+@each("counts", [(5, -6), (0, 0), (2047, -2048), (-32768, 32767)])
+def test_with_autostart_it_samples_at_once_and_the_pdo_holds_sine_and_cosine(counts: Counts) -> None:
+    interface = EncoderInterface(NODE, Listed([counts]), autostart=True)
     interface.start(0.0)
-    assert interface.receive(SYNC, 0.0) == [adc(5, -6)]
-
-
-@pytest.mark.parametrize("counts", [(0, 0), (2047, -2048), (-32768, 32767)])
-def test_the_pdo_holds_sine_and_cosine(counts: Counts) -> None:
-    assert operational(Listed([counts])).receive(SYNC, 0.0) == [adc(*counts)]
+    assert interface.receive(SYNC, 0.0) == [adc(*counts)]
 
 
 # NMT commands and what they lead to; every other frame leaves the state alone.
@@ -127,13 +124,12 @@ def test_a_sample_that_is_lost_sends_nothing_and_the_next_one_is_whole() -> None
     sent = [interface.receive(SYNC, 0.0) for _ in range(4)]
     assert sent == [[adc(1, 2)], [], [], [adc(3, 4)]]
     assert interface.samples == 2
-
-
-def test_in_the_silence_of_a_lost_sample_it_answers_everything_else() -> None:
     interface = operational(Listed([None]))
     assert interface.receive(SYNC, 0.0) == []
     (answer,) = interface.receive(Frame(0x600 + NODE, bytes([0x40, 0, 0x10, 0, 0, 0, 0, 0])), 0.0)
-    assert answer == Frame(0x580 + NODE, bytes([0x43, 0, 0x10, 0, 0x91, 0x01, 0x04, 0x00]))
+    assert answer == Frame(0x580 + NODE, bytes([0x43, 0, 0x10, 0, 0x91, 0x01, 0x04, 0x00])), (
+        "no other silence"
+    )
 
 
 def test_the_end_of_a_recording_is_told_by_the_sync_after_it_and_is_silent() -> None:
@@ -247,7 +243,7 @@ def test_a_failure_that_persists_is_reported_again_after_a_reset() -> None:
     assert interface.receive(SYNC, 0.2) == [first]
 
 
-@pytest.mark.parametrize("counts", [(32768, 0), (0, -32769), (math.nan, 0)])
+@each("counts", [(32768, 0), (0, -32769), (math.nan, 0)])
 def test_counts_that_do_not_fit_are_no_sample(counts: tuple[float, float]) -> None:
     class Wrong:
         def next(self) -> Sample:

@@ -8,8 +8,6 @@ import canopen
 import numpy as np
 import pytest
 from canopen.sdo import SdoAbortedError
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import canfb
 from canfb.demo.demo_network import EmbeddedNetwork
@@ -18,9 +16,10 @@ from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, MotionSource, Ramp, Ripple
+from canfb.simulation.motion import Motion, MotionSource
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.sources.protocol import Source
+from folding import each
 
 NODE = 16
 START, STOP = 1, 2
@@ -132,13 +131,6 @@ def test_the_rate_can_be_set_but_not_while_it_records() -> None:
         assert error.value.code == code
 
 
-@pytest.mark.parametrize("value", [0, 3, 255])
-def test_other_commands_are_refused(value: int) -> None:
-    with pytest.raises(SdoAbortedError) as error:
-        Bench(turning()).sdo[0x2050][1].raw = value
-    assert error.value.code == 0x06090030
-
-
 class Played:
     """A source that is no motion."""
 
@@ -146,10 +138,19 @@ class Played:
         return Sample(0, 0)
 
 
-def test_what_is_played_from_a_file_cannot_be_sampled_faster() -> None:
+@each(
+    "source, value, code",
+    [
+        *((turning(), value, 0x06090030) for value in (0, 3, 255)),
+        (Played(), START, 0x08000022),
+    ],
+)
+def test_other_commands_and_recording_what_is_played_from_a_file_are_refused(
+    source: Source, value: int, code: int
+) -> None:
     with pytest.raises(SdoAbortedError) as error:
-        Bench(Played()).sdo[0x2050][1].raw = START
-    assert error.value.code == 0x08000022
+        Bench(source).sdo[0x2050][1].raw = value
+    assert error.value.code == code
 
 
 def test_fast_samples_and_those_of_the_syncs_are_of_one_motion() -> None:
@@ -164,10 +165,3 @@ def test_fast_samples_and_those_of_the_syncs_are_of_one_motion() -> None:
     of_syncs = np.frombuffer(b"".join(heard), dtype="<i2").reshape(-1, 2)
     assert len(of_syncs) == 20
     assert np.abs(bench.upload()[25::50] - of_syncs).max() <= 1
-
-
-@settings(max_examples=30)
-@given(st.lists(st.floats(0.0, 20.0), min_size=1, max_size=20), st.floats(-50.0, 50.0))
-def test_a_motion_over_an_array_is_that_at_each_time(times: list[float], rpm: float) -> None:
-    motion = Motion((Ramp(0.0, 3.0), Ramp(2.0, rpm), Ramp(1.0, 5.0)), (Ripple(2.0, 0.7),), 1.0)
-    assert motion.revolutions_at(times) == pytest.approx([motion.revolutions(t) for t in times], abs=1e-9)

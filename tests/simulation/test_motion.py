@@ -48,6 +48,8 @@ def test_the_position_is_the_integral_of_the_speed(
 ) -> None:
     motion = Motion(ramps, ripples, start_rpm)
     assert motion.revolutions(time_s) == pytest.approx(integrated(motion, time_s), rel=1e-6, abs=1e-3)
+    times = np.linspace(0.0, time_s, 7)
+    assert motion.revolutions_at(times) == pytest.approx([motion.revolutions(t) for t in times], abs=1e-9)
 
 
 @given(ramps, ripples, speeds)
