@@ -14,7 +14,6 @@ BASELINE at least. Two samples 0.1 interval apart would multiply their phase err
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
 
 import numpy as np
 
@@ -66,142 +65,80 @@ def _follow_uneven(phase: FloatArray, time: FloatArray, likely: float) -> tuple[
     seen = np.flatnonzero(~np.isnan(phase))
     if len(seen) < 2 or time[seen[-1]] - time[seen[0]] < BASELINE:
         return np.zeros(len(phase)) + (phase[seen[0]] if len(seen) else 0.0), likely
-    steps = _Steps.of(phase[seen], time[seen])
-    counts = _follow(steps, _decide(steps, likely))
-    position = counts + phase[seen]
-    speed = (position[-1] - position[-1 - steps.lag[-1]]) / (time[seen[-1]] - time[seen[-1 - steps.lag[-1]]])
-    return np.interp(time, time[seen], position), float(speed)
-
-
-class _Steps(NamedTuple):
-    """What a step to each sample needs; arrays over the samples, valid behind ``first``.
-
-    first    the first sample that is BASELINE or more after sample 0
-    lag      the speed before sample k is taken from samples k - 1 - lag and k - 1
-    weight   intervals from k - 1 to k over those of the baseline
-    ahead    predicted phase less the phase of k, both samples of the baseline in cycle count 0; cycles
-    scale    residuals are multiplied by it: 1 / (their rms for phase errors of rms 1)
-    """
-
-    phase: FloatArray
-    time: FloatArray
-    first: int
-    lag: IntArray
-    weight: FloatArray
-    ahead: FloatArray
-    scale: FloatArray
-
-    @classmethod
-    def of(cls, phase: FloatArray, time: FloatArray) -> _Steps:
-        first = int(np.searchsorted(time, time[0] + BASELINE))
-        at = np.arange(1, len(time))
-        base = np.searchsorted(time, time[:-1] - BASELINE, side="right") - 1
-        base = np.maximum(base, at - 1 - LONGEST_LAG)
-        base = np.where(at > first, base, 0)
-        over = np.where(at > first, time[:-1] - time[base], 1.0)
-        weight = np.diff(time) / over
-        ahead = phase[:-1] + weight * (phase[:-1] - phase[base]) - phase[1:]
-        scale = 1.0 / np.sqrt(1.0 + (1.0 + weight) ** 2 + weight**2)
-        lag = at - 1 - base
-        return cls(
-            phase,
-            time,
-            first,
-            np.append(0, lag).astype(np.int64),
-            np.append(0.0, weight),
-            np.append(0.0, ahead),
-            np.append(1.0, scale),
-        )
-
-    def begin(self, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Cycle counts of samples 0 .. first, (samples, speeds), and their sum of squares of residuals.
-
-        ``turns``: cycle count of sample ``first``. The samples in between lie on the line to it.
-        """
-        phase = self.phase[: self.first + 1, None]
-        part = ((self.time[: self.first + 1] - self.time[0]) / (self.time[self.first] - self.time[0]))[
-            :, None
-        ]
-        off = phase[0] + part * (turns + (phase[-1] - phase[0])) - phase
-        counts = np.rint(off)
-        counts[0], counts[-1] = 0.0, turns
-        square = (off - counts) ** 2 / (1.0 + (1.0 - part) ** 2 + part**2)
-        return counts, np.asarray(square[1:-1].sum(axis=0), np.float64)
-
-
-def _decide(steps: _Steps, likely: float) -> float:
-    """Cycle count of sample ``first``, the one of sample 0 being 0."""
-    elapsed = float(steps.time[steps.first] - steps.time[0])
+    p, t = phase[seen], time[seen]
+    first, k = int(np.searchsorted(t, t[0] + BASELINE)), np.arange(len(t))
+    base = np.searchsorted(t, t[k - 1] - BASELINE, side="right") - 1
+    base = np.where(k > first, np.maximum(base, k - 1 - LONGEST_LAG), 0)
+    elapsed = float(t[first] - t[0])
     most = np.ceil(FASTEST * elapsed)
-    turns = np.arange(-most, most + 1.0)
-    first, square = steps.begin(turns)
-    rows = max(steps.first, int(steps.lag.max())) + 2
-    counts = np.zeros((rows, len(turns)))  # of the last samples, that of k in row k modulo ``rows``
-    counts[: steps.first + 1] = first
-    lag, weight, ahead, scale = (one.tolist() for one in steps[3:])
-    taken = max(0, steps.first - 1)
-    for k in range(steps.first + 1, len(weight)):
-        last = counts[(k - 1) % rows]
-        off = (last - counts[(k - 1 - lag[k]) % rows]) * weight[k]
-        off += ahead[k]
-        step = np.rint(off)
-        counts[k % rows] = last + step
-        off -= step
-        off *= scale[k]
-        square += off * off
-        taken += 1
-        if taken % PRUNE_SAMPLES == 0:
-            keep = _still_open(counts, (k - np.arange(rows - 1)) % rows, square, taken)
-            turns, square, counts = turns[keep], square[keep], counts[:, keep]
+    turns, square, rows = _run(p, t, first, base, np.arange(-most, most + 1.0))
+    alike = turns[square <= square.min() + ALIKE * _mean_square(square, len(rows), LEAST_SQUARE)]
+    turn = alike[np.argmin(np.abs((alike + p[first] - p[0]) / elapsed - likely))]
+    position = np.concatenate(_run(p, t, first, base, np.array([turn]))[2])
+    position = _over_gaps(position, t, first, base)
+    at = base[-1] + 1
+    return np.interp(time, t, position), float((position[-1] - position[at]) / (t[-1] - t[at]))
+
+
+def _run(
+    phase: FloatArray, time: FloatArray, first: int, base: IntArray, turns: FloatArray
+) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+    """Follow the motions that have passed these whole cycles from sample 0 to ``first``, straight until there.
+
+    The speed before sample k is that from sample ``base[k]`` to k - 1. Until one is left: those still open, the
+    sums of the squares of their residuals, relative to those of phase errors of rms 1, and their positions.
+    """
+    part = ((time[: first + 1] - time[0]) / (time[first] - time[0]))[:, None]
+    line = phase[0] + part * (turns + (phase[first] - phase[0]))
+    start = phase[: first + 1, None]
+    rows = list(np.rint(line - start) + start)
+    square = np.sum((line - rows) ** 2 / (1.0 + (1.0 - part) ** 2 + part**2), axis=0)
+    open_for_long = len(turns) > 1
+    weights = np.append(0.0, np.diff(time)) / np.maximum(time[np.arange(len(time)) - 1] - time[base], 1e-30)
+    scales = 1.0 / (1.0 + (1.0 + weights) ** 2 + weights**2)
+    for k in range(first + 1, len(phase)):
+        ahead = rows[-1] + (rows[-1] - rows[base[k]]) * weights[k]
+        rows.append(np.rint(ahead - phase[k]) + phase[k])
+        square += (ahead - rows[-1]) ** 2 * scales[k]
+        if open_for_long and k % PRUNE_SAMPLES == 0:
+            keep = _still_open(np.array(rows[-LONGEST_LAG - 1 :]), square, k)
+            turns, square = turns[keep], square[keep]
+            rows[-LONGEST_LAG - 2 :] = [row[keep] for row in rows[-LONGEST_LAG - 2 :]]
             if len(turns) == 1:
                 break
-    alike = turns[square <= square.min() + ALIKE * _mean_square(square, taken, LEAST_SQUARE)]
-    speeds = (alike + (steps.phase[steps.first] - steps.phase[0])) / elapsed
-    return float(alike[np.argmin(np.abs(speeds - likely))])
+    return turns, square, rows
 
 
 def _mean_square(square: FloatArray, taken: int, least: float) -> float:
-    return max(float(square.min()) / max(1, taken), least)
+    return max(float(square.min()) / taken, least)
 
 
-def _still_open(counts: FloatArray, latest: IntArray, square: FloatArray, taken: int) -> IntArray:
-    """Speeds to go on with: not wrong, and of those with the same last counts, only the best."""
+def _still_open(latest: FloatArray, square: FloatArray, taken: int) -> IntArray:
+    """Motions to go on with: not wrong, and of those with the same latest steps only the best."""
     order = np.argsort(square, kind="stable")
     order = order[square[order] <= square.min() + WRONG * _mean_square(square, taken, POOR_SQUARE)]
-    relative = counts[np.ix_(latest[: min(len(latest), taken)], order)] - counts[latest[0], order]
-    _, first = np.unique(relative, axis=1, return_index=True)
+    steps = latest[:, order] - latest[-1, order]
+    _, first = np.unique(np.rint(steps - steps[:, :1]), axis=1, return_index=True)
     return np.sort(order[first])
 
 
-def _follow(steps: _Steps, turns: float) -> FloatArray:
-    """Cycle counts of all samples that go on from this count at sample ``first``."""
-    first, _ = steps.begin(np.array([turns]))
-    counts = first[:, 0].tolist()
-    lag, weight, ahead = (one.tolist() for one in steps[3:6])
-    for k in range(steps.first + 1, len(weight)):
-        last = counts[-1]
-        counts.append(last + round((last - counts[-1 - lag[k]]) * weight[k] + ahead[k]))
-    return _over_gaps(steps, np.array(counts, np.float64))
-
-
-def _over_gaps(steps: _Steps, counts: FloatArray) -> FloatArray:
-    """The counts with those of long intervals from the speeds on both sides, as for constant acceleration.
+def _over_gaps(position: FloatArray, time: FloatArray, first: int, base: IntArray) -> FloatArray:
+    """The positions with those of long intervals from the speeds on both sides, as for constant acceleration.
 
     The speed before alone errs by A T (T + 1) / 2: half a cycle after nine intervals of 0.011 cycle each^2.
     """
-    time, position = steps.time, counts + steps.phase
     end = np.flatnonzero(np.diff(time) > LONG) + 1
     after = np.searchsorted(time, time[end] + BASELINE)
-    known = (end > steps.first) & (after < len(time))
+    known = (end > first) & (after < len(time))
     end, after = end[known], after[known]
     begin = end - 1
-    before = begin - steps.lag[end]
+    before = base[end]
     ahead, gap, behind = time[begin] - time[before], time[end] - time[begin], time[after] - time[end]
-    first = (position[begin] - position[before]) / ahead
-    last = (position[after] - position[end]) / behind
-    middle = first + (last - first) * (ahead + gap) / (ahead + 2.0 * gap + behind)
+    early = (position[begin] - position[before]) / ahead
+    late = (position[after] - position[end]) / behind
+    middle = early + (late - early) * (ahead + gap) / (ahead + 2.0 * gap + behind)
     shift = np.zeros(len(time))
     shift[end] = np.rint(middle * gap - (position[end] - position[begin]))
     # Two long intervals in a row: the speed over the second is none to judge the first by.
     shift[end[after > np.append(end[1:], len(time))]] = 0.0
-    return np.asarray(counts + np.cumsum(shift), np.float64)
+    return np.asarray(position + np.cumsum(shift), np.float64)
