@@ -53,7 +53,7 @@ ALLOWED: dict[str, set[str]] = {
     "sdo": {"marked_yaml", "signal", "calibration", "device", "view", "master"} | WORDS,
     "diagnosis": {"signal", "view", "master", "sdo"} | WORDS - {"checks"},
     "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "sdo"} | WORDS,
-    "commission": {"signal", "calibration", "report", "view", "master", "calibrate"} | WORDS,
+    "commission": {"signal", "timing", "calibration", "report", "view", "master", "calibrate"} | WORDS,
     # What others tell of themselves on the bus; so it may watch modules that are not ours.
     "monitoring": {"signal", "timing", "module", "configuration", "bus", "logfile", "view", "master"}
                   | WORDS - {"checks", "rows"},

@@ -96,7 +96,7 @@ def test_tracks_that_change_from_one_speed_to_the_next_are_refused() -> None:
     measured = []
     for number, per_sample in enumerate((0.0317, 0.2371, 0.4123)):
         sine, cosine = tracks(per_sample * np.arange(6000.0), number)
-        measured.append(TracksAtSpeed(sine + 50.0 * (number == 2), cosine, 1000.0, 1000.0 * per_sample))
+        measured.append(TracksAtSpeed(sine + 70.0 * (number == 2), cosine, 1000.0, 1000.0 * per_sample))
     with pytest.raises(canfb.CalibrationError, match="tables of the speeds differ") as caught:
         calibrate_over_speeds(measured)
     assert caught.value.reason == Reason.CHANGED

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from canfb.calibration.following import positions
+from canfb.calibration.recording import positions
 
 NO_BREAKS = np.zeros(0, np.int64)
 N = 3000

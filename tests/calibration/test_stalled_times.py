@@ -7,9 +7,8 @@ import pytest
 from measurements import table_error
 
 from canfb.calibration.deviation import best_deviation
-from canfb.calibration.following import positions
 from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.recording import recording
+from canfb.calibration.recording import positions, recording
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.phase import FloatArray, raw_phases
 from canfb.simulation.encoder import Encoder

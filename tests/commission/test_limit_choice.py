@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from canfb import objects as od
 from canfb.calibrate.samples_through_chain import supervise
+from canfb.commission.limit_choice import choose
 from canfb.commission.machine_figures import repeats_of_frozen_input
 from canfb.commission.observation import observe
 from canfb.master.access import CommissioningError
@@ -251,3 +253,46 @@ def test_detection_is_the_bound_of_the_proof(count: int, off: float) -> None:
     assert bound * max(changes, changes**2 // 4) == pytest.approx(1.0)
     assert samples_without_harm(bound) == count
     assert samples_without_harm(bound * (1.0 + off)) == count - 1
+
+
+def proposed_jitter(off_s: float, rate_hz: float = RATE_HZ) -> tuple[float, str]:
+    """2010:0D and its reason where one SYNC in a hundred comes late by this time."""
+    machine = SimulatedMachine(duty(120, 0.5), GOOD, rate_hz=rate_hz)
+    readings, samples = machine.readings(COUNT), machine.samples(COUNT)
+    late = np.where(np.arange(COUNT) % 100 == 50, off_s, 0.0)
+    samples = replace(samples, received_s=np.arange(COUNT) / rate_hz + late)
+    observed = observe(samples, machine.used, machine.limits, readings)
+    (choice,) = (
+        one
+        for one in choose(observed.machine, machine.limits, 2.0)
+        if one.place == od.SUPERVISION_SYNC_JITTER
+    )
+    return choice.value, choice.why
+
+
+@pytest.mark.parametrize(
+    ("off_s", "least_s", "most_s", "why"),
+    [
+        (0.0, 0.0, 0.0, "default"),
+        (9e-5, 0.0, 0.0, "default"),
+        (1.5e-4, 2.8e-4, 3.0e-4, "times 2"),
+        (3e-4, 0.0, 0.0, "find its cause"),
+    ],
+)
+def test_the_jitter_of_the_sync_is_measured(off_s: float, least_s: float, most_s: float, why: str) -> None:
+    value, reason = proposed_jitter(off_s)
+    assert least_s <= value <= most_s
+    assert why in reason
+
+
+@pytest.mark.parametrize(("counts", "stated"), [(0.0, 0.0), (20.0, 0.0015), (120.0, None)])
+def test_tracks_that_change_are_stated_or_refused(counts: float, stated: float | None) -> None:
+    """An offset that drifts: counts / amplitude / 2 pi / sqrt 2 rms, two thirds of it from third to third."""
+    machine = fresh("quiet")
+    readings, samples = machine.readings(COUNT), machine.samples(COUNT)
+    samples = replace(samples, sine=samples.sine + counts * np.linspace(0.0, 1.0, COUNT))
+    if stated is None:
+        assert "the tracks change" in refusal(samples, machine, readings)
+    else:
+        found = observe(samples, machine.used, machine.limits, readings).machine.change_cycles
+        assert found == pytest.approx(stated, rel=0.4)

@@ -14,6 +14,7 @@ from canfb.calibrate.artefacts import keep_samples, keep_speeds, write, write_re
 from canfb.calibrate.calibration_summary import drift_result, findings, module_drift_result
 from canfb.calibrate.choices import MODULE, PDO, CalibrateOptions
 from canfb.calibrate.measurement import (
+    DriftCheck,
     Measurement,
     Settings,
     check,
@@ -104,7 +105,7 @@ class CalibrationRun:
             return self._report(self._measured_speeds(each, settings, InForce(before)), Installation())
         samples = choices.samples_of_file(path)
         if choices.check:
-            return self._drift(samples, before, settings)
+            return self._drift(samples, lambda: check(samples, before, settings, self._steps.part))
         return self._report(self._measured(samples, before, settings), Installation())
 
     def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
@@ -135,7 +136,8 @@ class CalibrationRun:
         if watch.found is not None:
             self._judged(samples, watch.raise_found)
         if choices.check:
-            return self._drift(samples, session.active, settings)
+            active = session.active
+            return self._drift(samples, lambda: check(samples, active, settings, self._steps.part))
         measured, done = self._measured(samples, session.active, settings), Installation()
         if not choices.dry_run:
             measured, done = self._install(session, measured, prove, guard)
@@ -296,15 +298,12 @@ class CalibrationRun:
         self._steps.step(f"collecting samples for {choices.collect_s:g} s")
         measured = self._collect(session, choices.collect_s, choices.least_samples)
         active, settings = InForce(session.active, session.corners), choices.settings(session.limits)
-        found = self._judged(
+        return self._drift(
             measured.samples, lambda: check_at_speed(measured, active, settings, self._steps.part)
         )
-        if choices.out:
-            keep_samples(choices.out, measured.samples)
-        return drift_result(found, self._where)
 
-    def _drift(self, samples: TrackSamples, active: Correction, settings: Settings) -> Result:
-        found = self._judged(samples, lambda: check(samples, active, settings, self._steps.part))
+    def _drift(self, samples: TrackSamples, act: Callable[[], DriftCheck]) -> Result:
+        found = self._judged(samples, act)
         if self._choices.out:
             keep_samples(self._choices.out, samples)
         return drift_result(found, self._where)

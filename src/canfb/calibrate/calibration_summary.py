@@ -6,11 +6,9 @@ At several speeds with the analog path and the error at each speed.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from canfb.calibrate.measurement import DriftCheck, Measurement, OverSpeeds
 from canfb.calibrate.procedure import Installation, ModuleDrift
-from canfb.calibrate.samples_through_chain import ErrorAtSpeed
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.result import Calibration
 from canfb.master.machine_watch import PERCENT, Provenance, percent, where_words
@@ -35,7 +33,18 @@ def speed_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
     errors = over.errors
     rms = [(one.hertz, "rms", one.before, one.after) for one in errors]
     mean = [(one.hertz, "mean", one.mean_before, one.mean_after) for one in errors]
-    rows = [Row(speeds=[_speed_json(one) for one in errors])]
+    figures = [
+        {
+            "cycles_per_s": one.hertz,
+            "before_rms_cycles": one.before,
+            "after_rms_cycles": one.after,
+            "before_mean_cycles": one.mean_before,
+            "after_mean_cycles": one.mean_after,
+            "held_out_samples": len(one.deviation.error),
+        }
+        for one in errors
+    ]
+    rows = [Row(speeds=figures)]
     for hertz, what, before, after in (*rms, *mean):
         words = LOST if before is None else percent(before, where)
         rows.append(Row(f"{speed_words(hertz, where)}, {what}", words, percent(after, where)))
@@ -115,17 +124,6 @@ def delay_set_words(over: OverSpeeds) -> str:
     if delay_s:
         return f"{delay_s * 1e6:.4g} µs, as given"
     return "0: no delay is removed" + (" (--delay estimate)" if estimate else "")
-
-
-def _speed_json(one: ErrorAtSpeed) -> dict[str, Any]:
-    return {
-        "cycles_per_s": one.hertz,
-        "before_rms_cycles": one.before,
-        "after_rms_cycles": one.after,
-        "before_mean_cycles": one.mean_before,
-        "after_mean_cycles": one.mean_after,
-        "held_out_samples": len(one.deviation.error),
-    }
 
 
 def _low_pass_words(over: OverSpeeds, where: Provenance) -> str:

@@ -136,10 +136,7 @@ class CalibrateOptions:
 
     def refuse_impossible(self) -> None:
         """ConfigError for options that cannot be."""
-        for name, low, high in RANGES:
-            value = getattr(self, name)
-            if value is not None and not low <= value <= high:
-                raise ConfigError(f"--{name.replace('_', '-')} {value:g}: must be {low:g} to {high:g}")
+        refuse_beyond(self, RANGES)
         _ = self._layout
         _ = self.speeds_rpm, self.delay_to_set
         if self.samples_from == MODULE and self.method != MOTION:
@@ -199,6 +196,15 @@ class CalibrateOptions:
                 raise ConfigError(f"{path}: no speed is recorded (cycles_per_s): --speeds RPM,RPM,...")
             found.append(SpeedSamples(self.samples_of_file(path), hertz))
         return found
+
+
+def refuse_beyond(options: object, ranges: Sequence[tuple[str, float, float]]) -> None:
+    """ConfigError for an option beyond its range: name, smallest and largest."""
+    for name, low, high in ranges:
+        value = getattr(options, name)
+        if value is not None and not low <= value <= high:
+            option = name.removesuffix("_s").replace("_", "-")
+            raise ConfigError(f"--{option} {value:g}: must be {low:g} to {high:g}")
 
 
 # Raises ConfigError if one of these options is given: names, and why it would do nothing.

@@ -183,28 +183,22 @@ def errors_at(
 ) -> ErrorAtSpeed:
     """Errors of these samples. CalibrationError, with the speed, where they cannot be judged."""
     with naming_speed(measured.hertz):
-        return _errors(measured, before, after, path, block_samples, adc_bits)
-
-
-def _errors(
-    measured: SpeedSamples, before: InForce, after: InForce, path: PathFit, block: int, adc_bits: int | None
-) -> ErrorAtSpeed:
-    record = measured.samples.recording(adc_bits)
-    speed = mean_speed(record, measured.hertz / measured.rate_hz)
-    old, new = (_phases(measured.samples, used, speed) for used in (before, after))
-    deviation = best_of_phases(record, new, new, block)
-    hertz = speed * measured.rate_hz
-    late = path.low_pass.delay_cycles(hertz)
-    mean_after = after.added_cycles(hertz) - late
-    rms_before = mean_before = None
-    both = np.isfinite(old) & np.isfinite(new)
-    if both.mean() > 0.5:
-        try:
-            rms_before = best_of_phases(record, old, old, block).rms
-            mean_before = before.added_cycles(hertz) - late + _mean(old[both] - new[both])
-        except CalibrationError:
-            rms_before = mean_before = None
-    return ErrorAtSpeed(hertz, rms_before, deviation.rms, mean_before, mean_after, deviation)
+        record = measured.samples.recording(adc_bits)
+        speed = mean_speed(record, measured.hertz / measured.rate_hz)
+        old, new = (_phases(measured.samples, used, speed) for used in (before, after))
+        deviation = best_of_phases(record, new, new, block_samples)
+        hertz = speed * measured.rate_hz
+        late = path.low_pass.delay_cycles(hertz)
+        mean_after = after.added_cycles(hertz) - late
+        rms_before = mean_before = None
+        both = np.isfinite(old) & np.isfinite(new)
+        if both.mean() > 0.5:
+            try:
+                rms_before = best_of_phases(record, old, old, block_samples).rms
+                mean_before = before.added_cycles(hertz) - late + _mean(old[both] - new[both])
+            except CalibrationError:
+                rms_before = mean_before = None
+        return ErrorAtSpeed(hertz, rms_before, deviation.rms, mean_before, mean_after, deviation)
 
 
 def _phases(samples: TrackSamples, used: InForce, speed_cycles: float) -> FloatArray:

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.motion_blocks import Blocks, BoolArray, solve_blocks
+from canfb.calibration.motion_blocks import Blocks, BoolArray, root_mean, solve_blocks
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY, Conditioning
@@ -108,7 +108,7 @@ def fit_jointly(
     for _ in range(rounds):
         system = _System(blocks, sine, cosine, waveform, motion, weigh)
         waveform, motion, step = system.step()
-        if step < CONVERGED * system.deviation_cycles():
+        if step < CONVERGED * root_mean((system.along / system.speed)[blocks.used]):
             # The residuals before a step so small serve as those after it.
             return system.result(waveform, motion)
     return _System(blocks, sine, cosine, waveform, motion, weigh).result(waveform, motion)
@@ -122,7 +122,8 @@ def bound_covariance(
     For noise of ``noise_counts`` rms on each track, these samples, this motion and the orders of ``fit``.
     """
     noise = Noise(noise_counts, noise_counts)
-    return _System(blocks, sine, cosine, fit.waveform, fit.motion, noise).covariance()
+    system = _System(blocks, sine, cosine, fit.waveform, fit.motion, noise)
+    return system.inverse(system.reduced)
 
 
 def information_loss(blocks: Blocks, waveform: Waveform, motion: FloatArray) -> float:
@@ -134,7 +135,7 @@ def information_loss(blocks: Blocks, waveform: Waveform, motion: FloatArray) -> 
     none = np.zeros(int(blocks.index.max()) + 1)
     system = _System(blocks, none, none, waveform, motion, Noise(1.0, 1.0))
     sensitivity = table_sensitivity(waveform, IDENTITY)
-    with_motion = np.einsum("pi,pi->", sensitivity @ system.covariance(), sensitivity)
+    with_motion = np.einsum("pi,pi->", sensitivity @ system.inverse(system.reduced), sensitivity)
     without = np.einsum("pi,pi->", sensitivity @ system.inverse(system.normal), sensitivity)
     return float(np.sqrt(with_motion / without))
 
@@ -230,11 +231,6 @@ class _System:
         size = float(np.trace(matrix)) / len(matrix)
         return np.asarray(matrix + size * np.outer(origin, origin), np.float64)
 
-    def deviation_cycles(self) -> float:
-        """Rms deviation of the samples along the curve, cycles."""
-        use = self.blocks.used
-        return float(np.sqrt(np.mean((self.along[use] / self.speed[use]) ** 2)))
-
     def step(self) -> tuple[Waveform, FloatArray, float]:
         """One step of Gauss-Newton: new tracks, new motion, largest change of position in cycles."""
         change = np.linalg.lstsq(self._held(self.reduced), self.reduced_right, rcond=1e-14)[0]
@@ -266,10 +262,6 @@ class _System:
             noise,
             self.inverse(self.reduced) * scale,
         )
-
-    def covariance(self) -> FloatArray:
-        """Inverse of the information that the samples hold on the coefficients, origin held."""
-        return self.inverse(self.reduced)
 
     def inverse(self, information: FloatArray) -> FloatArray:
         """Inverse of information on the coefficients, origin held."""

@@ -28,7 +28,6 @@ from canfb.calibration.from_motion import calibrate_from_motion, mean_tracks_of
 from canfb.calibration.joint import Waveform, grid_phases, raw_phase_curve, series_of, table_of
 from canfb.calibration.path_fit import (
     ANGLE_REPEATS_RAD,
-    MOST_OFF_CYCLES,
     NO_PATH,
     RATIO_REPEATS,
     Fundamental,
@@ -38,7 +37,14 @@ from canfb.calibration.path_fit import (
     response,
 )
 from canfb.calibration.recording import NO_TIME, SECONDS_PER_TICK, Recording, recorded_tracks, recording
-from canfb.calibration.result import TRACK_POINTS, Calibration, Reason, changed, naming_speed
+from canfb.calibration.result import (
+    MOST_CHANGE_CYCLES,
+    TRACK_POINTS,
+    Calibration,
+    Reason,
+    changed,
+    naming_speed,
+)
 from canfb.calibration.solver import Progress, no_progress
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
@@ -124,14 +130,14 @@ def calibrate_over_speeds(
 def _judged(calibration: Calibration, each: Sequence[Calibration]) -> Calibration:
     """The calibration with what those of the speeds, all as at standstill, differ from it by.
 
-    CalibrationError where that is more than the path may leave unexplained: the tracks have changed.
+    CalibrationError where the tracks have changed by more than a measurement may.
     """
     found = Drift()
     for one in each:
         off = drift(one, calibration.table, calibration.conditioning)
         if off.rms > SIGNIFICANT * np.hypot(one.uncertainty_rms, calibration.uncertainty_rms):
             found = max(found, off)
-    if found.rms > MOST_OFF_CYCLES:
+    if found.rms > MOST_CHANGE_CYCLES:
         raise changed(f"the tables of the speeds differ by {found.rms:.1e} cycle rms")
     return replace(
         calibration,

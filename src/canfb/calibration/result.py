@@ -165,6 +165,8 @@ MIN_COVERAGE = 0.95
 MIN_CYCLES = 10.0
 # The paper's method leaves 0.05 % of a cycle; a table that may be off by that in the mean is refused.
 MAX_UNCERTAINTY_CYCLES = 5e-4
+# Half of the rms error of Table 1: below it the table helps, and its stated error is the change.
+MOST_CHANGE_CYCLES = 8.0 * MAX_UNCERTAINTY_CYCLES
 # Rms of single samples, along the tracks and across them.
 MAX_OFF_CYCLES = 0.03
 # With phases well mixed in every block the motion costs little information; this much more
@@ -191,12 +193,6 @@ def check_distance(coverage: float, cycles: float) -> None:
             f"{CHANGE_SPEED}",
             Reason.CYCLES,
         )
-
-
-def check_smooth(off_cycles: float, loss: float) -> None:
-    """Refuse positions that lie far from any smooth motion."""
-    if off_cycles > MAX_OFF_CYCLES:
-        raise no_fit(f"the positions are {off_cycles:.2f} cycle rms away from any smooth motion", loss)
 
 
 def no_fit(what: str, loss: float) -> CalibrationError:
@@ -227,8 +223,7 @@ def judge(found: Calibration, loss: float = 1.0) -> Calibration:
     """The calibration if it can be used, else CalibrationError with it and the reason."""
     try:
         check_distance(found.coverage, found.cycles_used)
-        # Half of the rms error of Table 1: below it the table helps, and its stated error is the change.
-        if found.change_rms > 8.0 * MAX_UNCERTAINTY_CYCLES:
+        if found.change_rms > MOST_CHANGE_CYCLES:
             raise changed(f"tables of parts of the time differ by {found.change_rms:.1e} cycle rms")
         if found.uncertainty_rms > max(MAX_UNCERTAINTY_CYCLES, found.change_rms):
             raise no_fit(f"the table would be uncertain by {found.uncertainty_rms:.1e} cycle rms", loss)

@@ -3,7 +3,7 @@
 The fit (:mod:`.joint`) needs positions that are right to a small part of a cycle, blocks in which a
 polynomial follows the motion, and the orders that the data supports. They are found in turn:
 
-1. Positions from the arc tangent behind the ellipse (:mod:`.following`), with orders 1 to 6.
+1. Positions from the arc tangent behind the ellipse (:mod:`.recording`), with orders 1 to 6.
 2. The length of the blocks: of those tried on part of the samples, the one whose fit expects the least
    error of the table; if motion is left even then, polynomials of higher degree.
 3. More orders, as long as the last quarter of them carries something; samples and blocks that do not fit
@@ -34,7 +34,7 @@ from canfb.calibration.joint import (
 )
 from canfb.calibration.motion_blocks import CUBIC, Blocks, BoolArray, coverage, cut
 from canfb.calibration.recording import MIN_SAMPLES, Recording
-from canfb.calibration.result import LOCKED_LOSS, MAX_OFF_CYCLES, Reason, check_distance, check_smooth, no_fit
+from canfb.calibration.result import LOCKED_LOSS, MAX_OFF_CYCLES, Reason, check_distance, no_fit
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray
@@ -113,7 +113,8 @@ class Solver:
         self.report(0.3)
         fit, blocks = self._fit(self._cut(shape), first)
         loss = self._loss(blocks, first.position)
-        check_smooth(self._off_cycles(fit), loss)
+        if (off := self._off_cycles(fit)) > MAX_OFF_CYCLES:
+            raise no_fit(f"the positions are {off:.2f} cycle rms away from any smooth motion", loss)
         fit, blocks = self._more_orders(fit, blocks)
         self.report(0.5)
         many = significant_orders(fit)[-1] > FIRST_ORDERS[-1]

@@ -12,11 +12,12 @@ from pathlib import Path
 from canfb import objects as od
 from canfb.calibrate.artefacts import keep_samples
 from canfb.calibrate.calibration_run import Steps
+from canfb.calibrate.choices import refuse_beyond
 from canfb.calibrate.samples_through_chain import supervise
 from canfb.commission.commission_summary import Commissioned, findings, write_page
 from canfb.commission.limit_choice import choose
 from canfb.commission.observation import LEAST_SAMPLES, Observation, observe
-from canfb.errors import CanfbError, ConfigError
+from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, Master, NodeAccess
 from canfb.master.all_or_nothing import Guard, change, check_can_save, check_unlocked
 from canfb.master.listening import UPLOAD_PART, listen, record
@@ -38,6 +39,12 @@ from canfb.rows import Result
 from canfb.view.pdo_map import coarse_layout
 
 Values = Mapping[Multiplexer, float]
+RANGES = (
+    ("seconds", 0.1, 3600.0),
+    ("margin", 1.2, 10.0),
+    ("acceleration", 0.0, 1e9),
+    ("watch_s", 0.1, 3600.0),
+)
 
 
 def set_limits(
@@ -110,14 +117,7 @@ class CommissionOptions:
 
     def refuse_impossible(self) -> None:
         """ConfigError for a number that cannot be."""
-        for option, value, low, high in (
-            ("--seconds", self.seconds, 0.1, 3600.0),
-            ("--margin", self.margin, 1.2, 10.0),
-            ("--acceleration", self.acceleration, 0.0, 1e9),
-            ("--watch", self.watch_s, 0.1, 3600.0),
-        ):
-            if not low <= value <= high:
-                raise ConfigError(f"{option} {value:g}: must be {low:g} to {high:g}")
+        refuse_beyond(self, RANGES)
 
 
 def commission(

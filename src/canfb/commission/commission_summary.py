@@ -16,6 +16,7 @@ from canfb.commission.observation import Observation
 from canfb.master.all_or_nothing import write_whole
 from canfb.master.machine_watch import Provenance, in_words, origins, where_words
 from canfb.master.supervision_limits import (
+    JITTER,
     KINDS,
     SupervisionLimits,
 )
@@ -24,10 +25,15 @@ from canfb.report.page import figure, gallery, page, section, sentence, table
 from canfb.report.pictures import lissajous
 from canfb.rows import Findings, Row, Section
 from canfb.signal.limits import samples_without_harm
+from canfb.timing.syncs import USUAL_JITTER_S
 from canfb.view.limits_in_force import LIMIT_UNITS
 
-LEAST_JITTER_S = 1e-8
-NOTHING = {od.SUPERVISION_ACCELERATION: "not known", od.SUPERVISION_FROZEN: "off"}  # what a limit of 0 says
+# What a limit of 0 says.
+NOTHING = {
+    od.SUPERVISION_ACCELERATION: "not known",
+    od.SUPERVISION_FROZEN: "off",
+    JITTER.place: f"{1e3 * USUAL_JITTER_S:g} ms",
+}
 PARTS = {
     od.SUPERVISION_RESIDUAL_LIMIT: (1.0, " cycle"),
     od.SUPERVISION_PHASE_ERROR: (1.0, " cycle"),
@@ -121,8 +127,19 @@ def machine_facts(done: Commissioned) -> list[Row]:
         ),
         Row(
             "jitter",
-            "not known" if machine.jitter_s is None else f"{_jitter(machine.jitter_s)} from SYNC to SYNC",
+            "not known"
+            if machine.jitter_s is None or machine.off_grid_s is None
+            else f"{1e6 * machine.jitter_s:.3g} µs rms from SYNC to SYNC; at most "
+            f"{1e6 * machine.off_grid_s:.3g} µs off the even grid",
             jitter_s=machine.jitter_s,
+            off_grid_s=machine.off_grid_s,
+        ),
+        Row(
+            "change in time",
+            f"errors of the phase differ by {machine.change_cycles:.2g} cycle rms"
+            if machine.change_cycles
+            else "none is seen",
+            change_rms_cycles=machine.change_cycles,
         ),
         Row(
             "residual",
@@ -171,11 +188,6 @@ def _rounded(value: float) -> str:
     return f"{float(f'{value:.3g}'):.15g}"
 
 
-def _jitter(jitter_s: float) -> str:
-    """In µs; what no clock of a receiver resolves is only a bound."""
-    return f"{1e6 * jitter_s:.3g} µs" if jitter_s >= LEAST_JITTER_S else f"below {1e6 * LEAST_JITTER_S:g} µs"
-
-
 def notes(done: Commissioned) -> list[str]:
     """What the operator should know of the measurement."""
     said = []
@@ -220,6 +232,8 @@ def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revo
     if place == od.SUPERVISION_ACCELERATION:
         cycles = value * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
         return f"{value:.3g} rad/s² ({cycles:.2g} cycle)"
+    if place == JITTER.place:
+        return f"{1e6 * value:.0f} µs"
     if place in PARTS:
         whole, unit = PARTS[place]
         return f"{value:.0f} ({whole * value / LIMIT_UNITS:.3g}{unit})"
@@ -297,12 +311,6 @@ FOOTER = (
 def write_page(folder: Path, done: Commissioned) -> Path:
     """Write the page into a folder; its path. CommissioningError if that does not work."""
     path = folder / REPORT
-    write_whole(path, commission_html(done).encode())
-    return path
-
-
-def commission_html(done: Commissioned) -> str:
-    """The page. It refers to nothing outside of itself and runs no script."""
     found = findings(done)
     body = (
         "".join(map(section, reversed(found.sections)))
@@ -310,7 +318,9 @@ def commission_html(done: Commissioned) -> str:
         + table("Origin", origins(done.where), style="origin")
     )
     said = list(map(sentence, found.said))
-    return page("Limits of the supervision", place_line(done.where), said, body, FOOTER)
+    text = page("Limits of the supervision", place_line(done.where), said, body, FOOTER)
+    write_whole(path, text.encode())
+    return path
 
 
 def _pictures(done: Commissioned) -> list[str]:

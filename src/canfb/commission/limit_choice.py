@@ -14,7 +14,7 @@ from canfb.commission.machine_figures import (
     repeats_of_frozen_input,
 )
 from canfb.master.machine_watch import PERCENT
-from canfb.master.supervision_limits import CORNER, SupervisionLimits, as_real32
+from canfb.master.supervision_limits import CORNER, JITTER, SupervisionLimits, as_real32
 from canfb.objects import Multiplexer
 from canfb.signal.limits import (
     CALIBRATED_PHASE_ERROR_CYCLES,
@@ -22,6 +22,8 @@ from canfb.signal.limits import (
     max_acceleration,
 )
 from canfb.signal.tracker import RESIDUAL_LIMIT
+from canfb.timing.grid import UNDECLARED
+from canfb.timing.syncs import USUAL_JITTER_S
 from canfb.view.limits_in_force import LIMIT_UNITS
 
 SAME_CORNER = 0.05  # relative: what is set need not change
@@ -70,6 +72,7 @@ def choose(
         _frozen(machine, limits, margin),
         _coarse(machine, limits, margin),
         _periods(machine, limits),
+        *_jitter(machine, limits, margin),
     ]
 
 
@@ -226,6 +229,24 @@ def _periods(machine: MachineFigures, limits: SupervisionLimits) -> Choice:
         why = f"a pause of {pause:.1f} periods was seen: find its cause rather than allow for it"
         return _choice(limits, place, None, why)
     return _choice(limits, place, periods, f"at most {pause:.1f} periods without SYNC or sample were seen")
+
+
+def _jitter(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> list[Choice]:
+    """2010:0D; none for a module without it."""
+    place, off_s = JITTER.place, machine.off_grid_s
+    if place not in limits.values:
+        return []
+    if off_s is None:
+        return [_choice(limits, place, None, "the times of the SYNCs are not known")]
+    seen = f"up to {1e6 * off_s:.0f} µs from the even grid seen"
+    most_s = UNDECLARED * machine.interval_s * limits.motion.samples_per_sync
+    if margin * off_s > most_s:
+        why = f"{seen}: find its cause, or map the sample time (times: true)"
+        return [_choice(limits, place, None, why)]
+    if margin * off_s <= USUAL_JITTER_S:
+        return [_choice(limits, place, 0.0, f"{seen}: within the default of {1e3 * USUAL_JITTER_S:g} ms")]
+    value = as_real32(min(_rounded_up(margin * off_s), most_s))
+    return [_choice(limits, place, value, f"{seen}, times {margin:g}")]
 
 
 def _rounded_up(value: float) -> float:

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.samples_through_chain import SupervisedSamples
+from canfb.calibration.deviation import THIRDS, largest_change
 from canfb.calibration.motion_blocks import BINS, bins_of, mean_in_bins, peak, root_mean
 from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass
 from canfb.master.samples import TrackSamples
@@ -108,6 +109,37 @@ def motion_figures(samples: SupervisedSamples) -> MotionFigures:
         noise=noise,
         residual=np.diff(speed) * elapsed[2:],  # eq. 9 carries the last speed on
     )
+
+
+TELLING_CYCLES = 0.2  # per interval: slower, an acceleration looks like an error of the phase
+ORDERS = np.array([1, 2])  # of the error: offset; gain and phase error
+
+
+def change_in_time(samples: SupervisedSamples) -> float:
+    """By how much errors of the phase differ from one third of the time to another, cycles rms.
+
+    As far as that is significant: of orders 1 and 2 of the phase, by least squares from the residuals.
+    """
+    elapsed, speed = samples.elapsed[1:, None], samples.speed[:, None]
+    waves = _errors(samples.position)
+    columns = np.diff(np.diff(waves, axis=0) / elapsed, axis=0) * elapsed[1:]
+    residual = (np.diff(speed, axis=0) * elapsed[1:])[:, 0]
+    telling = np.flatnonzero(np.isfinite(residual) & (np.abs(speed[1:, 0]) >= TELLING_CYCLES))
+    if len(telling) < THIRDS * LEAST_OF_GROUP:
+        return 0.0
+    tables, noise = [], []
+    for part in np.array_split(telling, THIRDS):
+        inverse = np.linalg.pinv(columns[part])
+        found = inverse @ residual[part]
+        tables.append(_errors(np.arange(BINS) / BINS) @ found)
+        left = float(np.std(residual[part] - columns[part] @ found))
+        noise.append(left * float(np.linalg.norm(inverse)) / math.sqrt(2.0))
+    return largest_change(np.array(tables), np.array(noise)).rms
+
+
+def _errors(position: FloatArray) -> FloatArray:
+    angle = 2.0 * np.pi * (position % 1.0)[:, None] * ORDERS
+    return np.hstack([np.sin(angle), np.cos(angle)])
 
 
 def smooth_acceleration(residual: FloatArray, noise: float) -> FloatArray:
@@ -273,7 +305,6 @@ def _radial_noise(
     used = np.flatnonzero(valid)[:FITTED_SAMPLES]
     phase = np.where(valid, supervised.position % 1.0, 0.0)
     course, *_ = np.linalg.lstsq(_waves(phase[used]), amplitude[used], rcond=None)
-    fourth = np.full(len(amplitude), np.nan)
     step = 100_000  # bounded memory
     rest = np.concatenate(
         [amplitude[k : k + step] - _waves(phase[k : k + step]) @ course for k in range(0, len(phase), step)]
@@ -317,6 +348,8 @@ class MachineFigures:
     longest_pause        the longest time without SYNC or sample, periods; None: not known
     low_pass             by the amplitude over the speed; None: there were too few speeds
     jitter_s             rms of the time from SYNC to SYNC as received, or by sample times; None: not known
+    off_grid_s           largest distance of a SYNC, or of a sample time, from the even grid; None: not known
+    change_cycles        rms by which the errors of parts of the time differ; 0.0: no more than noise
     """
 
     motion: MotionFigures
@@ -327,6 +360,8 @@ class MachineFigures:
     longest_pause: float | None = None
     jitter_s: float | None = None
     low_pass: LowPass | None = None
+    off_grid_s: float | None = None
+    change_cycles: float = 0.0
 
     def rad(self, cycles: float, power: int, cycles_per_revolution: int) -> float:
         """Cycles per interval to this power, as rad per second to this power."""

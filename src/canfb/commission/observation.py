@@ -13,12 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.samples_through_chain import SupervisedSamples, supervise
-from canfb.calibration.following import positions
 from canfb.calibration.motion_blocks import about_mean
+from canfb.calibration.recording import positions
+from canfb.calibration.result import MOST_CHANGE_CYCLES, changed
 from canfb.commission.limit_choice import corner_choice
 from canfb.commission.machine_figures import (
     SIGMA_OF_MEDIAN,
     MachineFigures,
+    change_in_time,
     low_pass_of,
     motion_figures,
     track_figures,
@@ -28,7 +30,7 @@ from canfb.master.machine_watch import SpeedReading, in_words
 from canfb.master.samples import TrackSamples
 from canfb.master.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits
 from canfb.signal.correction import Correction
-from canfb.signal.phase import FloatArray, raw_phases
+from canfb.signal.phase import raw_phases
 from canfb.signal.witness.coarse import CoarseTrack
 
 LEAST_SAMPLES = 2000
@@ -36,6 +38,7 @@ MOST_FLAGGED = 0.01
 LEAST_TURNED_CYCLES, LEAST_MOVING = 4.0, 0.01
 AGREES_CYCLES = 0.3
 WIDEST_AMPLITUDE = 65535
+GRID_SAMPLES = 256  # as docs/time.md
 MOST_DIFFERENCE = 0.25  # of the coarse track, revolutions
 
 
@@ -90,8 +93,12 @@ def observe(
             "the machine stands still: nothing can be said of its acceleration; let it do its normal duty "
             "meanwhile"
         )
+    change = change_in_time(followed)
+    if change > MOST_CHANGE_CYCLES:
+        raise CommissioningError(str(changed(f"by {change:.1e} cycle rms from one third to another")))
     gain = math.sqrt(abs(used.conditioning.sine_gain * used.conditioning.cosine_gain))
     spread, note = _coarse(samples, followed, limits)
+    jitter_s, off_grid_s = _grid(samples, interval_s)
     machine = MachineFigures(
         motion=motion,
         tracks=track_figures(samples, followed, gain, motion.noise),
@@ -99,7 +106,9 @@ def observe(
         coarse_spread=spread,
         coarse_note=note,
         longest_pause=_longest_pause(samples, interval_s, limits.motion.samples_per_sync),
-        jitter_s=_jitter(samples, interval_s),
+        jitter_s=jitter_s,
+        off_grid_s=off_grid_s,
+        change_cycles=change,
         low_pass=low_pass,
     )
     return Observation(samples, used, start_speed, followed, machine)
@@ -174,8 +183,18 @@ def _longest_pause(samples: TrackSamples, interval_s: float, per_sync: int) -> f
     return 1.0 + (longest - 1.0) / per_sync
 
 
-def _jitter(samples: TrackSamples, interval_s: float) -> float | None:
-    times: FloatArray | None = samples.received_s if samples.time_s is None else samples.time_s
-    if times is None or len(times) < 2:
-        return None
-    return SIGMA_OF_MEDIAN * float(np.median(np.abs(np.diff(times) - interval_s)))
+def _grid(samples: TrackSamples, interval_s: float) -> tuple[float | None, float | None]:
+    """Rms of the time from SYNC to SYNC, or of sample times, and the largest distance of any from a line
+    through 256 of them, seconds; None: not known.
+    """
+    rms, off = None, []
+    for times in (samples.received_s, samples.time_s):
+        if times is None or len(times) < GRID_SAMPLES:
+            continue
+        steps = np.diff(times, prepend=times[:1])
+        rms = SIGMA_OF_MEDIAN * float(np.median(np.abs(steps[1:] - interval_s)))
+        place = np.cumsum(np.rint(steps / interval_s))
+        for part in np.array_split(np.arange(len(times)), len(times) // GRID_SAMPLES):
+            line = np.polynomial.Polynomial.fit(place[part], times[part], 1)
+            off.append(float(np.abs(times[part] - line(place[part])).max()))
+    return rms, max(off, default=None)

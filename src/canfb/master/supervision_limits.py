@@ -46,7 +46,8 @@ LIMITS = (
 )
 CORNER = LimitObject(od.ENCODER_CORNER_FREQUENCY, "f", "corner frequency", "Hz")
 """Not a limit, but the limits of the amplitude hold for it; an older module does not have it."""
-KINDS = {one.place: one for one in (*LIMITS, CORNER)}
+JITTER = LimitObject(od.SUPERVISION_SYNC_JITTER, "f", "jitter of the SYNC", "s")
+KINDS = {one.place: one for one in (*LIMITS, CORNER, JITTER)}
 
 
 @dataclass(frozen=True)
@@ -73,8 +74,9 @@ class SupervisionLimits:
             values[place] = module.read(*place, layout)
             if not math.isfinite(values[place]):
                 raise CommissioningError(f"{module.name}: {od.place_text(place)}, {name}, is {values[place]}")
+        jitter_s = module.read_known(JITTER.place)  # an older module does not have it
         return cls(
-            values,
+            values if jitter_s is None else {**values, JITTER.place: jitter_s},
             module.integer(*od.ENCODER_FULL_SCALE, "H"),
             module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
             module.integer(*od.SUPERVISION_COAST, "B"),
