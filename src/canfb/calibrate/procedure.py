@@ -42,10 +42,8 @@ WORSE = 1.5
 class Installation:
     """What was done with a measurement.
 
-    fresh      deviation of samples taken after the activation, None if nothing was activated
-    active     the new set is active
-    saved_as   object that saved it, None: not saved
-    save_note  why it is not saved, in plain words
+    fresh      deviation of samples taken after the activation, None: nothing was activated
+    saved_as   object that saved it, None: not saved; save_note: why
     phase_error_cycles   written to 2010:0C, None: not written
     """
 
@@ -68,10 +66,9 @@ def install(
 ) -> tuple[Measurement, Installation]:
     """Activate the new set, ``prove`` it on fresh samples, and save it if ``keep``.
 
-    ``put`` replaces the upload: it activates another table and gives the measurement with it.
-
-    It is saved only after the proof. If anything fails, or is interrupted, the old set is restored (and saved
-    again, where saving had begun) before the error is raised; its text says so.
+    ``put`` activates another table in place of the upload and gives the measurement with it. If anything
+    fails, or is interrupted, the old set is restored (and saved again, where saving had begun) before the
+    error is raised.
     """
     done, before, over = Installation(), measured.before, measured.over_speeds
     declared: int | None = None  # 2010:0C before, once it is written

@@ -1,10 +1,8 @@
-"""Samples through the chain of the module, without the module.
+"""Samples through the chain of the module, without the module: what its supervision makes of them, and how
+far the position is off at each speed, before and after a calibration.
 
-What its supervision makes of them (:func:`supervise`), and how far the position is off at each speed, before
-and after a calibration (:func:`errors_at`): the samples go through the chain with the one set and with the
-other, and what a smooth motion does not explain is the error within a cycle. Its mean does not show against
-the samples themselves: it is the delay that follows from the amplitude (:mod:`canfb.calibration.path_fit`),
-less what the module adds for 2002:07.
+What a smooth motion does not explain is the error within a cycle; its mean is the delay by the amplitude
+(:mod:`canfb.calibration.path_fit`), less what the module adds for 2002:07.
 """
 
 from __future__ import annotations

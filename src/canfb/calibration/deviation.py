@@ -1,12 +1,8 @@
 """How far positions are from smooth motion, with a table not made of them; drift from the active table.
 
-The positions of another recording, corrected by the table, are compared with a cubic through each block of
-samples: what is left is noise and what the table does not correct. Blocks that meet few phases say nothing
-and are left out (:meth:`.Blocks.informative`). Of too long a block the cubic misses the motion, so shorter
-ones are tried, too. N samples with n coefficients leave N - n degrees of freedom: the rms is that of the
-deviations times sqrt(N / (N - n)).
-
-Dust, wear, heat and a shifted head change the tracks slowly; no single sample shows it, :func:`drift` does.
+A cubic is fitted to the corrected positions in each block of samples: noise is left, and what the table does
+not correct. Blocks that meet few phases are left out (:meth:`.Blocks.informative`); shorter ones are tried,
+too. N samples with n coefficients: the rms is that of the deviations times sqrt(N / (N - n)).
 """
 
 from __future__ import annotations
@@ -56,11 +52,10 @@ CYCLES_OF_BLOCK = 2.0  # a cubic through less than that takes errors of the enco
 class Deviation:
     """Deviation of samples from smooth motion, cycles; arrays with one entry for each sample used.
 
-    rms, peak   with the table, noise of the samples included
-    phase       0..1, with the table
-    error       with the table
-    before      with the set of before, about its mean
-    faulty      samples left out because they, or those around them, are far from all others
+    rms, peak      with the table, noise of the samples included; before_rms, before_peak: with the set of
+                   before
+    phase, error   with the table, phase 0..1; before: the error with the set of before, about its mean
+    faulty         samples left out as far from all others
     """
 
     rms: float
@@ -109,9 +104,8 @@ def deviation_of_phases(
 ) -> Deviation:
     """Deviation of the samples of ``record`` from a cubic in each block of ``block_samples``.
 
-    ``phase`` decides the positions, cycles, NaN where there is none; ``phase_before`` is compared on the
-    same samples. Blocks in which the machine stands still or is locked to the samples say nothing and are
-    left out. CalibrationError when too little is left.
+    ``phase`` decides the positions, cycles, NaN: none; ``phase_before`` is compared on the same samples.
+    CalibrationError where too few blocks say anything.
     """
     check_clipped(record, np.where(np.isnan(phase), 0.0, phase))
     position = record.positions(np.where(record.valid, phase, np.nan))

@@ -1,16 +1,13 @@
 """Ellipse through the samples (Heydemann): offset, gain and phase error of the tracks.
 
-With sine s = s0 + A sin x and cosine c = c0 + B cos(x - d), whatever x is, the samples lie on the ellipse
+With s = s0 + A sin x and c = c0 + B cos(x - d) the samples lie on
 
     r' Q^-1 r = 1,   r = (s - s0, c - c0),   Q = [ A^2        A B sin d ]
                                                  [ A B sin d  B^2       ]
 
-A conic a s^2 + b s c + e c^2 + f s + g c = 1 is linear in its coefficients, so it is found by least
-squares; its centre is the offset, and Q gives both amplitudes and sin d = Q12 / sqrt(Q11 Q22). The gains
-bring both amplitudes to their geometric mean.
-
-Samples are not spread evenly, and some are faults: no square of a grid keeps more samples than an even
-motion would leave there, and the fit is repeated without those further off than five standard deviations.
+The conic a s^2 + b s c + e c^2 + f s + g c = 1 is found by least squares; sin d = Q12 / sqrt(Q11 Q22), and
+the gains bring both amplitudes to their geometric mean. No square of a grid keeps more samples than an even
+motion would leave there, and samples beyond five standard deviations are left out.
 """
 
 from __future__ import annotations
@@ -45,13 +42,11 @@ NEAR = 0.15
 def fit_ellipse(
     sine: npt.ArrayLike, cosine: npt.ArrayLike, valid: npt.ArrayLike | None = None
 ) -> Conditioning:
-    """Conditioning that turns the ellipse of the samples into a circle about the origin.
+    """Conditioning that turns the ellipse of the samples into a circle about the origin, in REAL32
+    (2002:01..05).
 
-    ``sine`` and ``cosine`` are ADC counts of one shape, NaN where there is no sample; ``valid`` False leaves
-    samples out. Values are rounded to REAL32, as 2002:01..05 hold them.
-
-    Raises ValueError for shapes that differ, CalibrationError ("ellipse") if the samples
-    lie on no ellipse: a dead track, one point, a short arc, or noise.
+    ADC counts of one shape, NaN where there is no sample; ``valid`` False leaves samples out. ValueError for
+    shapes that differ, CalibrationError ("ellipse") for a dead track, one point, a short arc, or noise.
     """
     s, c = np.ravel(np.asarray(sine, np.float64)), np.ravel(np.asarray(cosine, np.float64))
     if s.shape != c.shape:

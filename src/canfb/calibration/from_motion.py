@@ -1,21 +1,13 @@
 """Reference measurement from any motion, at any speed, also many cycles per sample.
 
-With p(t) the position in cycles and e the error within a cycle, sample k has the raw phase
+    raw(k) = p(t_k) + e(p(t_k)) + noise   (modulo 1);  p: position in cycles, e: error within a cycle
 
-    raw(k) = p(t_k) + e(p(t_k)) + noise   (modulo 1)
+A polynomial of time follows p in a block of samples; e repeats with every cycle, and no low polynomial
+follows it unless a block meets few phases. One fit (:mod:`.joint`) separates the two at any speed.
 
-The position of a machine is smooth over tens of samples, and a polynomial of time follows it in each block
-of samples. The error e repeats with every cycle, and no low polynomial follows that, unless the samples of
-a block meet few different phases. So one least-squares fit (:mod:`.joint`) separates the two. It needs
-neither a constant speed nor many samples per cycle, only different phases in the samples of a block.
-
-No figure of the result is that of samples from which it was calculated:
-
-- the deviation of samples: the odd blocks with a table of the even ones, and the other way round;
-- the error of the table: n tables of independent parts of the blocks scatter with sqrt(n) times the error
-  of their mean. The largest of this, of what the covariance of the fit expects, of the mean deviation over
-  the phase beyond its noise (tracks that the series do not fit), and of what the samples cannot rule out,
-  is its uncertainty; the peak is four standard deviations at the phase where it is worst.
+Deviations of samples are those of odd blocks with the table of the even ones, and the other way round. The
+error of the table is the largest of the scatter of tables of independent blocks, the covariance of the fit,
+the mean deviation over the phase beyond its noise, what the samples cannot rule out, and the change in time.
 """
 
 from __future__ import annotations
@@ -72,20 +64,18 @@ def calibrate_from_motion(
 ) -> Calibration:
     """Correction table from samples of any motion, taken at any rate (also below Nyquist).
 
-    sine, cosine    ADC counts, zero at mid-scale except for an offset that ``conditioning``
-                    removes, shape (n,), NaN for a missing sample, or -32768 in both, the
-                    mark of a recording (2050:03)
+    sine, cosine    ADC counts, zero at mid-scale but for an offset that ``conditioning`` removes, shape
+                    (n,); NaN or -32768 in both (2050:03): a missing sample
     conditioning    None: the table corrects all errors, "fit" fits the ellipse of the tracks first, or
                     a :class:`canfb.signal.conditioning.Conditioning` to use
-    time_s          sample times in seconds, rising; None: one sample per interval, no gaps
+    time_s          sample times in seconds, rising; None: equidistant, no gaps
     valid           False for samples to omit (missed, faulty)
     adc_bits        4..16, to find clipped samples; None: 12, 14 or 16, the first that fits
-    entries         length of the table, 16..4096. with 1024 the interpolation error is below
-                    0.001 % of a cycle even for very poor tracks without conditioning
+    entries         length of the table, 16..4096; 1024 leave an interpolation error below 0.001 % of a cycle
     progress        called with 0..1 during the computation
 
-    Raises ValueError for wrong arguments, :class:`canfb.errors.CalibrationError` for a
-    measurement that is refused, with the reason and the remedy.
+    Raises ValueError for wrong arguments, :class:`canfb.errors.CalibrationError` for a measurement that is
+    refused, with reason and remedy.
     """
     report = progress or no_progress
     record, ellipse, angle, chosen = prepared(sine, cosine, conditioning, time_s, valid, adc_bits, entries)

@@ -1,26 +1,19 @@
 """Joint least squares of both tracks over the phase and of the motion over time.
 
-The samples follow s = S(x), c = C(x), with S and C Fourier series of the position x, and x = m(t) a
-polynomial of time in each block. With the samples s(k), c(k) at times t(k), the coefficients w of the
-series and m of the motion minimise
+    s = S(x), c = C(x): Fourier series of the position x;  x = m(t): a polynomial in each block
 
-    sum over k of  [n . r(k)]^2 / across^2 + [u . r(k)]^2 / along^2
-    with  r(k) = (s(k) - S(x), c(k) - C(x)),  x = m(t(k))
+The coefficients minimise, over the samples k, with the unit tangent u and normal n of the curve (S, C),
 
-where u is the unit tangent of the curve (S, C) at x, and n its normal. Noise of the converter is in both
-equations of a sample, what the polynomials miss of the motion only in the one along the curve.
+    [n . r(k)]^2 / across^2 + [u . r(k)]^2 / along^2,    r(k) = (s(k) - S(x), c(k) - C(x)),  x = m(t(k))
 
-Gauss-Newton. A step (dw, dm) solves
+as the converter's noise is in both, what the polynomials miss in the second. A step of Gauss-Newton solves
 
     [ N   B' ] [dw]   [a]
-    [ B   D  ] [dm] = [b]      D: one small matrix for each block, a block has no part in another's motion
+    [ B   D  ] [dm] = [b]      D: one small matrix for each block
 
-and D is eliminated block by block: (N - B' D^-1 B) dw = a - B' D^-1 b, then dm = D^-1 (b - B dw). The
-inverse of what remains is the covariance of the result with the unknown motion in it, that of N alone would
-be the one if the motion were known: their ratio is :func:`information_loss`.
-
-The data does not determine phase 0: adding d to all positions and moving both series by d changes nothing.
-That direction of w, the slopes of the series, is held.
+with D eliminated: (N - B' D^-1 B) dw = a - B' D^-1 b, dm = D^-1 (b - B dw). The inverse of what remains is
+the covariance of the series with the motion unknown. Phase 0 is not determined: the slopes of the series are
+held.
 """
 
 from __future__ import annotations
@@ -56,12 +49,10 @@ class Noise:
 class JointFit:
     """Result of :func:`fit_jointly`.
 
-    waveform     both tracks
-    motion       coefficients of the polynomials, (blocks, terms); positions in cycles
-    along/across residuals in counts, (blocks, length)
-    speed        length of the curve's tangent, counts per cycle, (blocks, length)
-    noise        estimated from the residuals of the samples used
-    covariance   of the coefficients (sine, then cosine), counts^2; the phase's origin is held
+    waveform, motion  both tracks; coefficients of the polynomials, (blocks, terms), cycles
+    along, across     residuals in counts, (blocks, length); noise: estimated from those used
+    speed             length of the curve's tangent, counts per cycle, (blocks, length)
+    covariance        of the coefficients (sine, then cosine), counts^2
     """
 
     waveform: Waveform

@@ -1,17 +1,13 @@
 """A reference measurement at several speeds: encoder and analog path together.
 
 The module takes low-passes and a delay between the tracks out at any speed (:mod:`canfb.signal.front_end`),
-and needs the tracks as they are at standstill. At each speed a fit (:mod:`.from_motion`) gives the mean
-tracks; their fundamentals over the speed give the path (:mod:`.path_fit`). With S_k and C_k the coefficients
-of order k at speed f, those at standstill are
+and needs the tracks of standstill. From the coefficients S_k, C_k of order k at speed f (:mod:`.from_motion`)
+and the path (:mod:`.path_fit`) those are
 
     S_k / H(k f; fs),    C_k / (H(k f; fc) exp(2 pi i k f cosine_delay)),    H(f; fc) = 1 / (1 + i f / fc)
 
-and from these, taken at the lowest speed, where the least is taken out, follow conditioning, table and
-harmonics (:mod:`canfb.signal.harmonics`). No speed need be near standstill.
-
-Each speed may vary a little. Where the path then differs by more than repeated measurements do, the samples
-are moved to the mean speed by a first estimate of it, and fitted again.
+at the lowest speed. Where a speed varies too much, samples are moved to its mean along the path and fitted
+again.
 """
 
 from __future__ import annotations
@@ -63,9 +59,8 @@ class TracksAtSpeed:
     """Samples of both tracks at one speed, which may vary a little.
 
     sine, cosine   ADC counts, shape (n,), NaN where a sample is missing
-    rate_hz        samples per second
-    hertz          mean speed, cycles per second, with sign; right to less than half a cycle per sample
-    time_s         sample times, seconds, rising; None: equidistant
+    rate_hz        samples per second; time_s: sample times, seconds, rising; None: equidistant
+    hertz          mean speed, cycles per second, with sign, right to half a cycle per sample
     """
 
     sine: FloatArray

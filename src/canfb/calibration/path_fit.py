@@ -1,22 +1,15 @@
 """The analog path from the tracks at several speeds: delay between them, corners of their low-passes, delay.
 
-At f cycles per second the fundamentals of the tracks are
-
-    |sine| = A / sqrt(1 + (f / fs)^2),    |cosine| = B / sqrt(1 + (f / fc)^2),
+    |sine| = A / sqrt(1 + (f / fs)^2),    |cosine| = B / sqrt(1 + (f / fc)^2),    f in cycles per second
     angle from sine to cosine = angle at standstill + 2 pi f cosine_delay + arctan(f / fs) - arctan(f / fc)
 
-with fs, fc the corners: |sine|^-2 is a straight line over f^2, and with the corners known the angle is one
-over f. Both are of least squares, weighed by noise and repeatability.
+|sine|^-2 is a line over f^2, and with the corners known the angle is one over f: both by weighted least
+squares. The geometric mean of the tracks shows the mean corner, their ratio, in which light and supply
+cancel, the difference; where that does not stand out, they are one.
 
-The geometric mean of both tracks shows the mean corner best, and their ratio, in which changes of light and
-supply cancel, the difference of both; where that does not stand out, they are one.
-
-What both tracks are late shows in no angle; but a low-pass of one pole that takes the amplitude to the part
-r is late by arccos(r) / (2 pi) cycles, which is 1 / (2 pi fs) seconds at low speed. Two equal poles with
-the same amplitudes are later: what the amplitudes do not rule out is reported. A converter that is late
-does not show.
-
-Uncertainties are one standard deviation, with what amplitudes change from one measurement to the next.
+No angle shows what both tracks are late; one pole that leaves the part r is late by arccos(r) / (2 pi)
+cycles, two equal ones by more: what the amplitudes do not rule out is reported. Uncertainties are one
+standard deviation.
 """
 
 from __future__ import annotations
@@ -77,13 +70,11 @@ class TwoPoles:
 class LowPass:
     """A low-pass of one pole as the amplitudes over the speed show it.
 
-    per_hz          1 / corner, 0.0: none is detected
-    sigma_per_hz    its uncertainty
-    top_hz          the highest speed
-    left            part of the amplitude at this speed, as the fit has it
+    per_hz          1 / corner, 0.0: none is detected; sigma_per_hz: its uncertainty
+    top_hz, left    the highest speed, and the part of the amplitude there
     misfit          largest relative difference of an amplitude from the fit
-    checked         there are more speeds than it takes, so misfit says whether it is one pole
-    least_corner_hz where none is detected: a lower one would have been
+    checked         there are enough speeds for misfit to say whether it is one pole
+    least_corner_hz a lower one would have been detected
     rises           the amplitude rises with the speed
     other           two equal poles, as the same amplitudes show them
     """
@@ -150,9 +141,7 @@ class PathFit:
     """The analog path between an encoder and its counts.
 
     cosine_delay_s        the cosine is sampled this much after the sine (2002:06), 0.0: none is detected
-    cosine_delay_sigma_s  its uncertainty
-    corners               of the low-passes (2001:05, 2001:06)
-    low_pass              that of the sine, which the position is late by
+    corners, low_pass     2001:05 and 2001:06; that of the sine, which the position is late by
     off_cycles            rms error of the phase that is not explained, at each speed
     """
 

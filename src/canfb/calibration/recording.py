@@ -1,21 +1,13 @@
-"""A recording of both tracks, checked: what may be used, its positions, and motion that is locked to it.
+"""A recording of both tracks, checked; its positions; motion that is locked to its samples.
 
-Locked is motion of nearly p/q cycles per sample: only q places of the cycle are ever sampled. With
-z = cosine + i sine of amplitude A, the mean of the samples at one place over a window in which that place
-moves by d cycles has the size A |sin(pi d) / (pi d)|. It is locked if d < 0.36 / q, about a third of the gap
-to the next place, over a window of 256 samples.
+At p/q cycles per sample only q places of the cycle are ever sampled. The mean of cosine + i sine, amplitude
+A, at a place that moves by d cycles in a window is A |sin(pi d) / (pi d)|; locked is d < 0.36 / q in 256
+samples.
 
-Positions, also of a recording that starts at speed or with uneven sample times:
-
-Phases alone leave the speed open by a whole number s of cycles per sample. With even sample times
-that does not matter: the position is then off by a straight line, s k, as smooth as the motion. With
-uneven ones the wrong speed expects s (t - k) too much, t the time in sampling intervals: nothing while the
-times are even, any phase at the first interval that is not. So all speeds that join the first two samples
-are followed over the whole recording, and the one with the least sum of squares of its residuals is taken.
-Where two fit equally well, both give the same positions but for a straight line.
-
-Residuals are those of eq. 9 over the elapsed times, with one difference: the speed is taken over
-BASELINE at least. Two samples 0.1 interval apart would multiply their phase errors by ten.
+Phases leave the speed open by s whole cycles per sample. With even times the position is then off by a line,
+as smooth as the motion. With uneven ones a wrong s expects s (t - k) too much: all speeds that join the first
+two samples are followed, and the one with the least squares of the residuals (eq. 9 over elapsed times, the
+speed over BASELINE at least) is taken.
 """
 
 from __future__ import annotations
@@ -55,10 +47,9 @@ NO_TIME = -1
 class Recording:
     """Samples of both tracks, float64, with 0 in place of what is not a number.
 
-    valid    False: left out;  clipped: at the ends of the converter's range
-    time     in sampling intervals (median), rising
-    uneven   the intervals differ
-    breaks   first samples after gaps over which the position is not followed
+    valid, clipped   used; at the ends of the converter's range
+    time, uneven     in sampling intervals (median), rising; they differ
+    breaks           first samples after gaps over which the position is not followed
     """
 
     sine: FloatArray
@@ -263,9 +254,8 @@ LONG = 1.5  # intervals: over more than these the speed after them counts as wel
 def positions(phase: FloatArray, time: FloatArray, uneven: bool, breaks: IntArray) -> FloatArray:
     """Positions in cycles; each segment starts near 0, and even ones may be off by a straight line.
 
-    ``phase`` in cycles, NaN where there is none (the position is interpolated there, with uneven
-    times); ``time`` in sampling intervals, rising; ``breaks`` the first samples of all segments but
-    the first.
+    ``phase`` in cycles, NaN: none, interpolated; ``time`` in sampling intervals, rising; ``breaks``: first
+    samples of all segments but the first.
     """
     position = np.empty(len(phase))
     speed = 0.0

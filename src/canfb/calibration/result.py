@@ -81,29 +81,25 @@ class Calibration:
 
     table            correction table; phase 0 at the positive zero crossing of the conditioned sine
     conditioning     to be activated together with the table
-    method           a ``Method``: "motion" or "zero crossings"
+    method           a ``Method``
     reason           a ``Reason``: "accepted", else why it is refused
     coverage         fraction of the cycle that has samples, 0..1
-    cycles_used      cycles passed by the samples used, as counted from them
+    cycles_used      cycles passed by the samples used
     samples_used     samples used; samples_rejected: usable ones omitted as faults
-    residual_rms     rms deviation of a sample from smooth motion with the table, cycles: noise
-                     of the samples included, on data not used for the table it is measured with
+    residual_rms     rms deviation of samples from smooth motion, cycles, noise included, with a table of
+                     other ones
     residual_peak    largest such deviation
-    before_rms       the same with the same conditioning and the identity table
+    before_rms       the same with the identity table
     before_peak
-    uncertainty_rms  expected error of the table itself, rms over the cycle, cycles
-    uncertainty_peak expected largest error of the table
-    change_rms       by how much tables of parts of the time differ, cycles; 0: no more than by noise.
-                     Both uncertainties are no less
-    noise_counts     rms noise of a track, counts (converter, quantisation)
-    noise_cycles     rms of the deviation from the smooth motion, as a phase
-    bound_rms        Cramer-Rao bound of the table's rms error with noise_counts, cycles; None
-                     where it is not computed
-    cramer_rao_ratio measured error of the table (from the scatter of tables of independent parts
-                     of the data) over that bound; below 1 only by chance. None where it is not computed
-    cramer_rao_scatter  relative standard deviation of that ratio, large for few tables
-    track_orders     orders of the tracks' Fourier series that the data supports; empty where
-                     the method has none
+    uncertainty_rms  expected error of the table, rms over the cycle, cycles
+    uncertainty_peak largest expected error
+    change_rms       by how much tables of parts of the time differ, cycles; 0: no more than by noise
+    noise_counts     rms noise of a track, counts
+    noise_cycles     rms deviation from the smooth motion, as a phase
+    bound_rms        Cramer-Rao bound of the table's rms error, cycles; None: not computed
+    cramer_rao_ratio measured error of the table over that bound; None: not computed
+    cramer_rao_scatter  relative standard deviation of that ratio
+    track_orders     orders of the tracks' Fourier series that the data supports; empty: none are chosen
     harmonics        of the error of the conditioned arc tangent, largest first
     curve            deviation over the phase, before and after
     block_samples    samples over which the motion was assumed to be smooth

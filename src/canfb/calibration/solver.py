@@ -1,18 +1,12 @@
-"""From a recording to the joint fit: track, block length, orders, faults left out, track again.
+"""From a recording to the joint fit (:mod:`.joint`): positions, length of the blocks, orders, faults.
 
-The fit (:mod:`.joint`) needs positions that are right to a small part of a cycle, blocks in which a
-polynomial follows the motion, and the orders that the data supports. They are found in turn:
-
-1. Positions from the arc tangent behind the ellipse (:mod:`.recording`), with orders 1 to 6.
-2. The length of the blocks: of those tried on part of the samples, the one whose fit expects the least
-   error of the table; if motion is left even then, polynomials of higher degree.
-3. More orders, as long as the last quarter of them carries something; samples and blocks that do not fit
-   are left out as the fit gets better.
+1. Positions from the arc tangent behind the ellipse, with orders 1 to 6.
+2. Of block lengths tried on part of the samples, the one whose fit expects the least error of the table; if
+   motion is left even then, polynomials of higher degree.
+3. More orders, while the last quarter of them carries something; what does not fit is left out.
 4. Positions again from the phases on the fitted curve, if there was anything to gain, and 3. again.
-5. Only the orders that stand out of the noise.
-
-An order is kept if its four coefficients v, with their covariance C, are unlikely to be noise: v' C^-1 v is
-chi^2 with four degrees of freedom, above 16 with the probability exp(-8) (1 + 8) = 0.3 %.
+5. Only orders that stand out: v' C^-1 v of its four coefficients v with covariance C is chi^2 with four
+   degrees of freedom, by noise above 16 with the probability exp(-8) (1 + 8) = 0.3 %.
 """
 
 from __future__ import annotations
@@ -74,10 +68,9 @@ class Start(NamedTuple):
 class Solution(NamedTuple):
     """What was found.
 
-    whole  the same blocks with the samples that were left out
-    loss   how many times the unknown motion made the uncertainty larger
-    undetermined  uncertainty of the table, cycles, where the samples cannot rule out orders that do not
-           show: positions are unsteady, or determine some orders only together. Else 0
+    whole         the same blocks with the samples that were left out
+    loss          how many times the unknown motion made the uncertainty larger
+    undetermined  uncertainty of the table, cycles, from orders that do not show and are not ruled out; else 0
     """
 
     fit: JointFit
@@ -321,8 +314,8 @@ def _size(values: FloatArray, covariance: FloatArray, at: list[int]) -> float:
 def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:
     """Leave out samples far off the curve or the motion, and blocks that do not fit as a whole.
 
-    ``coarse``: only what is far off by any measure. Before the harmonics are known, a block that
-    meets all phases fits worse than one at standstill, yet it is the one that informs.
+    ``coarse``: only what is far off by any measure: without harmonics, blocks that inform fit worse than
+    standstill.
     """
     use = blocks.used
     floor = COARSE_CYCLES * float(np.median(fit.speed[use])) if coarse else 0.0

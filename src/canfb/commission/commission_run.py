@@ -57,11 +57,10 @@ def set_limits(
     keep: bool = False,
     step: Callable[[str], None] = lambda text: None,
 ) -> str | None:
-    """Write ``new``, let ``watched`` see whether that is good, save if ``keep``: the object that saved.
+    """Write ``new``, let ``watched`` judge, save if ``keep``: the object that saved.
 
-    ``before`` has the values of before of the same objects. CommissioningError if anything does not work,
-    or ``watched`` raises it; these, and an interruption, leave the limits from before, saved as well if
-    saving had begun.
+    CommissioningError if anything does not work; then, and after an interruption, ``before`` is in force
+    again, saved as well if saving had begun.
     """
 
     def act() -> None:
@@ -93,17 +92,7 @@ def _position(module: NodeAccess) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class CommissionOptions:
-    """The options of ``canfb commission``.
-
-    seconds        how long the machine is listened to
-    margin         factor beyond what is seen
-    acceleration   one that the machine is known to do, rad/s^2; 0.0: none is given
-    recording      take the samples from the recording of the module (2050h), not from the bus
-    write, save    write the limits; save them
-    watch_s        how long the machine is watched with the new limits
-    out            folder for report and samples
-    line           the command, for the report
-    """
+    """The options of ``canfb commission``; ``recording``: samples of 2050h; ``line``: the command."""
 
     seconds: float = 60.0
     margin: float = 2.0

@@ -46,11 +46,9 @@ PARTS = {
 class Commissioned:
     """What came out.
 
-    observed          the machine
-    before, new       the limits in the module before, and those that were chosen
-    choices           each limit, with its reason
+    before, new       the limits in the module before, and those that were chosen; choices: each with its
+                      reason
     usual             what the module flagged during the measurement
-    margin            factor beyond what was seen
     written, asked    the limits were written; that was asked for
     saved_as          object that saved them, None: not saved
     """

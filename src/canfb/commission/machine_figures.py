@@ -1,17 +1,14 @@
 """Figures of a machine from the samples of its duty: its motion, its signal, the noise of both.
 
-**Acceleration and jerk.** At a fast SYNC the noise of a second difference, sqrt(6) times that of a phase, is
-far more than any acceleration. A parabola fitted to a window averages the second differences in it with
-positive weights of sum 1 (Savitzky and Golay), so an average never exceeds the largest acceleration. Short
-windows follow a vibration, long ones find a slow ramp. Of n averages noise alone makes the largest one about
-sqrt(2 ln n) times its own; the most that any window shows beyond that counts.
+**Acceleration and jerk.** The parabola fitted to a window averages the second differences in it with positive
+weights of sum 1 (Savitzky and Golay): never more than the largest acceleration. Short windows follow a
+vibration, long ones a slow ramp. Noise alone makes the largest of n averages sqrt(2 ln n) times its own,
+which is taken off.
 
-**Noise of a phase.** The fourth difference has next to nothing of a motion, and sqrt(1 + 16 + 36 + 16 + 1)
-times the noise of a sample; the median of its size ignores a few faults. Jitter grows with the speed, so the
-noise is that of the speeds at which it is largest.
+**Noise of a phase.** The fourth difference has little of a motion, and sqrt(70) times the noise of a sample;
+its median ignores faults. It is that of the speeds at which it is largest, as jitter grows with the speed.
 
-**Low-pass.** The amplitude over the speed shows the corner (:func:`canfb.calibration.path_fit.fit_low_pass`),
-without what the module corrects already (2001:05).
+**Low-pass.** From the amplitude over the speed, without what the module corrects already (2001:05).
 """
 
 from __future__ import annotations
@@ -42,13 +39,11 @@ GROUPS, LEAST_OF_GROUP = 5, 400
 class MotionFigures:
     """What a machine did; cycles and sampling intervals.
 
-    slowest, fastest   speed, cycles per interval, with sign
-    turned             from the lowest to the highest position, cycles
-    moving             part of the samples at which it moved, 0..1
-    acceleration       the largest, cycles per interval squared, noise taken off
-    jerk               the largest change of that in an interval, noise taken off
-    noise              rms of the phase of one sample, cycles, at the speeds at which it is largest
-    residual           second difference at each sample from the third on, cycles; NaN where not known
+    slowest, fastest     speed, with sign
+    turned, moving       range of the position; part of the samples at which it moved, 0..1
+    acceleration, jerk   the largest, noise taken off
+    noise                rms of the phase of a sample at the speeds at which it is largest
+    residual             second difference at each sample from the third on; NaN where not known
     """
 
     slowest: float
@@ -239,10 +234,10 @@ class TrackFigures:
     """Amplitude and noise of the tracks, ADC counts after conditioning.
 
     mean, least, most       of the amplitude over all valid samples
-    over_phase              lowest, mean and highest amplitude in each of 64 bins of the phase, shape (3, 64);
-                            NaN where there is no sample
+    over_phase              lowest, mean and highest in each of 64 bins of the phase, shape (3, 64); NaN: no
+                            sample
     noise_counts            of the converter before it rounds, rms; 0.0: none detected
-    longest_repeat          the most successive samples that repeat the counts of the one before
+    longest_repeat          successive samples that repeat the counts of the one before
     """
 
     mean: float
@@ -284,10 +279,9 @@ def track_figures(
 def repeats_of_frozen_input(noise_counts: float, rate_hz: float, margin: float, longest_repeat: int) -> int:
     """Repeats of both counts that distinguish a frozen converter from a working one (2010:04); 0: none do.
 
-    At whole cycles per sample, with both tracks in the middle of a count, normal noise repeats both counts
-    with the probability q = erf(1 / (2 sqrt(2) noise))^2, and n times with q^n. The result gives less than
-    one false alarm in ten years of that, at ``rate_hz`` samples per second, and is more than ``margin`` times
-    the longest repeat; at least 16, 0 if it were more than 255.
+    At whole cycles per sample normal noise repeats both counts n times with at most the probability q^n, q =
+    erf(1 / (2 sqrt(2) noise))^2. Less than one false alarm in ten years of that, at ``rate_hz`` samples per
+    second, more than ``margin`` times the longest repeat, at least 16; 0 beyond 255.
     """
     if noise_counts < QUIETEST_COUNTS:
         return 0
@@ -338,17 +332,15 @@ def _longest_repeat(samples: TrackSamples) -> int:
 
 @dataclass(frozen=True, eq=False)
 class MachineFigures:
-    """What was seen of a machine.
+    """What was seen of a machine; None: not known.
 
-    motion, tracks       see there
     interval_s           sampling interval, seconds
-    coarse_spread        from the lowest to the highest difference of the coarse track, revolutions; None: not
+    coarse_spread        range of the difference of the coarse track, revolutions; coarse_note: why it is not
                          known
-    coarse_note          why the coarse track says nothing, else ""
-    longest_pause        the longest time without SYNC or sample, periods; None: not known
-    low_pass             by the amplitude over the speed; None: there were too few speeds
-    jitter_s             rms of the time from SYNC to SYNC as received, or by sample times; None: not known
-    off_grid_s           largest distance of a SYNC, or of a sample time, from the even grid; None: not known
+    longest_pause        the longest time without SYNC or sample, periods
+    low_pass             by the amplitude over the speed
+    jitter_s             rms of the time from SYNC to SYNC, or by sample times
+    off_grid_s           largest distance of a SYNC, or of a sample time, from the even grid
     change_cycles        rms by which the errors of parts of the time differ; 0.0: no more than noise
     """
 
