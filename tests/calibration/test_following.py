@@ -29,16 +29,6 @@ def test_any_starting_speed_is_found_with_uneven_times(speed, jitter):
     np.testing.assert_allclose((found - phase + 0.5) % 1.0, 0.5, atol=1e-9)
 
 
-@pytest.mark.parametrize("speed", [0.2, 83.3])
-def test_even_times_are_right_but_for_a_straight_line(speed):
-    time = np.arange(float(N))
-    true = _motion(speed, 1e-4, time)
-    found = positions(true % 1.0, time, False, NO_BREAKS)
-    off = found - true
-    line = np.polynomial.Polynomial.fit(time, off, 1)
-    assert np.abs(off - line(time)).max() < 1e-6
-
-
 def test_missing_samples_are_stepped_over_and_breaks_start_afresh():
     rng = np.random.default_rng(2)
     time = np.arange(float(N))

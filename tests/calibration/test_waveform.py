@@ -28,16 +28,6 @@ def _waveform(encoder: Encoder) -> Waveform:
     return Waveform(ORDERS, solution[:, 0], solution[:, 1])
 
 
-def test_basis_are_cosines_and_sines():
-    position = np.array([[0.1, -3.4], [7.25, 1e6 + 0.7]])
-    columns = basis(position, (1, 4))
-    assert columns.shape == (2, 2, 5)
-    for place, order in enumerate((1, 4)):
-        angle = 2.0 * np.pi * order * (position % 1.0)
-        np.testing.assert_allclose(columns[..., 1 + 2 * place], np.cos(angle), atol=1e-12)
-        np.testing.assert_allclose(columns[..., 2 + 2 * place], np.sin(angle), atol=1e-12)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_tracks_and_slope_are_the_encoders(seed):
     rng = np.random.default_rng(seed)
@@ -53,15 +43,6 @@ def test_tracks_and_slope_are_the_encoders(seed):
     ):
         np.testing.assert_allclose(track, (ahead + behind) / 2.0, atol=1e-3)
         np.testing.assert_allclose(slope, (ahead - behind) / (2.0 * step), rtol=1e-4, atol=0.1)
-
-
-def test_orders_can_be_added_and_dropped():
-    waveform = _waveform(random_encoder(np.random.default_rng(5), 0.0))
-    position = grid_phases(64)
-    more = waveform.with_orders((1, 2, 3, 4, 5, 6))
-    np.testing.assert_allclose(more.tracks(position), waveform.tracks(position), atol=1e-9)
-    np.testing.assert_array_equal(more.with_orders(ORDERS).sine, waveform.sine)
-    assert len(waveform.with_orders((1,)).cosine) == 3
 
 
 @pytest.mark.parametrize("conditioning", [IDENTITY, Conditioning(20.0, -10.0, 1.1, 0.9, 0.1)])
@@ -90,19 +71,6 @@ def test_sensitivity_is_the_change_of_the_table():
         phase = np.interp(raw, np.append(curve[:-1] - 1.0, curve), cycles)
         change = (phase - np.arange(256) / 256 + 0.5) % 1.0 - 0.5
         np.testing.assert_allclose((change - change.mean()) / step, sensitivity[:, place], atol=2e-7)
-
-
-@pytest.mark.parametrize(
-    "encoder",
-    [
-        Encoder(amplitude_counts=1000.0, sine_offset=1.2),  # the origin is not inside
-        Encoder(sine_amplitude=-1.0),  # turns backwards
-    ],
-)
-def test_tracks_that_do_not_turn_once_are_refused(encoder):
-    with pytest.raises(CalibrationError, match="conditioning") as refused:
-        raw_phase_curve(_waveform(encoder), IDENTITY)
-    assert refused.value.reason == "monotonic"
 
 
 def test_table_is_shifted_only_if_it_must():

@@ -171,7 +171,13 @@ def measure_speeds(
     each = [errors_at(held, before, after, found.path, block, bits) for _, held in parts]
     errors = tuple(sorted(each, key=lambda one: one.hertz))
     progress(1.0)
-    _check_better(errors)
+    for one in errors:
+        if one.before is not None and one.after > WORSE * one.before:
+            raise CalibrationError(
+                f"at {one.hertz:.6g} cycles/s the error would rise from {one.before:.2g} to {one.after:.2g} "
+                "cycle rms: the analog path is not the one of this model",
+                Reason.SPEED,
+            )
     over = OverSpeeds(found.path, before, after, errors)
     lowest = min(samples, key=lambda one: abs(one.hertz))
     on_samples = min(errors, key=lambda one: abs(one.hertz))
@@ -194,16 +200,6 @@ def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) 
             Reason.SPEED,
         )
     return low_pass.delay_s
-
-
-def _check_better(errors: Sequence[ErrorAtSpeed]) -> None:
-    for one in errors:
-        if one.before is not None and one.after > WORSE * one.before:
-            raise CalibrationError(
-                f"at {one.hertz:.6g} cycles/s the error would rise from {one.before:.2g} to {one.after:.2g} "
-                "cycle rms: the analog path is not the one of this model",
-                Reason.SPEED,
-            )
 
 
 class EllipseChange(NamedTuple):

@@ -87,8 +87,9 @@ class SupervisionLimits:
     @property
     def corners(self) -> Corners:
         """2001:05 and 2001:06."""
-        there = self.motion.corners
-        return Corners(self.values.get(CORNER.place, there.corner_hz), there.cosine_corner_hz)
+        return Corners(
+            self.values.get(CORNER.place, self.motion.corners.corner_hz), self.motion.corners.cosine_corner_hz
+        )
 
     @property
     def settings(self) -> LimitSettings:
@@ -173,5 +174,4 @@ def _about_the_corner(
 
 def as_real32(value: float) -> float:
     """The value that a REAL32 holds."""
-    held: float = struct.unpack("<f", struct.pack("<f", value))[0]
-    return held
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])
