@@ -15,16 +15,18 @@ import can
 import canopen
 import canopen.node.base
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from canfb.bus.opening import open_bus
 from canfb.errors import BusError
 
-# No deadlines: a loaded machine is no finding. CI draws the same examples each time, so that a run can be
-# repeated, and a quarter of them, to be through in a quarter of an hour; elsewhere they are random.
-settings.register_profile("default", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True, max_examples=25)
-settings.register_profile("check", deadline=None, derandomize=True, max_examples=5)  # make check
+# No deadlines, nor a limit on the time of drawing: a loaded machine is no finding. CI draws the same examples
+# each time, so that a run can be repeated, and a quarter of them, to be through in a quarter of an hour;
+# elsewhere they are random.
+UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("default", UNTIMED)
+settings.register_profile("ci", UNTIMED, derandomize=True, max_examples=25)
+settings.register_profile("check", UNTIMED, derandomize=True, max_examples=5)  # make check
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canfb.bus.frame_bus import REMOTE, FrameBus, Received
@@ -245,7 +245,7 @@ def played(plan: list[Batch], dispatched: bool) -> Outcome:
 
 
 @given(plans())
-@settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=40)
 def test_the_same_frames_out_and_the_same_states(plan: list[Batch]) -> None:
     to_all, dispatched = played(plan, False), played(plan, True)
     assert dispatched.sent == to_all.sent

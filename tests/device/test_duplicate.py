@@ -167,7 +167,7 @@ def expected_own(dictionary: Dictionary) -> set[int]:
     return sent - heard | {0x720}
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     changes=st.lists(cob_ids, max_size=8),
     command=st.sampled_from([1, 2, 128]),

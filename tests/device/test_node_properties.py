@@ -313,4 +313,4 @@ class NodeModel(RuleBasedStateMachine):
 
 
 TestNodeModel = NodeModel.TestCase
-TestNodeModel.settings = settings(max_examples=60, stateful_step_count=60, deadline=None)
+TestNodeModel.settings = settings(max_examples=60, stateful_step_count=60)

@@ -114,7 +114,7 @@ def play(bench: Bench, script: list[tuple[Frame, float]]) -> None:
 
 
 @pytest.mark.parametrize("started", [False, True])
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(script=st.lists(steps, max_size=40))
 def test_the_sample_device(sample_path: Path, started: bool, script: list[tuple[Frame, float]]) -> None:
     bench = Bench(Dictionary.load(sample_path, ID))
@@ -123,7 +123,7 @@ def test_the_sample_device(sample_path: Path, started: bool, script: list[tuple[
     play(bench, script)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(data=st.lists(st.binary(min_size=8, max_size=8), max_size=60))
 def test_a_hostile_sdo_client_does_not_spoil_the_next_one(sample_path: Path, data: list[bytes]) -> None:
     bench = Bench(Dictionary.load(sample_path, ID))

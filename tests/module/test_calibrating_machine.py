@@ -245,5 +245,5 @@ def test_astuple_is_the_order_of_2002h() -> None:
     assert astuple(Conditioning(*values)) == values
 
 
-ModuleUnderAnyMaster.TestCase.settings = settings(max_examples=60, stateful_step_count=25, deadline=None)
+ModuleUnderAnyMaster.TestCase.settings = settings(max_examples=60, stateful_step_count=25)
 TestAnyMaster = ModuleUnderAnyMaster.TestCase

@@ -134,7 +134,7 @@ def test_bad_values_are_refused_and_change_nothing(bench: Bench, index: int, sub
     assert bench.at(0.0)[1] == StatusBit.VALID
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.data())
 def test_no_frame_ever_raises_and_what_is_published_is_well_formed(data: st.DataObject) -> None:
     module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
@@ -223,7 +223,7 @@ def test_two_zero_pulses_reference_the_position(bench: Bench) -> None:
     assert bench.sdo[0x2012][7].raw == 2
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.data())
 def test_no_sample_ever_raises_whatever_it_brings(data: st.DataObject) -> None:
     bench = Bench(autostart=True)

@@ -266,4 +266,4 @@ class ModuleMachine(RuleBasedStateMachine):
 
 
 TestModule = ModuleMachine.TestCase
-TestModule.settings = settings(max_examples=60, stateful_step_count=15, deadline=None)
+TestModule.settings = settings(max_examples=60, stateful_step_count=15)

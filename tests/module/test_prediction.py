@@ -51,7 +51,7 @@ def stopping(acceleration: float, periods: int) -> Callable[[int], float]:
     return lambda k: moving(min(k, 2 * periods))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(-0.3, 0.3), st.integers(1, 2), st.sampled_from([1, 255]), st.sampled_from([0, 1]))
 def test_at_constant_speed_nothing_is_left_of_the_age(
     acceleration: float, kind: int, rpdo: int, tpdo: int

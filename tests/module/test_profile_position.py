@@ -171,7 +171,7 @@ HALF = [
 ]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.sampled_from([1, 2, 3, 16, 1000, 2500]), st.lists(STEPS, max_size=40))
 @example(16, [STILL, STILL, ("preset", 0x6003, 2**31, 4)])  # half of the largest range
 @example(1, HALF)

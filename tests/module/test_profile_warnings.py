@@ -132,7 +132,7 @@ def test_the_alarm_comes_beside_the_warning_and_a_reset_forgets_both(bench: Benc
     assert told(bench)[3:] == [(AMPLITUDE, 0x21)]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.tuples(st.sampled_from([LOW, GOOD, BAD]), st.integers(1, 12)), max_size=12),
     st.sampled_from([0, 1, 5, 20]),

@@ -9,7 +9,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.objects import StatusBit
@@ -108,7 +108,6 @@ def tracks_at(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.rint(1500 * np.sin(angle)), np.rint(1500 * np.cos(angle))
 
 
-@settings(deadline=None)
 @given(speeds, speeds, st.floats(-0.01, 0.01), glitches, st.integers(1, 50), st.floats(0.02, 0.5))
 @example(83.46, 0.0, 0.0, [], 16, 1 / 3)  # a start in motion
 @example(83.46, 83.4, 0.0, [(100, 0.4, False)], 16, 1 / 3)

@@ -157,7 +157,7 @@ def recording(
     return s, c
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     seed=st.integers(0, 2**32),
     samples=st.integers(1, 700),

@@ -35,7 +35,7 @@ def test_a_kept_input(data: str) -> None:
     body.play(bytes.fromhex(data))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(data=st.binary(max_size=300), transfers_only=st.booleans())
 def test_any_input(data: bytes, transfers_only: bool) -> None:
     body.play(data, transfers_only=transfers_only)

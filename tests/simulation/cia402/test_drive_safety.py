@@ -91,7 +91,7 @@ ACTION = st.one_of(
 )
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(st.lists(ACTION, max_size=40))
 def test_no_torque_without_a_state_that_allows_it(actions: list[tuple[str, int]]) -> None:
     rig = Rig()

@@ -200,7 +200,7 @@ def test_a_module_or_a_number_that_cannot_be_is_refused(build: Callable[[], obje
 IDS = [0x000, 0x080, 0x0A0, 0x100, 0x1A0, 0x230, 0x330, 0x630, 0x720, 0x7E5]
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     st.lists(st.tuples(st.sampled_from(IDS), st.binary(max_size=8), st.booleans()), max_size=60),
     st.booleans(),
