@@ -86,31 +86,12 @@ def test_a_reset_waits_for_the_first_remote_frame(bench: Bench, command: int) ->
 # With a heartbeat
 
 
-def test_it_ends_a_running_life_time(bench: Bench) -> None:
-    set_up(bench)
-    guard(bench)
-    bench.write(0x1017, 0, 1000, 2)
-    assert {text for _, text in bench.run(10.0)} == {"720#7F"}
-    bench.write(0x1017, 0, 0, 2)
-    assert bench.run(10.0) == []
-    assert guard(bench) == ["720#7F"]
-
-
 def test_a_stored_heartbeat(silent: Bench) -> None:
     entry = silent.dictionary.entry(0x1017)
     entry.default = entry.value = 200
     silent.start()
     assert guard(silent) == []
     assert silent.run(0.2) == [(0.2, "720#7F")]
-
-
-def test_no_heartbeat_written_again_changes_nothing(bench: Bench) -> None:
-    set_up(bench)
-    guard(bench)
-    bench.run(0.1)
-    assert bench.write(0x1017, 0, 0, 2) == OK
-    assert bench.node.deadline() == pytest.approx(0.3)
-    assert guard(bench) == ["720#FF"]
 
 
 class ErrorControlModel:
