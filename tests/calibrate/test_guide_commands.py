@@ -17,7 +17,7 @@ from canfb.cli.main import build_parser
 
 ROOT = Path(__file__).parents[2]
 RATE = "plan#The SYNC rate"
-DRIFT = "adaptation#Drift: does the correction table still fit?"
+DRIFT = "analog-front-end#Drift: does the correction table still fit?"
 GUIDES = (
     *("first-hour", "first-encoder", "wiring", RATE),
     *("service#Real time", "homing", "calibration", DRIFT, "canopen", "simulation"),

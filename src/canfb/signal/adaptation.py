@@ -53,7 +53,7 @@ class AdaptConfig:
 
     @property
     def hidden_cycles(self) -> float:
-        """Largest difference that it makes to a position, cycles; docs/adaptation.md has the proof."""
+        """Largest difference that it makes to a position, cycles; docs/analog-front-end.md has the proof."""
         most, half = 1.0 + 0.5 * self.gain, 0.5 * self.phase_rad
         turned = math.atan2(most * math.sin(self.phase_rad), 2.0 - most + most * math.cos(self.phase_rad))
         rest = self.hidden_amplitude - (1.0 - math.cos(half))

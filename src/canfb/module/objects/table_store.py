@@ -137,7 +137,7 @@ MOST_PER_CENT = 0xFFFF
 
 
 class Adapting:
-    """Follows the drift of offset, gain and phase: 2002:08..12 (docs/adaptation.md).
+    """Follows the drift of offset, gain and phase: 2002:08..12 (docs/analog-front-end.md).
 
     `save` keeps the drift, and a reset goes on from there; the conditioning of 2002:01..07 stays that of the
     calibration. An activation, or 2002:08 = 0, begins at zero.
