@@ -1,7 +1,11 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
 from device_kit import Bench
+
+from canfb.device.application import FOLLOWED, IGNORED, REVOKED, Waiting
 
 
 def seen_by(bench: Bench) -> list[tuple[int | None, float]]:
@@ -27,21 +31,19 @@ def test_the_order_within_a_sync(bench: Bench) -> None:
     bench.operational()
     sine, out = bench.dictionary.entry(0x2000, 1), bench.dictionary.entry(0x2010, 1)
     order: list[object] = []
-    asks = True  # to be called again
+    answer = REVOKED
 
-    def accepts_sync(counter: int | None, now: float) -> bool:
+    def synchronise(counter: int | None, now: float, waiting: Sequence[Waiting]) -> int:
         order.append("accepted")
-        return True
-
-    def sync_received(counter: int | None, now: float) -> bool:
+        for rpdo in waiting:
+            rpdo.synchronise(now)
         order.append(("sync", sine.value))
         out.value = sine.value * 2
-        return asks
+        return answer
 
     bench.application.react(
-        accepts_sync=accepts_sync,
+        synchronise=synchronise,
         rpdo_received=lambda number, now: order.append(("rpdo", number, sine.value)),
-        sync_received=sync_received,
         tpdos_sampled=lambda: order.append("sampled"),
     )
     assert bench.send(0x190, "05000200") == []
@@ -50,9 +52,11 @@ def test_the_order_within_a_sync(bench: Bench) -> None:
     assert order == ["accepted", ("rpdo", 1, 5), ("sync", 5), "sampled"]
     bench.sync()
     assert order[4:] == ["accepted", ("sync", 5), "sampled"]
-    asks = False
-    bench.sync()
-    assert order[7:] == ["accepted", ("sync", 5)]
+    answer = FOLLOWED
+    assert bench.sync() == ["2A0#0A000000"]
+    answer = IGNORED
+    assert bench.sync() == []
+    assert order[7:] == 2 * ["accepted", ("sync", 5)]
 
 
 def test_the_producer_acts_on_its_own_sync(bench: Bench) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from canfb.cia301.nmt import NmtState
@@ -18,23 +18,37 @@ class Expiry(Protocol):
     until: float
 
 
+class Waiting(Protocol):
+    """A synchronous RPDO."""
+
+    def synchronise(self, now: float) -> None:
+        """Take over what came since the last SYNC, with `rpdo_received`."""
+
+
+IGNORED, FOLLOWED, REVOKED = range(3)
+"""After a SYNC: no TPDOs are sent, they are, or they are and `tpdos_sampled` is called then."""
+
+
 class ProcessData:
     """What SYNCs and PDOs are for the program, in one object, so that a frame takes no detour.
 
-    In OPERATIONAL a SYNC (CiA 301, 7.2.5) calls `accepts_sync`, `rpdo_received` for each synchronous RPDO,
-    `sync_received`, then the synchronous TPDOs are sampled. The rules of `Application` hold.
+    The rules of `Application` hold.
     """
 
-    def accepts_sync(self, counter: int | None, now: float) -> bool:
-        """Whether synchronous PDOs follow this SYNC; `counter` is None without 1019h."""
-        return True
+    def synchronise(self, counter: int | None, now: float, waiting: Sequence[Waiting]) -> int:
+        """A SYNC in OPERATIONAL (CiA 301, 7.2.5), `counter` None without 1019h; `waiting` RPDOs are taken
+        over, then come the synchronous TPDOs, as the result says.
+        """
+        for rpdo in waiting:
+            rpdo.synchronise(now)
+        self.sync_received(counter, now)
+        return FOLLOWED
 
     def rpdo_received(self, number: int, now: float) -> None:
         """RPDO `number` is in the dictionary."""
 
-    def sync_received(self, counter: int | None, now: float) -> bool:
-        """An accepted SYNC; True: call `tpdos_sampled`."""
-        return False
+    def sync_received(self, counter: int | None, now: float) -> None:
+        """A SYNC, after its RPDOs."""
 
     def tpdos_sampled(self) -> None:
         """The synchronous TPDOs are sampled."""

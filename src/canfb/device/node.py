@@ -232,11 +232,11 @@ class Node:
         self.tpdo_trigger(number)(now)
 
     def tpdo_trigger(self, number: int) -> Callable[[float], None]:
-        """What `trigger_tpdo` calls, until the node-ID changes; ValueError for no TPDO."""
+        """What `trigger_tpdo` calls, until `configuration_changed`; ValueError for no TPDO."""
         tpdos = self._life.services.pdos.tpdos
         if number not in tpdos:
             raise ValueError(f"there is no TPDO {number}; the EDS has {sorted(tpdos)}")
-        return tpdos[number].trigger
+        return tpdos[number].at_event
 
     def emergency(
         self,

@@ -4,9 +4,9 @@ At a SYNC inputs are sampled and outputs change together; with 1019h above 1 it 
 What it does to PDOs, `Pdos.synchronise` does in one order, so that what is sent belongs to what was received
 before:
 
-1. the program says whether PDOs follow (`accepts_sync`);
-2. synchronous RPDOs are taken over, each with `rpdo_received`;
-3. `sync_received`: the program acts on the new interval;
+1. the program says whether PDOs follow (`ProcessData.synchronise`);
+2. it has the synchronous RPDOs taken over, each with `rpdo_received`;
+3. it acts on the new interval;
 4. synchronous TPDOs are sampled and sent; then `tpdos_sampled`, if it was asked for.
 
 In PRE-OPERATIONAL the program gets it too (`idle_sync_received`): its period is known before the first
@@ -16,9 +16,12 @@ to 7.5.2.22).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
+from canfb.device.application import REVOKED
 from canfb.device.core import NEVER, Core, Routes, Timed
 from canfb.device.pdo.mapping import Direction, numbers
 from canfb.device.pdo.rpdo import Rpdo
@@ -37,7 +40,7 @@ class Pdos:
         self.tpdos = {number: Tpdo(core, number) for number in numbers(core.dictionary, Direction.TRANSMIT)}
         self._operational = False
         self._sync_rpdos: list[Rpdo] = []
-        self._sync_tpdos: list[Tpdo] = []
+        self._send: list[Callable[[float, int | None], None]] = []
 
     def enable(self, operational: bool, now: float) -> None:
         """Whether the NMT state allows PDOs."""
@@ -63,7 +66,7 @@ class Pdos:
     def choose(self) -> None:
         """Which of them act at a SYNC."""
         self._sync_rpdos = [rpdo for rpdo in self.rpdos.values() if rpdo.is_synchronous]
-        self._sync_tpdos = [tpdo for tpdo in self.tpdos.values() if tpdo.is_synchronous]
+        self._send = [tpdo.at_sync for tpdo in self.tpdos.values() if tpdo.is_synchronous]
 
     def synchronise(self, counter: int | None, now: float) -> None:
         """A SYNC."""
@@ -73,15 +76,12 @@ class Pdos:
         if not self._operational:
             process.idle_sync_received(counter)
             return
-        if not process.accepts_sync(counter, now):
-            return
-        for rpdo in self._sync_rpdos:
-            rpdo.synchronise(now)
-        follows = process.sync_received(counter, now)
-        for tpdo in self._sync_tpdos:
-            tpdo.synchronise(counter, now)
-        if follows:
-            process.tpdos_sampled()
+        follow = process.synchronise(counter, now, self._sync_rpdos)
+        if follow:
+            for send in self._send:
+                send(now, counter)
+            if follow == REVOKED:
+                process.tpdos_sampled()
 
 
 class Sync(Timed):

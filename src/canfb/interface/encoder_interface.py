@@ -115,7 +115,7 @@ class EncoderInterface(NodeDevice):
         self._received_s = self.time_base.at(now)
         return self._audible(super().tick(now))
 
-    def sync_received(self, counter: int | None, now: float) -> bool:
+    def sync_received(self, counter: int | None, now: float) -> None:
         """The sample of this SYNC goes into 6401h and 2000h, and out with its TPDOs."""
         sample = self._watch.sample(now)
         if self._watch.failing is not self._reported:
@@ -123,13 +123,12 @@ class EncoderInterface(NodeDevice):
         if sample is None:
             self._silent = True
             self.missed += not self.ended
-            return False
+            return
         self.samples += 1
         self._keep(sample)
         for number, kind in self._types.items():
             if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
                 self.trigger_tpdo(number, now)
-        return False
 
     def _report_source(self, now: float) -> None:
         self._reported = self._watch.failing

@@ -20,7 +20,7 @@ from canfb.module.jitter_watch import JitterWatch
 from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import Calibrating, CalibrationJob, Outcome
 from canfb.module.objects.recorder import Recorder, SampleObservers
-from canfb.module.objects.sample_input import LocalSource, SampleInput
+from canfb.module.objects.sample_input import NO_RPDO, LocalSource, SampleInput
 from canfb.module.objects.second_input import SecondInput
 from canfb.module.objects.table_store import Adapting, TableStore
 from canfb.module.objects.write_lock import WriteLock
@@ -313,6 +313,7 @@ class FeedbackModule(NodeDevice):
     def configuration_changed(self) -> None:
         """PDO parameters or the NMT state."""
         self._input.configure()
+        self._pairing.usual = NO_RPDO
         source, timed = self._source, self._pairing.timed
         per_sync = self._input.samples_per_sync if source is None else source.samples_per_sync
         self._sampling.configured(per_sync, timed or (source is not None and per_sync > 1))

@@ -8,14 +8,16 @@ their time, which go to the chain as they stand in the dictionary; all others ar
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from canfb import objects as od
-from canfb.device.application import ProcessData
+from canfb.device.application import FOLLOWED, IGNORED, REVOKED, ProcessData, Waiting
 from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.module.interval import InterfaceGrid, SamplingInterval
 from canfb.module.objects.recorder import SampleObservers
-from canfb.module.objects.sample_input import LocalSource, SampleInput
+from canfb.module.objects.sample_input import NO_RPDO, LocalSource, SampleInput
 from canfb.module.objects.second_input import SecondInput
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
@@ -69,10 +71,10 @@ class Pairing(ProcessData):
         "_tracks_came",
         "_verdict",
         "answers",
-        "extra",
         "sampled",
         "syncs",
         "unconfirmed",
+        "usual",
     )
 
     def __init__(
@@ -115,13 +117,13 @@ class Pairing(ProcessData):
         self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
         self._synced = False  # a SYNC came since OPERATIONAL
         self._extra_came = False  # before the last SYNC, after the one before
-        self.extra = False
-        """The last SYNC counts as none, but PDOs follow it."""
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
         self._verdict = ON_TIME  # on the last SYNC
         self._off = 0.0  # the grid, so far was the last sample taken, intervals
         self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
         self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
+        self.usual = NO_RPDO
+        """The RPDO that may bring a usual sample of the last SYNC."""
         self.syncs.pause()
         self._accounted = self._answered = self.syncs.place  # the last with a sample or a miss; a sample
 
@@ -139,39 +141,82 @@ class Pairing(ProcessData):
 
     def idle_sync_received(self, counter: int | None) -> None:
         """A SYNC in PRE-OPERATIONAL: the first samples are judged by a period that is known."""
-        self._hear(counter)
-        self.syncs.until = NEVER
-
-    def _hear(self, counter: int | None) -> None:
         syncs, call = self.syncs, self._call
         syncs.overflow, syncs.periods = self._overflow.value, self._periods.value
-        self._extra_came = syncs.extra_came
-        self._verdict = syncs.sync(call.received, call.is_stamped, counter)
-        self._off = self._verdict.off
+        syncs.sync(call.received, call.is_stamped, counter)
+        syncs.until = NEVER
 
-    def accepts_sync(self, counter: int | None, now: float) -> bool:
-        """Before anything is done with a SYNC: is it on the bus for the first time, and were others missed?
+    def synchronise(self, counter: int | None, now: float, waiting: Sequence[Waiting]) -> int:
+        """A SYNC: the interval before it is over, unless it is an extra one.
 
-        True: synchronous PDOs follow, as every SYNC of a master. One that comes too early for the sampling
-        (2012:0D) brings no sample; the position is withheld if the machine moves.
+        With 2013:01 the TPDOs get the position of this SYNC; the sample of a source belongs to it anyway.
         """
-        self._hear(counter)
-        verdict, parts, syncs = self._verdict, self._input, self.syncs
+        syncs, call, parts = self.syncs, self._call, self._input
+        syncs.overflow, syncs.periods = self._overflow.value, self._periods.value
+        self._extra_came = syncs.extra_came
+        self._verdict = verdict = syncs.sync(call.received, call.is_stamped, counter)
+        self._off = verdict.off
+        self.usual = NO_RPDO
         if verdict.extra:
-            _count(self._duplicate_syncs)
-            self.extra = not verdict.repeated
-            self._stale |= self.extra and parts.is_synchronous and not parts.timed  # may answer either
-            if self.extra and self._chain.slips(syncs.extra_after):
-                self._publishing.withhold()  # the position is that of the SYNC before
-            if verdict.doubt and not self.timed:
-                self._lose_count(verdict.doubt, now)
-            return self.extra
+            return self._extra_sync(now, waiting)
+        late = syncs.late_s > 0.0
+        if verdict is not ON_TIME or late or waiting or self._ambiguous or syncs.place - 1 > self._accounted:
+            self._account(counter, now, waiting)
+        if self._second.number is not None:
+            self._second.interval_over(not (verdict.lost or late or self._extra_came))
+        if parts.arrived and parts.give_up():
+            self.count_bad_frame()
+        source = self._source
+        if self.sampled and not self._sample_came and self._synced and source is None:
+            if parts.is_synchronous and not self._tracks_came:
+                self._miss_to(syncs.place, now)
+            elif self._tracks_came:  # without the rest of the sample
+                self._miss(int(self._elapsed), now)
+        self._sample_came, self._tracks_came, self._stale = 0, False, False
+        self._synced = True
+        if source is not None:
+            self._sample_source(source, now)
+        elif not (self.unconfirmed or self._off or late or syncs.grid.early or parts.usual == NO_RPDO):
+            in_turn = not self._prediction.follows if parts.timed else syncs.place - 1 == self._accounted
+            if in_turn and parts.usual != self._second.number:
+                self.usual = parts.usual
+        if self._prediction.extrapolates and source is None:
+            self._publishing.extrapolate()
+            return REVOKED
+        return FOLLOWED
+
+    def _extra_sync(self, now: float, waiting: Sequence[Waiting]) -> int:
+        """It comes too early for the sampling, and brings no sample (2012:0D).
+
+        PDOs follow unless it is one of the bus twice; the position is withheld if the machine moves.
+        """
+        parts, syncs, verdict = self._input, self.syncs, self._verdict
+        _count(self._duplicate_syncs)
+        follows = not verdict.repeated
+        self._stale |= follows and parts.is_synchronous and not parts.timed  # may answer either
+        if follows and self._chain.slips(syncs.extra_after):
+            self._publishing.withhold()  # the position is that of the SYNC before
+        if verdict.doubt and not self.timed:
+            self._lose_count(verdict.doubt, now)
+        if not follows:
+            return IGNORED
+        for rpdo in waiting:
+            rpdo.synchronise(now)
+        self._stale = False
+        if self._prediction.extrapolates and self._source is None:
+            self._publishing.withhold()  # no sample belongs to it, and so none is extrapolated to it
+        return FOLLOWED
+
+    def _account(self, counter: int | None, now: float, waiting: Sequence[Waiting]) -> None:
+        """Were SYNCs before this one missed, and what do those RPDOs hold that waited for it?"""
+        verdict, parts, syncs = self._verdict, self._input, self.syncs
+        unsure = bool(verdict.lost or verdict.doubt or syncs.late_s)
         if parts.is_synchronous:
             if parts.is_ambiguous and not parts.timed:
                 self.count_bad_frame()
                 self._stale = True
-            self._stale |= bool(verdict.lost or verdict.doubt or syncs.late_s)
-        if verdict.lost or verdict.doubt or syncs.late_s:
+            self._stale |= unsure
+        if unsure:
             self._publishing.withhold()
         if lost := verdict.lost:
             _count(self._lost_syncs, lost * self.sampled)
@@ -182,36 +227,8 @@ class Pairing(ProcessData):
             self._lose_count(doubt, now)
         if syncs.place - 1 > self._accounted:
             self._miss_to(syncs.place - 1, now)
-        return True
-
-    def sync_received(self, counter: int | None, now: float) -> bool:
-        """A SYNC that was accepted: the interval before it is over, unless it is an extra one.
-
-        With 2013:01 the TPDOs get the position of this SYNC; the sample of a source belongs to it anyway.
-        """
-        extrapolates = self._prediction.extrapolates and self._source is None
-        if self.extra:
-            self.extra = self._stale = False
-            if extrapolates:  # no sample belongs to it, and so none is extrapolated to it
-                self._publishing.withhold()
-            return False
-        parts = self._input
-        if self._second.number is not None:
-            self._second.interval_over(not (self._verdict.lost or self.syncs.late_s or self._extra_came))
-        if parts.arrived and parts.give_up():
-            self.count_bad_frame()
-        if self.sampled and not self._sample_came and self._synced and self._source is None:
-            if parts.is_synchronous and not self._tracks_came:
-                self._miss_to(self.syncs.place, now)
-            elif self._tracks_came:  # without the rest of the sample
-                self._miss(int(self._elapsed), now)
-        self._sample_came, self._tracks_came, self._stale = 0, False, False
-        self._synced = True
-        if self._source is not None:
-            self._sample_source(self._source, now)
-        if extrapolates:
-            self._publishing.extrapolate()
-        return extrapolates
+        for rpdo in waiting:
+            rpdo.synchronise(now)
 
     def _heard_of(self, unheard: int) -> int:
         """How many SYNCs not received are answered, by several samples with their time since the last one."""
@@ -242,6 +259,7 @@ class Pairing(ProcessData):
     def overdue(self, now: float) -> bool:
         """No SYNC and no sample for 2010:06 periods; False where the length of a period is not known."""
         syncs = self.syncs
+        self.usual = NO_RPDO
         passed = syncs.overdue(now)
         if not self.sampled:
             syncs.until = NEVER
@@ -262,27 +280,64 @@ class Pairing(ProcessData):
         self.count_bad_frame()
 
     def rpdo_received(self, number: int, now: float) -> None:
-        """RPDO ``number``, or its data at a SYNC: a sample, a part of it, or the other sensor."""
+        """RPDO ``number``, or its data at a SYNC: a sample, a part of it, or the other sensor.
+
+        A usual sample is that of the last SYNC, in time, and without more than two counts and their time.
+        """
+        parts, syncs, call = self._input, self.syncs, self._call
+        grid, stamped = syncs.grid, call.is_stamped
+        if number != self.usual or self._observers.open or parts.flags.value:
+            self._look_closely(number, now)
+            return
+        limits = self._limits
+        if not limits.shortest_s < (self._interval.speed_unit_s or grid.period) < limits.longest_s:
+            limits.follow()
+        if parts.timed:
+            if stamped is not syncs.stamped:
+                self._look_closely(number, now)
+                return
+            feedback = self._chain.take_in_turn(
+                parts.sine.value,
+                parts.cosine.value,
+                parts.time.value,
+                call.received if stamped else None,
+                syncs.synced_s,
+            )
+            if feedback is None:
+                self._look_closely(number, now)
+                return
+        else:
+            if stamped and syncs.stamped:
+                if not self.answers.is_usual(call.received - syncs.synced_s, grid):
+                    self._look_closely(number, now)
+                    return
+            elif call.received >= grid.due:
+                self._look_closely(number, now)
+                return
+            feedback = self._stages.take(parts.sine.value, parts.cosine.value)
+            self._tracks_came = True
+        self.usual = NO_RPDO
+        self._accounted = self._answered = syncs.place
+        self._sample_came, self.sampled = 1, True
+        noise = limits.noise
+        if feedback[-1] >= noise.due and noise.take(feedback):
+            limits.measured()
+        self._publishing.publish(feedback, now)
+
+    def _look_closely(self, number: int, now: float) -> None:
+        """What is not a usual sample."""
         if number == self._second.number:
             self._second.value_received()
         parts = self._input
+        if number == parts.usual:
+            self.usual = NO_RPDO
         if self._stale or self._source is not None:
             return
-        if number == parts.whole_timed and self._synced:
-            received_s, synced_s = self._receptions()
-            if self._take_usual_timed(received_s, synced_s, now):
-                self._sample_came, self.sampled = self._sample_came + 1, True
-                self._answer(self.syncs.place)
-                return
         if number == parts.judged:
             elapsed = self._judged(now)
             if elapsed is None:
                 return
             self._tracks_came = True
-            if elapsed == 1.0 and number == parts.whole:
-                self._sample_came = self.sampled = True
-                self._take_usual(now)
-                return
             self._elapsed = elapsed
         if number == parts.alone or parts.take(number):
             self._complete(parts.sample(), now)
@@ -401,21 +456,6 @@ class Pairing(ProcessData):
 
     # Samples into the chain, and out.
 
-    def _take_usual(self, now: float) -> None:
-        """Two counts that answer the last SYNC, as they stand in the dictionary."""
-        parts = self._input
-        if self.unconfirmed or self._observers.open or parts.flags.value or self._is_open or self._off:
-            self._take(parts.sample(), 1.0, now)
-            return
-        limits = self._limits
-        if limits.narrowed:
-            limits.follow()
-        feedback = self._stages.take(parts.sine.value, parts.cosine.value)
-        noise = limits.noise
-        if feedback[-1] >= noise.due and noise.take(feedback):
-            limits.measured()
-        self._publishing.publish(feedback, now)
-
     @property
     def _is_open(self) -> bool:
         """SYNCs before or after the last one may have been lost."""
@@ -423,32 +463,12 @@ class Pairing(ProcessData):
 
     def _take(self, sample: Sample, elapsed: float, now: float) -> None:
         """A sample without a time through the chain, and out."""
-        if self._limits.narrowed:
-            self._limits.follow()
+        self._limits.follow()
         placed = not (self._off and self._chain.slips(self._off))
         feedback = self._chain.after(sample, elapsed, placed=placed)
         if feedback.status & VALID and (self.unconfirmed or (self._is_open and self._chain.slips(1.0))):
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
-
-    def _take_usual_timed(self, received_s: float | None, synced_s: float | None, now: float) -> bool:
-        """A sample with its time as it stands in the dictionary; False if it is to be looked at closely."""
-        parts = self._input
-        if self._prediction.follows or self.unconfirmed or self._observers.open or parts.flags.value:
-            return False
-        limits = self._limits
-        if limits.narrowed:
-            limits.follow()
-        feedback = self._chain.take_in_turn(
-            parts.sine.value, parts.cosine.value, parts.time.value, received_s, synced_s
-        )
-        if feedback is None:
-            return False
-        noise = limits.noise
-        if feedback[-1] >= noise.due and noise.take(feedback):
-            limits.measured()
-        self._publishing.publish(feedback, now)
-        return True
 
     def _take_timed(
         self, sample: Sample, received_s: float | None, synced_s: float | None, now: float

@@ -195,7 +195,7 @@ class Limits:
 
     ``noise``     of the residual; :meth:`measured` is called with each block of it
     ``timed``     samples bring their time
-    ``narrowed``  limits or analog path depend on the sampling interval, which may change
+    ``shortest_s``, ``longest_s``  while the interval is between them, nothing is to be done
     ``in_force``  what the chain has: the same object until :meth:`apply`
     """
 
@@ -208,8 +208,8 @@ class Limits:
         self.noise = ResidualNoise()
         self._applied_noise = math.nan
         self._applied_s = 0.0
-        self._shortest_s = self._longest_s = 0.0  # while the interval is between them, all stays
-        self.timed = self.narrowed = False
+        self.shortest_s, self.longest_s = -math.inf, math.inf
+        self.timed = self._narrowed = False
         self.in_force = ChainConfig().chain_limits
         self.on_applied: Callable[[], None] | None = None
         self._upper_is_old = False
@@ -239,13 +239,12 @@ class Limits:
     def unit_changed(self) -> None:
         """Those of the interval in which the next sample is counted."""
         self.interval.speed_unit_s = self._chain.unit_s
-        if self.narrowed:
-            self.follow()
+        self.follow()
 
     def follow(self) -> None:
-        """Before a sample, if :attr:`narrowed`."""
+        """Before a sample, if the interval is not between :attr:`shortest_s` and :attr:`longest_s`."""
         known_s = self.interval.known_s
-        if self._shortest_s < known_s < self._longest_s:
+        if self.shortest_s < known_s < self.longest_s:
             return
         if abs(known_s - self._applied_s) > SAME_NARROWED * self._applied_s:
             self.apply()
@@ -256,12 +255,14 @@ class Limits:
         """The analog path, and how far the interval may change before something is to be done."""
         chain, known_s, applied_s = self._chain, self.interval.known_s, self._applied_s
         chain.use_interval(self.interval.sample_s)
-        same_s = SAME_NARROWED * applied_s
-        self._shortest_s, self._longest_s = applied_s - same_s, applied_s + same_s
+        self.shortest_s, self.longest_s = -math.inf, math.inf
+        if self._narrowed:
+            same_s = SAME_NARROWED * applied_s
+            self.shortest_s, self.longest_s = applied_s - same_s, applied_s + same_s
         if chain.tracks.needs_unit:
             same_s = SAME_ANALOG * known_s
-            self._shortest_s = max(self._shortest_s, known_s - same_s)
-            self._longest_s = min(self._longest_s, known_s + same_s)
+            self.shortest_s = max(self.shortest_s, known_s - same_s)
+            self.longest_s = min(self.longest_s, known_s + same_s)
 
     def measured(self) -> None:
         """Another block of :attr:`noise`."""
@@ -297,8 +298,8 @@ class Limits:
             corners=settings.corners,
         )
         self._chain.set_limits(self.in_force)
+        self._narrowed = settings.acceleration_rad_s2 > 0.0 or self._chain.tracks.needs_unit
         self._use_interval()
-        self.narrowed = settings.acceleration_rad_s2 > 0.0 or self._chain.tracks.needs_unit
         if self.on_applied is not None:
             self.on_applied()
 

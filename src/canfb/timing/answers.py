@@ -36,10 +36,10 @@ class Answers:
     def is_usual(self, delay_s: float, grid: Grid) -> bool:
         """It answers the SYNC so long before it, within the usual delay."""
         later_s = delay_s - self.least_s
-        if not 0.0 <= later_s <= _most_s(grid):
+        if self._refused or not 0.0 <= later_s <= _most_s(grid) or self.is_early(delay_s, grid):
             return False
         self.least_s += FORGETTING * later_s
-        return not self._refused
+        return True
 
     def is_early(self, delay_s: float, grid: Grid) -> bool:
         """Its SYNC came before its place on the grid, and it sooner than from a timer: so did its sample."""

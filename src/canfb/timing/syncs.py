@@ -60,6 +60,8 @@ class SyncVerdict(NamedTuple):
 ON_TIME = SyncVerdict()
 EXTRA = SyncVerdict(extra=True)
 REPEATED = SyncVerdict(extra=True, repeated=True)
+Judged = tuple[SyncVerdict, int, float]
+"""With it the places by which the line goes on, 0: not by this SYNC, and how far off it is, seconds."""
 
 
 class Syncs:
@@ -78,6 +80,7 @@ class Syncs:
         "_low_s",
         "_next_counter",
         "_received_s",
+        "_valid_s",
         "begun",
         "extra_after",
         "extra_came",
@@ -128,6 +131,7 @@ class Syncs:
         self._counter: int | None = None
         self._next_counter: int | None = None
         self._grouped, self._earliest_s = 0, inf
+        self._valid_s = inf  # from a SYNC to `until`
         self._low_s, self._high_s = inf, -inf  # off the place, of a SYNC that needs no judgement
         self._assumed = False  # the last place was never received: its PDO came
 
@@ -149,49 +153,51 @@ class Syncs:
     def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
         """A SYNC at ``time_s`` with its ``counter``, None without one."""
         grid = self.grid
-        off_s = time_s - grid.due
-        if (
+        off_s, places, verdict = time_s - grid.due, 1, ON_TIME
+        usual = (
             self._low_s < off_s < self._high_s
             and counter == self._next_counter
             and stamped == self.stamped
             and not self.extra_came
-        ):
-            self._came(time_s, counter)
-            self._follow(1, off_s)
-            return ON_TIME
-        verdict = self._judged(time_s, stamped, counter)
-        self._look_ahead()
-        return verdict
-
-    def _came(self, time_s: float, counter: int | None) -> None:
+        )
+        if not usual:
+            verdict, places, off_s = self._judged(time_s, stamped, counter)
+            if verdict.extra:
+                self._look_ahead()
+                return verdict
         self.place += 1
         self.synced_s = self._received_s = time_s
         self._counter = self._next_counter = counter
         if counter is not None:
             self._next_counter = 1 if counter == self.overflow else counter + 1
-        self.until = time_s + self._longest_s()
+        # With one period alone, the next may be late.
+        late_s = grid.allowed if self.periods == 1 else 0.0
+        self._valid_s = valid_s = self.periods * (grid.period or UNSETTLED_S) + late_s
+        self.until = time_s + valid_s
+        if places:
+            self._grouped += 1
+            if stamped:
+                grid.follow(places, off_s)
+            else:
+                grid.skip(places)
+                if off_s < self._earliest_s:
+                    self._earliest_s = off_s
+            if self._grouped >= TOGETHER:
+                self._group_over()
+        if not usual:
+            self._look_ahead()
+        return verdict
 
-    def _longest_s(self) -> float:
-        """From one SYNC to the end of validity; with one period alone, the next may be late."""
-        return self.periods * (self.grid.period or UNSETTLED_S) + (self.periods == 1) * self.grid.allowed
-
-    def _follow(self, places: int, off_s: float) -> None:
+    def _group_over(self) -> None:
         grid = self.grid
-        self._grouped += 1
-        if self.stamped:
-            grid.follow(places, off_s)
-        else:
-            grid.skip(places)
-            self._earliest_s = min(self._earliest_s, off_s)
-        if self._grouped >= TOGETHER:
-            if not self.stamped:
-                grid.skip(-1)
-                grid.follow(1, self._earliest_s, TOGETHER)
-            self._grouped, self._earliest_s = 0, inf
-            if grid.seen < grid.memory:
-                self._look_ahead()
-            if self.on_followed is not None:
-                self.on_followed(self.synced_s, self.stamped)
+        if not self.stamped:
+            grid.skip(-1)
+            grid.follow(1, self._earliest_s, TOGETHER)
+        self._grouped, self._earliest_s = 0, inf
+        if grid.seen < grid.memory:
+            self._look_ahead()
+        if self.on_followed is not None:
+            self.on_followed(self.synced_s, self.stamped)
 
     def _look_ahead(self) -> None:
         """What a usual SYNC is, from now on."""
@@ -202,26 +208,26 @@ class Syncs:
             self._low_s = -grid.allowed if self.stamped else self._early_s(counted)
             self._high_s = grid.allowed if self.stamped else LATE * grid.period
 
-    def _judged(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
+    def _judged(self, time_s: float, stamped: bool, counter: int | None) -> Judged:
         grid = self.grid
         if not isfinite(time_s):
-            return EXTRA
+            return EXTRA, 0, 0.0
         missing = self._missing(counter)
         if not self.begun:
             grid.begin(time_s)
-            return self._taken(time_s, stamped, counter, 0)
+            return self._taken(stamped, 0)
         apart_s = time_s - self._received_s
         again = missing is not None and missing == self.overflow - 1 > 0
         if apart_s < (HALF * (grid.rough or inf) if again else SAME_FRAME_S if stamped else 0.0):
             self._received_s = max(time_s, self._received_s)
-            return REPEATED
+            return REPEATED, 0, 0.0
         if stamped != self.stamped and grid.period:  # the line is that of the others
             grid.begin(time_s)
-            return self._taken(time_s, stamped, counter, missing or 0)._replace(doubt=1.0)
+            return self._taken(stamped, missing or 0, doubt=1.0)
         if not grid.period:
             (grid.learn if stamped else grid.learn_earliest)(time_s)
-            return self._taken(time_s, stamped, counter, missing or 0)
-        return (self._by_time if stamped else self._by_order)(time_s, counter, missing)
+            return self._taken(stamped, missing or 0)
+        return (self._by_time if stamped else self._by_order)(time_s, missing)
 
     def _missing(self, counter: int | None) -> int | None:
         """SYNCs before this one by the counter, modulo its turn; None: nothing is known."""
@@ -229,25 +235,16 @@ class Syncs:
             return None
         return (counter - self._counter - 1) % self.overflow
 
-    def _taken(
-        self,
-        time_s: float,
-        stamped: bool,
-        counter: int | None,
-        lost: int,
-        off: float = 0.0,
-        doubt: float = 0.0,
-    ) -> SyncVerdict:
-        """Count this SYNC, and those before it that were not received."""
+    def _taken(self, stamped: bool, lost: int, off: float = 0.0, doubt: float = 0.0) -> Judged:
+        """This SYNC counts, and those before it that were not received."""
         self.stamped, self.begun, self.extra_came = stamped, True, False
         self._assumed = False
         self.place += lost
-        self._came(time_s, counter)
-        return SyncVerdict(lost, off=off, doubt=doubt) if lost or off or doubt else ON_TIME
+        return SyncVerdict(lost, off=off, doubt=doubt) if lost or off or doubt else ON_TIME, 0, 0.0
 
     # With receive times.
 
-    def _by_time(self, time_s: float, counter: int | None, missing: int | None) -> SyncVerdict:
+    def _by_time(self, time_s: float, missing: int | None) -> Judged:
         grid = self.grid
         places, off_s = grid.nearest(time_s)
         places = min(places, MOST_INTERVALS)
@@ -257,7 +254,7 @@ class Syncs:
         if in_turn and (places == 1 or (places > 1 and missing is not None)):
             grid.is_in_turn(time_s)
         elif grid.refuse(time_s):
-            return self._set_again(time_s, counter, places, off_s, missing)
+            return self._set_again(places, off_s, missing)
         if places < 1:
             return self._extra(time_s)
         if contradicts and missing is not None:
@@ -265,22 +262,20 @@ class Syncs:
             doubt = float(abs(nearest + 1 - places)) if on else 0.0
             places = max(1, nearest + 1)
             grid.skip(places)
-            return self._taken(time_s, True, counter, places - 1, abs(off_s) / grid.period, doubt)
+            return self._taken(True, places - 1, abs(off_s) / grid.period, doubt)
         if not on:
             grid.skip(places)
-            return self._taken(time_s, True, counter, places - 1, abs(off_s) / grid.period)
-        verdict = self._taken(time_s, True, counter, places - 1)
-        self._follow(places, off_s)
-        return verdict
+            return self._taken(True, places - 1, abs(off_s) / grid.period)
+        verdict, _, _ = self._taken(True, places - 1)
+        return verdict, places, off_s
 
-    def _extra(self, time_s: float) -> SyncVerdict:
+    def _extra(self, time_s: float) -> Judged:
         self._received_s, self.extra_came = time_s, True
         self.extra_after = abs(time_s - self.synced_s) / self.grid.period
-        return SyncVerdict(extra=True, doubt=1.0) if self._assumed else EXTRA  # its answer came before it
+        # Its answer came before it.
+        return SyncVerdict(extra=True, doubt=1.0) if self._assumed else EXTRA, 0, 0.0
 
-    def _set_again(
-        self, time_s: float, counter: int | None, places: int, off_s: float, missing: int | None
-    ) -> SyncVerdict:
+    def _set_again(self, places: int, off_s: float, missing: int | None) -> Judged:
         """Another rate or phase: so much may have passed unnoticed meanwhile."""
         grid, before_s = self.grid, self.grid.period
         changed = grid.set_again(grid.row)
@@ -288,11 +283,11 @@ class Syncs:
         self.late_s = 0.0
         self._grouped, self._earliest_s = 0, inf
         lost = missing if missing is not None else 0 if changed else max(0, places - 1)
-        return self._taken(time_s, self.stamped, counter, lost, doubt=doubt)
+        return self._taken(self.stamped, lost, doubt=doubt)
 
     # Without.
 
-    def _by_order(self, time_s: float, counter: int | None, missing: int | None) -> SyncVerdict:
+    def _by_order(self, time_s: float, missing: int | None) -> Judged:
         grid, lost = self.grid, missing or 0
         turn = self.overflow if missing is not None else 1
         late_s = time_s - grid.due - lost * grid.period
@@ -309,7 +304,7 @@ class Syncs:
         if in_time and not doubt:
             grid.is_in_turn(time_s, may_be_late=True)
         elif grid.refuse_call(time_s, early):
-            return self._relocked(time_s, counter, late_s, turn, missing)
+            return self._relocked(late_s, turn, missing)
         if early and missing is None and apart_s < FASTER * grid.period:
             return self._extra(time_s)
         if not late and self.late_s and late_s < HALF * grid.period:
@@ -317,22 +312,19 @@ class Syncs:
         elif late or self.late_s:
             self.late_s = max(late_s, grid.period * 1e-9)
         off = -late_s / grid.period if early else 0.0
-        verdict = self._taken(time_s, False, counter, lost, off, doubt)
+        verdict, _, _ = self._taken(False, lost, off, doubt)
         if in_time and late_s < LATE * grid.period:  # a host that is late says nothing of the grid
-            self._follow(1 + lost, late_s)
-        else:
-            grid.skip(1 + lost)
-        return verdict
+            return verdict, 1 + lost, late_s
+        grid.skip(1 + lost)
+        return verdict, 0, 0.0
 
-    def _relocked(
-        self, time_s: float, counter: int | None, late_s: float, turn: int, missing: int | None
-    ) -> SyncVerdict:
+    def _relocked(self, late_s: float, turn: int, missing: int | None) -> Judged:
         late = abs(late_s) / self.grid.period
         behind = round(late_s / self.grid.period / turn) * turn
-        verdict = self._set_again(time_s, counter, 1, late_s, missing)
+        verdict, _, _ = self._set_again(1, late_s, missing)
         lost = max(0, behind) if verdict.doubt == late else 0
         self.place += lost
-        return verdict._replace(lost=verdict.lost + lost, doubt=max(1.0, verdict.doubt))
+        return verdict._replace(lost=verdict.lost + lost, doubt=max(1.0, verdict.doubt)), 0, 0.0
 
     def _early_s(self, counted: bool) -> float:
         """Off its place, of a SYNC that is early: as no counter says that it is the next one."""
@@ -352,7 +344,7 @@ class Syncs:
         if self._counter is not None and self.overflow > 1:
             counter = (self._counter - 1 + intervals) % self.overflow + 1
             self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
-        self.until = self.synced_s + self._longest_s()
+        self.until = self.synced_s + self._valid_s
 
     def overdue(self, now: float) -> bool:
         """No SYNC for so long; the places up to ``now`` passed. False where the period is not known."""

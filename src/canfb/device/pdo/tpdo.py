@@ -8,13 +8,15 @@
 | FDh | on a remote frame |
 | FEh, FFh | at an event, not before the inhibit time, at the latest when the event timer is over |
 
-`Tpdo.trigger` is the event: for an active TPDO that no time delays, one test and one call of its packer.
+`Tpdo.at_event` and `at_sync` are what an event and a SYNC call: `send` itself where no more is to be decided.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER, Core, Timed
@@ -29,9 +31,8 @@ from canfb.device.pdo.mapping import (
     struct_of,
 )
 
-Pack = Callable[[], bytes]
-UNFIT = (struct.error, OverflowError)
-"""What `struct` raises for a value that does not fit."""
+UNFIT = (struct.error, OverflowError, ValueError)
+"""What is raised for a value that does not fit."""
 
 _LARGEST_START = 240
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
@@ -81,56 +82,52 @@ class Tpdo(Timed):
         """Whether the state allows PDOs; compiles the mapping."""
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
-        self._pack: Pack | None = packer(slots) if slots else None  # while it is active
+        self._pack: Packer | None = packer(slots) if slots else None  # while it is active
         self._can_id = self._parameters.can_id
         self._type: int = self._parameters.type.value
         self._event_driven = self._pack is not None and self._type in EVENT_DRIVEN
         self._inhibit_s: float = self._inhibit.value / 10_000
         self._timer_s: float = self._event_timer.value / 1000 if self._event_driven else 0.0
         self._limited = self._inhibit_s > 0 or self._timer_s > 0
-        # At an event that nothing delays.
-        self._pack_at_once = self._pack if self._event_driven and not self._limited else None
+        self.at_event = self.send if self._event_driven and not self._limited else self.trigger
         if not self._inhibit_s:
             self._not_before = -NEVER
         self._timer_end = now + self._timer_s if self._timer_s else NEVER
         self._event = False
         self._waits_for_start = self._start_value.value > 0
-        self._pack_each_sync = (
-            self._pack if self._type == 1 and not (self._waits_for_start or self._limited) else None
-        )
+        self.at_sync = self.send if self._type == 1 and not self._waits_for_start else self.synchronise
         self._syncs = 0
         self._sampled: bytes | None = None
         self._schedule()
 
     def trigger(self, now: float) -> None:
         """An event of the application."""
-        pack = self._pack_at_once
-        if pack is not None:
-            emit = self._emit
-            emit(_new(Frame, (self._can_id, pack(), False, None)))
-        elif self._event_driven:
-            if self._limited and now < self._not_before:
-                self._event = True
-                self._schedule()
-            else:
-                self._send(now)
+        if self._event_driven and now >= self._not_before:
+            self.send(now)
         elif self._pack is not None:
             self._event = True
+            self._schedule()
 
-    def synchronise(self, counter: int | None, now: float) -> None:
+    def synchronise(self, now: float, counter: int | None) -> None:
         """A SYNC."""
-        pack = self._pack_each_sync
-        if pack is not None:
-            emit = self._emit
-            emit(_new(Frame, (self._can_id, pack(), False, None)))
-        elif self._type == 0:
-            if self._event:
-                self._event = False
-                self._send(now)
-        elif self._type == SYNC_REMOTE:
-            self._sampled = b"" if self._pack is None else self._pack()
+        if self._type == SYNC_REMOTE:
+            self._sampled = b"" if self._pack is None else self._pack.data()
         elif self._is_turn(counter):
-            self._send(now)
+            self.send(now)
+
+    def send(self, now: float, counter: int | None = None) -> None:
+        """Sample it and send it, if it is active."""
+        packer = self._pack
+        if packer is None:
+            return
+        pack, read, entries = packer
+        emit = self._emit
+        try:
+            emit(_new(Frame, (self._can_id, pack(*map(read, entries)), False, None)))
+        except UNFIT:
+            raise _unfit(entries) from None
+        if self._limited:
+            self._restart(now)
 
     def request(self, now: float) -> None:
         """A remote frame asks for the TPDO."""
@@ -140,7 +137,7 @@ class Tpdo(Timed):
         elif self._event_driven:
             self.trigger(now)
         else:
-            self._send(now)
+            self.send(now)
 
     @property
     def is_inhibited(self) -> bool:
@@ -158,13 +155,16 @@ class Tpdo(Timed):
         timer_over = now >= self._timer_end
         if (self._event and self._event_driven) or timer_over:
             if now >= self._not_before:
-                self._send(now)
+                self.send(now)
             else:
                 self._event = True
                 self._timer_end = NEVER
                 self._schedule()
 
     def _is_turn(self, counter: int | None) -> bool:
+        if self._type == 0:
+            event, self._event = self._event, False
+            return event
         if self._waits_for_start and counter is not None:
             if counter != self._start_value.value:
                 return False
@@ -177,18 +177,13 @@ class Tpdo(Timed):
         self._syncs = 0
         return True
 
-    def _send(self, now: float) -> None:
-        pack = self._pack
-        if pack is None:
-            return
-        self._emit(_new(Frame, (self._can_id, pack(), False, None)))
-        if self._limited:
-            self._event = False
-            if self._inhibit_s and self._event_driven:
-                self._not_before = now + self._inhibit_s
-            if self._timer_s:
-                self._timer_end = now + self._timer_s
-            self._schedule()
+    def _restart(self, now: float) -> None:
+        self._event = False
+        if self._inhibit_s and self._event_driven:
+            self._not_before = now + self._inhibit_s
+        if self._timer_s:
+            self._timer_end = now + self._timer_s
+        self._schedule()
 
     def _schedule(self) -> None:
         waits = self._event and self._event_driven
@@ -199,49 +194,46 @@ class Tpdo(Timed):
         self._core.reactions.pdo_changed()
 
 
-def packer(slots: Sequence[Slot]) -> Pack:
-    """What gives the data of a PDO from the current values; ValueError when one does not fit its type.
+class Packer(NamedTuple):
+    """The data of a PDO is `pack` of what `read` gives of its `entries`."""
 
-    Hooks of the entries are looked at now, not later.
-    """
+    pack: Callable[..., bytes]
+    read: Callable[[Entry], Any]
+    entries: tuple[Entry, ...]
+
+    def data(self) -> bytes:
+        """From the current values; ValueError when one does not fit its type."""
+        try:
+            return self.pack(*map(self.read, self.entries))
+        except UNFIT:
+            raise _unfit(self.entries) from None
+
+
+def packer(slots: Sequence[Slot]) -> Packer:
+    """Of these objects. Hooks of the entries are looked at now, not later."""
     entries = tuple(slot.entry for slot in slots if slot.entry is not None)
     whole = struct_of(slots)
     if whole is None:
         return bit_packer(slots)
-    pack = whole.pack
-    if any(entry.on_read for entry in entries) or len(entries) not in (1, 2, 3):
-        return _packer_of_any(pack, entries)
-    first, second, third = (entries * 3)[:3]
-
-    def pack_one() -> bytes:
-        try:
-            return pack(first.value)
-        except UNFIT:
-            raise _unfit(entries) from None
-
-    def pack_two() -> bytes:
-        try:
-            return pack(first.value, second.value)
-        except UNFIT:
-            raise _unfit(entries) from None
-
-    def pack_three() -> bytes:
-        try:
-            return pack(first.value, second.value, third.value)
-        except UNFIT:
-            raise _unfit(entries) from None
-
-    return (pack_one, pack_two, pack_three)[len(entries) - 1]
+    is_live = any(entry.on_read for entry in entries)
+    return Packer(whole.pack, Entry.current if is_live else attrgetter("value"), entries)
 
 
-def _packer_of_any(pack: Callable[..., bytes], entries: tuple[Entry, ...]) -> Pack:
-    def pack_any() -> bytes:
-        try:
-            return pack(*[entry.current() for entry in entries])
-        except UNFIT:
-            raise _unfit(entries) from None
+def bit_packer(slots: Sequence[Slot]) -> Packer:
+    """Any lengths, without gaps; the rest is 0."""
+    entries = tuple(slot.entry for slot in slots if slot.entry is not None)
+    length = (sum(slot.bits for slot in slots) + 7) // 8
 
-    return pack_any
+    def pack(*values: bytes) -> bytes:
+        word = offset = 0
+        following = iter(values)
+        for slot in slots:
+            if slot.entry is not None:
+                word |= int.from_bytes(next(following), "little") << offset
+            offset += slot.bits
+        return word.to_bytes(length, "little")
+
+    return Packer(pack, Entry.encode, entries)
 
 
 def _unfit(entries: tuple[Entry, ...]) -> ValueError:
@@ -252,18 +244,3 @@ def _unfit(entries: tuple[Entry, ...]) -> ValueError:
         except ValueError as error:
             return error
     return ValueError(f"the values of {entries} do not fit their types")
-
-
-def bit_packer(slots: Sequence[Slot]) -> Pack:
-    """Any lengths, without gaps; the rest is 0."""
-    length = (sum(slot.bits for slot in slots) + 7) // 8
-
-    def pack() -> bytes:
-        word = offset = 0
-        for slot in slots:
-            if slot.entry is not None:
-                word |= int.from_bytes(slot.entry.encode(), "little") << offset
-            offset += slot.bits
-        return word.to_bytes(length, "little")
-
-    return pack

@@ -32,8 +32,8 @@ class SampleInput:
     ``sine`` ... ``place``  the entries of 2000:01..07
     ``arrived``             RPDOs of this sample that have come, bit n: RPDO n
     ``alone``               the RPDO that brings the whole sample, if one does
-    ``whole``               the RPDO that brings two counts and no more, at once; else NO_RPDO
-    ``whole_timed``         the same with their time
+    ``usual``               the RPDO that brings two counts, perhaps their time, and no more, at once; else
+                            NO_RPDO
     ``timed``               each sample brings its time
     ``judged``              the RPDO with the tracks, if only its arrival says to which SYNC they belong
     ``is_synchronous``      the tracks are taken over at the SYNC after they came
@@ -86,7 +86,7 @@ class SampleInput:
         self.judged = None if self.timed or self.is_synchronous else tracks
         at_once = self.alone is not None and coarse is flags is None and not earlier
         only = tracks if tracks is not None and at_once and not self.is_synchronous else NO_RPDO
-        self.whole, self.whole_timed = (NO_RPDO, only) if self.timed else (only, NO_RPDO)
+        self.usual = only
         self.arrived = 0
         self._first: int | None = None  # the RPDO that begins a sample
         self._early = self._earliest = 0  # bit n: RPDO n came before that one; the first of them

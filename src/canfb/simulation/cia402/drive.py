@@ -134,7 +134,7 @@ class ServoDrive(NodeDevice):
             return
         self._supervise(now)
 
-    def sync_received(self, counter: int | None, now: float) -> bool:
+    def sync_received(self, counter: int | None, now: float) -> None:
         """The trajectory goes on by one interval, and the statusword is that of this SYNC."""
         self._interval.event(self._received_s)
         self._watched_from_s = now
@@ -148,7 +148,6 @@ class ServoDrive(NodeDevice):
             self.axis.advance(period_s)
             self._end_stop(now)
         self._show()
-        return False
 
     def rpdo_received(self, number: int, now: float) -> None:
         """The position of the module: the control loop takes its step."""
