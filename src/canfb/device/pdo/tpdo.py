@@ -15,8 +15,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from operator import attrgetter
-from typing import Any, NamedTuple
 
 from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER, Core, Timed
@@ -31,8 +29,9 @@ from canfb.device.pdo.mapping import (
     struct_of,
 )
 
-UNFIT = (struct.error, OverflowError, ValueError)
-"""What is raised for a value that does not fit."""
+Pack = Callable[[], bytes]
+UNFIT = (struct.error, OverflowError)
+"""What `struct` raises for a value that does not fit."""
 
 _LARGEST_START = 240
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
@@ -82,7 +81,7 @@ class Tpdo(Timed):
         """Whether the state allows PDOs; compiles the mapping."""
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
-        self._pack: Packer | None = packer(slots) if slots else None  # while it is active
+        self._pack: Pack | None = packer(slots) if slots else None  # while it is active
         self._can_id = self._parameters.can_id
         self._type: int = self._parameters.type.value
         self._event_driven = self._pack is not None and self._type in EVENT_DRIVEN
@@ -111,21 +110,16 @@ class Tpdo(Timed):
     def synchronise(self, now: float, counter: int | None) -> None:
         """A SYNC."""
         if self._type == SYNC_REMOTE:
-            self._sampled = b"" if self._pack is None else self._pack.data()
+            self._sampled = b"" if self._pack is None else self._pack()
         elif self._is_turn(counter):
             self.send(now)
 
     def send(self, now: float, counter: int | None = None) -> None:
         """Sample it and send it, if it is active."""
-        packer = self._pack
-        if packer is None:
+        pack, emit = self._pack, self._emit
+        if pack is None:
             return
-        pack, read, entries = packer
-        emit = self._emit
-        try:
-            emit(_new(Frame, (self._can_id, pack(*map(read, entries)), False, None)))
-        except UNFIT:
-            raise _unfit(entries) from None
+        emit(_new(Frame, (self._can_id, pack(), False, None)))
         if self._limited:
             self._restart(now)
 
@@ -194,46 +188,49 @@ class Tpdo(Timed):
         self._core.reactions.pdo_changed()
 
 
-class Packer(NamedTuple):
-    """The data of a PDO is `pack` of what `read` gives of its `entries`."""
+def packer(slots: Sequence[Slot]) -> Pack:
+    """What gives the data of a PDO from the current values; ValueError when one does not fit its type.
 
-    pack: Callable[..., bytes]
-    read: Callable[[Entry], Any]
-    entries: tuple[Entry, ...]
-
-    def data(self) -> bytes:
-        """From the current values; ValueError when one does not fit its type."""
-        try:
-            return self.pack(*map(self.read, self.entries))
-        except UNFIT:
-            raise _unfit(self.entries) from None
-
-
-def packer(slots: Sequence[Slot]) -> Packer:
-    """Of these objects. Hooks of the entries are looked at now, not later."""
+    Hooks of the entries are looked at now, not later.
+    """
     entries = tuple(slot.entry for slot in slots if slot.entry is not None)
     whole = struct_of(slots)
     if whole is None:
         return bit_packer(slots)
-    is_live = any(entry.on_read for entry in entries)
-    return Packer(whole.pack, Entry.current if is_live else attrgetter("value"), entries)
+    pack = whole.pack
+    if any(entry.on_read for entry in entries) or len(entries) not in (1, 2, 3):
+        return _packer_of_any(pack, entries)
+    first, second, third = (entries * 3)[:3]
+
+    def pack_one() -> bytes:
+        try:
+            return pack(first.value)
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    def pack_two() -> bytes:
+        try:
+            return pack(first.value, second.value)
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    def pack_three() -> bytes:
+        try:
+            return pack(first.value, second.value, third.value)
+        except UNFIT:
+            raise _unfit(entries) from None
+
+    return (pack_one, pack_two, pack_three)[len(entries) - 1]
 
 
-def bit_packer(slots: Sequence[Slot]) -> Packer:
-    """Any lengths, without gaps; the rest is 0."""
-    entries = tuple(slot.entry for slot in slots if slot.entry is not None)
-    length = (sum(slot.bits for slot in slots) + 7) // 8
+def _packer_of_any(pack: Callable[..., bytes], entries: tuple[Entry, ...]) -> Pack:
+    def pack_any() -> bytes:
+        try:
+            return pack(*[entry.current() for entry in entries])
+        except UNFIT:
+            raise _unfit(entries) from None
 
-    def pack(*values: bytes) -> bytes:
-        word = offset = 0
-        following = iter(values)
-        for slot in slots:
-            if slot.entry is not None:
-                word |= int.from_bytes(next(following), "little") << offset
-            offset += slot.bits
-        return word.to_bytes(length, "little")
-
-    return Packer(pack, Entry.encode, entries)
+    return pack_any
 
 
 def _unfit(entries: tuple[Entry, ...]) -> ValueError:
@@ -244,3 +241,18 @@ def _unfit(entries: tuple[Entry, ...]) -> ValueError:
         except ValueError as error:
             return error
     return ValueError(f"the values of {entries} do not fit their types")
+
+
+def bit_packer(slots: Sequence[Slot]) -> Pack:
+    """Any lengths, without gaps; the rest is 0."""
+    length = (sum(slot.bits for slot in slots) + 7) // 8
+
+    def pack() -> bytes:
+        word = offset = 0
+        for slot in slots:
+            if slot.entry is not None:
+                word |= int.from_bytes(slot.entry.encode(), "little") << offset
+            offset += slot.bits
+        return word.to_bytes(length, "little")
+
+    return pack
