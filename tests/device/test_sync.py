@@ -31,15 +31,14 @@ def test_the_order_within_a_sync(bench: Bench) -> None:
     bench.operational()
     sine, out = bench.dictionary.entry(0x2000, 1), bench.dictionary.entry(0x2010, 1)
     order: list[object] = []
-    answer = REVOKED
+    answers = iter((REVOKED, REVOKED, FOLLOWED, IGNORED))
 
     def synchronise(counter: int | None, now: float, waiting: Sequence[Waiting]) -> int:
-        order.append("accepted")
         for rpdo in waiting:
             rpdo.synchronise(now)
         order.append(("sync", sine.value))
         out.value = sine.value * 2
-        return answer
+        return next(answers)
 
     bench.application.react(
         synchronise=synchronise,
@@ -49,14 +48,9 @@ def test_the_order_within_a_sync(bench: Bench) -> None:
     assert bench.send(0x190, "05000200") == []
     assert sine.value == 0
     assert bench.sync() == ["2A0#0A000000"]
-    assert order == ["accepted", ("rpdo", 1, 5), ("sync", 5), "sampled"]
-    bench.sync()
-    assert order[4:] == ["accepted", ("sync", 5), "sampled"]
-    answer = FOLLOWED
-    assert bench.sync() == ["2A0#0A000000"]
-    answer = IGNORED
-    assert bench.sync() == []
-    assert order[7:] == 2 * ["accepted", ("sync", 5)]
+    assert order == [("rpdo", 1, 5), ("sync", 5), "sampled"]
+    assert [bench.sync() for _ in range(3)] == [["2A0#0A000000"], ["2A0#0A000000"], []]
+    assert order[3:] == [("sync", 5), "sampled", ("sync", 5), ("sync", 5)]
 
 
 def test_the_producer_acts_on_its_own_sync(bench: Bench) -> None:

@@ -120,7 +120,7 @@ def test_another_rate_is_followed_and_lost_in_motion(rate: float, stamped: bool)
     producer = Producer(stamped)
     got = [producer.sync(59 + rate * n) for n in range(1, 60)]
     assert any(one.doubt >= 1.0 for one in got)
-    assert producer.syncs.period_s == pytest.approx(rate * T, rel=0.02)
+    assert producer.syncs.grid.period == pytest.approx(rate * T, rel=0.02)
     assert set(got[-20:]) == {ON_TIME}
 
 

@@ -138,7 +138,8 @@ class FeedbackModule(NodeDevice):
         self._jitter = JitterWatch(syncs, interval, self._limits, cycles_per_revolution, self._warn)
         syncs.on_followed = self._on_followed
         self._sync_jitter = dictionary.entry(*od.SUPERVISION_SYNC_JITTER)
-        self._sync_jitter.on_written = self._declare_jitter
+        self._periods = dictionary.entry(*od.SUPERVISION_PERIODS)
+        self._sync_jitter.on_written = self._periods.on_written = self._declare_jitter
         self._recorder = Recorder(dictionary, interval, self._observers)
 
     def _make_commands(self) -> None:
@@ -241,7 +242,7 @@ class FeedbackModule(NodeDevice):
 
     def _on_followed(self, received_s: float, stamped: bool) -> None:
         """An event after a pause; and the jitter is measured if receive times are known, sample times not."""
-        self.events.synced(self._syncs.period_s, received_s)
+        self.events.synced(self._syncs.grid.period, received_s)
         last = self._publishing.last
         if stamped and last is not None and not self._pairing.timed:
             self._jitter.look(last, received_s)
@@ -260,6 +261,7 @@ class FeedbackModule(NodeDevice):
 
     def _declare_jitter(self) -> None:
         self._syncs.declare(self._sync_jitter.value)
+        self._syncs.periods = self._periods.value
         self.chain.declare_jitter(self._sync_jitter.value)
 
     def _encoder_changed(self) -> None:

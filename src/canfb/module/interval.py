@@ -36,16 +36,16 @@ class SamplingInterval:
     @property
     def known_s(self) -> float:
         """Where it is certain enough for limits: 1006h only while no SYNC shows that it is wrong."""
-        measured_s = self.speed_unit_s * self.samples_per_sync or self._syncs.period_s
+        measured_s = self.speed_unit_s * self.samples_per_sync or self._syncs.grid.period
         if measured_s:
             return measured_s
-        rough_s, nominal_s = self._syncs.rough_s, self.nominal_s
+        rough_s, nominal_s = self._syncs.grid.rough, self.nominal_s
         return nominal_s if abs(rough_s - nominal_s) <= AGREES * nominal_s or not rough_s else 0.0
 
     @property
     def seconds(self) -> float:
         """The best that is known: measured, 1006h, or the median of the first intervals."""
-        return self.known_s or self._syncs.rough_s
+        return self.known_s or self._syncs.grid.rough
 
     @property
     def sample_s(self) -> float:

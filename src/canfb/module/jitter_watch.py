@@ -66,7 +66,7 @@ class JitterWatch:
 
     def look(self, last: Feedback, now: float) -> None:
         """After ``last``, not with each sample; ``now`` in seconds."""
-        interval_s = self._syncs.period_s / self._interval.samples_per_sync
+        interval_s = self._syncs.grid.period / self._interval.samples_per_sync
         if not interval_s or not last.status & VALID:
             return
         rad_per_cycle = 2.0 * math.pi / self._cycles_per_revolution.value

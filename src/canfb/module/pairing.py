@@ -26,7 +26,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICK_S, Sample
 from canfb.signal.supervision import VALID
 from canfb.timing.answers import Answers
-from canfb.timing.syncs import ON_TIME, Syncs
+from canfb.timing.syncs import ON_TIME, Syncs, SyncVerdict
 
 COUNTER_OVERFLOW = 0x1019
 COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
@@ -50,7 +50,6 @@ class Pairing(ProcessData):
         "_chain",
         "_duplicate_syncs",
         "_elapsed",
-        "_extra_came",
         "_grid",
         "_input",
         "_interval",
@@ -59,7 +58,6 @@ class Pairing(ProcessData):
         "_observers",
         "_off",
         "_overflow",
-        "_periods",
         "_prediction",
         "_publishing",
         "_sample_came",
@@ -69,7 +67,6 @@ class Pairing(ProcessData):
         "_stale",
         "_synced",
         "_tracks_came",
-        "_verdict",
         "answers",
         "sampled",
         "syncs",
@@ -101,7 +98,7 @@ class Pairing(ProcessData):
         self._prediction = publishing.prediction
         self._source, self._second, self._observers = source, second, observers
         self._input = sample_input
-        self._overflow, self._periods = entry(COUNTER_OVERFLOW), entry(*od.SUPERVISION_PERIODS)
+        self._overflow = entry(COUNTER_OVERFLOW)
         self._bad_frames, self._duplicate_syncs, self._lost_syncs = (entry(*counter) for counter in COUNTERS)
         sample_input.on_mixed = self.count_bad_frame
         chain.on_unit = limits.unit_changed
@@ -116,9 +113,7 @@ class Pairing(ProcessData):
         self._sample_came = 0  # since the last SYNC; with their times, how many
         self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
         self._synced = False  # a SYNC came since OPERATIONAL
-        self._extra_came = False  # before the last SYNC, after the one before
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
-        self._verdict = ON_TIME  # on the last SYNC
         self._off = 0.0  # the grid, so far was the last sample taken, intervals
         self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
         self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
@@ -142,7 +137,7 @@ class Pairing(ProcessData):
     def idle_sync_received(self, counter: int | None) -> None:
         """A SYNC in PRE-OPERATIONAL: the first samples are judged by a period that is known."""
         syncs, call = self.syncs, self._call
-        syncs.overflow, syncs.periods = self._overflow.value, self._periods.value
+        syncs.overflow = self._overflow.value
         syncs.sync(call.received, call.is_stamped, counter)
         syncs.until = NEVER
 
@@ -151,46 +146,45 @@ class Pairing(ProcessData):
 
         With 2013:01 the TPDOs get the position of this SYNC; the sample of a source belongs to it anyway.
         """
-        syncs, call, parts = self.syncs, self._call, self._input
-        syncs.overflow, syncs.periods = self._overflow.value, self._periods.value
-        self._extra_came = syncs.extra_came
-        self._verdict = verdict = syncs.sync(call.received, call.is_stamped, counter)
-        self._off = verdict.off
-        self.usual = NO_RPDO
+        syncs, call, parts, source = self.syncs, self._call, self._input, self._source
+        if counter is not None:
+            syncs.overflow = self._overflow.value
+        extra_came = syncs.extra_came
+        verdict = syncs.sync(call.received, call.is_stamped, counter)
+        self.usual, self._off = NO_RPDO, verdict.off
         if verdict.extra:
-            return self._extra_sync(now, waiting)
-        late = syncs.late_s > 0.0
-        if verdict is not ON_TIME or late or waiting or self._ambiguous or syncs.place - 1 > self._accounted:
-            self._account(counter, now, waiting)
-        if self._second.number is not None:
-            self._second.interval_over(not (verdict.lost or late or self._extra_came))
+            return self._extra_sync(verdict, now, waiting)
+        place, late = syncs.place, syncs.late_s > 0.0
+        if verdict is not ON_TIME or late or waiting or self._ambiguous or place - 1 > self._accounted:
+            self._account(verdict, counter, now, waiting)
+        second = self._second.number
+        if second is not None:
+            self._second.interval_over(not (verdict.lost or late or extra_came))
         if parts.arrived and parts.give_up():
             self.count_bad_frame()
-        source = self._source
-        if self.sampled and not self._sample_came and self._synced and source is None:
+        if not self._sample_came and self.sampled and self._synced and source is None:
             if parts.is_synchronous and not self._tracks_came:
-                self._miss_to(syncs.place, now)
+                self._miss_to(place, now)
             elif self._tracks_came:  # without the rest of the sample
                 self._miss(int(self._elapsed), now)
         self._sample_came, self._tracks_came, self._stale = 0, False, False
         self._synced = True
+        in_turn = not self._prediction.follows if parts.timed else place - 1 == self._accounted
         if source is not None:
             self._sample_source(source, now)
-        elif not (self.unconfirmed or self._off or late or syncs.grid.early or parts.usual == NO_RPDO):
-            in_turn = not self._prediction.follows if parts.timed else syncs.place - 1 == self._accounted
-            if in_turn and parts.usual != self._second.number:
-                self.usual = parts.usual
+        elif in_turn and not (self.unconfirmed or late or verdict.off or syncs.grid.early):
+            self.usual = parts.usual if parts.usual != second else NO_RPDO
         if self._prediction.extrapolates and source is None:
             self._publishing.extrapolate()
             return REVOKED
         return FOLLOWED
 
-    def _extra_sync(self, now: float, waiting: Sequence[Waiting]) -> int:
+    def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[Waiting]) -> int:
         """It comes too early for the sampling, and brings no sample (2012:0D).
 
         PDOs follow unless it is one of the bus twice; the position is withheld if the machine moves.
         """
-        parts, syncs, verdict = self._input, self.syncs, self._verdict
+        parts, syncs = self._input, self.syncs
         _count(self._duplicate_syncs)
         follows = not verdict.repeated
         self._stale |= follows and parts.is_synchronous and not parts.timed  # may answer either
@@ -207,9 +201,11 @@ class Pairing(ProcessData):
             self._publishing.withhold()  # no sample belongs to it, and so none is extrapolated to it
         return FOLLOWED
 
-    def _account(self, counter: int | None, now: float, waiting: Sequence[Waiting]) -> None:
+    def _account(
+        self, verdict: SyncVerdict, counter: int | None, now: float, waiting: Sequence[Waiting]
+    ) -> None:
         """Were SYNCs before this one missed, and what do those RPDOs hold that waited for it?"""
-        verdict, parts, syncs = self._verdict, self._input, self.syncs
+        parts, syncs = self._input, self.syncs
         unsure = bool(verdict.lost or verdict.doubt or syncs.late_s)
         if parts.is_synchronous:
             if parts.is_ambiguous and not parts.timed:
@@ -284,38 +280,31 @@ class Pairing(ProcessData):
 
         A usual sample is that of the last SYNC, in time, and without more than two counts and their time.
         """
-        parts, syncs, call = self._input, self.syncs, self._call
-        grid, stamped = syncs.grid, call.is_stamped
-        if number != self.usual or self._observers.open or parts.flags.value:
+        parts, syncs, call, limits = self._input, self.syncs, self._call, self._limits
+        stamped, feedback = call.is_stamped, None
+        if number == self.usual and not (self._observers.open or parts.flags.value):
+            grid = syncs.grid
+            if not limits.shortest_s < (self._interval.speed_unit_s or grid.period) < limits.longest_s:
+                limits.follow()
+            if parts.timed:
+                if stamped is syncs.stamped:
+                    feedback = self._chain.take_in_turn(
+                        parts.sine.value,
+                        parts.cosine.value,
+                        parts.time.value,
+                        call.received if stamped else None,
+                        syncs.synced_s,
+                    )
+            elif (
+                self.answers.is_usual(call.received - syncs.synced_s, grid)
+                if stamped and syncs.stamped
+                else not call.received >= grid.due
+            ):
+                feedback = self._stages.take(parts.sine.value, parts.cosine.value)
+                self._tracks_came = True
+        if feedback is None:
             self._look_closely(number, now)
             return
-        limits = self._limits
-        if not limits.shortest_s < (self._interval.speed_unit_s or grid.period) < limits.longest_s:
-            limits.follow()
-        if parts.timed:
-            if stamped is not syncs.stamped:
-                self._look_closely(number, now)
-                return
-            feedback = self._chain.take_in_turn(
-                parts.sine.value,
-                parts.cosine.value,
-                parts.time.value,
-                call.received if stamped else None,
-                syncs.synced_s,
-            )
-            if feedback is None:
-                self._look_closely(number, now)
-                return
-        else:
-            if stamped and syncs.stamped:
-                if not self.answers.is_usual(call.received - syncs.synced_s, grid):
-                    self._look_closely(number, now)
-                    return
-            elif call.received >= grid.due:
-                self._look_closely(number, now)
-                return
-            feedback = self._stages.take(parts.sine.value, parts.cosine.value)
-            self._tracks_came = True
         self.usual = NO_RPDO
         self._accounted = self._answered = syncs.place
         self._sample_came, self.sampled = 1, True
@@ -337,15 +326,14 @@ class Pairing(ProcessData):
             elapsed = self._judged(now)
             if elapsed is None:
                 return
-            self._tracks_came = True
-            self._elapsed = elapsed
+            self._tracks_came, self._elapsed = True, elapsed
         if number == parts.alone or parts.take(number):
             self._complete(parts.sample(), now)
 
     def _judged(self, now: float) -> float | None:
         """One pair of tracks for each SYNC: intervals up to this one. None: it is not to be used."""
         call, syncs, answers, chain = self._call, self.syncs, self.answers, self._chain
-        place = syncs.place
+        place, parts = syncs.place, self._input
         if not self._synced:
             verdict = syncs.sync(call.received, call.is_stamped, None)  # each is its own
             place = syncs.place if not verdict.extra else self._answered
@@ -377,7 +365,7 @@ class Pairing(ProcessData):
             return self._answer(place)
         self.count_bad_frame()
         if place <= self._answered:  # more samples than SYNCs
-            explained = syncs.extra_came or self._stages.repeats(*self._input.tracks)
+            explained = syncs.extra_came or self._stages.repeats(parts.sine.value, parts.cosine.value)
             if not explained:
                 self._lose_count(1.0, now)
             elif self._next_may_have_come:
@@ -404,44 +392,45 @@ class Pairing(ProcessData):
         if self.sampled:
             _count(self._lost_syncs, syncs)
         self._sample_came = 0
-        self._verdict, self._off = ON_TIME, 0.0
+        self._off = 0.0
 
     def _complete(self, sample: Sample, now: float) -> None:
         """All parts of a sample are there."""
         self.sampled = True
-        if sample.time_100ns is None:
-            self._sample_came = True
-            judged = self._input.judged is not None
-            self._take(sample, self._elapsed if judged else self._answer(self.syncs.place), now)
-        elif self._timed(sample, now):
-            self._sample_came += 1
-        else:
-            self.count_bad_frame()
+        if sample.time_100ns is not None:
+            self._timed(sample, now)
+            return
+        self._sample_came = True
+        judged = self._input.judged is not None
+        self._take(sample, self._elapsed if judged else self._answer(self.syncs.place), now)
 
-    def _timed(self, sample: Sample, now: float) -> bool:
-        """By its time a sample is the next one, whatever was received when."""
-        call, syncs = self._call, self.syncs
-        received_s, synced_s = self._receptions()
-        if not self._synced and self._source is None:
-            syncs.sync(call.received, call.is_stamped, None)  # each sample is its own
-        came = self._take_timed(sample, received_s, synced_s, now)
-        if came:
-            self._answer(syncs.place)
-        return came
+    def _timed(self, sample: Sample, now: float) -> None:
+        """By its time a sample is the next one, whatever was received when.
 
-    def _receptions(self) -> tuple[float | None, float | None]:
-        """When the bus received this PDO and the SYNC that it answers, seconds; None: not known.
-
-        Without receive times the first is None, the second that of the call of the SYNC. The second is None
-        where it is open which SYNC it answers, both are for a synchronous RPDO and for a source.
+        An earlier one again is not used, nor one that is too near to the last; but that one did come.
         """
-        call, syncs = self._call, self.syncs
-        if self._input.is_synchronous or self._source is not None:
-            return None, None
-        received_s = call.received if call.is_stamped else None
-        if syncs.stamped == call.is_stamped and self._synced and not (self._sample_came or syncs.extra_came):
-            return received_s, syncs.synced_s
-        return received_s, None  # which SYNC it answers is open
+        call, syncs, source = self._call, self.syncs, self._source
+        received_s = synced_s = None  # not known of a source, and of a synchronous RPDO
+        if not self._input.is_synchronous and source is None:
+            received_s = call.received if call.is_stamped else None
+            is_first = self._synced and not (self._sample_came or syncs.extra_came)
+            if is_first and syncs.stamped == call.is_stamped:  # it is not open which SYNC it answers
+                synced_s = syncs.synced_s
+        if not self._synced and source is None:
+            syncs.sync(call.received, call.is_stamped, None)  # each sample is its own
+        self._limits.unit_changed()
+        if self._interval.samples_per_sync > 1:
+            self._grid.follow()
+        last = self._publishing.last
+        feedback = self._chain.step(sample, received_s, synced_s)
+        is_new = last is None or feedback.samples != last.samples
+        if is_new:
+            self._out(sample, self._withheld(feedback) if self.unconfirmed else feedback, now)
+        elif not self._chain.crowded:
+            self.count_bad_frame()
+            return
+        self._sample_came += 1
+        self._answer(syncs.place)
 
     def _sample_source(self, source: LocalSource, now: float) -> None:
         """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
@@ -459,55 +448,36 @@ class Pairing(ProcessData):
     @property
     def _is_open(self) -> bool:
         """SYNCs before or after the last one may have been lost."""
-        return self._ambiguous or self.syncs.is_open
+        syncs = self.syncs
+        return self._ambiguous or syncs.late_s > 0.0 or syncs.grid.early > 0
 
     def _take(self, sample: Sample, elapsed: float, now: float) -> None:
         """A sample without a time through the chain, and out."""
         self._limits.follow()
         placed = not (self._off and self._chain.slips(self._off))
         feedback = self._chain.after(sample, elapsed, placed=placed)
-        if feedback.status & VALID and (self.unconfirmed or (self._is_open and self._chain.slips(1.0))):
+        if self.unconfirmed or (self._is_open and self._chain.slips(1.0)):
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
-
-    def _take_timed(
-        self, sample: Sample, received_s: float | None, synced_s: float | None, now: float
-    ) -> bool:
-        """A sample with its time; False if it is an earlier one again, and nothing happened.
-
-        Nothing happens either with one that is too near to the last, but it did come.
-        """
-        self._limits.unit_changed()
-        if self._interval.samples_per_sync > 1:
-            self._grid.follow()
-        last = self._publishing.last
-        feedback = self._chain.step(sample, received_s, synced_s)
-        if last is not None and feedback.samples == last.samples:
-            return self._chain.crowded
-        if feedback.status & VALID and self.unconfirmed:
-            feedback = self._withheld(feedback)
-        self._out(sample, feedback, now)
-        return True
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         """What may be right, but is not confirmed."""
+        if not feedback.status & VALID:
+            return feedback
         if self.unconfirmed:
             self.unconfirmed -= 1
         return self._chain.withheld(feedback)
 
     def _out(self, sample: Sample, feedback: Feedback, now: float) -> None:
-        noise = self._limits.noise
-        if self._chain.between:
-            self._publishing.count(self._chain.between, now)
-            for earlier in self._chain.between:
-                if noise.take(earlier):
-                    self._limits.measured()
-        if noise.take(feedback):
-            self._limits.measured()
+        between = self._chain.between
+        self._publishing.count(between, now)
+        for one in (*between, feedback):
+            if self._limits.noise.take(one):
+                self._limits.measured()
         self._publishing.publish(feedback, now)
         if self._observers.open:
             per_sync, apart = self._interval.samples_per_sync, round(self._chain.unit_s / TICK_S)
-            self._observers.take_all(sample, feedback, self._chain.between, per_sync, apart)
+            self._observers.take_all(sample, feedback, between, per_sync, apart)
 
     def _lose_count(self, intervals: float, now: float) -> None:
         """So many intervals may or may not have passed: the position is lost if the machine moves."""

@@ -255,10 +255,8 @@ class Limits:
         """The analog path, and how far the interval may change before something is to be done."""
         chain, known_s, applied_s = self._chain, self.interval.known_s, self._applied_s
         chain.use_interval(self.interval.sample_s)
-        self.shortest_s, self.longest_s = -math.inf, math.inf
-        if self._narrowed:
-            same_s = SAME_NARROWED * applied_s
-            self.shortest_s, self.longest_s = applied_s - same_s, applied_s + same_s
+        same_s = SAME_NARROWED * applied_s if self._narrowed else math.inf
+        self.shortest_s, self.longest_s = applied_s - same_s, applied_s + same_s
         if chain.tracks.needs_unit:
             same_s = SAME_ANALOG * known_s
             self.shortest_s = max(self.shortest_s, known_s - same_s)

@@ -46,12 +46,12 @@ class SyncMeter:
         verdict = syncs.sync(time_s, True, None)
         if verdict.doubt:  # another rate or phase
             places.clear()
-        if syncs.period_s and not verdict.extra:
+        if syncs.grid.period and not verdict.extra:
             places.append((places[-1][0] + 1 + verdict.lost if places else 0, time_s))
 
     @property
     def _longest_s(self) -> float:
-        period_s = self._syncs.period_s
+        period_s = self._syncs.grid.period
         return max(LEAST_SILENCE_S, MISSING_PERIODS * period_s) if period_s else math.inf
 
     def snapshot(self, now: float) -> SyncSnapshot:

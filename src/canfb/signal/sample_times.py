@@ -94,12 +94,15 @@ class SampleTimes:
         if last is None or self.sync_interval_s or not grid.period or grid.row:
             return 0.0
         ticks = time_100ns - last
-        off, passed_s, pace_s = self._at + ticks - grid.due, ticks * TICK_S, grid.period * TICK_S
-        if abs(off) > grid.allowed or abs(pace_s - unit) > SAME_PACE * pace_s or passed_s < CLOSEST * unit:
+        at, allowed, pace_s = self._at + ticks, grid.allowed, grid.period * TICK_S
+        off, passed_s = at - grid.due, ticks * TICK_S
+        if not -allowed <= off <= allowed or abs(pace_s - unit) > SAME_PACE * pace_s:
+            return 0.0
+        if passed_s < CLOSEST * unit:
             return 0.0
         if received_s is None:
             if synced_s is not None:
-                if HEARD_S < self._least_s - synced_s + (self._at + ticks) * TICK_S < inf:
+                if HEARD_S < self._least_s - synced_s + at * TICK_S < inf:
                     return 0.0
                 self._follow_calls(ticks, synced_s)
         elif synced_s is None or self._synced_s is None:

@@ -135,21 +135,6 @@ class Syncs:
         self._low_s, self._high_s = inf, -inf  # off the place, of a SYNC that needs no judgement
         self._assumed = False  # the last place was never received: its PDO came
 
-    @property
-    def period_s(self) -> float:
-        """The period, seconds; 0.0: not known."""
-        return self.grid.period
-
-    @property
-    def is_open(self) -> bool:
-        """SYNCs may have been lost, or those of another producer have come: the next ones decide."""
-        return self.late_s > 0.0 or self.grid.early > 0
-
-    @property
-    def rough_s(self) -> float:
-        """The period, or the median of the intervals so far; 0.0: neither is known."""
-        return self.grid.rough
-
     def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
         """A SYNC at ``time_s`` with its ``counter``, None without one."""
         grid = self.grid

@@ -142,11 +142,6 @@ class SampleInput:
         """Several synchronous PDOs with tracks since the last SYNC."""
         return self._waiting is not None and self._waiting.waiting > 1
 
-    @property
-    def tracks(self) -> tuple[int, int]:
-        """Sine and cosine, counts."""
-        return self.sine.value, self.cosine.value
-
     def sample(self) -> Sample:
         """Of the parts that have come."""
         flags = self.flags.value
