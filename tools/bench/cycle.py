@@ -184,9 +184,8 @@ class ModuleRun:
     def __call__(self) -> None:
         self.cycles(self.samples)
         feedback = self.module.feedback
-        assert (
-            feedback is not None and feedback.status == canfb.StatusBit.VALID | canfb.StatusBit.TABLE_ACTIVE
-        )
+        assert feedback is not None
+        assert feedback.status == canfb.StatusBit.VALID | canfb.StatusBit.TABLE_ACTIVE
         assert [one.can_id for one in self.sent] == [POSITION_PDO]
 
 
