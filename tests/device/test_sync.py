@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pytest
 from device_kit import Bench
 
-from canfb.device.application import FOLLOWED, IGNORED, REVOKED, Waiting
+from canfb.device.application import FOLLOWED, IGNORED, REVOKED, HeldRpdo
 
 
 def seen_by(bench: Bench) -> list[tuple[int | None, float]]:
@@ -33,7 +33,7 @@ def test_the_order_within_a_sync(bench: Bench) -> None:
     order: list[object] = []
     answers = iter((REVOKED, REVOKED, FOLLOWED, IGNORED))
 
-    def synchronise(counter: int | None, now: float, waiting: Sequence[Waiting]) -> int:
+    def synchronise(counter: int | None, now: float, waiting: Sequence[HeldRpdo]) -> int:
         for rpdo in waiting:
             rpdo.synchronise(now)
         order.append(("sync", sine.value))

@@ -18,7 +18,7 @@ class Expiry(Protocol):
     until: float
 
 
-class Waiting(Protocol):
+class HeldRpdo(Protocol):
     """A synchronous RPDO."""
 
     def synchronise(self, now: float) -> None:
@@ -35,7 +35,7 @@ class ProcessData:
     The rules of `Application` hold.
     """
 
-    def synchronise(self, counter: int | None, now: float, waiting: Sequence[Waiting]) -> int:
+    def synchronise(self, counter: int | None, now: float, waiting: Sequence[HeldRpdo]) -> int:
         """A SYNC in OPERATIONAL (CiA 301, 7.2.5), `counter` None without 1019h; `waiting` RPDOs are taken
         over, then come the synchronous TPDOs, as the result says.
         """

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from canfb import objects as od
-from canfb.device.application import FOLLOWED, IGNORED, REVOKED, ProcessData, Waiting
+from canfb.device.application import FOLLOWED, IGNORED, REVOKED, HeldRpdo, ProcessData
 from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary, Entry
@@ -141,7 +141,7 @@ class Pairing(ProcessData):
         syncs.sync(call.received, call.is_stamped, counter)
         syncs.until = NEVER
 
-    def synchronise(self, counter: int | None, now: float, waiting: Sequence[Waiting]) -> int:
+    def synchronise(self, counter: int | None, now: float, waiting: Sequence[HeldRpdo]) -> int:
         """A SYNC: the interval before it is over, unless it is an extra one.
 
         With 2013:01 the TPDOs get the position of this SYNC; the sample of a source belongs to it anyway.
@@ -179,7 +179,7 @@ class Pairing(ProcessData):
             return REVOKED
         return FOLLOWED
 
-    def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[Waiting]) -> int:
+    def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[HeldRpdo]) -> int:
         """It comes too early for the sampling, and brings no sample (2012:0D).
 
         PDOs follow unless it is one of the bus twice; the position is withheld if the machine moves.
@@ -202,7 +202,7 @@ class Pairing(ProcessData):
         return FOLLOWED
 
     def _account(
-        self, verdict: SyncVerdict, counter: int | None, now: float, waiting: Sequence[Waiting]
+        self, verdict: SyncVerdict, counter: int | None, now: float, waiting: Sequence[HeldRpdo]
     ) -> None:
         """Were SYNCs before this one missed, and what do those RPDOs hold that waited for it?"""
         parts, syncs = self._input, self.syncs
