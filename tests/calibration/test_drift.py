@@ -72,7 +72,8 @@ def test_it_is_exact_between_entries_too(measured, first, second, size, shift) -
     off -= np.average(off, weights=way)
     found = drift(fresh, active, fresh.conditioning)
     assert found.rms == pytest.approx(np.sqrt(np.average(off**2, weights=way)), rel=1e-3, abs=1e-7)
-    assert found.peak == pytest.approx(np.abs(off).max(), rel=1e-3, abs=1e-6)
+    # Compared at 1024 phases: half a step beside a corner, at slopes up to 2 pi (2 + 0.7 x 3) of the size.
+    assert found.peak == pytest.approx(np.abs(off).max(), rel=1e-3, abs=26.0 * size / 2048)
 
 
 @given(st.integers(0, 1 << 30), conditionings, conditionings, st.integers(256, 4096))
