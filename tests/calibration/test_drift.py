@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from measurements import extreme_encoder, paper_motion, random_encoder, true_phases, wandering
 
@@ -61,6 +61,7 @@ def test_a_sine_over_the_phase_is_measured(measured, size, order, shift, constan
 
 
 @given(st.integers(16, 4096), st.integers(16, 4096), st.floats(1e-4, 0.02), st.floats(0.0, 1.0))
+@example(first=16, second=16, size=0.015625, shift=0.5)
 def test_it_is_exact_between_entries_too(measured, first, second, size, shift) -> None:
     """Against brute force at very many places, weighed by the way."""
     fresh = replace(measured, table=table_with(size, 2, n=first))
@@ -72,8 +73,7 @@ def test_it_is_exact_between_entries_too(measured, first, second, size, shift) -
     off -= np.average(off, weights=way)
     found = drift(fresh, active, fresh.conditioning)
     assert found.rms == pytest.approx(np.sqrt(np.average(off**2, weights=way)), rel=1e-3, abs=1e-7)
-    # Compared at 1024 phases: half a step beside a corner, at slopes up to 2 pi (2 + 0.7 x 3) of the size.
-    assert found.peak == pytest.approx(np.abs(off).max(), rel=1e-3, abs=26.0 * size / 2048)
+    assert found.peak == pytest.approx(np.abs(off).max(), rel=1e-3, abs=1e-6)
 
 
 @given(st.integers(0, 1 << 30), conditionings, conditionings, st.integers(256, 4096))

@@ -185,8 +185,8 @@ def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Condi
     """Drift of the encoder measured by ``fresh`` from ``table`` and ``conditioning``.
 
     ``table`` and ``conditioning`` are the active ones; None is the identity. The constant part of
-    the difference is removed, because the origin of the phase is a convention; the phases that both give are
-    compared on the tracks. TypeError for arguments of another type.
+    the difference is removed, because the origin of the phase is a convention; phases by
+    other conditionings are compared on the tracks. TypeError for arguments of another type.
     """
     check_table(table)
     if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning):
@@ -195,11 +195,17 @@ def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Condi
             f"{type(fresh).__name__}, {type(table).__name__} and {type(conditioning).__name__}"
         )
     active = CorrectionTable.identity() if table is None else table
-    sine, cosine = np.append(fresh.tracks, fresh.tracks[:, :1], axis=1)
-    now = fresh.table(raw_phases(*fresh.conditioning.apply(sine, cosine)))
+    if conditioning == fresh.conditioning:  # straight between the entries of both
+        was = raw = np.unique(
+            np.concatenate([np.arange(len(one) + 1) / len(one) for one in (active, fresh.table)])
+        )
+    else:
+        sine, cosine = np.append(fresh.tracks, fresh.tracks[:, :1], axis=1)
+        was, raw = (raw_phases(*one.apply(sine, cosine)) for one in (conditioning, fresh.conditioning))
+    now = fresh.table(raw)
     moved = np.abs(wrap(np.diff(now)))
     weights = (np.append(moved, 0.0) + np.append(0.0, moved)) / 2.0
-    off = active(raw_phases(*conditioning.apply(sine, cosine))) - now
+    off = active(was) - now
     nowhere = np.isnan(off)  # the tracks as conditioned go through zero: no phase at all
     off[nowhere] = 0.0
     off = about_mean(off, weights=weights)

@@ -305,14 +305,13 @@ def _run(
     start = phase[: first + 1, None]
     rows = list(np.rint(line - start) + start)
     square = np.sum((line - rows) ** 2 / (1.0 + (1.0 - part) ** 2 + part**2), axis=0)
-    open_for_long = len(turns) > 1
     weights = np.append(0.0, np.diff(time)) / np.maximum(time[np.arange(len(time)) - 1] - time[base], 1e-30)
     scales = 1.0 / (1.0 + (1.0 + weights) ** 2 + weights**2)
     for k in range(first + 1, len(phase)):
         ahead = rows[-1] + (rows[-1] - rows[base[k]]) * weights[k]
         rows.append(np.rint(ahead - phase[k]) + phase[k])
         square += (ahead - rows[-1]) ** 2 * scales[k]
-        if open_for_long and k % PRUNE_SAMPLES == 0:
+        if len(turns) > 1 and k % PRUNE_SAMPLES == 0:
             keep = _still_open(np.array(rows[-LONGEST_LAG - 1 :]), square, k)
             turns, square = turns[keep], square[keep]
             rows[-LONGEST_LAG - 2 :] = [row[keep] for row in rows[-LONGEST_LAG - 2 :]]

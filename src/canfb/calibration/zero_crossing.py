@@ -77,7 +77,7 @@ def calibrate_from_zero_crossings(
     if agree.sum() < MIN_CYCLES:
         raise CalibrationError(f"{agree.sum()} cycles agree: at least {MIN_CYCLES} are needed", Reason.CYCLES)
     good = cycles.take(agree)
-    measured = measured_error([part.table().entries for part in good.parts()])
+    measured = measured_error([good.take(rows).table().entries for rows in independent_parts(len(good))])
     parts = [
         cycles.take(rows) for rows in (*np.array_split(np.arange(len(cycles)), THIRDS), *lasting(~agree))
     ]
@@ -129,10 +129,6 @@ class _Cycles:
             raw=self.raw[rows],
             counts=self.counts[:, rows],
         )
-
-    def parts(self) -> list[_Cycles]:
-        """Independent ones."""
-        return [self.take(rows) for rows in independent_parts(len(self))]
 
     def waveform(self) -> Waveform:
         """The mean tracks: over 1/1024 cycle, straight from place to place, then as a series."""
