@@ -10,6 +10,7 @@ from typing import Any
 import can
 import pytest
 
+from canfb.bus.runner import on_signals
 from canfb.cli.main import main
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
@@ -115,19 +116,16 @@ def test_a_signal_ends_the_command_cleanly(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    with can.Bus(interface="virtual", channel="recorded") as bus:
+    write = BusLog.write
 
-        def ready(readiness: Readiness) -> None:
-            bus.send(message(0x123, b"\1"))
-            write = BusLog.write
+    def last(bus_log: BusLog, *rest: Any) -> None:
+        write(bus_log, *rest)
+        signal.raise_signal(number)
 
-            def last(bus_log: BusLog, *rest: Any) -> None:
-                write(bus_log, *rest)
-                signal.raise_signal(number)
-
-            monkeypatch.setattr(BusLog, "write", last)
-
-        monkeypatch.setattr(Readiness, "ready", ready)
+    monkeypatch.setattr(BusLog, "write", last)
+    # Not ignored, as nohup has it: the command would go on.
+    with on_signals(lambda: None, [number]), can.Bus(interface="virtual", channel="recorded") as bus:
+        monkeypatch.setattr(Readiness, "ready", lambda readiness: bus.send(message(0x123, b"\1")))
         path = tmp_path / "bus.log"
         assert main(["log", "record", str(path), "-i", "virtual", "-c", "recorded"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "1 frames"
