@@ -6,6 +6,7 @@ import contextlib
 import gc
 import os
 import pickle
+import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,6 +31,7 @@ settings.register_profile("check", UNTIMED, derandomize=True, max_examples=5)  #
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
+signal.signal(signal.SIGHUP, lambda number, frame: None)  # nohup ignores it, and so would each command
 os.environ["XDG_CONFIG_HOME"] = "/no-such-folder"  # no default bus of the user
 for _name in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"):
     os.environ.pop(_name, None)  # nor does a service manager hear of them

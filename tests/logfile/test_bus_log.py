@@ -10,7 +10,6 @@ from typing import Any
 import can
 import pytest
 
-from canfb.bus.runner import on_signals
 from canfb.cli.main import main
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
@@ -123,8 +122,7 @@ def test_a_signal_ends_the_command_cleanly(
         signal.raise_signal(number)
 
     monkeypatch.setattr(BusLog, "write", last)
-    # Not ignored, as nohup has it: the command would go on.
-    with on_signals(lambda: None, [number]), can.Bus(interface="virtual", channel="recorded") as bus:
+    with can.Bus(interface="virtual", channel="recorded") as bus:
         monkeypatch.setattr(Readiness, "ready", lambda readiness: bus.send(message(0x123, b"\1")))
         path = tmp_path / "bus.log"
         assert main(["log", "record", str(path), "-i", "virtual", "-c", "recorded"]) == 0
