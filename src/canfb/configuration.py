@@ -178,7 +178,6 @@ def line_of(path: str | Path, *keys: str | int, said: str = "") -> int:
 
 
 def _compose(text: str, name: str) -> yaml.Node | None:
-    """The nodes of the text; None for an empty text."""
     try:
         return compose(text, exponents=True)
     except YamlError as error:
@@ -186,7 +185,6 @@ def _compose(text: str, name: str) -> yaml.Node | None:
 
 
 def _config_error(name: str, line: int, text: str) -> ConfigError:
-    """One line, whatever the configuration holds."""
     return ConfigError(f"{name}:{line}: {_short(text)}")
 
 
@@ -211,7 +209,6 @@ class _Reader:
         return _config_error(self._name, yaml_line(node), text)
 
     def read(self, node: yaml.Node, kind: type, where: str) -> Any:
-        """One mapping as a ``kind``."""
         if not isinstance(node, yaml.MappingNode):
             raise self.fail(node, f"{where} must be a mapping of keys to values")
         self._check_tag(node, "map", where)
@@ -280,7 +277,6 @@ class _Reader:
         return {key.value: self._plain(value, f"{key.value!r} in bus") for key, value in pairs(node)}
 
     def _source(self, node: yaml.Node) -> Any:
-        """One of several classes, by its ``kind``; null is none."""
         if node.tag == "tag:yaml.org,2002:null":
             return None
         if not isinstance(node, yaml.MappingNode):
@@ -311,7 +307,6 @@ class _Reader:
 
     @staticmethod
     def unknown(key: str, known: list[str], where: str) -> str:
-        """What to say of a key that there is not."""
         if key in GONE:
             return f"{key!r} in {where} is no key any more: {GONE[key]}"
         near = difflib.get_close_matches(key, known, n=1)
@@ -359,14 +354,11 @@ class _Reader:
 
 
 class _Device(NamedTuple):
-    """A node of the configuration, with its place in the file."""
-
     title: str
     node: yaml.Node
     config: NodeConfig
 
 
 def _devices(root: yaml.Node, config: Config) -> list[_Device]:
-    """All of them, modules first."""
     lists = {key.value: value.value for key, value in root.value if key.value in _NODES}
     return [_Device(f"{key}[{n}]", lists[key][n], one) for key, n, one in config.nodes]

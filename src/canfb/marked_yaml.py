@@ -122,12 +122,10 @@ def found_at(root: yaml.Node | None, *keys: str | int) -> tuple[int, yaml.Node |
 
 
 def pairs(node: yaml.Node | None) -> list[tuple[yaml.Node, yaml.Node]]:
-    """Keys and values of a mapping; none for anything else."""
     return list(node.value) if isinstance(node, yaml.MappingNode) else []
 
 
 def line_of(node: yaml.Node) -> int:
-    """Its line, from 1."""
     return int(node.start_mark.line) + 1
 
 
@@ -148,7 +146,6 @@ class MarkedYaml:
 
 
 def _check_keys(root: yaml.Node | None) -> None:
-    """YamlError for a key that is no single word, or that comes twice."""
     waiting, known = [root], set[int]()
     while waiting:
         node = waiting.pop()

@@ -90,13 +90,11 @@ class Section:
     key: str = ""
 
     def lines(self) -> list[str]:
-        """For the terminal."""
         if not self.heads:
             return as_lines(self.rows)
         return as_columns(self.rows, ("", *self.heads[: self.beside]), (NAME_WIDTH - 2,))
 
     def figures(self) -> list[Row]:
-        """For programs."""
         return [Row(**{self.key: [row.figures for row in self.rows]})] if self.key else list(self.rows)
 
 
@@ -109,7 +107,6 @@ class Findings:
     figures: Sequence[Row]
 
     def to_json(self) -> dict[str, Any]:
-        """All figures."""
         return as_figures(self.figures, *(section.figures() for section in self.sections))
 
     def result(self, paths: Iterable[Path] = ()) -> Result:

@@ -42,7 +42,6 @@ class BusMaster:
         self._bus.shutdown()
 
     def sdo(self, node_id: int) -> SharedClient:
-        """The SDO client for a node (1..127)."""
         if node_id not in self._clients:
             turn = partial(sdo_turn, str(self._bus.channel_info), node_id)
             self._clients[node_id] = SharedClient(self._network, node_id, self._answer_within_s, turn)
@@ -53,22 +52,18 @@ class BusMaster:
         self._network.subscribe(can_id, on_frame)
 
     def unsubscribe(self, can_id: int, on_frame: OnFrame) -> None:
-        """No more of it."""
         self._network.unsubscribe(can_id, on_frame)
 
     def send(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send a data frame, or a ``remote`` one."""
         try:
             self._network.send_message(can_id, data, remote)
         except (can.CanError, OSError) as error:
             raise BusError(f"a frame could not be sent: {reason(error)}") from error
 
     def request(self, can_id: int) -> None:
-        """Send a remote frame."""
         self.send(can_id, b"", remote=True)
 
     def produce_sync(self, rate_hz: float) -> None:
-        """Send SYNC until the end."""
         message = can.Message(arbitration_id=cob.SYNC, is_extended_id=False)
         try:
             self._syncs.append(self._bus.send_periodic(message, 1.0 / rate_hz))
@@ -76,7 +71,6 @@ class BusMaster:
             raise BusError(f"the SYNC cannot be produced: {reason(error)}") from error
 
     def now(self) -> float:
-        """Seconds, monotonic."""
         return time.monotonic()
 
     def wait(self, duration_s: float) -> None:
@@ -90,7 +84,6 @@ class BusMaster:
             time.sleep(min(left, LOOK_S))
 
     def check(self) -> None:
-        """BusError if the reception has ended."""
         error = self._network.listener.error
         if error is not None:
             raise BusError(f"the bus fails: {reason(error)}") from error
@@ -109,12 +102,10 @@ class _Network(canopen.Network):
         self.listeners = [self.listener]
 
     def subscribe(self, can_id: int, callback: Callable[..., None]) -> None:
-        """Frames without a subscriber are filtered."""
         super().subscribe(can_id, callback)
         self._filter()
 
     def unsubscribe(self, can_id: int, callback: Callable[..., None] | None = None) -> None:
-        """As in canopen."""
         super().unsubscribe(can_id, callback)
         self._filter()
 
@@ -131,10 +122,8 @@ class _Listener(MessageListener):
         self.error: Exception | None = None
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Pass it on."""
         if not (msg.is_extended_id or msg.is_fd or msg.is_error_frame or msg.is_remote_frame):
             self.network.notify(msg.arbitration_id, msg.data, msg.timestamp)
 
     def on_error(self, exc: Exception) -> None:
-        """The receiving thread ends with this."""
         self.error = exc

@@ -41,7 +41,6 @@ class FailureWatch:
         return before is not None and now - before < RETRY_S
 
     def worked(self, now: float) -> None:
-        """It worked."""
         if self.failed_s is not None and now - self.failed_s >= SETTLED_S:
             self.failed_s = None
             if self._reported:
@@ -88,7 +87,6 @@ class BusState:
         return self._reading.failed(error, now, known=is_down(error))
 
     def reading_worked(self, now: float, *, frame: bool) -> None:
-        """The bus could be read; `frame`: a frame came."""
         self._failing_since_s = None
         if frame:
             self._reading.worked(now)
@@ -96,7 +94,6 @@ class BusState:
         self._look()
 
     def sending_failed(self, error: Exception, now: float) -> None:
-        """A frame could not be sent."""
         self.troubled = True
         if is_down(error):
             self._lose(f"{BUS_FAILS}: {reason(error)}", BUS_WORKS)

@@ -16,12 +16,10 @@ from canfb.errors import ConfigError
 
 
 def now_s() -> float:
-    """Seconds, monotonic."""
     return time.monotonic()
 
 
 def date_and_time() -> str:
-    """Now: yyyy-mm-dd hh:mm:ss and the offset to UTC."""
     return local_time().isoformat(" ", "seconds")
 
 
@@ -43,7 +41,6 @@ def file_date_and_time() -> tuple[str, str]:
 
 
 def local_time() -> datetime:
-    """Now, with the offset to UTC."""
     return datetime.now().astimezone()
 
 
@@ -110,7 +107,6 @@ class ReceiveTimes:
         self._difference_s = self._look()
 
     def emptied(self) -> None:
-        """No frame waits."""
         if self._stepped:
             self._stepped = False
             self._difference_s = self._look()
@@ -131,7 +127,6 @@ class ReceiveTimes:
         return min(now, now - delay_s)
 
     def _look(self) -> float:
-        """The wall clock minus the other, read close together."""
         looks = []
         for _ in range(LOOKS):
             before = self._clock()

@@ -12,7 +12,6 @@ NICENESS = 10  # frames come first
 
 
 def main() -> None:
-    """Compute; what the job prints goes to standard error."""
     with contextlib.suppress(OSError, AttributeError):
         os.nice(NICENESS)
     answers = Connection(os.dup(sys.stdout.fileno()), readable=False)

@@ -40,7 +40,6 @@ class Computation:
         self._cpus = os.sched_getaffinity(0) if sys.platform == "linux" else set()
 
     def poll(self, now: float) -> list[Frame]:
-        """Start, read or end, without waiting."""
         self._killed = [process for process in self._killed if process.poll() is None]
         job = self._device.pending_job()
         try:
@@ -62,7 +61,6 @@ class Computation:
         return self._device.finish_job(self._job, result, now)
 
     def close(self) -> None:
-        """Kill the process, and wait for its end."""
         self._kill()
         for process in self._killed:
             process.wait()
@@ -98,7 +96,6 @@ class Computation:
                 os.sched_setaffinity(process.pid, self._cpus)
 
     def _read(self) -> Any:
-        """None: not yet."""
         while self._answers is not None and self._answers.poll():
             message = self._answers.recv()
             if not isinstance(message, float):

@@ -71,14 +71,12 @@ class Dispatch:
                 port.device.follow_can_ids(self._mover(port))
 
     def due_s(self) -> float:
-        """The earliest deadline, or NEVER."""
         if self._stale:
             self._stale = False
             self._earliest_s = min([port.due_s for port in self.ports], default=NEVER)
         return self._earliest_s
 
     def called(self, port: Port) -> None:
-        """A method of this device was called."""
         deadline_s = port.deadline()
         if deadline_s is None:
             deadline_s = NEVER
@@ -92,7 +90,6 @@ class Dispatch:
             self._stale = True
 
     def listeners(self, frame: Frame) -> Ports:
-        """Who gets this frame."""
         return (self.remote if frame.rtr else self.data).get(frame.can_id, self.everyone)
 
     def follow(self) -> None:
@@ -173,7 +170,6 @@ class FrameSender:
                 self._failed(port, frame, _no_room())
 
     def _try(self, port: Port, frame: Frame) -> bool:
-        """False if the bus takes none now."""
         can_id, data, remote, _ = frame
         try:
             if not self._bus_send(can_id, data, remote):
@@ -187,7 +183,6 @@ class FrameSender:
         return True
 
     def retry(self, now: float) -> None:
-        """Send what waits."""
         while self.waiting:
             port, frame, since_s = self.waiting[0]
             if now - since_s > LONGEST_DELAY_S:
@@ -197,7 +192,6 @@ class FrameSender:
             self.waiting.popleft()
 
     def retry_owed(self) -> None:
-        """Send the boot-ups that failed."""
         for can_id, (port, frame) in list(self.owed.items()):
             try:
                 gone = not self.waiting and self._bus_send(can_id, frame.data, frame.rtr)

@@ -102,7 +102,6 @@ class NamedInterface:
         return code_of(error) == errno.ENETDOWN or (self._bus is not None and is_down(error))
 
     def bind(self) -> None:
-        """Bind the socket again. OSError without the interface."""
         bus = self._bus
         if bus is not None and bus.socket.getsockname()[0] != bus.channel:
             bus.socket.bind((bus.channel,))
@@ -131,7 +130,6 @@ class Reception:
         """How often it failed until now."""
 
     def receive(self, wait_s: float) -> can.Message | None:
-        """The next frame, or None."""
         try:
             message = self._bus.recv(wait_s)
             if message is None:
@@ -169,7 +167,6 @@ class PythonCanBus:
         self._echoes = type(bus).__name__ in _ECHOING
 
     def receive(self, wait_s: float) -> Received | None:
-        """See :class:`.FrameBus`."""
         message = self._bus.recv(wait_s)
         if message is None:
             self._interface.bind()
@@ -182,7 +179,6 @@ class PythonCanBus:
         return can_id, bytes(message.data), message.timestamp
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
-        """See :class:`.FrameBus`; a bus that takes none raises."""
         self._bus.send(
             can.Message(
                 arbitration_id=can_id,

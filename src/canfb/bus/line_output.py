@@ -24,7 +24,6 @@ class LineOutput:
         self._left_out = 0
 
     def put(self, line: str) -> None:
-        """Write a line, now or later."""
         if len(self._waiting) < MOST_LINES:
             self._keep(line)
         else:
@@ -32,7 +31,6 @@ class LineOutput:
         self.flush()
 
     def flush(self, wait_s: float = 0.0) -> None:
-        """Write what waits."""
         while self._waiting:
             if not select.select([], [self._descriptor], [], wait_s)[1]:
                 return

@@ -60,7 +60,6 @@ def open_bus(options: dict[str, Any]) -> can.BusABC:
 
 
 def _completed(options: dict[str, Any]) -> dict[str, Any]:
-    """With those of python-can's environment and files; {} for what it will refuse."""
     words = {key: value for key, value in options.items() if value is not None and key != FORCE_PYTHON_CAN}
     try:
         return dict(can.util.load_config(config=words))

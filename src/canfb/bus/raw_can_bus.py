@@ -44,7 +44,6 @@ class FrameReader:
         self._controller = OtherClock(LONGEST_LATENCY_S)
 
     def read(self) -> Received | None:
-        """The next frame, or None. OSError as recv."""
         try:
             frame, controls, _, _ = self._receive(_FRAME.size, _CONTROL_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -114,7 +113,6 @@ class RawCanBus:
         return bus
 
     def receive(self, wait_s: float) -> Received | None:
-        """See :class:`.FrameBus`."""
         if self._down:
             return self._came_up()
         ready: list[Any] | bool
@@ -131,7 +129,6 @@ class RawCanBus:
             raise
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
-        """See :class:`.FrameBus`."""
         try:
             self._send(_FRAME.pack(can_id | REMOTE if remote else can_id, len(data), data))
         except BlockingIOError:
@@ -147,7 +144,6 @@ class RawCanBus:
         return True
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
-        """Filters in the kernel."""
         if not self._is_can:
             return
         filters = _ANY_STANDARD

@@ -114,14 +114,12 @@ class Runner:
 
     @property
     def counters(self) -> BusCounters:
-        """What went over the bus until now."""
         sender = self._sender
         return BusCounters(
             self._received, sender.sent, sender.failures, self._error_frames, self._bus_failures
         )
 
     def stop(self) -> None:
-        """End :meth:`run`; from a signal handler or thread, too."""
         self._stopped = True
 
     def hears(self, can_ids: Collection[int], wait_s: float, asked: Iterable[Frame] = ()) -> int | None:
@@ -168,7 +166,6 @@ class Runner:
                     port.device.end(self._clock())
 
     def _wait(self) -> Received | None:
-        """Keep the deadlines, then wait for a frame until the next one."""
         if self._dispatch.moved:
             self._dispatch.follow()
         self._now = asked = self._clock()
@@ -299,7 +296,6 @@ class Runner:
 
 
 def _in_one_line(error: Exception) -> str:
-    """What was raised, and where."""
     text = " ".join(str(error).split())
     where = [
         f" ({Path(last.filename).name}:{last.lineno})"

@@ -68,7 +68,6 @@ def _is_locked(file: int) -> bool:
 
 
 def lock_file(file: int) -> None:
-    """Until it is closed. OSError if another has it."""
     if sys.platform == "win32":
         import msvcrt
 
@@ -110,12 +109,10 @@ class SharedClient(SdoClient):
         network.subscribe(self.tx_cobid, self.on_response)
 
     def frame(self, within_s: float) -> bytes:
-        """The next frame, or queue.Empty."""
         data: bytes = self.responses.get(timeout=max(0.0, within_s))
         return data
 
     def now(self) -> float:
-        """Seconds, monotonic."""
         return time.monotonic()
 
     def read_response(self, fits: Callable[[bytes], bool] = lambda data: True) -> bytes:
@@ -154,5 +151,4 @@ class SharedClient(SdoClient):
             raise
 
     def abort(self, abort_code: int = 0x08000000) -> None:
-        """Abort the current transfer (CiA 301, 7.2.4.3.17)."""
         self._send(bytes((ABORT,)) + self._place + abort_code.to_bytes(4, "little"))

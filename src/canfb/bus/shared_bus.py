@@ -46,11 +46,9 @@ class SharedBus(can.BusABC):
         return branch
 
     def release(self, branch: can.BusABC) -> None:
-        """It is not used any more."""
         self._branches = [one for one in self._branches if one is not branch]
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """As in python-can; from any thread."""
         if not only_reads(msg):
             raise can.CanOperationError("this bus is for reading: it sends SDO uploads alone")
         with self._sending:
@@ -71,7 +69,6 @@ class SharedBus(can.BusABC):
             branch.take(item)
 
     def shutdown(self) -> None:
-        """The bus itself is shut down, too."""
         super().shutdown()
         self.under.shutdown()
 

@@ -57,7 +57,6 @@ META = (
 
 @contextlib.contextmanager
 def _writing(place: Path) -> Iterator[None]:
-    """CommissioningError for what cannot be written in here."""
     try:
         yield
     except OSError as error:

@@ -154,11 +154,9 @@ class CalibrationRun:
 
     @staticmethod
     def _together(session: Session, source: Source) -> Source:
-        """The same samples, the cosine at the instant of the sine."""
         return lambda seconds, least, progress: session.together(source(seconds, least, progress))
 
     def _look(self, session: Session, before: Look | None) -> Look | None:
-        """The module now; said at once if its position is lost, and kept beside the look ``before``."""
         look = look_at(session.module)
         if look is not None and look.is_lost and not (before is not None and before.is_lost):
             self._steps.step(lost_words(session.module, look.status))
@@ -174,7 +172,6 @@ class CalibrationRun:
         guard: Guard,
         before: Look | None,
     ) -> Result:
-        """The module measures; its samples on the bus are measured here as well, for figures and pictures."""
         self._steps.step("the module measures")
         if self._choices.check:
             session.check_interface()
@@ -213,7 +210,6 @@ class CalibrationRun:
         guard: Guard,
         put: Callable[[], Measurement] | None = None,
     ) -> tuple[Measurement, Installation]:
-        """Activate, verify by ``prove`` with seconds and least samples, save."""
         choices = self._choices
         least = min(choices.least_samples, LEAST_FRESH)
         return install(
@@ -227,7 +223,6 @@ class CalibrationRun:
         )
 
     def _collect(self, session: Session, seconds: float, least: int) -> SpeedSamples:
-        """Samples of now, and the speed that the module says meanwhile."""
         readings = SpeedReadings(session.module)
         watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
         source = session.source(
@@ -314,7 +309,6 @@ class CalibrationRun:
         return findings(measured, done, self._where).result(paths)
 
     def _judged(self, samples: TrackSamples, act: Callable[[], Any]) -> Any:
-        """What ``act`` makes of the samples; what it refuses leaves its samples and a report."""
         self._steps.step(f"calculating from {len(samples)} samples")
         try:
             found = act()
@@ -378,7 +372,6 @@ def _steady_at(last: Sequence[float], speeds_rpm: Sequence[float]) -> float | No
 
 
 def listed(speeds_rpm: Sequence[float]) -> str:
-    """Speeds in words."""
     words = [f"{rpm:g}" for rpm in speeds_rpm]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 

@@ -268,7 +268,6 @@ def rate_words(samples: TrackSamples) -> str:
 
 
 def missed_words(samples: TrackSamples, where: Provenance) -> str:
-    """How many samples are missing, and how many the module says."""
     skipped, meanwhile = samples.skipped, where.meanwhile
     words = f"{samples.missed + skipped} missed"
     if skipped:
@@ -279,7 +278,6 @@ def missed_words(samples: TrackSamples, where: Provenance) -> str:
 
 
 def moved_words(calibration: Calibration, where: Provenance) -> str:
-    """How far the machine has moved; from even samples alone that is open by whole cycles per sample."""
     by_module = None if where.meanwhile is None else where.meanwhile.cycles
     cycles = max(calibration.cycles_used, by_module or 0)
     per_turn = where.cycles_per_revolution
@@ -315,7 +313,6 @@ def outcome(measured: Measurement, done: Installation, where: Provenance) -> str
 
 
 def verdict(measured: Measurement, where: Provenance) -> str:
-    """The verdict in plain words."""
     calibration, on_samples, over = measured.calibration, measured.on_samples, measured.over_speeds
     good = f"The table itself is good to {PERCENT * calibration.uncertainty_peak:.2g} %."
     if over is not None:

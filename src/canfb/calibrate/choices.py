@@ -85,13 +85,11 @@ class CalibrateOptions:
 
     @property
     def collect_s(self) -> float:
-        """How long to collect samples."""
         usual = SECONDS_AT_SPEED if self.speeds else 4.0 if self._is_fast else 20.0
         return usual if self.seconds is None else self.seconds
 
     @property
     def verify_s(self) -> float:
-        """How long to collect samples for the proof."""
         return self.verify if self.verify is not None else (1.0 if self._is_fast else 4.0)
 
     @property

@@ -138,7 +138,6 @@ class OverSpeeds:
 
     @property
     def peak_cycles(self) -> float:
-        """The largest error about the mean, at any speed."""
         return max(one.deviation.peak for one in self.errors)
 
     def near(self, hertz: float) -> ErrorAtSpeed:

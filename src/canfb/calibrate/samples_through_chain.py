@@ -127,7 +127,6 @@ class SpeedSamples:
 
     @property
     def tracks(self) -> TracksAtSpeed:
-        """For :mod:`canfb.calibration.over_speeds`."""
         one = self.samples
         return TracksAtSpeed(one.sine, one.cosine, self.rate_hz, self.hertz, one.time_s)
 
@@ -200,7 +199,6 @@ def errors_at(
 
 
 def _phases(samples: TrackSamples, used: InForce, speed_cycles: float) -> FloatArray:
-    """Of the samples as the module computes them, cycles; NaN where it has none."""
     config = ChainConfig(corner_hz=used.corners.corner_hz, cosine_corner_hz=used.corners.cosine_corner_hz)
     found = supervise(samples, used.correction, config.chain_limits, speed_cycles).position
     found[:SETTLING_SAMPLES] = math.nan

@@ -84,7 +84,6 @@ def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
 
 
 def _thinned(s: FloatArray, c: FloatArray) -> npt.NDArray[np.int64]:
-    """Samples with no more in one place than an even motion would leave there."""
     box = _Box.of(s, c, MARGINS[0])
     if box.half.max() < STANDSTILL_COUNTS:
         raise CalibrationError(
@@ -114,7 +113,6 @@ def _thinned(s: FloatArray, c: FloatArray) -> npt.NDArray[np.int64]:
 
 
 def _places(x: FloatArray, y: FloatArray) -> npt.NDArray[np.int64]:
-    """Square of a 32 x 32 grid in which each sample lies."""
     column = np.clip((x + 1.0) * 16.0, 0, 31).astype(np.int64)
     row = np.clip((y + 1.0) * 16.0, 0, 31).astype(np.int64)
     return np.asarray(32 * row + column, np.int64)
@@ -122,8 +120,6 @@ def _places(x: FloatArray, y: FloatArray) -> npt.NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class _Box:
-    """What the tracks span: middle and half width, counts."""
-
     middle: FloatArray
     half: FloatArray
 
@@ -137,7 +133,6 @@ class _Box:
         return (s - self.middle[0]) / self.half[0], (c - self.middle[1]) / self.half[1]
 
     def fit(self, s: FloatArray, c: FloatArray) -> tuple[FloatArray | None, float]:
-        """Conic in scaled tracks, and the part of the samples that lie near it."""
         x, y = self.scaled(s, c)
         radius = np.hypot(x, y)
         keep = (radius > 0.3) & (radius < 1.7)
@@ -178,7 +173,6 @@ class _Box:
 
 
 def _conic(x: FloatArray, y: FloatArray) -> FloatArray | None:
-    """Centre and inverse shape (x0, y0, q00, q01, q11) of the conic of least squares, None if no ellipse."""
     if len(x) < 8:
         return None
     columns = np.column_stack([x * x, x * y, y * y, x, y])

@@ -236,7 +236,6 @@ def _deviations(
     conditioning: Conditioning,
     tables: list[CorrectionTable],
 ) -> tuple[FloatArray, FloatArray]:
-    """Deviation from smooth motion with the identity, and with the table of the other half's blocks."""
     raw = raw_phases(*conditioning.apply(record.sine, record.cosine))[blocks.index]
     raw = np.where(blocks.used, raw, 0.0)
     after = np.empty_like(raw)
@@ -246,7 +245,6 @@ def _deviations(
 
 
 def _from_smooth(blocks: Blocks, phase: FloatArray, position: FloatArray) -> FloatArray:
-    """Deviation of phases from the polynomial of least squares through them in each block."""
     off = (phase - position) % 1.0
     off = about_mean(off, of=off[blocks.used])
     return np.asarray(off - blocks.evaluate(blocks.smooth(off)), np.float64)

@@ -132,8 +132,6 @@ def information_loss(blocks: Blocks, waveform: Waveform, motion: FloatArray) -> 
 
 
 class _System:
-    """Normal equations at one point, the blocks' coefficients eliminated."""
-
     def __init__(
         self,
         blocks: Blocks,
@@ -205,7 +203,6 @@ class _System:
         self.normal[half:, half:] += columns.T @ (columns * cc[:, None])
 
     def _weights(self, speed: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Inverse variances along and across the curve, zero for samples left out."""
         across, along = self.noise.across, self.noise.along
         if along > across:
             # Noise of the converter is constant in counts, noise of the motion in cycles.
@@ -223,7 +220,6 @@ class _System:
         return np.asarray(matrix + size * np.outer(origin, origin), np.float64)
 
     def step(self) -> tuple[Waveform, FloatArray, float]:
-        """One step of Gauss-Newton: new tracks, new motion, largest change of position in cycles."""
         change = np.linalg.lstsq(self._held(self.reduced), self.reduced_right, rcond=1e-14)[0]
         motion = self.solved_right - self.solved_cross @ change
         moved = np.abs(motion).sum(axis=1)
@@ -255,7 +251,6 @@ class _System:
         )
 
     def inverse(self, information: FloatArray) -> FloatArray:
-        """Inverse of information on the coefficients, origin held."""
         held = self._held(information)
         return np.asarray(np.linalg.pinv(held, rcond=1e-14, hermitian=True), np.float64)
 
@@ -302,7 +297,6 @@ class Waveform:
         return columns @ self.sine, columns @ self.cosine
 
     def slope(self) -> Waveform:
-        """Change of both tracks per cycle, counts per cycle."""
         parts = []
         for track in (self.sine, self.cosine):
             turned = np.zeros_like(track)

@@ -36,7 +36,6 @@ class Blocks:
         return len(self.index)
 
     def take(self, rows: IntArray | BoolArray) -> Blocks:
-        """These blocks only."""
         return Blocks(self.index[rows], self.used[rows], self.terms[rows])
 
     def using(self, used: BoolArray) -> Blocks:
@@ -46,12 +45,10 @@ class Blocks:
 
     @property
     def coefficients(self) -> int:
-        """Coefficients of the polynomial of a block."""
         return int(self.terms.shape[2])
 
     @property
     def samples(self) -> int:
-        """Samples used."""
         return int(self.used.sum())
 
     @property
@@ -77,13 +74,11 @@ class Blocks:
         return np.asarray(met.sum(axis=1) >= 4, np.bool_)
 
     def smooth(self, values: FloatArray) -> FloatArray:
-        """Coefficients of the polynomials of least squares through values (blocks, length)."""
         weighted = np.where(self.used[..., None], self.terms, 0.0)
         right = np.einsum("blt,bl->bt", weighted, np.where(self.used, values, 0.0))
         return solve_blocks(np.matmul(weighted.transpose(0, 2, 1), weighted), right[..., None])[..., 0]
 
     def evaluate(self, coefficients: FloatArray) -> FloatArray:
-        """Polynomials at every sample, shape (blocks, length)."""
         return np.asarray(np.matmul(self.terms, coefficients[..., None])[..., 0], np.float64)
 
 
@@ -173,12 +168,10 @@ def about_mean(
 
 
 def root_mean(values: FloatArray) -> float:
-    """Root mean square, 0 of nothing."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def peak(values: FloatArray) -> float:
-    """Largest size, 0 of nothing."""
     return float(np.abs(values).max()) if len(values) else 0.0
 
 
@@ -206,7 +199,6 @@ class ErrorCurve:
 
 
 def error_curve(position: FloatArray, before: FloatArray, after: FloatArray) -> ErrorCurve:
-    """Mean of both deviations in bins of the phase."""
     middle = (np.arange(BINS) + 0.5) / BINS
     return ErrorCurve(middle, mean_in_bins(position, before), mean_in_bins(position, after))
 

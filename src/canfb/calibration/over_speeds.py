@@ -85,7 +85,6 @@ class SpeedCalibration:
     each: tuple[Fundamental, ...]
 
     def with_delay(self, delay_s: float) -> SpeedCalibration:
-        """With 2002:07."""
         conditioning = replace(self.calibration.conditioning, delay_s=float(np.float32(delay_s)))
         return replace(self, calibration=replace(self.calibration, conditioning=conditioning))
 
@@ -196,7 +195,6 @@ class _AtSpeed:
 
     @classmethod
     def of(cls, samples: TracksAtSpeed, adc_bits: int | None, entries: int) -> _AtSpeed:
-        """CalibrationError, with the speed, if it is refused."""
         with naming_speed(samples.hertz):
             record = recording(
                 samples.sine, samples.cosine, samples.time_s, None, adc_bits, may_be_offset=True
@@ -222,7 +220,6 @@ class _AtSpeed:
         )
 
     def again(self, path: PathFit, adc_bits: int | None, entries: int) -> _AtSpeed:
-        """The same with the samples moved to the mean speed along this path."""
         at, record = self.hertz, self.record
         ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
         cosine = sampled_together(record, path.turned_rad(self.speed) - float(path.turned_rad(at)))
@@ -264,7 +261,6 @@ def _fit(
 
 
 def _smooth(speed: FloatArray) -> FloatArray:
-    """Mean over some samples; each end goes on with its own."""
     half = min(SMOOTH_SAMPLES, len(speed)) // 2
     ends = float(speed[: half + 1].mean()), float(speed[-half - 1 :].mean())
     padded = np.concatenate([np.full(half, ends[0]), speed, np.full(half, ends[1])])
@@ -334,7 +330,6 @@ def speeds(record: Recording, mean_cycles: float) -> FloatArray:
 
 
 def _steps(record: Recording) -> tuple[FloatArray, FloatArray]:
-    """From sample to sample: the time in the middle, intervals, and the speed, cycles per interval."""
     ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
     angle = np.where(record.valid, angle_cycles(ellipse, record.sine, record.cosine), np.nan)
     at = np.flatnonzero(record.valid)

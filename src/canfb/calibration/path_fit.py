@@ -116,7 +116,6 @@ class LowPass:
 
     @property
     def delay_s(self) -> float:
-        """Of this low-pass at low speed."""
         return self.per_hz / (2.0 * math.pi)
 
     @property
@@ -309,7 +308,6 @@ def _corners(found: Sequence[Fundamental], per_hz: float) -> tuple[FloatArray, f
 def _line(
     columns: FloatArray, values: FloatArray, weight: FloatArray
 ) -> tuple[tuple[float, float], FloatArray]:
-    """Least squares of two coefficients, and their covariance for values of this weight (1 / sigma)."""
     weighted = columns * weight[:, None]
     scale = np.linalg.norm(weighted, axis=0)
     inverse = np.linalg.pinv(weighted / scale)

@@ -20,7 +20,6 @@ class Reason(StrEnum):
     text: str
 
     def __new__(cls, word: str, text: str = "") -> Reason:
-        """Make the member with its text."""
         member = str.__new__(cls, word)
         member._value_ = word
         member.text = text

@@ -139,7 +139,6 @@ class Solver:
         return information_loss(blocks, self._circle(), motion)
 
     def _distance(self, position: FloatArray) -> float:
-        """Cycles gone through, without noise, as far as the samples show."""
         seen = position[self.record.valid][::DISTANCE_SAMPLES]
         return float(np.abs(np.diff(seen)).sum())
 
@@ -152,7 +151,6 @@ class Solver:
         return self.record.positions(np.where(self.record.valid, phase, np.nan))
 
     def _start(self, angle: FloatArray, waveform: Waveform) -> Start:
-        """Positions from the phases on the fitted curve; from the angle if that curve is no good."""
         curve = self._curve(waveform)
         if curve is None:
             return Start(self._positions(angle), None)
@@ -161,7 +159,6 @@ class Solver:
         return Start(self._positions(phase), waveform)
 
     def _curve(self, waveform: Waveform) -> FloatArray | None:
-        """Angle of the waveform over the phase, None unless it rises through one cycle."""
         s, c = self.ellipse.apply(*waveform.tracks(grid_phases()))
         curve = np.unwrap(np.arctan2(s, c) / (2.0 * np.pi), period=1.0)
         rises = abs(curve[-1] - curve[0] - 1.0) < 1e-6 and np.diff(curve).min() > 0.0
@@ -188,7 +185,6 @@ class Solver:
         return best, lively
 
     def _choose_again(self, start: Start, shape: Shape) -> Shape:
-        """The best shape near this one, and beyond cubics if the motion needs it."""
         near = tuple(one for one in STIFF if shape.length / 2 <= one.length <= shape.length * 2)
         best, lively = self._choose_shape(start, (shape,) if shape.terms > CUBIC else near)
         return self._choose_shape(start, (best, *_more_lively(best)))[0] if lively else best
@@ -212,7 +208,6 @@ class Solver:
         return uncertainty(fit, self.ellipse), fit.noise.along > LIVELY_NOISE * fit.noise.across
 
     def _fit(self, blocks: Blocks, start: Start) -> tuple[JointFit, Blocks]:
-        """First fit from tracked positions, without what is far off."""
         record = self.record
         if len(blocks) < MIN_BLOCKS:
             raise CalibrationError("too few contiguous samples", Reason.SAMPLES)
@@ -234,7 +229,6 @@ class Solver:
         )
 
     def _more_orders(self, fit: JointFit, blocks: Blocks) -> tuple[JointFit, Blocks]:
-        """More orders while the last ones carry something, and faults left out as the fit gets better."""
         cleaned = blocks
         for step in ORDER_STEPS:
             highest = max(FIRST_ORDERS[-1], min(step, cleaned.samples // SAMPLES_PER_ORDER))
@@ -257,7 +251,6 @@ class Solver:
 
 
 def _more_lively(shape: Shape) -> tuple[Shape, ...]:
-    """Blocks that follow more of the motion: up to a vibration at a quarter of the sampling rate."""
     length = max(shape.length, 16)
     return tuple(
         Shape(times * length, terms) for times, terms in ((1, 6), (2, 8), (2, 12), (4, 12), (4, 24), (4, 40))

@@ -117,7 +117,6 @@ class _Cycles:
         return int(self.cycle[-1]) + 1
 
     def take(self, cycles: IntArray | BoolArray) -> _Cycles:
-        """These alone, numbered again."""
         chosen = np.zeros(len(self), np.bool_)
         chosen[cycles] = True
         rows = chosen[self.cycle]
@@ -131,7 +130,6 @@ class _Cycles:
         )
 
     def waveform(self) -> Waveform:
-        """The mean tracks: over 1/1024 cycle, straight from place to place, then as a series."""
         place = (self.phase % 1.0 * TRACK_POINTS).astype(np.int64) % TRACK_POINTS
         number = np.bincount(place, minlength=TRACK_POINTS)
         seen = number > 0
@@ -146,11 +144,9 @@ class _Cycles:
         return table_of(raw_phase_curve(self.waveform(), self.conditioning), entries)
 
     def off(self, phase: FloatArray) -> FloatArray:
-        """How far these phases are from those by the crossings."""
         return about_mean(phase - self.phase)
 
     def agreeing(self) -> BoolArray:
-        """Cycles that are like most."""
         square = np.bincount(self.cycle, self.off(self.table().correct_array(self.raw)) ** 2)
         off = np.sqrt(square / np.bincount(self.cycle))
         return np.asarray(off <= REJECT_CYCLE * np.median(off) + 1e-9, np.bool_)
@@ -199,7 +195,6 @@ def _whole(
 
 
 def _interpolate(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
-    """Polynomial through the points of the last axis (Lagrange)."""
     value = np.zeros_like(at)
     points = range(x.shape[-1])
     for one in points:
@@ -212,7 +207,6 @@ def _interpolate(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def _change(parts: list[_Cycles], noise_of_cycle: float) -> Drift:
-    """Of the tracks in the course of the recording."""
     tables = np.array([part.table().entries for part in parts])
     return largest_change(tables, np.array([noise_of_cycle / np.sqrt(len(part)) for part in parts]))
 

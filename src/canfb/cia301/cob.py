@@ -37,7 +37,6 @@ _RESTRICTED = (
 
 
 def is_valid(value: int) -> bool:
-    """Whether the communication object of this COB-ID exists."""
     return not value & NOT_VALID
 
 

@@ -13,7 +13,6 @@ class CodeWithText(IntEnum):
     text: str
 
     def __new__(cls, value: int, text: str) -> Self:
-        """Make the member with its text."""
         member = int.__new__(cls, value)
         member._value_ = value
         member.text = text

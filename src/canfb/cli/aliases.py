@@ -77,7 +77,6 @@ def _begins(line: Sequence[str], pattern: Sequence[str]) -> bool:
 
 
 def _renamed(line: Sequence[str], length: int, options: dict[str, str | None]) -> list[str]:
-    """With other options; positional values go behind the command."""
     done: list[str] = []
     nodes: list[str] = []
     words = iter(line)

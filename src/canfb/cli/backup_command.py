@@ -27,7 +27,6 @@ from canfb.sdo.object_description import ObjectDescriptions
 
 
 def register(commands: Commands) -> None:
-    """Add the commands."""
     parts = add_group(commands, "backup")
     add_command(
         parts,
@@ -60,7 +59,6 @@ def register(commands: Commands) -> None:
 
 
 def save(options: argparse.Namespace) -> int:
-    """From the module to the file."""
     check_writable(options.file)
     described = ObjectDescriptions(eds_path(EDS), options.node)
     with node_options.master_of(options) as master:
@@ -89,7 +87,6 @@ def backup_of(master: Master, node_id: int, date: str) -> Backup:
 
 
 def restore(options: argparse.Namespace) -> int:
-    """From the file to the module."""
     path = required_file(options.file)
     kept = read_backup(path, ObjectDescriptions(eds_path(EDS), 1), options.force)
     node = options.module or kept.node_id

@@ -44,7 +44,6 @@ from canfb.rows import Result
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
     add_command(
         commands,
         "calibrate",
@@ -154,7 +153,6 @@ def register(commands: Commands) -> None:
 
 
 def calibrate(options: argparse.Namespace) -> int:
-    """Measure, write and verify; 0 when that is done."""
     choices = choices_of(options)
     config = named_config(options)
     if choices.out:

@@ -30,7 +30,6 @@ from canfb.master.all_or_nothing import Guard
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
     add_command(
         commands,
         "commission",
@@ -75,7 +74,6 @@ def register(commands: Commands) -> None:
 
 
 def commission(options: argparse.Namespace) -> int:
-    """Listen, propose, and with ``--write`` set."""
     wishes, config = wishes_of(options), named_config(options)
     if wishes.out:
         prepare(wishes.out)

@@ -76,7 +76,6 @@ EXAMPLE_BUS = "{interface: socketcan, channel: vcan0}"  # in it
 
 
 def register(commands: Commands) -> None:
-    """Add the commands."""
     parts = add_group(commands, "config")
     config = option("config", metavar="CONFIG.yaml")
     add_command(parts, "check", check, config, summary="check a configuration")
@@ -110,7 +109,6 @@ def register(commands: Commands) -> None:
 
 
 def check(options: argparse.Namespace) -> int:
-    """Say what is in it, or what is wrong with it on this machine."""
     config = load_config(options.config, ANY_NODES)
     check_machine(Path(options.config), config)
     there: dict[str, list[str]] = {}
@@ -122,13 +120,11 @@ def check(options: argparse.Namespace) -> int:
 
 
 def example(options: argparse.Namespace) -> int:
-    """Print an example configuration."""
     print(EXAMPLE, end="")
     return 0
 
 
 def write_dcf(options: argparse.Namespace) -> int:
-    """Write the files; 0 when it is done."""
     _check(options)
     config = named_config(options)
     words = bus_options(options, config.bus)
@@ -156,7 +152,6 @@ def write_dcf(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """ConfigError for options that cannot be, alone or together."""
     options.node = None if options.subject else options.module  # to be read on the bus
     if options.node is None:
         refuse_idle(options, ["timeout", "config"], "only with NODE alone, which is read over the bus")

@@ -48,7 +48,6 @@ OF_A_FOLDER = ("workers",), "is for a folder of logs"
 
 
 def register(commands: Commands) -> None:
-    """Add the commands."""
     parts = add_group(commands, "log")
     text = "what canfb log record or candump -L wrote; and NODE, to replay only this module"
     add_command(
@@ -129,7 +128,6 @@ def register(commands: Commands) -> None:
 
 
 def record(options: argparse.Namespace) -> int:
-    """Record until Ctrl-C, SIGTERM, SIGHUP or --seconds."""
     words = chosen_bus(options)
     bus_log = BusLog(options.file, options.max_size, options.force)
     with (
@@ -212,7 +210,6 @@ def _modules(options: argparse.Namespace) -> list[ModuleConfig]:
 
 
 def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
-    """Do what is not done yet; 0 when it is. Without ``--out`` each log is a line."""
     out = None if options.out is None else check_table(options.out)
     if options.workers is not None and options.workers < 1:
         raise ConfigError(f"--workers {options.workers}: must be 1 at least")

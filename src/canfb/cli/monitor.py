@@ -56,7 +56,6 @@ Show = Callable[[BusSnapshot], None]
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
     add_command(
         commands,
         "monitor",
@@ -95,7 +94,6 @@ def register(commands: Commands) -> None:
 
 
 def monitor(options: argparse.Namespace) -> int:
-    """Show modules, frames or a page."""
     if options.frames:
         from canfb.cli.frames import show_frames  # here: neither the page nor the frames are always wanted
 
@@ -194,7 +192,6 @@ def _page(options: argparse.Namespace, title: str) -> Iterator[Show]:
 
 
 def _serve_page(options: argparse.Namespace) -> int:
-    """Serve the page until Ctrl-C, SIGTERM or SIGHUP."""
     from canfb.scope.live_page import LivePage  # here: the server is for the page alone
 
     if not 0 <= options.port <= 65535:

@@ -35,12 +35,10 @@ SCAN_S = 1.2  # the heartbeat of most nodes comes once a second or more often
 
 
 def _node(text: str) -> int:
-    """A node-ID, decimal or as 0x20; `all` is 0."""
     return EVERYBODY if text == ALL else node_number(text)
 
 
 def register(commands: Commands) -> None:
-    """Add the commands."""
     description = "Nodes of a bus. NMT is not confirmed: a node reports its state in its heartbeat."
     parts = add_group(commands, "node", description)
     summary = "list the nodes with NMT state and identity (1018h)"
@@ -66,12 +64,10 @@ def register(commands: Commands) -> None:
 
 
 def _nodes(options: argparse.Namespace) -> list[int]:
-    """Those of the line, each once; [EVERYBODY] for all."""
     return [EVERYBODY] if EVERYBODY in options.nodes else list(dict.fromkeys(options.nodes))
 
 
 def send(options: argparse.Namespace) -> int:
-    """Send the command to each node, in this order."""
     chosen = _nodes(options)
     with BusMaster(open_bus(chosen_bus(options))) as master:
         for node in chosen:
@@ -100,7 +96,6 @@ def reset(options: argparse.Namespace) -> int:
 
 
 def listed(options: argparse.Namespace) -> int:
-    """Ask all node-IDs, and say who is there."""
     from canfb.diagnosis.nodes_on_bus import scan  # here: an NMT command needs no EDS
 
     with BusMaster(open_bus(chosen_bus(options)), 0.3) as master:

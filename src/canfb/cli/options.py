@@ -64,10 +64,7 @@ def add_command(
 
 
 class _HelpBus(argparse.Action):
-    """Prints all options of the bus."""
-
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        """End with exit code 0."""
         shown = argparse.ArgumentParser(add_help=False, usage=argparse.SUPPRESS)
         _bus_group(shown, BUS_HELP)
         print(shown.format_help(), end="")
@@ -108,7 +105,6 @@ def add_group(commands: Commands, name: str, description: str = "") -> Commands:
 
 
 def add_bus_options(parser: Any) -> None:
-    """Row: the bus options of python-can, -i, -c, -b; the rest is shown by ``--help-bus``."""
     _bus_group(parser, OFTEN)
     parser.add_argument("--help-bus", action=_HelpBus, nargs=0, help="all options of the bus, and exit")
 
@@ -135,7 +131,6 @@ def chosen_module(options: argparse.Namespace, config: Config) -> ModuleConfig:
 
 
 def given(options: argparse.Namespace, names: Iterable[str]) -> list[str]:
-    """Those that are not at their defaults."""
     return [
         name
         for name in names
@@ -158,7 +153,6 @@ def refuse_combinations(options: argparse.Namespace) -> None:
 
 
 def given_bus(options: argparse.Namespace) -> dict[str, Any]:
-    """python-can's words on the command line."""
     words = {word: getattr(options, word) for word in BUS_WORDS if hasattr(options, word)}
     return words | getattr(options, "bus_kwargs", {})
 

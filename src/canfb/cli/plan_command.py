@@ -36,7 +36,6 @@ NUMBERS = (
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
     add_command(
         commands,
         "plan",
@@ -88,7 +87,6 @@ def register(commands: Commands) -> None:
 
 
 def plan(options: argparse.Namespace) -> int:
-    """Print the plan; 0 if it holds, 1 if it does not."""
     try:
         config = _config(options)
         options.jitter_us = options.jitter and jitter_s(options, options.rate_hz) * 1e6
@@ -111,7 +109,6 @@ def _config(options: argparse.Namespace) -> Config:
 
 
 def _named(message: str) -> str:
-    """A message on a field as one on its option."""
     first = message.split()[0]
     options = {field: name for name, field, _, _ in NUMBERS}
     options |= {"bit_rate": "--bitrate", "cycles_per_revolution": "--cycles", "adc_bits": "--adc-bits"}

@@ -101,7 +101,6 @@ class _Printing(logging.Handler):
         self.outputs: dict[TextIO, LineOutput] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print it."""
         if self.as_json:
             message = {"event": "message", "level": record.levelname.lower(), "text": record.getMessage()}
             self._print(json.dumps(getattr(record, "event", message), ensure_ascii=False), sys.stdout)
@@ -111,13 +110,11 @@ class _Printing(logging.Handler):
             self._print(record.getMessage(), sys.stdout)
 
     def flush(self, wait_s: float = 0.0) -> None:
-        """Print what a reader takes by now."""
         for stream, output in self.outputs.items():
             with reader_may_go(stream):
                 output.flush(wait_s)
 
     def left_out(self, lines: int) -> str:
-        """The line in place of so many others."""
         text = f"{lines} lines are missing here: they were not read in time"
         return json.dumps({"event": "message", "level": "warning", "text": text}) if self.as_json else text
 

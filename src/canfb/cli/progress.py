@@ -47,7 +47,6 @@ class Progress:
         self._shown = ""
 
     def step(self, text: str) -> None:
-        """A new step begins."""
         if self._quiet:
             return
         self.clear()
@@ -55,7 +54,6 @@ class Progress:
         self._print(f"... {text}\n")
 
     def part(self, part: float) -> None:
-        """This part of the step is done, 0..1."""
         if self._quiet:
             return
         part = min(max(part, 0.0), 1.0)
@@ -72,7 +70,6 @@ class Progress:
             self._print(f"{CLEAR}{text}")
 
     def clear(self) -> None:
-        """Take the bar away: somebody else has something to say."""
         if self._shown:
             self._shown = ""
             self._print(CLEAR)

@@ -18,7 +18,6 @@ from canfb.hosting.self_diagnosis import diagnosing_on_signal
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
     add_command(
         commands,
         "run",

@@ -24,7 +24,6 @@ LOST = "the position is lost: canfb why {:#04x} says why, and what brings it bac
 
 
 def register(commands: Commands) -> None:
-    """Add the commands."""
     description = "Objects of a node by SDO. Names, types and units are those of its EDS."
     parts = add_group(commands, "sdo", description)
     node, access = node_options.NODE, node_options.ACCESS
@@ -72,7 +71,6 @@ def _tasks(master: Master, options: argparse.Namespace) -> SdoTasks:
 
 
 def listed(options: argparse.Namespace) -> int:
-    """Print what objects there are."""
     if options.eds is not None:
         described = ObjectDescriptions(options.eds, options.node)
     else:
@@ -88,7 +86,6 @@ def listed(options: argparse.Namespace) -> int:
 
 
 def read(options: argparse.Namespace) -> int:
-    """Print what an object holds."""
     if options.out is not None:
         check_writable(options.out)
     with node_options.master_of(options) as master:
@@ -105,7 +102,6 @@ def read(options: argparse.Namespace) -> int:
 
 
 def write(options: argparse.Namespace) -> int:
-    """Write an object, and print what it holds now."""
     if (options.value is None) == (options.file is None):
         raise ConfigError("a VALUE or --file FILE is required, one of them")
     value = options.value if options.file is None else read_bytes(options.file, CommissioningError)

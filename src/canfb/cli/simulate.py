@@ -35,7 +35,6 @@ WRITERS = {".csv": write_csv, ".npz": write_npz}
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
     add_command(
         commands,
         "simulate",
@@ -153,7 +152,6 @@ def _layout(options: argparse.Namespace) -> RecordingLayout:
 
 
 def check_record(name: str) -> Path:
-    """The file of ``--record``. ConfigError."""
     path = Path(name)
     if path.suffix not in WRITERS:
         raise ConfigError(f"--record {name}: the name must end with {' or '.join(WRITERS)}")
@@ -165,7 +163,6 @@ def check_record(name: str) -> Path:
 
 
 def write_record(path: Path, recorder: SampleRecorder, rate_hz: float) -> None:
-    """Write what was recorded. CanfbError."""
     samples = TrackSamples.of(*recorder.tracks(), rate_hz, "canfb simulate --record")
     try:
         WRITERS[path.suffix](path, samples)

@@ -25,7 +25,6 @@ class _Subjects(argparse.Action):
         self._most, self._file = most, file
 
     def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, *_: object) -> None:
-        """Sort them. ArgumentError for one too many."""
         nodes = [one for one in values if isinstance(one, int)]
         files = [one for one in values if not isinstance(one, int)]
         if self._most is not None and len(nodes) > self._most:
@@ -60,7 +59,6 @@ def nodes(
 
 
 def whole_number(text: str) -> int:
-    """A whole number, decimal or as 0x20: a type for argparse."""
     try:
         return int(text, 0)
     except ValueError:
@@ -79,7 +77,6 @@ def node_number(text: str) -> int:
 
 
 def positive(text: str) -> float:
-    """A number above 0: a type for argparse."""
     try:
         value = float(text)
     except ValueError:

@@ -21,7 +21,6 @@ FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
 
 
 def register(commands: Commands) -> None:
-    """Add the commands."""
     description = "The correction table (2020h) and the conditioning (2002h) of a module."
     parts = add_group(commands, "table", description)
     node, access = node_options.NODE, node_options.ACCESS
@@ -71,7 +70,6 @@ def register(commands: Commands) -> None:
 
 
 def show(options: argparse.Namespace) -> int:
-    """The table of a node, or of a file."""
     try:
         node = node_number(options.what)
     except argparse.ArgumentTypeError:
@@ -85,7 +83,6 @@ def show(options: argparse.Namespace) -> int:
 
 
 def write(options: argparse.Namespace) -> int:
-    """From the file to the module."""
     if options.save and not options.activate:
         raise ConfigError("--save: only with --activate, as a staged table is not saved")
     file = read_table_file(options.file)
@@ -96,18 +93,15 @@ def write(options: argparse.Namespace) -> int:
 
 
 def read(options: argparse.Namespace) -> int:
-    """From the module to the file."""
     check_writable(options.file)
     return _do(options, lambda tasks: tasks.download(options.file, date_and_time()))
 
 
 def activate(options: argparse.Namespace) -> int:
-    """The staged table is put in force."""
     return _do(options, lambda tasks: tasks.activate(keep=options.save, force=options.force))
 
 
 def clear(options: argparse.Namespace) -> int:
-    """No table."""
     return _do(options, lambda tasks: tasks.clear(conditioning=options.conditioning, keep=options.save))
 
 

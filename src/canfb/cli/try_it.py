@@ -33,7 +33,6 @@ OF_THE_NETWORK = ("rate", "jitter", "no_page", "port", "ready_file", "write_conf
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
     add_command(
         commands,
         "try",
@@ -62,7 +61,6 @@ def register(commands: Commands) -> None:
 
 
 def try_it(options: argparse.Namespace) -> int:
-    """Run the network until Ctrl-C, SIGTERM or SIGHUP; nothing of it is left."""
     if options.story:
         return _tell_story(options)
     from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS  # here: for this, no other command is imported
@@ -134,7 +132,6 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
 
 
 def _tell_story(options: argparse.Namespace) -> int:
-    """Run it; 0 if everything held, else 1."""
     from canfb.demo.demo_network import DemoNetwork  # here: the network of `try` needs none of it
     from canfb.demo.demo_page import account, figures, prepare, write_files
     from canfb.demo.story import run_story

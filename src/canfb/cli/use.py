@@ -20,13 +20,11 @@ from canfb.master.all_or_nothing import write_whole
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
     forget = option("--forget", action="store_true", help="no default bus any more")
     add_command(commands, "use", use, forget, add_bus_options)
 
 
 def use(options: argparse.Namespace) -> int:
-    """Remember the bus of the options; without any, show it."""
     words = given_bus(options)
     if options.forget:
         default_bus_file().unlink(missing_ok=True)

@@ -35,7 +35,6 @@ LISTEN_S = 2.0
 
 
 def register(commands: Commands) -> None:
-    """Add the command."""
     add_command(
         commands,
         "why",
@@ -64,7 +63,6 @@ def register(commands: Commands) -> None:
 
 
 def _word(text: str) -> int:
-    """A status word, 0x0006 or 6: a type for argparse."""
     if not 0 <= (word := whole_number(text)) <= 0xFFFF:
         raise argparse.ArgumentTypeError(f"{text!r} is no status word (0x0000 to 0xFFFF)")
     return word
@@ -99,7 +97,6 @@ def diagnose(options: argparse.Namespace) -> int:
 
 
 def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> None:
-    """Listen to the bus, and read the nodes."""
     known = [eds_path(name) for name in EDS_NAMES]
     with node_options.master_of(options) as master:
         parts["bus"]["frames"] = frame_counts(master, options.seconds)
@@ -113,7 +110,6 @@ def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> 
 
 
 def _configured(config: Config) -> list[int]:
-    """Modules, their interfaces, and interfaces of their own."""
     nodes = [one.node_id for _, _, one in config.nodes]
     nodes += [one.encoder_interface for one in config.modules if one.source is None]
     return sorted({node for node in nodes if 1 <= node <= 127})

@@ -82,7 +82,6 @@ def set_limits(
 
 
 def _position(module: NodeAccess) -> str:
-    """A word where its position is lost."""
     try:
         status = module.integer(*od.FEEDBACK_STATUS, "H")
     except CanfbError:
@@ -176,7 +175,6 @@ def commission(
 def _collect(
     session: Session, wishes: CommissionOptions, steps: Steps
 ) -> tuple[TrackSamples, list[SpeedReading]]:
-    """The samples, and what the module said of its speed meanwhile."""
     readings = SpeedReadings(session.module)
     if not wishes.recording:
         layout = replace(session.layout(), coarse=coarse_layout(session.module.read_known))
@@ -196,7 +194,6 @@ def _collect(
 
 
 def _prove(observed: Observation, new: SupervisionLimits) -> None:
-    """The new limits must not flag what the old ones let pass. CommissioningError if they do."""
     again = supervise(
         observed.samples, observed.used, new.chain_limits(observed.machine.interval_s), observed.start_speed
     )

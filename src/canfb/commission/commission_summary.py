@@ -66,7 +66,6 @@ class Commissioned:
 
     @property
     def machine(self) -> MachineFigures:
-        """What was seen of it."""
         return self.observed.machine
 
     @property
@@ -79,7 +78,6 @@ class Commissioned:
         return limits.residual_limit(self.machine.interval_s) + self.largest_acceleration
 
     def without_harm(self, limits: SupervisionLimits) -> int:
-        """Bad samples in a row that are without harm with these limits."""
         return samples_without_harm(self.deviation(limits))
 
 
@@ -171,7 +169,6 @@ def machine_facts(done: Commissioned) -> list[Row]:
 
 
 def _low_pass_words(done: Commissioned) -> str:
-    """What the amplitude over the speed says of corner and delay; commission does not write 2002:07."""
     low_pass = done.machine.low_pass
     if low_pass is None:
         return "not known: too few speeds were seen"
@@ -187,7 +184,6 @@ def _rounded(value: float) -> str:
 
 
 def notes(done: Commissioned) -> list[str]:
-    """What the operator should know of the measurement."""
     said = []
     n = done.new.cycles_per_revolution
     if done.machine.motion.turned < n:
@@ -262,7 +258,6 @@ def kept_words(done: Commissioned) -> str:
 
 
 def outcome(done: Commissioned) -> str:
-    """One line: what is in the module now."""
     if done.written:
         saved = (
             f"saved ({done.saved_as})"
@@ -276,7 +271,6 @@ def outcome(done: Commissioned) -> str:
 
 
 def findings(done: Commissioned) -> Findings:
-    """What ``canfb commission`` found; intervals are those of the samples."""
     interval_s, motion = done.machine.interval_s, done.largest_acceleration
     figures = Row(
         margin=done.margin,

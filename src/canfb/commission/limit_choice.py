@@ -96,7 +96,6 @@ def corner_choice(low_pass: LowPass | None, limits: SupervisionLimits) -> Choice
 
 
 def _choice(limits: SupervisionLimits, place: Multiplexer, value: float | None, why: str) -> Choice:
-    """``value`` None: the limit stays as it is."""
     before = limits.values[place]
     return Choice(place, before, before if value is None else value, why)
 
@@ -232,7 +231,6 @@ def _periods(machine: MachineFigures, limits: SupervisionLimits) -> Choice:
 
 
 def _jitter(machine: MachineFigures, limits: SupervisionLimits, margin: float) -> list[Choice]:
-    """2010:0D; none for a module without it."""
     place, off_s = JITTER.place, machine.off_grid_s
     if place not in limits.values:
         return []

@@ -57,17 +57,14 @@ class MotionFigures:
 
     @property
     def top_speed(self) -> float:
-        """The largest size of the speed."""
         return max(abs(self.slowest), abs(self.fastest))
 
     @property
     def residual_peak(self) -> float:
-        """The largest residual of eq. 12, cycles."""
         return peak(self.residual[np.isfinite(self.residual)])
 
     @property
     def residual_rms(self) -> float:
-        """Rms of the residual, cycles."""
         return root_mean(self.residual[np.isfinite(self.residual)])
 
     @property
@@ -214,7 +211,6 @@ def low_pass_of(followed: SupervisedSamples, interval_s: float, corners: Corners
 
 
 def _left(hertz: FloatArray, corners: Corners) -> FloatArray:
-    """Of the amplitude that the known low-passes leave: the mean of both tracks."""
     both = [hz for hz in (corners.corner_hz, corners.of_cosine_hz) if hz]
     left = [1.0 / np.hypot(1.0, hertz / hz) for hz in both]
     return np.asarray(np.mean(left, axis=0) if left else np.ones(len(hertz)), np.float64)

@@ -121,7 +121,6 @@ def _follow(
     readings: Sequence[SpeedReading],
     interval_s: float,
 ) -> tuple[float, SupervisedSamples]:
-    """Speed at the first sample, cycles per interval, and the samples from there on."""
     raw = raw_phases(*used.conditioning.apply(samples.sine, samples.cosine))
     phase = raw if used.table is None else used.table(raw)
     even = np.arange(float(len(samples)))
@@ -153,7 +152,6 @@ def _follow(
 def _coarse(
     samples: TrackSamples, followed: SupervisedSamples, limits: SupervisionLimits
 ) -> tuple[float | None, str]:
-    """From the lowest to the highest difference of the coarse track, revolutions; or why it is not known."""
     if samples.coarse is None:
         return None, ""
     n = limits.cycles_per_revolution

@@ -72,7 +72,6 @@ class FaultySource(MotionSource):
         self.truth_cycles: list[float] = []
 
     def sample_at(self, now: float) -> Sample | None:  # type: ignore[override]  # as any Source has it
-        """The sample at the true time ``now``; its true position is noted."""
         fault = self.faults.get(len(self.truth_cycles))
         sample = super().sample_at(now)
         self.truth_cycles.append(self.position_cycles)

@@ -147,7 +147,6 @@ def servo_facts(story: Story) -> list[Row]:
 
 
 def verdict(held: bool) -> str:
-    """Result of a check, in words."""
     return "held" if held else "FAILED"
 
 

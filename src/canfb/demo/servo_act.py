@@ -50,24 +50,20 @@ class ServoRun:
 
     @property
     def largest_residual(self) -> float:
-        """Cycles."""
         return float(self.residual.max(initial=0.0))
 
     @property
     def name(self) -> str:
-        """For people."""
         samples = {1: "one sample", 2: "two samples", 4: "four samples"}[self.samples_per_sync]
         return f"{samples} for each SYNC"
 
     @property
     def outcome(self) -> str:
-        """For people."""
         if self.exact:
             return f"counted exactly, largest residual {self.largest_residual:.3f} cycle"
         return f"lost, {abs(self.cycles_off)} cycles off"
 
     def figures(self) -> dict[str, Any]:
-        """For programs."""
         return {
             "samples_per_sync": self.samples_per_sync,
             "counted_exactly": self.exact,

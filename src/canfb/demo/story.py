@@ -75,12 +75,10 @@ class Story:
 
     @property
     def held(self) -> bool:
-        """True if everything held."""
         return bool(self.checks) and all(self.checks.values())
 
 
 def _start_network(network: DemoNetwork, story: Story) -> None:
-    """As a master does."""
     sdo, interface_sdo = network.master.sdo, network.interface_master.sdo
     adc_cob_id = interface_sdo[0x1800][1].raw & 0x7FF
     sdo[0x1400][1].raw = INVALID | adc_cob_id
@@ -96,7 +94,6 @@ def _start_network(network: DemoNetwork, story: Story) -> None:
 
 
 def _track(network: DemoNetwork, story: Story) -> None:
-    """Up to 2000 rpm, then on at 83 cycles per sample, without a table."""
     network.run(RUN_UP_SAMPLES)
     network.run(TRACK_SAMPLES)
     truth = network.source.truth_cycles
@@ -106,10 +103,6 @@ def _track(network: DemoNetwork, story: Story) -> None:
 
 
 def _calibrate(network: DemoNetwork, story: Story) -> None:
-    """Fast recording of the interface at speed, upload by segmented SDO, check of the CRC, activation.
-
-    The recording is triggered by a timer of the interface: the jitter of the SYNC does not concern it.
-    """
     recording = network.interface_master.sdo[0x2050]
     recording[4].raw = REFERENCE_HZ
     recording[1].raw = RECORD
@@ -127,7 +120,6 @@ def _calibrate(network: DemoNetwork, story: Story) -> None:
 
 
 def _verify(network: DemoNetwork, story: Story) -> None:
-    """The same motion, measured with the table."""
     network.run(20)
     first = len(network.source.truth_cycles)
     network.run(TRACK_SAMPLES)
@@ -135,7 +127,6 @@ def _verify(network: DemoNetwork, story: Story) -> None:
 
 
 def _provoke_faults(network: DemoNetwork, story: Story) -> None:
-    """Open tracks, inverted tracks, a clipped track and a lost sample, at full speed."""
     first = len(network.source.truth_cycles)
     network.source.faults = {first + place: act for place, (_, act) in FAULTS.items()}
     story.fault_window = (first, first + FAULT_SAMPLES)
@@ -154,7 +145,6 @@ def _provoke_faults(network: DemoNetwork, story: Story) -> None:
 
 
 def _error(network: DemoNetwork, first: int, last: int) -> tuple[FloatArray, FloatArray]:
-    """Position error about its mean, where the zero of the encoder is, and the true phase."""
     error = network.errors_cycles(first, last)
     return error - error.mean(), np.mod(np.array(network.source.truth_cycles[first:last]), 1.0)
 
@@ -193,12 +183,10 @@ def _move_servo(network: DemoNetwork, story: Story) -> None:
 
 
 def peak(error: FloatArray) -> float:
-    """Largest size, cycles."""
     return float(np.abs(error).max())
 
 
 def rms(error: FloatArray) -> float:
-    """Root of the mean square, cycles."""
     return float(np.sqrt(np.mean(error**2)))
 
 

@@ -66,14 +66,12 @@ class Agenda:
         self.moved = True
 
     def fill(self, services: Iterable[Timed]) -> None:
-        """The services from now on."""
         self._services = tuple(services)
         for service in self._services:
             service.agenda = self
         self.moved = True
 
     def due(self) -> float:
-        """The earliest deadline, seconds."""
         if self.moved:  # after each SYNC, so without the calls of properties
             self.earliest = min([service._deadline for service in self._services], default=NEVER)
             self.moved = False
@@ -96,7 +94,6 @@ class Timed(ABC):
 
     @property
     def deadline(self) -> float:
-        """Time of the next `tick`, seconds."""
         return self._deadline
 
     @deadline.setter
@@ -193,7 +190,6 @@ class Routes:
         self.sent: dict[int | None, Callable[[float], None]] = {}
 
     def clear(self) -> None:
-        """Nobody listens."""
         self.changes += 1
         self.on_change()
         self.data.clear()
@@ -218,8 +214,6 @@ class Routes:
 
 
 def _both(first: Handler, second: Handler) -> Handler:
-    """Two services on one CAN-ID."""
-
     def handle(data: bytes, now: float) -> None:
         first(data, now)
         second(data, now)

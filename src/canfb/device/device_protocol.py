@@ -128,25 +128,20 @@ class NodeDevice(Node, Application):
 
     @property
     def node(self) -> Node:
-        """The device as a node alone."""
         return self
 
     # Application: called by the node.
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """As in Application."""
         self.observer.state_changed(old, new, now, why)
 
     def emergency_sent(self, code: int, register: int, detail: bytes, now: float) -> None:
-        """As in Application."""
         self.observer.emergency_sent(code, register, detail, now)
 
     def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
-        """As in Application."""
         self.observer.parameters_saved(saved, forgotten, now)
 
     def saving_failed(self, groups: Groups, reason: str, now: float) -> None:
-        """As in Application."""
         self.observer.saving_failed(groups, reason, now)
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
@@ -159,9 +154,7 @@ class NodeDevice(Node, Application):
         self.on_parameter_faults(faults)
 
     def duplicate_received(self, can_id: int, now: float) -> None:
-        """As in Application."""
         self.on_duplicate(can_id, now)
 
     def bit_rate_activated(self, kbit_s: int, delay_s: float, now: float) -> None:
-        """As in Application."""
         self.on_bit_rate(kbit_s, delay_s, now)

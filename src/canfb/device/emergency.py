@@ -49,7 +49,6 @@ class Emergency(Timed):
         return self._can_id() if self._is_valid() else None
 
     def reset(self) -> None:
-        """Forget the errors, with an NMT reset."""
         self._active.clear()
         self._waiting.clear()
         self._not_before = -NEVER
@@ -58,7 +57,6 @@ class Emergency(Timed):
         self._history_count.value = 0
 
     def enable(self, allowed: bool, now: float) -> None:
-        """Whether the NMT state allows EMCY."""
         self._allowed = allowed
         self.tick(now)
 
@@ -92,7 +90,6 @@ class Emergency(Timed):
         self._send(EmergencyCode.NO_ERROR, b"", now)
 
     def tick(self, now: float) -> None:
-        """Send what waited for the inhibit time."""
         if not self._is_valid():
             self._waiting.clear()
         while self._waiting and self._allowed and now >= self._not_before:

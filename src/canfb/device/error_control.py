@@ -23,7 +23,6 @@ class HeartbeatProducer(Timed):
 
     @property
     def is_active(self) -> bool:
-        """1017h is not 0."""
         return self._period_s > 0
 
     @property
@@ -31,13 +30,11 @@ class HeartbeatProducer(Timed):
         return float(self._entry.value / 1000)
 
     def boot_up(self, now: float) -> None:
-        """Boot-up; the period begins."""
         self._core.emit(Frame(self._can_id, b"\x00"))
         period = self._period_s
         self.deadline = now + period if period else NEVER
 
     def stop(self) -> None:
-        """Send nothing until the next boot-up."""
         self.deadline = NEVER
 
     def tick(self, now: float) -> None:
@@ -69,16 +66,13 @@ class HeartbeatMonitor(Timed):
 
     @property
     def node_id(self) -> int:
-        """The watched node, 0 for none."""
         return watched_node(self.entry.value)
 
     def forget(self, now: float) -> None:
-        """Wait for the first heartbeat, with no error."""
         self.deadline = NEVER
         self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
 
     def handle(self, data: bytes, now: float) -> None:
-        """A heartbeat or boot-up of the node."""
         if len(data) != 1:
             self._core.counters.malformed_frames += 1
             return
@@ -86,7 +80,6 @@ class HeartbeatMonitor(Timed):
         self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
 
     def tick(self, now: float) -> None:
-        """The heartbeat did not come in time."""
         self.deadline = NEVER
         lost = bytes([self.node_id])
         self._emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, lost, now, self._source)
@@ -112,12 +105,10 @@ class HeartbeatConsumer:
         self.monitors = [HeartbeatMonitor(core, entry, lambda: self.monitors) for entry in entries]
 
     def configure(self, now: float) -> None:
-        """Wait for each first heartbeat."""
         for monitor in self.monitors:
             monitor.forget(now)
 
     def routes(self) -> dict[int, Callable[[bytes, float], None]]:
-        """Who listens to which CAN-ID."""
         return {ERROR_CONTROL + one.node_id: one.handle for one in self.monitors if one.node_id}
 
 
@@ -164,21 +155,18 @@ class NodeGuarding(Timed):
         return int(self._guard_time.value) * int(self._factor.value) / 1000
 
     def configure(self, now: float) -> None:
-        """After a reset: toggle bit 0, no error."""
         self._toggle = 0
         self._guarded = False
         self.deadline = NEVER
         self._emergency.clear(EmergencyCode.HEARTBEAT, now, _GUARDING)
 
     def request(self, now: float) -> None:
-        """A remote frame of the master."""
         self._core.emit(Frame(self._can_id, bytes([self._toggle | self._core.state])))
         self._toggle ^= _TOGGLE
         self._guarded = True
         self._start(now)
 
     def tick(self, now: float) -> None:
-        """Report that the master is silent, once."""
         if now < self.deadline:
             return
         self.deadline = NEVER
@@ -192,6 +180,5 @@ class NodeGuarding(Timed):
         self._emergency.clear(EmergencyCode.HEARTBEAT, now, _GUARDING)
 
     def _written(self) -> None:
-        """None ends an error."""
         if self._guarded or not self.life_time_s:
             self._start(self._core.call.now)

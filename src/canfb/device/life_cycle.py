@@ -41,7 +41,6 @@ class Silence(Timed):
         self.active = True
 
     def tick(self, now: float) -> None:
-        """End it when it is over."""
         if now >= self.deadline:
             self.deadline = NEVER
             self.active = False
@@ -67,12 +66,9 @@ class DuplicateWatch:
         self._reported = False
 
     def reset(self) -> None:
-        """Report again, after an NMT reset."""
         self._reported = False
 
     def handler(self, can_id: int) -> Handler:
-        """Takes frames with this CAN-ID."""
-
         def handle(data: bytes, now: float) -> None:
             self._counters.duplicate_frames += 1
             if not self._reported:
@@ -115,7 +111,6 @@ class Services:
         self.sync = Sync(core, self.pdos)
 
     def timed(self) -> list[Timed]:
-        """Those with a timer, in order."""
         return [
             self._silence,
             self.sync,
@@ -129,7 +124,6 @@ class Services:
         ]
 
     def configure(self, now: float) -> None:
-        """Restart with the values in the dictionary."""
         self.forget()
         self.guarding.configure(now)
         self.consumer.configure(now)
@@ -174,7 +168,6 @@ class Services:
         self.emergency.enable(self._core.state in COMMUNICATING and not self._silence.active, now)
 
     def route(self) -> None:
-        """Who listens to which CAN-ID now."""
         state, routes = self._core.state, self._core.routes
         self.pdos.choose()
         routes.clear()
@@ -217,7 +210,6 @@ class Services:
         return _without_none(asked | {self.guarding.can_id})
 
     def _received_in_any_state(self) -> set[int | None]:
-        """What is listened to in some NMT state."""
         return {
             NMT_COMMAND,
             self.sync.can_id,
@@ -264,7 +256,6 @@ class LifeCycle(Reactions):
         self.core.agenda.fill([*([] if writing is None else [writing]), *self.services.timed()])
 
     def power_on(self, now: float) -> None:
-        """To the boot-up; see `Node.start`."""
         self.node_id_at_power_on()
         self._change_node_id(now)
         self._power_up(now)
@@ -276,7 +267,6 @@ class LifeCycle(Reactions):
         return self.lss.pending_node_id
 
     def can_ids(self) -> CanIds:
-        """Which CAN-IDs are listened to."""
         data, remote = frozenset(self.core.routes.data), frozenset(self.core.routes.remote)
         always = frozenset({REQUEST_ID})
         if self.core.node_id == UNCONFIGURED:
@@ -290,11 +280,9 @@ class LifeCycle(Reactions):
         )
 
     def enter(self, state: NmtState, now: float) -> None:
-        """Go to an NMT state."""
         self.services.nmt.enter(state, now)
 
     def _power_up(self, now: float) -> None:
-        """To the boot-up; without a node-ID there is LSS only."""
         self.enter(NmtState.INITIALISING, now)
         if self.core.node_id == UNCONFIGURED:
             self._wait_for_node_id()
@@ -308,7 +296,6 @@ class LifeCycle(Reactions):
         self.routes_changed()
 
     def _change_node_id(self, now: float) -> None:
-        """Take over the node-ID of LSS."""
         old, new = self.core.node_id, self.lss.pending_node_id
         if new == old:
             return
@@ -318,7 +305,6 @@ class LifeCycle(Reactions):
         self._make_services()
 
     def _begin(self, communication_only: bool, now: float) -> None:
-        """INITIALISING up to the state after the boot-up."""
         self.enter(NmtState.INITIALISING, now)
         self.services.configure(now)
         self.lss.reset()
@@ -333,13 +319,11 @@ class LifeCycle(Reactions):
     # Reactions
 
     def state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
-        """Services begin or end."""
         self.services.enter(old, new, now)
         self.pdo_changed()
         self._application.state_changed(old, new, now, self._reason)
 
     def reset(self, communication_only: bool, now: float) -> None:
-        """To the boot-up again."""
         last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
         self.core.dictionary.reset(0x1000, last)
         self._change_node_id(now)
@@ -357,7 +341,6 @@ class LifeCycle(Reactions):
         self._reason = ""
 
     def heartbeat_changed(self) -> None:
-        """A heartbeat takes the place of guarding."""
         if self.services.producer.is_active:
             self.services.guarding.configure(self.core.call.now)
         self.routes_changed()
@@ -368,7 +351,6 @@ class LifeCycle(Reactions):
         self._application.configuration_changed()
 
     def routes_changed(self) -> None:
-        """All listeners again."""
         self.services.route()
         self.core.routes.add(REQUEST_ID, self.lss.handle)
 
@@ -382,7 +364,6 @@ class LifeCycle(Reactions):
         self._application.bit_rate_activated(kbit_s, delay_s, now)
 
     def silence_ended(self, now: float) -> None:
-        """The node is back."""
         self.services.silence_ended(now)
         self.routes_changed()
 

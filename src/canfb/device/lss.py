@@ -73,7 +73,6 @@ def is_node_id(value: int) -> bool:
 
 
 def _collected(parts: list[int], part: int, number: int) -> list[int]:
-    """The parts so far and their next; the first one restarts."""
     if part == 0:
         return [number]
     return [*parts, number] if len(parts) == part else []
@@ -104,11 +103,9 @@ class LssSlave:
 
     @property
     def address(self) -> list[int]:
-        """The LSS address, 0 for missing parts."""
         return [int(entry.value) for entry in self._identity]
 
     def power_on(self) -> None:
-        """Take what is stored, or the node-ID of the program."""
         self.pending_node_id, self.bit_rate_kbit_s = self._own_node_id, None
         records = self._storage.records(ParameterGroup.LSS)
         if records is None:
@@ -123,14 +120,12 @@ class LssSlave:
         self.bit_rate_kbit_s = BIT_RATES_KBIT_S.get(timing)
 
     def reset(self) -> None:
-        """After an NMT reset."""
         self.state = LssState.WAITING
         self._selection: list[int] = []
         self._range: list[int] = []
         self._scanned = 0  # the part of the address that the fastscan is at
 
     def handle(self, data: bytes, now: float) -> None:
-        """A frame of the master."""
         configuring = self.state is LssState.CONFIGURATION
         if len(data) != _LENGTH:
             self._core.counters.malformed_frames += 1
@@ -149,7 +144,6 @@ class LssSlave:
             self._identify(data[0], int.from_bytes(data[1:5], "little"), data)
 
     def _change(self, data: bytes) -> None:
-        """A service that changes something, unless the node is locked."""
         try:
             self._core.application.check_write(None)
         except SdoAbort:
@@ -166,7 +160,6 @@ class LssSlave:
             self._core.reactions.lss_left(now)
 
     def _identify(self, command: int, number: int, data: bytes) -> None:
-        """The services that look for devices."""
         unconfigured = self._core.node_id == self.pending_node_id == UNCONFIGURED
         waiting = self.state is LssState.WAITING
         if command in SELECT and waiting:
@@ -192,7 +185,6 @@ class LssSlave:
         return same and low <= revision <= high and serial_low <= serial <= serial_high
 
     def _fastscan(self, number: int, bit: int, part: int, following: int) -> None:
-        """Compare the part down to `bit`; `following` comes next."""
         if bit == _CONFIRM:
             self._scanned = 0
             self._answer(IDENTIFIED)

@@ -36,7 +36,6 @@ class Nmt:
         self._core = core
 
     def handle(self, data: bytes, now: float) -> None:
-        """An NMT command."""
         if len(data) != 2:
             self._core.counters.malformed_frames += 1
             return
@@ -51,7 +50,6 @@ class Nmt:
             self._core.counters.malformed_frames += 1
 
     def enter(self, state: NmtState, now: float) -> None:
-        """Go to a state."""
         core = self._core
         old = core.state
         if state is not old:

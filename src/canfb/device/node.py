@@ -117,7 +117,6 @@ class Node:
 
     @property
     def state(self) -> NmtState:
-        """The NMT state."""
         return self._core.state
 
     @property
@@ -136,7 +135,6 @@ class Node:
         return frozenset(self._routes) - self.own_can_ids
 
     def can_ids(self) -> CanIds:
-        """The CAN-IDs that it listens to."""
         return self._life.can_ids()
 
     def follow_can_ids(self, moved: Callable[[], None]) -> None:
@@ -145,7 +143,6 @@ class Node:
 
     @property
     def now(self) -> float:
-        """The time of the last call, seconds."""
         return self.call.now
 
     @property
@@ -154,7 +151,6 @@ class Node:
         return self._life.startup.autostart
 
     def start(self, now: float) -> list[Frame]:
-        """Power on: the boot-up message, then PRE-OPERATIONAL."""
         self.call.now = now
         self._life.power_on(now)
         return self._sent()
@@ -189,7 +185,6 @@ class Node:
         return sent
 
     def tick(self, now: float) -> list[Frame]:
-        """Do what is due; gives what is to be sent."""
         call = self.call
         call.now = call.received = now
         call.is_stamped = True  # a SYNC of its own goes out now
@@ -199,7 +194,6 @@ class Node:
         return self._sent()
 
     def deadline(self) -> float | None:
-        """When `tick` is due, seconds, or None."""
         if self._outbox:
             return self.call.now
         agenda, until = self._agenda, self._expiry.until
@@ -286,7 +280,6 @@ class Node:
         return sent
 
     def _receive_other(self, can_id: int, data: bytes, rtr: bool, now: float) -> None:
-        """Remote, malformed or unknown."""
         if rtr:
             self._receive_remote(can_id, now)
         elif len(data) > LONGEST_DATA or not 0 <= can_id <= HIGHEST_ID:

@@ -43,7 +43,6 @@ class Pdos:
         self._send: list[Callable[[float, int | None], None]] = []
 
     def enable(self, operational: bool, now: float) -> None:
-        """Whether the NMT state allows PDOs."""
         self._operational = operational
         for rpdo in self.rpdos.values():
             rpdo.enable(operational, now)
@@ -55,7 +54,6 @@ class Pdos:
         return next((rpdo for rpdo in self._sync_rpdos if rpdo.number == number), None)
 
     def add_routes(self, routes: Routes) -> None:
-        """Who listens in OPERATIONAL, and follows what leaves."""
         for rpdo in self.rpdos.values():
             routes.add(rpdo.can_id, rpdo.handle)
         for tpdo in self.tpdos.values():
@@ -69,7 +67,6 @@ class Pdos:
         self._send = [tpdo.at_sync for tpdo in self.tpdos.values() if tpdo.is_synchronous]
 
     def synchronise(self, counter: int | None, now: float) -> None:
-        """A SYNC."""
         core, process = self._core, self._core.process
         if core.window_s:
             core.window_end = now + core.window_s
@@ -111,20 +108,17 @@ class Sync(Timed):
         self._read()
 
     def configure(self) -> None:
-        """Read the parameters again, after a reset."""
         self._core.window_end = NEVER
         self._length_error = False
         self._read()
 
     def enable(self, enabled: bool, now: float) -> None:
-        """Whether the state allows SYNC."""
         if enabled != self._enabled:
             self._enabled = enabled
             self._core.window_end = NEVER
             self._start(now)
 
     def handle(self, data: bytes, now: float) -> None:
-        """A SYNC from the bus."""
         if self._generates:
             self._counters.malformed_frames += 1
         elif len(data) != self._length:
@@ -223,12 +217,10 @@ class TimeStamp:
 
     @property
     def can_id(self) -> int | None:
-        """Where it listens now, or None."""
         value: int = self._entry.value
         return value & cob.CAN_ID if value & CONSUME else None
 
     def handle(self, data: bytes, now: float) -> None:
-        """A TIME from the bus."""
         milliseconds = int.from_bytes(data[:4], "little") & _MILLISECOND_BITS
         if len(data) != _TIME_LENGTH or milliseconds >= MILLISECONDS_PER_DAY:
             self._counters.malformed_frames += 1

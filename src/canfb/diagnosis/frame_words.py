@@ -53,7 +53,6 @@ class DecodedFrame(NamedTuple):
         return f"{head}  {data:<23}  {self.text}".rstrip()
 
     def figures(self, time_s: float) -> dict[str, Any]:
-        """For programs."""
         return {
             "time_s": round(time_s, 6),
             "can_id": self.frame.can_id,

@@ -69,11 +69,9 @@ class LostPosition:
 
     @property
     def name(self) -> str:
-        """The node-ID as messages have it."""
         return f"module {self.node_id} ({self.node_id:02X}h)"
 
     def figures(self) -> dict[str, Any]:
-        """For programs."""
         loss = self.loss
         return {
             "node": self.node_id,
@@ -110,11 +108,9 @@ class LostPosition:
         }
 
     def result(self) -> Result:
-        """For ``canfb why``."""
         return Result(self.figures(), self.lines())
 
     def lines(self) -> list[str]:
-        """For people."""
         state = od.position_state(self.status)
         faults = "".join(f", {words}" for words in od.fault_words(self.status))
         lines = [f"{self.name}: position {state}{faults}"]
@@ -254,7 +250,6 @@ class LostPosition:
         return kept_samples(largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
 
     def _narrow(self, loss: Loss) -> Iterator[str]:
-        """By the object that made the limit so."""
         then, now = f"{loss.limit_cycles:.3g} cycle", f"{self.limit_now_cycles:.3g} cycle"
         if loss.limit_cycles < SAME * self.limit_now_cycles:
             yield (
@@ -322,7 +317,6 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
 
 
 def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
-    """None without one; whether the module keeps it."""
     try:
         number = module.integer(*od.COUNTER_LOSS_CAUSE, "I")
     except ObjectAbsentError:
@@ -346,7 +340,6 @@ def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
 
 
 def _read(module: NodeAccess, place: Multiplexer, layout: str) -> float:
-    """0 for a missing object."""
     try:
         return module.read(*place, layout)
     except ObjectAbsentError:

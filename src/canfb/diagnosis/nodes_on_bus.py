@@ -46,12 +46,10 @@ class FoundNode:
     serial_number: int | None = None
 
     def figures(self) -> dict[str, Any]:
-        """For programs."""
         figures = asdict(self)
         return {"node": figures.pop("node_id"), **figures}
 
     def line(self) -> str:
-        """For people."""
         head = f"{self.node_id:3} ({self.node_id:02X}h)  {self.state or 'state not known':15}"
         if self.device_type is None:
             return f"{head}  answers no SDO"
@@ -119,7 +117,6 @@ def _state(state: NmtState | None) -> str | None:
 
 
 def _number(node: NodeAccess, index: int, subindex: int, layout: str) -> int | None:
-    """The object, or None."""
     try:
         return node.integer(index, subindex, layout)
     except CommissioningError:

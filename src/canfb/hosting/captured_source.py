@@ -51,7 +51,6 @@ class CapturedSource(Closing):
         self._thread.start()
 
     def close(self) -> None:
-        """Stop capturing; the thread ends."""
         self._stopping.set()
         with self._changed:
             if self._capture is not None:
@@ -90,7 +89,6 @@ class CapturedSource(Closing):
             self._capture = None  # which closes it
 
     def _take(self, scan: Sample | None) -> None:
-        """Leave a scan for the next SYNC."""
         if scan is not None:
             with self._changed:
                 self._picked.came(scan)

@@ -34,8 +34,6 @@ class Held(NamedTuple):
 
 @dataclass(slots=True)
 class _Window:
-    """From ``began_s`` on, for ``length_s``."""
-
     began_s: float
     length_s: float = WINDOW_S
     passed: int = 0
@@ -178,18 +176,15 @@ class EventLog:
         events.on_event = lambda event: self._take(device, event)
 
     def begin(self) -> None:
-        """On the bus: write what has happened."""
         self._begun = True
         self._write_noted()
 
     def tick(self, now: float) -> None:
-        """Write what is due."""
         self._note_held(self._throttle.ended(now))
         if self._begun:
             self._write_noted()
 
     def close(self, now: float) -> None:
-        """Write all there is, at the end."""
         self._note_held(self._throttle.ended(now, closing=True))
         self.begin()
 

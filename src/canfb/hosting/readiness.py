@@ -105,6 +105,5 @@ def _clear(path: Path) -> None:
 
 
 def _process_of(path: Path) -> int | None:
-    """The process id in a ready file, or None."""
     content = path.read_bytes()[:16] if path.is_file() else b""
     return int(content) if OURS.fullmatch(content) else None

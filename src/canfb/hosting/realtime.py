@@ -49,7 +49,6 @@ def _try(name: str, report: Callable[[str], None], action: Callable[[], None]) -
 
 
 def _suggestion(name: str, error: Exception) -> str:
-    """What grants the right that is missing."""
     if name not in _RIGHTS or not isinstance(error, OSError) or error.errno not in _REFUSALS:
         return ""
     capability, limit = _RIGHTS[name]

@@ -114,11 +114,9 @@ class KeptLines(logging.Handler):
         self._lines: deque[tuple[float, str, str]] = deque(maxlen=MOST_LINES)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep it."""
         self._lines.append((record.created, record.levelname, record.getMessage()))
 
     def lines(self) -> list[str]:
-        """With time and level, the oldest first."""
         return [
             f"{datetime.fromtimestamp(at).astimezone().isoformat(' ', 'milliseconds')} {level} {text}"
             for at, level, text in list(self._lines)
@@ -126,7 +124,6 @@ class KeptLines(logging.Handler):
 
 
 def diagnosis_text(made_by: str, parts: Mapping[str, Any]) -> str:
-    """The file."""
     whole = {"canfb_diagnosis": 1, "made": date_and_time(), "made_by": made_by, **parts}
     return json.dumps(plain(whole), indent=1, ensure_ascii=False) + "\n"
 
@@ -165,7 +162,6 @@ class SelfDiagnosis:
                 self._writing.join()
 
     def request(self) -> None:
-        """Write a diagnosis soon."""
         self._requested = True
 
     def step(self, nodes: Sequence[NodeDevice]) -> None:

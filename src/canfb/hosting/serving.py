@@ -59,7 +59,6 @@ class OnBus(ABC):
             )
 
     def _meanwhile(self, now: float) -> None:
-        """Called now and then, between frames."""
         for handler in self._log_handlers:
             handler.flush()  # what a slow reader has not taken yet
 
@@ -78,13 +77,11 @@ class OnBus(ABC):
         self._resources.close()
 
     def _entered(self) -> Runner:
-        """The runner. RuntimeError before the bus is open."""
         if self._runner is None:
             name = type(self).__name__
             raise RuntimeError(f"use {name} as a context manager: with {name}(...) as it")
         return self._runner
 
     def stop(self) -> None:
-        """End the run; from a signal handler or thread, too."""
         if self._runner is not None:
             self._runner.stop()

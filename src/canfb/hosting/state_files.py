@@ -127,7 +127,6 @@ class StateFiles(Closing):
             self._finish(changes)
 
     def _pending(self) -> Changes:
-        """OSError EBADMSG if damaged."""
         data = self._read(PENDING)
         return {} if data is None else _unpack(data)
 
@@ -138,7 +137,6 @@ class StateFiles(Closing):
             _sync_folder(self.folder)
 
     def _copy(self, changes: Changes) -> None:
-        """Into the files of the groups."""
         for group, image in changes.items():
             if image is None:
                 self._remove(_file_name(group))
@@ -211,7 +209,6 @@ def _unpack(data: bytes) -> Changes:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make renames in a folder last."""
     if sys.platform == "win32":
         return
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -250,12 +247,10 @@ class ThreadedStore(Closing):
             self._executor.submit(int).result()
 
     def close(self) -> None:
-        """Wait, and end the thread."""
         self._executor.shutdown()
         sys.setswitchinterval(self._switch_s)
 
     def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
-        """What is kept, with all that was begun."""
         return self._executor.submit(self._store.load).result()
 
     def save(self, changes: Changes) -> None:
@@ -263,11 +258,9 @@ class ThreadedStore(Closing):
         self._executor.submit(self._store.save, changes).result()
 
     def begin(self, changes: Changes) -> None:
-        """Save in the thread."""
         self._begun.append(self._executor.submit(self._store.save, changes))
 
     def ended(self) -> list[OSError | None]:
-        """Since the last call, in order."""
         ended: list[OSError | None] = []
         while self._begun and self._begun[0].done():
             try:

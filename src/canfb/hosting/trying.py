@@ -118,7 +118,6 @@ class NetworkOnBus:
         self._held.close()
 
     def stop(self) -> None:
-        """End it; from any thread or signal handler."""
         self._stopped.set()
 
     def wait(self) -> None:
@@ -147,7 +146,6 @@ class NetworkOnBus:
                     self._events.tick(network.now)
 
     def _receive(self, wait_s: float) -> None:
-        """Take what other programs send."""
         received = self._bus.receive(wait_s)
         if received is not None and not received[0] & (ERROR | EXTENDED):
             can_id, data, _ = received

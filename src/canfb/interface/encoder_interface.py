@@ -116,7 +116,6 @@ class EncoderInterface(NodeDevice):
         return self._audible(super().tick(now))
 
     def sync_received(self, counter: int | None, now: float) -> None:
-        """The sample of this SYNC goes into 6401h and 2000h, and out with its TPDOs."""
         sample = self._watch.sample(now)
         if self._watch.failing is not self._reported:
             self._report_source(now)
@@ -176,12 +175,10 @@ class EncoderInterface(NodeDevice):
 
 
 def _refuse(value: int) -> None:
-    """2060h is of a machine that the program moves; see :mod:`canfb.simulation.set_up`."""
     raise SdoAbort(AbortCode.DEVICE_STATE)
 
 
 def _adc_pdos(node_id: int, times: bool, samples_per_sync: int) -> dict[tuple[int, int], int]:
-    """The TPDOs that carry the samples, where they differ from those of the EDS."""
     pairs = [(od.INTERFACE_SINE, od.INTERFACE_COSINE), *od.INTERFACE_EARLIER][:samples_per_sync]
     objects = [one.mapped(16) for pair in pairs for one in pair]
     if times:

@@ -112,7 +112,6 @@ class BusLog:
                 self.write(message)
 
     def write(self, message: can.Message) -> None:
-        """One frame."""
         assert self._writer is not None
         with self._writing():
             self._writer.on_message_received(message)
@@ -127,6 +126,5 @@ class SentLog(BusLog):
         super().__init__(path, overwrite=True)
 
     def take(self, frame: Frame) -> None:
-        """One more frame."""
         can_id, data, rtr, stamp = frame
         self.write(can.Message(stamp or 0.0, can_id, False, rtr, channel=0, data=data))

@@ -64,7 +64,6 @@ class InOrder:
     def _sort(
         self, frames: list[Frame], stamps: list[float], limit_s: float
     ) -> tuple[list[Frame], list[Frame]]:
-        """Those before ``limit_s`` in order, and the others as they came."""
         ready, held = [], []
         for frame, stamp, newest in zip(frames, stamps, accumulate(stamps, max), strict=True):
             if newest - stamp > WINDOW_S:
@@ -78,7 +77,6 @@ class InOrder:
 
 
 def _stamps(frames: list[Frame]) -> list[float]:
-    """Of each frame; that of the one before where it is no number."""
     stamps = [-math.inf if frame[3] is None else frame[3] for frame in frames]
     if not all(map(math.isfinite, stamps)):
         before = next(filter(math.isfinite, stamps), 0.0)

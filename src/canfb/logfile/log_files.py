@@ -111,7 +111,6 @@ class LogCounters:
         self.first_damaged_line = self.first_damaged_line or line
 
     def lines_left_out(self) -> list[str]:
-        """In words, one for each kind."""
         counted = (
             (self.damaged_lines, f"damaged lines left out, the first is line {self.first_damaged_line}"),
             (self.empty_lines, "empty lines and comments left out"),
@@ -139,7 +138,6 @@ class LogCounters:
         ]
 
     def _channels(self) -> str:
-        """Which were taken and left out; empty if the only one was taken."""
         if self.left_out:
             number = sum(one.total() for one in self.left_out.values())
             left_out, taken = _names(self.left_out), _names(self.channels)

@@ -110,7 +110,6 @@ class BusLogFile:
         yield frames
 
     def _frame(self, message: can.Message) -> Frame | None:
-        """The frame, if it is one that is given."""
         counters, can_id, name = self.counters, flagged_id(message), str(message.channel)
         counters.frames += 1
         if can_id & ERROR:  # some have no channel

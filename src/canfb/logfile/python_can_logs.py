@@ -65,7 +65,6 @@ class _Lines:
         self._header = self.first
 
     def messages(self) -> Iterator[can.Message]:
-        """All of them. The error of the file, if it ends with one."""
         reader = self.opened()
         is_over = False
         while not is_over:
@@ -86,7 +85,6 @@ class _Lines:
             raise self._failure
 
     def opened(self) -> Any:
-        """The reader."""
         return self.reader(self)
 
     def close(self) -> None:
@@ -114,7 +112,6 @@ class _Lines:
                 self._count_damaged()
 
     def kept(self, line: str) -> str | None:
-        """What the reader gets of it; None for nothing."""
         return line if self.frame.match(line) else None
 
     def _next_line(self) -> str | None:
@@ -145,7 +142,6 @@ class _Lines:
         return length == message.dlc and not (by_words and self.is_cut_in_byte(self._line, length))
 
     def is_cut_in_byte(self, line: str, length: int) -> bool:
-        """Whether the last of the bytes at the end of a line has one digit."""
         return len(line.rsplit(None, 1)[-1]) == 1
 
 
@@ -163,7 +159,6 @@ class _AscLines(_Lines):
     _waiting: str | None = None
 
     def opened(self) -> Any:
-        """With the base that stands anywhere before the first frame."""
         while (line := super()._next_line()) is not None:
             if found := self.header.match(line):
                 self._base = found[1].lower()
@@ -178,14 +173,12 @@ class _AscLines(_Lines):
         return line if line is not None else super()._next_line()
 
     def kept(self, line: str) -> str | None:
-        """With its time since the begin, where that of the file is the time since the event before."""
         if self._is_relative and (found := self.event.match(line)):
             self._time_s += float(found[1])
             line = f"{self._time_s:.9f}{found[2]}"
         return super().kept(line)
 
     def is_cut_in_byte(self, line: str, length: int) -> bool:
-        """Other words may stand behind the bytes, and with base dec one digit is usual."""
         return (
             self._base == "hex"
             and len(line.split(maxsplit=6 + length)) == 6 + length
@@ -202,7 +195,6 @@ class _TrcLines(_Lines):
     start = re.compile(r"\s*;\$STARTTIME\s*=\s*(\d+)(?:[.,](\d+))?\s*$")
 
     def kept(self, line: str) -> str | None:
-        """Without comments and a start time that is none."""
         text = line.strip()
         if text.startswith(";$STARTTIME"):
             found = self.start.match(text)
@@ -240,7 +232,6 @@ class _WholeReads:
         self.is_short = False
 
     def read(self, length: int) -> bytes:
-        """As that of the file."""
         data = self._file.read(length)
         # There may be no padding, of up to 3 bytes, behind the last object.
         self.is_short |= len(data) < length and (length > 16 or (length >= 4 and bool(data)))

@@ -106,7 +106,6 @@ def _write(out: Path, rows: list[Row]) -> None:
 def _done(
     jobs: deque[LogJob], settings: ReplayOptions, workers: int | None, executor: Executor | None
 ) -> Iterator[tuple[LogJob, list[Row]]]:
-    """Each log with its rows, as they are done."""
     number = min(len(jobs), workers or os.cpu_count() or 1)
     lost: list[LogJob] = []
     if executor is not None:

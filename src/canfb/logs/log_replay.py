@@ -106,7 +106,6 @@ def replay_log(
 
 
 def _check_frames(log: BusLogFile) -> None:
-    """LogError for a log without a frame that is taken."""
     counters = log.counters
     if counters.left_out and not counters.channels:
         there = ", ".join(sorted(counters.left_out))

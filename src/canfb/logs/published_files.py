@@ -29,7 +29,6 @@ def _pyarrow() -> tuple[Any, Any]:
 
 @contextlib.contextmanager
 def _parquet(path: Path) -> Iterator[Take]:
-    """One row group for each block."""
     arrow, parquet = _pyarrow()
     schema = arrow.schema([(name, arrow.from_numpy_dtype(kind)) for name, kind in COLUMNS.items()])
     with parquet.ParquetWriter(str(path), schema) as writer:

@@ -35,8 +35,6 @@ def _fetch(client: Client, index: int, subindex: int, block: bool, progress: Pro
 
 
 def _store(client: Client, index: int, subindex: int, data: bytes, block: bool) -> bytes:
-    """Download ``data``."""
-
     def give(stream: Any) -> bytes:
         sent = 0
         while sent < len(data):
@@ -143,7 +141,6 @@ class NodeAccess:
         return value
 
     def integer(self, index: int, subindex: int, layout: str) -> int:
-        """:meth:`read` for integers."""
         return int(self.read(index, subindex, layout))
 
     def read_known(self, place: od.Multiplexer) -> int | float | None:
@@ -158,7 +155,6 @@ class NodeAccess:
         return int.from_bytes(data, "little")
 
     def write(self, index: int, subindex: int, layout: str, value: float) -> None:
-        """Write a number."""
         self.write_bytes(index, subindex, struct.pack(f"<{layout}", value))
 
     def write_bytes(
@@ -193,7 +189,6 @@ class NodeAccess:
         )
 
     def answers(self) -> bool:
-        """True if the node answers at all."""
         try:
             self.read(*od.DEVICE_TYPE, "I")
         except ObjectAbsentError:
@@ -215,7 +210,6 @@ class NodeAccess:
         return self._transfer(doing, index, subindex, lambda client: act(client, False))
 
     def _transfer(self, doing: str, index: int, subindex: int, act: Callable[[Client], bytes]) -> bytes:
-        """Again if another master has broken it."""
         what = f"{self.name}: {doing} {index:04X}:{subindex:02X}"
         for attempt in itertools.count(1):
             client = self.master.sdo(self.node_id)

@@ -47,7 +47,6 @@ class PdoRecorder:
 
     @property
     def syncs(self) -> int:
-        """SYNCs that came."""
         return len(self._intervals)
 
     def callbacks(self) -> list[tuple[int, OnFrame]]:
@@ -59,11 +58,9 @@ class PdoRecorder:
         return [*found, *((can_id, self.on_part) for can_id in layout.others), (layout.sync_id, self.on_sync)]
 
     def on_sync(self, can_id: int, data: bytes, time_s: float) -> None:
-        """A SYNC: a new interval begins."""
         self._intervals.append(_Interval(time_s, [MISSED] * len(self._layout.earlier)))
 
     def on_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
-        """The first good sample since the SYNC is taken."""
         counts = self._layout.unpack(data)
         if counts is None or not self._intervals or self._intervals[-1].pair != MISSED:
             return
@@ -85,7 +82,6 @@ class PdoRecorder:
             now.stamp = layout.timed_by.sample_time(data)
 
     def on_coarse(self, can_id: int, data: bytes, time_s: float) -> None:
-        """A PDO with the coarse track."""
         layout = self._layout.coarse
         if self._intervals and layout is not None and self._intervals[-1].coarse is None:
             self._intervals[-1].coarse = layout.unpack(data)

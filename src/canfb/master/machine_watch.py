@@ -62,7 +62,6 @@ class LockWatch:
             raise self.found
 
     def _error(self, lock: Lock, speed: float, rate_hz: float | None) -> CalibrationError:
-        """``speed`` in cycles per sample, below a half where it is not known."""
         step = away_from(lock.numerator / lock.denominator)
         rpm = 60.0 * rate_hz / self._cycles_per_revolution if rate_hz else 0.0  # of one cycle per sample
         faster = f"{step * rpm:.3g} rpm faster" if rpm else f"by {step} of a cycle per sample faster"
@@ -82,13 +81,11 @@ class LockWatch:
 
 
 def _near(speed: float, lock: Lock) -> float:
-    """The module's speed, put on the lock."""
     part = lock.numerator / lock.denominator
     return round(speed - part) + part
 
 
 def _latest(samples: TrackSamples, from_s: float) -> tuple[FloatArray, FloatArray]:
-    """Both tracks from this time on."""
     first = min(int(from_s * (samples.rate_hz or 0.0)), max(0, len(samples) - WINDOW))
     return samples.sine[first:], samples.cosine[first:]
 
@@ -121,7 +118,6 @@ class Look:
 
     @property
     def is_lost(self) -> bool:
-        """The position is lost."""
         return position_state(self.status) is PositionState.LOST
 
 
@@ -134,7 +130,6 @@ class Meanwhile:
 
     @property
     def is_lost(self) -> bool:
-        """Lost before, or now."""
         return self.before.is_lost or self.after.is_lost
 
     @property
@@ -144,7 +139,6 @@ class Meanwhile:
 
     @property
     def missed(self) -> int:
-        """Samples that it missed in between (2012:01)."""
         return self.counted.get(MISSED, 0)
 
     @property
@@ -204,7 +198,6 @@ class SpeedReadings:
         return False
 
     def read(self) -> float:
-        """The speed now, rad/s."""
         check_valid(self._module)
         speed = float(self._module.read(*od.FEEDBACK_VELOCITY, "f"))
         if not math.isfinite(speed):
@@ -321,7 +314,6 @@ class Provenance:
 
 
 def origins(where: Provenance) -> list[Row]:
-    """Nodes, program, command."""
     module, interface = where.module, where.encoder_interface
     rows = [
         Row("module", None if module is None else _node(module, where.identity)),
@@ -361,7 +353,6 @@ def _listed(identity: tuple[int, ...] | None) -> list[int] | None:
 
 
 def percent(cycles: float, where: Provenance) -> str:
-    """Also at the shaft."""
     arc = where.arc_seconds(cycles)
     words = f"{PERCENT * cycles:.3g} %"
     return words if arc is None else f"{words} ({arc:.2g}″)"

@@ -104,12 +104,10 @@ class MachineLook:
 
     @property
     def moves(self) -> bool:
-        """It is no standstill."""
         return self.spread_cycles > LARGEST_SPREAD_CYCLES or self.counted_cycles != 0
 
     @property
     def text(self) -> str:
-        """In words."""
         if self.counted_cycles:
             return f"it has moved by {self.counted_cycles:+d} cycles in {WATCH_S:g} s"
         return f"its phase spreads over {self.spread_cycles:.3f} cycle in {self.samples} samples"

@@ -106,7 +106,6 @@ class TrackSamples:
 
     @property
     def missed(self) -> int:
-        """Samples that did not come."""
         return int(np.isnan(self.sine).sum())
 
     @property

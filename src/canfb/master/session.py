@@ -143,7 +143,6 @@ def read_corners(module: NodeAccess) -> Corners:
 
 
 def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
-    """1018h, or None."""
     found: list[int] = []
     for place in od.IDENTITY:
         try:

@@ -93,7 +93,6 @@ class SupervisionLimits:
 
     @property
     def settings(self) -> LimitSettings:
-        """All that bounds the motion."""
         return replace(
             self.motion,
             widest_cycles=self.values[od.SUPERVISION_RESIDUAL_LIMIT] / LIMIT_UNITS,
@@ -102,7 +101,6 @@ class SupervisionLimits:
         )
 
     def bounds(self, interval_s: float) -> Declared:
-        """What bounds the motion at this interval."""
         return self.settings.bounds(self.cycles_per_revolution, interval_s, self.noise_cycles)
 
     def kept_samples(self, interval_s: float, motion_cycles: float) -> int:
@@ -110,7 +108,6 @@ class SupervisionLimits:
         return self.chain_limits(interval_s).kept_samples(motion_cycles)
 
     def changed(self, values: Mapping[Multiplexer, float]) -> SupervisionLimits:
-        """With other values."""
         return replace(self, values={**self.values, **values})
 
     def acceleration_cycles(self, interval_s: float) -> float:

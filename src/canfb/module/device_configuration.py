@@ -41,7 +41,6 @@ class Setting(NamedTuple):
 
     @property
     def place(self) -> Place:
-        """Index and sub-index."""
         return self.entry.index, self.entry.subindex
 
     @property
@@ -52,11 +51,9 @@ class Setting(NamedTuple):
 
     @property
     def rank(self) -> int:
-        """Most parameters come first."""
         return LAST_PARAMETERS.index(self.place) + 1 if self.place in LAST_PARAMETERS else 0
 
     def write(self, value: Any) -> Write:
-        """The SDO write of a ``value``."""
         return Write(*self.place, datatypes.encode(self.entry.data_type, value))
 
 
@@ -236,7 +233,6 @@ def _read(objects: Objects, entry: Entry) -> Any:
 
 
 def _read_table(objects: Objects, dictionary: Dictionary) -> bytes:
-    """Empty for the identity."""
     crc32 = _read(objects, dictionary.entry(*od.TABLE_ACTIVE_CRC))
     if not crc32:
         return b""
@@ -303,7 +299,6 @@ class ConfigurationFiles:
 
     @property
     def path(self) -> Path:
-        """The DCF."""
         return self.out or Path(f"module-{self.configuration.node_id:02X}h.dcf")
 
     @property
@@ -343,7 +338,6 @@ class ConfigurationFiles:
         )
 
     def summary(self) -> dict[str, Any]:
-        """For programs."""
         configuration = self.configuration
         return {
             "dcf": str(self.path),
@@ -360,7 +354,6 @@ class ConfigurationFiles:
         }
 
     def lines(self) -> list[str]:
-        """For people."""
         configuration, changed = self.configuration, self.configuration.changed()
         node_id = configuration.node_id
         others = f"not at factory defaults: {place_names(list(changed))}" if changed else "factory defaults"

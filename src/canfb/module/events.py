@@ -61,7 +61,6 @@ class NodeEvents(Application):
         self.detailed = False
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """``why``: if it was not commanded."""
         boot_up = old is NmtState.INITIALISING
         name = new.name.replace("_", "-")
         text = f"{'boot-up, ' if boot_up else ''}{name}{': ' if why else ''}{why}"
@@ -75,7 +74,6 @@ class NodeEvents(Application):
             self._report(EventKind.EMCY, now, text, code=code, register=register, detail=detail.hex())
 
     def parameters_saved(self, saved: Groups, forgotten: Groups, now: float) -> None:
-        """Saved, or their defaults loaded."""
         self._parameters(EventKind.SAVED, saved, "saved", now, dropped=False)
         what = "dropped, the defaults come with the next reset"
         self._parameters(EventKind.SAVED, forgotten, what, now, dropped=True)
@@ -116,7 +114,6 @@ class EventWatch(NodeEvents):
         self.reset()
 
     def reset(self) -> None:
-        """No sample yet."""
         self.status = NO_STATUS
         self._sampled = self._disagrees = False
         self._state: PositionState | None = None
@@ -147,7 +144,6 @@ class EventWatch(NodeEvents):
             self._report(EventKind.SYNC_LOST, now, text, silent_s=silent_s)
 
     def follow(self, feedback: Feedback, now: float) -> None:
-        """Another status word."""
         before, self.status = self.status, feedback.status
         if self.on_event is None:
             return
@@ -189,7 +185,6 @@ class EventWatch(NodeEvents):
             self._report(EventKind.FAULT, now, text, sample=feedback.samples, faults=faults)
 
     def table(self, correction: Correction, now: float) -> None:
-        """It has come into force."""
         table, before = correction.table, self._corrected
         self._corrected = table is not None
         if table is not None:
@@ -199,7 +194,6 @@ class EventWatch(NodeEvents):
             self._report(EventKind.TABLE, now, "table in force: none, the identity", entries=0, crc32=0)
 
     def _changed(self, state: PositionState, feedback: Feedback, now: float) -> None:
-        """A reason is all that went wrong since it was valid."""
         before, self._state = self._state, state
         if state is PositionState.VALID:
             self._causes = 0
@@ -232,7 +226,6 @@ class EventWatch(NodeEvents):
         return faults or "no reference yet"
 
     def _reasons(self, feedback: Feedback, bits: int) -> list[str]:
-        """With figures where they are those of this sample."""
         limit, residual = self._limits.in_force.residual_limit, feedback.residual
         over = f"residual {residual:.3f} over {limit:.3f} cycle"
         # In doubt, a sample whose residual is small may still contradict those before it.

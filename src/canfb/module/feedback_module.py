@@ -232,7 +232,6 @@ class FeedbackModule(NodeDevice):
         self._calibrating.computed(job, part)
 
     def _choose_parameters(self) -> None:
-        """What `save` keeps beside the usual, and what it does not."""
         entries = self.storage.entries
         for kept in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE):
             entries.keep(*kept)  # a preset by its value alone: 6509h is what it led to
@@ -265,7 +264,6 @@ class FeedbackModule(NodeDevice):
         self.chain.declare_jitter(self._sync_jitter.value)
 
     def _encoder_changed(self) -> None:
-        """2001:01 was written."""
         self._publishing.profile.rescale()
         self._limits.apply()
 

@@ -64,7 +64,6 @@ class InterfaceGrid:
         self.forget()
 
     def forget(self) -> None:
-        """Another interface may send samples."""
         self._learned_s = 0.0
 
     def follow(self) -> None:

@@ -107,7 +107,6 @@ class Pairing(ProcessData):
         self.begin()
 
     def begin(self) -> None:
-        """Wait for the first sample, and for the first SYNC."""
         self.sampled = False
         """A sample came since OPERATIONAL."""
         self._sample_came = 0  # since the last SYNC; with their times, how many
@@ -129,7 +128,6 @@ class Pairing(ProcessData):
         return self._input.timed if source is None else source.source_time_s is not None
 
     def count_bad_frame(self) -> None:
-        """A frame that was not used (2012:08)."""
         _count(self._bad_frames)
 
     # SYNC.
@@ -204,7 +202,6 @@ class Pairing(ProcessData):
     def _account(
         self, verdict: SyncVerdict, counter: int | None, now: float, waiting: Sequence[HeldRpdo]
     ) -> None:
-        """Were SYNCs before this one missed, and what do those RPDOs hold that waited for it?"""
         parts, syncs = self._input, self.syncs
         unsure = bool(verdict.lost or verdict.doubt or syncs.late_s)
         if parts.is_synchronous:
@@ -233,16 +230,13 @@ class Pairing(ProcessData):
         return answered
 
     def tpdos_sampled(self) -> None:
-        """The measured position again."""
         self._prediction.withdraw()
 
     def _miss_to(self, place: int, now: float) -> None:
-        """The samples up to this place of SYNC, which did not come."""
         missed, self._accounted = place - self._accounted, place
         self._miss(missed, now)
 
     def _miss(self, samples: int, now: float) -> None:
-        """So many samples that did not come, reported once; before the first one there is nothing to miss."""
         if not self.sampled:
             return
         known_as_lost = self._chain.lost
@@ -314,7 +308,6 @@ class Pairing(ProcessData):
         self._publishing.publish(feedback, now)
 
     def _look_closely(self, number: int, now: float) -> None:
-        """What is not a usual sample."""
         if number == self._second.number:
             self._second.value_received()
         parts = self._input
@@ -331,7 +324,6 @@ class Pairing(ProcessData):
             self._complete(parts.sample(), now)
 
     def _judged(self, now: float) -> float | None:
-        """One pair of tracks for each SYNC: intervals up to this one. None: it is not to be used."""
         call, syncs, answers, chain = self._call, self.syncs, self.answers, self._chain
         place, parts = syncs.place, self._input
         if not self._synced:
@@ -379,7 +371,6 @@ class Pairing(ProcessData):
         return self._call.received >= grid.due - grid.allowed and self._chain.slips(1.0)
 
     def _answer(self, place: int) -> float:
-        """A sample of this place of SYNC: intervals since the one before, or since the last miss."""
         elapsed = place - self._accounted if self.sampled else 1
         self._accounted = self._answered = place
         return float(elapsed)
@@ -395,7 +386,6 @@ class Pairing(ProcessData):
         self._off = 0.0
 
     def _complete(self, sample: Sample, now: float) -> None:
-        """All parts of a sample are there."""
         self.sampled = True
         if sample.time_100ns is not None:
             self._timed(sample, now)
@@ -433,7 +423,6 @@ class Pairing(ProcessData):
         self._answer(syncs.place)
 
     def _sample_source(self, source: LocalSource, now: float) -> None:
-        """The sample of this very SYNC; without one it is missed, from the first SYNC on."""
         if not self.sampled:
             self._accounted = self.syncs.place - 1
             self.sampled = True
@@ -447,12 +436,10 @@ class Pairing(ProcessData):
 
     @property
     def _is_open(self) -> bool:
-        """SYNCs before or after the last one may have been lost."""
         syncs = self.syncs
         return self._ambiguous or syncs.late_s > 0.0 or syncs.grid.early > 0
 
     def _take(self, sample: Sample, elapsed: float, now: float) -> None:
-        """A sample without a time through the chain, and out."""
         self._limits.follow()
         placed = not (self._off and self._chain.slips(self._off))
         feedback = self._chain.after(sample, elapsed, placed=placed)
@@ -461,7 +448,6 @@ class Pairing(ProcessData):
         self._out(sample, feedback, now)
 
     def _withheld(self, feedback: Feedback) -> Feedback:
-        """What may be right, but is not confirmed."""
         if not feedback.status & VALID:
             return feedback
         if self.unconfirmed:

@@ -106,7 +106,6 @@ def configured_defaults(config: ModuleConfig) -> Values:
 
 
 def _adaptation(config: ModuleConfig) -> Values:
-    """2002:08 and its bounds."""
     used = config.adaptation
     if used is None:
         return {od.ADAPTATION: 0}
@@ -129,7 +128,6 @@ def adc_pdos(config: ModuleConfig) -> Values:
 
 
 def _second_position(config: ModuleConfig) -> Values:
-    """2014h, and the RPDO behind those of the samples if it brings 2000:0E."""
     second = config.second_position
     if second is None:
         return {}
@@ -227,7 +225,6 @@ class Limits:
         high.on_written = lambda: self._scale_written(upper_is_old=False)
 
     def reset(self) -> None:
-        """The values of the dictionary belong together."""
         self._upper_is_old = False
         self.noise_changes()
 
@@ -252,7 +249,6 @@ class Limits:
             self._use_interval()
 
     def _use_interval(self) -> None:
-        """The analog path, and how far the interval may change before something is to be done."""
         chain, known_s, applied_s = self._chain, self.interval.known_s, self._applied_s
         chain.use_interval(self.interval.sample_s)
         same_s = SAME_NARROWED * applied_s if self._narrowed else math.inf
@@ -269,7 +265,6 @@ class Limits:
             self.apply()
 
     def _read(self, place: tuple[int, int]) -> Any:
-        """None if it does not exist."""
         entry = self._dictionary.find(*place)
         return None if entry is None else entry.value
 

@@ -71,7 +71,6 @@ class Publishing:
 
     @property
     def last(self) -> Feedback | None:
-        """None: none yet."""
         return self.latest.feedback
 
     def publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
@@ -136,7 +135,6 @@ class Publishing:
         return self._chain.searches and not feedback.status & FLAGGED_BITS & ~COASTING
 
     def count(self, between: Sequence[Feedback], now: float) -> None:
-        """Samples before the one to publish, of the same SYNC."""
         for feedback in between:
             self.objects.count_between(feedback)
             if self.events.detailed and not feedback.status & VALID:
@@ -159,7 +157,6 @@ class Publishing:
             self.prediction.extrapolate(self.last)
 
     def configured(self) -> None:
-        """Which TPDOs go out with a sample."""
         self.warnings.look_again()
         self.event_tpdos = [
             self._node.tpdo_trigger(number) for number in TPDOS if self._is_event_tpdo(number)
@@ -175,7 +172,6 @@ class Publishing:
         self.warnings.reset()
 
     def reset(self) -> None:
-        """No feedback."""
         self.latest.forget()
         self.events.reset()
         self.prediction.forget()

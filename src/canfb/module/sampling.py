@@ -34,7 +34,6 @@ class Sampling:
         publishing.events.unconfirmed = self._why_unconfirmed
 
     def _why_unconfirmed(self) -> str:
-        """What keeps a position without a fault from being valid, in words; "" where that is not known."""
         pairing = self._pairing
         if pairing.unconfirmed:
             return f"{CONFIRMING_SAMPLES} samples must confirm it after the pause"

@@ -57,7 +57,6 @@ class NodeModel:
             self._state, self._source = state, "heartbeat"
 
     def commanded(self, command: int) -> None:
-        """The master gives it an NMT command."""
         if command in COMMANDED:
             self._state, self._source = COMMANDED[NmtCommand(command)], "command"
 
@@ -76,7 +75,6 @@ class NodeModel:
                 self.module.put(od.COUNTER_LOSS_CAUSE, detail[CAUSE_BYTE], now)
 
     def snapshot(self, now: float, sync_hz: float | None = None) -> NodeSnapshot:
-        """What is known by ``now``."""
         texts = {} if self.module is None else od.EMERGENCY_TEXTS
         emergencies = [
             EmergencySnapshot(now - at, code, emergency_text(code, texts), register, detail.hex())
@@ -130,7 +128,6 @@ class BusModel:
             self.learn(layout)
 
     def learn(self, layout: NodeLayout) -> None:
-        """What is known of a module."""
         node = self._node(layout.node_id)
         if node.module is None:
             node.module = ModuleModel(layout)

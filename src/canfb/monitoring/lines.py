@@ -37,7 +37,6 @@ class MachineUnits:
         return cls(number, match[2])
 
     def position(self, revolutions: float | None) -> str:
-        """In words, with the unit."""
         return "-" if revolutions is None else f"{revolutions * self.per_revolution:.5f} {self.name}"
 
     @property
@@ -73,12 +72,10 @@ class Line(NamedTuple):
 
     @property
     def text(self) -> str:
-        """All of it."""
         return "".join(text for text, _ in self.parts)
 
 
 def module_lines(node: NodeSnapshot, module: ModuleSnapshot, units: MachineUnits) -> list[Line]:
-    """What there is to say of a module."""
     stale = is_stale(module)
     tone = "faint" if stale else ""
     since, lost = module.since_fault_s, lost_words(node, module)
@@ -139,19 +136,16 @@ def residual_tone(module: ModuleSnapshot, residual: float | None) -> Tone:
 
 
 def bus_lines(snapshot: BusSnapshot) -> list[Line]:
-    """SYNC and load."""
     sync = sync_words(snapshot.sync), "" if snapshot.sync.rate_hz else "bad"
     errors = f", {snapshot.error_frames} error frames" if snapshot.error_frames else ""
     return [Line("SYNC", (sync,)), Line("bus", ((load_words(snapshot), ""), (errors, "bad")))]
 
 
 def other_nodes(snapshot: BusSnapshot) -> str:
-    """With their NMT state."""
     return ", ".join(f"{node.node_id} {node.state or '-'}" for node in snapshot.nodes if node.module is None)
 
 
 def sync_words(sync: SyncSnapshot) -> str:
-    """Rate and jitter of the SYNC."""
     if sync.rate_hz is None or sync.jitter_rms_s is None or sync.jitter_peak_s is None:
         return "none" if sync.silent_s is None else f"none for {age(sync.silent_s)}"
     rms, peak = sync.jitter_rms_s * 1e6, sync.jitter_peak_s * 1e6
@@ -159,7 +153,6 @@ def sync_words(sync: SyncSnapshot) -> str:
 
 
 def load_words(snapshot: BusSnapshot) -> str:
-    """Frames and bus load."""
     load = snapshot.load
     frames = f"{load.frames_per_s:.0f} frames/s"
     if load.load is None or load.bit_rate is None:
@@ -173,7 +166,6 @@ def name_of(node: NodeSnapshot) -> str:
 
 
 def state_words(node: NodeSnapshot) -> str:
-    """NMT state, and what it is known by."""
     if node.heard_s is None:
         return "not heard"
     source = "" if node.state_source in (None, "heartbeat") else f" (by {node.state_source})"
@@ -200,7 +192,6 @@ def is_stale(module: ModuleSnapshot) -> bool:
 
 
 def residual_words(module: ModuleSnapshot) -> str:
-    """Residual of the last sample against its limit."""
     if module.residual_cycles is None or module.residual_limit_cycles is None:
         return "-"
     noise = module.residual_noise_cycles
@@ -210,7 +201,6 @@ def residual_words(module: ModuleSnapshot) -> str:
 
 
 def amplitude_words(module: ModuleSnapshot) -> str:
-    """Amplitude and its limits."""
     if module.amplitude_counts is None:
         return "-"
     low, high = module.amplitude_limits_counts
@@ -219,7 +209,6 @@ def amplitude_words(module: ModuleSnapshot) -> str:
 
 
 def _mark(module: ModuleSnapshot, name: str) -> str:
-    """Before a value whose settings were not read."""
     return f"{ASSUMED} " if name in module.assumed else ""
 
 

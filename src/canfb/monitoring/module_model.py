@@ -36,7 +36,6 @@ class SyncMeter:
         self._count = 0
 
     def sync(self, time_s: float) -> None:
-        """A SYNC came."""
         syncs, places = self._syncs, self._places
         if self._last_s is not None and not 0.0 <= time_s - self._last_s <= self._longest_s:
             syncs.forget()
@@ -55,7 +54,6 @@ class SyncMeter:
         return max(LEAST_SILENCE_S, MISSING_PERIODS * period_s) if period_s else math.inf
 
     def snapshot(self, now: float) -> SyncSnapshot:
-        """Rate and jitter by ``now``."""
         if self._last_s is None:
             return SyncSnapshot()
         silent_s = max(0.0, now - self._last_s)
@@ -82,7 +80,6 @@ class Bins:
         return math.floor(now / self.width_s)
 
     def add(self, value: float, now: float) -> None:
-        """``now`` does not go back."""
         number = self.number(now)
         if self._bins and self._bins[-1][0] >= number:
             last, before = self._bins[-1]
@@ -255,7 +252,6 @@ class ModuleModel:
         return cause.text if cause is not None and self._state is PositionState.LOST else None
 
     def _measured_velocity(self, now: float) -> float | None:
-        """2011:07, while it is fresh."""
         measured = self._values.get(od.FEEDBACK_VELOCITY)
         fresh = measured is not None and now - self._times[od.FEEDBACK_VELOCITY] <= FRESH_S
         return float(measured) if measured is not None and fresh else None

@@ -124,7 +124,6 @@ class Page:
         )
 
     def _figures(self, node: NodeSnapshot, module: ModuleSnapshot, room: int) -> list[Text]:
-        """Without the peak where a loss needs the room."""
         rows = lines.module_lines(node, module, self._units)
         labels = [row.label for row in rows]
         drawn = [self._residual_history(module, room)]

@@ -88,7 +88,6 @@ class ModuleReader:
 
 
 def _changes(node: NodeSnapshot | None) -> tuple[int, bool] | None:
-    """Boot-ups, and bit 7 of the status word."""
     return None if node is None or node.module is None else (node.boot_ups, node.module.table_active)
 
 

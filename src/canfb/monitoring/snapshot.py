@@ -117,7 +117,6 @@ class BusSnapshot:
 
     @property
     def modules(self) -> list[tuple[NodeSnapshot, ModuleSnapshot]]:
-        """The feedback modules."""
         return [(node, node.module) for node in self.nodes if node.module is not None]
 
     def to_json(self) -> dict[str, Any]:

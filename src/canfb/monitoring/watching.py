@@ -51,7 +51,6 @@ class MessageReader:
         self.stopped = False
 
     def stop(self) -> None:
-        """End it; for a signal handler."""
         self.stopped = True
 
     def bus(

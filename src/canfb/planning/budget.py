@@ -96,12 +96,10 @@ class ResidualBudget:
 
     @property
     def interval_s(self) -> float:
-        """From sample to sample, nominal."""
         return 1.0 / self.sample_hz
 
     @property
     def sample_hz(self) -> float:
-        """Samples per second."""
         return self.plan_input.sync_hz * self.module.samples_per_sync
 
     @cached_property
@@ -127,7 +125,6 @@ class ResidualBudget:
 
     @property
     def is_narrowed(self) -> bool:
-        """By 2010:02, below 2010:01."""
         return self.slow_limit_cycles < self.module.widest_limit_cycles
 
     @cached_property
@@ -147,7 +144,6 @@ class ResidualBudget:
 
     @property
     def asked_rad_s2(self) -> float | None:
-        """None: not given."""
         return self.plan_input.motion.acceleration_of(self.module)
 
     @cached_property
@@ -172,7 +168,6 @@ class ResidualBudget:
 
     @property
     def parts(self) -> tuple[ResidualPart, ...]:
-        """Of the largest residual, all at the same time."""
         instants = self.instants_cycles
         return (
             self.motion_part,
@@ -182,17 +177,14 @@ class ResidualBudget:
 
     @cached_property
     def motion_part(self) -> ResidualPart:
-        """What the motion leaves."""
         return ResidualPart("acceleration", self.acceleration_cycles(self.asked_rad_s2 or 0.0))
 
     @cached_property
     def needed_cycles(self) -> float:
-        """The largest residual of the healthy machine."""
         return sum(part.cycles for part in self.parts)
 
     @property
     def margin(self) -> float:
-        """Limit over needed."""
         return over(self.limit_cycles, self.needed_cycles)
 
     @property
@@ -227,7 +219,6 @@ class ResidualBudget:
         return self._speed_beside(motion + self.phase_cycles)
 
     def _speed_beside(self, needed_cycles: float) -> float:
-        """The limit grows with the speed."""
         own_s = self.uncertainty_s - self.known_uncertainty_s
         return min(
             self.speed_rad_s(self.slow_limit_cycles - needed_cycles, own_s),
@@ -262,14 +253,12 @@ class ResidualBudget:
         return math.sqrt((self.interval_s + 2.0 * self.off_s) * (self.interval_s + self.off_s))
 
     def acceleration_cycles(self, acceleration_rad_s2: float) -> float:
-        """Its second difference."""
         return cycles_per_interval_squared(
             acceleration_rad_s2, self.module.cycles_per_revolution, self.worst_interval_s
         )
 
     @cached_property
     def phase_errors(self) -> PhaseErrors:
-        """Those of the encoder."""
         return PhaseErrors(self.plan_input.errors, self.module)
 
     @property
@@ -280,7 +269,6 @@ class ResidualBudget:
 
     @property
     def _cycles_per_s(self) -> float:
-        """The given speed."""
         cycles = self.module.cycles_per_revolution
         return (self.plan_input.motion.speed_rad_s or 0.0) * cycles / (2 * math.pi)
 
@@ -297,7 +285,6 @@ class ResidualBudget:
 
     @property
     def _declared_cycles(self) -> float:
-        """Errors of the phases of the size of 2010:0C."""
         return WEIGHTS * self.module.settings.phase_error_cycles
 
     @property

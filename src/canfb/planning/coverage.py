@@ -122,7 +122,6 @@ def area_coverage(window: SampleWindow) -> Shares:
 
 
 def _disc(radius: float, half_side: float) -> float:
-    """The area of a disc within a square around its centre."""
     if radius <= half_side:
         return math.pi * radius * radius
     if radius >= math.sqrt(2.0) * half_side:

@@ -143,7 +143,6 @@ def _table(plan: Plan) -> Ways:
 
 
 def _faster(plan: Plan) -> Ways:
-    """A higher SYNC rate; with a higher bit rate, if the bus does not carry it."""
     given = plan.plan_input
     rate_hz = max(max(budget.least_sync_hz for budget in plan.budgets), given.sync_hz * 1.01)
     for _ in range(MOST_FASTER if math.isfinite(rate_hz) else 0):
@@ -161,7 +160,6 @@ def _faster(plan: Plan) -> Ways:
 
 
 def _more_samples(plan: Plan) -> Ways:
-    """More samples for each SYNC, with what they cost; only where all of the motion holds then."""
     given = plan.plan_input
     if all(module.samples_itself for module in given.modules):
         return
@@ -193,7 +191,6 @@ def _narrower(plan: Plan) -> Ways:
 
 
 def _sharper(plan: Plan) -> Ways:
-    """A measured noise margin; the rate at which twice the motion and the margin are sharp."""
     given = plan.plan_input
     if not all(one.known_acceleration_rad_s2 for one in given.modules):
         return
@@ -209,7 +206,6 @@ def _sharper(plan: Plan) -> Ways:
 
 
 def _with(given: PlanInput, place: od.Multiplexer, value: float) -> PlanInput:
-    """The value in this object of every module."""
     return replace(given, modules=tuple(one.with_values({place: value}) for one in given.modules))
 
 
@@ -222,7 +218,6 @@ def _moving(plan: Plan, **motion: Any) -> PlanInput:
 
 
 def _at(given: PlanInput, bit_rate: int) -> PlanInput:
-    """The frames of other nodes are as many, and each takes less time."""
     return replace(given, bit_rate=bit_rate, extra_load=given.extra_load * given.bit_rate / bit_rate)
 
 

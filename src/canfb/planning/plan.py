@@ -94,7 +94,6 @@ class Margin:
 
     @property
     def holds(self) -> bool:
-        """The limit is not exceeded."""
         return self.factor >= 1.0
 
 
@@ -106,7 +105,6 @@ class Plan:
 
     @cached_property
     def budgets(self) -> tuple[ResidualBudget, ...]:
-        """One for each module."""
         return tuple(ResidualBudget(self.plan_input, module) for module in self.plan_input.modules)
 
     @cached_property
@@ -116,12 +114,10 @@ class Plan:
 
     @property
     def tightest(self) -> Margin:
-        """The smallest margin."""
         return self.margins[0]
 
     @property
     def holds(self) -> bool:
-        """No limit is exceeded."""
         return all(margin.holds for margin in self.margins)
 
     def detection(self, budget: ResidualBudget, limit_cycles: float | None = None) -> CountDetection:

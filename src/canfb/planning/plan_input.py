@@ -107,7 +107,6 @@ class PlanInput:
 
     @cached_property
     def bus(self) -> BusLoad:
-        """The frames on the bus."""
         messages: list[Message] = [sync_message(self.modules[0].values)]
         for module in self.modules:
             messages += self._beating(module.node_id, module.values, sampled=True)
@@ -240,7 +239,6 @@ def _planned(config: ModuleConfig, found: DeviceConfiguration, options: PlanOpti
 def _motion(
     simulation: SimulationConfig, config: ModuleConfig, rate_hz: float, options: PlanOptions
 ) -> MotionInput:
-    """What is options, else what ``canfb simulate`` plays."""
     speed, acceleration, where = None, None, ""
     demand = _demand(simulation, config, rate_hz)
     if demand is not None:
@@ -258,7 +256,6 @@ def _motion(
 
 
 def _demand(simulation: SimulationConfig, config: ModuleConfig, rate_hz: float) -> MotionDemand | None:
-    """Demand of the motion of ``canfb simulate``; None if the configuration does not define a motion."""
     if simulation.drive is not None:
         return drive_demand(simulation.drive, _drive_objects(simulation.drive), config, rate_hz)
     if simulation.motion == SimulationConfig().motion:
@@ -267,7 +264,6 @@ def _demand(simulation: SimulationConfig, config: ModuleConfig, rate_hz: float) 
 
 
 def _others(config: Config) -> tuple[tuple[int, Values], ...]:
-    """The encoder interfaces but for their PDOs, which the RPDOs of the modules show, and the drive."""
     own = sorted({one.encoder_interface for one in config.modules if one.source is None})
     found: list[tuple[int, Values]] = [(node, {}) for node in own]
     drive = config.simulation.drive

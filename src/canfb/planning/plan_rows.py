@@ -65,7 +65,6 @@ def plan_lines(plan: Plan, changes: list[PlanChange], *, coverage: bool = False)
 
 
 def _as_lines(rows: Iterable[Row]) -> list[str]:
-    """``name: words``; a name alone; words alone, set in below those above."""
     shown = [(row.name, word) for row in rows for word in row.words]
     return [f"  {name}: {word}".removesuffix(": ") if name else f"    {word}" for name, word in shown]
 
@@ -75,7 +74,6 @@ def _margin_row(name: str, words: str, factor: float, **figures: Any) -> Row:
 
 
 def _factor(factor: float) -> str:
-    """Rounded down, so that 0.999 is not shown as 1.0."""
     if math.isinf(factor):
         return "unlimited"
     digits = 2 if factor < 2.0 else 1
@@ -94,7 +92,6 @@ def _margin(limit: float, value: float | None) -> float | None:
 
 
 def _frame_lines(bus: BusLoad) -> list[str]:
-    """All frames; neighbours that differ by their node alone share a line."""
     lines = [
         f"bus: {bus.bit_rate} bit/s, SYNC {bus.sync_hz:g} Hz; frames with the most stuff bits",
         f"  {'COB-ID':<12}{'frame':<28}{'bytes':>5}{'bits':>6}{'per s':>9}{'load %':>8}",
@@ -272,7 +269,6 @@ def _instants(budget: ResidualBudget) -> str:
 
 
 def _motion_rows(budget: ResidualBudget) -> list[Row]:
-    """The acceleration, which eq. 12 limits."""
     asked, largest, least = budget.asked_rad_s2, budget.largest_acceleration_rad_s2, budget.least_sync_hz
     needs = "no SYNC rate is enough" if math.isinf(least) else f"a SYNC of {least:.4g} Hz or more is needed"
     acceleration = {
@@ -352,7 +348,6 @@ def _detection(found: CountDetection) -> dict[str, Any]:
 
 
 def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
-    """What is bridged for certain with what is declared, and what other declarations would bridge."""
     declared = found.declared
     known = declared.acceleration
     followed = f"2010:02 {declared.followed:.3g} cycle per interval²"
@@ -431,7 +426,6 @@ def _time(within: int | None, budget: ResidualBudget) -> str:
 
 
 def _percent(part: float | None) -> str:
-    """Rounded down: what is not whole is not shown as whole."""
     return "-" if part is None else f"{int(1000.0 * part + 1e-9) / 10.0:.1f} %"
 
 

@@ -25,7 +25,6 @@ NODE_ID = 0x7F
 
 
 def _of_samples(values: Values) -> list[Pdo]:
-    """The valid RPDOs that bring a part of the sample (2000h)."""
     pdos = valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)
     return [pdo for pdo in pdos if pdo.carries(od.SAMPLE_SINE.object_index)]
 

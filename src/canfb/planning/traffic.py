@@ -53,7 +53,6 @@ class Message:
 
     @property
     def what(self) -> str:
-        """Kind and sender, for people."""
         return self.kind if self.node_id is None else f"{self.kind}, node {self.node_id:02X}h"
 
     @property
@@ -69,7 +68,6 @@ class Message:
         return min(by_sync + timed, self.most_hz)
 
     def bits_per_s(self, sync_hz: float) -> float:
-        """Of the bit rate, at this SYNC rate."""
         return self.bits * self.rate_hz(sync_hz)
 
     def follows_sync(self, sync_hz: float) -> bool:
@@ -134,7 +132,6 @@ def node_messages(values: Values, node_id: int, *, sampled: bool) -> list[Messag
 
 
 def heartbeat_message(node_id: int, period_s: float) -> Message:
-    """The heartbeat of a node."""
     return Message(
         can_id=cob.ERROR_CONTROL + node_id,
         kind="heartbeat",
@@ -186,7 +183,6 @@ class BusLoad:
         return self.load_at(self.sync_hz)
 
     def load_at(self, sync_hz: float) -> float:
-        """:attr:`load` with another SYNC rate."""
         bits = sum(message.bits_per_s(sync_hz) for message in self.messages)
         return bits / self.bit_rate + self.extra_load
 
@@ -215,7 +211,6 @@ class BusLoad:
         return longest / self.bit_rate
 
     def _free_bits(self) -> int:
-        """The longest frame at any time."""
         free = [
             message.bits
             for message in self.messages

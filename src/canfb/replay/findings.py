@@ -64,7 +64,6 @@ class FaultList:
     _open: dict[str, LoggedFault] = field(default_factory=dict)
 
     def take(self, block: Block) -> None:
-        """More intervals."""
         for kind, bit in KINDS.items():
             there = block["status"] & bit != 0
             steps = np.flatnonzero(np.diff(there, prepend=False, append=False)).reshape(-1, 2)
@@ -82,7 +81,6 @@ class FaultList:
                     self._open[kind] = fault
 
     def in_order(self) -> list[LoggedFault]:
-        """The faults listed, as they began."""
         return sorted(self.listed, key=lambda fault: (fault.begin_s, fault.kind))
 
 
@@ -126,7 +124,6 @@ class Margins:
         """What the jitter allows, as the module last knew it; set by the replay."""
 
     def take(self, block: Block) -> None:
-        """More samples."""
         status = block["status"]
         came = status & StatusBit.MISSED == 0
         if math.isnan(self.begin_cycles):
@@ -155,7 +152,6 @@ class Margins:
         self.acceleration_rad_s2 = float(np.fmax.reduce(squared, initial=self.acceleration_rad_s2))
 
     def _look(self, name: str, block: Block, value: FloatArray, limit: npt.NDArray[Any]) -> None:
-        """At more values with their limits; NaN is none. Without a limit the largest counts."""
         with np.errstate(divide="ignore", invalid="ignore"):
             margins = 1.0 - (limit / value if name == "amplitude_low" else value / limit)
         usable = np.flatnonzero(np.isfinite(value) & ~np.isnan(limit))
@@ -201,7 +197,6 @@ class DriftTracks:
         self._moved = False
 
     def take(self, block: Block) -> None:
-        """More samples."""
         self._moved = self._moved or bool(np.ptp(block["cycles"]) > 1)
         if self._moved and len(self._blocks) * BLOCK_ROWS < MOST_MEASURED:
             self._blocks.append(block)
@@ -261,7 +256,6 @@ class Overview:
         self._stride = 1
 
     def take(self, block: Block) -> None:
-        """More samples."""
         columns = {name: block[name] for name in COLUMNS}
         came = block["status"] & StatusBit.MISSED == 0
         columns["faulty"] = (block["status"] & FAULTY != 0).astype(np.float64)

@@ -182,7 +182,6 @@ class ModuleReplay:
                 self._take(self._opened())
 
     def close(self) -> None:
-        """The log ends."""
         if self._head is not None:
             self._take(self._opened())
         if self._on:
@@ -193,7 +192,6 @@ class ModuleReplay:
         self.module.end(self._now)
 
     def _opened(self) -> list[Frame]:
-        """The first frames, once they have shown how the log begins."""
         head, self._head = self._head or [], None
         known = (one.timestamp for one in head if one.timestamp is not None and math.isfinite(one.timestamp))
         self.times.origin_s = self.samples.origin_s = self.counters.first_s = next(known, 0.0)
@@ -281,7 +279,6 @@ class ModuleReplay:
         self._give_out(self.module.finish_job(job, result, now), now)
 
     def _look_round(self) -> None:
-        """Which CAN-IDs it receives now, and which are its own."""
         if not self._on:
             return
         module = self.module
@@ -294,7 +291,6 @@ class ModuleReplay:
             self._received_ids -= self._own
 
     def _recorded(self, can_id: int, data: bytes, now: float) -> None:
-        """A frame that the module itself had sent."""
         self.counters.recorded_own += 1
         if data == BOOT_UP and can_id > cob.ERROR_CONTROL:
             self._booted_up(now)

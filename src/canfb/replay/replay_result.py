@@ -51,11 +51,9 @@ class ReplayResult:
         return f"module {node_id} ({node_id:02X}h): {counters.frames} frames, {seconds:.3f} s"
 
     def figures(self) -> dict[str, Any]:
-        """All figures; None for what is not known."""
         return as_figures([self._verdict()], self.facts())
 
     def lines(self) -> list[str]:
-        """For the terminal."""
         faults = self.faults()
         rows = [self._verdict(), *self.facts(), *(Row("fault", text) for text in faults[:SHOWN_FAULTS])]
         if len(faults) > SHOWN_FAULTS:
@@ -121,7 +119,6 @@ class ReplayResult:
         )
 
     def faults(self) -> list[str]:
-        """The faults that are listed, one line each."""
         return [
             f"{fault.begin_s - self.replay.counters.first_s:.6f} s: {fault.kind}, {fault.samples} "
             f"{'interval' if fault.samples == 1 else 'intervals'}"

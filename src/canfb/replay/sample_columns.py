@@ -80,7 +80,6 @@ class SampleColumns:
         self._earlier: list[tuple[Any, ...]] = []
 
     def take(self, feedback: Feedback, now: float) -> None:
-        """A feedback of the module."""
         module = self._module
         if module.limits is not self._limits:
             self._limits = module.limits
@@ -94,7 +93,6 @@ class SampleColumns:
             self.flush()
 
     def flush(self) -> None:
-        """Hand on what was collected."""
         self.rows += len(self._collected)
         for collected, takers in ((self._collected, self._takers), (self._earlier, self._earlier_takers)):
             block = np.array(collected, _DTYPE)
@@ -104,7 +102,6 @@ class SampleColumns:
 
 
 def _stages(feedback: Feedback) -> tuple[Any, ...]:
-    """In the order of their columns; cycles within 64 bits."""
     stages = feedback[2:]
     if -_LARGEST_COUNT <= feedback.cycles <= _LARGEST_COUNT:
         return stages
@@ -113,7 +110,6 @@ def _stages(feedback: Feedback) -> tuple[Any, ...]:
 
 
 def _limit_values(limits: ChainLimits) -> tuple[float, ...]:
-    """In the order of their columns; 0.0 for an acceleration that is not known."""
     sample = limits.sample
     return (
         limits.residual_limit,

@@ -86,13 +86,11 @@ class Plot:
         return self._draw(f'<path class="bar {style}" d="{"".join(parts)}"/>', style, name, "bar")
 
     def level(self, value: float, style: str, name: str | None = None) -> Self:
-        """A line across the picture."""
         if self.y.low <= value <= self.y.high:
             self.line(np.array([self.x.low, self.x.high]), np.array([value, value]), style, name)
         return self
 
     def rings(self, xs: FloatArray, ys: FloatArray, style: str, name: str | None = None) -> Self:
-        """A ring around each point."""
         for one, other in zip(xs.tolist(), ys.tolist(), strict=True):
             place = f'cx="{self.x(one):.1f}" cy="{self.y(other):.1f}" r="{RING_RADIUS:g}"'
             self._draw(f'<circle class="ring {style}" {place}/>', style, name, "ring")

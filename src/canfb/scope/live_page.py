@@ -32,7 +32,6 @@ class LivePage:
                 self._of(reading.node_id).know(reading.correction)
 
     def show(self, snapshot: BusSnapshot) -> None:
-        """A look at the bus."""
         with self._lock:
             self._last = snapshot
             for node, module in snapshot.modules:

@@ -99,7 +99,6 @@ class PageServer:
         self._server.server_close()
 
     def is_seen(self) -> bool:
-        """A page is open."""
         return bool(self._viewers)
 
     def publish(self, one: Event) -> None:

@@ -186,7 +186,6 @@ class _BackupReader:
 
 
 def _block(values: Mapping[Place, Any], described: ObjectDescriptions) -> list[str]:
-    """One line for each parameter: value, name, unit."""
     lines, above = list[str](), ""
     for place in sorted(values):
         entry = described.find(*place)

@@ -106,7 +106,6 @@ class Restoring:
         return there
 
     def _leave_operational(self, preop: bool) -> None:
-        """CommissioningError in OPERATIONAL."""
         module = self._module
         if preop:
             module.master.send(NMT, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, module.node_id)))

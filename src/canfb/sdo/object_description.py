@@ -46,7 +46,6 @@ class ObjectDescription:
 
     @property
     def number(self) -> str:
-        """2010:01."""
         return od.place_text(self.place)
 
     @property
@@ -56,12 +55,10 @@ class ObjectDescription:
 
     @property
     def readable(self) -> bool:
-        """SDO may read it."""
         return self.access != "wo"
 
     @property
     def writable(self) -> bool:
-        """SDO may write it."""
         return self.access in ("wo", "rw", "rwr", "rww")
 
     def decode(self, data: bytes) -> Any:
@@ -95,7 +92,6 @@ class ObjectDescriptions:
         return iter(self._entries.values())
 
     def find(self, index: int, subindex: int) -> ObjectDescription | None:
-        """The entry, or None."""
         return self._entries.get((index, subindex))
 
     def of_object(self, index: int) -> list[ObjectDescription]:
@@ -162,7 +158,6 @@ def _listed(names: list[str]) -> str:
 
 @lru_cache(maxsize=8)
 def _described(content: bytes, node_id: int) -> dict[Place, ObjectDescription]:
-    """The entries of a file; nobody changes them."""
     return {
         (one.index, one.subindex): ObjectDescription(
             one.index, one.subindex, one.name, one.parent, one.data_type, one.access, one.unit, low, high

@@ -272,11 +272,9 @@ class Reading:
         return is_plain and (entry.index in _COMMUNICATION or "CRC" in entry.name)
 
     def line(self) -> str:
-        """Object and value."""
         return f"{self.entry.number} {self.entry.title}: {self.text()}"
 
     def figures(self) -> dict[str, Any]:
-        """For programs; NaN is null."""
         entry, value = self.entry, self.value
         if isinstance(value, bytes):
             value = value.hex()
@@ -323,7 +321,6 @@ class Written:
     warning: str = ""
 
     def lines(self) -> list[str]:
-        """For people."""
         line = f"{self.value.line()}, written"
         if self.before is not None and self.now is not None:
             entry = self.value.entry
@@ -331,7 +328,6 @@ class Written:
         return [line, *([self.warning] if self.warning else [])]
 
     def figures(self) -> dict[str, Any]:
-        """For programs."""
         readings = {"before": self.before, "now": self.now, "written": self.value}
         figures = {name: one and one.figures() for name, one in readings.items()}
         return figures | {"warning": self.warning or None}
@@ -345,7 +341,6 @@ class SdoTasks:
         self._described = described
 
     def read(self, text: str) -> list[Reading]:
-        """One object, or all of a record or array."""
         meant = self._described.meant(text)
         readable = [entry for entry in meant if entry.readable]
         if not readable:
@@ -378,7 +373,6 @@ class SdoTasks:
         return bool(int(self._node.read_known(od.FEEDBACK_STATUS) or 0) & od.StatusBit.VALID)
 
     def _warning(self) -> str:
-        """What a new limit does, or ""."""
         node, master = self._node, self._node.master
         began, first = master.now(), node.integer(*od.FEEDBACK_SAMPLES, "I")
         master.wait(WATCH_S)

@@ -203,7 +203,6 @@ class TableState:
 
     @classmethod
     def of_file(cls, file: TableFile) -> TableState:
-        """What a file holds."""
         return cls(str(file.path), file.used, file.cycles_per_revolution, True)
 
     @property
@@ -259,7 +258,6 @@ class TableState:
         ]
 
     def result(self) -> Result:
-        """For ``canfb table show``."""
         return Result(as_figures(self.rows()), [self.name, *as_lines(self.rows(), WIDTH)])
 
     def cycles_in_words(self, cycles: float) -> str:

@@ -127,7 +127,6 @@ class TableTasks:
         ]
 
     def _check_amplitude(self, before: Conditioning, new: Conditioning, force: bool) -> None:
-        """Refuse the conditioning of another encoder."""
         module = self._module
         low, high = (module.integer(*place, "H") for place in AMPLITUDES)
         kept, wrong = 0, list[float]()
@@ -185,7 +184,6 @@ class TableTasks:
         return {"staged": False, "active": True, "saved_as": saved_as}
 
     def _state_after(self, used: Correction | None, done: dict[str, Any]) -> TableState:
-        """CommissioningError says what was done."""
         try:
             return TableState.of_module(self._module)
         except CanfbError as error:
@@ -211,5 +209,4 @@ class TableTasks:
 
 
 def _result(state: TableState, lines: list[str], done: dict[str, Any]) -> Result:
-    """With what was done: "staged", "active", "saved_as"."""
     return Result(as_figures(state.rows()) | done, lines)

@@ -134,12 +134,10 @@ class Adaptation:
 
     @property
     def is_on(self) -> bool:
-        """It follows, or waits for samples to follow."""
         return self._limits is not None
 
     @property
     def limits(self) -> AdaptConfig | None:
-        """None: off."""
         return self._limits
 
     @limits.setter
@@ -153,7 +151,6 @@ class Adaptation:
             self._begin(0)
 
     def use(self, correction: Correction) -> None:
-        """Another calibration: the drift begins at zero."""
         self.drift = NO_DRIFT
         self._known = deviation_of(correction)
         self._sum, self._blocks = NO_DEVIATION, 0
@@ -199,11 +196,9 @@ class Adaptation:
         return self._follow(found.deviation, found.amplitude_counts, seconds)
 
     def drop(self) -> None:
-        """What was taken since the last result may be wrong."""
         self._sectors.begin()
 
     def _begin(self, samples: int) -> None:
-        """Nothing is taken; the next sample is none before this number."""
         self._sectors.begin()
         self.due = samples
 
@@ -213,7 +208,6 @@ class Adaptation:
         self._judge(0.0)
 
     def _judge(self, used: float) -> None:
-        """So much of a limit is used."""
         before, self.used = self.at_limit, used
         self.at_limit = used >= (HYSTERESIS if before else 1.0)
         if self.at_limit is not before and self.on_limit is not None:
@@ -227,7 +221,6 @@ class Adaptation:
             self._known = CircleDeviation(*(one / self._blocks for one in self._sum))
 
     def _follow(self, found: CircleDeviation, amplitude: float, seconds: float) -> bool:
-        """Half a step towards what was found in so many seconds."""
         limits, known = self._limits, self._known
         if limits is None or known is None:
             return False

@@ -38,12 +38,10 @@ class Scratch:
         self._view_bits()
 
     def _view_bits(self) -> None:
-        """The digits 0 and 1 are truth values, too, in the same memory."""
         self.bits = tuple(digit.view(np.bool_) for digit in self.digits)
         self.bit = self.bits[0]
 
     def head(self, samples: int) -> Scratch:
-        """A scratch of the first ``samples`` of these arrays, at most all of them."""
         if samples == self.samples:
             return self
         part = Scratch.__new__(Scratch)

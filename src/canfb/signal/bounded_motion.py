@@ -63,7 +63,6 @@ class Window(NamedTuple):
 
     @property
     def width(self) -> float:
-        """In cycles: how many cycle counts a phase has in it on average."""
         return max(0.0, self.high - self.low)
 
     def counts(self, phase: float) -> range:
@@ -75,7 +74,6 @@ class Window(NamedTuple):
         return range(self.base + first, self.base + last + 1)
 
     def meet(self, other: Window) -> Window:
-        """Where both are."""
         shift = other.base - self.base
         return Window(self.base, max(self.low, other.low + shift), min(self.high, other.high + shift))
 

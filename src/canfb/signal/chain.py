@@ -170,7 +170,6 @@ class SignalChain:
         return self._times.unit_s / self._per_sync
 
     def _unit_may_have_changed(self, old_s: float) -> None:
-        """Intervals are counted in another unit, or for the first time in one that is known."""
         unit_s = self._times.unit_s
         if unit_s != old_s:
             if old_s > 0.0 and unit_s > 0.0:
@@ -349,7 +348,6 @@ class SignalChain:
     def _take_all(
         self, sample: Sample, elapsed: float, bad: bool, unplaced: bool, next_one: bool
     ) -> Feedback:
-        """The samples of one SYNC in their order, ``elapsed`` intervals of SYNC after those before."""
         stages, timed = self.stages, sample.time_100ns is not None
         samples = [sample] if bad else in_order(sample, elapsed * self._per_sync, self._per_sync)
         next_one = next_one and len(samples) == self._per_sync

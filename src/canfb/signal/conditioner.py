@@ -51,7 +51,6 @@ class Conditioner:
         self._renew()
 
     def use_corners(self, corners: Corners) -> None:
-        """The corner frequencies of the tracks are these."""
         self.corners = corners
         self._renew()
 
@@ -80,7 +79,6 @@ class Conditioner:
                 self.row, self.lag_intervals = front.row(speed_cycles), front.lag_intervals(speed_cycles)
 
     def corrected(self, raw: float) -> float:
-        """The phase at a raw phase, NaN where there is none."""
         if raw != raw:
             return raw
         phase = raw if self.table is None else self.table.correct(raw)
@@ -126,7 +124,6 @@ class Conditioner:
         self.use_unit(self.unit_s)
 
     def _remove_drift(self) -> None:
-        """Behind the conditioning; the analog path is that of the conditioning."""
         if self.adaptation.is_on:
             used = self.adaptation.drift.removed_by(self.correction.conditioning)
             self.coefficients = used.coefficients()

@@ -62,12 +62,10 @@ class Candidate(NamedTuple):
 
     @property
     def last(self) -> Spot:
-        """The newest sample."""
         return self.spots[-1]
 
     @property
     def run_spots(self) -> tuple[Spot, ...]:
-        """The samples since the last hole."""
         return self.spots[-self.run :] if self.run else ()
 
     @property
@@ -126,7 +124,6 @@ class Candidate(NamedTuple):
             )
 
     def rescaled(self, factor: float) -> Candidate:
-        """The same, in another unit of time."""
         return self._replace(
             time=self.time * factor,
             spots=tuple(spot._replace(time=spot.time * factor) for spot in self.spots),
@@ -164,7 +161,6 @@ def _noted(residuals: tuple[int, float, float], window: Window, position: float)
 
 
 def _apart(phase: float, other: float) -> float:
-    """The distance of two phases, 0..0.5 cycle."""
     return abs((phase - other + 0.5) % 1.0 - 0.5)
 
 
@@ -257,7 +253,6 @@ class Doubt:
         return self._decide()
 
     def declare(self, motion: BoundedMotion, bad_samples: int) -> None:
-        """Take other bounds, between two samples."""
         self.motion, self.bad_samples = motion, bad_samples
 
     def rescale(self, factor: float) -> None:
@@ -272,13 +267,11 @@ class Doubt:
         self.log.append(LogEntry(phase, elapsed, tuple(self.candidates)))
 
     def _follow(self, found: Iterable[Candidate]) -> bool:
-        """Go on with these; False if they are too many."""
         candidates = merged(found)
         self.candidates = candidates or []
         return candidates is not None
 
     def _advance(self, candidates: Iterable[Candidate], number: int) -> Iterable[Candidate]:
-        """All of them over one entry of the log."""
         phase, elapsed, _ = self.log[number]
         for one in candidates:
             if phase is None or one.leaves:
@@ -372,5 +365,4 @@ class Doubt:
 
     @property
     def _reach(self) -> int:
-        """So many samples before a contradiction may be bad."""
         return self.bad_samples + ORDER - 1

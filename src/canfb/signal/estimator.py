@@ -79,7 +79,6 @@ class Estimator:
         self.declare(declared)
 
     def declare(self, declared: Declared) -> None:
-        """Take what the machine can do, between two samples."""
         self.declared = declared
         self.tracker.residual_limit = declared.residual_limit
         usual = declared.usual
@@ -142,7 +141,6 @@ class Estimator:
         self._remember_tracker()
 
     def _begin_places(self) -> None:
-        """One sample is counted, and its speed assumed."""
         before, last, elapsed = self.tracker.places
         self._virtual = (before.cycles, before.phase, 1.0)
         self.places.clear()
@@ -157,7 +155,6 @@ class Estimator:
         self.places.append((last.cycles, last.phase, elapsed))
 
     def rescale(self, factor: float) -> None:
-        """Sampling intervals are counted in another unit: all of them are this many times longer."""
         self.tracker.rescale(factor)
         self._speeds.rescale(factor)
         self._coasted *= factor
@@ -263,14 +260,12 @@ class Estimator:
         return self._decide(phase, elapsed, bits)
 
     def _follows_speeds(self, elapsed: float) -> bool:
-        """The next sample is held against every speed that the machine can have."""
         begin, places = self._speeds.begin, self._start_places()
         return self.phases_keep and begin(
             self.declared, self.timed, elapsed, self.lost, places, self._coasted
         )
 
     def _start_places(self) -> list[Place]:
-        """The samples since a start, while its speed is assumed."""
         places, doubt = self.places, self._doubt
         in_doubt = doubt is not None and not doubt.is_without_samples
         if self._virtual is None or self._known or in_doubt or not 0 < len(places) <= START_SAMPLES:
@@ -279,7 +274,6 @@ class Estimator:
 
     @property
     def _start_is_assumed(self) -> bool:
-        """The samples since the start do not show yet that its speed was right."""
         if self.searches:  # they are being held against it
             return True
         samples = len(self.places) - (self.places[0] is self._virtual)
@@ -346,14 +340,12 @@ class Estimator:
         return predicted, COASTING
 
     def _count_on(self, phase: float, elapsed: float, bits: int = LOST) -> tuple[Track, int]:
-        """A sample of a position that is lost."""
         self._still.take(phase)
         track = self.tracker.look(phase, elapsed)
         self.tracker.accept(track, elapsed)
         return track, bits if track.ok else bits | RESIDUAL
 
     def _decide(self, phase: float, elapsed: float, bits: int) -> tuple[Track, int]:
-        """A sample in doubt; ``bits`` are those of one that brings it in doubt."""
         verdict = self._doubted(bool(bits)).take(phase, elapsed, bool(bits))
         if verdict.lost is not None:
             self.lose(verdict.lost)
@@ -387,7 +379,6 @@ class Estimator:
         return Track(candidate.last.cycles, candidate.last.phase, 0.0, True)
 
     def _spots(self) -> tuple[Spot, ...]:
-        """The last samples that were counted, the newest at time 0; two at least."""
         time = 0.0
         spots: list[Spot] = []
         for place in reversed(self.places):

@@ -56,7 +56,6 @@ class FrontEnd:
         self._offsets, self._gains, self._phase_error = used[:2], used[2:4], used[4]
 
     def use_interval(self, unit_s: float) -> None:
-        """Speeds are per interval of this length from now on, seconds; 0.0: not known."""
         self.unit_s = unit_s
         self._hertz = hertz = 1.0 / unit_s if unit_s > 0.0 else 0.0  # at one cycle per interval
         self._delay = 2.0 * math.pi * hertz * self._conditioning.cosine_delay_s
@@ -65,11 +64,9 @@ class FrontEnd:
         self._cosine_corner = hertz / corners.of_cosine_hz if corners.of_cosine_hz else 0.0
 
     def hertz(self, speed_cycles: float) -> float:
-        """This speed in cycles per second."""
         return speed_cycles * self._hertz
 
     def turned_rad(self, speed_cycles: float) -> float:
-        """From the sine of a sample to its cosine, at this speed."""
         turned = self._delay * speed_cycles
         if self._differ:
             turned += atan(self._corner * speed_cycles) - atan(self._cosine_corner * speed_cycles)
@@ -107,5 +104,4 @@ class FrontEnd:
 
 
 def _rise(ratio: float) -> float:
-    """What undoes a low-pass at this part of its corner frequency."""
     return sqrt(1.0 + ratio * ratio)

@@ -42,7 +42,6 @@ class FrozenInput:
         self._speed = 0.0
 
     def moved(self) -> None:
-        """The counts are others than before."""
         self.repeats = 0
 
     def repeated(self, speed_cycles: float) -> bool:

@@ -40,7 +40,6 @@ class Corners:
 
     @property
     def are_there(self) -> bool:
-        """There is a low-pass."""
         return bool(self.corner_hz or self.cosine_corner_hz)
 
     @property

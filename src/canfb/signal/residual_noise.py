@@ -49,7 +49,6 @@ class ResidualNoise:
         self.forget()
 
     def forget(self) -> None:
-        """Another table or encoder: the noise is another one."""
         self.rms_cycles = math.nan
         self._reference: list[float] = []
         self._recent: deque[float] = deque(maxlen=REFERENCE_BLOCKS)
@@ -65,7 +64,6 @@ class ResidualNoise:
         return min(max(self._recent), MOST_GROWTH * max(self._reference))
 
     def take(self, feedback: Feedback) -> bool:
-        """A sample; True if a block is complete with it."""
         if feedback.samples < self.due:
             return False
         if feedback.status & (BAD | VALID) != VALID:
@@ -81,7 +79,6 @@ class ResidualNoise:
         return self._complete(feedback.samples)
 
     def _shows_all(self) -> bool:
-        """The errors of all phases are in this block."""
         step = abs(self._speed_cycles - round(self._speed_cycles))
         return self._eighths.bit_count() >= EIGHTHS and step >= LEAST_STEP
 

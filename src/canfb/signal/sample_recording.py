@@ -30,11 +30,9 @@ class SampleRecording:
 
     @property
     def is_full(self) -> bool:
-        """True if it takes no more samples."""
         return len(self) >= self.capacity
 
     def clear(self) -> None:
-        """Drop all samples."""
         self._counts = array("h")
 
     def take(self, sine: int, cosine: int) -> None:

@@ -186,7 +186,6 @@ class SampleTimes:
     def _is_as_heard(
         self, passed_s: float, off_s: float, apart_s: float | None, heard_apart_s: float, spare_s: float
     ) -> bool:
-        """By receive times of both SYNCs; of both samples, if it is open which SYNC one of them answers."""
         error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
         is_timer = apart_s is None or self.grid.deviation * TICK_S < self._heard_s
         return error_s <= spare_s or (is_timer and off_s <= spare_s and error_s < UNDECLARED * self.unit_s)

@@ -90,7 +90,6 @@ class SpeedHypotheses:
                 one.limit(largest, instant_error)
 
     def skip(self, elapsed: float) -> None:
-        """No usable phase after so many intervals."""
         self._gap += elapsed
         if self._good is not None:
             self._good.skip(elapsed)
@@ -136,7 +135,6 @@ class SpeedHypotheses:
 
     @property
     def _sets(self) -> list[SpeedSet]:
-        """Those that have taken the last sample."""
         good = [] if self._good is None else [self._good]
         return good + [row.speeds for row in self._rows if row.taken]
 

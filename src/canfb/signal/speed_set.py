@@ -75,7 +75,6 @@ class SpeedSet:
         self._largest, self._instant_error = largest, instant_error
 
     def skip(self, elapsed: float) -> None:
-        """No usable phase after so many intervals."""
         self._gap += elapsed
 
     def skip_first(self, phase: float) -> None:
@@ -83,7 +82,6 @@ class SpeedSet:
         self._origin, self._gap = (phase, 0.0), 0.0
 
     def copy(self) -> SpeedSet:
-        """Another one that can go on by itself."""
         other = copy(self)
         other._counts, other._phases, other._since = self._counts[:], self._phases[:], self._since[:]
         return other

@@ -102,7 +102,6 @@ class Stages:
     # What may change between two samples.
 
     def set_limits(self, limits: ChainLimits) -> None:
-        """Take new limits. Another encoder resets coarse track and zero pulse."""
         self.estimator.declare(limits)
         self._supervision.set_limits(limits.sample)
         self._frozen.residual_limit_cycles = limits.residual_limit
@@ -123,18 +122,15 @@ class Stages:
             self.use_second(self.second.sensor)
 
     def use_second(self, sensor: SecondSensor | None) -> None:
-        """Compare with another sensor from now on, or with none."""
         self._nothing_in_doubt = False
         self.second = None if sensor is None else SecondPosition(sensor, self.reference)
 
     def activate(self, correction: Correction) -> None:
-        """Take another ``correction``. TypeError if its table is none."""
         self.tracks.activate(correction)
         self._base_status = 0 if correction.table is None else TABLE_ACTIVE
         self._tracks_changed()
 
     def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
-        """As :meth:`Conditioner.adapt`."""
         self.tracks.adapt(limits, start_from)
         self._tracks_changed()
 
@@ -183,7 +179,6 @@ class Stages:
         self.reference.slipped()
 
     def _forget_sample(self) -> None:
-        """The next sample is the first of its kind."""
         self._nothing_in_doubt = False
         self.last = self.place = None
         self._sine = self._cosine = nan
@@ -251,7 +246,6 @@ class Stages:
         timed: bool,
         extras: Extras | None,
     ) -> Feedback:
-        """A sample that is not usual; ``stages`` up to its phase."""
         s, c, amplitude, raw, phase = stages
         sample, bad, unplaced, next_one, pulse, newest = extras or Extras(Sample(sine, cosine))
         faults = self._supervision.faults(sine, cosine, amplitude)
@@ -307,7 +301,6 @@ class Stages:
         return self._feedback((nan, nan, 0.0, nan), track, bits | MISSED, 0)
 
     def lose(self) -> Feedback:
-        """The position is lost from now on: no cycles were counted."""
         self.estimator.lose(LossCause.TIME)
         self.reference.slipped()
         return self._feedback((nan, nan, 0.0, nan), self._tracker.predict(0.0), LOST, 0)
@@ -339,7 +332,6 @@ class Stages:
         return self.last
 
     def _look_again(self, feedback: Feedback) -> None:
-        """After ``feedback``: may the next sample be a usual one?"""
         estimator, frozen = self.estimator, self._frozen
         in_doubt = estimator.in_doubt or self.reference.in_doubt or self.second is not None
         self._stands = frozen.stands

@@ -44,7 +44,6 @@ class Starts:
         self._unit = 1.0  # that of the speeds, in intervals as they are counted now
 
     def rescale(self, factor: float) -> None:
-        """Intervals are counted in another unit."""
         self._unit *= factor
 
     def stop(self) -> None:
@@ -52,7 +51,6 @@ class Starts:
         self.active, self._tried = None, True
 
     def skip(self, elapsed: float) -> None:
-        """No usable phase after so many intervals."""
         if self.active is not None:
             self.active.skip(elapsed / self._unit)
 
@@ -134,5 +132,4 @@ class Starts:
 
 
 def _row(declared: Declared, largest: float) -> int:
-    """Bad samples in a row that a start is held against."""
     return declared.bad or min(declared.bad_samples, longest_decidable_row(largest, declared.phase_error))

@@ -219,7 +219,6 @@ class Stream:
         return np.flatnonzero(~(np.isfinite(raw) & (np.abs(sine) < BIG) & (np.abs(cosine) < BIG))).tolist()
 
     def _bad(self, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> list[int]:
-        """The samples that do not keep the limits; in nearly every block the extremes show that all do."""
         lowest, highest, smallest, largest = self._bounds
         amplitude = result.amplitude
         least, most = amplitude.min(), amplitude.max()
@@ -263,7 +262,6 @@ class Stream:
         return k
 
     def _step(self, k: int, sine: AnyArray, cosine: AnyArray, result: ChainResult) -> None:
-        """One sample through the stages."""
         got = self._stages.take(float(sine[k]), float(cosine[k]))
         result.cycles[k], result.phase[k], result.residual[k] = got.cycles, got.phase, got.residual
         result.amplitude[k], result.raw_phase[k] = got.amplitude, got.raw_phase

@@ -68,7 +68,6 @@ class Supervision:
         self.set_limits(limits)
 
     def set_limits(self, limits: SampleLimits) -> None:
-        """Take new limits; no fault is remembered."""
         self._limits, self._known = limits, True
         self._usual, self._narrow = limits.bounds(), limits.bounds(after_fault=True)
         self.bounds = self._usual  # those in force, for the hot path to compare with
@@ -84,7 +83,6 @@ class Supervision:
             self.bounds = self._narrow if self.after_fault else self._usual
 
     def passed(self) -> None:
-        """A sample has kept the limits in force."""
         self.bounds, self.after_fault = self._usual, False
 
     def faults(self, sine: float, cosine: float, amplitude: float) -> int:

@@ -59,7 +59,6 @@ class TrackSectors:
         self.begin()
 
     def begin(self) -> None:
-        """No samples."""
         self.taken = self._filled = 0
         self._counts = [0] * SECTORS
         self._places, self._radial, self._tangential = ([0.0] * SECTORS for _ in range(3))

@@ -125,7 +125,6 @@ class Encoder:
 def _left(
     wave: np.ufunc, order: int, x: FloatArray, shift_rad: float, hertz: npt.ArrayLike, corner_hz: float
 ) -> FloatArray:
-    """What a low-pass of one pole, 0: none, leaves of a harmonic."""
     ratio = order * np.asarray(hertz, np.float64) / corner_hz if corner_hz else np.float64(0.0)
     left: FloatArray = wave(order * x + shift_rad - np.arctan(ratio)) / np.sqrt(1.0 + ratio * ratio)
     return left

@@ -96,12 +96,10 @@ def _changed(change: Change, signal: Signal = Signal.BOTH) -> Fault:
 
 
 def _moved(places: Callable[[slice], Counts], signal: Signal = Signal.BOTH) -> Fault:
-    """The samples of other ``places`` come in place of those that were taken."""
     return Fault(lambda samples, span, rng: samples.put(span, signal, samples.tracks(places(span))))
 
 
 def _last_good(span: slice) -> Counts:
-    """The place of the sample before ``span``, for each place within."""
     return np.full(span.stop - span.start, max(span.start - 1, 0))
 
 
@@ -206,8 +204,6 @@ def count_glitch() -> Fault:
 
 
 def lost_samples() -> Fault:
-    """No sample comes, and the receiver knows it."""
-
     def faulty(samples: Samples, span: slice, rng: Rng) -> Samples:
         delivered = samples.delivered.copy()
         delivered[span] = False

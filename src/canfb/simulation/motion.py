@@ -197,7 +197,6 @@ class MotionSource:
         return self._shaft.sample(self.machine_time(now), self.motion.revolutions)
 
     def next(self) -> Sample:
-        """The sample one interval after the one before: both tracks alone."""
         time_s = self._count * self._interval_s
         self._count += 1
         sine, cosine, *_ = self._shaft.sample(time_s, self.motion.revolutions)

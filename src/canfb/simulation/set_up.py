@@ -149,7 +149,6 @@ class SampleRecorder(SilentDevice):
         return len(self._counts) // 2
 
     def tracks(self) -> tuple[FloatArray, FloatArray]:
-        """Sine and cosine in ADC counts, NaN where a SYNC had no sample."""
         pairs = np.array(self._counts, np.float64).reshape(-1, 2)
         pairs[(pairs == MISSED).all(axis=1)] = np.nan
         return pairs[:, 0].copy(), pairs[:, 1].copy()

@@ -83,7 +83,6 @@ class EvenScans:
         return newest if newest >= self._interval else None
 
     def _next(self, last: int) -> int | None:
-        """The newest sample of this SYNC; None for a SYNC too soon after the one before."""
         interval, latest = self._interval, self._count - 1
         newest = last + interval
         lag = latest - newest
@@ -100,7 +99,6 @@ class EvenScans:
         return newest
 
     def _moved(self, newest: int, scans: int) -> int:
-        """The grid lies so many scans later from now on."""
         self._lags = deque((lag - scans for lag in self._lags), maxlen=LAGS)
         return newest + scans
 

@@ -162,7 +162,6 @@ def source_kinds() -> dict[str, type[SourceConfig]]:
 
 
 def _kind_of(name: str) -> type[SourceConfig]:
-    """The one subclass of SourceConfig that the file defines."""
     module = importlib.import_module(f"{canfb.sources.__name__}.{name}")
     (kind,) = (
         thing

@@ -162,7 +162,6 @@ def open_recording(file: str | Path, layout: RecordingLayout) -> RecordingSource
 
 
 def _counts(path: Path, columns: Columns, layout: RecordingLayout) -> FloatArray:
-    """Sine and cosine in whole counts, shape (n, 2)."""
     values = columns.values[:, :2]
     _check(
         path,
@@ -202,7 +201,6 @@ def _remedy(values: FloatArray) -> str:
 
 
 def _stretch(seconds: FloatArray, layout: RecordingLayout) -> float:
-    """By what the times of the rows are multiplied."""
     if layout.time_column is None or not layout.paced or len(seconds) < 2:
         return 1.0
     step_s = float(np.median(np.diff(seconds)))
@@ -210,7 +208,6 @@ def _stretch(seconds: FloatArray, layout: RecordingLayout) -> float:
 
 
 def _check(path: Path, columns: Columns, wrong: npt.ArrayLike, message: str) -> None:
-    """CanfbError with the line of the first row that is ``wrong``."""
     places = np.flatnonzero(wrong)
     if len(places):
         first = int(places[0])

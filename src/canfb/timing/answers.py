@@ -29,7 +29,6 @@ class Answers:
         self.forget()
 
     def forget(self) -> None:
-        """Another interface."""
         self.least_s = inf
         self._refused: dict[float, float] = {}  # by the place of the next SYNC: several of one are copies
 

@@ -67,7 +67,6 @@ class Grid:
         self.forget()
 
     def forget(self) -> None:
-        """Nothing is known."""
         self.period = self.deviation = 0.0
         self.seen = 0
         """Instants that carry the line."""

@@ -107,7 +107,6 @@ class Syncs:
         self.pause()
 
     def declare(self, jitter_s: float) -> None:
-        """2010:0D, seconds; 0.0: not declared."""
         self.grid.declare(jitter_s or USUAL_JITTER_S)
         self._low_s, self._high_s = inf, -inf
 
@@ -185,7 +184,6 @@ class Syncs:
             self.on_followed(self.synced_s, self.stamped)
 
     def _look_ahead(self) -> None:
-        """What a usual SYNC is, from now on."""
         grid = self.grid
         self._low_s, self._high_s = inf, -inf
         counted = self._counter is not None and self.overflow > 1
@@ -221,7 +219,6 @@ class Syncs:
         return (counter - self._counter - 1) % self.overflow
 
     def _taken(self, stamped: bool, lost: int, off: float = 0.0, doubt: float = 0.0) -> Judged:
-        """This SYNC counts, and those before it that were not received."""
         self.stamped, self.begun, self.extra_came = stamped, True, False
         self._assumed = False
         self.place += lost
@@ -261,7 +258,6 @@ class Syncs:
         return SyncVerdict(extra=True, doubt=1.0) if self._assumed else EXTRA, 0, 0.0
 
     def _set_again(self, places: int, off_s: float, missing: int | None) -> Judged:
-        """Another rate or phase: so much may have passed unnoticed meanwhile."""
         grid, before_s = self.grid, self.grid.period
         changed = grid.set_again(grid.row)
         doubt = max(1.0, grid.period / before_s) if changed else abs(off_s) / before_s

@@ -99,7 +99,6 @@ class LimitSettings:
 
 
 def limit_settings(read: Read) -> LimitSettings:
-    """Those of the module whose objects ``read`` gives."""
     mapped = [pdo.entries for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING)]
     residual = read(od.SUPERVISION_RESIDUAL_LIMIT)
     return LimitSettings(

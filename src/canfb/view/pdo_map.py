@@ -28,7 +28,6 @@ class Pdo(NamedTuple):
 
     @property
     def length_bytes(self) -> int:
-        """The least length of its frames."""
         return (sum(entry & 0xFF for entry in self.entries) + 7) // 8
 
     def values(self, data: bytes) -> dict[Multiplexer, bytes]:
@@ -44,11 +43,9 @@ class Pdo(NamedTuple):
         return found
 
     def carries(self, index: int) -> bool:
-        """An entry of this object."""
         return any(entry >> 16 == index for entry in self.entries)
 
     def bytes_of(self) -> dict[int, int]:
-        """The byte at which each entry begins."""
         at: dict[int, int] = {}
         bit = 0
         for entry in self.entries:
@@ -104,7 +101,6 @@ class PdoLayout:
 
     @property
     def is_timed(self) -> bool:
-        """Sample times come."""
         return self.time_byte is not None or self.timed_by is not None
 
     @property
@@ -155,7 +151,6 @@ def _layout(
     pdos = [(pdo.can_id, pdo.bytes_of()) for pdo in valid_pdos(read, parameters, mapping)]
 
     def carrier(pair: Pair) -> PdoLayout | None:
-        """The first PDO that has both objects."""
         both = ((can_id, at) for can_id, at in pdos if at.keys() >= set(pair))
         return next((PdoLayout(can_id, at[pair[0]], at[pair[1]]) for can_id, at in both), None)
 

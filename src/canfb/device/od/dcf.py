@@ -158,7 +158,6 @@ def _commissioning(commissioning: Commissioning) -> dict[str, str]:
 
 
 def _as_text(parser: RawConfigParser, commissioning: Mapping[str, str]) -> str:
-    """All sections, [DeviceComissioning] after [DeviceInfo]."""
     blocks = []
     for section in parser.sections():
         blocks.append(_block(section, dict(parser.items(section))))

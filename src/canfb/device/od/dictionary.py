@@ -114,11 +114,9 @@ class Entry:
         return datatypes.byte_length(self.data_type)
 
     def current(self) -> Any:
-        """The live value."""
         return self.value if self.on_read is None else self.on_read()
 
     def encode(self) -> bytes:
-        """Bytes of the current value, or ValueError."""
         value = self.current()
         try:
             return datatypes.encode(self.data_type, value)
@@ -242,7 +240,6 @@ class Dictionary:
         return dictionary
 
     def entry(self, index: int, subindex: int = 0) -> Entry:
-        """The entry, or KeyError."""
         try:
             return self._entries[index, subindex]
         except KeyError:
@@ -256,7 +253,6 @@ class Dictionary:
             self.entry(*place).on_read = read
 
     def find(self, index: int, subindex: int = 0) -> Entry | None:
-        """The entry, or None."""
         return self._entries.get((index, subindex))
 
     def assumed(self, index: int, subindex: int = 0, value: int = 0) -> Entry:
@@ -281,11 +277,9 @@ class Dictionary:
         return len(self._entries)
 
     def objects(self) -> Iterator[ObjectInfo]:
-        """What each index holds, ascending."""
         return iter(self._objects.values())
 
     def indices(self, area: range) -> Sequence[int]:
-        """The indices within ``area``, ascending."""
         first, end = (bisect_left(self._indices, index) for index in (area.start, area.stop))
         return self._indices[first:end]
 
@@ -307,7 +301,6 @@ class Dictionary:
 
 @lru_cache(maxsize=32)
 def _template(content: bytes, node_id: int) -> tuple[Entry, ...]:
-    """Entries of which each dictionary gets copies."""
     return tuple(_entry(one, node_id) for one in eds.content_described(content).entries)
 
 
@@ -335,7 +328,6 @@ def _entry(described: Description, node_id: int) -> Entry:
 
 
 def _guess_objects(entries: Iterable[tuple[int, int]]) -> list[ObjectInfo]:
-    """Of entries alone: sub-index 0 is a VAR, more are a RECORD."""
     subindices: dict[int, list[int]] = {}
     for index, subindex in entries:
         subindices.setdefault(index, []).append(subindex)

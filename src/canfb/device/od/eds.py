@@ -323,7 +323,6 @@ def _dummy_types(parser: RawConfigParser) -> frozenset[int]:
 
 
 def _option_number(parser: RawConfigParser, section: str, option: str) -> int | None:
-    """The number of a key, None where it is missing or blank. ValueError that names it."""
     text = parser.get(section, option, fallback="").strip()
     try:
         return whole(text) if text else None
@@ -332,7 +331,6 @@ def _option_number(parser: RawConfigParser, section: str, option: str) -> int | 
 
 
 def _kind(parser: RawConfigParser, section: str) -> ObjectKind:
-    """The object type; a missing one means VAR (CiA 306)."""
     code = _option_number(parser, section, "ObjectType")
     try:
         return ObjectKind.VAR if code is None else ObjectKind(code)
@@ -346,7 +344,6 @@ def _default_option(parser: RawConfigParser, section: str, option: str, value: s
 
 
 def _expand_compact(parser: RawConfigParser, section: str) -> None:
-    """Write CompactSubObj (CiA 306) out as one section for each sub-index."""
     count = _option_number(parser, section, "CompactSubObj")
     parser.remove_option(section, "CompactSubObj")
     if not count:

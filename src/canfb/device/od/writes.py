@@ -21,7 +21,6 @@ TURNS = range(5)
 
 
 def turn(entry: Entry) -> int:
-    """When the entry is to be written, of `TURNS`."""
     if _is_mapping_count(entry):
         return 1
     if entry.index == _CYCLE_PERIOD:

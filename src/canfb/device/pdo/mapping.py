@@ -57,7 +57,6 @@ def resolve(dictionary: Dictionary, mapping: int, direction: Direction) -> Slot:
 
 
 def resolve_all(dictionary: Dictionary, mappings: Sequence[int], direction: Direction) -> list[Slot]:
-    """All objects of a PDO, or SdoAbort."""
     slots = [resolve(dictionary, mapping, direction) for mapping in mappings]
     if sum(slot.bits for slot in slots) > LONGEST_BITS:
         raise SdoAbort(AbortCode.PDO_LENGTH)
@@ -127,12 +126,10 @@ class PdoParameters:
 
     @property
     def can_id(self) -> int:
-        """CAN-ID of the PDO."""
         return int(self.cob_id.value & cob.CAN_ID)
 
     @property
     def allows_remote(self) -> bool:
-        """Bit 30 of its COB-ID is 0."""
         return not self.cob_id.value & cob.NO_RTR
 
     def further(self, subindex: int) -> Entry:

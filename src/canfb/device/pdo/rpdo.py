@@ -48,12 +48,10 @@ class Rpdo(Timed):
 
     @property
     def can_id(self) -> int | None:
-        """Where it listens now, or None."""
         return None if self._unpack is None else self._parameters.can_id
 
     @property
     def configured_can_id(self) -> int | None:
-        """Its CAN-ID while it is valid."""
         return self._parameters.can_id if self._parameters.is_valid else None
 
     def enable(self, operational: bool, now: float) -> None:
@@ -71,7 +69,6 @@ class Rpdo(Timed):
         self._supervised = self._failed or self._timeout_s > 0
 
     def handle(self, data: bytes, now: float) -> None:
-        """The PDO from the bus."""
         unpack = self._unpack
         if unpack is None:
             return
@@ -91,7 +88,6 @@ class Rpdo(Timed):
         self._core.process.rpdo_received(self.number, now)
 
     def synchronise(self, now: float) -> None:
-        """Take over what came since."""
         data, unpack = self._pending, self._unpack
         self.waiting = 0
         if data is not None and unpack is not None:
@@ -100,13 +96,11 @@ class Rpdo(Timed):
             self._core.process.rpdo_received(self.number, now)
 
     def tick(self, now: float) -> None:
-        """The PDO did not come in time."""
         if now >= self.deadline:
             self.deadline = NEVER
             self._report(EmergencyCode.RPDO_TIMEOUT, bytes([self.number & 0xFF]), now)
 
     def _keep(self, data: bytes, now: float) -> None:
-        """Until the next SYNC."""
         if now <= self._core.window_end:
             self._pending = data
             self.waiting += 1
@@ -120,7 +114,6 @@ class Rpdo(Timed):
         self._core.process.rpdo_too_short(self.number, received, mapped, now)
 
     def _accept_long(self, received: int, mapped: int, now: float) -> None:
-        """Only its length is an error."""
         self._counters.long_rpdos += 1
         self._report(EmergencyCode.RPDO_LENGTH_EXCEEDED, bytes([self.number & 0xFF, received, mapped]), now)
         self._clear(EmergencyCode.RPDO_LENGTH, now)
@@ -132,7 +125,6 @@ class Rpdo(Timed):
         self._emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
 
     def _supervise(self, now: float) -> None:
-        """Errors are over, the time-out restarts."""
         if self._failed:
             self._clear_errors(now)
             self._supervised = self._timeout_s > 0

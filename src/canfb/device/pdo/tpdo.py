@@ -62,14 +62,12 @@ class Tpdo(Timed):
 
     @property
     def remote_can_id(self) -> int | None:
-        """Where it answers remote frames now, or None."""
         if self._pack is None or not self._parameters.allows_remote:
             return None
         return self._can_id
 
     @property
     def configured_can_id(self) -> int | None:
-        """Its CAN-ID while it is valid."""
         return self._parameters.can_id if self._parameters.is_valid else None
 
     @property
@@ -100,7 +98,6 @@ class Tpdo(Timed):
         self._schedule()
 
     def trigger(self, now: float) -> None:
-        """An event of the application."""
         if self._event_driven and now >= self._not_before:
             self.send(now)
         elif self._pack is not None:
@@ -108,7 +105,6 @@ class Tpdo(Timed):
             self._schedule()
 
     def synchronise(self, now: float, counter: int | None) -> None:
-        """A SYNC."""
         if self._type == SYNC_REMOTE:
             self._sampled = b"" if self._pack is None else self._pack()
         elif self._is_turn(counter):
@@ -124,7 +120,6 @@ class Tpdo(Timed):
             self._restart(now)
 
     def request(self, now: float) -> None:
-        """A remote frame asks for the TPDO."""
         if self._type == SYNC_REMOTE:
             if self._sampled is not None:
                 self._emit(Frame(self._can_id, self._sampled))
@@ -135,17 +130,14 @@ class Tpdo(Timed):
 
     @property
     def is_inhibited(self) -> bool:
-        """Whether an inhibit time holds it now."""
         return self._event_driven and self._inhibit_s > 0
 
     def sent(self, now: float) -> None:
-        """It has left: the inhibit time counts from here."""
         if self.is_inhibited:
             self._not_before = now + self._inhibit_s
             self._schedule()
 
     def tick(self, now: float) -> None:
-        """Inhibit time or event timer is over."""
         timer_over = now >= self._timer_end
         if (self._event and self._event_driven) or timer_over:
             if now >= self._not_before:
@@ -234,7 +226,6 @@ def _packer_of_any(pack: Callable[..., bytes], entries: tuple[Entry, ...]) -> Pa
 
 
 def _unfit(entries: tuple[Entry, ...]) -> ValueError:
-    """Names the entry whose value does not fit."""
     for entry in entries:
         try:
             entry.encode()

@@ -72,11 +72,9 @@ class BlockUpload(Transfer):
         reply(bytes([answer]) + multiplexer + len(data).to_bytes(4, "little"))
 
     def accepts(self, command: int) -> bool:
-        """Of a block upload, but no new one."""
         return command >> 5 == BLOCK_UPLOAD and bool(command & 0x03)
 
     def handle(self, data: bytes) -> bool:
-        """Start, acknowledge or end."""
         subcommand = data[0] & 0x03
         if subcommand != self._expected:
             raise SdoAbort(AbortCode.COMMAND)
@@ -89,7 +87,6 @@ class BlockUpload(Transfer):
         return True
 
     def proceed(self) -> None:
-        """Send the next segments of the block."""
         for _ in range(BURST):
             self._send_segment()
             if self._sequence == self._block_size or self._is_last(self._sequence):
@@ -151,7 +148,6 @@ class BlockDownload(Download):
         reply(bytes([answer]) + multiplexer + bytes([DOWNLOAD_BLOCK]))
 
     def accepts(self, command: int) -> bool:
-        """Segments, then the end."""
         if self._complete:
             return command >> 5 == BLOCK_DOWNLOAD and bool(command & 0x01)
         return command != ABORT_COMMAND and command & _SEQUENCE <= DOWNLOAD_BLOCK

@@ -57,13 +57,11 @@ class SdoServer(Timed):
         }
 
     def drop(self) -> None:
-        """Give the transfer up without a word."""
         self._transfer = None
         self._forget_answer()
         self.deadline = NEVER
 
     def handle(self, data: bytes, now: float) -> None:
-        """A frame of the client."""
         if len(data) != _FRAME_LENGTH:
             self._counters.malformed_frames += 1
             return
@@ -89,7 +87,6 @@ class SdoServer(Timed):
         self._schedule(now)
 
     def tick(self, now: float) -> None:
-        """The next segments, or a silent client is given up."""
         transfer = self._transfer
         if transfer is None or now < self.deadline:
             return
@@ -113,7 +110,6 @@ class SdoServer(Timed):
         self._emit(Frame(self.response_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
 
     def _written(self, multiplexer: bytes, payload: bytes, code: AbortCode | None) -> None:
-        """What the answer has waited for is done, or failed."""
         self._pending = None
         if code is None:
             self._reply(payload)
@@ -121,7 +117,6 @@ class SdoServer(Timed):
             self._abort(multiplexer, code)
 
     def _forget_answer(self) -> None:
-        """The client does not wait any more."""
         pending, self._pending = self._pending, None
         if pending is not None:
             pending.on_end = None
@@ -134,7 +129,6 @@ class SdoServer(Timed):
         return self._dictionary.lookup(data[1] | data[2] << 8, data[3])
 
     def _writable(self, data: bytes) -> Entry:
-        """The entry of a download, or SdoAbort."""
         entry = self._entry(data)
         entry.check_writable()
         self._core.application.check_write(entry)
@@ -202,7 +196,6 @@ class SdoChannel:
 
     @property
     def request_id(self) -> int | None:
-        """Where the server listens, or None."""
         if self._index == FIRST_INDEX:
             return cob.SDO_REQUEST + self._core.node_id
         if not (cob.is_valid(self._request.value) and cob.is_valid(self._response.value)):
@@ -211,11 +204,9 @@ class SdoChannel:
 
     @property
     def response_id(self) -> int | None:
-        """The CAN-ID of the answers, or None."""
         return None if self.request_id is None else self.server.response_id
 
     def configure(self) -> None:
-        """Read the parameters again."""
         self.server.drop()
         if self._index != FIRST_INDEX:
             self.server.response_id = self._response.value & cob.CAN_ID

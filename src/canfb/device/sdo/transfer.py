@@ -107,11 +107,9 @@ class SegmentedUpload(Transfer):
         reply(b"\x41" + multiplexer + len(data).to_bytes(4, "little"))
 
     def accepts(self, command: int) -> bool:
-        """Upload segment requests."""
         return command >> 5 == UPLOAD_SEGMENT
 
     def handle(self, data: bytes) -> bool:
-        """Answer a request with the next segment."""
         if data[0] & _TOGGLE != self._toggle:
             raise SdoAbort(AbortCode.TOGGLE)
         segment = self._data[self._position : self._position + _SEGMENT]
@@ -144,11 +142,9 @@ class SegmentedDownload(Download):
         reply(b"\x60" + multiplexer)
 
     def accepts(self, command: int) -> bool:
-        """Download segment requests."""
         return command >> 5 == DOWNLOAD_SEGMENT
 
     def handle(self, data: bytes) -> bool:
-        """The last segment writes the entry."""
         command = data[0]
         if command & _TOGGLE != self._toggle:
             raise SdoAbort(AbortCode.TOGGLE)

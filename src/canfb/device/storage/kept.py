@@ -67,7 +67,6 @@ class KeptEntries:
         self._saved_value[index, subindex] = saved
 
     def of(self, group: ParameterGroup) -> Iterator[Entry]:
-        """The entries of a group, ascending."""
         indices = RANGES[group]
         for index, subindex in sorted(self._places):
             if index in indices:
@@ -79,7 +78,6 @@ class KeptEntries:
             yield self._dictionary.lookup(index, subindex)
 
     def find(self, group: ParameterGroup, index: int, subindex: int) -> Entry | None:
-        """A stored parameter of the group, or None."""
         if (index, subindex) not in self._places or index not in RANGES[group]:
             return None
         return self._dictionary.lookup(index, subindex)
@@ -171,7 +169,6 @@ def _write(values: list[Value]) -> None:
 
 
 def _refusal(entry: Entry, value: Any) -> str:
-    """Write one value; why not, or nothing."""
     try:
         entry.check(value)
     except SdoAbort as abort:

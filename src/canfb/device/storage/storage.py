@@ -66,7 +66,6 @@ class Writing(Timed):
 
     @property
     def is_busy(self) -> bool:
-        """Whether a change is on its way."""
         return bool(self._waiting)
 
     def write(self, changes: Changes, done: Done) -> None:
@@ -87,7 +86,6 @@ class Writing(Timed):
             done(None)
 
     def tick(self, now: float) -> None:
-        """Ask the store whether it is done."""
         ended = () if self._background is None else self._background.ended()
         for error in ended:
             self._waiting.popleft()(error)
@@ -111,11 +109,9 @@ class MemoryStore:
         self.images: dict[ParameterGroup, bytes] = {}
 
     def load(self) -> Mapping[ParameterGroup, bytes | OSError]:
-        """What is kept."""
         return dict(self.images)
 
     def save(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
-        """Keep or forget."""
         keep(self.images, changes)
 
 
@@ -152,11 +148,9 @@ class Storage:
 
     @property
     def is_there(self) -> bool:
-        """Whether there is a store."""
         return self._store is not None
 
     def power_on(self) -> None:
-        """Ask the store for what it keeps."""
         self._images, self.faults = {}, {}
         if self._store is None:
             return
@@ -208,7 +202,6 @@ class Storage:
         self.faults[group] = reason
 
     def report_faults(self) -> None:
-        """Tell the program."""
         self._core.application.parameters_refused(dict(self.faults), self._core.call.now)
 
     def _identity(self) -> Identity:
@@ -233,12 +226,10 @@ class Storage:
         self._command(dict.fromkeys(there), self.configuration_changed)
 
     def _image(self, group: ParameterGroup) -> bytes | None:
-        """The present values of a group, or None."""
         records = self.entries.records(group, self._core.node_id)
         return encode_image(group, self._identity(), records) if records else None
 
     def _command(self, changes: Changes, kept: Callable[[], None]) -> None:
-        """Write `changes`, then call `kept`; SDO waits."""
         pending = Pending()
 
         def done(error: OSError | None) -> None:
@@ -261,7 +252,6 @@ class Storage:
             self.writing.write(changes, partial(self._written, changes, done))
 
     def _written(self, changes: Changes, done: Done, error: OSError | None) -> None:
-        """The store has kept the changes, or failed."""
         now, application = self._core.call.now, self._core.application
         if error is not None:
             application.saving_failed(list(changes), error.strerror or str(error), now)

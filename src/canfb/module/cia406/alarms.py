@@ -30,7 +30,6 @@ class PositionAlarm:
         self.reset()
 
     def reset(self) -> None:
-        """No error is active."""
         self.active = self._said_lost = False
         self._ended_s = -NEVER
 
@@ -98,13 +97,11 @@ class Warnings:
         self._mask.on_written = self.look_again
 
     def reset(self) -> None:
-        """After an NMT reset: what persists is reported again."""
         self._reported = 0
         self.limits_changed()
         self.look_again()
 
     def look_again(self) -> None:
-        """Follow the next sample in any case."""
         self.last_status = NO_STATUS
 
     def limits_changed(self) -> None:
@@ -133,7 +130,6 @@ class Warnings:
         self.limits_changed()
 
     def _is_over(self, bit: int, now: float) -> bool:
-        """No hold time for a zero pulse, nor for a warning that is masked."""
         if bit == NOT_REFERENCED or not self._mask.value & bit:
             return True
         hold_s: float = self._hold_ms.value / 1000.0

@@ -20,7 +20,6 @@ class Span(NamedTuple):
     high: int
 
     def holds(self, position: int) -> bool:
-        """Whether it is in the span."""
         low, high = self
         return low <= position <= high if low <= high else not high < position < low
 
@@ -117,14 +116,12 @@ class Cams:
                 limit.on_written = self._configure
 
     def configure(self, total_range: int) -> None:
-        """Take over all parameters; forget the hysteresis."""
         self._total_range = total_range
         for cam in self._cams:
             cam.active = False
         self._configure()
 
     def follow(self, position: int) -> None:
-        """A valid position."""
         for cam in self._followed:
             cam.update(position)
 

@@ -130,7 +130,6 @@ class EncoderProfile:
         self.reset()
 
     def reset(self) -> None:
-        """No position, no alarm."""
         self._alarms.value = 0
         self.rescale()
 
@@ -163,7 +162,6 @@ class EncoderProfile:
                 self.cams.follow(self._position.value)
 
     def alarm_position(self, active: bool) -> None:
-        """Bit 0 of 6503h."""
         self._alarms.value = self._alarms.value & ALARM_PARAMETERS | (ALARM_POSITION if active else 0)
 
     def alarm_parameters(self, refused: bool) -> None:
@@ -181,7 +179,6 @@ class EncoderProfile:
         return scale.units(*self._latest.place(last)) % scale.total_range
 
     def _preset(self, written: Entry) -> None:
-        """Move the position. A preset that `save` has kept does not: 6509h holds what it led to."""
         value = written.value
         if value >= self.scale.total_range:
             raise SdoAbort(AbortCode.INVALID_VALUE)

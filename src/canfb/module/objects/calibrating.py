@@ -193,7 +193,6 @@ class Calibrating:
         self._complete()
 
     def miss(self) -> None:
-        """A SYNC without a sample."""
         self._times.append(NO_TIME)
         self._turned.append(0.0)
         self._samples.miss()
@@ -281,7 +280,6 @@ class Calibrating:
         return math.nan if self._calibration is None else float(getattr(self._calibration, name))
 
     def _drift(self) -> Drift:
-        """Against what is in force now."""
         if self._calibration is None or self._reason != Reason.ACCEPTED:
             return UNKNOWN
         active, known = self._chain.correction, self._compared

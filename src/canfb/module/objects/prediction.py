@@ -106,7 +106,6 @@ class Prediction:
         self._show(cycles, phase)
 
     def withdraw(self) -> None:
-        """The TPDOs of the SYNC are sampled."""
         if self.measured is not None:
             self._position.value, self._fine.value, self._status.value = self.measured
             self.measured = None

@@ -61,7 +61,6 @@ class Latest:
         self.forget()
 
     def forget(self) -> None:
-        """No sample."""
         self.feedback: Feedback | None = None
         self.valid: Feedback | None = None
 
@@ -105,7 +104,6 @@ class LastLoss:
         self.reset()
 
     def reset(self) -> None:
-        """Not lost since."""
         self.cause = LossCause.NONE
         self.bad_samples = self.faults = 0
         self._lost_s = 0.0
@@ -115,7 +113,6 @@ class LastLoss:
         self._is_lost = False
 
     def follow(self, feedback: Feedback) -> None:
-        """A sample with a fault, or without a valid position."""
         status, number = feedback.status, feedback.samples
         if status & VALID or number != self._before + 1:
             self._bad = self._row_faults = 0
@@ -178,7 +175,6 @@ class Publication:
         self.reset()
 
     def reset(self) -> None:
-        """No feedback; losses are counted again."""
         self._last_raw = 0.0  # the last one before the present sample
         self._lost = False
         self._loss.reset()
@@ -188,7 +184,6 @@ class Publication:
         self._status.value &= ~VALID
 
     def count(self, feedback: Feedback) -> None:
-        """Before it is the latest one."""
         self._last_raw = self._known_raw()
         self.count_between(feedback)
 
@@ -216,7 +211,6 @@ class Publication:
         return self._latest.feedback or STILL
 
     def _known_raw(self) -> float:
-        """The last raw phase that there was."""
         raw = self._last.raw_phase
         return raw if raw == raw else self._last_raw
 
@@ -225,7 +219,6 @@ class Publication:
         return min(int(amplitude), U16) if amplitude == amplitude else 0
 
     def _rad_s(self, per_interval: float, power: int) -> float:
-        """Cycles per interval (squared) in rad and s; cut off to REAL32."""
         interval_s = self._interval.sample_s
         if interval_s <= 0.0:
             return 0.0

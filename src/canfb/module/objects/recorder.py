@@ -32,12 +32,10 @@ class SampleObservers:
         self.open: tuple[SampleObserver, ...] = ()
 
     def add(self, observer: SampleObserver) -> None:
-        """From the next sample on."""
         if observer not in self.open:
             self.open = (*self.open, observer)
 
     def remove(self, observer: SampleObserver) -> None:
-        """No more samples for it."""
         self.open = tuple(one for one in self.open if one is not observer)
 
     def take_all(
@@ -58,7 +56,6 @@ class SampleObservers:
             observer.take(sample, feedback)
 
     def miss(self) -> None:
-        """A SYNC without a sample."""
         for observer in self.open:
             observer.miss()
 
@@ -96,7 +93,6 @@ class Recorder:
         self._recording.clear()
 
     def stop(self) -> None:
-        """What there is stays."""
         self._observers.remove(self)
 
     def take(self, sample: Sample, feedback: Feedback) -> None:
@@ -108,7 +104,6 @@ class Recorder:
         self._stop_if_full()
 
     def miss(self) -> None:
-        """A SYNC without a sample."""
         self._recording.miss()
         self._stop_if_full()
 

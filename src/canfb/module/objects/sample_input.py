@@ -53,7 +53,6 @@ class SampleInput:
         self._use(tracks=None)
 
     def configure(self) -> None:
-        """PDO parameters or the NMT state have changed."""
         with_ = self._node.rpdo_with
         earlier = [with_(*pair) for pair in od.SAMPLE_EARLIER]
         self._use(
@@ -74,7 +73,6 @@ class SampleInput:
         place: int | None = None,
         earlier: list[int | None] | None = None,
     ) -> None:
-        """The RPDO with each part, None: no RPDO brings it."""
         self._earlier = self.all_earlier[: len(earlier or ())]
         parts = {tracks, coarse, time, flags, place, *(earlier or ())} - {None}
         self._required = 0 if tracks is None else sum(1 << number for number in parts if number is not None)
@@ -143,7 +141,6 @@ class SampleInput:
         return self._waiting is not None and self._waiting.waiting > 1
 
     def sample(self) -> Sample:
-        """Of the parts that have come."""
         flags = self.flags.value
         invalid = flags & SAMPLE_INVALID != 0
         pulse = None

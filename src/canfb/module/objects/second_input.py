@@ -49,7 +49,6 @@ class SecondInput:
         self._chain.use_second(self.sensor)
 
     def configure(self) -> None:
-        """PDO parameters or the NMT state have changed."""
         self.number = self._node.rpdo_with(od.SAMPLE_SECOND_POSITION)
         second = self._chain.second
         if self.sensor != (None if second is None else second.sensor):

@@ -85,7 +85,6 @@ class TableStore:
         return self._values[part]
 
     def _saved_crc(self) -> int:
-        """0 for the identity, and where nothing is saved."""
         for record in self._storage.records(ParameterGroup.MANUFACTURER) or ():
             if (record.index, record.subindex) == od.TABLE_STAGED and record.data:
                 return zlib.crc32(record.data)

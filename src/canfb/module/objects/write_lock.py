@@ -55,7 +55,6 @@ class WriteLock:
         return None
 
     def reset(self) -> None:
-        """Locked again."""
         self._unlocked = False
 
     def check_write(self, entry: Entry | None) -> None:

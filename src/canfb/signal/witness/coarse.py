@@ -25,11 +25,9 @@ class CoarseScale:
         self.noise_cycles = NOISE_LSB / (math.pi * full_scale_counts) * cycles_per_revolution
 
     def moved_cycles(self, since: Pair, now: Pair) -> float:
-        """As :class:`WitnessScale`."""
         return (now.value - since.value) * self.period_cycles
 
     def difference_cycles(self, since: Pair, now: Pair) -> float:
-        """As :class:`WitnessScale`."""
         return self.moved_cycles(since, now) - (now.cycles - since.cycles) - (now.phase - since.phase)
 
 
@@ -44,13 +42,11 @@ class CoarseTrack(Witness):
         self.firm = True
 
     def limit(self, full_scale_counts: int, limit_revolutions: float) -> None:
-        """Take other limits."""
         scale = CoarseScale(self.scale.given[0], full_scale_counts, limit_revolutions)
         if scale.given != self.scale.given:
             self.use(scale)
 
     def forget(self) -> None:
-        """As :meth:`Witness.forget`; there is nothing to learn."""
         super().forget()
         self.firm = True
 

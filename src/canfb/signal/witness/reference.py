@@ -77,7 +77,6 @@ class Reference:
         self._speed_known = True
 
     def missed(self) -> None:
-        """A sample did not come."""
         self.slipped() if self.estimator.lost else self.coarse.restart_search()
 
     def slipped(self) -> None:

@@ -35,7 +35,6 @@ class SecondPosition:
         self.witness.proven = reference.estimator.tracker.started  # the position there is is believed
 
     def restart(self, keep: bool = False) -> None:
-        """After a start. ``keep``: the position goes on from before."""
         self.witness.restart(keep)
         self._values.restart(keep)
         self._waited = self._samples_since_start = 0
@@ -45,7 +44,6 @@ class SecondPosition:
         self._forget_sample()
 
     def _forget_sample(self) -> None:
-        """What was counted since the last sample is unknown."""
         self._place: tuple[Track, int, float] | None = None  # the last sample: place, status bits, time
         self._before: deque[Track] = deque(maxlen=MOST_LATE)  # places of the samples before it
         self._samples = 0  # since a value was heard
@@ -138,7 +136,6 @@ class SecondPosition:
         return self._bits(bits), jump
 
     def _shift(self, jump: int) -> None:
-        """The count was corrected: the places of earlier samples go along."""
         if jump:
             self._before = deque((_shifted(one, jump) for one in self._before), maxlen=MOST_LATE)
             if self._place is not None:
@@ -146,7 +143,6 @@ class SecondPosition:
                 self._place = _shifted(track, jump), bits, time
 
     def _wait(self) -> None:
-        """A sample without a value that says something."""
         if not self.witness.proven:
             self._waited += 1
             self.witness.proven = self._waited > START_SAMPLES
@@ -172,7 +168,6 @@ class SecondPosition:
         return bits | SECOND_POSITION
 
     def _judge(self, pair: Pair, taken: bool, alone: bool) -> None:
-        """A value to a position that is not lost."""
         witness, values = self.witness, self._values
         if witness.proven:
             if values.is_stale(pair, moving=True):

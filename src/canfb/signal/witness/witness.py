@@ -81,7 +81,6 @@ class Witness:
         self.restart_search()
 
     def forget(self) -> None:
-        """Forget where both stand for the same place."""
         self.origin: Pair | None = None
         self.firm = False
         self.disagreeing = 0
@@ -94,7 +93,6 @@ class Witness:
 
     @property
     def disagrees(self) -> bool:
-        """It contradicts the position."""
         return self.disagreeing >= DISAGREEING
 
     @property

@@ -42,12 +42,10 @@ class ZeroPulse:
         self.forget()
 
     def forget(self) -> None:
-        """Forget where the zero pulse is."""
         self._places: dict[bool, Edge] = {}  # by direction, once two pulses have told it
         self.forget_doubts()
 
     def forget_doubts(self) -> None:
-        """Forget the pulses that nothing has confirmed."""
         self._seen: list[Edge] = []
         self._has_first = True  # the first of them is still there
 
@@ -81,7 +79,6 @@ class ZeroPulse:
         return PulseVerdict.NOTHING if agrees and self._has_first else PulseVerdict.CONTRADICTS
 
     def _confirmed(self, number: int, here: Edge) -> PulseVerdict:
-        """The pulse is whole revolutions from one of the same direction."""
         if here.forwards in self._places:
             self.forget_doubts()
             return PulseVerdict.WRONG

@@ -84,7 +84,6 @@ class ServoDrive(NodeDevice):
 
     @property
     def power(self) -> State:
-        """The state of the power drive system."""
         return self._machine.state
 
     @property
@@ -122,7 +121,6 @@ class ServoDrive(NodeDevice):
         return min(times, default=None)
 
     def _overhear(self, frame: Frame, now: float) -> None:
-        """EMCY and boot-up of the feedback module, which no RPDO brings."""
         cob_id = self._emergency_id.value
         if not cob.is_valid(cob_id) or self.state is NmtState.STOPPED:
             return
@@ -179,7 +177,6 @@ class ServoDrive(NodeDevice):
             self._switch(Command.RAMP_DONE, now)
 
     def _fail(self, error: DriveError, now: float, *, announced: bool = False) -> None:
-        """A fault: 603Fh, EMCY unless ``announced``, the reaction of 605Eh."""
         ramp = self._fault_option.value if error is DriveError.FOLLOWING_ERROR else 0
         powered = self.power in POWERED
         if not self._machine.go(Command.FAIL):
@@ -305,7 +302,6 @@ class ServoDrive(NodeDevice):
         return self._watched_from_s + float(timeout_ms / 1000.0)
 
     def _show(self) -> None:
-        """6041h, 6061h, 603Fh and 6077h; what has changed goes out."""
         before = self._statusword.value, self._shown_error
         mode_changed = self.axis.show_mode()
         word = self.power.value | Status.VOLTAGE_ENABLED

@@ -81,7 +81,6 @@ class FeedbackInput:
         return int(self._status.value)
 
     def sync(self, received_s: float) -> None:
-        """A SYNC, received at ``received_s``: the position of the one before should have come."""
         self._since_pdo += 1
         self._open += 1
         self._syncs.append(received_s)
@@ -93,7 +92,6 @@ class FeedbackInput:
             self.wrong |= Wrong.MISSING
 
     def emergency(self, code: int) -> None:
-        """An EMCY of the module: a sensor error, or 0000h, the end of one."""
         if code == 0:
             self.wrong &= ~Wrong.EMERGENCY
         elif code & 0xFF00 == SENSOR_CODES:

@@ -164,7 +164,6 @@ class Motor:
 
 
 def _cubic(before: tuple[float, float, float], after: tuple[float, float, float], at_s: float) -> float:
-    """Revolutions between two instants (time s, revolutions, rad/s), by Hermite's cubic."""
     (from_s, start, start_rad_s), (to_s, end, end_rad_s) = before, after
     step_s = to_s - from_s
     if step_s <= 0.0:

@@ -107,11 +107,9 @@ class StateMachine:
         self._controlword = 0
 
     def command(self, controlword: int) -> Command:
-        """What a ``controlword`` 0..FFFFh asks for."""
         before, self._controlword = self._controlword, controlword
         return command_of(controlword, before)
 
     def go(self, command: Command) -> bool:
-        """Obey; True if the state has changed."""
         before, self.state = self.state, TRANSITIONS.get((self.state, command), self.state)
         return self.state is not before
