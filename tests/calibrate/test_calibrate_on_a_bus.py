@@ -83,7 +83,7 @@ def test_the_account_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert max(map(len, out)) < 260
     assert said.getvalue().splitlines() == [
         "... reading the active table",
-        "... collecting samples for 1.5 s",
+        "... collecting 1.5 s of samples, at least 1000",
         said.getvalue().splitlines()[2],
         "... activating the table",
         "... verifying on fresh samples",

@@ -98,7 +98,7 @@ def test_a_path_is_found_and_removed(capsys: pytest.CaptureFixture[str], tmp_pat
     true = -math.atan(top["cycles_per_s"] / 250e3) / (2.0 * math.pi)
     assert top["after_mean_cycles"] == pytest.approx(true, abs=2e-3)
     assert "waiting for the machine to turn steadily at 61, 703 or 3001 rpm" in said.getvalue()
-    assert "collecting samples at 3001 rpm for 2 s" in said.getvalue()
+    assert "at 3001 rpm: collecting 2 s of samples" in said.getvalue()
     page = (tmp_path / "report.html").read_text()
     assert "Error over the speed" in page
     assert "cosine after the sine" in page

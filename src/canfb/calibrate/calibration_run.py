@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -56,6 +56,7 @@ from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits
 
 LEAST_FRESH = 1500
+Made = TypeVar("Made")
 
 
 class Steps(Protocol):
@@ -126,7 +127,7 @@ class CalibrationRun:
 
         if choices.samples_from == MODULE:
             return self._by_module(session, prove, settings, guard, before)
-        self._steps.step(f"collecting samples for {choices.collect_s:g} s")
+        self._steps.step(f"collecting {choices.collecting}")
         watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
         first = self._together(
             session, session.source(choices.samples_from, choices.recorder, choices.sample_rate, watch)
@@ -197,10 +198,7 @@ class CalibrationRun:
         return self._report(measured, done)
 
     def _measured(self, samples: TrackSamples, before: Correction, settings: Settings) -> Measurement:
-        found: Measurement = self._judged(
-            samples, lambda: measure(samples, settings, before, self._steps.part)
-        )
-        return found
+        return self._judged(samples, lambda: measure(samples, settings, before, self._steps.part))
 
     def _install(
         self,
@@ -257,7 +255,7 @@ class CalibrationRun:
                 node.master, lambda: readings.read() * RPM_PER_RAD_S, left, choices.wait, steps.part
             )
             left.remove(rpm)
-            steps.step(f"collecting samples at {rpm:g} rpm for {choices.collect_s:g} s")
+            steps.step(f"at {rpm:g} rpm: collecting {choices.collecting}")
             samples.append(self._collect(session, choices.collect_s, choices.least_samples))
         self._look(session, look)
         measured, done = self._measured_speeds(samples, settings, before), Installation()
@@ -281,16 +279,15 @@ class CalibrationRun:
         out = self._choices.out
         if out is not None:
             keep_speeds(out, [(one.samples, one.hertz) for one in samples])
-        found: Measurement = self._judged(
+        return self._judged(
             lowest, lambda: measure_speeds(samples, settings, before, self._steps.part, delay)
         )
-        return found
 
     def _check_at_speed(self, session: Session) -> Result:
-        """How far the encoder has moved away, whatever the analog path does at this speed."""
+        """How far the encoder has moved away, at this speed."""
         choices = self._choices
         self._look(session, None)
-        self._steps.step(f"collecting samples for {choices.collect_s:g} s")
+        self._steps.step(f"collecting {choices.collecting}")
         measured = self._collect(session, choices.collect_s, choices.least_samples)
         active, settings = InForce(session.active, session.corners), choices.settings(session.limits)
         return self._drift(
@@ -308,13 +305,12 @@ class CalibrationRun:
         paths = write(out, measured, done, self._where, self._limits) if out else []
         return findings(measured, done, self._where).result(paths)
 
-    def _judged(self, samples: TrackSamples, act: Callable[[], Any]) -> Any:
+    def _judged(self, samples: TrackSamples, act: Callable[[], Made]) -> Made:
         self._steps.step(f"calculating from {len(samples)} samples")
         try:
             found = act()
         except CalibrationError as error:
-            out = self._choices.out
-            if out:
+            if out := self._choices.out:
                 write_refusal(out, samples, error, self._where, self._limits)
             self._refused(error)
             raise

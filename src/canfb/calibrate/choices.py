@@ -89,6 +89,11 @@ class CalibrateOptions:
         return usual if self.seconds is None else self.seconds
 
     @property
+    def collecting(self) -> str:
+        """What is collected, in words."""
+        return f"{self.collect_s:g} s of samples, at least {self.least_samples}"
+
+    @property
     def verify_s(self) -> float:
         return self.verify if self.verify is not None else (1.0 if self._is_fast else 4.0)
 
