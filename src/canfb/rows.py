@@ -1,14 +1,8 @@
 """What a command found, as rows: one list is printed, drawn as a table of a page, and given to programs.
 
-A row is one fact. Its name and its words are for people; its figures, plain values by their JSON keys with
-the unit in the key, are for programs::
+A row is one fact: name and words for people; figures, with the unit in the key, for programs::
 
     Row("largest jerk", "18100 rad/s³, 0.02 cycle per interval³", jerk_rad_s3=18123.4, jerk_cycles=0.0201)
-
-    as_lines      terminal: the name, then its words
-    as_columns    terminal: several words side by side, below their heads
-    as_figures    JSON: the figures of all rows
-    page.table    HTML
 
 A row whose words are None is for programs alone. :class:`Findings` are all rows of a command, by subject,
 with what is said of them.

@@ -112,7 +112,6 @@ class ReceiveTimes:
             self._difference_s = self._look()
 
     def received(self, stamp_s: float, now: float) -> float | None:
-        """When the frame with this stamp came, or None."""
         difference_s = self._wall() - now
         if not -LARGEST_STEP_S <= difference_s - self._difference_s <= CLOSE_S:
             difference_s = self._look()  # else the frames would seem to have come earlier than they did

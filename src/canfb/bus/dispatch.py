@@ -93,7 +93,6 @@ class Dispatch:
         return (self.remote if frame.rtr else self.data).get(frame.can_id, self.everyone)
 
     def follow(self) -> None:
-        """Take over the CAN-IDs of devices that have moved."""
         self.moved = False
         for port in self.ports:
             if port.moved and isinstance(port.device, Selective):
@@ -104,7 +103,6 @@ class Dispatch:
         self._set_filters()
 
     def accept_all(self, enabled: bool) -> None:
-        """Ask the bus for all frames, or those that are listened to."""
         enabled = enabled or bool(self.everyone)
         if enabled is not self._accepts_all:
             self._accepts_all = enabled
@@ -160,7 +158,6 @@ class FrameSender:
         """Boot-ups that failed, by their CAN-ID: for :meth:`retry_owed`."""
 
     def send(self, port: Port, frame: Frame) -> None:
-        """Send, or queue."""
         if self.owed:
             self.retry_owed()
         if self.waiting or not self._try(port, frame):

@@ -116,7 +116,6 @@ class SharedClient(SdoClient):
         return time.monotonic()
 
     def read_response(self, fits: Callable[[bytes], bool] = lambda data: True) -> bytes:
-        """What does not fit is ignored."""
         end = self.now() + self.RESPONSE_TIMEOUT
         said = "No SDO response received"
         while True:
@@ -132,7 +131,6 @@ class SharedClient(SdoClient):
             said = f"only answers to others come (the last: {data.hex()}): another master uses this node"
 
     def request_response(self, sdo_request: bytes) -> bytes:
-        """An answer to another request is ignored."""
         command, place = sdo_request[0], bytes(sdo_request[1:4])
         expected, names = _ANSWERS[command >> 5]
         begins = names and (command >> 5 < 5 or not command & 0x01)

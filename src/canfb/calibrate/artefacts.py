@@ -79,7 +79,6 @@ def write(
     where: Provenance,
     limits: SampleLimits | None = None,
 ) -> list[Path]:
-    """Write everything; the paths. CommissioningError if that does not work."""
     figures = findings(measured, done, where).to_json()
     meta = {key: figures[key] for key in META if figures.get(key) is not None}
     with _writing(folder):
@@ -99,7 +98,6 @@ def keep_samples(folder: Path, samples: TrackSamples) -> Path:
 
 
 def keep_speeds(folder: Path, measured: Sequence[tuple[TrackSamples, float]]) -> list[Path]:
-    """Write the samples of each speed (cycles/s) to a folder in the folder; their paths."""
     place = folder / SPEEDS
     paths = [place / f"{number:02d}.npz" for number in range(1, len(measured) + 1)]
     with _writing(place):
@@ -137,7 +135,6 @@ ANGLES = " Angles (″) are those of the shaft."
 def report_html(
     measured: Measurement, done: Installation, where: Provenance, limits: SampleLimits | None = None
 ) -> str:
-    """The page. It refers to nothing outside of itself and runs no script."""
     found = findings(measured, done, where)
     tables = "".join(map(section, found.sections))
     return _page(
@@ -153,7 +150,6 @@ def report_html(
 def refusal_html(
     samples: TrackSamples, refused: CalibrationError, where: Provenance, limits: SampleLimits | None = None
 ) -> str:
-    """The page of a measurement that was refused: why, and what the tracks look like."""
     said = [f"Refused: {refused}.", "Nothing was written to the module."]
     rows = [Row("samples", f"{len(samples)}; {samples.origin}"), Row("missed", str(samples.missed))]
     body = beside(table("Measurement", rows), _lissajous(samples, NO_CORRECTION, limits)) + _origins(where)
@@ -167,7 +163,6 @@ def _page(where: Provenance, said: list[str], body: str, good: bool = True) -> s
 
 
 def place_line(where: Provenance) -> str:
-    """Date, nodes and cycles per revolution, in one line."""
     words = [f"{where.date} {where.time}".strip()]
     if where.module is not None:
         words.append(f"module {where.module} ({where.module:02X}h)")

@@ -52,7 +52,6 @@ def speed_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
 
 
 def path_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
-    """Delay between the tracks, low-pass, delay; how sure each is. Seconds, hertz."""
     path, low_pass, corners = over.path, over.path.low_pass, over.after.corners
     seen, sigma_s = low_pass.is_detected, low_pass.delay_sigma_s
     between = f"{path.cosine_delay_s * 1e9:.4g} ± {path.cosine_delay_sigma_s * 1e9:.2g} ns (2002:06)"
@@ -117,7 +116,6 @@ def delay_words(low_pass: LowPass, where: Provenance) -> str:
 
 
 def delay_set_words(over: OverSpeeds) -> str:
-    """What 2002:07 is to be, and how to change that."""
     estimate, delay_s = over.path.low_pass.delay_s, over.after.correction.conditioning.delay_s
     if delay_s and abs(delay_s - estimate) <= SAME_DELAY * estimate:
         return f"{delay_s * 1e6:.4g} µs, as estimated"
@@ -140,7 +138,6 @@ def _low_pass_words(over: OverSpeeds, where: Provenance) -> str:
 
 
 def comparison(measured: Measurement, done: Installation, where: Provenance) -> list[Row]:
-    """Before and after; cycles."""
     found, calibration, on_samples = measured.found, measured.calibration, measured.on_samples
     before, fresh = measured.before, done.fresh
 
@@ -191,7 +188,6 @@ def comparison(measured: Measurement, done: Installation, where: Provenance) -> 
 
 
 def facts(measured: Measurement, done: Installation, where: Provenance) -> list[Row]:
-    """What else there is to know of the measurement."""
     calibration, samples, fresh = measured.calibration, measured.samples, done.fresh
     spike, meanwhile = measured.on_samples.spike, where.meanwhile
     duration = f", {samples.duration_s:.3g} s" if samples.duration_s else ""
@@ -294,7 +290,6 @@ def coverage_warning(measured: Measurement) -> str:
 
 
 def bound_words(calibration: Calibration) -> str:
-    """The measured error of the table against the Cramer-Rao bound, in words."""
     ratio, scatter = calibration.cramer_rao_ratio or 0.0, calibration.cramer_rao_scatter or 0.0
     measured = f"{ratio:.2f} ± {scatter * ratio:.2f} times the Cramér-Rao bound"
     if ratio * (1.0 - 2.0 * scatter) <= 1.0:

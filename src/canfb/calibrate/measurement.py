@@ -65,7 +65,6 @@ class Measurement:
 
     @property
     def found(self) -> Correction:
-        """Table and conditioning that were found."""
         return self.calibration.correction
 
 

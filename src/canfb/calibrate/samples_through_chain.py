@@ -51,7 +51,6 @@ class SupervisedSamples:
 
     @property
     def valid(self) -> npt.NDArray[np.bool_]:
-        """Where the position may be used and was measured."""
         return np.isfinite(self.position)
 
     @property

@@ -2,8 +2,8 @@
 
     raw(k) = p(t_k) + e(p(t_k)) + noise   (modulo 1);  p: position in cycles, e: error within a cycle
 
-A polynomial of time follows p in a block of samples; e repeats with every cycle, and no low polynomial
-follows it unless a block meets few phases. One fit (:mod:`.joint`) separates the two at any speed.
+A polynomial of time follows p in a block of samples; e repeats with every cycle. One fit (:mod:`.joint`)
+separates the two at any speed.
 
 Deviations of samples are those of odd blocks with the table of the even ones, and the other way round. The
 error of the table is the largest of the scatter of tables of independent blocks, the covariance of the fit,

@@ -53,12 +53,10 @@ class Blocks:
 
     @property
     def freedom(self) -> int:
-        """Samples used less the polynomials' coefficients."""
         return self.samples - self.coefficients * int(self.used.any(axis=1).sum())
 
     @property
     def correct(self) -> float:
-        """Rms of deviations from the polynomials: times this for that of the samples themselves."""
         return float(np.sqrt(self.samples / max(1, self.freedom)))
 
     def informative(self, position: FloatArray) -> BoolArray:
@@ -127,12 +125,10 @@ MIN_PER_BIN = 2
 
 
 def bins_of(phase: FloatArray) -> npt.NDArray[np.int64]:
-    """The bin, 0..63, of each phase (cycles, any whole number of them more)."""
     return (phase % 1.0 * BINS).astype(np.int64) % BINS
 
 
 def samples_in_bins(phase: FloatArray) -> npt.NDArray[np.int64]:
-    """How many of these phases are in each bin."""
     return np.bincount(bins_of(phase), minlength=BINS)
 
 
@@ -150,7 +146,6 @@ def coverage(phase: FloatArray) -> float:
 
 
 def covered(counts: Sequence[int] | npt.NDArray[np.int64]) -> float:
-    """:func:`coverage` for this many samples in each of the bins."""
     here = np.asarray(counts)
     return float(np.mean(np.roll(here, 1) + here + np.roll(here, -1) >= MIN_PER_BIN))
 

@@ -1,8 +1,7 @@
 """A reference measurement at several speeds: encoder and analog path together.
 
-The module takes low-passes and a delay between the tracks out at any speed (:mod:`canfb.signal.front_end`),
-and needs the tracks of standstill. From the coefficients S_k, C_k of order k at speed f (:mod:`.from_motion`)
-and the path (:mod:`.path_fit`) those are
+From the coefficients S_k, C_k of order k at speed f (:mod:`.from_motion`) and the path (:mod:`.path_fit`) the
+tracks of standstill are
 
     S_k / H(k f; fs),    C_k / (H(k f; fc) exp(2 pi i k f cosine_delay)),    H(f; fc) = 1 / (1 + i f / fc)
 

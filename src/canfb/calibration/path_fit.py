@@ -4,12 +4,10 @@
     angle from sine to cosine = angle at standstill + 2 pi f cosine_delay + arctan(f / fs) - arctan(f / fc)
 
 |sine|^-2 is a line over f^2, and with the corners known the angle is one over f: both by weighted least
-squares. The geometric mean of the tracks shows the mean corner, their ratio, in which light and supply
-cancel, the difference; where that does not stand out, they are one.
+squares. The geometric mean of the tracks shows the mean corner, their ratio the difference.
 
 No angle shows what both tracks are late; one pole that leaves the part r is late by arccos(r) / (2 pi)
-cycles, two equal ones by more: what the amplitudes do not rule out is reported. Uncertainties are one
-standard deviation.
+cycles, two equal ones by more. Uncertainties are one standard deviation.
 """
 
 from __future__ import annotations
@@ -91,7 +89,6 @@ class LowPass:
 
     @property
     def is_detected(self) -> bool:
-        """It stands out of its uncertainty."""
         return self.per_hz > 0.0
 
     @property
@@ -165,7 +162,6 @@ NO_PATH = PathFit(0.0, 0.0, Corners(), LowPass(0.0, 0.0, 0.0, 1.0, 0.0, False), 
 
 
 def response(hertz: npt.ArrayLike, corner_hz: float) -> npt.NDArray[np.complex128]:
-    """Of a low-pass of one pole to these frequencies; a corner of 0.0 is none."""
     f = np.asarray(hertz, np.float64)
     return np.asarray(1.0 / (1.0 + 1j * f / corner_hz) if corner_hz else np.ones(f.shape), np.complex128)
 

@@ -1,13 +1,11 @@
 """A recording of both tracks, checked; its positions; motion that is locked to its samples.
 
-At p/q cycles per sample only q places of the cycle are ever sampled. The mean of cosine + i sine, amplitude
-A, at a place that moves by d cycles in a window is A |sin(pi d) / (pi d)|; locked is d < 0.36 / q in 256
-samples.
+At p/q cycles per sample only q places of the cycle are sampled. The mean of cosine + i sine, amplitude A, at
+a place that moves by d cycles in a window is A |sin(pi d) / (pi d)|; locked is d < 0.36 / q in 256 samples.
 
 Phases leave the speed open by s whole cycles per sample. With even times the position is then off by a line,
-as smooth as the motion. With uneven ones a wrong s expects s (t - k) too much: all speeds that join the first
-two samples are followed, and the one with the least squares of the residuals (eq. 9 over elapsed times, the
-speed over BASELINE at least) is taken.
+as smooth as the motion. With uneven ones all speeds that join the first two samples are followed, and the one
+with the least squares of the residuals (eq. 9 over elapsed times, the speed over BASELINE at least) is taken.
 """
 
 from __future__ import annotations

@@ -4,9 +4,8 @@
 2. Of block lengths tried on part of the samples, the one whose fit expects the least error of the table; if
    motion is left even then, polynomials of higher degree.
 3. More orders, while the last quarter of them carries something; what does not fit is left out.
-4. Positions again from the phases on the fitted curve, if there was anything to gain, and 3. again.
-5. Only orders that stand out: v' C^-1 v of its four coefficients v with covariance C is chi^2 with four
-   degrees of freedom, by noise above 16 with the probability exp(-8) (1 + 8) = 0.3 %.
+4. Positions again from the phases on the fitted curve, and 3. again.
+5. Only orders that stand out: v' C^-1 v of their four coefficients is by noise above 16 in 0.3 % of cases.
 """
 
 from __future__ import annotations
@@ -331,5 +330,4 @@ def _sigma(values: FloatArray) -> float:
 
 
 def rows_used(blocks: Blocks) -> BoolArray:
-    """Blocks with samples used, as a column."""
     return np.asarray(np.any(blocks.used, axis=1, keepdims=True), np.bool_)

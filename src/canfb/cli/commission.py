@@ -90,7 +90,6 @@ def commission(options: argparse.Namespace) -> int:
 def over_bus(
     master: Master, options: argparse.Namespace, config: Config, progress: Progress, guard: Guard, date: str
 ) -> int:
-    """On an open bus; the exit code. ``date``: ISO 8601, time behind a space."""
     nodes = nodes_of_choices(options, config)
     return say_result(options, run(master, *nodes, wishes_of(options), guard, progress, date))
 

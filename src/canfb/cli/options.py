@@ -192,7 +192,6 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
 
 
 def chosen_bus(options: argparse.Namespace) -> dict[str, Any]:
-    """:func:`bus_options` with the configuration, if there is one."""
     from canfb.configuration import ANY_NODES, load_config
 
     return bus_options(options, load_config(options.config, ANY_NODES).bus if options.config else {})

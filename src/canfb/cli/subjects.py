@@ -66,7 +66,6 @@ def whole_number(text: str) -> int:
 
 
 def node_number(text: str) -> int:
-    """A node-ID, decimal or as 0x20: a type for argparse."""
     try:
         node = int(text, 0)
     except ValueError:
@@ -87,7 +86,6 @@ def positive(text: str) -> float:
 
 
 def size(text: str) -> int:
-    """Bytes as 500k, 100M or 2G: a type for argparse."""
     found = re.fullmatch(r"([1-9][0-9]{0,11})([kMG]?)B?", text)
     if found is None:
         raise argparse.ArgumentTypeError(f"{text!r} is no size; write it as 500k, 100M or 2G")
@@ -95,7 +93,6 @@ def size(text: str) -> int:
 
 
 def node_or_file(text: str) -> int | str:
-    """A node-ID, or a file: a type for argparse."""
     return node_number(text) if text[:1].isdecimal() and "." not in text else text
 
 
@@ -107,7 +104,6 @@ def required_file(name: str | None) -> Path:
 
 
 def node_or_yaml(text: str) -> int | str:
-    """A node-ID, or a configuration; a type for argparse."""
     return text if text.endswith((".yaml", ".yml")) else node_number(text)
 
 

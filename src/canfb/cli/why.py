@@ -128,7 +128,6 @@ def _say(path: Path, parts: dict[str, Any]) -> None:
 
 
 def why(options: argparse.Namespace) -> int:
-    """Read what the module keeps of its last loss, and say what to do."""
     if options.bundle:
         return diagnose(options)
     if options.status is not None:

@@ -82,7 +82,6 @@ class Commissioned:
 
 
 def machine_facts(done: Commissioned) -> list[Row]:
-    """What was measured of the machine; units in the keys, intervals are those of the samples."""
     machine, n = done.machine, done.new.cycles_per_revolution
     motion, tracks, samples = machine.motion, machine.tracks, done.observed.samples
     slowest, fastest = (
@@ -219,7 +218,6 @@ def limit_rows(done: Commissioned) -> list[Row]:
 
 
 def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revolution: int) -> str:
-    """A value with its unit, as people read it."""
     place = choice.place
     if not value and place in NOTHING:
         return f"0, {NOTHING[place]}"
@@ -235,7 +233,6 @@ def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revo
 
 
 def detection_words(done: Commissioned) -> str:
-    """One sentence."""
     before, new = (done.without_harm(one) for one in (done.before, done.new))
     bound = f"accelerations up to {done.largest_acceleration:.3g} cycle per interval²"
     return (
@@ -247,7 +244,6 @@ def detection_words(done: Commissioned) -> str:
 
 
 def kept_words(done: Commissioned) -> str:
-    """One sentence on missed samples."""
     interval_s, motion = done.machine.interval_s, done.largest_acceleration
     before, new = (one.kept_samples(interval_s, motion) for one in (done.before, done.new))
     return (

@@ -50,7 +50,6 @@ class Choice:
 
     @property
     def changes(self) -> bool:
-        """False if there is nothing to write."""
         return self.value != self.before
 
 

@@ -1,14 +1,11 @@
 """Figures of a machine from the samples of its duty: its motion, its signal, the noise of both.
 
 **Acceleration and jerk.** The parabola fitted to a window averages the second differences in it with positive
-weights of sum 1 (Savitzky and Golay): never more than the largest acceleration. Short windows follow a
-vibration, long ones a slow ramp. Noise alone makes the largest of n averages sqrt(2 ln n) times its own,
-which is taken off.
+weights of sum 1 (Savitzky and Golay): never more than the largest acceleration. Noise alone makes the largest
+of n averages sqrt(2 ln n) times its own, which is taken off.
 
 **Noise of a phase.** The fourth difference has little of a motion, and sqrt(70) times the noise of a sample;
-its median ignores faults. It is that of the speeds at which it is largest, as jitter grows with the speed.
-
-**Low-pass.** From the amplitude over the speed, without what the module corrects already (2001:05).
+its median ignores faults. It is that of the speeds at which it is largest.
 """
 
 from __future__ import annotations
@@ -245,7 +242,6 @@ class TrackFigures:
 
     @property
     def spread(self) -> float:
-        """How far the amplitude is from its mean, as a part of it."""
         return max(self.mean - self.least, self.most - self.mean) / self.mean
 
 

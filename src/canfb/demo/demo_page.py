@@ -55,7 +55,6 @@ def _indented(facts: list[Row]) -> list[str]:
 
 
 def error_facts(story: Story) -> list[Row]:
-    """The position error before and with the table, % of a cycle."""
     errors = story.error_before, story.error_after
     return [
         Row(name, *(f"{100.0 * size(error):.4f}" for error in errors))
@@ -77,7 +76,6 @@ def figures(story: Story) -> dict[str, Any]:
 
 
 def run_facts(story: Story) -> list[Row]:
-    """How it was run, and what came of it. ValueError as :func:`account`."""
     calibration = story.calibration
     if calibration is None:
         raise ValueError("the demo has not run yet")
@@ -117,7 +115,6 @@ def run_facts(story: Story) -> list[Row]:
 
 
 def fault_facts(story: Story) -> list[Row]:
-    """The provoked faults and the bus."""
     faults = story.faults
     return [
         Row("faults", ", ".join(name for name, _ in FAULTS.values())),
@@ -156,7 +153,6 @@ FIRST_NAME, NAMES_APART = 0.75, 0.06  # heights of the names of the faults, abov
 
 
 def tracks(network: DemoNetwork, story: Story) -> Plot:
-    """The last samples, and those of the provoked faults."""
     recorded = np.transpose(network.recorder.tracks())
     shown = recorded[np.isfinite(recorded[:, 0])][-SHOWN_SAMPLES:]
     plot = square_plot(

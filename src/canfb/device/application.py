@@ -63,8 +63,8 @@ class ProcessData:
 class Application(ProcessData):
     """The program behind a :class:`canfb.device.node.Node`: a subclass overrides what it needs.
 
-    The methods may write entries and call `trigger_tpdo`, `emergency` and `clear_emergency` of the node, but
-    not `receive` or `tick`. What they raise comes out of the call. Times are seconds, monotonic.
+    The methods may write entries and use the node, but not its `receive` or `tick`. What they raise comes out
+    of the call. Times are seconds, monotonic.
     """
 
     def expired(self, now: float) -> None:

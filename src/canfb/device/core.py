@@ -1,9 +1,7 @@
 """The core of a node: what its services share, and what they ask of it.
 
-Every service takes the :class:`Core`: the dictionary, the times of the running call, how to send a frame
-(`emit`), whom to tell (`application`, `reactions`), where to report an error (`emergency`). A service with a
-timer is :class:`Timed`; :class:`Agenda` keeps the earliest deadline, as few frames move one. :class:`Pending`
-is an SDO write whose answer waits for its effect, as that of `save`.
+Every service takes the :class:`Core`. One with a timer is :class:`Timed`; :class:`Agenda` keeps the earliest
+deadline. :class:`Pending` is an SDO write whose answer waits for its effect, as that of `save`.
 """
 
 from __future__ import annotations

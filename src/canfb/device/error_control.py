@@ -113,7 +113,6 @@ class HeartbeatConsumer:
 
 
 def watched_node(value: int) -> int:
-    """Node-ID of a value of 1016h, 0 for none."""
     node_id = value >> 16 & 0xFF
     return node_id if value & 0xFFFF and 1 <= node_id <= 127 else 0
 
@@ -146,7 +145,6 @@ class NodeGuarding(Timed):
 
     @property
     def can_id(self) -> int | None:
-        """Where it answers remote frames now, or None."""
         return self._can_id if self._can_guard and not self._heartbeat.is_active else None
 
     @property

@@ -1,10 +1,9 @@
 """From power-on to OPERATIONAL (CiA 301, 7.3.2): all services of a node, and what follows from what they
 notice.
 
-A reset puts the dictionary back to its defaults, whole or from 1000h to 1FFFh, then what is stored over them;
-each service then reads its parameters again (`configure`). `Services.route` lists who listens in an NMT
-state. :class:`LifeCycle` is the only place where a service has an effect on others. All services hold for one
-node-ID, and are made again with another; LSS, storage and silence are there from the first power-on.
+A reset puts the dictionary back to its defaults, then what is stored over them; each service then reads its
+parameters again (`configure`). :class:`LifeCycle` is the only place where a service has an effect on others.
+All services hold for one node-ID, and are made again with another.
 """
 
 from __future__ import annotations
@@ -52,11 +51,10 @@ _DUPLICATE = "duplicate node-ID"
 
 
 class DuplicateWatch:
-    """Listens to the CAN-IDs that this node alone may send.
+    """Listens to the CAN-IDs that this node alone may send: CiA 301, 7.3.5.
 
-    A data frame there comes from another node with the same node-ID or COB-ID (CiA 301, 7.3.5). Each is
-    counted; the first after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4. The NMT state stays:
-    a stray frame must not stop a machine.
+    A data frame there comes from another node. Each is counted; the first after a reset gives EMCY 8150h,
+    with the CAN-ID in bytes 3 and 4. The NMT state stays: a stray frame must not stop a machine.
     """
 
     def __init__(self, core: Core) -> None:
@@ -132,7 +130,6 @@ class Services:
             channel.configure()
 
     def forget(self) -> None:
-        """No heartbeat until the boot-up, no error."""
         self.producer.stop()
         self.emergency.reset()
         self.duplicates.reset()

@@ -1,9 +1,7 @@
 """LSS slave: node-ID and bit rate over the bus (CiA 305).
 
-A master selects a device by its address, the four numbers of 1018h, asks for ranges, or searches bit by bit
-(fastscan). A selected slave takes a node-ID, a bit rate, and "store". A new node-ID is in force from the next
-reset of the communication on, a first one at once. LSS answers in every NMT state, also without a node-ID
-(255).
+A new node-ID is in force from the next reset of the communication on, a first one at once. LSS answers in
+every NMT state, also without a node-ID (255).
 """
 
 from __future__ import annotations

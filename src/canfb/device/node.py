@@ -5,13 +5,10 @@
     out  = node.tick(now)              when `deadline` is over
     when = node.deadline()             seconds, or None
 
-A host sends `out`, in order, before it calls again. `receive` routes a frame by its CAN-ID to a service (NMT,
-SYNC, TIME, RPDO, SDO, heartbeat, LSS), which changes entries of the dictionary, calls the `Application` and
-puts answers into the outbox. A frame never raises: one that nobody listens to is counted. What the
-application raises comes out.
+A host sends `out`, in order, before it calls again. `receive` routes a frame by its CAN-ID to a service. A
+frame never raises: one that nobody listens to is counted. What the application raises comes out.
 
-`now` is monotonic, seconds. `frame.timestamp`, on the same clock and no later, is when the frame was
-received.
+`now` is monotonic, seconds; `frame.timestamp`, on the same clock and no later, is the receive time.
 """
 
 from __future__ import annotations
@@ -108,7 +105,6 @@ class Node:
 
     @property
     def node_id(self) -> int:
-        """1 to 127, or 255 for none yet."""
         return self._core.node_id
 
     def node_id_at_power_on(self) -> int:
@@ -147,7 +143,6 @@ class Node:
 
     @property
     def autostart(self) -> bool:
-        """Whether a boot-up leads to OPERATIONAL (1F80h)."""
         return self._life.startup.autostart
 
     def start(self, now: float) -> list[Frame]:

@@ -1,13 +1,8 @@
 """SYNC and TIME: 1005h, 1006h, 1007h, 1019h (CiA 301, 7.2.5), and 1012h (7.2.6).
 
-At a SYNC inputs are sampled and outputs change together; with 1019h above 1 it has a counter, 1 to 1019h.
-What it does to PDOs, `Pdos.synchronise` does in one order, so that what is sent belongs to what was received
-before:
-
-1. the program says whether PDOs follow (`ProcessData.synchronise`);
-2. it has the synchronous RPDOs taken over, each with `rpdo_received`;
-3. it acts on the new interval;
-4. synchronous TPDOs are sampled and sent; then `tpdos_sampled`, if it was asked for.
+What a SYNC does to PDOs, `Pdos.synchronise` does in one order, so that what is sent belongs to what was
+received before: the program says whether PDOs follow (`ProcessData.synchronise`) and has the synchronous
+RPDOs taken over; it acts on the new interval; synchronous TPDOs are sampled and sent; then `tpdos_sampled`.
 
 In PRE-OPERATIONAL the program gets it too (`idle_sync_received`): its period is known before the first
 sample. The CAN-ID does not change while the device produces SYNC, the counter not while 1006h is set (7.5.2.5
@@ -62,7 +57,6 @@ class Pdos:
                 routes.add_sent(tpdo.configured_can_id, tpdo.sent)
 
     def choose(self) -> None:
-        """Which of them act at a SYNC."""
         self._sync_rpdos = [rpdo for rpdo in self.rpdos.values() if rpdo.is_synchronous]
         self._send = [tpdo.at_sync for tpdo in self.tpdos.values() if tpdo.is_synchronous]
 

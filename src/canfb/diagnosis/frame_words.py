@@ -43,7 +43,6 @@ class DecodedFrame(NamedTuple):
 
     @property
     def is_pdo(self) -> bool:
-        """A PDO of a known module."""
         return self.kind in ("tpdo", "rpdo")
 
     def line(self, time_s: float) -> str:

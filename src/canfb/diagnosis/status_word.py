@@ -26,7 +26,6 @@ APART = (StatusBit.VALID, StatusBit.COASTING, StatusBit.LOST)
 
 
 def decoded(word: int) -> Result:
-    """The bits of a status word, 0..FFFFh."""
     rows = [
         Row(
             f"status {word:04X}h",

@@ -109,7 +109,6 @@ def title_of(device: NodeDevice) -> str:
 
 
 def short_title_of(device: NodeDevice) -> str:
-    """For a line with figures."""
     node_id = device.node_id
     return title_of(device) if node_id == UNCONFIGURED else f"node {node_id}"
 

@@ -60,7 +60,6 @@ class Readiness:
         self._notify(READY)
 
     def alive(self, now: float) -> None:
-        """The program goes on; ``now`` in seconds, monotonic."""
         if self._watched_s and now >= self._alive_s:
             self._alive_s = now + WATCHDOG_PART * self._watched_s
             self._notify(WATCHDOG)

@@ -87,7 +87,6 @@ class NetworkOnBus:
 
     @property
     def words(self) -> dict[str, Any]:
-        """python-can's for its bus."""
         return self.config.bus
 
     def __enter__(self) -> Self:

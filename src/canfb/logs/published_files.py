@@ -70,7 +70,6 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], types: Mapping[str
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """The rows of a table."""
     _, parquet = _pyarrow()
     rows: list[dict[str, Any]] = parquet.read_table(str(path)).to_pylist()
     return rows

@@ -173,7 +173,6 @@ class NodeAccess:
         self._transfer("writing", index, subindex, send)
 
     def read_bytes(self, index: int, subindex: int) -> bytes:
-        """The bytes of an object."""
         return self._transfer("reading", index, subindex, lambda client: client.upload(index, subindex))
 
     def upload_domain(self, index: int, subindex: int, progress: Progress = lambda part: None) -> bytes:

@@ -94,7 +94,6 @@ def activate(module: NodeAccess, crc32: int) -> None:
 
 
 def put_in_force_again(module: NodeAccess, before: Correction) -> None:
-    """Activate the old set, and prove it."""
     put_in_force(module, before)
     if read_active(module) != before:
         raise CommissioningError(f"{module.name}: the previous table and conditioning are not active")
@@ -176,7 +175,6 @@ class Guard:
         self._held = self._interrupted = False
 
     def interrupt(self) -> None:
-        """The end is requested."""
         if not self._held and not self._interrupted:
             self._interrupted = True
             raise KeyboardInterrupt

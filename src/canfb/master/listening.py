@@ -143,11 +143,9 @@ class Listener:
 
     @property
     def elapsed_s(self) -> float:
-        """Time since the first SYNC."""
         return 0.0 if self._began_s is None else self._master.now() - self._began_s
 
     def look(self) -> None:
-        """CommissioningError when SYNC or samples do not come."""
         now, recorder, layout = self._master.now(), self._recorder, self._layout
         if recorder.syncs > self._syncs:
             self._syncs, self._last_sync_s = recorder.syncs, now

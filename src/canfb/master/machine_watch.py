@@ -232,7 +232,6 @@ def read_counters(module: NodeAccess) -> dict[str, int]:
 
 
 def counted(before: Mapping[str, int], after: Mapping[str, int]) -> dict[str, int]:
-    """What was counted in between."""
     steps = {name: (after[name] - count) % U32 for name, count in before.items() if name in after}
     return {name: step for name, step in steps.items() if step}
 

@@ -110,7 +110,6 @@ class TrackSamples:
 
     @property
     def duration_s(self) -> float | None:
-        """With pauses; None: not known."""
         times = self.received_s if self.time_s is None else self.time_s
         if times is not None and len(times) > 1 and times[-1] > times[0]:
             return float(times[-1] - times[0]) * len(times) / (len(times) - 1)

@@ -96,7 +96,6 @@ class Session:
 
     @property
     def corners(self) -> Corners:
-        """2001:05 and 2001:06."""
         return read_corners(self.module)
 
     @property
@@ -138,7 +137,6 @@ class Session:
 
 
 def read_corners(module: NodeAccess) -> Corners:
-    """2001:05 and 2001:06, if any."""
     return Corners(*(float(module.read_known(place) or 0.0) for place in CORNERS))
 
 

@@ -86,7 +86,6 @@ class SupervisionLimits:
 
     @property
     def corners(self) -> Corners:
-        """2001:05 and 2001:06."""
         return Corners(
             self.values.get(CORNER.place, self.motion.corners.corner_hz), self.motion.corners.cosine_corner_hz
         )

@@ -67,7 +67,6 @@ class NodeEvents(Application):
         self._report(EventKind.NMT, now, text, state=name, boot_up=boot_up, reason=why or None)
 
     def emergency_sent(self, code: int, register: int, detail: bytes, now: float) -> None:
-        """An EMCY goes out."""
         if self.detailed:
             words = emergency_text(code, od.EMERGENCY_TEXTS)
             text = f"EMCY {code:04X}h sent ({words}), 1001h {register:02X}h, detail {detail.hex(' ')}"
@@ -122,7 +121,6 @@ class EventWatch(NodeEvents):
         self._was_valid = False  # the position, at any time
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
-        """The next SYNC and the next sample are the first."""
         self._rate_hz = 0.0
         self.reset()
         super().state_changed(old, new, now, why)
@@ -172,7 +170,6 @@ class EventWatch(NodeEvents):
         self._report(EventKind.SECOND_POSITION, now, text, disagrees=disagrees, difference_revolutions=known)
 
     def outdated(self, now: float) -> None:
-        """What was published is not the position any more."""
         if self._state is PositionState.VALID:
             self._state, self.status, self._not_valid_s = PositionState.NOT_VALID, NO_STATUS, now
             text = "position not valid: no SYNC and no sample"

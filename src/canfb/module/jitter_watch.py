@@ -59,7 +59,6 @@ class JitterWatch:
         return max_speed(self._cycles_per_revolution.value, jitter_s, left)
 
     def in_words(self) -> str:
-        """The largest speeds for two jitters, by the parameters of the module."""
         left = self._limits.in_force.residual_limit
         speeds = (f"{self._max_speed(us * 1e-6, left) * RPM:.3g} rpm at ±{us} µs" for us in EXAMPLES_US)
         return f"without sample times the jitter of SYNC limits the speed: {', '.join(speeds)}"

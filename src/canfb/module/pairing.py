@@ -266,7 +266,6 @@ class Pairing(ProcessData):
     # Samples.
 
     def rpdo_too_short(self, number: int, received: int, mapped: int, now: float) -> None:
-        """Counted in 2012:08, whatever ``number``, ``received`` and ``mapped`` are."""
         self.count_bad_frame()
 
     def rpdo_received(self, number: int, now: float) -> None:

@@ -229,7 +229,6 @@ class Limits:
         self.noise_changes()
 
     def noise_changes(self) -> None:
-        """Another table, or other samples: the noise is not known yet."""
         self.noise.forget()
         self.apply()
 
@@ -259,7 +258,6 @@ class Limits:
             self.longest_s = min(self.longest_s, known_s + same_s)
 
     def measured(self) -> None:
-        """Another block of :attr:`noise`."""
         usable, applied = self.noise.usable_cycles, self._applied_noise
         if self._margin.value and not abs(usable - applied) <= SAME_NOISE * applied:
             self.apply()

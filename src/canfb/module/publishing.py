@@ -152,7 +152,6 @@ class Publishing:
             self.alarm.report(False, self.last.status & ~VALID, now, self.loss)
 
     def extrapolate(self) -> None:
-        """A SYNC, before its TPDOs are sampled."""
         if self.last is not None:
             self.prediction.extrapolate(self.last)
 
@@ -167,7 +166,6 @@ class Publishing:
         return is_valid(cob_id) and kind in ON_EVENT
 
     def reset_alarms(self) -> None:
-        """After a reset, also of the communication only."""
         self.alarm.reset()
         self.warnings.reset()
 

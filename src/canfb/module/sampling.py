@@ -47,7 +47,6 @@ class Sampling:
         return "the sample time is not where it was due" if pairing.timed else ""
 
     def overdue(self, now: float) -> None:
-        """No SYNC and no sample for 2010:06 periods: what stands there is not the position any more."""
         if not self._pairing.overdue(now):
             self._publishing.outdated(now)
         if self._chain.lost:

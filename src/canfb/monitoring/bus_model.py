@@ -135,7 +135,6 @@ class BusModel:
         self._route()
 
     def put(self, node_id: int, place: Multiplexer, value: Number, now: float) -> None:
-        """A value by SDO."""
         module = self._node(node_id).module
         if module is not None:
             module.put(place, value, now)

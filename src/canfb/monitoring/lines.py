@@ -49,7 +49,6 @@ class MachineUnits:
         return rad_s * RPM if self.name == "rev" else rad_s / (2.0 * math.pi) * self.per_revolution
 
     def velocity(self, rad_s: float | None) -> str:
-        """In words, with the unit."""
         if rad_s is None:
             return "-"
         return f"{self.speed(rad_s):.{2 if self.name == 'rev' else 3}f} {self.speed_name}"
@@ -121,7 +120,6 @@ def emergency_part(one: EmergencySnapshot) -> tuple[str, Tone]:
 
 
 def tone_of(module: ModuleSnapshot) -> Tone:
-    """Of the state of its position."""
     if is_stale(module):
         return "faint"
     return "bad" if module.position_state is None else TONES.get(PositionState(module.position_state), "bad")
@@ -161,7 +159,6 @@ def load_words(snapshot: BusSnapshot) -> str:
 
 
 def name_of(node: NodeSnapshot) -> str:
-    """The node-ID, decimal and hexadecimal."""
     return f"node {node.node_id} ({node.node_id:02X}h)"
 
 
@@ -173,7 +170,6 @@ def state_words(node: NodeSnapshot) -> str:
 
 
 def position_words(module: ModuleSnapshot) -> str:
-    """ "no data" if it is old."""
     if is_stale(module):
         return "no data" if module.age_s is None else f"no data for {age(module.age_s)}"
     return module.position_state or "no status"
@@ -219,12 +215,10 @@ def mapping_words(module: ModuleSnapshot) -> str:
 
 
 def counter_words(counters: dict[str, int]) -> str:
-    """Those that are not 0."""
     return ", ".join(f"{name} {count}" for name, count in counters.items() if count) or "none"
 
 
 def age(seconds: float) -> str:
-    """How long ago, short."""
     if seconds < 100.0:
         return f"{seconds:.1f} s"
     return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"

@@ -109,7 +109,6 @@ class LoadMeter:
         self._bits, self._frames = (Bins(SLOT_S, SLOTS + 1, operator.add) for _ in range(2))
 
     def frame(self, bits: int, now: float) -> None:
-        """``bits`` on the wire."""
         self._bits.add(bits, now)
         self._frames.add(1, now)
 

@@ -120,7 +120,6 @@ class Watching:
         self.stop = self._reader.stop
 
     def put(self, reading: ModuleReading) -> None:
-        """It counts from the next snapshot on."""
         self._readings.append(reading)
 
     def opened(self, bus: can.BusABC) -> None:

@@ -5,13 +5,9 @@ The residual of a healthy machine is at most
     motion  +  w v u  +  w e  +  noise
 
 with the speed v, the error e of a phase and the uncertainty u of the sampling instant: without sample times
-half the range of the SYNC, with them half a unit of the sample time, which the module adds to its limit. An
-interface that sends several samples for each SYNC takes them by its own timer, whatever the SYNC does. w is
-4, the sum of the weights 1, 2, 1 of eq. 9. What the motion leaves is a N/(2 pi) T^2 with the acceleration a
-and the interval T from sample to sample; unequal intervals, which sample times allow, make it larger.
-
-The errors of a phase (:class:`PhaseErrors`) add up by these weights: their sizes for the largest, their
-squares for the rms.
+half the range of the SYNC, with them half a unit of the sample time. w is 4, the sum of the weights 1, 2, 1
+of eq. 9. What the motion leaves is a N/(2 pi) T^2 with the acceleration a and the interval T from sample to
+sample. Sizes of errors of a phase add up to the largest, their squares to the rms.
 """
 
 from __future__ import annotations
@@ -63,7 +59,6 @@ class PhaseErrors:
 
     @property
     def largest_residual(self) -> float:
-        """All errors at the same time, and the noise."""
         return WEIGHTS * self.largest_cycles + PEAK * math.sqrt(SQUARES) * self.noise_cycles
 
     @property
@@ -115,12 +110,10 @@ class ResidualBudget:
 
     @cached_property
     def bounds(self) -> Declared:
-        """What the module has in force."""
         return self.module.bounds(self.interval_s, self.measured_noise_cycles)
 
     @cached_property
     def declared(self) -> Declared:
-        """The declared limits of its estimator."""
         return replace(self.bounds, coast_samples=self.module.coast_samples)
 
     @property
@@ -134,12 +127,10 @@ class ResidualBudget:
 
     @cached_property
     def noise_margin_cycles(self) -> float:
-        """2010:09 times the measured noise; inf while it is 0."""
         return self.module.settings.noise_margin * self.measured_noise_cycles or math.inf
 
     @property
     def has_noise_margin(self) -> bool:
-        """The limit in force is that of the measured noise."""
         return self.is_narrowed and self.noise_margin_cycles < self._declared_cycles
 
     @property

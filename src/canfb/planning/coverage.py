@@ -1,13 +1,11 @@
 """How much of the faults of an encoder the configured limits detect: diagnostic coverage.
 
-Drives with safe motion publish the coverage of the vector length: 1 - allowed area / whole area of the
-voltages, as if a fault left any pair of voltages equally likely (:func:`area_coverage`). With the residual
-only the phases within L of the predicted one are left of the ring.
+:func:`area_coverage` is 1 - allowed area / whole area of the voltages, as if a fault left any pair of
+voltages equally likely; with the residual only the phases within L of the predicted one are left of the ring.
 
-:func:`fault_coverage` takes the faults one by one, those that IEC 61800-5-2 names for such encoders: each is
-put into the tracks of a machine in motion, and equations 9 and 12 say how the count goes on and which sample
-is refused. It knows neither the ambiguity after a fault nor the frozen input of 2010:04. A computation is no
-certificate: what the faults of a machine are, and how often they come, is for its analysis to say.
+:func:`fault_coverage` puts the faults that IEC 61800-5-2 names for such encoders, one by one, into the tracks
+of a machine in motion; equations 9 and 12 say which sample is refused. It knows neither the ambiguity after a
+fault nor the frozen input of 2010:04.
 """
 
 from __future__ import annotations

@@ -233,10 +233,8 @@ def asked_acceleration(plan: Plan) -> float:
 
 
 def is_sharp(plan: Plan) -> bool:
-    """Its detection, for every module."""
     return all(plan.detection(budget).is_sharp for budget in plan.budgets)
 
 
 def widest_limit(plan: Plan) -> float:
-    """The largest residual limit in force, cycles."""
     return max(budget.limit_cycles for budget in plan.budgets)

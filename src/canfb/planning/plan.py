@@ -1,9 +1,7 @@
 """A plan: the limits of its input, each with its margin, and which errors of the count cannot pass.
 
-Detection goes by the residual limit L and what the motion uses of it. Eq. 9: the bounds of
-docs/legal-motion.md ("Effect of a glitch"), with the acceleration a in cycles per interval squared: n samples
-in a row are without harm while (n + 2) (L + a) <= 1 and floor((n + 2)^2 / 4) (L + a) <= 1. What is kept after
-missed or flagged samples follows from what is declared ("Missed samples").
+n samples in a row are without harm while (n + 2) (L + a) <= 1 and floor((n + 2)^2 / 4) (L + a) <= 1, L the
+residual limit, a the acceleration in cycles per interval squared (docs/legal-motion.md).
 """
 
 from __future__ import annotations
@@ -52,7 +50,6 @@ class CountDetection:
 
     @property
     def is_declared(self) -> bool:
-        """The motion is within what is followed after a gap."""
         return self.motion_cycles <= self.declared.followed + ROUNDING
 
     @property

@@ -1,8 +1,6 @@
 """What is found in the samples of a replay, block by block: faults, margins, drift, an overview for pictures.
 
-Each takes blocks by its ``take`` and keeps a bounded amount: the faults that are listed, the sample nearest
-to each limit, the first samples in motion, the extremes of stretches of time, which double in length when
-there are too many.
+Each ``take`` keeps a bounded amount.
 """
 
 from __future__ import annotations

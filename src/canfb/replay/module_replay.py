@@ -33,10 +33,10 @@ LONGEST_GAP_S = 60.0
 
 
 class LogTime:
-    """Turns stamps of a log (seconds, of any clock) into the seconds of ``now``.
+    """Turns stamps of a log (seconds, of any clock) into the seconds of ``now``; ``origin_s``: stamp less
+    ``now``.
 
-    ``origin_s``: stamp less ``now``. Counted: ``steps_back`` of the clock of the log, ``gaps`` of more than a
-    minute, ``bad`` stamps that are no number.
+    Counted: ``steps_back`` of the clock, ``gaps`` of more than a minute, ``bad`` stamps that are no number.
     """
 
     def __init__(self) -> None:

@@ -65,7 +65,6 @@ class OwnFrames:
         waiting.append((now, data))
 
     def recorded(self, data: bytes, now: float, stamp_s: float) -> None:
-        """The log has a frame, with this stamp."""
         waiting, compared = self._replayed, self.compared
         if waiting and waiting[0][1] == data:
             waiting.popleft()

@@ -80,7 +80,6 @@ class ReplayResult:
         return notes
 
     def verdict(self) -> str:
-        """One line: were there samples, and faults, as far as that is known with frames ``left_out``?"""
         faults = self.replay.faults
         missing = ""
         if self.left_out:
@@ -126,7 +125,6 @@ class ReplayResult:
         ]
 
     def facts(self) -> list[Row]:
-        """How near it came to each limit, and when; drift, and what was odd about the log."""
         times, counters, drift = self.replay.times, self.replay.counters, self.drift
         rows = [
             Row(MARGINS[name][0], self._margin(one, *MARGINS[name][1:]))
@@ -183,7 +181,6 @@ class ReplayResult:
         return words
 
     def comparison(self) -> list[Row]:
-        """What the recorded module sent against the replay, by CAN-ID."""
         rows: list[Row] = []
         for can_id, found in self.replay.compared.items():
             counts = {words: getattr(found, name) for name, words in COUNTED.items()}

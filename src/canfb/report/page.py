@@ -120,17 +120,14 @@ def _unbroken(text: str) -> str:
 
 
 def sentence(text: str) -> str:
-    """With a capital letter and a full stop."""
     return f"{text[:1].upper()}{text[1:].removesuffix('.')}."
 
 
 def beside(left: str, right: str) -> str:
-    """Two parts side by side."""
     return f'<div class="top"><div>{left}</div>\n{right}</div>\n'
 
 
 def gallery(title: str, figures: Iterable[str]) -> str:
-    """Figures in two columns."""
     return f'<h2>{escape(title)}</h2>\n<div class="pictures">\n{"".join(figures)}</div>\n'
 
 
@@ -141,7 +138,6 @@ def figure(name: str, text: str, picture: str) -> str:
 
 
 def section(one: Section) -> str:
-    """Its rows as a table."""
     return table(one.title, one.rows, one.heads, "listed" if one.beside is not None else "")
 
 

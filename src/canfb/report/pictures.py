@@ -241,7 +241,6 @@ def cloud(plot: Plot, x: FloatArray, y: FloatArray, style: str, name: str) -> Pl
 
 
 def circle(plot: Plot, radius: float, style: str, name: str | None) -> Plot:
-    """A circle about the origin, ``radius`` in counts."""
     angle = np.linspace(0.0, 2.0 * np.pi, 361)
     x, y = radius * np.cos(angle), radius * np.sin(angle)
     outside = np.maximum(np.abs(x), np.abs(y)) > plot.x.high

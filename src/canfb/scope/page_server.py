@@ -1,8 +1,7 @@
 """The server of the page: files and one stream of server-sent events, for this computer alone.
 
 What is shown needs the **token**, new with each start. It stands in the fragment of the address, which is in
-no request and no Referer; the script keeps it in the sessionStorage and asks for the stream with it. No
-cookie would do: browsers send those of 127.0.0.1 to each of its ports.
+no request and no Referer. No cookie would do: browsers send those of 127.0.0.1 to each of its ports.
 """
 
 from __future__ import annotations
@@ -134,7 +133,6 @@ class PageServer:
         return ""
 
     def file(self, path: str) -> bytes | None:
-        """One of FILES, None for another path."""
         return self._files.get(path)
 
 

@@ -157,7 +157,6 @@ def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, An
 
 
 def shown(changes: dict[Place, tuple[Any, Any]]) -> str:
-    """Differences in a line."""
     texts = [
         f"{od.place_text(place)} is {there!r}, not {after!r}" for place, (there, after) in changes.items()
     ]
@@ -166,7 +165,6 @@ def shown(changes: dict[Place, tuple[Any, Any]]) -> str:
 
 
 def backup_result(backup: Backup, path: Path) -> Result:
-    """What a backup has."""
     table = f"table {_crc32(backup):08X}h, {len(backup.table) // 4} entries" if backup.table else "no table"
     node, serial = backup.node_id, backup.identity.serial_number
     what = f"module {node} ({node:02X}h), serial number {serial}"

@@ -41,7 +41,6 @@ class ObjectDescription:
 
     @property
     def place(self) -> Place:
-        """Index and sub-index."""
         return self.index, self.subindex
 
     @property
@@ -50,7 +49,6 @@ class ObjectDescription:
 
     @property
     def title(self) -> str:
-        """Supervision: Residual limit."""
         return f"{self.parent}: {self.name}" if self.parent else self.name
 
     @property
@@ -95,7 +93,6 @@ class ObjectDescriptions:
         return self._entries.get((index, subindex))
 
     def of_object(self, index: int) -> list[ObjectDescription]:
-        """All entries of an index, ascending."""
         return [self._entries[place] for place in sorted(self._entries) if place[0] == index]
 
     def meant(self, text: str) -> list[ObjectDescription]:

@@ -235,7 +235,6 @@ class Reading:
 
     @property
     def value(self) -> Any:
-        """By the type of the EDS, or None."""
         try:
             return self.entry.decode(self.data)
         except ValueError:
@@ -247,7 +246,6 @@ class Reading:
         return in_words(self.product, self.entry.place, self.value)
 
     def text(self) -> str:
-        """The value for people, with its unit."""
         entry, value = self.entry, self.value
         if value is None:
             return f"{_octets(self.data)} ({len(self.data)} bytes, the EDS has {type_name(entry.data_type)})"

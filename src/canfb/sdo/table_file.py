@@ -55,7 +55,6 @@ def conditioning_words(conditioning: Conditioning) -> dict[str, float]:
 
 
 def table_words(used: Correction) -> str:
-    """A table in a word or two."""
     return "none" if used.table is None else f"{used.crc32:08X}h, {len(used.table)} entries"
 
 
@@ -189,7 +188,6 @@ class TableState:
 
     @classmethod
     def of_module(cls, module: NodeAccess) -> TableState:
-        """Read it. CommissioningError where that does not work."""
         used = read_active(module)
         cycles = module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I")
         staged = module.integer(*od.TABLE_STAGED_CRC, "I")

@@ -1,8 +1,7 @@
-"""Following offset, gain and phase of the tracks slowly in operation (``adapt``, 2002:08).
+"""Follows offset, gain and phase of the tracks slowly in operation (``adapt``, 2002:08).
 
-Once samples have covered the cycle, half of the difference to the reference measurement
-(:mod:`canfb.signal.track_sectors`) goes into the conditioning, bounded in rate and range: no fault hides
-behind it by more than :attr:`AdaptConfig.hidden_cycles`. Only valid samples in a row count.
+Half of the difference to the reference measurement goes into the conditioning, bounded in rate and range: no
+fault hides behind it by more than :attr:`AdaptConfig.hidden_cycles`. Only valid samples in a row count.
 """
 
 from __future__ import annotations
@@ -82,7 +81,6 @@ class FollowedDrift(NamedTuple):
     phase_rad: float = 0.0
 
     def removed_by(self, used: Conditioning) -> Conditioning:
-        """``used`` with this drift removed as well, behind it."""
         offset_s, gain_s, offset_c, factor_c, skew = used.coefficients()
         sine, cosine = 1.0 / (1.0 + 0.5 * self.gain), 1.0 / (1.0 - 0.5 * self.gain)
         factor = factor_c * cosine / math.cos(self.phase_rad)
@@ -142,7 +140,6 @@ class Adaptation:
 
     @limits.setter
     def limits(self, limits: AdaptConfig | None) -> None:
-        """The drift stays where new limits allow it; None: it is zero from now on."""
         was_on, self._limits = self.is_on, limits
         if limits is None:
             self.drift, self.due = NO_DRIFT, NEVER
@@ -160,12 +157,10 @@ class Adaptation:
             self._begin(0)
 
     def start_from(self, drift: FollowedDrift) -> None:
-        """This drift was saved, with the correction in use."""
         if self.is_on and all(map(math.isfinite, drift)):
             self.drift = drift
 
     def is_recent(self, samples: int) -> bool:
-        """The last result is one of now, with the number of the last sample."""
         return samples <= self._recent_until
 
     def take(self, feedback: Feedback, interval_s: float) -> bool:

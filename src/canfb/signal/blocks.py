@@ -54,7 +54,6 @@ class Scratch:
 
 
 def blocks(samples: int) -> Iterator[tuple[slice, Scratch]]:
-    """Slices that cover 0..``samples`` one after the other, each with a scratch of its length."""
     scratch = Scratch(min(samples, BLOCK_SAMPLES))
     for start in range(0, samples, BLOCK_SAMPLES):
         length = min(BLOCK_SAMPLES, samples - start)

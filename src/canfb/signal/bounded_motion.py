@@ -168,7 +168,6 @@ class Facets:
         self._sides = normals[~bounds_last, :-1], limits[~bounds_last]
 
     def last(self, deviations: list[float]) -> tuple[float, float]:
-        """Between which values the last deviation lies if the others are these; (inf, -inf): nowhere."""
         d = np.array(deviations)
         if (np.abs(self._sides[0] @ d) > self._sides[1] + ROUNDING_CYCLES).any():
             return math.inf, -math.inf

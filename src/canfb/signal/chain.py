@@ -1,9 +1,7 @@
-"""The whole chain for one encoder: when its samples were taken, and what they give.
+"""The whole chain for one encoder: when its samples were taken (:mod:`.sample_times`), what they give
+(:mod:`.stages`).
 
-A sample has no time of its own, or one (2000:05), or several may be possible. Here it becomes an interval
-since the sample before (:mod:`canfb.signal.sample_times`), several samples of one interval of SYNC are put in
-their order, and pauses are judged (:mod:`canfb.signal.pauses`). What a sample gives then is the work of
-:mod:`canfb.signal.stages`. Intervals are those of SYNC here, and those from sample to sample there.
+Intervals are those of SYNC here, and those from sample to sample in the stages.
 """
 
 from __future__ import annotations
@@ -216,14 +214,12 @@ class SignalChain:
         self._forget_times_of_samples()
 
     def resume(self, intervals: float = 0.0) -> None:
-        """Go on after a pause in which the machine stood still: less than half a cycle from here.
+        """Go on after a pause of ``intervals`` of SYNC in which the machine moved less than half a cycle.
 
-        ``intervals`` is how long the pause was, in intervals of SYNC. If the machine was moving and
-        at that speed could have left the cycle meanwhile, the position is lost; so is one that is in doubt
-        and was not valid: the samples that would have decided do not come. One that was lost before the
-        pause starts again, at cycle count 0, if the machine stood when it was lost and its phases did
-        since. After :meth:`reset` it does, unless the machine turned at it, by the declared acceleration to
-        half a cycle per interval and more; or it was lost, and its phases had not stood for STILL_SAMPLES.
+        The position is lost if at its speed the machine could have left the cycle meanwhile, or if it was in
+        doubt and not valid. A lost one starts again, at cycle count 0, if the machine stood when it was lost
+        and its phases did since; after :meth:`reset` unless the machine turned at it, or the position was
+        lost and its phases had not stood for STILL_SAMPLES.
         """
         if self._pauses.resume(intervals * self._per_sync):
             self._times.forget()

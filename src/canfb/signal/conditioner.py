@@ -44,7 +44,6 @@ class Conditioner:
         self._renew()
 
     def activate(self, correction: Correction) -> None:
-        """Take another ``correction``. TypeError if its table is none."""
         check_table(correction.table)
         self.correction, self.table = correction, correction.table
         self.adaptation.use(correction)
@@ -55,23 +54,18 @@ class Conditioner:
         self._renew()
 
     def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
-        """Follow the drift of the tracks within these limits, from the drift found or from another one;
-        None: as calibrated.
-        """
         self.adaptation.limits = limits
         if start_from is not None:
             self.adaptation.start_from(start_from)
         self._renew()
 
     def use_unit(self, unit_s: float) -> None:
-        """Speeds are per interval of this length from now on, seconds; 0.0: not known."""
         self.unit_s = unit_s
         self.lag_intervals = self.correction.conditioning.delay_s / unit_s if unit_s > 0.0 else 0.0
         if self.front is not None:
             self.front.use_interval(unit_s)
 
     def expect(self, speed_cycles: float, amplitude_known: bool = True) -> None:
-        """The next sample is expected at this speed; see :meth:`FrontEnd.coefficients`."""
         front = self.front
         if front is not None:
             self.coefficients = front.coefficients(speed_cycles, amplitude_known)
@@ -85,7 +79,6 @@ class Conditioner:
         return corrected(self.row, phase) if self.row else phase
 
     def learn(self, feedback: Feedback) -> bool:
-        """A sample for the adaptation; True if the drift has changed from the next one on."""
         moved = self.adaptation.take(feedback, self.unit_s)
         if moved:
             self._remove_drift()
@@ -93,7 +86,6 @@ class Conditioner:
 
     @property
     def phases_keep(self) -> bool:
-        """A phase is the same at any speed."""
         return self.correction.conditioning.cosine_delay_s == 0.0
 
     @property
@@ -107,7 +99,6 @@ class Conditioner:
         return self.depends_on_past or self.correction.conditioning.delay_s != 0.0
 
     def turned_rad(self, speed_cycles: float) -> float:
-        """By how much the tracks turn at this speed from the sine of a sample to its cosine."""
         return 0.0 if self.front is None else self.front.turned_rad(speed_cycles)
 
     def hertz(self, speed_cycles: float) -> float:

@@ -47,12 +47,10 @@ class Declared:
 
     @property
     def coasting(self) -> int:
-        """Samples without a good one until the position is lost."""
         return self.coast_samples * self.samples_per_sync
 
     @property
     def first_limit(self) -> float:
-        """Residual limit of the second sample."""
         return max(self.residual_limit, self.widest_limit or 0.0)
 
     @property
@@ -62,7 +60,6 @@ class Declared:
 
     @property
     def assumes(self) -> bool:
-        """In doubt an acceleration is assumed."""
         return self.acceleration is None and self.doubt_acceleration > 0.0
 
     @cached_property
@@ -88,12 +85,10 @@ class Declared:
 
     @cached_property
     def usual(self) -> BoundedMotion:
-        """Of a sample in turn: one interval on, its window is the residual limit."""
         return self._motion(assumed=math.inf, usual=True)
 
     @cached_property
     def in_doubt(self) -> BoundedMotion:
-        """Of all samples in doubt."""
         return self._motion(assumed=self.doubt_acceleration or math.inf, usual=False)
 
     def _motion(self, *, assumed: float, usual: bool) -> BoundedMotion:

@@ -2,15 +2,14 @@
 
 The idea is that of integer ambiguity resolution (GNSS), with bounds in place of probabilities. A
 :class:`Candidate` is one sequence of cycle counts; each sample gives it one successor for each count in its
-window (:mod:`canfb.signal.bounded_motion`). Where all candidates that are left agree, the position is right
-as long as the declaration holds. docs/supervision.md has the rules, and says when it is lost.
+window (:mod:`canfb.signal.bounded_motion`). Where all that are left agree, the position is right as long as
+the declaration holds (docs/supervision.md).
 
-A sample that no candidate can take contradicts: up to m neighbouring samples may be bad unnoticed, and
-their residuals are over the limit r samples after the last of them at the latest. So from each sample K -
-(m + r - 1) .. K on m are left out, and the search starts again. What is left after that, or after a flagged
-sample, has to pass three tests, which can take validity away and never give it: chance (a window of width w
-takes a random phase with probability w, M residuals within w by themselves M w^(M-1)), a standing input,
-and a jump.
+A sample that no candidate can take contradicts. Up to m neighbouring samples may be bad unnoticed, and are
+over the limit r samples after the last of them at the latest: from each sample K - (m + r - 1) .. K on m are
+left out, and the search starts again. What is left has to pass three tests, which can take validity away and
+never give it: chance (a window of width w takes a random phase with probability w, M residuals within w by
+themselves M w^(M-1)), a standing input, and a jump.
 """
 
 from __future__ import annotations
@@ -70,12 +69,10 @@ class Candidate(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        """The run determines the next sample."""
         return self.run >= ORDER and not self.leaves
 
     @property
     def probability(self) -> float:
-        """That random phases would look like this."""
         number, least, most = self.residuals
         spread = number * max(0.0, most - least) ** (number - 1) if number > 1 else 1.0
         return min(self.chance, self.joined * spread)
@@ -217,7 +214,6 @@ class Doubt:
 
     @property
     def is_without_samples(self) -> bool:
-        """None was good since it began."""
         return not self._followed
 
     def skip(self, elapsed: float, flagged: bool) -> None:
@@ -350,10 +346,6 @@ class Doubt:
         return True
 
     def _first_misfit(self, contradicted: int) -> int:
-        """The first entry that the motion before does not fit, up to the one that contradicted.
-
-        While no acceleration is declared, usual samples may be outside the window in doubt.
-        """
         for number in range(max(0, contradicted - self._reach), contradicted):
             phase, elapsed, before = self.log[number]
             if phase is None or len(before) != 1:

@@ -136,7 +136,6 @@ class Estimator:
             self._past = None
 
     def confirm_count(self) -> None:
-        """The position is not lost any more: what eq. 9 counts is right."""
         self.lost = False
         self._remember_tracker()
 

@@ -51,7 +51,6 @@ class FrontEnd:
         self.use_interval(0.0)
 
     def use_conditioning(self, conditioning: Conditioning) -> None:
-        """Offset, gain and phase error of this one; delays and harmonics stay."""
         used = tuple(map(float, conditioning.values[:5]))
         self._offsets, self._gains, self._phase_error = used[:2], used[2:4], used[4]
 
@@ -73,7 +72,6 @@ class FrontEnd:
         return turned
 
     def row(self, speed_cycles: float) -> Row:
-        """What the harmonics do at this speed; () for nothing."""
         return () if self._rows is None else self._rows.row(speed_cycles * self._hertz)
 
     def lag_intervals(self, speed_cycles: float) -> float:

@@ -57,7 +57,6 @@ class FrozenInput:
         return self.repeats >= self.frozen_samples
 
     def goes_on(self, repeated: bool) -> bool:
-        """The counts of a machine that stands are ``repeated``, or others."""
         if repeated:
             self.repeated(self._speed)
         else:
@@ -66,7 +65,6 @@ class FrozenInput:
 
     @property
     def stands(self) -> bool:
-        """The counts repeat, and are those of a machine that stands still."""
         slow = not self.frozen_samples or abs(self._speed) < self.residual_limit_cycles
         return self.repeats > 0 and slow
 

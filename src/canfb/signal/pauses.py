@@ -1,10 +1,8 @@
 """Pauses and resets: what was known before is held against the standstill that a start assumes.
 
-In a pause nobody counts. A machine that stood still then is less than half a cycle away, and its phase says
-where. One that was moving may be anywhere: at the speed that it had, and the acceleration that is declared,
-could it have left its cycle? If so the position is lost. After a reset it starts again at cycle count 0, but
-eq. 9 does from standstill: it is lost where the machine may still turn. Another reset ends that, if the
-phases before it were equal.
+Nobody counts in a pause. A machine that could have left its cycle, by its speed and the declared
+acceleration, has lost its position. After a reset it starts again at cycle count 0, and is lost where the
+machine may still turn; another reset ends that if the phases before it were equal.
 """
 
 from __future__ import annotations
@@ -25,7 +23,6 @@ class Pauses:
         self.forget()
 
     def forget(self) -> None:
-        """The position starts again, by itself or at a speed that is known."""
         self._turned = 0.0  # the speed at a reset, cycles per interval, where the position started again
         self._waits = False  # at a reset it was lost, and the machine may have turned
 
@@ -40,7 +37,6 @@ class Pauses:
 
     @property
     def creeps(self) -> bool:
-        """The machine moves, by its last samples."""
         return not speeds.stood_still(self._stages.estimator.places, least=0)
 
     def reset(self) -> None:

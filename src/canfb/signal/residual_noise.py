@@ -58,7 +58,6 @@ class ResidualNoise:
 
     @property
     def usable_cycles(self) -> float:
-        """What a limit may take for it, cycles; NaN: too little is known."""
         if len(self._recent) < FEWEST_BLOCKS:
             return math.nan
         return min(max(self._recent), MOST_GROWTH * max(self._reference))

@@ -1,18 +1,14 @@
 """Sample times of the encoder interface (2000:05): how many sampling intervals lie between two samples.
 
-The interface's own clock says it exactly, so the jitter of SYNC and the delays of the bus cost nothing. Only
-the ratio of differences enters eq. 9: neither the drift of that clock nor the length of the interval matters.
-But a time may be wrong, of another sample, or of a clock that was set. It is right
+The interface's own clock says it exactly; only the ratio of differences enters eq. 9, so neither its drift
+nor the length of the interval matters. A time is right
 
 - with receive times, if it is as long after the last one as its SYNC was after that of the last; or at its
   place, if a timer of the interface lies closer to the line than to SYNC;
 - without, or where these are worse than HEARD_S, at the place on the grid that the count of SYNCs gives it;
-  or further on, if SYNCs were not sent or received, and two calls in a row came when such times were due. No
-  host takes a SYNC before it comes.
+  or further on, if SYNCs were lost, and two calls in a row came when such times were due.
 
-The line through the times that were right (:mod:`canfb.timing.grid`) is the one estimate of that clock: how
-long an interval is, how far a time is off, where the samples within an interval lie, and to which instant
-2013:02 moves a position.
+The line through the times that were right (:mod:`canfb.timing.grid`) is the one estimate of that clock.
 """
 
 from __future__ import annotations
@@ -66,14 +62,12 @@ class SampleTimes:
         self.reset()
 
     def reset(self) -> None:
-        """:meth:`forget`, and the interval: it may be another interface, or another bus."""
         self._pace_s = 0.0  # the interval, while nobody says how long it is
         self._heard_s = 0.0  # how far times are from the receptions of SYNC, mean
         self.grid.forget()
         self.forget()
 
     def forget(self) -> None:
-        """The next time is the first one."""
         self.grid.pause()
         self._last: int | None = None
         self._at = 0  # ticks of the last sample that was taken, as the grid has them
@@ -126,15 +120,12 @@ class SampleTimes:
     ) -> float:
         """Intervals since the last sample that was taken, above 0; or what is wrong with this time.
 
-        ``counted`` intervals have passed by the count of SYNCs; the bus received the sample at
-        ``received_s`` and the SYNC that it answers at ``synced_s``, seconds, None if that is not known.
-        ``speed_cycles`` is that of the machine, cycles per interval: a time that is off within the interval
-        is right where that costs less than SLIP_CYCLES.
+        ``counted`` intervals have passed by the count of SYNCs; ``received_s`` and ``synced_s`` are the
+        receive times of the sample and its SYNC, seconds, None: not known. A time that is off within the
+        interval is right where that costs less than SLIP_CYCLES at ``speed_cycles`` per interval.
 
-        REPEATED: it is that of the last sample or of one before. SUSPECT: it fits nothing, the next ones must
-        show whether it or the clock is wrong; :attr:`off` says how far. CROWDED: a new sample, so near to the
-        last one that it would give a poor speed. RESTARTED: the clock was, or SYNC is on another grid, and
-        how long the interval was cannot be known.
+        REPEATED: that of an earlier sample. SUSPECT: it fits nothing; :attr:`off` says how far. CROWDED: a
+        new sample too near to the last one for a speed. RESTARTED: the clock was, or SYNC is on another grid.
         """
         last, grid = self._last, self.grid
         if last is None:
@@ -201,7 +192,6 @@ class SampleTimes:
         return self.unit_s > 0.0
 
     def _follow_calls(self, ticks: int, synced_s: float) -> None:
-        """The soonest, within the drift of two clocks; frames that waited say nothing of it."""
         soonest_s = synced_s - (self._at + ticks) * TICK_S
         spare_s = DRIFT * ticks * TICK_S if soonest_s < self._least_s + HEARD_S else 0.0
         self._least_s = min(soonest_s, self._least_s + spare_s)

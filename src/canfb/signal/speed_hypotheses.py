@@ -165,7 +165,6 @@ class SpeedHypotheses:
 
     @property
     def found(self) -> Found | None:
-        """The speed, as soon as it is the only one and no chance."""
         sets = self._sets
         chance = sum(one.chance for one in sets) if self._good is None else self._good.chance
         return sets[0].last_two if self.is_decided and chance <= FALSE_ACCEPTANCE else None

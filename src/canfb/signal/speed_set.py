@@ -67,11 +67,9 @@ class SpeedSet:
 
     @property
     def left(self) -> int:
-        """Motions that are left; 0 after a false sample."""
         return len(self._counts[0]) if self._counts else 1
 
     def limit(self, largest: float, instant_error: float) -> None:
-        """These limits from the next sample on."""
         self._largest, self._instant_error = largest, instant_error
 
     def skip(self, elapsed: float) -> None:
@@ -87,7 +85,6 @@ class SpeedSet:
         return other
 
     def unite(self, other: SpeedSet) -> None:
-        """Follow those of ``other`` as well."""
         both = np.hstack([np.stack(self._counts), np.stack(other._counts)])
         both = both[:, np.lexsort(both[::-1])]  # np.unique(axis=1) takes four times as long
         differs = (both[:, 1:] != both[:, :-1]).any(axis=0)
@@ -161,15 +158,12 @@ class SpeedSet:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Of the only motion left: of the last sample, and of the one before."""
         return int(self._counts[0][0]), int(self._counts[1][0])
 
     @property
     def last_two(self) -> Found:
-        """The last two samples of the only motion that is left."""
         last, before = self.counts
         return Found((before, self._phases[1]), (last, self._phases[0]), self._since[1])
 
     def has(self, count: int) -> bool:
-        """One of the speeds that are left has this cycle count now."""
         return bool((self._counts[0] == count).any())

@@ -1,7 +1,6 @@
 """The stages of one sample: conditioning, Table 1, correction, eq. 9, supervision, comparisons.
 
-Nearly each sample is usual: in turn, within all limits, nothing in doubt. Then eq. 9 counts; whatever
-differs is left to :meth:`Stages._resolve`.
+A usual sample is in turn, within all limits, nothing in doubt; :meth:`Stages._resolve` takes all others.
 """
 
 from __future__ import annotations
@@ -154,7 +153,6 @@ class Stages:
     # Starts and pauses.
 
     def restart(self, cycles: int = 0, speed_cycles: float = 0.0) -> None:
-        """Forget the position: the next good sample starts with this cycle count and speed."""
         self.estimator.restart(cycles, speed_cycles)
         self.reference.restart()
         if self.second is not None:
@@ -174,7 +172,6 @@ class Stages:
             self.lose_after_pause(starts)
 
     def lose_after_pause(self, starts: bool) -> None:
-        """As :meth:`Estimator.lose`; without a sample."""
         self.estimator.lose(LossCause.PAUSE, starts)
         self.reference.slipped()
 
@@ -343,7 +340,6 @@ class Stages:
                 self._status |= REFERENCED
 
     def repeats(self, sine: float, cosine: float) -> bool:
-        """``sine`` and ``cosine`` are the counts of the last sample, before conditioning."""
         return sine == self._sine and cosine == self._cosine
 
     def _learn(self, feedback: Feedback) -> None:

@@ -147,7 +147,6 @@ class Stream:
         self._ok = np.empty(BEFORE + BLOCK_SAMPLES, np.bool_)
 
     def tracks(self, block: tuple[npt.ArrayLike, npt.ArrayLike]) -> tuple[AnyArray, AnyArray]:
-        """The arrays of the next block, or ValueError."""
         if not hasattr(block, "__len__"):
             raise ValueError(f"a block must be a pair (sine, cosine), not {type(block).__name__}")
         if len(block) != 2:

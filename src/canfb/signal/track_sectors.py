@@ -78,7 +78,6 @@ class TrackSectors:
         return self._filled == SECTORS
 
     def found(self) -> SectorMeans:
-        """What the samples give, if :meth:`take` has returned True."""
         rows = list(zip(self._counts, self._places, self._radial, self._tangential, strict=True))
         turning = [complex(radial, tangential) / n for n, _, radial, tangential in rows]
         turns = [cmath.exp(1j * TURN * place / n) for n, place, _, _ in rows]

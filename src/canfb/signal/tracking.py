@@ -80,7 +80,6 @@ def _take_one(tracker: Tracker, result: TrackResult, at: int) -> None:
 
 
 def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
-    """True if what the prediction needs stands in the result just before ``at``."""
     if at < PLACES_BEFORE or not tracker.is_steady:
         return False
     before = (*result.phase[at - PLACES_BEFORE : at].tolist(), int(result.cycles[at - 1]))
@@ -88,7 +87,6 @@ def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
 
 
 def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
-    """Write the places of a steady tracker into ``result``, just before ``at``."""
     cycles, phase = result.cycles, result.phase
     phase[at - 2], phase[at - 1], last, step = tracker.state()
     cycles[at - 1], cycles[at - 2] = last, last - step

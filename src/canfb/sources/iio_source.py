@@ -90,7 +90,6 @@ def open_context(iio: Any, uri: str) -> Any:
 
 
 def find_device(iio: Any, context: Any, name: str, uri: str) -> Any:
-    """The device with this name, id or label."""
     device = context.find_device(name) if name.isascii() else None
     if device is None or isinstance(device, iio.Trigger):
         names = [_name(one) for one in context.devices if not isinstance(one, iio.Trigger)]
@@ -109,7 +108,6 @@ def find_channel(device: Any, key: str, name: str) -> Any:
 
 
 def find_timestamp(device: Any) -> Any:
-    """The channel with the kernel's time of a scan."""
     channel = device.find_channel(TIMESTAMP)
     if channel is None or not channel.scan_element:
         raise ConfigError(f"source: time_stamps: {_name(device)} has no time stamps; set time_stamps: false")

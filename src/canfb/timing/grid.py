@@ -104,13 +104,11 @@ class Grid:
         self.period, self.seen = period, FIRST
 
     def begin(self, instant: float) -> None:
-        """The first instant after a pause."""
         self._first, self._fresh = [instant], 1
         self.due = instant + self.period
         self._find_gains()
 
     def learn(self, instant: float) -> None:
-        """The next instant while the period is not known."""
         first = self._first
         first.append(instant)
         del first[:-LARGEST_FIRST]

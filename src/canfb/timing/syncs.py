@@ -1,20 +1,10 @@
 """SYNCs on their grid: how many intervals have passed, which samples are missing, which instant is bad.
 
-With receive times a SYNC lies on the grid (:mod:`canfb.timing.grid`), or off it:
-
-| SYNC | what it means |
-|---|---|
-| on the grid | the places left out before it are SYNCs that were not received |
-| at the place of the last | a second one: no sample is expected, but PDOs follow it |
-| off the grid | its sample is bad where the machine moves; ROW regular ones are another grid |
-| with a counter that contradicts | intervals of doubt |
-
-Without receive times the call is only the latest time of the frame. SYNCs are counted in their order then,
-with their counter where they have one, and the line follows the earliest of TOGETHER calls. One that is
-late by a turn of its counter, without a counter by a period, may come after others that were lost: nothing is
-valid until one is in time again. Those that stay late, a period apart, were not late: SYNCs
-are missing, which is as many intervals of doubt. So is one late by half a period behind an extra one: that
-may have been the SYNC of this place. Doubt is speed times intervals: at standstill it is none.
+With receive times a SYNC lies on the grid (:mod:`canfb.timing.grid`), or off it (docs/time.md). Without them
+the call is only the latest time of the frame: SYNCs are counted in their order, with their counter where they
+have one, and the line follows the earliest of TOGETHER calls. One that is late by a turn of its counter,
+without one by a period, may come after others that were lost: nothing is valid until one is in time again.
+Those that stay late show that SYNCs are missing. Doubt is speed times intervals: at standstill it is none.
 
 | bound | value | reason |
 |---|---|---|
@@ -135,7 +125,6 @@ class Syncs:
         self._assumed = False  # the last place was never received: its PDO came
 
     def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
-        """A SYNC at ``time_s`` with its ``counter``, None without one."""
         grid = self.grid
         off_s, places, verdict = time_s - grid.due, 1, ON_TIME
         usual = (
@@ -315,7 +304,6 @@ class Syncs:
     # Silence.
 
     def advance(self, intervals: int) -> None:
-        """So many SYNCs came since the last one, and were not received."""
         grid = self.grid
         self.place += intervals
         self._assumed = True

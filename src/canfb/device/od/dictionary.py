@@ -24,14 +24,13 @@ RPDO_ACCESS = frozenset({"wo", "rw", "rww"})
 class Entry:
     """A sub-index of the object dictionary (CiA 301, 7.4).
 
-    `value` is read and written directly by the owner of the object; SDO and PDO go through the checks.
-    `access` is ro, wo, rw, const, rww (rw, mappable into an RPDO only) or rwr (into a TPDO only). `low` and
-    `high` limit values from the bus.
+    `value` belongs to the owner of the object; SDO and PDO go through the checks. `access` is ro, wo, rw,
+    const, rww (rw, mappable into an RPDO only) or rwr (into a TPDO only). `low` and `high` limit values from
+    the bus.
 
-    Hooks: `on_read()` gives a live value, and may raise SdoAbort. `on_check(value)` raises SdoAbort for a
-    value that the object cannot have, without effect. `on_written()` acts on the new `value`; SdoAbort
-    refuses it. `on_download()` runs after an SDO has written the entry. `follows_node_id`: $NODEID is in the
-    default.
+    `on_read()` gives a live value, `on_check(value)` raises SdoAbort without effect, `on_written()` acts on
+    the new `value` or refuses it, `on_download()` runs after an SDO write. `follows_node_id`: $NODEID is in
+    the default.
     """
 
     __slots__ = (
@@ -105,12 +104,10 @@ class Entry:
 
     @property
     def bit_length(self) -> int:
-        """Length in a PDO, bits; 0 for none."""
         return datatypes.bit_length(self.data_type)
 
     @property
     def byte_length(self) -> int:
-        """Length in an SDO, bytes; 0 for none."""
         return datatypes.byte_length(self.data_type)
 
     def current(self) -> Any:

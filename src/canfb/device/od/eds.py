@@ -1,9 +1,8 @@
 """EDS and DCF files (CiA 306): one reader, for the device and for the tools.
 
-Tolerant where files in the field are odd and nothing depends on it: byte order mark, Ctrl-Z, Windows-1252,
-indented lines, any case of sections and keys, octal numbers, `$NODEID` on either side, CompactSubObj,
-missing sections and blank numbers. Strict where a value decides: a data type, an access, a default or a
-limit that is none is refused, with its section and key. A content is read once in a process.
+Tolerant where files in the field are odd and nothing depends on it (byte order mark, Ctrl-Z, Windows-1252,
+indented lines, case, octal numbers, blank ones); strict where a value decides: a bad data type, access,
+default or limit is refused, with its section and key. A content is read once in a process.
 """
 
 from __future__ import annotations

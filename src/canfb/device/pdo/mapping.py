@@ -1,9 +1,7 @@
 """PDO parameters and mapping (CiA 301, 7.5.2.35 to 7.5.2.38): what may be written when.
 
-A PDO is the mapped objects one after the other, least significant bit first, compiled once into `packer`
-(TPDO) or `unpacker` (RPDO). To change it, make it not valid (bit 31 of its COB-ID), set the number of objects
-to 0, write the entries, their number, the COB-ID. Each step is checked by `on_check` of its entry, so for
-SDO, restored values and DCF alike.
+Mapped objects follow each other, least significant bit first, compiled once into `packer` or `unpacker`. Each
+step of the procedure is checked by `on_check` of its entry, so for SDO, restored values and DCF alike.
 """
 
 from __future__ import annotations
@@ -76,7 +74,6 @@ PDO_NUMBERS = range(1, 513)
 
 
 def numbers(dictionary: Dictionary, direction: Direction) -> list[int]:
-    """The PDOs that the dictionary has, from 1."""
     first = COMMUNICATION[direction]
     return [index - first + 1 for index in dictionary.indices(range(first, first + len(PDO_NUMBERS)))]
 
@@ -133,7 +130,6 @@ class PdoParameters:
         return not self.cob_id.value & cob.NO_RTR
 
     def further(self, subindex: int) -> Entry:
-        """A further communication parameter, or 0."""
         return self._dictionary.assumed(self._communication, subindex)
 
     def active_slots(self) -> list[Slot]:

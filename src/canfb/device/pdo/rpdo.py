@@ -55,7 +55,6 @@ class Rpdo(Timed):
         return self._parameters.can_id if self._parameters.is_valid else None
 
     def enable(self, operational: bool, now: float) -> None:
-        """Whether the state allows PDOs; compiles the mapping."""
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
         self._length = length_of(slots)

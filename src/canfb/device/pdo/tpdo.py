@@ -72,7 +72,6 @@ class Tpdo(Timed):
 
     @property
     def is_synchronous(self) -> bool:
-        """It acts at a SYNC now."""
         return self._pack is not None and (self._type in SYNCHRONOUS or self._type == SYNC_REMOTE)
 
     def enable(self, operational: bool, now: float) -> None:

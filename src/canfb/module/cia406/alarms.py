@@ -105,7 +105,6 @@ class Warnings:
         self.last_status = NO_STATUS
 
     def limits_changed(self) -> None:
-        """The residual limit or 2001:03."""
         # A reported warning is checked in each sample, so that its end is detected.
         following = bool(self._reported & EVERY_SAMPLE)
         self.near_cycles = -1.0 if following else NEAR_LIMIT * self._residual_limit()

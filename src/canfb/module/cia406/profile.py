@@ -134,7 +134,6 @@ class EncoderProfile:
         self.rescale()
 
     def rescale(self) -> None:
-        """Take over 2001:01, 6000h, 6001h, 6002h and 6509h at once."""
         cycles = self._cycles_per_revolution.value
         self._resolution.value = resolution = single_turn_resolution(cycles)
         self._revolutions.value = revolutions = distinguishable_revolutions(resolution)
@@ -165,7 +164,6 @@ class EncoderProfile:
         self._alarms.value = self._alarms.value & ALARM_PARAMETERS | (ALARM_POSITION if active else 0)
 
     def alarm_parameters(self, refused: bool) -> None:
-        """Bit 12 of 6503h: the defaults are in force."""
         self._alarms.value = self._alarms.value & ALARM_POSITION | (ALARM_PARAMETERS if refused else 0)
 
     def _valid_position(self) -> int | None:

@@ -147,7 +147,6 @@ class Calibrating:
         self._compared: tuple[Correction, Drift] | None = None
 
     def reset(self) -> None:
-        """Nothing is known; what is in force stays so."""
         self._task = Command.START
         self._forget(1)
         self._enter(State.IDLE)

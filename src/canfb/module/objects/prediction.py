@@ -26,18 +26,16 @@ class Prediction:
         1  constant speed         x(k) + v       error at most |acceleration| T^2,   noise times sqrt(5)
         2  constant acceleration  x(k) + v + a   error at most |jerk| T^3,           noise times sqrt(19)
 
-    With m samples in an interval of SYNC: x(k) + m v, and x(k) + m v + a m (m + 1)/2. v is the speed of half
-    an interval ago, so a counts whole, not half (docs/latency.md).
+    With m samples in an interval: x(k) + m v, and x(k) + m v + a m (m + 1)/2. v is the speed of half an
+    interval ago, so a counts whole (docs/latency.md).
 
-    :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled, :meth:`withdraw` after it, which puts
-    ``measured`` back: 6004h, 6008h and 2011:01. Bit 12 of the status word stands as long as the extrapolated
-    position does. While coasting the position goes on at the last valid speed; a lost one stays as eq. 9
-    counts it.
+    :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled; :meth:`withdraw` after it puts
+    ``measured`` back. Bit 12 of the status word stands in between. While coasting the position goes on at the
+    last valid speed; a lost one stays as eq. 9 counts it.
 
-    With 2013:02 and sample times the position belongs to the nominal SYNC of its sample, d intervals
-    after it: x + v d. :meth:`shift` puts it into the objects for good. From there to the next nominal SYNC
-    formula 1 adds v (d + p), formula 2 v (d + p) + a (d + p)(d + p + 1)/2, with p the period of the lock in
-    intervals. All go on further by the delay of the analog path (2002:07).
+    With 2013:02 and sample times :meth:`shift` moves the position to the nominal SYNC of its sample, d
+    intervals later: x + v d; formula 1 then adds v (d + p), formula 2 v (d + p) + a (d + p)(d + p + 1)/2, p
+    the period in intervals. All go on further by the delay of the analog path (2002:07).
     """
 
     def __init__(
@@ -72,7 +70,6 @@ class Prediction:
         self._valid_samples = 0  # in a row
 
     def shift(self, last: Feedback) -> None:
-        """``last`` was published: its position becomes that at its nominal SYNC."""
         if not last.status & VALID or not self._lock.locked:
             return
         cycles, phase = ahead(

@@ -180,7 +180,6 @@ class Publication:
         self._loss.reset()
 
     def withhold(self) -> None:
-        """Not valid any more, until the next sample."""
         self._status.value &= ~VALID
 
     def count(self, feedback: Feedback) -> None:
@@ -202,7 +201,6 @@ class Publication:
         self._lost = lost
 
     def calibrating(self, working: bool) -> None:
-        """Bit 10 of the status word, at once."""
         self.work = CALIBRATING if working else 0
         self._status.value = self._status.value & ~CALIBRATING | self.work
 

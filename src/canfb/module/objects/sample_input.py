@@ -93,7 +93,6 @@ class SampleInput:
 
     @property
     def samples_per_sync(self) -> int:
-        """Pairs of sine and cosine."""
         return 1 + len(self._earlier)
 
     def take(self, number: int) -> bool:

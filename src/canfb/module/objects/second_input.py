@@ -36,7 +36,6 @@ class SecondInput:
 
     @property
     def sensor(self) -> SecondSensor | None:
-        """None while it is not in use."""
         values = {name: entry.value for name, entry in self._parameters.items()}
         if self.number is None or values["tolerance_revolutions"] == 0.0:
             return None
@@ -55,7 +54,6 @@ class SecondInput:
             self.apply()
 
     def value_received(self) -> None:
-        """RPDO :attr:`number`, or its data at a SYNC."""
         self._values += 1
 
     def interval_over(self, certain: bool) -> None:

@@ -160,7 +160,6 @@ class Adapting:
 
     @property
     def state(self) -> State:
-        """2002:0D."""
         adaptation = self._chain.adaptation
         if not adaptation.is_on:
             return State.OFF
@@ -169,7 +168,6 @@ class Adapting:
         return State.FOLLOWING if adaptation.is_recent(self._chain.samples) else State.WAITING
 
     def reset(self) -> None:
-        """The correction is in force: on from the drift that was saved with it."""
         self._adapt(FollowedDrift(*(entry.value for entry in self._drift)))
 
     def _apply(self) -> None:

@@ -58,7 +58,6 @@ class CoarseTrack(Witness):
         return math.atan2(sine, cosine) / (2.0 * math.pi) % 1.0 % 1.0
 
     def pair(self, angle: float | None, cycles: int, phase: float, time: float) -> Pair | None:
-        """The angle at this position and time, unwrapped; without one the search begins again."""
         if angle is None:
             self.restart_search()
             return None

@@ -59,7 +59,6 @@ class Reference:
         self.restart()
 
     def restart(self, keep: bool = False) -> None:
-        """After a start: the machine may be turning. ``keep``: the position goes on from before."""
         if not keep:
             self.zero.forget()
             self.had_position = self.in_doubt = False
@@ -67,20 +66,17 @@ class Reference:
         self.slipped()
 
     def position_lost(self) -> None:
-        """What pulses said of its count does not matter any more."""
         self.in_doubt = False
         self.zero.forget_doubts()
         self.slipped()
 
     def speed_known(self) -> None:
-        """A zero pulse may set the count of a lost position."""
         self._speed_known = True
 
     def missed(self) -> None:
         self.slipped() if self.estimator.lost else self.coarse.restart_search()
 
     def slipped(self) -> None:
-        """The speed of a lost position is not known any more."""
         self.range_known = self._range_from_zero = self._speed_known = False
         self.coarse.disagreeing = 0
         self._first_pulse: Pulse | None = None

@@ -58,7 +58,6 @@ class SecondPosition:
 
     @property
     def disagrees(self) -> bool:
-        """The last values contradict the position."""
         return self.witness.disagrees
 
     def _restart_search(self) -> None:

@@ -26,7 +26,6 @@ class SecondValues:
         self.restart()
 
     def restart(self, keep: bool = False) -> None:
-        """After a start. ``keep``: where the sensor stood still counts."""
         if not keep:
             self._last: int | None = None
             self._increments = 0
@@ -40,7 +39,6 @@ class SecondValues:
         self.restart_standstill()
 
     def restart_standstill(self) -> None:
-        """Whether the machine stands is not known."""
         self._still: Pair | None = None
         self._still_pairs = 0
 

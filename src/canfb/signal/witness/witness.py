@@ -65,13 +65,11 @@ class Witness:
         self.restart(keep=False)
 
     def use(self, scale: WitnessScale) -> None:
-        """Take another scale; where both stand for the same place stays."""
         self.scale = scale
         self._search = SpeedSearch(scale.slope, 2.0 * scale.tolerance_cycles, scale.noise_cycles)
         self.restart_search()
 
     def restart(self, keep: bool) -> None:
-        """After a start. ``keep``: the position goes on from before, across a pause."""
         if not keep:
             self.forget()
         self.proven = False
@@ -86,7 +84,6 @@ class Witness:
         self.disagreeing = 0
 
     def restart_search(self) -> None:
-        """Begin again to look for speed and count."""
         self._search.restart()
         self._first: Pair | None = None
         self._agreeing, self._shift, self._away = 0, 0, 0.0
@@ -97,7 +94,6 @@ class Witness:
 
     @property
     def limit_cycles(self) -> float:
-        """How far a value may be from the position."""
         scale = self.scale
         return scale.tolerance_cycles * (1.0 if self.firm else PROVISIONAL) + scale.step_cycles
 

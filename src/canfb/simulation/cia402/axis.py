@@ -75,7 +75,6 @@ class Axis:
         self._limited = False
 
     def ramp_down(self, *, from_actual: bool = False) -> None:
-        """Come to a standstill with the deceleration 6085h, from the demand or the actual motion."""
         if from_actual:
             self._place(self._feedback.speed * self.scaling.units)
         self._braking = True
@@ -118,7 +117,6 @@ class Axis:
         return torque
 
     def follows_badly(self, now: float) -> bool:
-        """Whether the following error has been outside of 6065h for 6066h."""
         if not self._is_outside():
             self._too_far_since_s = None
         elif self._too_far_since_s is None:
@@ -138,7 +136,6 @@ class Axis:
         return bool(changed)
 
     def status(self, enabled: bool) -> int:
-        """Bits 11 to 13 of the statusword; ``enabled`` in Operation enabled."""
         bits = 0
         if not enabled:
             return bits

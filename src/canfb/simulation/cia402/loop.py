@@ -34,7 +34,6 @@ class Trajectory:
         self.speed = (self.position - before) / period_s
 
     def brake(self, deceleration: float, period_s: float) -> bool:
-        """Slow down; True when it stands still."""
         before = self.speed
         self.speed = math.copysign(max(0.0, abs(before) - deceleration * period_s), before)
         if self.speed == 0.0:

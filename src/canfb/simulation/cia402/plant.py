@@ -247,7 +247,6 @@ class Plant(SilentDevice):
         return []
 
     def drive(self, torque_nm: float, powered: bool, now: float) -> None:
-        """From ``now`` on the motor is driven with this torque; without power the brake is closed."""
         self.go_on_to(now)
         self.motor.command_nm = torque_nm if powered else 0.0
         if not powered:
