@@ -5,11 +5,13 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-import numpy as np
 import pytest
 
+from canfb import objects as od
+from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
-from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
+from canfb.master.access import REALS, CommissioningError, NodeAccess, ObjectAbsentError
+from canfb.master.supervision_limits import SupervisionLimits, as_real32
 from canfb.signal.correction import CorrectionTable
 from commissioning_kit import Bench
 
@@ -36,40 +38,38 @@ def commands_of(bench: Bench) -> list[int]:
 
 
 @pytest.mark.parametrize("blocks", [True, False])
-def test_a_domain_goes_there_and_back(blocks: bool) -> None:
-    bench = Bench(sync=False)
+@pytest.mark.parametrize("entries", [16, 17, 256, 300, 4096])
+def test_a_domain_goes_there_and_back(blocks: bool, entries: int) -> None:
+    bench, table = Bench(sync=False), CorrectionTable.identity(entries)
     if not blocks:
         without_blocks(bench)
-    bench.access.download_domain(0x2020, 1, TABLE.to_bytes())
-    assert bench.value(0x2020, 2) == TABLE.crc32
-    bench.access.write(0x2020, 3, "I", TABLE.crc32)
+    bench.access.download_domain(0x2020, 1, table.to_bytes())
+    assert bench.value(0x2020, 2) == table.crc32
+    bench.access.write(0x2020, 3, "I", table.crc32)
     heard: list[float] = []
-    assert bench.access.upload_domain(0x2020, 1, heard.append) == TABLE.to_bytes()
+    assert bench.access.upload_domain(0x2020, 1, heard.append) == table.to_bytes()
     commands = commands_of(bench)
     assert (0xC6 in commands, 0xA4 in commands) == (True, True), "block transfer is tried first"
     assert (0x21 in commands, 0x40 in commands) == (not blocks, not blocks)
 
 
-@pytest.mark.parametrize("length", [1, 4, 5, 7, 64, 1024, 4 * 4096])
-def test_domains_of_any_length(length: int) -> None:
+def test_every_real_of_encoder_and_supervision_is_read_as_one() -> None:
     bench = Bench(sync=False)
-    entries = max(16, length // 4)
-    data = CorrectionTable(np.arange(entries) / entries).to_bytes()
-    bench.access.download_domain(0x2020, 1, data)
-    assert bench.value(0x2020, 2) == CorrectionTable.from_bytes(data).crc32
+    reals = {
+        (entry.index, entry.subindex)
+        for entry in bench.module.dictionary
+        if entry.index in (0x2001, 0x2010, 0x2011, 0x2014) and entry.data_type == DataType.REAL32
+    }
+    assert reals == REALS
+    bench.access.write(*od.SUPERVISION_SYNC_JITTER, "f", 1e-4)
+    assert SupervisionLimits.read(bench.access).values[od.SUPERVISION_SYNC_JITTER] == as_real32(1e-4)
 
 
 def test_numbers_of_every_size() -> None:
     access = Bench(sync=False).access
-    for index, subindex, layout, value in (
-        (0x2001, 1, "I", 1234),
-        (0x2001, 2, "H", 8192),
-        (0x2010, 3, "B", 7),
-        (0x2002, 1, "f", -3.25),
-    ):
-        access.write(index, subindex, layout, value)
-        assert access.read(index, subindex, layout) == value
-    assert access.integer(0x2001, 2, "H") == 8192
+    for place, layout, value in (((0x2001, 2), "H", 8192), ((0x2010, 3), "B", 7), ((0x2002, 1), "f", -3.25)):
+        access.write(*place, layout, value)
+        assert access.read(*place, layout) == value
 
 
 def test_what_is_refused_is_one_line_with_the_reason() -> None:

@@ -174,10 +174,8 @@ def check_as_predicted(found_rms: float, predicted_rms: float, uncertainty_rms: 
 
 def phase_error(module: NodeAccess) -> int | None:
     """2010:0C as it is, 1/65536 cycle; None for a module without it."""
-    try:
-        return module.integer(*od.SUPERVISION_PHASE_ERROR, "H")
-    except ObjectAbsentError:
-        return None
+    error = module.read_known(od.SUPERVISION_PHASE_ERROR)
+    return None if error is None else int(error)
 
 
 def declare_phase_error(module: NodeAccess, peak_cycles: float) -> float:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from canfb import objects as od
-from canfb.master.access import NodeAccess, ObjectAbsentError
-from canfb.objects import LossCause, Multiplexer, PositionState, StatusBit
+from canfb.master.access import NodeAccess
+from canfb.objects import LossCause, PositionState, StatusBit
 from canfb.rows import Result
 from canfb.signal.limits import cycles_per_interval_squared, kept_samples, max_acceleration
 from canfb.view.limits_in_force import limit_settings
@@ -283,12 +283,12 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
     began, first = master.now(), module.integer(*od.FEEDBACK_SAMPLES, "I")
     status = module.integer(*od.FEEDBACK_STATUS, "H")
     mapped = mapped_objects(module.read_known)
-    tolerance = _read(module, od.SECOND_TOLERANCE, "f")
+    tolerance = module.read_known(od.SECOND_TOLERANCE) or 0.0
     loss, keeps_cause = _read_loss(module)
     settings = {
-        "losses": int(_read(module, od.COUNTER_LOST, "I")),
-        "missed": int(_read(module, od.COUNTER_MISSED, "I")),
-        "missed_syncs": int(_read(module, od.COUNTER_SYNCS_NOT_HEARD, "I")),
+        "losses": int(module.read_known(od.COUNTER_LOST) or 0),
+        "missed": int(module.read_known(od.COUNTER_MISSED) or 0),
+        "missed_syncs": int(module.read_known(od.COUNTER_SYNCS_NOT_HEARD) or 0),
         "cycles_per_revolution": module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
         "coast_samples": module.integer(*od.SUPERVISION_COAST, "B"),
     }
@@ -317,13 +317,10 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
 
 
 def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
-    try:
-        number = module.integer(*od.COUNTER_LOSS_CAUSE, "I")
-    except ObjectAbsentError:
-        return None, False
+    number = module.read_known(od.COUNTER_LOSS_CAUSE)
     cause = od.loss_cause(number)
     if cause is None:
-        return None, not number
+        return None, number == 0
     since_ms, bad, residual, limit, speed, faults = (
         module.integer(*place, "I")
         for place in (
@@ -337,13 +334,6 @@ def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
     )
     residual_cycles, limit_cycles, speed_cycles = (one / CYCLE_UNITS for one in (residual, limit, speed))
     return Loss(cause, since_ms / 1e3, bad, residual_cycles, limit_cycles, speed_cycles, faults), True
-
-
-def _read(module: NodeAccess, place: Multiplexer, layout: str) -> float:
-    try:
-        return module.read(*place, layout)
-    except ObjectAbsentError:
-        return 0
 
 
 def _times(count: int, one: str, several: str) -> str:

@@ -71,11 +71,18 @@ BROKEN = (AbortCode.TOGGLE, AbortCode.COMMAND, AbortCode.SEQUENCE_NUMBER, AbortC
 ATTEMPTS = 6
 REALS = frozenset(
     {
-        od.SUPERVISION_ACCELERATION,
         od.ENCODER_CORNER_FREQUENCY,
         od.ENCODER_COSINE_CORNER_FREQUENCY,
+        od.SUPERVISION_ACCELERATION,
+        od.SUPERVISION_JERK,
+        od.SUPERVISION_SYNC_JITTER,
+        od.FEEDBACK_VELOCITY,
+        od.FEEDBACK_ACCELERATION,
+        od.SECOND_TOLERANCE,
+        od.SECOND_DIFFERENCE,
     }
 )
+"""REAL32 that :meth:`NodeAccess.read_known` reads."""
 REAL32 = struct.Struct("<f")
 SETTLE_S = 0.05  # for frames of an aborted block transfer that are still in transit
 

@@ -135,14 +135,8 @@ def check_can_save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES
 
 def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> od.Multiplexer | None:
     """The first that saves on command, or None."""
-    for store in stores:
-        try:
-            ability = module.integer(*store, "I")
-        except ObjectAbsentError:
-            continue
-        if ability & SAVES_ON_COMMAND:
-            return store
-    return None
+    can_save = (store for store in stores if int(module.read_known(store) or 0) & SAVES_ON_COMMAND)
+    return next(can_save, None)
 
 
 def write_conditioning(module: NodeAccess, conditioning: Conditioning) -> None:

@@ -12,7 +12,7 @@ from canfb import objects as od
 from canfb.calibration.recording import WINDOW, Lock, away_from, find_lock
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
-from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress
+from canfb.master.access import CommissioningError, NodeAccess, Progress
 from canfb.master.listening import Listener
 from canfb.master.samples import TrackSamples
 from canfb.objects import PositionState, StatusBit, fault_words, position_state
@@ -222,13 +222,8 @@ def check_valid(module: NodeAccess) -> None:
 
 def read_counters(module: NodeAccess) -> dict[str, int]:
     """The counters that it has."""
-    found = {}
-    for name, place in COUNTERS.items():
-        try:
-            found[name] = module.integer(*place, "I")
-        except ObjectAbsentError:
-            continue
-    return found
+    values = {name: module.read_known(place) for name, place in COUNTERS.items()}
+    return {name: int(value) for name, value in values.items() if value is not None}
 
 
 def counted(before: Mapping[str, int], after: Mapping[str, int]) -> dict[str, int]:

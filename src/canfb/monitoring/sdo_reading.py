@@ -16,9 +16,9 @@ from canfb import objects as od
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.shared_bus import SharedBus, beside
 from canfb.errors import CanfbError
-from canfb.master.access import NodeAccess, RefusedError
+from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import active_conditioning, read_active
-from canfb.monitoring.layout import COUNTERS, VALUES, ModuleReading, NodeLayout, Origin, layout_of
+from canfb.monitoring.layout import COUNTERS, ModuleReading, NodeLayout, Origin, layout_of
 from canfb.monitoring.lines import is_stale
 from canfb.monitoring.snapshot import BusSnapshot, NodeSnapshot
 from canfb.objects import Multiplexer
@@ -73,7 +73,7 @@ class ModuleReader:
         heard = node is not None and node.module is not None and not is_stale(node.module)
         pdos = self._layout.tpdos if heard else ()
         carried = {place for pdo in pdos for place in pdo.values(bytes(pdo.length_bytes))}
-        values = {place: _value(module, place) for place in REPEATED if place not in carried}
+        values = {place: module.read_known(place) for place in REPEATED if place not in carried}
         found = {place: value for place, value in values.items() if value is not None}
         if self._with_table:
             self._correction = self._active(module, found.get(od.TABLE_ACTIVE_CRC))
@@ -89,13 +89,6 @@ class ModuleReader:
 
 def _changes(node: NodeSnapshot | None) -> tuple[int, bool] | None:
     return None if node is None or node.module is None else (node.boot_ups, node.module.table_active)
-
-
-def _value(module: NodeAccess, place: Multiplexer) -> Number | None:
-    try:
-        return module.read(*place, VALUES[place])
-    except RefusedError:
-        return None
 
 
 Take = Callable[[ModuleReading], None]

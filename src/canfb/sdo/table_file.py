@@ -13,7 +13,7 @@ import yaml
 from canfb import objects as od
 from canfb.calibration.motion_blocks import peak, root_mean
 from canfb.marked_yaml import MarkedYaml, read_bytes
-from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError
+from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import read_active, read_conditioning
 from canfb.master.machine_watch import Provenance
 from canfb.rows import Result, Row, as_figures, as_lines
@@ -193,11 +193,9 @@ class TableState:
         staged = module.integer(*od.TABLE_STAGED_CRC, "I")
         written = read_conditioning(module)
         waiting = None if written == used.conditioning else written
-        try:
-            saved: int | None = module.integer(*od.TABLE_SAVED_CRC, "I")
-        except ObjectAbsentError:
-            saved = None
-        return cls(module.name, used, cycles, False, staged, saved, waiting)
+        saved = module.read_known(od.TABLE_SAVED_CRC)
+        saved_crc32 = None if saved is None else int(saved)
+        return cls(module.name, used, cycles, False, staged, saved_crc32, waiting)
 
     @classmethod
     def of_file(cls, file: TableFile) -> TableState:
