@@ -29,7 +29,7 @@ def test_its_machine_keeps_to_the_acceleration_that_it_declares() -> None:
 
 
 def test_the_reason_beside_the_acceleration_is_right() -> None:
-    """With an encoder as good as the module assumes one trajectory fits, by docs/legal-motion.md."""
+    """With an encoder as good as the module assumes one trajectory fits, by docs/supervision.md."""
     config = parse_config(EXAMPLE)
     module = config.modules[0]
     half_a_cycle = max_acceleration(module.cycles_per_revolution, 100.0, 0.5)

@@ -144,7 +144,7 @@ LOST = LostPosition(
 
 
 def test_the_longest_gap_is_that_of_the_page_on_missed_samples() -> None:
-    """The table of docs/legal-motion.md, A = a: 1/6, 1/8 and 1/12 cycle per interval squared."""
+    """The table of docs/supervision.md, A = a: 1/6, 1/8 and 1/12 cycle per interval squared."""
     for missed, largest in ((1, 1 / 6), (2, 1 / 8), (3, 1 / 12)):
         rad_s2 = largest * 100.0**2 / 2500 * 6.283185307
         assert replace(LOST, acceleration_rad_s2=0.999 * rad_s2).longest_gap() == missed

@@ -1,6 +1,6 @@
 """A module in plain arithmetic: from ADC counts, one pair for each SYNC, to the fields of its position PDO.
 
-Slow, and written from docs/supervision.md and docs/legal-motion.md, not from the code: nothing of canfb but
+Slow, and written from docs/supervision.md and docs/supervision.md, not from the code: nothing of canfb but
 the bits of the status word. Positions are plain numbers of cycles, and all motions in doubt are polygons of
 what the machine can have done, step by step, where the module has windows and facets in closed form.
 

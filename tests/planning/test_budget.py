@@ -20,7 +20,7 @@ from canfb.signal.limits import narrowed_residual_limit, safe_deviation, samples
 from canfb.simulation.demand import of_motion
 from canfb.simulation.scenario import MotionConfig
 
-LEGAL = (Path(__file__).parents[2] / "docs" / "legal-motion.md").read_text(encoding="utf-8")
+LEGAL = (Path(__file__).parents[2] / "docs" / "supervision.md").read_text(encoding="utf-8")
 RPM = 60.0 / (2.0 * math.pi)
 LIMIT = 21845 / 65536
 

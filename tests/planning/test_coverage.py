@@ -1,4 +1,4 @@
-"""Diagnostic coverage: the area of the voltages, faults one by one, and what docs/faults.md says of them."""
+"""Diagnostic coverage: the area of the voltages, faults one by one, and the table of docs/evidence.md."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ DEFAULT = SampleWindow(
     tolerance_cycles=25.0,
 )
 COMMISSIONED = replace(DEFAULT, low_counts=1200, high_counts=1800, limit_cycles=0.06)
-PAGE = (Path(__file__).parents[2] / "docs" / "faults.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "evidence.md").read_text(encoding="utf-8")
 
 
 @cache

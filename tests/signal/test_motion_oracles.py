@@ -1,4 +1,4 @@
-"""The oracles agree with each other, with the bounds of docs/legal-motion.md, and with the generator."""
+"""The oracles agree with each other, with the bounds of docs/supervision.md, and with the generator."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Q = 24  # grid steps per cycle
 
 @pytest.mark.parametrize("missed", [1, 2, 3, 4, 5])
 def test_a_whole_cycle_over_a_gap_takes_the_bound_of_the_proof(missed: int) -> None:
-    """docs/legal-motion.md: one cycle more and the same speed; A + a = 1 / floor((n + 2)^2 / 4)."""
+    """docs/supervision.md: one cycle more and the same speed; A + a = 1 / floor((n + 2)^2 / 4)."""
     at = np.array([0.0, 1.0, missed + 2.0, missed + 3.0])
     least = least_bound(at, np.array([0.0, 0.0, 1.0, 1.0]), 0.0, 2)
     assert least == pytest.approx(1.0 / ((missed + 2) ** 2 // 4))

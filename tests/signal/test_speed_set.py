@@ -92,7 +92,7 @@ def test_a_start_in_motion_is_never_valid_and_wrong_and_is_resolved(
 
 @pytest.mark.parametrize(("acceleration", "median", "most"), [(0.01, 8, 12), (0.1, 15, 24)])
 def test_one_speed_is_left_after_a_few_uneven_samples(acceleration: float, median: int, most: int) -> None:
-    """q = 2.4 and 0.94 (docs/legal-motion.md); the true speed is the one that is left."""
+    """q = 2.4 and 0.94 (docs/supervision.md); the true speed is the one that is left."""
     machine = declared(acceleration)
     generator = np.random.default_rng(6)
     samples = []

@@ -55,7 +55,7 @@ def test_a_position_a_cycle_off_is_silent() -> None:
 
 
 def test_the_wrong_one_of_two_legal_motions_was_guessed() -> None:
-    """0.2 and one missed sample: the speed may have changed by a whole cycle (docs/legal-motion.md)."""
+    """0.2 and one missed sample: the speed may have changed by a whole cycle (docs/supervision.md)."""
     episode = _episode("missing 1", FAST)
     k = np.arange(len(episode.truth))
     # With 0.19 - 1/3 in three intervals it is another legal motion.

@@ -80,7 +80,7 @@ def register(commands: Commands) -> None:
             metavar="COUNT",
             help="that are alike, each with its interface (1)",
         ),
-        option("--coverage", action="store_true", help="diagnostic coverage by fault (docs/faults.md)"),
+        option("--coverage", action="store_true", help="diagnostic coverage by fault (docs/evidence.md)"),
         JSON,
         idle=[(["adc_bits", "modules"], "config", False, "only without CONFIG.yaml, which has the modules")],
     )

@@ -74,7 +74,7 @@ class Commissioned:
         return self.new.acceleration_cycles(self.machine.interval_s) or self.machine.motion.acceleration
 
     def deviation(self, limits: SupervisionLimits) -> float:
-        """L + a of docs/legal-motion.md with these limits; cycles."""
+        """L + a of docs/supervision.md with these limits; cycles."""
         return limits.residual_limit(self.machine.interval_s) + self.largest_acceleration
 
     def without_harm(self, limits: SupervisionLimits) -> int:

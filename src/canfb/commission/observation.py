@@ -79,7 +79,7 @@ def observe(
     if sum(flagged.values()) > MOST_FLAGGED * len(samples):
         raise CommissioningError(
             f"of {len(samples)} samples many are flagged already ({in_words(flagged)}): find the cause first "
-            "(docs/faults.md)"
+            "(docs/supervision.md)"
         )
     low_pass = low_pass_of(followed, interval_s, limits.corners)
     corner = corner_choice(low_pass, limits)

@@ -1,7 +1,7 @@
 """What to change: the hints for each limit, in the order of what they cost, each tried on the plan.
 
 A setting comes before another bus, and that before a gentler machine. A plan that holds has hints for a
-narrower residual limit, then for a detection that is sharp (docs/faults.md).
+narrower residual limit, then for a detection that is sharp (docs/supervision.md).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FASTER = 1.05
 MOST_FASTER = 40  # steps of FASTER: 7 times the rate
 JUST_BELOW = 1.0 - 1e-9
 KNOWN_ENOUGH = 1.1  # what the module knows over what is given
-NOISE_MARGIN = 6  # docs/faults.md
+NOISE_MARGIN = 6  # docs/supervision.md
 NARROWED = 0.95  # of the residual limit: a gain
 DETECTION = "detection"
 NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}

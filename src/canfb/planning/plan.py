@@ -1,7 +1,7 @@
 """A plan: the limits of its input, each with its margin, and which errors of the count cannot pass.
 
 n samples in a row are without harm while (n + 2) (L + a) <= 1 and floor((n + 2)^2 / 4) (L + a) <= 1, L the
-residual limit, a the acceleration in cycles per interval squared (docs/legal-motion.md).
+residual limit, a the acceleration in cycles per interval squared (docs/supervision.md).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from canfb.planning.planned_module import PlannedModule
 from canfb.signal.declared import Declared
 from canfb.signal.limits import ROUNDING, samples_without_harm
 
-WELL = 1.0 / 6.0  # docs/faults.md: keep the limit below 1/6
+WELL = 1.0 / 6.0  # docs/supervision.md: keep the limit below 1/6
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class CountDetection:
 
     @property
     def is_sharp(self) -> bool:
-        """Below 1/6 (docs/faults.md)."""
+        """Below 1/6 (docs/supervision.md)."""
         return self.limit_cycles + self.motion_cycles <= WELL + ROUNDING
 
 

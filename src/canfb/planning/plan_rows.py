@@ -307,7 +307,7 @@ def _detection_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
     area = area_coverage(window_of(plan, budget))
     return [
         Row(
-            "detection (docs/faults.md)",
+            "detection (docs/supervision.md)",
             f"L + a = {found.limit_cycles + found.motion_cycles:.3f} cycle, "
             + ("at most 1/6: sharp" if found.is_sharp else "above 1/6: weak"),
             detection=_detection(found),
@@ -385,7 +385,7 @@ def coverage_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
         Row(f"diagnostic coverage in motion, {of_samples}, no certificate", ""),
         Row(
             "",
-            f"(docs/faults.md); second position within {within:g} revolution ({mapped})",
+            f"(docs/evidence.md); second position within {within:g} revolution ({mapped})",
         ),
         Row("", f"{'fault':<26}{'amplitude':>10}{'+ residual':>12}{'+ second':>10}{'99 % within':>20}"),
         *(

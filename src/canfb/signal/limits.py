@@ -79,7 +79,7 @@ def safe_deviation(samples: int) -> float:
     """Largest L + a, cycles, at which this many samples (1 or more) in a row cannot falsify the count
     unseen.
 
-    L is the residual limit, a the acceleration in cycles per interval squared (docs/legal-motion.md).
+    L is the residual limit, a the acceleration in cycles per interval squared (docs/supervision.md).
     """
     changes = samples + 2
     return min(1.0 / changes, 1.0 / (changes * changes // 4))
@@ -103,7 +103,7 @@ def kept_samples(
     are.
 
     ``accepted_cycles`` is the largest acceleration that the estimator follows, ``motion_cycles`` that of
-    the machine, cycles per interval^2 (docs/legal-motion.md, "Missed samples").
+    the machine, cycles per interval^2 (docs/supervision.md).
     """
     total = accepted_cycles + motion_cycles
     count = 0

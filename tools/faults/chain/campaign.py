@@ -4,7 +4,7 @@
 
 Each episode is a machine turning at up to 3000 rpm with 2500 cycles per revolution, sampled at 1 kHz with
 12 bits, and a fault at a random instant. The cells: seen of those that matter, and lost, in per cent. Exit
-status 1 when a goal is missed. docs/evidence.md says what the columns mean, docs/legal-motion.md what no
+status 1 when a goal is missed. docs/evidence.md says what the columns mean, docs/supervision.md what no
 supervision can detect.
 """
 

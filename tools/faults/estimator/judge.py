@@ -2,7 +2,7 @@
 
 A position is wrong if it is valid and half a cycle or more from the true one. It is *excused* if there is a
 legal motion through all samples so far that nothing flagged (:class:`LegalMotions`), and all of these are at
-that position: then the samples are those of a healthy machine that moved so (docs/legal-motion.md). Every
+that position: then the samples are those of a healthy machine that moved so (docs/supervision.md). Every
 other wrong position is *silent*: where legal motions to different positions fit, it was guessed.
 """
 

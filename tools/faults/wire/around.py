@@ -122,7 +122,7 @@ def bus_off_stays(plan: Plan) -> None:
 def foreign_pdos(plan: Plan) -> None:
     """Another node sends an ADC PDO now and then: its counts are no sample.
 
-    Where they pass for one they are a legal motion (docs/legal-motion.md), off by less than the
+    Where they pass for one they are a legal motion (docs/supervision.md), off by less than the
     residual limit.
     """
     plan.tolerance = 0.9

@@ -44,7 +44,7 @@ from tools.faults.wire.setups import (
 VALID, LOST, EXTRAPOLATED = 1 << 0, 1 << 2, 1 << 12
 FRESH = 3.0  # 2010:06 is 2 periods; one more for a late SYNC, the delay of the PDO and the host
 START = 12.0  # until then nothing has to be valid: a coarse track is found at rest
-SEARCH = 64  # samples of a start with sample times and 2010:02 at most (docs/legal-motion.md)
+SEARCH = 64  # samples of a start with sample times and 2010:02 at most (docs/supervision.md)
 ACCELERATION_MARGIN = 0.15  # cycles/T^2
 RESIDUAL_LIMIT = 1.0 / 3.0  # 2010:01 as delivered
 LIMIT_MARGIN = 0.06  # cycles/T^2: that of a narrowed limit, and the noise
