@@ -15,7 +15,6 @@ from canfb.configuration import parse_config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import ConfigError
 from canfb.module.feedback_module import FeedbackModule
-from canfb.objects import MISSED_COUNTS
 from canfb.objects import AdaptationState as State
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning
@@ -108,21 +107,6 @@ def test_the_drift_is_followed_and_shown() -> None:
     assert np.std(one.turn(500)) > 0.004
 
 
-def test_it_is_turned_on_by_sdo_at_any_time() -> None:
-    one = machine(adapt=False)
-    one.sine_offset = 0.01
-    one.turn(4000)
-    assert one.drift() == (0.0, 0.0, 0.0, 0.0)
-    one.sine_offset = 0.0
-    one.sdo[0x2002][12].raw = 10000
-    one.sdo[0x2002][8].raw = 1
-    assert one.sdo[0x2002][13].raw == State.WAITING
-    one.turn(8000)
-    one.sine_offset = 0.01
-    one.turn(12000)
-    assert one.drift()[0] == pytest.approx(0.01 * AMPLITUDE, rel=0.1)
-
-
 def test_the_limit_is_a_warning_until_it_is_not_reached() -> None:
     one = machine(adapt=AdaptConfig(offset=0.02, rate_per_hour=10.0))
     one.sdo[0x2004][2].raw = 100
@@ -167,23 +151,6 @@ def test_save_keeps_the_drift_and_an_activation_ends_it() -> None:
 
 
 CALIBRATED_32 = Conditioning(40.0, -30.0, 1.0, 1.0, float(np.float32(0.02)))
-
-
-def test_the_recording_has_the_counts_of_the_converter() -> None:
-    one = machine()
-    one.sine_offset = 0.02
-    one.turn(8000)
-    one.sdo[0x2050][1].raw = 1
-    taken = []
-    for _ in range(20):
-        one.place += one.speed
-        one.sync()
-        taken.append(one.pair())
-        one.counts(*taken[-1])
-    one.sdo[0x2050][1].raw = 2
-    data = one.sdo.upload(0x2050, 3)
-    assert list(struct.iter_unpack("<hh", data)) == taken
-    assert MISSED_COUNTS not in taken[0]
 
 
 def test_samples_that_nobody_confirms_are_not_learned() -> None:

@@ -13,7 +13,6 @@ from module_bench import Bench
 
 import canfb
 from canfb.cia301.frame import Frame
-from canfb.configuration import parse_config
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
@@ -90,17 +89,6 @@ def accelerating(top: float, acceleration: float = 0.1) -> Motion:
     return position
 
 
-@each("fields", [{}, {"times": True}, {"max_acceleration_rad_s2": 300.0}])
-def test_the_cosine_comes_later(fields: dict[str, Any]) -> None:
-    """The issue: 0.064 cycle at 3000 rpm and 1 us."""
-    speed = 125.037
-    without = Machine(accelerating(speed), 1e-6).run(3000)
-    used = Conditioning(cosine_delay_s=1e-6)
-    with_it = Machine(accelerating(speed), 1e-6, conditioning=used, **fields).run(3000)
-    assert np.ptp(without[-500:]) > 0.1
-    assert np.abs(with_it).max() < QUANTUM + 2e-4
-
-
 @each("lag_s", [1.27e-6, -1e-6, 1e-4, 1.3e-3])
 @each("fields", [{}, {"times": True}])
 def test_the_position_is_that_of_the_sync(fields: dict[str, Any], lag_s: float) -> None:
@@ -140,18 +128,6 @@ def test_a_prediction_goes_on_from_there(kind: int) -> None:
     assert fine / UNITS == pytest.approx(machine.position(machine.now), abs=3e-3)
 
 
-def test_limits_of_the_amplitude_are_those_of_a_slow_machine() -> None:
-    narrow = {"amplitude_low_counts": 20700, "amplitude_high_counts": 25300}
-    machine = Machine(accelerating(125.037), corner_hz=125e3, **narrow)
-    machine.corner_hz = 125e3
-    found = [machine.sample() for _ in range(3000)]
-    assert all(status & StatusBit.VALID for _, status in found)
-    assert machine.read(0x2011, 5) == pytest.approx(23000, rel=0.01)
-    machine.amplitude = 18000.0
-    assert machine.sample()[1] & StatusBit.AMPLITUDE
-    assert not machine.read(0x6505, 0)
-
-
 # The objects.
 
 
@@ -165,17 +141,3 @@ def test_the_delays_wait_for_the_activation_and_the_corner_does_not(bench: Bench
     bench.sdo[0x2020][3].raw = 0
     used = chain.correction.conditioning
     assert (used.cosine_delay_s, used.delay_s) == pytest.approx((1e-6, 2e-6))
-
-
-def test_the_configuration_has_them() -> None:
-    text = "modules: [{node_id: 32, corner_hz: 125e3, conditioning: {cosine_delay_s: 1e-6, delay_s: 2e-6}}]"
-    (config,) = parse_config(text).modules
-    module = FeedbackModule(config)
-    assert module.limits.corners.corner_hz == 125e3
-    used = module.chain.correction.conditioning
-    assert (used.cosine_delay_s, used.delay_s) == pytest.approx((1e-6, 2e-6))
-
-
-def test_an_interval_is_not_configured() -> None:
-    with pytest.raises(ValueError, match="interval_s"):
-        ModuleConfig(node_id=32, interval_s=1e-3)

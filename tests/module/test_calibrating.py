@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 import struct
 from collections.abc import Sequence
 from dataclasses import replace
@@ -229,17 +228,6 @@ def test_the_number_of_samples_counts_from_the_next_start() -> None:
     assert bench.state == State.RECORDING
 
 
-def test_a_result_that_is_none_is_a_mistake_of_the_caller() -> None:
-    bench = Measuring()
-    bench.begin()
-    bench.command(Command.FINISH)
-    job = bench.module.pending_job()
-    assert job is not None
-    with pytest.raises(TypeError, match="what the job returned"):
-        bench.module.finish_job(job, None, bench.bus.now)  # type: ignore[arg-type]
-    assert bench.state == State.COMPUTING
-
-
 def test_the_progress_covers_the_computation() -> None:
     bench = Measuring()
     bench.begin()
@@ -254,16 +242,6 @@ def test_the_progress_covers_the_computation() -> None:
     bench.command(Command.START)
     bench.module.job_progress(job, 1.0)
     assert bench.sdo[0x2030][3].raw == 0
-
-
-def test_the_coverage_is_seen_while_it_records() -> None:
-    bench = Measuring()
-    bench.begin()
-    rng = np.random.default_rng(1)
-    bench.feed(counts_of(ENCODER, np.linspace(0.0, 0.5, 400), rng))
-    assert 45 <= bench.sdo[0x2030][4].raw <= 60
-    bench.feed(counts_of(ENCODER, np.linspace(0.5, 1.0, 400), rng))
-    assert bench.sdo[0x2030][4].raw == 100
 
 
 # --- beside it --------------------------------------------------------------------------------------------
@@ -355,17 +333,6 @@ def test_clipped_samples_are_found_as_such_whatever_the_full_scale(full_scale: i
     pairs = list(struct.iter_unpack("<hh", job.samples))
     assert [pair[0] for pair in pairs][:2] == [full - 1, -full] if full_scale < 65535 else True
     assert full >= min(full_scale, 32768)
-
-
-def test_a_job_can_be_pickled_and_takes_as_many_bytes_as_samples() -> None:
-    bench = Measuring(200)
-    bench.begin()
-    bench.feed([(5, 1500)] * 200)
-    job = bench.module.pending_job()
-    assert job is not None
-    again = pickle.loads(pickle.dumps(job))
-    assert (again.samples, again.times, again.adc_bits) == (job.samples, None, 12)
-    assert len(pickle.dumps(job)) < 200 * 4 + 400
 
 
 def test_sample_times_count_where_they_come() -> None:

@@ -158,12 +158,6 @@ def test_what_changes_with_the_table(modules: tuple[FeedbackModule, FeedbackModu
     assert places[-2:] == [(0x1020, 1), (0x1020, 2)]
 
 
-def test_what_is_not_as_delivered() -> None:
-    module = FeedbackModule(ModuleConfig(node_id=NODE_ID, coast_samples=9))
-    module.start(0.0)
-    assert configuration_of(module).changed() == {(0x2010, 3): 9}
-
-
 @pytest.mark.parametrize(("program", "refused"), [
     (COUNTING, [(0x1019, 0)]),
     (MOVED_EMCY, [(0x1014, 0)]),
@@ -204,13 +198,3 @@ def test_amplitudes_in_disorder_accept_nothing_and_are_loaded_as_they_are() -> N
     target.start(0.0)
     assert not any(put(target, one) for one in configuration_of(bench.module).writes())
     assert state(target) == state(bench.module)
-
-
-def test_the_counter_overflow_takes_its_own_value_while_a_period_is_set(
-    modules: tuple[FeedbackModule, FeedbackModule],
-) -> None:
-    module = modules[0]
-    reset(module)
-    run(module, [write(0x1019, 0, 1, 10), write(0x1006, 0, 4, 1000)])
-    assert put(module, write(0x1019, 0, 1, 10)) == 0
-    assert put(module, write(0x1019, 0, 1, 11)) == 0x08000022

@@ -13,7 +13,6 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.events import Event, EventKind
-from canfb.signal.feedback import Feedback
 from ideal_tracks import counts_at
 
 NODE, INTERFACE = 0x20, 0x10
@@ -147,24 +146,6 @@ def test_the_check_that_failed_is_named(amplitude: float, words: str) -> None:
     assert len(machine.events) <= 4, "20 bad samples are no 20 events"
 
 
-def test_a_residual_is_over_its_limit_only_if_it_is() -> None:
-    """A sample within the limit that contradicts those before it is told as that."""
-    machine = Machine()
-    machine.run(100)
-    watch = machine.module.events
-    faulty = last(machine)._replace(residual=0.271, status=od.StatusBit.RESIDUAL | od.StatusBit.COASTING)
-    assert watch._reasons(faulty, faulty.status) == [
-        "residual 0.271 cycle, within 0.333: contradicts the samples before"
-    ]
-    assert watch._reasons(faulty._replace(residual=0.4), faulty.status) == ["residual 0.400 over 0.333 cycle"]
-
-
-def last(machine: Machine) -> Feedback:
-    feedback = machine.module.feedback
-    assert feedback is not None
-    return feedback
-
-
 def test_a_position_that_time_keeps_from_being_valid_says_what_was_late() -> None:
     machine = Machine(stamped=False)
     machine.cycles_s = 180.0
@@ -174,18 +155,6 @@ def test_a_position_that_time_keeps_from_being_valid_says_what_was_late() -> Non
     machine.run(1)
     (text,) = machine.texts(EventKind.POSITION)
     assert text == "position coasting: SYNC 1.5 ms late, one may have been missed: the next SYNCs decide"
-
-
-def test_a_pause_says_what_confirms_the_position() -> None:
-    machine = Machine()
-    machine.run(100)
-    machine.give(0, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, NODE)), machine.now + 5e-4)
-    machine.give(0, bytes((NmtCommand.START, NODE)), machine.now + 6e-4)
-    machine.events.clear()
-    machine.run(1)
-    assert machine.texts(EventKind.POSITION) == [
-        "position coasting: 4 samples must confirm it after the pause"
-    ]
 
 
 def test_sync_is_lost_and_found_again() -> None:

@@ -14,7 +14,6 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal.speeds import STILL_SAMPLES
-from ideal_tracks import counts_at
 
 
 def test_the_counts_are_in_the_dictionary_and_every_stage_of_them(bench: Bench) -> None:
@@ -58,30 +57,10 @@ def test_an_interface_that_falls_silent_loses_the_position_once(bench: Bench) ->
     assert bench.sdo[0x6503].raw == 0
 
 
-def test_without_a_sync_every_pdo_is_a_sample(bench: Bench) -> None:
-    for n in range(5):
-        assert bench.position(bench.counts(0, 1500 - n))[1] == StatusBit.VALID
-    assert bench.sdo[0x2011][8].raw == 5
-
-
 def test_a_sample_that_the_interface_calls_invalid_is_not_taken(bench: Bench) -> None:
     bench.at(0.0)
     bench.sdo[0x2000][6].raw = 2
     assert not bench.at(0.0)[1] & StatusBit.VALID
-
-
-def test_a_long_pdo_is_used_as_far_as_it_is_mapped(bench: Bench) -> None:
-    bench.sync()
-    frames = bench.sent(Frame(0x190, struct.pack("<hhI", 1500, 0, 0xDEADBEEF)))
-    assert bench.position(frames)[:2] == (2048, StatusBit.VALID)
-
-
-def test_linking_to_another_interface(make_bench: type[Bench]) -> None:
-    bench = make_bench(encoder_interface=5)
-    assert bench.sdo[0x1400][1].raw == 0x185
-    bench.start()
-    bench.sync()
-    assert bench.position(bench.sent(Frame(0x185, struct.pack("<hh", 0, 1500))))[1] == StatusBit.VALID
 
 
 def test_after_a_pause_no_position_is_valid_before_a_sample_came(bench: Bench) -> None:
@@ -101,15 +80,6 @@ def test_after_a_pause_no_position_is_valid_before_a_sample_came(bench: Bench) -
         assert bench.position(bench.sync())[1] == StatusBit.COASTING
     bench.counts(0, 1500)
     assert bench.position(bench.sync())[1] == StatusBit.VALID
-
-
-def test_limits_written_by_sdo_are_in_force_with_the_next_sample(bench: Bench) -> None:
-    assert bench.at(0.0, amplitude=900)[1] == StatusBit.VALID
-    bench.sdo[0x2001][3].raw = 1000
-    assert bench.at(0.0, amplitude=900)[1] & StatusBit.AMPLITUDE
-    bench.sdo[0x2001][3].raw = 100
-    bench.sdo[0x2001][2].raw = 800
-    assert bench.at(0.0, amplitude=900)[1] & StatusBit.CLIPPED
 
 
 @pytest.mark.parametrize(("index", "sub", "value"), [
@@ -147,13 +117,6 @@ def test_no_frame_ever_raises_and_what_is_published_is_well_formed(data: st.Data
         for out in [*module.receive(frame, now), *module.tick(now)]:
             assert 0 <= out.can_id <= 0x7FF
             assert len(out.data) <= 8
-
-
-def test_a_thousand_hours_of_counters_wrap_and_do_not_overflow(bench: Bench) -> None:
-    bench.module.dictionary.entry(0x2012, 8).value = 0xFFFFFFFF
-    bench.at(0.0)
-    bench.counts(0, 0)
-    assert bench.sdo[0x2012][8].raw == 0
 
 
 def test_the_sample_may_come_in_any_rpdo(bench: Bench) -> None:
@@ -208,35 +171,3 @@ def test_a_sample_in_two_pdos_is_complete_with_the_second(bench: Bench) -> None:
     _, status, _ = bench.position(bench.sent(Frame(0x290, struct.pack("<hhBH", 1500, 0, 0, 0))))
     assert status & StatusBit.COARSE
     assert bench.sdo[0x2012][11].raw == 1
-
-
-def test_two_zero_pulses_reference_the_position(bench: Bench) -> None:
-    map_second_rpdo(bench, 0x20000608, 0x20000710)
-    bench.sdo[0x2001][1].raw = 10
-    for n in range(120):
-        bench.sync()
-        bench.counts(*counts_at(0.2 * n))  # 50 samples in a revolution
-        frames = bench.sent(Frame(0x290, struct.pack("<BH", n % 50 == 20, 32768)))
-        _, status, _ = bench.position(frames)
-        assert bool(status & StatusBit.REFERENCED) == (n >= 70)
-        assert status & StatusBit.VALID
-    assert bench.sdo[0x2012][7].raw == 2
-
-
-@settings(max_examples=100)
-@given(st.data())
-def test_no_sample_ever_raises_whatever_it_brings(data: st.DataObject) -> None:
-    bench = Bench(autostart=True)
-    map_second_rpdo(bench, 0x20000520, 0x20000608, 0x20000710)
-    words = st.one_of(
-        st.just(0), st.integers(0, 2**16 - 1), st.sampled_from([1000, 1500, 2047, 0x8000, 0xFFFF])
-    )
-    times = st.one_of(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 10_000, 20_000, 20_001]))
-    for _ in range(data.draw(st.integers(1, 40))):
-        if data.draw(st.booleans()):
-            bench.sync()
-        if data.draw(st.booleans()):
-            bench.sent(Frame(0x190, struct.pack("<HH", data.draw(words), data.draw(words))))
-        flags = struct.pack("<IBH", data.draw(times), data.draw(st.integers(0, 3)), data.draw(words))
-        bench.sent(Frame(0x290, flags))
-    assert bench.sdo[0x1001].raw >= 0

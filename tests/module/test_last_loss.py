@@ -54,14 +54,6 @@ def test_a_bus_that_falls_silent_is_named(bench: Bench) -> None:
     assert lost[2:] == bytes((LossCause.COASTED, 4, 0))
 
 
-def test_the_time_since_the_loss_runs_on(bench: Bench) -> None:
-    for n in range(20):
-        bench.at(0.125 * n)
-    for _ in range(4 + 2 + 100):
-        bench.sync()
-    assert bench.sdo[0x2012][0x11].raw == pytest.approx(100, abs=2)
-
-
 def test_what_was_wrong_is_kept_but_not_what_was_wrong_before_the_last_valid_position(bench: Bench) -> None:
     for n in range(20):
         bench.at(0.125 * n)
@@ -73,17 +65,6 @@ def test_what_was_wrong_is_kept_but_not_what_was_wrong_before_the_last_valid_pos
         bench.at(0.125 * n, amplitude=100.0)
     cause, bad, *_, faults = loss(bench)
     assert (cause, bad, faults) == (LossCause.COASTED, 4, StatusBit.AMPLITUDE)
-
-
-def test_a_motion_beyond_all_limits_is_no_missing_sample(bench: Bench) -> None:
-    for _ in range(20):
-        bench.at(0.0)
-    for n in range(60):
-        bench.at(0.37 * n * n)
-    cause, _, _, _, _, faults = loss(bench)
-    assert cause in (LossCause.CONTRADICTED, LossCause.AMBIGUOUS)
-    assert faults & StatusBit.RESIDUAL
-    assert not faults & StatusBit.MISSED
 
 
 def test_a_machine_that_turns_in_a_pause_is_named(bench: Bench) -> None:

@@ -8,8 +8,6 @@ import pytest
 from latency_bench import ADC_DELAY, REMOTE_DELAY, Timeline
 
 from canfb.objects import StatusBit
-from canfb.signal.sample import Sample
-from ideal_tracks import counts_at
 
 STEP = 0.25  # cycles from sample to sample: the position tells which sample it is of
 AT_ONCE, AT_SYNC = (254, 255), (0, 1, 2)
@@ -55,28 +53,6 @@ def test_a_missed_sample_is_told_at_the_sync_after_it(rpdo: int, tpdo: int) -> N
     told = [one.at for one in sent if one.status & StatusBit.MISSED]
     assert told == pytest.approx([21.0], abs=1e-6)
     assert timeline.bench.sdo[0x2012][1].raw == 1
-
-
-def test_a_sample_of_a_source_is_of_the_very_sync() -> None:
-    from canfb.cia301.frame import Frame
-    from canfb.module.feedback_module import FeedbackModule
-    from canfb.module.module_config import ModuleConfig
-
-    class Source:
-        count = -1
-
-        def next(self) -> Sample:
-            self.count += 1
-            return Sample(*counts_at(STEP * self.count))
-
-    source = Source()
-    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True, predict=True), source=source)
-    module.dictionary.entry(0x1800, 2).store(1)
-    module.start(0.0)
-    for k in range(12):
-        (frame,) = [one for one in module.receive(Frame(0x80, b""), k * 1e-3) if one.can_id == 0x1A0]
-        assert int.from_bytes(frame.data[:4], "little") == round(STEP * k * 8192)
-        assert int.from_bytes(frame.data[4:6], "little") == StatusBit.VALID  # nothing to extrapolate
 
 
 # Speed and acceleration are differences of positions: they have an age of their own.

@@ -89,38 +89,3 @@ def test_devices_without_a_node_id_get_one_after_the_other(bus: Bus) -> None:
     assert bus.master(13, "encoder-interface").sdo[0x1800][1].raw == 0x4000018D
     bus.network.nmt.state = "OPERATIONAL"
     bus.bus.run_until(1.0)
-
-
-def test_one_of_two_is_selected_and_moved(bus: Bus) -> None:
-    first, second = bus.module(32, 1), bus.module(33, 2)
-    assert bus.lss.send_switch_state_selective(*MODULE, 2)
-    assert bus.lss.inquire_node_id() == 33
-    commands = (
-        canopen.lss.CS_INQUIRE_VENDOR_ID,
-        canopen.lss.CS_INQUIRE_PRODUCT_CODE,
-        canopen.lss.CS_INQUIRE_REVISION_NUMBER,
-        canopen.lss.CS_INQUIRE_SERIAL_NUMBER,
-    )
-    assert [bus.lss.inquire_lss_address(command) for command in commands] == [*MODULE, 2]
-    bus.lss.configure_node_id(40)
-    bus.wait()
-    assert second.node.node_id == 33
-    bus.network.send_message(0, bytes([0x82, 33]))
-    assert (first.node.node_id, second.node.node_id) == (32, 40)
-    sdo = bus.master(40).sdo
-    assert sdo[0x1800][1].raw == 0x400001A8
-    assert sdo[0x1014].raw == 0xA8
-    assert sdo[0x1400][1].raw == 0x190
-
-
-def test_a_module_that_got_its_node_id_measures(bus: Bus) -> None:
-    bus.module(NONE, 1)
-    bus.bus.attach(EncoderInterface(16, Still()))
-    bus.lss.fast_scan()
-    bus.lss.configure_node_id(32)
-    bus.wait()
-    bus.network.nmt.state = "OPERATIONAL"
-    for _ in range(3):
-        bus.network.send_message(0x80, b"")
-    assert bus.heard.count(0x1A0) >= 2
-    assert bus.master(32).sdo[0x2011][1].raw & 1

@@ -88,17 +88,6 @@ def test_it_is_silent_for_the_delay_before_and_after_the_switch(line: Line) -> N
     assert {frame.can_id for _, frame in after} >= {POSITION, HEARTBEAT}
 
 
-def test_it_goes_on_counting_and_the_position_is_valid_at_the_end(line: Line) -> None:
-    line.run(0.1)
-    line.activate()
-    after = [frame for _, frame in line.run(0.2) if frame.can_id == POSITION]
-    samples = line.module.dictionary.entry(0x2011, 8).value
-    assert samples == 300
-    (status,) = struct.unpack_from("<H", after[0].data, 4)
-    assert status & 1
-    assert line.module.dictionary.entry(0x2012, 1).value == 0
-
-
 @pytest.mark.parametrize("index", [None, 0, 3], ids=["nothing configured", "not offered", "refused"])
 def test_a_refused_activation_makes_no_silence(line: Line, index: int | None) -> None:
     line.run(0.02)
@@ -106,12 +95,6 @@ def test_a_refused_activation_makes_no_silence(line: Line, index: int | None) ->
     assert line.switched == []
     assert line.sdo("4000100000000000") == ["4300100096010400"]
     assert len([frame for _, frame in line.run(0.02) if frame.can_id == POSITION]) == 20
-
-
-def test_a_delay_of_zero_is_no_silence(line: Line) -> None:
-    line.activate(0.0)
-    assert line.switched == [(500, 0.0, 0.0)]
-    assert line.sdo("4000100000000000") != []
 
 
 def segments(data: bytes) -> Iterator[str]:
@@ -137,21 +120,6 @@ def test_a_table_upload_that_falls_into_it_is_given_up(line: Line) -> None:
     assert line.module.dictionary.entry(0x2020, 2).value == TABLE.crc32
 
 
-def test_a_write_that_falls_into_it_is_not_done(line: Line) -> None:
-    line.activate()
-    assert line.sdo("2B17100064000000") == []
-    line.run(0.2, samples=False)
-    assert line.sdo("4017100000000000") == ["4B17100019000000"]
-
-
-def test_a_block_upload_does_not_go_on_after_it(line: Line) -> None:
-    assert line.sdo("A02020017F000000")
-    assert line.sdo("A30000000000000000"[:16])
-    line.activate()
-    after = line.run(0.3, samples=False)
-    assert not [frame for _, frame in after if frame.can_id == SDO]
-
-
 def test_a_boot_up_and_an_emergency_that_fall_into_it_follow(line: Line) -> None:
     line.run(0.05)
     line.activate()
@@ -173,10 +141,3 @@ def test_a_second_activation_lengthens_it(line: Line) -> None:
     assert line.heard[-1][0] < 0.05
     after = line.run(0.2)
     assert after[0][0] >= 0.14
-
-
-def test_a_stored_bit_rate_that_the_bus_does_not_have_is_not_activated() -> None:
-    line = Line(rates=(500,))
-    line.module.node.lss.bit_rate_kbit_s = 125
-    line.activate(index=None)
-    assert line.switched == []

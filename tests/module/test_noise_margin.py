@@ -81,19 +81,6 @@ BOUND = cycles_per_interval_squared(ACCELERATION, N, PERIOD_S)
 FIXED_LIMIT = narrowed_residual_limit(1.0 / 3.0, ACCELERATION, N, PERIOD_S)
 
 
-def test_the_limit_is_the_bound_of_the_motion_and_six_sigma() -> None:
-    machine = Turning()
-    machine.sync(500)
-    assert machine.limit == pytest.approx(FIXED_LIMIT, rel=1e-3)  # too little is known yet
-    machine.sync(4000)
-    counts = math.sqrt(0.5**2 + 1.0 / 12.0)  # the converter rounds
-    expected = counts / (2.0 * math.pi * 1800.0) * math.sqrt(6.0)
-    measured = machine.read(od.FEEDBACK_NOISE) / 65536.0
-    assert measured == pytest.approx(expected, rel=0.35)
-    assert 5.0 * expected < machine.limit - BOUND < 10.0 * expected
-    assert machine.sync().valid
-
-
 def test_zero_is_the_fixed_margin() -> None:
     machine = Turning(margin=0)
     machine.sync(3000)

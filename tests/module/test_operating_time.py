@@ -74,15 +74,6 @@ def test_a_load_of_defaults_leaves_it_alone() -> None:
     assert module.read(HOUR_S) == Module(store).read(0.0) == 10
 
 
-def test_less_than_a_minute_is_not_worth_a_write() -> None:
-    store = MemoryStore()
-    module = Module(store)
-    module.module.end(59.0)
-    assert GROUP not in store.images
-    module.module.end(60.0)
-    assert GROUP in store.images
-
-
 class FullDisk(MemoryStore):
     full = True
 

@@ -100,12 +100,6 @@ def set_cam(bench: Bench, number: int, low: int, high: int, hysteresis: int = 0)
     bench.sdo[0x6301][1].raw |= 1 << number - 1
 
 
-def test_cams_switch_with_the_position_and_hysteresis(machine: Bench) -> None:
-    set_cam(machine, 1, 1000, 2000)
-    set_cam(machine, 8, 1000, 2000, 300)
-    assert walk(machine, 0.9, 1.5, 2.15, 2.5, 2.15) == [0, 0x81, 0x80, 0, 0]
-
-
 def test_hysteresis_is_followed_without_anybody_reading(machine: Bench) -> None:
     set_cam(machine, 2, 1000, 2000, 300)
     assert walk(machine, 2.2) == [2]  # it was on in between
@@ -153,11 +147,3 @@ def test_nothing_is_told_before_the_first_valid_position(make_bench: type[Bench]
     bench.start()
     bench.at(0.0, amplitude=10)
     assert (bench.sdo[0x6300][1].raw, bench.sdo[0x6400][1].raw) == (0, 0)
-
-
-def test_the_default_work_area_is_the_whole_range(machine: Bench) -> None:
-    for place in (0.5, 0.3, 0.1, -0.1):
-        machine.at(place)
-        assert machine.sdo[0x6400][1].raw == 0
-    machine.sdo[0x6402][1].raw = 9000
-    assert machine.sdo[0x6400][1].raw == OUT_OF_RANGE | OVERFLOW

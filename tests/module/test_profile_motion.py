@@ -91,12 +91,6 @@ def test_the_defaults_are_per_minute_and_revolutions_per_square_second(make_benc
     assert bench.sdo[0x6040][1].raw == pytest.approx(-0.125 * 1e6 / 100, rel=1e-3)
 
 
-def test_0_before_the_first_sample_and_while_the_interval_is_not_known(bench: Bench) -> None:
-    assert (bench.sdo[0x6030][1].raw, bench.sdo[0x6040][1].raw) == (0, 0)
-    bench.at(0.0)
-    assert (bench.sdo[0x6030][1].raw, bench.sdo[0x6040][1].raw) == (0, 0)
-
-
 def test_the_cyclic_timer_is_the_event_timer_of_tpdo1(bench: Bench) -> None:
     bench.sdo[0x6200].raw = 25
     assert bench.sdo[0x1800][5].raw == 25

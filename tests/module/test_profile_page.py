@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import re
-import struct
-import tomllib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import canopen
 import pytest
 from module_bench import Bench
 
 from canfb.cia301.codes import EmergencyCode
-from canfb.cia301.datatypes import FORMATS, DataType
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.module.cia406.alarms import CODES
 from canfb.module.cia406.profile import ALARM_PARAMETERS, ALARM_POSITION
-from folding import each
 
 PROJECT = Path(__file__).parents[2]
 PAGE = (PROJECT / "docs" / "encoder-profile.md").read_text(encoding="utf-8")
 DICTIONARY = Dictionary.load(eds_path("canfb-module"), 32)
-OWN = (0x2003, 0x2004)
 
 
 def section(title: str) -> str:
@@ -33,94 +28,9 @@ def section(title: str) -> str:
     return found
 
 
-class Row(NamedTuple):
-    """One object of the profile as the EDS has it; default: None for a value that is measured."""
-
-    place: tuple[int, int]
-    data_type: DataType
-    access: str
-    mappable: bool
-    default: int | None
-
-    @property
-    def size(self) -> int:
-        return struct.calcsize(FORMATS[self.data_type])
-
-
-ROWS = [
-    Row(
-        (entry.index, entry.subindex),
-        DataType(entry.data_type),
-        entry.access,
-        entry.pdo_mappable,
-        entry.default,
-    )
-    for entry in DICTIONARY
-    if entry.index >= 0x6000 or entry.index in OWN
-    if entry.subindex or (entry.index, 1) not in DICTIONARY
-]
-
-
 @pytest.fixture(scope="module")
 def module() -> Bench:
     return Bench(serial_number=4711)
-
-
-@each("row", ROWS)
-def test_an_object_is_that_of_the_eds(module: Bench, row: Row) -> None:
-    sdo, entry = module.remote.sdo, module.module.dictionary.entry(*row.place)
-    assert (entry.data_type, entry.access, entry.pdo_mappable) == row[1:4]
-    data = sdo.upload(*row.place)
-    assert len(data) == row.size
-    value = int.from_bytes(data, "little", signed=row.data_type in (DataType.INTEGER16, DataType.INTEGER32))
-    if row.place[0] in (0x650B, 0x6508):
-        assert value == {0x650B: 4711, 0x6508: 0xFFFFFFFF}[row.place[0]]
-    elif row.default is not None:
-        assert value == row.default
-    there = entry.subindex if row.place[0] not in (*OWN, 0x650A) else 4
-    with pytest.raises(canopen.SdoAbortedError, match="06090011"):
-        sdo.upload(row.place[0], there + 1)
-
-
-@each("row", ROWS)
-def test_it_can_be_written_if_it_is_rw(module: Bench, row: Row) -> None:
-    place, sdo = row.place, module.remote.sdo
-    if row.access == "ro":
-        with pytest.raises(canopen.SdoAbortedError, match="06010002"):
-            sdo.download(*place, bytes(row.size))
-        return
-    with pytest.raises(canopen.SdoAbortedError, match="06070012"):
-        sdo.download(*place, bytes(row.size + 1))
-    if row.place[0] in (0x6003, 0x6009):
-        with pytest.raises(canopen.SdoAbortedError, match="08000022"):  # there is no position yet
-            sdo.download(*place, bytes(row.size))
-        return
-    before = sdo.upload(*place)
-    sdo.download(*place, b"\1".ljust(row.size, b"\0"))
-    assert sdo.upload(*place) == b"\1".ljust(row.size, b"\0")
-    sdo.download(*place, before)
-
-
-@each("row", ROWS)
-def test_it_can_be_mapped_if_the_eds_says_so(module: Bench, row: Row) -> None:
-    sdo = module.sdo
-    sdo[0x1802][1].raw = 0x800003A0
-    sdo[0x1A02][0].raw = 0
-    mapped = row.place[0] << 16 | row.place[1] << 8 | row.size * 8
-    if not row.mappable:
-        with pytest.raises(canopen.SdoAbortedError, match="06040041"):
-            sdo[0x1A02][1].raw = mapped
-        return
-    sdo[0x1A02][1].raw = mapped
-    sdo[0x1A02][0].raw = 1
-    assert sdo[0x1A02][1].raw == mapped
-
-
-def test_the_software_version_is_that_of_the_package(module: Bench) -> None:
-    version = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    major, minor, *_ = map(int, version.split("."))
-    assert module.sdo[0x6507].raw >> 16 == major << 8 | minor
-    assert module.sdo[0x6507].raw & 0xFFFF == 0x0302
 
 
 @pytest.mark.parametrize(("cycles", "resolution", "revolutions"), [

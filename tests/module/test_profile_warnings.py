@@ -39,20 +39,6 @@ def test_low_amplitude_is_told_once_and_over_after_the_hold_time(bench: Bench) -
     assert bench.sdo[0x1001].raw == 0
 
 
-def test_a_residual_near_the_limit(bench: Bench) -> None:
-    for _ in range(3):
-        bench.at(0.0)
-    bench.at(0.26)  # 80 % of a third is 0.267
-    assert bench.sdo[0x6505].raw == 0
-    for _ in range(3):
-        bench.at(0.26)
-    bench.sdo[0x2010][1].raw = 20000
-    bench.at(0.01)  # the same step, and another limit
-    assert bench.sdo[0x6505].raw == 1
-    assert told(bench) == [(FREQUENCY, 0x21)]
-    assert bench.sdo[0x2011][1].raw & 1
-
-
 def test_a_limit_that_a_known_acceleration_narrows(bench: Bench) -> None:
     for _ in range(10):
         bench.at(0.0)
@@ -113,23 +99,6 @@ def test_only_chosen_warnings_are_told(bench: Bench, mask: int) -> None:
     bench.sdo[0x2004][1].raw = mask
     bench.at(0.0, LOW)
     assert told(bench) == [(AMPLITUDE, 0x21), (0, 0)]
-
-
-def test_the_alarm_comes_beside_the_warning_and_a_reset_forgets_both(bench: Bench) -> None:
-    for amplitude in (LOW, BAD, BAD):
-        bench.at(0.0, amplitude)
-    assert (bench.sdo[0x6503].raw, bench.sdo[0x6505].raw) == (1, 0)  # no warning without a valid position
-    assert told(bench) == [(AMPLITUDE, 0x21), (0x7300, 0x21)]
-    bench.at(0.0, LOW)
-    while bench.at(0.0, LOW)[1] & 1 == 0:
-        pass
-    assert told(bench)[2:] == [(0, 0x21)]  # what is left is the warning
-    assert (bench.sdo[0x6503].raw, bench.sdo[0x6505].raw) == (0, 2)
-    bench.remote.nmt.state = "RESET"
-    bench.start()
-    assert bench.sdo[0x1001].raw == 0
-    bench.at(0.0, LOW)
-    assert told(bench)[3:] == [(AMPLITUDE, 0x21)]
 
 
 @settings(max_examples=60)

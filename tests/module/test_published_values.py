@@ -63,13 +63,6 @@ def test_which_tpdos_go_out_with_a_sample_is_up_to_their_parameters(bench: Bench
     assert sent() == [[0x2A0], [0x1A0]]
 
 
-def test_after_a_reset_they_are_zero_again(bench: Bench) -> None:
-    for n in range(3):
-        bench.at(n * 0.25)
-    bench.remote.nmt.state = "RESET"
-    test_before_the_first_sample_they_are_zero(bench)
-
-
 def test_a_velocity_beyond_real32_is_the_largest_one(bench: Bench) -> None:
     bench.interval_s = 1e-300
     bench.bus.now = 0.0
@@ -87,11 +80,6 @@ def test_a_residual_limit_that_follows_the_acceleration_follows_the_encoder_too(
         bench.at(0.0)
     bench.sdo[0x2001][1].raw = 1_000_000
     assert bench.at(0.2)[1] == StatusBit.VALID
-
-
-def test_the_coarse_track_follows_the_encoder(bench: Bench) -> None:
-    bench.sdo[0x2001][1].raw = 1000
-    assert bench.module.chain.reference.coarse.scale.period_cycles == 1000
 
 
 @given(

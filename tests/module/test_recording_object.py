@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
-from canfb.device.storage.kept import RANGES
 from canfb.objects import MISSED_COUNTS
 
 MISSED = (MISSED_COUNTS, MISSED_COUNTS)
@@ -68,36 +67,6 @@ def test_start_read_stop_read_start(bench: Bench) -> None:
     assert recorded(bench) == [(15, 1500)], "a second start begins anew"
 
 
-def test_the_upload_is_what_there_was_when_it_began(bench: Bench) -> None:
-    command(bench, START)
-    for n in range(300):
-        interval(bench, (n, 1500))
-    with bench.sdo[0x2050][3].open("rb") as stream:
-        first = stream.read(7)
-        interval(bench, (999, 999))
-        data = first + stream.read()
-    assert pairs(data) == [(n, 1500) for n in range(300)]
-    assert len(recorded(bench)) == 301
-
-
-def test_block_transfer_brings_the_same(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    read_response = bench.sdo.read_response
-
-    def waiting() -> object:
-        """Simulated time passes while the master waits: the module sends a block in portions."""
-        while bench.sdo.responses.empty():
-            bench.bus.run_until(bench.bus.now + 1e-3)
-        return read_response()
-
-    monkeypatch.setattr(bench.sdo, "read_response", waiting)
-    command(bench, START)
-    for n in range(1000):
-        interval(bench, (n, 1500))
-    command(bench, STOP)  # SYNCs that do not come would be recorded as missed samples
-    with bench.sdo[0x2050][3].open("rb", block_transfer=True) as stream:
-        assert pairs(stream.read()) == [(n, 1500) for n in range(1000)] == recorded(bench)
-
-
 @given(st.lists(st.one_of(st.none(), st.tuples(*[st.integers(-2048, 2047)] * 2)), max_size=60))
 def test_every_interval_has_its_place_and_publication_is_as_without_recording(samples) -> None:
     benches = Bench(), Bench()
@@ -127,16 +96,6 @@ def test_the_memory_is_bounded_and_says_so(bench: Bench) -> None:
     command(bench, START)
     interval(bench, (7, 7))
     assert recorded(bench) == [(7, 7)]
-
-
-def test_the_last_place_may_be_a_missed_sample(bench: Bench) -> None:
-    small_memory(bench, 2)
-    interval(bench, (1, 1500))
-    command(bench, START)
-    for counts in (None, None, (2, 1500), (3, 1500)):
-        interval(bench, counts)
-    assert recorded(bench) == [MISSED, MISSED]
-    assert bench.sdo[0x2050][1].raw == 0
 
 
 def test_faulty_samples_are_recorded_as_they_came_invalid_ones_are_none(bench: Bench) -> None:
@@ -182,9 +141,3 @@ def test_the_rate_is_that_of_the_syncs(bench: Bench) -> None:
     for said_us, rate_hz in ((800, 1250), (500, 1000)):  # SYNC shows that 500 is wrong
         bench.sdo[0x1006].raw = said_us
         assert bench.sdo[0x2050][4].raw == rate_hz
-
-
-def test_a_recording_is_no_parameter_to_be_saved(bench: Bench) -> None:
-    kept = [entry for group in RANGES for entry in bench.module.node.storage.entries.of(group)]
-    assert kept
-    assert not [entry for entry in kept if entry.index in (0x2030, 0x2050)]

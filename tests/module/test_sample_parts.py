@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -104,14 +103,3 @@ def test_a_doubled_part_costs_its_sample_only() -> None:
                 bus.part(TRACKS, 9)
     assert [int(sample.cosine) for sample in bus.taken] == [*range(1, 10), *range(11, 20)]
     assert bus.bad_frames == 1
-
-
-@pytest.mark.parametrize("order", [(TIME, TRACKS, EXTRA), (EXTRA, TIME, TRACKS)])
-def test_another_order_is_learned(order: tuple[int, ...]) -> None:
-    bus = Parts()
-    for number in range(1, 20):
-        bus.sync(number)
-        for can_id in (TRACKS, EXTRA, TIME) if number < 6 else order:
-            bus.part(can_id, number)
-    assert [int(sample.cosine) for sample in bus.taken][-8:] == list(range(12, 20))
-    assert all(len(numbers(sample)) == 1 for sample in bus.taken)

@@ -157,23 +157,6 @@ def test_a_sample_with_a_lost_pdo_is_missed_as_a_whole(lost_id: int) -> None:
     assert away(bus, got) == pytest.approx(round(away(bus, got)), abs=0.1)
 
 
-def test_one_spoilt_sample_among_many_is_counted_and_never_silent() -> None:
-    bus = Bus(samples_per_sync=2)
-    for _ in range(150):
-        bus.sync()
-    before = bus.counter(od.COUNTER_AMPLITUDE)
-    earlier = bus.interface.dictionary.entry(*od.INTERFACE_EARLIER[0][0])
-    good = earlier.value
-    bus.module.receive(Frame(0x80, SYNC, timestamp=START_S + 0.15), START_S + 0.15)
-    tracks = [bus.interface.dictionary.entry(*one).value for one in (od.INTERFACE_SINE, od.INTERFACE_COSINE)]
-    pdo = b"".join(value.to_bytes(2, "little", signed=True) for value in (*tracks, 0, 0))
-    time = (bus.interface.dictionary.entry(*od.INTERFACE_SAMPLE_TIME).value + 10_000).to_bytes(4, "little")
-    bus.module.receive(Frame(0x190, pdo, timestamp=START_S + 0.15013), START_S + 0.15013)
-    bus.module.receive(Frame(0x290, time, timestamp=START_S + 0.15026), START_S + 0.15026)
-    assert bus.counter(od.COUNTER_AMPLITUDE) == before + 1
-    assert good != 0 or tracks[0] != 0
-
-
 def test_without_times_and_with_jitter_it_is_never_wrong() -> None:
     bus = Bus(5e-5, samples_per_sync=2, times=False)
     first = None
@@ -183,18 +166,3 @@ def test_without_times_and_with_jitter_it_is_never_wrong() -> None:
             continue
         first = away(bus, got) if first is None else first
         assert not got.valid or abs(away(bus, got) - first) < 0.4
-
-
-def test_a_recording_holds_all_samples() -> None:
-    bus = Bus(samples_per_sync=4)
-    for _ in range(210):
-        bus.sync()
-    entry = bus.module.dictionary.entry
-    command = entry(*od.RECORDING_COMMAND)
-    command.value = int(od.RecordingCommand.START)
-    assert command.on_written is not None
-    command.on_written()
-    for _ in range(25):
-        bus.sync()
-    assert bus.read(od.RECORDING_RECORDED) == 100
-    assert bus.read(od.RECORDING_RATE) == pytest.approx(4000, abs=40)

@@ -93,18 +93,6 @@ def test_table_conditioning_and_parameters_come_back(store: MemoryStore) -> None
         assert again.alarms() == []
 
 
-def test_a_table_that_was_only_staged_is_not_kept(store: MemoryStore) -> None:
-    machine = Machine(store)
-    machine.sdo.download(0x2020, 1, TABLE.to_bytes())
-    machine.save()
-    assert Machine(store).module.chain.correction.table is None
-    machine.activate(TABLE)
-    machine.save()
-    machine.sdo[0x2020][3].raw = 0
-    machine.save()
-    assert Machine(store).module.chain.correction.table is None
-
-
 def test_a_save_between_upload_and_activation_keeps_what_is_in_force(store: MemoryStore) -> None:
     machine = Machine(store)
     machine.sdo[0x2002][1].raw = 12.5
@@ -133,14 +121,6 @@ def test_the_table_survives_reset_communication_and_goes_with_load(store: Memory
     assert machine.module.chain.correction.table == TABLE
     machine.master.nmt.send_command(0x81)
     assert machine.module.chain.correction.table is None
-
-
-def test_activation_takes_the_date_of_the_configuration_away(store: MemoryStore) -> None:
-    machine = Machine(store)
-    machine.sdo[0x1020][1].raw = 15000
-    machine.save()
-    machine.sdo[0x2020][3].raw = 0
-    assert machine.sdo[0x1020][1].raw == 0
 
 
 # What must not be used.

@@ -116,24 +116,6 @@ def test_what_does_not_belong_to_one_sync_is_no_opinion(values: int) -> None:
     assert axis.run(5, 0.1)[-1] & DISAGREES
 
 
-def test_a_missed_sample_does_not_pair_a_value_with_another_one() -> None:
-    axis = Axis()
-    for k in range(200):
-        axis.cycle(min(0.2 * k, 30.0))
-    for _ in range(10):
-        axis.place += 30.0  # neither sample
-        axis.sync()
-        axis.sent(Frame(VALUE_ID, struct.pack("<HBi", 0, 0, math.floor(axis.place / N * INCREMENTS))))
-        assert not any(status & DISAGREES for status in axis.run(12, 30.0))
-    assert axis.sdo[0x2012][15].raw == 0
-
-
-def test_without_a_drive_it_is_a_module_as_any_other() -> None:
-    axis = Axis(values=0)
-    assert axis.run(60, 0.1, 0)[-1] == StatusBit.VALID
-    assert math.isnan(axis.sdo[0x2014][6].raw)
-
-
 def test_a_write_to_2014h_learns_the_offset_again() -> None:
     axis = Axis()
     axis.slip = 100.0
@@ -156,22 +138,20 @@ def test_it_may_end_the_validity() -> None:
     assert "position coasting: second position disagrees" in [event.text for event in axis.events]
 
 
-def test_a_reset_forgets_it() -> None:
-    axis = Axis()
-    axis.slip = 100.0
-    axis.run(6)
-    axis.remote.nmt.state = "RESET"
-    axis.remote.nmt.state = "OPERATIONAL"
-    assert axis.run(30)[-1] == StatusBit.VALID
-
-
-def test_a_sync_too_many_pairs_nothing_wrong() -> None:
+@each("what", ["a SYNC too many", "a sample missed"])
+def test_no_value_is_paired_with_the_sample_of_another_sync(what: str) -> None:
     axis = Axis()
     for k in range(200):
         axis.cycle(min(0.2 * k, 30.0))
     for _ in range(10):
-        axis.sent(SYNC)
+        if what == "a sample missed":
+            axis.place += 30.0
+            axis.sync()
+            axis.sent(Frame(VALUE_ID, struct.pack("<HBi", 0, 0, math.floor(axis.place / N * INCREMENTS))))
+        else:
+            axis.sent(SYNC)
         assert not any(status & DISAGREES for status in axis.run(12, 30.0))
+    assert axis.sdo[0x2012][15].raw == 0
     axis.slip = 100.0
     assert axis.run(10, 30.0)[-1] & DISAGREES
 
@@ -192,13 +172,6 @@ def test_the_mapping_of_rpdo2(before: int, after: int, entries: list[int]) -> No
 def test_a_pdo_that_cannot_be(field: str, value: int) -> None:
     with pytest.raises(ValueError, match=field):
         second(**{field: value})
-
-
-def test_a_configuration_that_is_not_one() -> None:
-    with pytest.raises(ValueError, match="second_position"):
-        ModuleConfig(node_id=3, second_position={})  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="after_bytes"):
-        second(before_bytes=2, after_bytes=3)
 
 
 @each("pairs", [2, 4, 6])

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from canfb import FeedbackModule, Frame, ModuleConfig, Sample, SignalChain
-from canfb.signal.chain_config import ChainConfig
+from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.signal.supervision import VALID
-from ideal_tracks import counts_at
 
 N, PERIOD_S, JITTER_S, STARTS = 2500, 1e-3, 80e-6, 12
 RAD_S2 = 2.0 * math.pi / N / PERIOD_S**2  # of one cycle per period^2
@@ -112,20 +110,6 @@ def test_a_lost_position_keeps_its_count_over_missed_samples() -> None:
     """The speed is found while it is lost, and the count from the first sample on with it."""
     right = [wrong_and_right(Start(nominal=True, lost=(6,)), 0.05, seed, 80)[1] for seed in range(STARTS)]
     assert sum(right) >= STARTS - 1
-
-
-def test_a_chain_alone_does_the_same_without_an_interval() -> None:
-    rng = np.random.default_rng(9)
-    for _ in range(STARTS):
-        chain = SignalChain(ChainConfig(max_acceleration_cycles=0.01))
-        speed, first = float(rng.uniform(2.0, 125.0)), None
-        for number in range(60):
-            time = number + float(rng.uniform(-0.08, 0.08))
-            feedback = chain.step(Sample(*counts_at(speed * time), time_100ns=round((time + 1.0) * 1e4)))
-            if feedback.status & VALID:
-                off = round(feedback.cycles + feedback.phase - speed * time)
-                first = off if first is None else first
-                assert off == first
 
 
 @pytest.mark.parametrize("speed", [0.0, 3.0])

@@ -94,17 +94,6 @@ def test_only_the_crc_of_the_staged_or_the_active_table_activates(bench: Bench) 
     assert in_force(bench)[0] == second.crc32
 
 
-def test_the_activation_cannot_be_read(bench: Bench) -> None:
-    with pytest.raises(SdoAbortedError) as error:
-        bench.sdo.upload(0x2020, 3)
-    assert error.value.code == 0x06010001
-
-
-def test_without_a_table_the_identity_is_read(bench: Bench) -> None:
-    assert bench.sdo.upload(0x2020, 1) == CorrectionTable.identity().to_bytes()
-    assert bench.sdo[0x2020][2].raw == 0
-
-
 def test_the_crc_of_what_is_saved() -> None:
     store = MemoryStore()
     bench = Bench(store=store)

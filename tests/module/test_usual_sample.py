@@ -221,11 +221,3 @@ def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way() -> None:
         pair.sample(0.3 * k if k > 20 else 0.0)
     assert pair.usual > 1900
     pair.compare()
-
-
-def test_each_attribute_of_the_pairing_has_a_slot() -> None:
-    """In a dict of more than 30 each access costs more."""
-    pair = Pair(times=True)
-    pair.send(Frame(SYNC, b""), 0.0008)
-    pair.sample(0.1)
-    assert not vars(pair.modules[0]._pairing)

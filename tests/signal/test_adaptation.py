@@ -14,14 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import canfb
-from canfb.signal.adaptation import GAIN, NO_DRIFT, AdaptConfig, FollowedDrift
+from canfb.signal.adaptation import NO_DRIFT, AdaptConfig, FollowedDrift
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.track_sectors import FEWEST, SECTORS, TrackSectors, deviation_of
+from canfb.signal.track_sectors import TrackSectors, deviation_of
 from canfb.simulation.encoder import Encoder, Harmonic
 from folding import each
 
@@ -84,11 +84,6 @@ def taken(chain: SignalChain, counts: Iterable[np.ndarray]) -> list[Feedback]:
     return [chain.step(Sample(sine, cosine)) for sine, cosine in pairs]
 
 
-def errors(got: list[Feedback], positions: np.ndarray) -> np.ndarray:
-    away = np.array([one.cycles + one.phase for one in got]) - positions
-    return away - np.round(away[0])
-
-
 def motion(samples: int, speed: float = 3.1371, start: float = 0.3) -> np.ndarray:
     """From standstill to a speed, cycles per sample, in 500 samples or fewer."""
     return start + np.cumsum(speed * np.minimum(np.arange(samples) / 500.0, 1.0))
@@ -141,17 +136,6 @@ def test_each_drift_is_found_as_what_it_is(name: str, value: float) -> None:
     assert all(abs(other) < 0.003 for other in sizes.values())
 
 
-def test_the_rate_is_bounded() -> None:
-    """A jump is followed by so much in a second and no faster, whatever its size."""
-    chain = chain_of(AdaptConfig(rate_per_hour=3.6))
-    positions = motion(20000)
-    got = taken(chain, drifted(positions, sine_offset=0.1))
-    assert all(one.valid for one in got)
-    found = chain.adaptation.drift.sine_offset_counts / AMPLITUDE
-    assert 0.8 * 0.02 < found < 0.0205  # 20 s
-    assert abs(chain.adaptation.drift.gain) < 0.0205
-
-
 def test_the_range_is_bounded_and_its_end_is_reported() -> None:
     limits = AdaptConfig(offset=0.02, gain=0.03, phase_rad=0.01, rate_per_hour=10.0)
     chain = chain_of(limits)
@@ -199,17 +183,6 @@ def test_oscillation_around_a_phase_does_not_move_it(middle: float, reach: float
     got = taken(chain, drifted(positions, 0.05, gain=0.05))
     assert got[-1].valid
     assert chain.adaptation.drift == NO_DRIFT
-
-
-def test_uneven_phases_count_as_even_ones() -> None:
-    """A machine that dwells near one phase in each cycle."""
-    chain = chain_of()
-    k = np.arange(80000)
-    positions = 0.0137 * k + 0.15 * np.sin(2.0 * np.pi * 0.0137 * k)
-    taken(chain, drifted(positions, 0.05 * np.minimum(k / 60000.0, 1.0)))
-    found = chain.adaptation.drift
-    assert found.sine_offset_counts == pytest.approx(0.05 * AMPLITUDE, rel=0.05)
-    assert max(abs(found.cosine_offset_counts) / AMPLITUDE, abs(found.gain), abs(found.phase_rad)) < 0.002
 
 
 @each("faulty", ["flagged", "too large", "clipped", "one track", "lost"])
@@ -353,12 +326,6 @@ def test_the_bound_of_what_it_hides(parts: tuple[float, ...], ranges: tuple[floa
     assert np.abs(np.hypot(sine, cosine) - 1.0).max() <= limits.hidden_amplitude + 1e-9
 
 
-def test_the_default_bound_is_that_of_the_page() -> None:
-    assert AdaptConfig().hidden_cycles == pytest.approx(0.0596, abs=1e-4)
-    assert AdaptConfig().hidden_amplitude == pytest.approx(0.340, abs=1e-3)
-    assert AdaptConfig(offset=0.0, gain=0.0, phase_rad=0.0).hidden_cycles == 0.0
-
-
 def test_the_reference_is_that_of_the_calibration() -> None:
     """Conditioning, table and harmonics of a calibration tell what the tracks were."""
     correction = calibrated()
@@ -377,15 +344,6 @@ def test_the_reference_is_that_of_the_calibration() -> None:
     assert abs(known.backward) > 0.005 < abs(known.offset) * 2.0
     assert deviation_of(calibrated(None)) is None
     assert deviation_of(Correction(None, correction.conditioning)) == (0j, 0j)
-
-
-def test_a_sector_needs_a_few_samples() -> None:
-    sectors = TrackSectors()
-    for turn in range(FEWEST):
-        for sector in range(SECTORS):
-            phase = (sector + 0.5) / SECTORS
-            full = sectors.take(math.sin(2 * math.pi * phase), math.cos(2 * math.pi * phase), phase)
-            assert full == (turn == FEWEST - 1 and sector == SECTORS - 1)
 
 
 def test_activation_begins_at_zero_and_off_is_as_calibrated() -> None:
@@ -428,13 +386,3 @@ def test_nothing_is_learned_while_the_interval_is_not_known() -> None:
 def test_bounds_that_are_none_are_refused(words: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(words))):
         AdaptConfig(**words)
-
-
-def test_half_of_the_difference_goes_in() -> None:
-    assert 0.0 < GAIN < 1.0  # two would oscillate: the phase follows, so a deviation shows by half
-    with pytest.raises(ValueError, match="adapt must be true"):
-        ChainConfig(adapt=3)  # type: ignore[arg-type]
-
-
-def test_a_table_alone_is_none() -> None:
-    assert deviation_of(Correction(CorrectionTable.identity())) is None

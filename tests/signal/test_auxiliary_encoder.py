@@ -14,7 +14,7 @@ from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.second_position import SecondSensor
-from canfb.signal.witness.second import LONGEST_GAP, START_SAMPLES
+from canfb.signal.witness.second import LONGEST_GAP
 from folding import each
 
 DISAGREES, VALID, LOST = StatusBit.SECOND_POSITION, StatusBit.VALID, StatusBit.LOST
@@ -41,24 +41,6 @@ def test_a_start_on_a_turning_machine(speed: float, tolerance: float) -> None:
     assert counted == pytest.approx(speed * (249 - first), abs=0.05)
     at_rest = 3  # three values agree
     assert first <= (at_rest if abs(speed) < 0.1 else 16.0 * (tolerance * N + 2.0))
-
-
-def test_without_values_it_starts_as_without_a_sensor() -> None:
-    machine = TwoSensors()
-    machine.on_bus = lambda value: []
-    assert has(machine.run(20), VALID) == [False] * START_SAMPLES + [True] * (20 - START_SAMPLES)
-
-
-def test_with_a_coarse_track_that_finds_the_speed() -> None:
-    machine = TwoSensors()
-    turn = 2 * math.pi / N
-    got = []
-    for k in range(1200):
-        sine, cosine = (1500 * f(turn * k * 83.2) for f in (math.sin, math.cos))
-        got.append(machine.step(83.2, coarse_sine=sine, coarse_cosine=cosine))
-    assert got[-1].valid
-    assert got[-1].speed_cycles == pytest.approx(83.2, abs=0.05)
-    assert not any(has(got, DISAGREES))
 
 
 @each("speed", [0.0, 83.2, -40.7])
@@ -220,13 +202,6 @@ def test_a_zero_pulse_ends_the_loss_once_the_speed_is_known() -> None:
     assert machine.chain.reference.range_known
     machine.step(51.5, zero_pulse=0.5)
     assert machine.step(51.5).valid
-
-
-def test_a_loss_before_any_position_has_nothing_to_lose() -> None:
-    machine = TwoSensors(0.001, residual_limit=0.1)
-    got = machine.run(100, 83.4)
-    assert any(has(got, LOST))
-    assert got[-1].valid
 
 
 def test_a_sensor_that_may_have_turned_half_its_range_is_learned_again() -> None:

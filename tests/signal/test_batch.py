@@ -176,15 +176,6 @@ def test_any_kind_of_number_gives_the_bits_of_its_float64(kind: str, table: Corr
     )
 
 
-def test_the_arguments_are_left_as_they_are() -> None:
-    sines, cosines = np.array([1.0, -2.0, 3.0]), np.array([-1.0, 2.0, 0.5])
-    phases = np.array([0.25, math.nan, 0.5])
-    process(sines, cosines, TABLES["starts below 0"])
-    track(phases)
-    assert (sines.tolist(), cosines.tolist()) == ([1.0, -2.0, 3.0], [-1.0, 2.0, 0.5])
-    assert np.isnan(phases).tolist() == [False, True, False]
-
-
 @given(st.floats(0, 1), st.sampled_from([name for name in TABLES if name != "none"]))
 @example(1.0, "starts a hair above 0")
 def test_raw_phase_1_is_raw_phase_0_for_a_table(raw: float, name: str) -> None:
@@ -194,13 +185,6 @@ def test_raw_phase_1_is_raw_phase_0_for_a_table(raw: float, name: str) -> None:
     assert many.shape == (1, 3)
     assert many[0].tolist() == [table(raw), table(0.0), table(0.0)]
     assert table.correct(1.0) == table.correct(0.0)
-
-
-def test_phases_of_arrays_of_any_shape() -> None:
-    sines, cosines = np.array([[1.0], [-3.0]]), np.array([2.0, -2.0, 1.0])
-    got = phase_in_cycle(sines, cosines)
-    assert got.tolist() == [[phase_in_cycle(s, c) for c in cosines.tolist()] for s in (1.0, -3.0)]
-    assert phase_in_cycle(np.array(1.0), np.array(1.0)) == 0.125
 
 
 def test_an_option_that_it_does_not_have_is_named() -> None:

@@ -105,15 +105,6 @@ def test_more_baselines_are_sharper_behind_a_short_interval() -> None:
     assert MOTION.window(spots, 2.9).width < 0.55 * wide
 
 
-def test_samples_that_no_motion_has_leave_no_window() -> None:
-    """The first two samples behind the hole are a cycle apart in speed: nothing is left for the third."""
-    before = tuple(Spot(float(n), 0, 0.25) for n in range(2))
-    run = (Spot(3.0, 0, 0.25), Spot(4.0, 3, 0.25))
-    window = MOTION.beyond(before, run, 5.0)
-    assert not window.counts(0.25)
-    assert window.width == 0.0
-
-
 def test_the_error_of_an_instant_counts_with_the_speed() -> None:
     slow = BoundedMotion(0.1, 0.0125, 1e-3)
     for speed in (0, 50):

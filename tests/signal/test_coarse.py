@@ -152,11 +152,6 @@ def test_a_slope_between_two_whole_numbers_is_no_answer(slope: float, found: int
     assert (got and got[1]) == found
 
 
-@each("speed", [0.3, -0.3, 0.45, -0.45])
-def test_the_phase_counts_as_well_as_the_cycles(speed: float) -> None:
-    assert search(coarse(1 / 1024, 100, 32768), speed, 0) == (3, 0)
-
-
 def test_after_a_slope_that_is_no_answer_or_without_an_angle_the_search_begins_anew() -> None:
     track = coarse(1 / 1024, 100, 32768)
     got = [track.missing_speed(Pair(0, phase, 0.0, k)) for k, phase in enumerate((0.0, 0.4, 0.8, 0.8, 0.8))]
@@ -167,17 +162,6 @@ def test_after_a_slope_that_is_no_answer_or_without_an_angle_the_search_begins_a
     assert pair(track, None) is None
     got = [track.missing_speed(Pair(100 + 3 * k, 0.0, 0.0, 9.0 + k)) for k in range(6)]
     assert got == [None] * 5 + [-3]
-
-
-def test_other_limits_begin_the_search_anew_and_the_same_ones_do_not() -> None:
-    track = aligned(1 / 32)
-    first = track.missing_speed(Pair(0, 0.0, 0.0, 0.0)), track._first
-    track.limit(FULL, 1 / 32)
-    assert (None, track._first) == first
-    track.limit(FULL, 1 / 16)
-    assert track._first is None
-    assert track.limit_cycles == N / 16
-    assert track.origin is not None
 
 
 class Coarse:
@@ -205,13 +189,6 @@ def test_the_bit_shows_in_its_own_sample(away: float, bit: bool, sign: int) -> N
     got = machine.step(sign * away)
     assert flags(got) == (StatusBit.COARSE | StatusBit.COASTING if bit else StatusBit.VALID)
     assert all(flags(machine.step(0.0)) == StatusBit.VALID for _ in range(5))
-
-
-def test_the_hysteresis_in_the_chain() -> None:
-    machine = Coarse()
-    got = [machine.step(away) for away in (0.12, 0.13, 0.0939, 0.0936, 0.12, 0.13, 0.0, 0.12)]
-    assert has(got, StatusBit.COARSE) == [False, True, True, False, False, True, False, False]
-    assert not any(has(got, StatusBit.LOST))
 
 
 @pytest.mark.parametrize("amplitude", [1500.0, 0.0], ids=["turned away", "dead"])
@@ -255,12 +232,6 @@ def test_a_restart_forgets_where_the_coarse_track_stands_and_a_pause_does_not() 
     machine.chain.restart()
     got = [machine.step(0.3) for _ in range(40)]
     assert flags(got[-1]) == StatusBit.VALID, "after a restart any place will do"
-
-
-@pytest.mark.parametrize("half", [{"coarse_sine": 1500.0}, {"coarse_cosine": 1500.0}])
-def test_half_a_coarse_track_is_none(half: dict[str, float]) -> None:
-    chain = SignalChain(ChainConfig())
-    assert all(flags(chain.step(at(0.25, **half))) == StatusBit.VALID for _ in range(5))
 
 
 WRONG_SPEEDS = [1, -1, 2, -3, 17, -50, 83, -83, 124, -125]

@@ -91,8 +91,3 @@ def test_bad_tables_are_refused_with_the_reason(change: Callable[[Any], Any], re
     good = np.arange(64) / 64
     with pytest.raises(ValueError, match=reason):
         CorrectionTable(change(good))
-
-
-def test_bytes_of_a_broken_length_are_refused() -> None:
-    with pytest.raises(ValueError, match="not a multiple of 4"):
-        CorrectionTable.from_bytes(b"\0" * 65)

@@ -26,13 +26,3 @@ def test_the_counts_are_those_of_the_recursion(turns: list[int], cycles: int, st
         cycles += step
         assert got == cycles
     assert last == step
-
-
-def test_a_long_block_of_the_largest_turns() -> None:
-    n = 1 << 14
-    for turn in (2, -2):
-        out, scratch = np.empty(n, np.int64), Scratch(n)
-        scratch.b[:] = turn
-        assert cycle_counts(scratch.b, 0, 0, out, scratch) == turn * n
-        k = np.arange(1, n + 1)
-        assert (out == turn * k * (k + 1) // 2).all()

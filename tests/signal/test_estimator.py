@@ -37,27 +37,6 @@ def take(estimator: Estimator, some: list[float], elapsed: float = 1.0) -> list[
 # Starts.
 
 
-@pytest.mark.parametrize("speed", [0.0, 0.4, -17.25, 100.0])
-def test_a_start_at_a_known_speed_counts_from_the_first_sample(speed: float) -> None:
-    estimator = Estimator(SLOW)
-    estimator.restart(1000, speed)
-    for n, phase in enumerate(phases(speed, 20)):
-        track, bits = estimator.good(phase, 1.0)
-        assert bits == VALID
-        assert track.cycles == 1000 + round(0.3 + speed * n - phase)
-
-
-def test_the_speed_at_a_start_may_differ_by_the_limit_2010_01() -> None:
-    """The limit narrowed by the acceleration holds from the third sample on: 0.06 for 1/3."""
-    assert take(Estimator(SLOW), phases(0.3, 10)) == [VALID] * 10
-
-
-def test_a_start_in_motion_is_lost_where_the_second_sample_shows_it() -> None:
-    estimator = Estimator(SLOW)
-    assert take(estimator, phases(0.4, 3)) == [VALID, LOST | RESIDUAL, LOST]
-    assert estimator.loss_cause == LossCause.START
-
-
 def test_a_start_has_no_second_chance_until_its_speed_has_shown() -> None:
     """With uneven times eight samples show a wrong speed; one that contradicts among them is no glitch."""
     estimator = Estimator(SLOW)
@@ -117,16 +96,6 @@ def test_a_pause_is_as_long_as_the_samples_that_it_lacks() -> None:
     assert estimator.loss_cause == LossCause.COASTED
 
 
-def test_a_flagged_sample_needs_proof_beyond_a_missing_one() -> None:
-    """Five good samples at a window of 0.12 cycle: random phases would pass with less than 1e-5."""
-    estimator = started(speed=3.25)
-    estimator.bad(1.0)
-    bits = take(estimator, phases(3.25, 12, 13))
-    valid = bits.index(VALID)
-    assert 3 <= valid <= 8
-    assert bits == [COASTING] * valid + [VALID] * (12 - valid)
-
-
 def test_samples_that_were_counted_are_in_doubt_beside_a_flagged_one() -> None:
     """2010:02 is not known: two bad samples pass 1/3, not the 0.2 assumed in doubt. Then one is flagged.
 
@@ -181,18 +150,6 @@ def test_an_absolute_value_ends_a_loss() -> None:
     assert track.cycles == 7 + math.floor(0.3 + 0.2 * 16)
 
 
-def test_a_whole_speed_that_was_found_is_that_of_the_next_sample() -> None:
-    estimator = started()
-    estimator.lose(LossCause.START)
-    take(estimator, phases(0.2, 3, 12))
-    before = estimator.tracker.cycles
-    estimator.found(0, 5)
-    estimator.confirm_count()
-    track, bits = estimator.good(phases(0.2, 1, 15)[0], 1.0)
-    assert bits == VALID
-    assert track.cycles - before in (5, 6)
-
-
 def test_a_count_that_was_found_leaves_the_speed_and_the_places() -> None:
     estimator = started()
     samples = len(estimator.places)
@@ -200,19 +157,6 @@ def test_a_count_that_was_found_leaves_the_speed_and_the_places() -> None:
     assert len(estimator.places) == samples
     assert steady_speed(estimator.places) == pytest.approx(0.2)
     assert estimator.good(phases(0.2, 1, 12)[0], 1.0)[0].cycles == 100 + 2
-
-
-def test_resume_goes_on_at_standstill() -> None:
-    estimator = started(speed=0.2)
-    cycles = estimator.tracker.cycles
-    estimator.resume()
-    track, bits = estimator.good(estimator.tracker.places[1].phase, 1.0)
-    assert bits == VALID
-    assert track.cycles == cycles
-    estimator.lose(LossCause.COASTED)
-    estimator.resume()
-    assert not estimator.lost
-    assert estimator.good(0.7, 1.0)[0].cycles == 0
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])

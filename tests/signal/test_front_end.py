@@ -18,7 +18,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import FrontEnd
-from canfb.signal.harmonics import NO_LOW_PASS, Corners
+from canfb.signal.harmonics import NO_LOW_PASS
 from canfb.signal.sample import Sample
 from folding import each
 from ideal_tracks import counts_at
@@ -84,13 +84,6 @@ def test_the_delay_is_removed_at_each_speed(top: float, delay_s: float) -> None:
     assert np.abs(found).max() < 2e-4, "where the acceleration begins or ends it is not known yet"
 
 
-def test_without_the_delay_known_the_error_is_that_of_the_issue() -> None:
-    """v d / 2 cycles at its largest, as docs/encoder-interface.md has it."""
-    positions, speeds = ramp(0.1, FAST)
-    found = errors(chain_of(replace(ELLIPSE, cosine_delay_s=0.0)), positions, speeds, ELLIPSE)
-    assert np.ptp(found[-500:]) / 2.0 == pytest.approx(FAST * DELAY_S / INTERVAL_S / 2.0, rel=0.1)
-
-
 @each("kind", ["timed", "untimed"])
 def test_the_interval_may_come_with_the_samples(kind: str) -> None:
     """Sample times, uneven by 3 us, say how long an interval is; without them the owner of the chain does."""
@@ -110,26 +103,6 @@ def test_the_interval_may_come_with_the_samples(kind: str) -> None:
         assert got.valid
         worst = max(worst, abs((got.cycles - position) + got.phase))
     assert worst < 2e-5
-
-
-def test_the_first_interval_of_times_is_one_too() -> None:
-    chain = SignalChain(ChainConfig(conditioning=ELLIPSE), TABLE)
-    for k in range(50):
-        position = 0.1 + 0.4 * k
-        got = chain.step(Sample(*counts(position, 0.4, ELLIPSE), time_100ns=TICKS * k))
-    assert abs((got.cycles - position) + got.phase) < 1e-5
-
-
-def test_another_unit_changes_nothing() -> None:
-    chain = SignalChain(ChainConfig(conditioning=ELLIPSE), TABLE)
-    chain.sync_interval_s = INTERVAL_S
-    chain.restart(0, 3.37)
-    for k in range(100):
-        if k == 50:
-            chain.sync_interval_s = INTERVAL_S * 1.01
-        position = 0.1 + 3.37 * k
-        got = chain.step(Sample(*counts(position, 3.37, ELLIPSE), time_100ns=TICKS * k))
-        assert abs((got.cycles - position) + got.phase) < 2e-5, k
 
 
 def test_several_samples_in_an_interval() -> None:
@@ -212,14 +185,6 @@ def test_tracks_that_become_one_have_no_phase() -> None:
     assert front.coefficients(200.0) != (0.0,) * 5
 
 
-@each("used, others", [(ELLIPSE, {}), (Conditioning(), {"corner_hz": 1e5})])
-def test_while_the_interval_is_not_known_it_conditions_as_at_standstill(
-    used: Conditioning, others: dict[str, float]
-) -> None:
-    front = FrontEnd(used, Corners(**others))
-    assert front.coefficients(80.0) == pytest.approx(used.coefficients(), rel=1e-12)
-
-
 def test_uneven_times_do_not_tell_speeds_by_phases_that_depend_on_them() -> None:
     """A start in motion, with sample times: each speed would have other phases."""
     rng = np.random.default_rng(2)
@@ -242,20 +207,6 @@ def test_uneven_times_do_not_tell_speeds_by_phases_that_depend_on_them() -> None
 def test_a_delay_that_is_none_is_refused(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=name):
         Conditioning(**{name: value})  # type: ignore[arg-type]
-
-
-def test_process_gives_the_bits_of_the_chain_and_needs_the_interval() -> None:
-    positions, speeds = ramp(0.1, FAST, 2000)
-    pairs = [counts(x, v, ELLIPSE) for x, v in zip(positions, speeds, strict=True)]
-    sine, cosine = (np.array(track) for track in zip(*pairs, strict=True))
-    chain = chain_of(ELLIPSE)
-    wanted = [chain.step(Sample(*pair)) for pair in pairs]
-    result = canfb.process(sine, cosine, TABLE, conditioning=ELLIPSE, interval_s=INTERVAL_S)
-    assert result.cycles.tolist() == [one.cycles for one in wanted]
-    assert result.phase.tolist() == [one.phase for one in wanted]
-    assert result.ok.all()
-    with pytest.raises(ValueError, match="interval_s"):
-        canfb.process(sine, cosine, TABLE, conditioning=ELLIPSE)
 
 
 def test_another_conditioning_takes_the_speed_along() -> None:

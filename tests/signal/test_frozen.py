@@ -12,7 +12,6 @@ from supervision_kit import Drive, above, at, below, flags, has
 
 from canfb.objects import StatusBit
 from canfb.signal.frozen import FrozenInput, repeats
-from canfb.signal.sample import Sample
 from folding import each
 
 NEVER = 600
@@ -61,22 +60,6 @@ def test_the_bit_is_set_from_the_proof_on_and_only_while_the_counts_repeat(
     assert has(still, StatusBit.FROZEN) == [k + 1 >= repeats for k in range(repeats + 20)]
     assert not any(flags(got) & StatusBit.VALID for got in still[repeats - 1 :])
     assert not any(has(drive.run(5), StatusBit.FROZEN)), "the converter lives again"
-
-
-@pytest.mark.parametrize("standstill", [0.0, 0.015, 0.3])
-def test_at_rest_equal_samples_are_good(standstill: float) -> None:
-    drive = Drive(standstill, frozen_samples=1)
-    last = at(drive.position)
-    assert all(drive.chain.step(last).valid for _ in range(NEVER))
-
-
-@pytest.mark.parametrize("track", [0, 1], ids=["sine moves", "cosine moves"])
-def test_one_track_that_moves_by_a_count_is_life(track: int) -> None:
-    drive = Drive(3.2, frozen_samples=1)
-    still = at(drive.position)
-    for k in range(20):
-        sine, cosine = still.sine + (track == 0) * (-1) ** k, still.cosine + (track == 1) * (-1) ** k
-        assert not drive.spoil(Sample(sine, cosine)).status & StatusBit.FROZEN
 
 
 @pytest.mark.parametrize("bad", [1, 2, 3])
@@ -135,13 +118,3 @@ def test_a_machine_stands_where_no_number_of_repeats_is_a_fault(
     frozen.moved()
     assert not frozen.stands
     assert frozen.repeats == 0
-
-
-def test_a_machine_that_stands_goes_on_standing_while_counts_repeat() -> None:
-    frozen = FrozenInput(4, 1 / 3)
-    frozen.repeated(0.0)
-    assert frozen.stands
-    assert frozen.goes_on(True)
-    assert (frozen.repeats, frozen.stands) == (2, True)
-    assert not frozen.goes_on(False)
-    assert (frozen.repeats, frozen.stands) == (0, False)

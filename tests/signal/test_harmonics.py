@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canfb.calibration.ellipse import with_track_harmonics
-from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
+from canfb.signal.conditioning import Conditioning
 from canfb.signal.front_end import FrontEnd
 from canfb.signal.harmonics import NO_LOW_PASS, PLACES, SPEEDS, Corners, corrected, harmonic_rows
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
@@ -75,14 +75,6 @@ def test_the_error_of_the_phase_is_the_one_predicted(shape: str, hertz: float, p
     left -= left.mean()  # the origin of the fundamental's phase
     assert np.abs(left).max() < 6e-5 + 0.06 * np.ptp(away)
     assert np.sqrt(np.mean(left**2)) < 4e-5 + 0.03 * np.ptp(away)
-
-
-def test_the_orders_of_tracks_of_one_shape_go_backward() -> None:
-    used = conditioned("one shape", 0.0)
-    z = dict(zip(HARMONIC_ORDERS, used.harmonics, strict=True))
-    assert abs(z[-3]) == pytest.approx(0.01, rel=0.05)
-    assert abs(z[3]) < 5e-4
-    assert abs(conditioned("both tracks", 0.0).harmonics[3]) == pytest.approx(0.01, rel=0.05)
 
 
 def test_nothing_to_correct() -> None:

@@ -107,13 +107,3 @@ def test_without_jitter_and_before_the_lock_nothing_changes() -> None:
     assert plain.run(LEARNED - 1, 3, 0.0) == nominal.run(LEARNED - 1, 3, 0.0)
     assert not nominal.status & EXTRAPOLATED
     assert max(map(abs, nominal.run(700, 650, 0.0))) < 0.2
-
-
-def test_without_sample_times_it_does_nothing() -> None:
-    shaft = Shaft(0.0, True)
-    shaft.module = FeedbackModule(ModuleConfig(node_id=NODE, nominal_sync=True, autostart=True))
-    shaft.module.start(0.0)
-    for k in range(2 * LEARNED):
-        shaft._give(Frame(0x80, b""), k + 1.0)
-        (sent,) = shaft._give(Frame(0x180 + INTERFACE, struct.pack("<hh", 1500, 0)), k + 1.3)
-    assert not struct.unpack_from("<H", sent.data, 4)[0] & EXTRAPOLATED

@@ -27,15 +27,6 @@ def test_samples_and_gaps_keep_their_places(samples: list[tuple[int, int] | None
     assert (len(recording), recording.to_bytes(), recording.is_full) == (0, b"", False)
 
 
-def test_what_was_read_does_not_change_any_more() -> None:
-    recording = SampleRecording()
-    recording.take(1, -2)
-    data = recording.to_bytes()
-    recording.take(3, 4)
-    assert data == struct.pack("<hh", 1, -2)
-    assert recording.capacity == 1_000_000
-
-
 def test_another_byte_order_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     recording = SampleRecording()
     recording.take(0x0102, 0x0304)

@@ -104,14 +104,6 @@ def test_a_missed_sample_between_disagreements_does_not_make_them_fewer() -> Non
     assert judged == COARSE | LOST
 
 
-def test_what_the_coarse_track_has_contradicted_it_sets_right_again() -> None:
-    machine = Turned(n=8, limit=1 / 32)  # better than half a cycle
-    recovered = machine.chain.reference.recovered
-    assert flags([machine.step(0.3) for _ in range(3)][-1]) == COARSE | LOST
-    machine.until_valid()
-    assert machine.chain.reference.recovered == recovered + 1
-
-
 class Noted:
     """A recovery that notes what it is told."""
 
@@ -354,16 +346,6 @@ def test_a_dead_coarse_track_disagrees_and_is_not_aligned() -> None:
     assert seen.made.coarse.origin is not None
 
 
-def test_a_speed_that_is_not_known_any_more_is_searched_anew() -> None:
-    seen = Seen(lost=True, aligned=True)
-    for _ in range(2):
-        for _ in range(5):
-            seen.step(LOST)
-            assert not seen.made.range_known
-        seen.made.slipped()
-    seen.until(lambda: seen.made.range_known)
-
-
 def pulse_at(made: Reference, position: float, bits: int, **coarse: Any) -> tuple[int, int]:
     """A pulse in the middle between two samples, the second one at ``position + 0.1``."""
     before, after = track(position - 0.1), track(position + 0.1)
@@ -489,22 +471,6 @@ def test_a_count_that_was_lost_is_not_known_by_a_pulse_whose_place_never_was() -
     made.zero.set_place(Edge(72, 0.5))
     assert pulse_at(made, 70.5, LOST) == (LOST, 2)
     assert recovery.confirmed == 1
-
-
-def test_a_pulse_that_cannot_tell_the_speed_yet_changes_nothing() -> None:
-    recovery = Noted(lost=True)
-    assert pulse(reference(recovery), 83.4, 100.0, 0.5, 1.0) == (LOST, 0)
-    assert (recovery.told, recovery.confirmed) == ([], 0)
-
-
-def test_what_a_pulse_has_set_right_needs_no_proof_of_the_coarse_track() -> None:
-    recovery = Noted(lost=True)
-    made = reference(recovery)
-    made.range_known = True  # two pulses have told it
-    angle: dict[str, Any] = {"coarse_sine": 0.0, "coarse_cosine": 1500.0}
-    assert pulse_at(made, 70.5, LOST, **angle) == (LOST, 0)
-    here = track(70.6)
-    assert applied(made, Sample(1.0, 0.0, **angle), here, VALID, here, 2.0, 1.0) == (VALID, 0)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import LEAST_APART, Sample, in_order
-from canfb.signal.supervision import LOST, MISSED, REFERENCED, VALID
+from canfb.signal.supervision import LOST, MISSED, REFERENCED
 from canfb.signal.witness.zero_pulse import Edge, PulseVerdict
 from folding import each
 from servo_kit import IDEAL_TABLE, RATE_HZ, cycles_of, s_curve
@@ -100,18 +100,6 @@ def move(per_sync: int, syncs: int = 150) -> Iterator[list[float]]:
     yield from positions.reshape(-1, per_sync).tolist()
 
 
-def test_a_servo_move_is_counted() -> None:
-    """7850 rad/s^2 are 3.12 cycles per interval^2 of SYNC, and a sixteenth of it from sample to sample."""
-    made = chain(4)
-    largest = 0.0
-    for positions in move(4):
-        got = all_of(made, group(positions))
-        largest = max(largest, *(one.residual for one in got))
-        assert got[-1].status & VALID
-        assert got[-1].cycles + got[-1].phase == pytest.approx(positions[-1], abs=0.01)
-    assert 0.15 < largest < 0.25
-
-
 @pytest.mark.parametrize("per_sync", [1, 2])
 def test_with_too_few_samples_it_is_lost_and_says_so(per_sync: int) -> None:
     made = chain(per_sync)
@@ -153,19 +141,6 @@ def test_with_sample_times_the_newest_may_be_early_or_late(early_s: float) -> No
     first_s = 1.0 - 0.5e-3
     whole = speed_per_s * (newest_s + 1.0) - math.floor(speed_per_s * first_s)
     assert newest.cycles + newest.phase == pytest.approx(whole, abs=0.05)
-
-
-def test_a_fault_of_an_earlier_sample_is_reported_with_it() -> None:
-    made = chain(2)
-    for sync in range(10):
-        made.step(group([sync * 0.2, sync * 0.2 + 0.1]))
-    newest = made.step(Sample(*counts(2.1), earlier=((0.0, 0.0),)))
-    assert not made.between[0].valid
-    assert made.between[0].samples == newest.samples - 1
-    for sync in range(11, 16):
-        newest = made.step(group([sync * 0.2, sync * 0.2 + 0.1]))
-    assert newest.valid
-    assert newest.cycles + newest.phase == pytest.approx(15 * 0.2 + 0.1, abs=0.01)
 
 
 def turning(sync: int, per_sync: int, speed: float, *, pulse_from: float = 0.0) -> Sample:

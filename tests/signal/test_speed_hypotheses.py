@@ -77,25 +77,6 @@ def test_a_row_of_bad_samples_while_lost_leaves_no_wrong_speed(acceleration: flo
     assert found > 40
 
 
-def test_a_second_row_leaves_nothing() -> None:
-    machine = declared(0.01)
-    elapsed, shown = motion(machine, 41.3, 0.1, 60, np.random.default_rng(24))
-    shown[12] += 0.4
-    shown[30] += 0.4
-    search = SpeedHypotheses(0.01, machine.phase_error, TAU, machine.bad_samples)
-    decidable = [search.feed(position % 1.0, one) for one, position in zip(elapsed, shown, strict=True)]
-    assert all(decidable[:30])
-    assert not all(decidable[30:36])
-    assert search.left == 0
-
-
-def test_too_many_motions_in_one_set_end_the_search() -> None:
-    search = SpeedHypotheses(0.4, 0.05, 0.0, 8)
-    fed = [search.feed(0.4, 1.0 + 0.1 * (n % 2)) for n in range(40)]
-    assert not all(fed)
-    assert search.left, "that is no contradiction"
-
-
 def test_the_first_interval_may_be_the_unit_of_the_limits() -> None:
     """A machine at its limit: with the limit of the nominal interval the true speed had gone."""
     machine, unit = declared(0.198), 1.3

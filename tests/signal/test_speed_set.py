@@ -162,13 +162,6 @@ def test_a_lost_position_gets_its_speed_and_no_count() -> None:
         assert abs(estimator.tracker.step_cycles - speed) < 0.5
 
 
-def test_times_that_are_even_are_followed_for_eight_samples() -> None:
-    estimator = follower(declared(0.01))
-    bits = [estimator.good(0.3, 1.0)[1] for _ in range(20)]
-    assert bits == [COASTING] * 7 + [VALID] * 13
-    assert not estimator.searches
-
-
 @pytest.mark.parametrize("jitter", [0.1, 0.03])
 def test_a_first_interval_that_is_even_by_chance_makes_no_start_in_motion_valid(jitter: float) -> None:
     """The first interval is the unit of the next ones, where nothing else says how long it is."""
@@ -213,14 +206,3 @@ def test_missed_samples_in_a_start_in_motion_make_no_wrong_position_valid(
             waited = 0.0
             if bits & VALID:
                 assert round(track.cycles + track.phase - position) == started_at(shown)
-
-
-def test_where_too_many_motions_are_possible_nothing_is_decided() -> None:
-    speeds = SpeedSet(0.4, 0.05, 0.0)
-    assert speeds.feed(0.1, 1.0)
-    assert speeds.feed(0.2, 1.1)
-    assert speeds.feed(0.4, 0.9), "two counts for some of them"
-    assert speeds.left > 4001
-    while speeds.feed(0.4, 2.0):
-        assert speeds.samples < 10
-    assert speeds.left

@@ -20,7 +20,6 @@ from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.signal.stages import Stages
 from canfb.signal.stream import ChainResult, process_stream
-from folding import each
 
 Array = np.ndarray
 FIELDS = ("cycles", "phase", "residual", "amplitude", "raw_phase", "status")
@@ -202,33 +201,6 @@ def test_a_stream_gives_the_bits_of_single_samples(
         assert_same(in_blocks(sine, cosine, config, table, lengths), wanted)
 
 
-@each("length", [1, 2, 3])
-def test_what_stands_before_a_part_of_a_block_is_left_as_it_is(length: int) -> None:
-    """A fault on the seam: what the prediction goes on from is not what was given for these samples."""
-    config = ChainConfig()
-    position = np.cumsum(np.cumsum(np.linspace(0.0, 0.02, 120)))
-    for at in range(55, 66):
-        sine, cosine = tracks_at(position)
-        sine[at : at + length] = cosine[at : at + length] = 0.0
-        sine[at + length + 1] *= -1.0
-        wanted = one_by_one(sine, cosine, config, TABLE)
-        with patch.object(stream, "BLOCK_SAMPLES", 60):
-            assert_same(in_blocks(sine, cosine, config, TABLE), wanted)
-
-
-def test_amplitudes_and_counts_at_their_limits() -> None:
-    """Good at the limit, bad one count beyond, also on the narrower way back."""
-    config = ChainConfig(amplitude_low_counts=512, amplitude_high_counts=2000)
-    limits = (512.0, 511.0, 520.0, 528.0, 2000.0, 2001.0, 1937.5, 1938.0, 2046.0, 2047.0, -2047.0, -2048.0)
-    for value in limits:
-        sine, cosine = np.zeros(120), np.full(120, 1000.0)
-        cosine[60:63] = value
-        cosine[80:] = abs(value)
-        for frozen in ((0.0, 0.0), (1.0, 0.0)):
-            sine[60], sine[81] = frozen
-            assert_same(in_blocks(sine, cosine, config), one_by_one(sine, cosine, config))
-
-
 def test_the_samples_of_a_block_are_left_as_they_are_and_may_be_overwritten() -> None:
     sine, cosine = tracks_at(np.arange(3000) * 0.1)
     buffers = np.empty(1000), np.empty(1000)
@@ -242,20 +214,6 @@ def test_the_samples_of_a_block_are_left_as_they_are_and_may_be_overwritten() ->
     results = list(process_stream(reader()))
     position = np.concatenate([one.cycles + one.phase for one in results])
     assert np.abs(position - np.arange(3000) * 0.1).max() < 0.02
-
-
-def test_a_result_is_there_before_the_next_block_is_read() -> None:
-    taken = []
-
-    def reader() -> Iterator[tuple[Array, Array]]:
-        for k in range(3):
-            taken.append(k)
-            yield tracks_at(np.zeros(20))
-
-    stream = process_stream(reader())
-    assert taken == []
-    next(stream)
-    assert taken == [0]
 
 
 def test_no_block_and_empty_blocks() -> None:

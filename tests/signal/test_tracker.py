@@ -82,15 +82,6 @@ def test_the_residual_is_eq_12_and_the_limit_is_strict() -> None:
     assert Tracker(0.26).update(0.0).ok
 
 
-def test_without_a_phase_the_position_is_predicted_and_not_ok() -> None:
-    tracker = Tracker()
-    for phase in (0.0, 0.25, 0.5):
-        tracker.update(phase)
-    assert tracker.update(math.nan) == (0, 0.75, 0.5, False)
-    assert tracker.update(math.nan) == (1, 0.0, 0.5, False)
-    assert tracker.update(0.25) == (1, 0.25, 0.0, True)
-
-
 @pytest.mark.parametrize("phase", [-0.1, 1.0, 7.0, math.inf])
 def test_a_phase_out_of_range_raises_at_once(phase: float) -> None:
     with pytest.raises(ValueError, match="0 <= phase < 1"):
@@ -103,12 +94,6 @@ def test_a_phase_out_of_range_raises_at_once(phase: float) -> None:
 def test_a_residual_limit_out_of_range_raises_at_once(limit: float) -> None:
     with pytest.raises(ValueError, match="residual_limit"):
         Tracker(limit)
-
-
-def test_elapsed_must_be_positive() -> None:
-    for elapsed in (0.0, -1.0, math.inf, math.nan):
-        with pytest.raises(ValueError, match="elapsed"):
-            Tracker().update(0.5, elapsed)
 
 
 def test_eq_10_and_two_thirds_of_it() -> None:

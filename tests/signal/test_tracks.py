@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canfb.calibration.deviation import drift
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.signal.batch import process
@@ -102,11 +101,6 @@ def test_a_configuration_that_is_none_is_refused(config: object) -> None:
         process_stream([], config)  # type: ignore[arg-type]
 
 
-def test_a_conditioning_that_is_none_is_refused() -> None:
-    with pytest.raises(TypeError, match="Conditioning"):
-        process(SINE, COSINE, conditioning=(0, 0, 1, 1, 0))  # type: ignore[arg-type]
-
-
 def test_an_offset_may_be_what_the_conditioning_takes_away() -> None:
     centred, offset = Conditioning(), Conditioning(2048.0, 2048.0)
     want = process(SINE, COSINE, conditioning=centred)
@@ -134,13 +128,6 @@ def test_an_offset_may_be_what_the_conditioning_takes_away() -> None:
 def test_complex_numbers_are_refused(run: Callable[[], object]) -> None:
     with pytest.raises(ValueError, match="real numbers"):
         run()
-
-
-def test_a_drift_takes_a_calibration() -> None:
-    with pytest.raises(TypeError, match="CorrectionTable"):
-        drift(calibrate_from_motion(*(track - 2048 for track in MANY)), np.arange(64))  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="takes a Calibration"):
-        drift(SINE, None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("block", [3, ([1.0], [1.0], [1.0])])

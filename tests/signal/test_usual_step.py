@@ -23,7 +23,7 @@ from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Stages
 from canfb.signal.stream import process_stream
-from canfb.signal.supervision import SECOND_POSITION, SampleLimits
+from canfb.signal.supervision import SampleLimits
 from ideal_tracks import counts_at
 
 TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in range(64)])
@@ -192,43 +192,6 @@ def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way(
         pair = counts_at(0.1 + speed * (k + early / 10000))
         chain.step(Sample(*pair, time_100ns=None if jitter_ticks is None else 10000 * k + early))
     assert resolved < 20
-
-
-def test_nan_and_infinite_counts_are_flagged() -> None:
-    for bad in (math.nan, math.inf, -math.inf):
-        for place in ((bad, 100.0), (100.0, bad)):
-            ours, theirs = (kind(ChainConfig(), TABLE) for kind in (SignalChain, Parts))
-            for k in range(20):
-                sample = Sample(*counts_at(0.1 + 0.3 * k))
-                assert same(ours.step(sample), theirs.step(sample))
-            got = ours.step(Sample(*place))
-            assert same(got, theirs.step(Sample(*place)))
-            assert not got.valid
-
-
-def test_samples_between_are_forgotten_with_one_sample_for_each_sync() -> None:
-    chain = SignalChain(ChainConfig(), TABLE)
-    chain.set_limits(replace(LIMITS, samples_per_sync=2))
-    chain.step(Sample(*counts_at(0.1)))
-    chain.step(Sample(*counts_at(0.2), earlier=(counts_at(0.15),)))
-    assert len(chain.between) == 1
-    chain.set_limits(replace(LIMITS, samples_per_sync=1))
-    chain.step(Sample(*counts_at(0.3)))
-    assert chain.between == ()
-
-
-def test_another_sensor_is_asked_from_its_first_sample_on() -> None:
-    chain = SignalChain(ChainConfig(), TABLE)
-    disagreed = []
-    for k in range(400):
-        position = 0.1 + 0.3 * k
-        if k == 100:
-            chain.use_second(SecondSensor(increments=4096, tolerance_revolutions=0.01))
-        slipped = 800 if k >= 250 else 0
-        chain.hear_second(1, round(position / 2500 * 4096) + slipped)
-        disagreed.append(bool(chain.step(Sample(*counts_at(position))).status & SECOND_POSITION))
-    assert not any(disagreed[:250])
-    assert all(disagreed[260:])
 
 
 def test_repeats_of_a_run_on_arrays_are_counted_on() -> None:

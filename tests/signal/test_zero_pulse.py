@@ -26,18 +26,6 @@ def pulse_at(n: int, cycles: int, phase: float) -> ZeroPulse:
     return zero
 
 
-def test_before_the_first_pulse_nothing_is_wrong() -> None:
-    zero = ZeroPulse(2500)
-    assert not zero.referenced
-    assert zero.error_cycles(Edge(1234, 0.5)) == 0
-    zero.set_place(Edge(0, 0.0))
-    assert zero.referenced
-    assert zero.error_cycles(Edge(1, 0.0)) == 1
-    zero.forget()
-    assert not zero.referenced
-    assert zero.error_cycles(Edge(1, 0.0)) == 0
-
-
 @each("place", [(0, 0.0), (0, 0.25), (7, 0.75), (2499, 0.75), (-1, 0.75), (-2501, 0.5)])
 @each("turns", [0, 1, -1, 1000, -1000, 2**40])
 @each("away, error",
@@ -175,26 +163,23 @@ def until_pulse(made: Turning) -> Sample:
     return sample
 
 
-def test_a_pulse_in_a_bad_sample_is_not_believed_and_the_next_two_are() -> None:
-    made = turning(1.3, 10)
-    made.chain.stages.estimator.found(2, 0)
-    got = made.chain.step(until_pulse(made)._replace(sine=0.0, cosine=0.0))
-    assert flags(got) == StatusBit.AMPLITUDE | StatusBit.COASTING | StatusBit.REFERENCED
-    assert got.jump_cycles == 0
-    for _ in range(4):
-        assert made.step().jump_cycles == 0
-    assert made.chain.step(until_pulse(made)).jump_cycles == 0
-    assert made.chain.step(until_pulse(made)).jump_cycles == -2
-
-
-def test_a_pulse_just_after_a_bad_sample_is_not_believed() -> None:
+@each("late", [0, 1])
+def test_a_pulse_in_a_bad_sample_or_behind_it_is_not_believed_and_the_next_two_are(late: int) -> None:
     made = turning(1.3, 10)
     made.chain.stages.estimator.found(2, 0)
     samples = [made.sample() for _ in range(9)]
     at_pulse = next(k for k, sample in enumerate(samples) if k and sample.zero_pulse is not None)
     for k, sample in enumerate(samples[: at_pulse + 1]):
-        got = made.chain.step(sample._replace(sine=0.0, cosine=0.0) if k == at_pulse - 1 else sample)
+        bad = k == at_pulse - late
+        got = made.chain.step(sample._replace(sine=0.0, cosine=0.0) if bad else sample)
         assert got.jump_cycles == 0
+        if bad:
+            assert flags(got) == StatusBit.AMPLITUDE | StatusBit.COASTING | StatusBit.REFERENCED
+    for sample in samples[at_pulse + 1 :]:
+        assert made.chain.step(sample).jump_cycles == 0
+    for _ in range(2):
+        jumps = [made.chain.step(until_pulse(made)).jump_cycles]
+    assert jumps == [-2]
 
 
 def test_each_direction_has_a_place_of_its_own() -> None:
