@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
@@ -99,17 +100,19 @@ class Config:
         return [(key, n, one) for key, those in lists.items() for n, one in enumerate(those)]
 
 
-# Which dataclass a key holds; a list holds several.
-_NESTED: dict[str, type] = {
-    "modules": ModuleConfig,
-    "interfaces": InterfaceConfig,
+# What a key holds: a class, a list of one, python-can's words, a source by its kind. Others: a single value.
+_HOLDS: dict[str, Any] = {
+    "bus": dict,
+    "modules": [ModuleConfig],
+    "interfaces": [InterfaceConfig],
     "realtime": RealtimeConfig,
     "conditioning": Conditioning,
     "adapt": AdaptConfig,
     "second_position": SecondPositionConfig,
+    "source": SourceConfig,
 }
-_LISTS = frozenset({"modules", "interfaces", "harmonics"})
 _OR_FLAG = frozenset({"adapt"})  # or true for its defaults, or false
+_TAG = "tag:yaml.org,2002:"
 
 
 _LONGEST_MESSAGE = 300
@@ -137,12 +140,11 @@ def parse_config(text: str, name: str = "configuration", needs: Sequence[str] = 
     root = _compose(text, name)
     if root is None:
         raise _config_error(name, 1, "the configuration is empty; 'canfb config example' prints one")
-    reader = _Reader(name)
-    config: Config = reader.read(root, Config, "the configuration")
+    config: Config = _Reader(name).read(root, Config, "the configuration")
     if not any(getattr(config, one) for one in needs):
         lists, words = " or ".join(map(repr, needs)), " or ".join(_NODES[one] for one in needs)
         raise _config_error(name, 1, f"{lists} is missing: a list with at least one {words}")
-    reader.check_distinct_nodes(root, config)
+    _check_distinct_nodes(name, root, config)
     return config
 
 
@@ -153,12 +155,12 @@ def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfi
     for setting in settings:
         key, equals, text = setting.partition("=")
         if not equals or key not in known:
-            why = _Reader.unknown(key, known, "a module") if equals else "write it as KEY=VALUE"
+            why = _unknown(key, known, "a module") if equals else "write it as KEY=VALUE"
             raise ConfigError(_short(f"--set {setting}: {why}"))
         try:
             values[key] = construct(compose(text, exponents=True))
-            if key in _NESTED and not (key in _OR_FLAG and isinstance(values[key], bool)):
-                values[key] = _NESTED[key](**values[key])
+            if key in _HOLDS and not (key in _OR_FLAG and isinstance(values[key], bool)):
+                values[key] = _HOLDS[key](**values[key])
         except (yaml.YAMLError, *_NO_VALUE) as error:
             raise ConfigError(_short(f"--set {setting}: {error}")) from None
     try:
@@ -198,20 +200,36 @@ GONE = dict.fromkeys(("prediction_order", "max_jerk_rad_s3"), _SEVERAL)
 """Keys of older versions, and what to do."""
 
 
+def _unknown(key: str, known: list[str], where: str) -> str:
+    """What to say of a key that there is not."""
+    if key in GONE:
+        return f"{key!r} in {where} is no key any more: {GONE[key]}"
+    near = difflib.get_close_matches(key, known, n=1)
+    hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
+    return f"unknown key {key!r} in {where}; {hint}"
+
+
 class _Reader:
-    """Turns YAML nodes into dataclasses and keeps the line of every key."""
+    """Turns YAML nodes into dataclasses; what is wrong has the line of its key."""
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._nested = dict(_NESTED)
+        self._holds = dict(_HOLDS)
 
-    def fail(self, node: yaml.Node, text: str) -> ConfigError:
+    def _fail(self, node: yaml.Node, text: str) -> ConfigError:
         return _config_error(self._name, yaml_line(node), text)
 
+    def _inside(self, node: yaml.Node, kind: type[yaml.CollectionNode], where: str, must: str) -> Any:
+        """What a mapping or a list has in it."""
+        if not isinstance(node, kind):
+            raise self._fail(node, f"{where} must be {must}")
+        if node.tag not in (f"{_TAG}map", f"{_TAG}seq"):
+            raise self._fail(node, f"{where} has the tag {node.tag!r}; a configuration needs none")
+        return node.value
+
     def read(self, node: yaml.Node, kind: type, where: str) -> Any:
-        if not isinstance(node, yaml.MappingNode):
-            raise self.fail(node, f"{where} must be a mapping of keys to values")
-        self._check_tag(node, "map", where)
+        """One mapping as a ``kind``."""
+        inside = self._inside(node, yaml.MappingNode, where, "a mapping of keys to values")
         known = {
             f.metadata.get("named", f.name): f
             for f in dataclasses.fields(kind)
@@ -219,146 +237,104 @@ class _Reader:
         }
         values: dict[str, Any] = {}
         lines: dict[str, yaml.Node] = {}
-        for key_node, value_node in pairs(node):
+        for key_node, value_node in inside:
             key = key_node.value
             if key not in known:
-                raise self.fail(key_node, self.unknown(key, list(known), where))
-            is_list = known[key].metadata.get("list", False)
-            values[known[key].name] = self._value(key, value_node, where, is_list)
+                raise self._fail(key_node, _unknown(key, list(known), where))
+            values[known[key].name] = self._value(key, value_node, where, known[key])
             lines[key] = key_node
-        for required in dataclasses.fields(kind):
-            no_default = required.default is required.default_factory is dataclasses.MISSING
-            if no_default and required.name not in values:
-                raise self.fail(node, f"'{required.name}' is missing in {where}")
+        for one in known.values():
+            if one.default is one.default_factory is dataclasses.MISSING and one.name not in values:
+                raise self._fail(node, f"'{one.name}' is missing in {where}")
         try:
             if isinstance(source := values.get("source"), SourceConfig):
                 values["source"] = source.of_module(values)
             return kind(**values)
         except (ValueError, TypeError) as error:
-            guilty = self._guilty(str(error), lines)
-            raise self.fail(node if guilty is None else guilty, f"{where}: {error}") from None
+            # The first key that it speaks of; sine_gain is none of cosine_gain's business.
+            guilty = (lines[word] for word in re.findall(r"\w+", str(error)) if word in lines)
+            raise self._fail(next(guilty, node), f"{where}: {error}") from None
 
-    def _check_tag(self, node: yaml.Node, tag: str, where: str) -> None:
-        if node.tag != f"tag:yaml.org,2002:{tag}":
-            raise self.fail(node, f"{where} has the tag {node.tag!r}; a configuration needs none")
-
-    @staticmethod
-    def _guilty(message: str, lines: dict[str, yaml.Node]) -> yaml.Node | None:
-        """The key that a message speaks of first; sine_gain is none of cosine_gain's business."""
-        words = re.findall(r"\w+", message)
-        return next((lines[word] for word in words if word in lines), None)
-
-    def _value(self, key: str, node: yaml.Node, where: str, is_list: bool) -> Any:
-        if key == "bus":
-            return self._bus(node)
-        if key == "source":
-            return self._source(node)
-        if is_list and isinstance(node, yaml.SequenceNode):
-            self._check_tag(node, "seq", f"'{key}' in {where}")
-            return [self._single(item, f"a part of '{key}' in {where}") for item in node.value]
+    def _value(self, key: str, node: yaml.Node, where: str, into: dataclasses.Field[Any]) -> Any:
+        what = f"'{key}' in {where}"
         if key == "simulation":
             from canfb.simulation.scenario import SECTION  # here: a file without it loads no simulation
 
-            self._nested |= SECTION
-        if key not in self._nested or (key in _OR_FLAG and isinstance(node, yaml.ScalarNode)):
-            return self._single(node, f"'{key}' in {where}")
-        if key not in _LISTS:
-            return self.read(node, self._nested[key], key)
-        if not isinstance(node, yaml.SequenceNode):
-            raise self.fail(node, f"'{key}' in {where} must be a list")
-        self._check_tag(node, "seq", f"'{key}' in {where}")
-        return [self.read(item, self._nested[key], f"{key}[{n}]") for n, item in enumerate(node.value)]
+            self._holds |= SECTION
+        kind = self._holds.get(key)
+        if kind is dict:
+            must = "a mapping of python-can's parameters, such as {interface: socketcan}"
+            words = self._inside(node, yaml.MappingNode, "'bus'", must)
+            return {name.value: self._plain(value, f"{name.value!r} in bus") for name, value in words}
+        if isinstance(kind, list):
+            items = self._inside(node, yaml.SequenceNode, what, "a list")
+            return [self.read(item, kind[0], f"{key}[{n}]") for n, item in enumerate(items)]
+        if into.metadata.get("list", False) and isinstance(node, yaml.SequenceNode):
+            items = self._inside(node, yaml.SequenceNode, what, "a list")
+            return [self._single(item, f"a part of {what}") for item in items]
+        if kind is SourceConfig and node.tag != f"{_TAG}null":
+            return self.read(node, self._kind_of_source(node), key)
+        if kind in (None, SourceConfig) or (key in _OR_FLAG and isinstance(node, yaml.ScalarNode)):
+            return self._single(node, what)
+        return self.read(node, kind, key)
 
-    def _bus(self, node: yaml.Node) -> dict[str, Any]:
-        if not isinstance(node, yaml.MappingNode):
-            raise self.fail(
-                node, "'bus' must be a mapping of python-can's parameters, such as {interface: socketcan}"
-            )
-        return {key.value: self._plain(value, f"{key.value!r} in bus") for key, value in pairs(node)}
-
-    def _source(self, node: yaml.Node) -> Any:
-        if node.tag == "tag:yaml.org,2002:null":
-            return None
-        if not isinstance(node, yaml.MappingNode):
-            raise self.fail(
-                node, "'source' must be a mapping with a kind, such as {kind: iio, device: ads7950}"
-            )
-        known = source_kinds()
-        kinds = [value for key, value in pairs(node) if key.value == "kind"]
-        if not kinds:
-            raise self.fail(node, f"'kind' is missing in source; known: {', '.join(known)}")
-        kind = kinds[0].value if isinstance(kinds[0], yaml.ScalarNode) else None
-        if kind not in known:
-            raise self.fail(kinds[0], f"unknown kind {kind!r} of source; known: {', '.join(known)}")
-        return self.read(node, known[kind], "source")
+    def _kind_of_source(self, node: yaml.Node) -> type[SourceConfig]:
+        must = "a mapping with a kind, such as {kind: iio, device: ads7950}"
+        inside, known = self._inside(node, yaml.MappingNode, "'source'", must), source_kinds()
+        for key, value in inside:
+            if key.value == "kind":
+                kind = value.value if isinstance(value, yaml.ScalarNode) else None
+                if kind not in known:
+                    raise self._fail(value, f"unknown kind {kind!r} of source; known: {', '.join(known)}")
+                return known[kind]
+        raise self._fail(node, f"'kind' is missing in source; known: {', '.join(known)}")
 
     def _single(self, node: yaml.Node, what: str) -> Any:
         if not isinstance(node, yaml.ScalarNode):
-            raise self.fail(node, f"{what} must be a single value")
+            raise self._fail(node, f"{what} must be a single value")
         return self._plain(node, what)
 
     def _plain(self, node: yaml.Node, what: str) -> Any:
         try:
             return construct(node)
-        except yaml.MarkedYAMLError as error:
-            raise self.fail(node, f"{what} cannot be read: {error.problem}") from None
-        except _NO_VALUE:
-            raise self.fail(node, f"{what} cannot be read: {node.value!r}; quote text values") from None
-
-    @staticmethod
-    def unknown(key: str, known: list[str], where: str) -> str:
-        if key in GONE:
-            return f"{key!r} in {where} is no key any more: {GONE[key]}"
-        near = difflib.get_close_matches(key, known, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known: {', '.join(known)}"
-        return f"unknown key {key!r} in {where}; {hint}"
-
-    def check_distinct_nodes(self, root: yaml.Node, config: Config) -> None:
-        """What two devices of one file must not have in common, and what a drive of its own must not.
-
-        Two with one node-ID would answer each other's masters, two with one state_dir overwrite each other's
-        parameters; a module sends no ADC counts; LSS needs serial numbers where a node-ID is missing.
-        """
-        devices = _devices(root, config)
-        sampled = {
-            one.title: one.config.encoder_interface
-            for one in devices
-            if isinstance(one.config, ModuleConfig) and one.config.source is None
-        }
-        for n, one in enumerate(devices):
-            mine = one.config
-            for other in devices:
-                theirs = other.config
-                if isinstance(theirs, ModuleConfig) and sampled.get(one.title) == theirs.node_id:
-                    said = f"encoder_interface {theirs.node_id} of {one.title} is the node_id of"
-                    raise self.fail(one.node, f"{said} {other.title}")
-            for other in devices[:n]:
-                theirs, both = other.config, f"of {one.title} is also that of {other.title}"
-                if mine.node_id == theirs.node_id != UNCONFIGURED:
-                    raise self.fail(one.node, f"node_id {mine.node_id} {both}")
-                folders = {Path(folder).absolute() for folder in (mine.state_dir, theirs.state_dir) if folder}
-                if mine.state_dir and theirs.state_dir and len(folders) == 1:
-                    raise self.fail(one.node, f"state_dir {both}")
-                alike = type(mine) is type(theirs) and mine.serial_number == theirs.serial_number
-                if alike and UNCONFIGURED in (mine.node_id, theirs.node_id):
-                    said = f"serial_number {mine.serial_number} {both}: LSS needs unique ones"
-                    raise self.fail(one.node, said)
-        played = config.played
-        if played is not None and played.drive is not None:
-            taken = {one.config.node_id: f"node_id of {one.title}" for one in devices}
-            taken |= {node: f"encoder_interface of {title}" for title, node in sampled.items()}
-            drive = played.drive.node_id
-            if drive in taken:
-                line, _ = found_at(root, "simulation", "drive", "node_id")
-                raise _config_error(self._name, line, f"drive: node_id {drive} is the {taken[drive]}")
+        except (yaml.MarkedYAMLError, *_NO_VALUE) as error:
+            why = getattr(error, "problem", None) or f"{node.value!r}; quote text values"
+            raise self._fail(node, f"{what} cannot be read: {why}") from None
 
 
-class _Device(NamedTuple):
-    title: str
-    node: yaml.Node
-    config: NodeConfig
+def _check_distinct_nodes(name: str, root: yaml.Node, config: Config) -> None:
+    """What two devices of one file must not have in common, and what a drive of its own must not.
 
-
-def _devices(root: yaml.Node, config: Config) -> list[_Device]:
-    lists = {key.value: value.value for key, value in root.value if key.value in _NODES}
-    return [_Device(f"{key}[{n}]", lists[key][n], one) for key, n, one in config.nodes]
+    Two with one node-ID would answer each other's masters, two with one state_dir overwrite each other's
+    parameters; a module sends no ADC counts; LSS needs serial numbers where a node-ID is missing.
+    """
+    devices = [(f"{key}[{n}]", one, found_at(root, key, n)[1]) for key, n, one in config.nodes]
+    sampled = {
+        title: one.encoder_interface
+        for title, one, _ in devices
+        if isinstance(one, ModuleConfig) and one.source is None
+    }
+    wrong: list[tuple[yaml.Node | None, str]] = []
+    for (title, _, node), (other, theirs, _) in itertools.permutations(devices, 2):
+        if isinstance(theirs, ModuleConfig) and sampled.get(title) == theirs.node_id:
+            said = f"encoder_interface {theirs.node_id} of {title} is the node_id of {other}"
+            wrong.append((node, said))
+    for (other, theirs, _), (title, mine, node) in itertools.combinations(devices, 2):
+        both = f"of {title} is also that of {other}"
+        folders = [Path(folder).absolute() for folder in (mine.state_dir, theirs.state_dir) if folder]
+        alike = type(mine) is type(theirs) and mine.serial_number == theirs.serial_number
+        if mine.node_id == theirs.node_id != UNCONFIGURED:
+            wrong.append((node, f"node_id {mine.node_id} {both}"))
+        if len(folders) > len(set(folders)):
+            wrong.append((node, f"state_dir {both}"))
+        if alike and UNCONFIGURED in (mine.node_id, theirs.node_id):
+            wrong.append((node, f"serial_number {mine.serial_number} {both}: LSS needs unique ones"))
+    for node, said in wrong:
+        raise _config_error(name, yaml_line(node or root), said)
+    if config.played is not None and config.played.drive is not None:
+        taken = {one.node_id: f"node_id of {title}" for title, one, _ in devices}
+        taken |= {node_id: f"encoder_interface of {title}" for title, node_id in sampled.items()}
+        drive = config.played.drive.node_id
+        if drive in taken:
+            line, _ = found_at(root, "simulation", "drive", "node_id")
+            raise _config_error(name, line, f"drive: node_id {drive} is the {taken[drive]}")

@@ -73,9 +73,8 @@ def compose(text: str | bytes, *, exponents: bool = False) -> yaml.Node | None:
         raise YamlError(line, f"this is not YAML: {error.reason}") from None
     try:
         root: yaml.Node | None = loader.get_single_node()
-        if root is not None and _values(root, {}) > MOST_VALUES:
+        if root is not None and _checked(root, {}) > MOST_VALUES:
             raise YamlError(loader.line + 1, f"the file stands for more than {MOST_VALUES} values")
-        _check_keys(root)
         return root
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -87,12 +86,21 @@ def compose(text: str | bytes, *, exponents: bool = False) -> yaml.Node | None:
         loader.dispose()
 
 
-def _values(node: yaml.Node, known: dict[int, int]) -> int:
-    if id(node) not in known:
-        known[id(node)] = MOST_VALUES + 1  # until it has been counted
-        inner = node.value if isinstance(node.value, list) else []
-        parts = [part for one in inner for part in (one if isinstance(one, tuple) else (one,))]
-        known[id(node)] = 1 + sum(_values(part, known) for part in parts)
+def _checked(node: yaml.Node, known: dict[int, int]) -> int:
+    """Its values, each alias written out. YamlError for a key that is no word or comes twice."""
+    if id(node) in known:
+        return known[id(node)]
+    known[id(node)] = MOST_VALUES + 1  # until it has been counted
+    seen: dict[str, int] = {}
+    for key, _ in pairs(node):
+        if not isinstance(key, yaml.ScalarNode):
+            raise YamlError(line_of(key), "a key must be a single word")
+        if key.value in seen:
+            raise YamlError(line_of(key), f"key {key.value!r} is there already, in line {seen[key.value]}")
+        seen[key.value] = line_of(key)
+    inner = node.value if isinstance(node.value, list) else []
+    parts = [part for one in inner for part in (one if isinstance(one, tuple) else (one,))]
+    known[id(node)] = 1 + sum(_checked(part, known) for part in parts)
     return known[id(node)]
 
 
@@ -143,26 +151,6 @@ class MarkedYaml:
     def line(self, *keys: str) -> int:
         """The line, from 1, of the last of these nested keys that is there."""
         return found_at(self._root, *keys)[0]
-
-
-def _check_keys(root: yaml.Node | None) -> None:
-    waiting, known = [root], set[int]()
-    while waiting:
-        node = waiting.pop()
-        if id(node) in known:
-            continue
-        known.add(id(node))
-        seen: dict[str, int] = {}
-        for key, value in pairs(node):
-            if not isinstance(key, yaml.ScalarNode):
-                raise YamlError(line_of(key), "a key must be a single word")
-            if key.value in seen:
-                said = f"key {key.value!r} is there already, in line {seen[key.value]}"
-                raise YamlError(line_of(key), said)
-            seen[key.value] = line_of(key)
-            waiting.append(value)
-        if isinstance(node, yaml.SequenceNode):
-            waiting.extend(node.value)
 
 
 def read_bytes(path: Path, refuse: type[Exception]) -> bytes:

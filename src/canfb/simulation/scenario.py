@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass, field
+from typing import Any
 
 from canfb.checks import within
 from canfb.interface.sample_instants import LARGEST_DRIFT_PPM, SampleClock
@@ -190,10 +191,10 @@ class SimulationConfig(SyncTiming):
 
 
 # Which class each key of the section holds.
-SECTION: dict[str, type] = {
+SECTION: dict[str, Any] = {
     "simulation": SimulationConfig,
     "encoder": EncoderScenario,
     "motion": MotionConfig,
-    "harmonics": HarmonicConfig,
+    "harmonics": [HarmonicConfig],
     "drive": DriveConfig,
 }
