@@ -8,18 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from canfb.simulation.conventional import conventional_position
+from canfb.signal.phase import FloatArray, raw_phases
 from canfb.simulation.encoder import Encoder
 from tools.paper.claim import Claim, Effort, grouped, verdict
-from tools.paper.plant import (
-    CYCLES_PER_REVOLUTION,
-    EXTREME,
-    IDEAL,
-    USUAL,
-    WRONG_CYCLES,
-    Way,
-    followed,
-)
+from tools.paper.plant import CYCLES_PER_REVOLUTION, EXTREME, IDEAL, USUAL, WRONG_CYCLES, Way, followed
 
 RATE_HZ = 1000.0
 SPEEDS_RPM = (20.0, 200.0, 2000.0)
@@ -33,13 +25,32 @@ def shift_cycles(rpm: float, offset_s: float) -> float:
     return rpm / 60.0 * CYCLES_PER_REVOLUTION * offset_s
 
 
+def quadrant(sine: FloatArray, cosine: FloatArray) -> FloatArray:
+    """0..3 of the cycle, from the signs of the tracks, as two comparators see it."""
+    return np.where(sine >= 0.0, np.where(cosine >= 0.0, 0.0, 1.0), np.where(cosine >= 0.0, 3.0, 2.0))
+
+
+def counted(encoder: Encoder, sampled: FloatArray, shift: float, fix: bool) -> FloatArray:
+    """Positions (Fig. 1): an ideal counter of zero crossings, read `shift` cycles after two converters.
+
+    `fix` corrects the count where the quadrants show it.
+    """
+    tracks = encoder.tracks(sampled + shift)
+    # The raw phase wraps where the counter counts, and is less than half a cycle off.
+    cycles = np.rint(sampled + shift - raw_phases(*tracks))
+    read = [track.astype(np.float64) for track in encoder.sample(sampled, np.random.default_rng(21))]
+    at, seen = quadrant(*tracks), quadrant(*read)
+    cycles += fix * (1.0 * ((at == 3.0) & (seen == 0.0)) - ((at == 0.0) & (seen == 3.0)))
+    return np.asarray(cycles + raw_phases(*read), np.float64)
+
+
 def wrong_per_million(encoder: Encoder, rpm: float, shift: float, fix: bool, samples: int) -> float:
     """Wrong positions per 10^6 samples at constant speed, the counter read `shift` cycles further on."""
     # Not quite the round speed: the samples are to meet all phases.
     step = rpm / 60.0 * CYCLES_PER_REVOLUTION / RATE_HZ + 1e-3 * np.sqrt(2.0)
     position = 0.3 + step * np.arange(samples)
-    found = conventional_position(encoder, position, position + shift, fix, np.random.default_rng(21))
-    return MILLION * float(np.mean(np.abs(found.cycles + found.phase - position) > WRONG_CYCLES))
+    wrong = np.abs(counted(encoder, position, shift, fix) - position) > WRONG_CYCLES
+    return MILLION * float(np.mean(wrong))
 
 
 def ours_wrong(samples: int) -> int:

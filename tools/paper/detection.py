@@ -8,15 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb import max_acceleration, track
-from canfb.simulation.faults import (
-    Fault,
-    Samples,
-    Signal,
-    inverted_tracks,
-    joined_tracks,
-    open_track,
-    swapped_tracks,
-)
+from canfb.simulation import faults
+from canfb.simulation.faults import Fault, Samples, Signal
 from tools.paper.claim import Claim, Effort, Verdict, grouped, percent, verdict
 from tools.paper.plant import (
     CYCLES_PER_REVOLUTION,
@@ -29,13 +22,7 @@ from tools.paper.plant import (
     followed,
     sampled,
 )
-from tools.paper.tracking import (
-    RATE_HZ,
-    SLOW_RATE_HZ,
-    TOP_RPM,
-    is_right,
-    largest_acceleration,
-)
+from tools.paper.tracking import RATE_HZ, SLOW_RATE_HZ, TOP_RPM, is_right, largest_acceleration
 
 LIMIT = 1.0 / 3.0
 CRUISE = 20.3  # cycles per sample before an acceleration
@@ -192,11 +179,11 @@ def never_forgets(effort: Effort) -> Iterator[Claim]:
 
 
 CABLE_FAULTS: dict[str, Fault] = {
-    "sine dead": open_track(Signal.SINE),
-    "cosine dead": open_track(Signal.COSINE),
-    "tracks joined": joined_tracks(),
-    "tracks swapped": swapped_tracks(),
-    "sine inverted": inverted_tracks(Signal.SINE),
+    "sine dead": faults.open_track(Signal.SINE),
+    "cosine dead": faults.open_track(Signal.COSINE),
+    "tracks joined": faults.joined_tracks(),
+    "tracks swapped": faults.swapped_tracks(),
+    "sine inverted": faults.inverted_tracks(Signal.SINE),
 }
 
 
