@@ -1,4 +1,4 @@
-"""The asyncio program of docs/program.md, as it stands there, on a bus of python-can."""
+"""The asyncio program of docs/service.md, as it stands there, on a bus of python-can."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ async def session(names: dict[str, Any]) -> tuple[int, bytes]:
 
 
 def test_the_asyncio_program() -> None:
-    page = (Path(__file__).parents[2] / "docs/program.md").read_text("utf-8")
+    page = (Path(__file__).parents[2] / "docs/service.md").read_text("utf-8")
     (block,) = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
     names: dict[str, Any] = {"__name__": "program"}
     exec(block, names)

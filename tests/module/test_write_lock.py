@@ -191,7 +191,7 @@ def test_a_download_that_began_before_the_lock(begin: int, segment: int) -> None
 
 
 def test_nothing_else_is_free() -> None:
-    """Each entry that SDO can write is locked, or is one of those that docs/security.md lists."""
+    """Each entry that SDO can write is locked, or is one of those that docs/service.md lists."""
     machine = Locked(write_lock="preop")
     machine.nmt(1)
     writable = [entry for entry in machine.module.dictionary if entry.access not in ("ro", "const")]

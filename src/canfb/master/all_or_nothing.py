@@ -104,7 +104,7 @@ def check_unlocked(module: NodeAccess) -> None:
     if module.read_known(od.WRITE_LOCK_LOCKED):
         raise CommissioningError(
             f"{module.name} is locked (2040h): canfb sdo write {module.node_id:#04x} 2040:02 CODE unlocks "
-            "it; with write_lock: preop nothing is written in OPERATIONAL (docs/security.md)"
+            "it; with write_lock: preop nothing is written in OPERATIONAL (docs/service.md)"
         )
 
 

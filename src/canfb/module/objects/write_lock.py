@@ -1,4 +1,4 @@
-"""Object 2040h: who may change parameters over the bus (docs/security.md).
+"""Object 2040h: who may change parameters over the bus (docs/service.md).
 
 CAN knows no sender, so a lock keeps away mistakes only; who sends frames also hears the code.
 """
