@@ -16,10 +16,11 @@ from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 
 ROOT = Path(__file__).parents[2]
+FIRST_ENCODER = "first-hour#Your first encoder"
 RATE = "plan#The SYNC rate"
 DRIFT = "analog-front-end#Drift: does the correction table still fit?"
 GUIDES = (
-    *("first-hour", "first-encoder", "wiring", RATE),
+    *("first-hour", FIRST_ENCODER, "wiring", RATE),
     *("service#Real time", "homing", "calibration", DRIFT, "canopen", "simulation"),
 )
 # Parsed, not run.
@@ -31,8 +32,6 @@ PARSED_ONLY = {
     "canfb calibrate -i socketcan -c vcan0 --method zero-crossings --source recording --seconds 2": (
         "uploads 100 000 samples; test_fast_recording_on_a_bus.py does so"
     ),
-}
-PARSED_ONLY |= {
     "canfb try": "runs until Ctrl-C; tests/cli/test_try_command.py does so",
     "canfb node list": "on the bus that the line before it names",
 }
@@ -45,7 +44,6 @@ OF_OTHERS = {
         *(
             "dtparam=spi=on",
             "dtoverlay=mcp2515-can0,oscillator=16000000,interrupt=25",
-            "@canfb",
             "SYNC",
             "export",
         ),
@@ -66,7 +64,7 @@ BEFORE = {
     "homing": ("canfb run still.yaml", "canfb simulate still.yaml --rate 100 --rpm 0", RUNNING[-1]),
     "calibration": RUNNING,
     "canopen": RUNNING,
-    "first-encoder": HARDWARE,
+    FIRST_ENCODER: HARDWARE,
 }
 # What a command says, where there is more to it than that it succeeds; by page and number of the command.
 VALID = "2011:01 Feedback: Status word: 1 (valid)"
@@ -74,10 +72,10 @@ SAYS = {
     ("first-hour", 5): VALID,
     ("first-hour", 8): "Accepted. The error within a cycle falls from ",
     ("first-hour", 9): "(lost",
-    ("first-encoder", 3): VALID,
-    ("first-encoder", 4): "cycles",
-    ("first-encoder", 5): "saved (1010:04)",
-    ("first-encoder", 6): "axis-1.yaml",
+    (FIRST_ENCODER, 3): VALID,
+    (FIRST_ENCODER, 4): "cycles",
+    (FIRST_ENCODER, 5): "saved (1010:04)",
+    (FIRST_ENCODER, 6): "axis-1.yaml",
     (RATE, 0): "the module follows 209 at 500 Hz (eq. 10)",
     ("service#Real time", 0): "2012:01 Counters: Missed samples: 0",
     ("calibration", 0): "is active and verified on fresh samples",
@@ -92,7 +90,9 @@ def text_of(page: str) -> str:
     """A page, or a part of one: "service#Real time"."""
     name, _, part = page.partition("#")
     text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
-    return text.partition(f"\n## {part}\n")[2].partition("\n## ")[0] if part else text
+    if not part:
+        return text.partition("\n## Your first encoder\n")[0]
+    return text.partition(f"\n## {part}\n")[2].partition("\n## ")[0]
 
 
 def lines_of(page: str) -> list[str]:
@@ -142,13 +142,13 @@ def test_a_page_from_its_first_to_its_last_command(network: GuideNetwork, page: 
 
 
 def test_an_encoder_that_is_simulated_in_place_of_the_first_one(network: GuideNetwork) -> None:
-    (block,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "first-encoder.md").read_text(), re.DOTALL)
+    (block,) = re.findall(r"```yaml\n(.*?)```", text_of(FIRST_ENCODER), re.DOTALL)
     Path("feedback.yaml").write_text(block)
     motion = "{standstill_s: 2, ramp_s: 3, rpm: 61, ripple_rpm: 0.5, ripple_hz: 0.3}"
     Path("machine.yaml").write_text(
         f"{block}simulation: {{encoder: {{sine_offset: 0.03}}, motion: {motion}}}\n"
     )
-    play(network, "first-encoder")
+    play(network, FIRST_ENCODER)
 
 
 def test_calibration_then_drift(network: GuideNetwork) -> None:
