@@ -1,4 +1,4 @@
-"""docs/replay.md: its commands run."""
+"""docs/monitor.md: its commands for logs run."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from canfb.cli.main import main
 from replay_kit import live, session, write_log
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "replay.md").read_text(encoding="utf-8")
-COMMANDS = re.findall(r"^    canfb (.*)$", PAGE, re.M)
+PAGE = (ROOT / "docs" / "monitor.md").read_text(encoding="utf-8")
+COMMANDS = re.findall(r"^    canfb (log .*)$", PAGE, re.M)
 
 
 def test_its_commands_run(

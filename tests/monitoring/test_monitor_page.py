@@ -33,6 +33,6 @@ def test_the_page_is_that_of_the_program() -> None:
 
 
 def test_the_program_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    program = re.findall(r"```python\n(.*?)```", PAGE, re.S)[0]
     exec(compile(program, "monitor.md", "exec"), {})
     assert capsys.readouterr().out == "OPERATIONAL valid 0.008636474609375\n"

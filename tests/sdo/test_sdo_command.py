@@ -30,7 +30,7 @@ from node_commands import Commands, abort, between, drop_answer, is_write
 NODE = hex(MODULE_ID)
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "monitor.md").read_text(encoding="utf-8")
-PAGE = PAGE.partition("\n## One object of a node")[2].partition("\n## One file")[0]
+PAGE = PAGE.partition("\n## One object of a node")[2].partition("\n## Who is there")[0]
 OF_MODULE = ObjectDescriptions(eds_path("canfb-module"), MODULE_ID)
 
 

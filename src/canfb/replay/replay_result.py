@@ -65,7 +65,7 @@ class ReplayResult:
         """Why the replay may be another one than the recorded module, not for a fault of either."""
         replay, notes = self.replay, []
         if replay.begin is not Begin.BOOT_UP and replay.margins.begin_cycles > MOVES_CYCLES:
-            notes.append("the log begins in motion, behind the start of the module: --begin, docs/replay.md")
+            notes.append("the log begins in motion, behind the start of the module: --begin, docs/monitor.md")
         compared = replay.compared
         changed = sorted({name for one in compared.values() for name in one.uploads})
         if changed:
