@@ -17,9 +17,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 
 PAGE = Path(__file__).parents[2] / "docs" / "storage.md"
-STORAGE, _, LSS = (
-    PAGE.read_text(encoding="utf-8").partition("\n## A file for the PLC")[0].partition("\n## LSS")
-)
+STORAGE, _, LSS = PAGE.read_text(encoding="utf-8").partition("\n## Tables")[0].partition("\n## LSS")
 
 
 def examples(page: str, language: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""docs/tables.md: its commands run, one after the other, on a module, and its backup is one."""
+"""docs/storage.md: its commands run, one after the other, on a module, and its backup is one."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import Bench
 from node_commands import Commands
 
-PAGE = (Path(__file__).parents[2] / "docs" / "tables.md").read_text(encoding="utf-8")
-TABLES, _, BACKUPS = PAGE.partition("\n## Backup")
+PAGE = (Path(__file__).parents[2] / "docs" / "storage.md").read_text(encoding="utf-8")
+TABLES, _, BACKUPS = PAGE.partition("\n## A file for")[0].partition("\n## Tables")[2].partition("\n## Backup")
 USED = Correction(CorrectionTable.identity(64), Conditioning(sine_gain=1.5))
 
 
