@@ -12,7 +12,7 @@ import pytest
 
 from canfb.signal.bounded_motion import BoundedMotion, Spot, Window
 from tools.faults.estimator.legal import least_bound
-from tools.faults.estimator.machine import positions
+from tools.faults.machine import positions
 
 TRIALS = 30
 START_ERROR = 0.05

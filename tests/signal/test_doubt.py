@@ -9,7 +9,7 @@ import pytest
 
 from canfb.signal.bounded_motion import BoundedMotion, Spot
 from canfb.signal.doubt import Candidate, Doubt
-from tools.faults.estimator.machine import positions
+from tools.faults.machine import positions
 
 BEFORE = 14  # good samples, the last eight in the first candidate
 AFTER = 30

@@ -20,11 +20,10 @@ from canfb.signal.estimator import Estimator
 from canfb.signal.limits import kept_samples
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, VALID
-from tools.faults.estimator.declared import Declared, limits_of, make_chain
 from tools.faults.estimator.episodes import Episode, chain_for, draw, play
 from tools.faults.estimator.judge import judge
-from tools.faults.estimator.kinds import KINDS, Kind, State
-from tools.faults.estimator.machine import AMPLITUDE_COUNTS, positions, table_of
+from tools.faults.estimator.kinds import KINDS, Declared, Kind, State, limits_of, make_chain
+from tools.faults.machine import AMPLITUDE_COUNTS, positions, table_of
 
 EPISODES = 10
 MACHINES = {
@@ -38,10 +37,6 @@ MACHINES = {
 }
 
 
-def kind_of(name: str) -> Kind:
-    return next(one for one in KINDS if one.name == name)
-
-
 def episodes(kind: Kind, machine: Declared, count: int = EPISODES, seed: int = 5) -> list[Episode]:
     return draw(kind, machine, count, np.random.default_rng(seed))
 
@@ -49,7 +44,7 @@ def episodes(kind: Kind, machine: Declared, count: int = EPISODES, seed: int = 5
 def pairs_of_covered() -> list:
     return [
         pytest.param(kind, machine, id=f"{kind.name}-{name}")
-        for kind in KINDS
+        for kind in KINDS.values()
         for name, machine in MACHINES.items()
         if kind.is_covered(machine) and not (machine.samples_per_sync > 1 and (kind.jitter or kind.stall))
     ]
@@ -81,7 +76,7 @@ def test_a_valid_position_stays_valid_while_samples_are_good(kind: Kind, machine
 @pytest.mark.parametrize("name", ["0.01", "0.1", "sharp"])
 def test_uneven_instants_cost_nothing_where_one_motion_fits(kind: str, name: str) -> None:
     """A stall of three intervals at 0.01 leaves one motion; jitter always does."""
-    one = kind_of(kind)
+    one = KINDS[kind]
     machine = MACHINES[name]
     if one.stall is not None:
         machine, one = MACHINES["0.01"], replace(one, stall=(1.5, 3.0))
@@ -95,10 +90,11 @@ def test_uneven_instants_cost_nothing_where_one_motion_fits(kind: str, name: str
 def test_the_usual_step_is_eq_9_bit_for_bit(name: str) -> None:
     """i(k) = 2 i(k-1) - i(k-2) + round(2 p(k-1) - p(k-2) - p(k)), and its residual."""
     machine = MACHINES[name]
-    good = replace(kind_of("jitter"), jitter=0.0)
+    good = replace(KINDS["jitter"], jitter=0.0)
     for episode in episodes(good, machine):
         table = table_of(machine.phase_error)
-        expected = canfb.track(episode.phase, machine.residual_limit)
+        limit = min(1.0 / 3.0, machine.acceleration + 4.0 * machine.phase_error)
+        expected = canfb.track(episode.phase, limit)
         chain = chain_for(episode)
         feedbacks = [chain.step(Sample(*pair)) for pair in zip(episode.sine, episode.cosine, strict=True)]
         phases = np.array([one.phase for one in feedbacks])
@@ -129,7 +125,7 @@ def test_a_change_of_limits_in_a_doubt_never_gives_a_wrong_position(
     kind: str, change: str, later: int
 ) -> None:
     before, after = changes()[change]
-    for episode in episodes(kind_of(kind), Declared(0.1), 8):
+    for episode in episodes(KINDS[kind], Declared(0.1), 8):
         limits, at = limits_of(after), episode.fault + later
         chain = make_chain(before)
         chain.restart(0, float(episode.truth[1] - episode.truth[0]))

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from motion_oracles import all_motions, ends_through
 
-from tools.faults.estimator.declared import Declared
 from tools.faults.estimator.episodes import draw
-from tools.faults.estimator.kinds import KINDS, State
+from tools.faults.estimator.kinds import KINDS, Declared, State
 from tools.faults.estimator.legal import LegalMotions, is_legal, least_bound, window
 
 Q = 24  # grid steps per cycle
@@ -67,7 +66,7 @@ MACHINES = (
 )
 
 
-@pytest.mark.parametrize("kind", [one for one in KINDS if one.bad == 0], ids=lambda one: one.name)
+@pytest.mark.parametrize("kind", [one for one in KINDS.values() if one.bad == 0], ids=lambda one: one.name)
 @pytest.mark.parametrize("machine", MACHINES, ids=str)
 def test_the_true_motion_is_a_legal_one(kind, machine: Declared) -> None:
     """Of the whole episode: the generator keeps what is declared, and the judge never drops the truth."""

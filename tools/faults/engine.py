@@ -12,7 +12,7 @@ import json
 import multiprocessing
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from typing import NamedTuple
@@ -35,6 +35,10 @@ class Work(NamedTuple):
     first: int
     size: int
 
+    @property
+    def numbers(self) -> range:
+        return range(self.first, self.first + self.size)
+
 
 @dataclass
 class Sums:
@@ -50,7 +54,6 @@ class Sums:
             self.examples.append(example)
 
     def merge(self, other: Sums) -> None:
-        """Those of the same cell, or of another one."""
         self.counts.update(other.counts)
         self.examples = (self.examples + other.examples)[:EXAMPLES]
 
@@ -63,7 +66,7 @@ class Sums:
 
 
 Results = dict[Cell, Sums]
-Play = Callable[[Work], Sums]
+Rows = list[list[str]]
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class Campaign:
 
     faults: Sequence[str]
     setups: Sequence[str]
-    play: Play
+    play: Callable[[Work], Sums]
     misses: Callable[[Cell, Sums], Iterable[str]]
     chunk: int = 20
     runs: Callable[[Cell], bool] = lambda cell: True
@@ -97,7 +100,11 @@ class Campaign:
             for seed in seeds
             for first in range(0, episodes, self.chunk)
         ]
-        played = _side_by_side(self.play, work, processes)
+        if processes == 1:
+            played = list(map(self.play, work))
+        else:
+            with multiprocessing.get_context("spawn").Pool(processes) as pool:
+                played = list(pool.imap(self.play, work))
         for one, sums in zip(work, played, strict=True):
             results[one.cell].merge(sums)
         return results
@@ -110,15 +117,6 @@ class Campaign:
             found += [f"{cell.fault}:{cell.setup}: {miss}" for miss in misses]
             found += [f"    {example}" for example in sums.examples if misses]
         return found
-
-
-def _side_by_side(play: Play, work: Sequence[Work], processes: int) -> Iterator[Sums]:
-    """In the order of the work, whatever the number of processes."""
-    if processes == 1:
-        yield from map(play, work)
-        return
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        yield from pool.imap(play, work)
 
 
 def total(results: Results, fault: str = "*", setup: str = "*") -> Sums:
@@ -139,7 +137,7 @@ def chosen(names: Iterable[str], patterns: Iterable[str]) -> list[str]:
     return found
 
 
-def by_setup(results: Results, text: Callable[[Cell, Sums], str]) -> list[list[str]]:
+def by_setup(results: Results, text: Callable[[Cell, Sums], str]) -> Rows:
     """Faults below each other, set-ups side by side; the first row has the heads."""
     setups = list(dict.fromkeys(cell.setup for cell in results))
     rows = [["fault", *setups]]
@@ -149,36 +147,19 @@ def by_setup(results: Results, text: Callable[[Cell, Sums], str]) -> list[list[s
     return rows
 
 
-def by_count(results: Results, counts: Sequence[str], *, each_setup: bool = False) -> list[list[str]]:
+def by_count(results: Results, counts: Sequence[str], *, each_setup: bool = False) -> Rows:
     """A row for each fault, and for each set-up of it if asked; a column for each count."""
-    rows = [["fault", "set-up", *counts]]
-
-    def row(name: str, setup: str, sums: Sums) -> list[str]:
-        return [name, setup, *(str(sums[count]) for count in counts)]
-
+    groups: list[tuple[str, str]] = []
     for fault in dict.fromkeys(cell.fault for cell in results):
-        if each_setup:
-            rows += [row(*cell, sums) for cell, sums in results.items() if cell.fault == fault]
-        rows.append(row(fault, "all", total(results, fault)))
-    setups = list(dict.fromkeys(cell.setup for cell in results))
-    if len(setups) > 1:
-        rows += [row("all", setup, total(results, setup=setup)) for setup in setups]
-    return [*rows, row("all", "all", total(results))]
-
-
-def markdown(rows: Sequence[Sequence[str]]) -> str:
-    """Rows as a table; the first has the heads."""
-    head, *body = rows
-    return "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *body))
-
-
-def as_json(results: Results) -> str:
-    """All sums, for a program."""
-    cells = [
-        {"fault": cell.fault, "setup": cell.setup, **sums.counts, "examples": sums.examples}
-        for cell, sums in results.items()
-    ]
-    return json.dumps(cells, indent=1)
+        groups += [cell for cell in results if each_setup and cell.fault == fault]
+        groups.append((fault, "*"))
+    setups = dict.fromkeys(cell.setup for cell in results)
+    groups += [("*", setup) for setup in setups if len(setups) > 1] + [("*", "*")]
+    rows = [["fault", "set-up", *counts]]
+    for group in groups:
+        sums = total(results, *group)
+        rows.append([*(name.replace("*", "all") for name in group), *(str(sums[one]) for one in counts)])
+    return rows
 
 
 def parser(prog: str, doc: str | None, episodes: int, seed: int) -> argparse.ArgumentParser:
@@ -202,13 +183,20 @@ def _positive(text: str) -> int:
     return value
 
 
-def report(campaign: Campaign, results: Results, rows: Sequence[Sequence[str]], *, json: bool) -> int:
-    """Print it; the exit status: 1 where a goal is missed."""
+def run(campaign: Campaign, said: argparse.Namespace, table: Callable[[Results], Rows]) -> int:
+    """As the options say; print it; the exit status: 1 where a goal is missed."""
+    results = campaign.run(said.seed, said.episodes, said.processes)
     missed = campaign.missed(results)
-    if json:
-        print(as_json(results))
+    if said.json:
+        cells = [
+            {"fault": cell.fault, "setup": cell.setup, **sums.counts, "examples": sums.examples}
+            for cell, sums in results.items()
+        ]
+        print(json.dumps(cells, indent=1))
     else:
-        print(markdown(rows), end="")
+        head, *body = table(results)
+        for row in (head, ["---"] * len(head), *body):
+            print(f"| {' | '.join(row)} |")
         print(f"goals missed: {sum(not line.startswith(' ') for line in missed)}")
     for line in missed:
         print(line, file=sys.stderr)

@@ -20,7 +20,19 @@ import numpy as np
 from tools.faults.chain.classes import CLASSES
 from tools.faults.chain.judge import judge, play
 from tools.faults.chain.plant import SETTINGS, Setting, Turning, speed_of_group
-from tools.faults.engine import Campaign, Cell, Sums, Work, by_setup, chosen, parser, report, total
+from tools.faults.engine import (
+    Campaign,
+    Cell,
+    Results,
+    Rows,
+    Sums,
+    Work,
+    by_setup,
+    chosen,
+    parser,
+    run,
+    total,
+)
 
 CHUNK = 10
 DETECTION_GOAL = 0.99
@@ -65,6 +77,13 @@ def cell_text(cell: Cell, sums: Sums) -> str:
     return f"{sums.percent('seen', 'matters'):.1f} {sums.percent('lost'):.1f}"
 
 
+def table(results: Results) -> Rows:
+    """Faults below each other, settings side by side, and all faults."""
+    rows = by_setup(results, cell_text)
+    last = [cell_text(Cell("", name), total(results, setup=name)) for name in rows[0][1:]]
+    return [*rows, ["all", *last]]
+
+
 def campaign(faults: Sequence[str], settings: Sequence[str], adapt: bool = False) -> Campaign:
     """Of these."""
     return Campaign(faults, settings, partial(run_group, adapt=adapt), misses, CHUNK)
@@ -81,10 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         one = campaign(chosen(FAULTS, said.faults), chosen(NAMES, said.setup), said.adapt)
     except ValueError as error:
         options.error(str(error))
-    results = one.run(said.seed, said.episodes, said.processes)
-    rows = by_setup(results, cell_text)
-    rows.append(["all", *(cell_text(Cell("", name), total(results, setup=name)) for name in rows[0][1:])])
-    return report(one, results, rows, json=said.json)
+    return run(one, said, table)
 
 
 if __name__ == "__main__":

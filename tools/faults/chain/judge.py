@@ -11,7 +11,8 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.sample import Sample
 from canfb.simulation.faults import Samples
 from tools.faults.chain.classes import FaultClass
-from tools.faults.chain.plant import ENCODER, FloatArray, Setting, Turning, motion
+from tools.faults.chain.plant import ENCODER, Setting, Turning, motion
+from tools.faults.machine import Array
 
 CLEAN_BEFORE = (100, 301)
 CLEAN_AFTER = 100  # a short fault
@@ -31,8 +32,8 @@ class Episode:
     stop: int
     clean: Samples
     samples: Samples
-    truth: FloatArray
-    error: FloatArray  # published position less the true one, cycles
+    truth: Array
+    error: Array  # published position less the true one, cycles
     status: npt.NDArray[np.int64]
 
 
@@ -49,7 +50,7 @@ def play(fault_class: FaultClass, turning: Turning, rng: np.random.Generator) ->
     return Episode(start, stop, clean, samples, truth, positions - (truth - turning.offset), status)
 
 
-def follow(chain: SignalChain, samples: Samples) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+def follow(chain: SignalChain, samples: Samples) -> tuple[Array, npt.NDArray[np.int64]]:
     """Published positions, cycles, and status words."""
     published = [
         chain.step(Sample(s, c)) if delivered else chain.miss()

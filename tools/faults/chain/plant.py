@@ -8,23 +8,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb import AdaptConfig, CorrectionTable, SignalChain, phase_in_cycle
 from canfb.calibration.ellipse import with_track_harmonics
 from canfb.signal.adaptation import FollowedDrift
-from canfb.signal.chain_config import ChainConfig, ChainLimits
+from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.declared import DOUBT_ACCELERATION
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, demo_encoder
-
-FloatArray = npt.NDArray[np.float64]
-Counts = npt.NDArray[np.int64]
+from tools.faults.machine import TOP_CYCLES, Array, Counts, exact_table, on_grid
 
 ENCODER: Encoder = demo_encoder()  # 12 bits, half a count of noise, every error of a mediocre one
-TABLE_ENTRIES = 1024
-TOP_CYCLES = 125.0  # per sample: 3000 rpm, 2500 cycles per revolution, 1 kHz
 RAMP_CYCLES = 0.25  # per interval squared: to get to the speed, before the narrow limits are set
 SETTLED_SAMPLES = 20
 # As fast as an adaptation can be: the interval is taken for a longer one, so that it learns from each sample.
@@ -66,11 +61,6 @@ class Setting:
         """The chain's phases are those of what it has learned, the judge's those of the truth; cycles."""
         return ADAPT_SLACK if self.adapt else 0.0
 
-    @property
-    def chain_limits(self) -> ChainLimits:
-        """The limits in force during an episode."""
-        return self.config.chain_limits
-
     @cached_property
     def conditioning(self) -> Conditioning:
         """The known truth of the encoder, or the identity."""
@@ -97,11 +87,7 @@ class Setting:
     @cached_property
     def table(self) -> CorrectionTable:
         """The table that a reference measurement without error would give."""
-        truth = np.arange(-8192, 65536 + 8192) / 65536.0
-        s, c = self.conditioning.apply(*ENCODER.tracks(truth))
-        raw = phase_in_cycle(s, c)
-        raw = raw - np.rint(raw - truth)
-        return CorrectionTable(np.interp(np.arange(TABLE_ENTRIES) / TABLE_ENTRIES, raw, truth))
+        return exact_table(lambda truth: self.conditioning.apply(*ENCODER.tracks(truth)))
 
     @cached_property
     def config(self) -> ChainConfig:
@@ -122,7 +108,7 @@ class Setting:
             doubt_acceleration_cycles=max(DOUBT_ACCELERATION, min(self.acceleration, 0.5)),
         )
 
-    def phases(self, sine: Counts, cosine: Counts) -> tuple[FloatArray, FloatArray]:
+    def phases(self, sine: Counts, cosine: Counts) -> tuple[Array, Array]:
         """Corrected phase and amplitude of these counts, as the chain computes them."""
         s, c = self.conditioning.apply(sine.astype(np.float64), cosine.astype(np.float64))
         return self.table(phase_in_cycle(s, c)), np.sqrt(s * s + c * c)
@@ -160,7 +146,7 @@ class Turning:
                 self._chain.step(Sample(s, c)) for s, c in zip(sine.tolist(), cosine.tolist(), strict=True)
             ]
             valid = all(one.valid for one in published)
-        self._chain.set_limits(setting.chain_limits)
+        self._chain.set_limits(setting.config.chain_limits)
         self.position = float(positions[-1])
         self.offset = round(self.position - published[-1].cycles - published[-1].phase)
 
@@ -187,7 +173,7 @@ def speed_of_group(group: int, rng: np.random.Generator) -> float:
     return float(rng.uniform(-TOP_CYCLES, TOP_CYCLES))
 
 
-def motion(turning: Turning, samples: int, rng: np.random.Generator) -> FloatArray:
+def motion(turning: Turning, samples: int, rng: np.random.Generator) -> Array:
     """True positions after those of ``turning``, cycles: one in three at constant speed.
 
     The others change their acceleration every 20..120 samples; they brake near the top speed.
@@ -203,5 +189,4 @@ def motion(turning: Turning, samples: int, rng: np.random.Generator) -> FloatArr
             acceleration[at : at + stretch] = value
             speed += value * stretch
             at += stretch
-    speeds = turning.speed + np.cumsum(acceleration)
-    return turning.position + np.cumsum(speeds)
+    return on_grid(turning.position, turning.speed, acceleration)

@@ -3,11 +3,9 @@
     python -m tools.faults.estimator.campaign [--episodes N] [--seed S ...] [--bound B ...]
     python -m tools.faults.estimator.campaign --show "KIND:BOUND:SEED:NUMBER"
 
-Each cell of the table has silent errors, the part that is kept (valid and right at the end), and the samples
-that were not valid where it was kept; in brackets where more samples are bad than is declared. e: episodes
-that were not valid before their fault. The result depends on the seeds and the options of the machine only.
-Exit status 1 if there are silent errors in a kind of fault that is covered. With ``--exceed F`` the
-machine uses F times the bound that is declared: then nothing is covered, and the exit status is 0.
+docs/evidence.md says what the cells mean; e: episodes that were not valid before their fault. The result
+depends on the seeds and the options of the machine only. Exit status 1 if there are silent errors in a kind
+of fault that is covered. With ``--exceed F`` the machine does F times what is declared: nothing is covered.
 """
 
 from __future__ import annotations
@@ -15,17 +13,38 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from tools.faults.engine import Campaign, Cell, Results, Sums, Work, by_setup, chosen, parser, report, total
-from tools.faults.estimator.declared import Declared
+from tools.faults.engine import (
+    Campaign,
+    Cell,
+    Results,
+    Rows,
+    Sums,
+    Work,
+    by_setup,
+    chosen,
+    parser,
+    run,
+    total,
+)
 from tools.faults.estimator.episodes import Episode, Published, chain_for, draw, play
 from tools.faults.estimator.judge import Verdict, judge, proof
-from tools.faults.estimator.kinds import KINDS, NAMES, Kind, State
+from tools.faults.estimator.kinds import KINDS, Declared, State
 
 CHUNK = 100
 BOUNDS = (0.01, 0.05, 0.1, 0.2)
+
+
+class Played(NamedTuple):
+    """An episode with its end."""
+
+    name: str
+    episode: Episode
+    published: Published
+    verdict: Verdict
 
 
 @dataclass(frozen=True)
@@ -40,7 +59,6 @@ class Player:
     exceed: float = 1.0
 
     def declared(self, setup: str) -> Declared:
-        """Of this set-up."""
         return replace(self.machine, acceleration=float(setup))
 
     def episodes(self, work: Work) -> list[Episode]:
@@ -49,20 +67,19 @@ class Player:
         words = [round(1e6 * one) for one in (declared.acceleration, declared.phase_error)]
         seeds = [work.seed, work.first // CHUNK, declared.samples_per_sync, *words, *work.cell.fault.encode()]
         machine = replace(declared, acceleration=self.exceed * declared.acceleration)
-        return draw(kind_of(work.cell.fault), machine, work.size, np.random.default_rng(seeds))
+        return draw(KINDS[work.cell.fault], machine, work.size, np.random.default_rng(seeds))
 
-    def published(self, declared: Declared, episodes: Sequence[Episode]) -> Iterator[Published]:
-        """What is said of each."""
-        for episode in episodes:
-            yield play(episode, chain_for(replace(episode, declared=declared)))
+    def played(self, work: Work) -> Iterator[Played]:
+        """Each episode of a piece of work."""
+        declared = self.declared(work.cell.setup)
+        for number, episode in zip(work.numbers, self.episodes(work), strict=True):
+            published = play(episode, chain_for(replace(episode, declared=declared)))
+            name = f"{work.cell.fault}:{work.cell.setup}:{work.seed}:{number}"
+            yield Played(name, episode, published, judge(episode, published))
 
     def __call__(self, work: Work) -> Sums:
-        """One piece of work."""
-        sums, episodes = Sums(), self.episodes(work)
-        said = self.published(self.declared(work.cell.setup), episodes)
-        for n, (episode, published) in enumerate(zip(episodes, said, strict=True)):
-            verdict = judge(episode, published)
-            name = f"{work.cell.fault}:{work.cell.setup}:{work.seed}:{work.first + n}"
+        sums = Sums()
+        for name, _, _, verdict in self.played(work):
             if verdict.early:
                 sums.counts["early"] += 1
             else:
@@ -71,13 +88,11 @@ class Player:
 
     def is_covered(self, cell: Cell) -> bool:
         """What is declared holds in this cell, so that no position may be valid and wrong."""
-        return self.exceed <= 1.0 and kind_of(cell.fault).is_covered(self.declared(cell.setup))
+        return self.exceed <= 1.0 and KINDS[cell.fault].is_covered(self.declared(cell.setup))
 
     def can_run(self, cell: Cell) -> bool:
-        """Sets of elapsed times and uneven instants are those of one sample for each SYNC."""
-        kind = kind_of(cell.fault)
-        special = bool(kind.jitter) or kind.stall is not None
-        return not (special and self.machine.samples_per_sync > 1)
+        """Uneven instants are those of one sample for each SYNC."""
+        return KINDS[cell.fault].is_even or self.machine.samples_per_sync == 1
 
     def misses(self, cell: Cell, sums: Sums) -> Iterator[str]:
         """The goals that are missed."""
@@ -86,15 +101,21 @@ class Player:
 
     def text(self, cell: Cell, sums: Sums) -> str:
         """silent, kept %, samples not valid; in brackets what the declaration does not cover."""
+        kind = KINDS[cell.fault]
         kept = f" {sums.percent('kept'):.0f} {sums['not valid'] / max(1, sums['kept']):.1f}"
         early = f" e{sums['early']}" if sums["early"] else ""
-        text = f"{sums['silent']}{'' if kind_of(cell.fault).lasting else kept}{early}"
-        return text if kind_of(cell.fault).is_covered(self.declared(cell.setup)) else f"({text})"
+        text = f"{sums['silent']}{'' if kind.lasting else kept}{early}"
+        return text if kind.is_covered(self.declared(cell.setup)) else f"({text})"
 
-
-def kind_of(name: str) -> Kind:
-    """By its name."""
-    return KINDS[NAMES.index(name)]
+    def table(self, results: Results) -> Rows:
+        """Kinds below each other, machines side by side, and the silent ones of all."""
+        head, *rows = by_setup(results, self.text)
+        covered = {cell: sums for cell, sums in results.items() if self.is_covered(cell)}
+        sums = [(total(covered, setup=one), total(results, setup=one)) for one in head[1:]]
+        texts = [", ".join(f"{one['silent']} of {one['episodes']}" for one in pair) for pair in sums]
+        machines = [self.declared(one) for one in head[1:]]
+        head = ["fault", *(f"A = {one.acceleration:g}, m = {one.bad}" for one in machines)]
+        return [head, *rows, ["silent: as declared, all", *texts]]
 
 
 def counted(verdict: Verdict) -> dict[str, int]:
@@ -104,34 +125,20 @@ def counted(verdict: Verdict) -> dict[str, int]:
     return {"silent": verdict.silent, "excused": verdict.excused, "lost": verdict.lost} | kept | causes
 
 
-def table(player: Player, results: Results) -> list[list[str]]:
-    """Kinds below each other, machines side by side, and the silent ones of all."""
-    rows = by_setup(results, player.text)
-    setups = rows[0][1:]
-    covered = {cell: sums for cell, sums in results.items() if player.is_covered(cell)}
-    sums = [(total(covered, setup=one), total(results, setup=one)) for one in setups]
-    texts = [", ".join(f"{one['silent']} of {one['episodes']}" for one in pair) for pair in sums]
-    machines = [player.declared(one) for one in setups]
-    rows[0] = ["fault", *(f"A = {one.acceleration:g}, m = {one.bad}" for one in machines)]
-    return [*rows, ["silent: as declared, all", *texts]]
-
-
 def show(name: str, player: Player) -> str:
     """One episode in full."""
     kind, bound, seed, number = name.rsplit(":", 3)
     first = int(number) // CHUNK * CHUNK
-    episode = player.episodes(Work(Cell(kind, bound), int(seed), first, CHUNK))[int(number) - first]
-    (published,) = player.published(player.declared(bound), [episode])
-    verdict = judge(episode, published)
-    said = verdict.wrong
+    every = list(player.played(Work(Cell(kind, bound), int(seed), first, CHUNK)))
+    _, episode, published, verdict = every[int(number) - first]
     lines = [f"{kind}, {episode.declared}, fault at {episode.fault}, speed {episode.speed:.4f}"]
     lines.append("   k  instant     true position  phase   state    published        status  error")
-    for k in range(len(episode.truth)):
-        error = published.position[k] - episode.truth[k]
+    for k, (truth, position) in enumerate(zip(episode.truth, published.position, strict=True)):
+        cause = verdict.wrong[k].value if k in verdict.wrong else ""
         lines.append(
-            f"{k:4} {episode.instants[k]:8.3f} {episode.truth[k]:17.4f} {episode.phase[k]:7.4f} "
-            f"{State(int(episode.state[k])).name:8} {published.position[k]:16.4f} "
-            f"{int(published.status[k]):04X} {error:+8.3f} {said[k].value if k in said else ''}"
+            f"{k:4} {episode.instants[k]:8.3f} {truth:17.4f} {episode.phase[k]:7.4f} "
+            f"{State(int(episode.state[k])).name:8} {position:16.4f} "
+            f"{int(published.status[k]):04X} {position - truth:+8.3f} {cause}"
         )
     lines.append(
         f"early {verdict.early}, silent {verdict.silent}, kept {verdict.kept}, not valid {verdict.not_valid}"
@@ -141,7 +148,9 @@ def show(name: str, player: Player) -> str:
     return "\n".join(lines)
 
 
-def campaign(player: Player, kinds: Sequence[str] = NAMES, bounds: Sequence[float] = BOUNDS) -> Campaign:
+def campaign(
+    player: Player, kinds: Sequence[str] = tuple(KINDS), bounds: Sequence[float] = BOUNDS
+) -> Campaign:
     """Of these kinds of fault, and machines."""
     return Campaign(kinds, [f"{one:g}" for one in bounds], player, player.misses, CHUNK, player.can_run)
 
@@ -159,17 +168,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     said = options.parse_args(argv)
     if not said.exceed > 0.0:
         options.error("--exceed must be above 0")
-    machine = Declared(0.0, said.phase_error, said.bad_samples, said.samples_per_sync)
-    player = Player(machine, said.exceed)
+    player = Player(Declared(0.0, said.phase_error, said.bad_samples, said.samples_per_sync), said.exceed)
     if said.show:
         print(show(said.show, player))
         return 0
     try:
-        one = campaign(player, chosen(NAMES, said.faults), said.bound)
+        one = campaign(player, chosen(KINDS, said.faults), said.bound)
     except ValueError as error:
         options.error(str(error))
-    results = one.run(said.seed, said.episodes, said.processes)
-    return report(one, results, table(player, results), json=said.json)
+    return run(one, said, player.table)
 
 
 if __name__ == "__main__":

@@ -9,16 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb import CorrectionTable, SignalChain
-from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from tools.faults.estimator.declared import Declared, make_chain
-from tools.faults.estimator.kinds import Kind, State
-from tools.faults.estimator.machine import (
+from tools.faults.estimator.kinds import Declared, Kind, State, make_chain
+from tools.faults.machine import (
     Array,
     Counts,
     Rng,
+    accelerations,
     counts,
-    derivatives,
     phases,
     positions,
     start_speeds,
@@ -55,7 +53,7 @@ class Episode:
 class Published:
     """What the chain said of each sample: position (cycles) minus that of the true count, and status word.
 
-    A sample that nothing was said of has the status 0.
+    A sample without one has the status 0.
     """
 
     position: Array
@@ -68,7 +66,7 @@ class Published:
 
 
 def draw(kind: Kind, declared: Declared, episodes: int, rng: Rng) -> list[Episode]:
-    """So many episodes of this kind."""
+    """Episodes of this kind."""
     per_sync = declared.samples_per_sync
     at = rng.integers(*BEFORE, episodes)
     at += -at % per_sync  # what is missing or flagged is so for all samples of a SYNC
@@ -83,26 +81,15 @@ def draw(kind: Kind, declared: Declared, episodes: int, rng: Rng) -> list[Episod
     if kind.stall is not None:
         pause = rng.uniform(*kind.stall, episodes) - 1.0
         instants += pause[:, None] * (np.arange(samples)[None, :] >= at[:, None])
-    uneven = bool(kind.jitter) or kind.stall is not None
-    u = derivatives(declared, rng, at, samples + (10 if uneven else 0))
+    u = accelerations(declared.acceleration, rng, at, samples + (0 if kind.is_even else 10))
     speed = start_speeds(rng, episodes, declared.acceleration * samples)
-    truth = positions(u, speed, rng, instants if uneven else None)
+    truth = positions(u, speed, rng, None if kind.is_even else instants)
     sine, cosine = _faulty(state, *counts(truth, rng), rng)
     phase = phases(sine, cosine, table_of(declared.phase_error))
+    start = speed.tolist()
     return [
-        Episode(
-            declared,
-            kind,
-            int(at[n]),
-            instants[n],
-            truth[n],
-            sine[n],
-            cosine[n],
-            phase[n],
-            state[n],
-            float(speed[n]),
-        )
-        for n in range(episodes)
+        Episode(declared, kind, one, instants[n], truth[n], sine[n], cosine[n], phase[n], state[n], start[n])
+        for n, one in enumerate(at.tolist())
     ]
 
 
@@ -162,15 +149,10 @@ def play(
             clock = instants[k]
             earlier = tuple((sine[k - j], cosine[k - j]) for j in range(1, per_sync))
             invalid = state[k] == State.FLAGGED
-            sample = Sample(sine[k], cosine[k], elapsed, invalid, earlier=earlier)
-            said = _said(chain, sample)
+            feedback = chain.step(Sample(sine[k], cosine[k], elapsed, invalid, earlier=earlier))
+            said = [*chain.between, feedback] if earlier and not invalid else [feedback]
         for j, one in enumerate(reversed(said)):
             position[k - j], status[k - j] = one.cycles + one.phase, one.status
     first = per_sync - 1
     offset = round(float(episode.truth[first] - position[first]))
     return Published(position + offset, status)
-
-
-def _said(chain: SignalChain, sample: Sample) -> list[Feedback]:
-    feedback = chain.step(sample)
-    return [*chain.between, feedback] if sample.earlier and not sample.invalid else [feedback]

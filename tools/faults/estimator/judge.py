@@ -35,7 +35,7 @@ SILENT = (Cause.GUESSED, Cause.ILLEGAL)
 
 @dataclass(frozen=True)
 class Verdict:
-    """An episode judged.
+    """Of an episode.
 
     early         not valid, or wrong, before the fault: the episode counts no further
     wrong         the causes of its wrong positions, by sample

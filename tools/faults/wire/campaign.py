@@ -13,35 +13,29 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from functools import partial
 
-from tools.faults.engine import Campaign, Cell, Sums, Work, by_count, chosen, parser, report
+from tools.faults.engine import Campaign, Cell, Sums, Work, by_count, chosen, parser, run
 from tools.faults.wire.classes import CLASSES
 from tools.faults.wire.judge import EMCY_LIMIT, Verdict
-from tools.faults.wire.play import Episode, play
-from tools.faults.wire.setups import SETUPS, setup_of
+from tools.faults.wire.play import Episode, play, trace
+from tools.faults.wire.setups import SETUPS
 from tools.faults.wire.stalls import IN_A_ROW, RATES_HZ, WHO, stall
-from tools.faults.wire.trace import trace
 
 CONFIRMED = 3
-FAULTS, NAMES = [one.name for one in CLASSES], [one.name for one in SETUPS]
-TIMED = [one.name for one in SETUPS if one.times and not one.servo]
-OUTCOMES = ("wrong", "physics", "lost", "flagged", "kept")
-
-
-class Part(NamedTuple):
-    """What a campaign consists of, and the columns of its table."""
-
-    campaign: Campaign
-    counts: tuple[str, ...]
+COUNTS = (
+    *("episodes", "wrong", "physics", "lost", "flagged", "kept"),
+    *("early", "accel.", "EMCY", "PDOs"),
+)
+STALL_COUNTS = ("one motion fits", "kept", "longer", "kept of longer", "wrong")
+TIMED = [name for name, setup in SETUPS.items() if setup.fits("times !servo")]
 
 
 def play_class(work: Work) -> Sums:
     """Episodes of a class of wire faults."""
     sums = Sums()
-    for n in range(work.first, work.first + work.size):
-        place = FAULTS.index(work.cell.fault), NAMES.index(work.cell.setup)
-        episode = Episode(*place, work.seed * 1_000_000 + n)
+    for n in work.numbers:
+        episode = Episode(*work.cell, work.seed * 1_000_000 + n)
         # A new module takes longer than an episode: beyond the first, results count without a second play.
         verdict = play(episode, confirm=sums["wrong"] < CONFIRMED).verdict
         sums.add(counted(verdict), example(episode, verdict))
@@ -71,10 +65,10 @@ def example(episode: Episode, verdict: Verdict) -> str:
 
 def class_misses(cell: Cell, sums: Sums) -> Iterator[str]:
     """Silent wrong positions, and healthy machines that were not kept."""
-    wire_class, setup = CLASSES[FAULTS.index(cell.fault)], SETUPS[NAMES.index(cell.setup)]
+    wire_class, setup = CLASSES[cell.fault], SETUPS[cell.setup]
     if sums["wrong"]:
         yield f"{sums['wrong']} of {sums['episodes']} silent wrong"
-    if wire_class.valid(setup) and sums["after start"]:
+    if wire_class.demands_validity(setup) and sums["after start"]:
         yield f"{sums['after start']} of {sums['episodes']} not valid after the start"
     if wire_class.survives and sums["lost"]:
         yield f"{sums['lost']} of {sums['episodes']} lost, which need not be"
@@ -82,22 +76,21 @@ def class_misses(cell: Cell, sums: Sums) -> Iterator[str]:
         yield f"SYNCs without their PDO in {sums['PDOs']} of {sums['episodes']}"
 
 
-def classes(faults: Sequence[str] = FAULTS, setups: Sequence[str] = NAMES) -> Part:
+def classes(faults: Sequence[str] = tuple(CLASSES), setups: Sequence[str] = tuple(SETUPS)) -> Campaign:
     """Wire faults."""
 
     def runs(cell: Cell) -> bool:
-        return CLASSES[FAULTS.index(cell.fault)].of(SETUPS[NAMES.index(cell.setup)])
+        return SETUPS[cell.setup].fits(CLASSES[cell.fault].of)
 
-    counts = ("episodes", *OUTCOMES, "early", "accel.", "EMCY", "PDOs")
-    return Part(Campaign(faults, setups, play_class, class_misses, runs=runs), counts)
+    return Campaign(faults, setups, play_class, class_misses, runs=runs)
 
 
 def play_stalls(work: Work) -> Sums:
     """Machines with stalls; the fault is who stalls, and the rate."""
     sums, (who, rate) = Sums(), work.cell.fault.removesuffix(" Hz").rsplit(" ", 1)
-    for n in range(work.first, work.first + work.size):
+    for n in work.numbers:
         for is_short in (True, False):
-            sums.add(stall(who, int(rate), setup_of(work.cell.setup), work.seed + n, is_short))
+            sums.add(stall(who, int(rate), SETUPS[work.cell.setup], work.seed + n, is_short))
     return sums
 
 
@@ -109,15 +102,14 @@ def kept_misses(cell: Cell, sums: Sums) -> Iterator[str]:
         yield f"{sums['kept']} of {sums['one motion fits']} kept"
 
 
-def part_of(options: argparse.Namespace) -> tuple[Part, int]:
-    """What is to be played, and how many episodes; ValueError for names that there are not."""
-    if options.stalls:
-        faults = [f"{who} {rate} Hz" for who in WHO for rate in RATES_HZ]
-        setups = chosen(TIMED, options.setup)
-        stalls = Campaign(faults, setups, play_stalls, kept_misses, 4)
-        machines = -(-options.stalls // (len(faults) * len(setups) * (IN_A_ROW + 1)))
-        return Part(stalls, ("one motion fits", "kept", "longer", "kept of longer", "wrong")), machines
-    return classes(chosen(FAULTS, options.faults), chosen(NAMES, options.setup)), options.episodes
+def campaign_of(said: argparse.Namespace) -> Campaign:
+    """What is to be played; ValueError for names that there are not."""
+    if not said.stalls:
+        return classes(chosen(CLASSES, said.faults), chosen(SETUPS, said.setup))
+    faults = [f"{who} {rate} Hz" for who in WHO for rate in RATES_HZ]
+    setups = chosen(TIMED, said.setup)
+    said.episodes = -(-said.stalls // (len(faults) * len(setups) * (IN_A_ROW + 1)))
+    return Campaign(faults, setups, play_stalls, kept_misses, 4)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -129,17 +121,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.add_argument("--list", action="store_true", help="the names of classes and set-ups")
     said = options.parse_args(argv)
     if said.list:
-        print(*FAULTS, "", *NAMES, sep="\n")
+        print(*CLASSES, "", *SETUPS, sep="\n")
         return 0
     try:
         if said.episode:
             return trace(Episode.parse(said.episode), every=said.trace)
-        part, episodes = part_of(said)
+        campaign = campaign_of(said)
     except ValueError as error:
         options.error(f"{error}; --list shows the names")
-    results = part.campaign.run(said.seed, episodes, said.processes)
-    rows = by_count(results, part.counts, each_setup=said.by_setup)
-    return report(part.campaign, results, rows, json=said.json)
+    counts = STALL_COUNTS if said.stalls else COUNTS
+    return run(campaign, said, partial(by_count, counts=counts, each_setup=said.by_setup))
 
 
 if __name__ == "__main__":

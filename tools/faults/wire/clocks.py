@@ -8,44 +8,15 @@ from __future__ import annotations
 
 import math
 
+from tools.faults.machine import Motion
 from tools.faults.wire.draw import UNKNOWN_LIMIT
 from tools.faults.wire.line import Plan, Slot
-from tools.faults.wire.motion import Motion
 from tools.faults.wire.physics import stamp_tolerance, step_note
-from tools.faults.wire.setups import Setup
 
 REST, STEADY = 14, 40  # slots at rest, and at speed before the fault
 TICK_S = 1e-7
 PHASE_ERROR = 0.0125  # cycles, of an uncorrected encoder
 RESTARTED_T = 3.0  # a reset, its configuration and the start, T
-
-
-def untimed_with_stamps(setup: Setup) -> bool:
-    return setup.stamps and not setup.times
-
-
-def without_counter(setup: Setup) -> bool:
-    return not setup.counter and not setup.servo
-
-
-def timed(setup: Setup) -> bool:
-    return setup.times and not setup.servo
-
-
-def timed_with_stamps(setup: Setup) -> bool:
-    return timed(setup) and setup.stamps
-
-
-def timed_without_counter(setup: Setup) -> bool:
-    return timed(setup) and not setup.counter
-
-
-def counter_alone(setup: Setup) -> bool:
-    return setup.counter and not setup.times and not setup.stamps
-
-
-def any_but_servo(setup: Setup) -> bool:
-    return not setup.servo
 
 
 def machine(plan: Plan, speed: float, after: int, *, limit: float | None = 0.25, share: float = 0.7) -> None:

@@ -41,7 +41,7 @@ from tools.faults.wire.setups import (
     UNITS_PER_CYCLE,
 )
 
-VALID, LOST, EXTRAPOLATED = 1 << 0, 1 << 2, 1 << 12
+VALID, LOST = 1 << 0, 1 << 2
 FRESH = 3.0  # 2010:06 is 2 periods; one more for a late SYNC, the delay of the PDO and the host
 START = 12.0  # until then nothing has to be valid: a coarse track is found at rest
 SEARCH = 64  # samples of a start with sample times and 2010:02 at most (docs/supervision.md)
@@ -67,6 +67,10 @@ class Shown:
     truth: float
     cause_time: float = -1.0  # when the ADC PDO was received that made the module send it
     sample: int = -1  # in that PDO
+
+    @property
+    def valid(self) -> bool:
+        return bool(self.status & VALID)
 
 
 @dataclass
@@ -94,18 +98,13 @@ class Judge:
         self._plan, self._line = plan, line
         start = line.positions[0] if line.positions else 0.0
         self._base = start - start % 1.0  # the module begins at cycle count 0
-        self._rebased = 0.0
         commands = sorted((at, data) for at, what, data in plan.actions if what == "nmt")
         resets = [place for place, (_, data) in enumerate(commands) if data == RESET_NODE]
-        # From the start after each of them on the module counts from 0 again.
-        self._resets = [at for place in resets for at, data in commands[place:] if data == START_NODE][
-            : len(resets)
-        ]
+        starts = [at for place in resets for at, data in commands[place:] if data == START_NODE]
+        self._resets = starts[: len(resets)]  # from here on the module counts from 0 again
         syncs = [event for event in line.events if event.what == "sync"]
-        self._sync_times, self._sync_slots = (
-            [event.time for event in syncs],
-            [event.number for event in syncs],
-        )
+        self._sync_times = [event.time for event in syncs]
+        self._sync_slots = [event.number for event in syncs]
         self._start = SEARCH if plan.setup.times and plan.options.limit is not None else 0  # samples
         self._lost = False
         self._last_wrong = 0.0  # T
@@ -147,7 +146,7 @@ class Judge:
     def _conclude(self) -> None:
         verdict, shown = self.verdict, self.shown
         positions = [one for one in shown if one.what == "TPDO"] or shown
-        ended_valid = bool(positions) and bool(positions[-1].status & VALID)
+        ended_valid = bool(positions) and positions[-1].valid
         verdict.right_at_end = ended_valid and abs(positions[-1].error) <= self._plan.tolerance
         if verdict.wrong:
             physics = self._is_p8() if self._plan.note.startswith("P8") else self._plan.note.startswith("P")
@@ -183,7 +182,7 @@ class Judge:
 
     def _answers(self) -> list[Shown]:
         """The valid positions that were sent upon an ADC PDO."""
-        return [one for one in self.shown if one.what == "TPDO" and one.status & VALID and one.sample >= 0]
+        return [one for one in self.shown if one.what == "TPDO" and one.valid and one.sample >= 0]
 
     def _is_legal(self, shown: list[tuple[float, float]]) -> bool:
         limit = self._plan.options.limit or RESIDUAL_LIMIT
@@ -209,13 +208,11 @@ class Judge:
             del self._resets[0]
             self._base -= round(error)
             truth, error = self._nearest(one, position)
-        if (
-            valid
-            and abs(error) > self._plan.tolerance
-            and self._lost
-            and (self._plan.options.extra or self._plan.options.coarse)
-        ):
-            error = self._after_loss(error)
+        referenced = self._plan.options.extra or self._plan.options.coarse
+        if valid and referenced and self._lost and abs(error) > self._plan.tolerance:
+            error = within_half(
+                error, CYCLES_PER_REVOLUTION
+            )  # a zero pulse ends a loss within the revolution
         cause = one.cause
         upon, sample = (cause.time, cause.number) if cause is not None and cause.what == "pdo" else (-1.0, -1)
         shown = Shown(one.now, what, position, status, residual, error, truth, upon, sample)
@@ -233,15 +230,6 @@ class Judge:
             self._last_wrong = one.now
             verdict.first_wrong = verdict.first_wrong or shown
             verdict.largest_error = max(verdict.largest_error, abs(error))
-
-    def _after_loss(self, error: float) -> float:
-        """A zero pulse ends a loss within the revolution only; one that was not known, anywhere."""
-        n = CYCLES_PER_REVOLUTION
-        within = within_half(error - self._rebased, n)
-        if abs(within) > self._plan.tolerance and self._plan.note == "unreferenced" and not self._rebased:
-            self._rebased = error
-            return 0.0
-        return within
 
     def _nearest(self, one: Sent, position: float) -> tuple[float, float]:
         truths = [truth - self._base for truth in self._admissible(one)]

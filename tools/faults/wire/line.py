@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from canfb import Frame
-from tools.faults.wire.motion import Motion, counts
+from tools.faults.machine import Motion, counts
 from tools.faults.wire.setups import (
     ADC_ID,
     CYCLES_PER_REVOLUTION,
@@ -24,9 +25,9 @@ from tools.faults.wire.setups import (
     NODE,
     SYNC_ID,
     TIMES_ID,
-    Configuration,
     Options,
     Setup,
+    configuration,
     sdo_read,
 )
 
@@ -35,7 +36,7 @@ U32 = 0xFFFFFFFF
 SAMPLE_LATENCY_US = 20.0  # from the end of the SYNC to the hold of both tracks
 TIMES_LATER_US = 60.0  # the next PDO of the interface
 LATEST_PDO = 0.45  # T after its SYNC, on a healthy wire
-COARSE_COUNTS = 1500.0
+AMPLITUDE_COUNTS = COARSE_COUNTS = 1500.0
 FIRST_PULSE = 40.0  # cycles
 INSTANTS = 65  # of an interval, between which the motion is a straight line
 
@@ -151,7 +152,7 @@ def lay(plan: Plan) -> Line:
         events.append(Event(at, len(events), "sdo", sdo_read(0x6004, 0), 0))
     for at, what, data in plan.actions:
         if what == "configure":
-            frames = Configuration(plan.setup, plan.options).frames
+            frames = configuration(plan.setup, plan.options)
             events += [Event(at, len(events) + n, "sdo", one, 0) for n, one in enumerate(frames)]
             continue
         command = Frame(NMT_ID, data + bytes([NODE])) if what == "nmt" else None
@@ -164,9 +165,8 @@ def lay(plan: Plan) -> Line:
 
 def _named(plan: Plan, one: _Sampling) -> float:
     slot = plan.slots[one.slot]
-    return (
-        one.time if slot.stamp is not None else one.time + slot.stamp_add * TICK_S / plan.options.interval_s
-    )
+    added = 0 if slot.stamp is not None else slot.stamp_add
+    return one.time + added * TICK_S / plan.options.interval_s
 
 
 def _sync_times(plan: Plan) -> list[float]:
@@ -194,10 +194,11 @@ def _payload(plan: Plan, slot: Slot, number: int) -> bytes:
 def _send_samples(plan: Plan, samplings: list[_Sampling], positions: np.ndarray, events: list[Event]) -> None:
     rng, us = plan.rng, plan.us
     exact = plan.options.exact
-    sine, cosine = counts(positions, rng, exact)
+    tracks = partial(counts, rng=rng, exact=exact, amplitude=AMPLITUDE_COUNTS, most_noise=math.inf)
+    sine, cosine = tracks(positions)
     # The clock of the interface takes the earlier pair half a period before, wherever the newest one is.
     half_before = plan.motion.at([one.time - 0.5 for one in samplings])
-    earlier = counts(half_before, rng, exact) if plan.setup.servo else None
+    earlier = tracks(half_before) if plan.setup.servo else None
     offset = int(rng.integers(1 << 32))
     if rng.integers(3) == 0:  # the clock of the interface wraps during the episode
         offset = (1 << 32) - int(rng.uniform(0.0, plan.end * plan.options.interval_s / TICK_S))

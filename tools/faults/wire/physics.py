@@ -1,27 +1,9 @@
 """What no module can see: the few wire faults whose frames are those of a healthy machine.
 
-P1  No sample times, no receive times. Module and interface hear nothing for n periods, in all no longer
-    than the host may be late (n T <= LATEST_HOST_S), and no SYNC counter, or n is a number of its turns.
-    Proof: frames, order and the moments of the calls are those of a machine whose SYNCs were fewer by n, with
-    a host that is later by n T from there on: a healthy one.
-    Likewise n SYNCs too many that the module hears, without a counter, where the interface does not hear
-    them. Those that come later do not count: the module does not know them yet.
-P3  No sample times. Each PDO is late by one whole period from some slot on, at its usual place there.
-    Proof: a machine whose sample was lost at the change gives the same frames at the same times.
-P7  No sample times. The first PDO after a SYNC answers an earlier one, and comes when the answer is due.
-    Proof: the PDO carries no mark of its SYNC. Take the machine that moves as the module has it: this
-    PDO is in time there, and the one of the earlier SYNC was lost. Frames, order and times are the same;
-    the machine is healthy as long as its motion keeps the limits (:func:`is_smooth`). A later frame may
-    contradict it; no module knows that one.
-P8  Receive times, no sample times. From one SYNC on all are off by d, less than the declared jitter, v d
-    whole cycles. Proof: each may be that of a SYNC on the old grid.
-P4  A sample time is off by e, no more than SYNC and receive times can be (:func:`stamp_tolerance`).
-    Proof: a healthy machine whose SYNC came later by e, and whose sample was taken then, at v e cycles from
-    here: if that is a whole number, counts and time are the same. A position is right if it is that of the
-    moment that its sample time names.
-P9  The same error, and the positions shown lie on one motion within the limits, at the moments that the
-    sample times name: of a healthy machine whose SYNC came later by e. So the speed, too, may be off by whole
-    cycles from there on: no later sample contradicts it.
+README.md has the cases P1 to P9 with their proofs. P1: a gap, or SYNCs too many, that may be a late host. P3:
+PDOs late by a period for good. P4: a sample time that is off by no more than the wire can be. P7: a PDO that
+answers another SYNC, when its answer is due. P8: a step of SYNC within the noise of receive times. P9: as P4,
+for the speed, too.
 """
 
 from __future__ import annotations
@@ -81,14 +63,7 @@ def _is_unheard(slot: Slot) -> bool:
 
 def _runs(bits: list[bool]) -> list[int]:
     """Lengths of the runs of True."""
-    lengths, run = [], 0
-    for bit in [*bits, False]:
-        if bit:
-            run += 1
-        elif run:
-            lengths.append(run)
-            run = 0
-    return lengths
+    return [sum(1 for _ in group) for bit, group in itertools.groupby(bits) if bit]
 
 
 def answers_another(line: Line) -> bool:

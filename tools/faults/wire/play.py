@@ -1,4 +1,4 @@
-"""One episode: drawn, laid on the wire, played on the module, judged."""
+"""One episode: drawn, laid on the wire, played on the module, judged; and printed in full."""
 
 from __future__ import annotations
 
@@ -7,34 +7,36 @@ from typing import NamedTuple
 
 import numpy as np
 
-from canfb import Frame
+from canfb import Frame, StatusBit
 from tools.faults.wire.classes import CLASSES
 from tools.faults.wire.draw import UNKNOWN_LIMIT, draw_plan, torque
 from tools.faults.wire.host import STAMP_NOISE_S, Sent, drive
-from tools.faults.wire.judge import Judge, Verdict
-from tools.faults.wire.line import Line, Plan, lay
+from tools.faults.wire.judge import ACCELERATION_ID, Judge, Verdict
+from tools.faults.wire.line import Line, Plan, Slot, lay
 from tools.faults.wire.physics import unseen
-from tools.faults.wire.setups import NMT_ID, NODE, SETUPS, Bench
+from tools.faults.wire.setups import EMCY_ID, NMT_ID, NODE, SETUPS, Bench
 
+SHOWN_BEFORE = 6  # slots
 GAUSSIAN, BLOCKED_US = 4.5, 135.0  # standard deviations: one of 150 000; a frame before a SYNC
 
 
 class Episode(NamedTuple):
     """Which one; two of a name are the same in every run."""
 
-    wire_class: int
-    setup: int
+    fault: str
+    setup: str
     seed: int
 
     def __str__(self) -> str:
-        return f"{CLASSES[self.wire_class].name}:{SETUPS[self.setup].name}:{self.seed}"
+        return ":".join(map(str, self))
 
     @classmethod
     def parse(cls, text: str) -> Episode:
         """CLASS:SETUP:SEED; ValueError if there is no such class or set-up."""
         name, setup, seed = text.rsplit(":", 2)
-        classes, setups = [one.name for one in CLASSES], [one.name for one in SETUPS]
-        return cls(classes.index(name), setups.index(setup), int(seed))
+        if name not in CLASSES or setup not in SETUPS:
+            raise ValueError(f"there is no {name}:{setup}")
+        return cls(name, setup, int(seed))
 
 
 class Played(NamedTuple):
@@ -53,9 +55,8 @@ _bench = Bench()
 
 def plan_of(episode: Episode) -> Plan:
     """The plan that this class, set-up and seed give."""
-    wire_class, setup = CLASSES[episode.wire_class], SETUPS[episode.setup]
-    name = wire_class.name.encode() + setup.name.encode()
-    rng = np.random.default_rng(np.random.SeedSequence([episode.seed, *name]))
+    wire_class, setup = CLASSES[episode.fault], SETUPS[episode.setup]
+    rng = np.random.default_rng([episode.seed, *episode.fault.encode(), *episode.setup.encode()])
     plan = draw_plan(setup, rng, wire_class.after, steady=wire_class.torque == 0.0)
     pushed = rng.uniform() < wire_class.torque
     wire_class.change(plan)
@@ -99,3 +100,46 @@ def play(episode: Episode, fresh: bool = False, confirm: bool = True) -> Played:
     if played.verdict.wrong and confirm and not fresh:
         return play(episode, fresh=True)
     return played
+
+
+def trace(episode: Episode, every: bool) -> int:
+    """Print one episode: what was planned, heard and sent; 1 if a valid position was wrong."""
+    played = play(episode, fresh=True)
+    plan, motion = played.plan, played.plan.motion
+    print(f"{episode}: {played.verdict.outcome}")
+    print(f"  {plan.setup}\n  {plan.options}")
+    print(f"  {motion.speed(plan.fault):.3f} cycles/T in slot {plan.fault}, SYNC at {plan.fault + 1} T")
+    print(f"  pieces {[(round(a, 2), round(b, 4)) for a, b in motion.pieces]} vibrations {motion.vibrations}")
+    kind = "sigma" if plan.gaussian else "+-"
+    wire = f"jitter {kind} {plan.jitter_us:.1f} us, locked {plan.locked}, drift {plan.drift * 1e6:.0f} ppm"
+    print(f"  {wire}, host {plan.host}")
+    print(f"  stalls {plan.stalls} actions {plan.actions} {plan.note}")
+    healthy = vars(Slot())
+    for number, slot in enumerate(plan.slots):
+        changes = [f"{name}={value}" for name, value in vars(slot).items() if value != healthy[name]]
+        if changes:
+            print(f"  slot {number}: {', '.join(changes)}")
+    if every:
+        _print_frames(played)
+    print(f"  {played.verdict}")
+    return int(played.verdict.outcome == "wrong")
+
+
+def _print_frames(played: Played) -> None:
+    shown, tolerance = played.judge.shown, played.plan.tolerance
+    strange = [one.now for one in shown if not one.valid or abs(one.error) > tolerance]
+    begin = min([played.plan.fault, *strange[:1]]) - SHOWN_BEFORE
+    lines = [
+        (one.time, f"> {one.what} {one.number} {one.frame.data.hex() if one.frame else ''}")
+        for one in played.line.events
+    ]
+    for one in shown:
+        mark = "WRONG" if one.valid and abs(one.error) > tolerance else ""
+        bits = StatusBit(one.status).name
+        text = f"    {one.what} {one.position:.3f} [{bits}] residual {one.residual:.3f}"
+        lines.append((one.now, f"{text} error {one.error:+.3f} {mark}"))
+    others = [sent for sent in played.sent if sent.frame.can_id in (EMCY_ID, ACCELERATION_ID)]
+    lines += [(one.now, f"    {one.frame.can_id:03X} {one.frame.data.hex()}") for one in others]
+    for at, text in sorted(lines, key=lambda line: line[0]):
+        if at >= begin:
+            print(f"  {at:9.3f} {text}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from canfb import FeedbackModule, Frame, ModuleConfig
 
@@ -34,26 +34,28 @@ class Setup:
     stamps: bool = False
     servo: bool = False
 
+    def fits(self, words: str) -> bool:
+        """Whether it has all of these, and none of those with a !; | separates alternatives."""
+        return any(
+            all(getattr(self, word.lstrip("!")) != word.startswith("!") for word in part.split())
+            for part in words.split("|")
+        )
 
-SETUPS = tuple(
-    Setup(name + ("/rx" if stamps else ""), counter, times, period, stamps)
-    for stamps in (False, True)
-    for name, counter, times, period in (
-        ("plain", False, False, None),
-        ("counter", True, False, None),
-        ("times", False, True, True),
-        ("times-free", False, True, False),
-        ("times+counter", True, True, None),
-    )
-) + tuple(
-    Setup("servo" + ("/rx" if stamps else ""), times=True, stamps=stamps, servo=True)
-    for stamps in (False, True)
+
+_WITHOUT_RX = (
+    Setup("plain"),
+    Setup("counter", counter=True),
+    Setup("times", times=True, period=True),
+    Setup("times-free", times=True, period=False),
+    Setup("times+counter", counter=True, times=True),
 )
-
-
-def setup_of(name: str) -> Setup:
-    """The set-up with this name."""
-    return next(one for one in SETUPS if one.name == name)
+_SERVO = (Setup("servo", times=True, servo=True),)
+SETUPS = {
+    one.name: one
+    for group in (_WITHOUT_RX, _SERVO)
+    for stamps in (False, True)
+    for one in (replace(one, name=one.name + "/rx" * stamps, stamps=stamps) for one in group)
+}
 
 
 @dataclass
@@ -89,85 +91,64 @@ class Bench:
     def begin(self, setup: Setup, options: Options, fresh: bool = False) -> FeedbackModule:
         """A module in PRE-OPERATIONAL with this set-up; its time is :attr:`now`."""
         if fresh or self.module is None:
-            self.module, self.now = (
-                FeedbackModule(ModuleConfig(node_id=NODE, encoder_interface=INTERFACE)),
-                100.0,
-            )
+            self.module = FeedbackModule(ModuleConfig(node_id=NODE, encoder_interface=INTERFACE))
+            self.now = 100.0
             self.module.start(self.now)
         else:
             self.now = float(int(self.now) + 2)
             self.module.receive(Frame(NMT_ID, bytes([129, NODE])), self.now)
             self.module.chain.restart()  # a new module knows nothing of the machine of the last episode
-        self._configure(self.module, setup, options)
-        return self.module
-
-    def _configure(self, module: FeedbackModule, setup: Setup, options: Options) -> None:
-        """RuntimeError if the module refuses it."""
-        for request in Configuration(setup, options).frames:
+        for request in configuration(setup, options):
             self.now += 1e-4
-            frames = module.receive(request, self.now)
+            frames = self.module.receive(request, self.now)
             (reply,) = [frame.data for frame in frames if frame.can_id == SDO_TX]
             if reply[0] != WRITE_REPLY:
                 raise RuntimeError(f"{request.data.hex()}: {reply.hex()}")
+        return self.module
 
 
-class Configuration:
-    """The SDO downloads that put a set-up in force, as ``frames``."""
+def configuration(setup: Setup, options: Options) -> list[Frame]:
+    """The SDO downloads that put a set-up in force."""
+    o = options
+    limit = 0.0 if o.limit is None else o.limit * TWO_PI / CYCLES_PER_REVOLUTION / o.interval_s**2
+    simple = (
+        (setup.counter, 0x1019, 0, "B", o.overflow),
+        (o.period, 0x1006, 0, "I", round(o.interval_s * o.period_factor * 1e6)),
+        (o.jitter_s, 0x2010, 13, "f", o.jitter_s),
+        (o.limit is not None, 0x2010, 2, "f", limit),
+        (o.coast is not None, 0x2010, 3, "B", o.coast),
+        (setup.servo, 0x2010, 9, "B", o.margin),
+        (o.rpdo_type != 255 and not setup.times, 0x1400, 2, "B", o.rpdo_type),
+        (o.tpdo_type != 254, 0x1800, 2, "B", o.tpdo_type),
+        (o.predict, 0x2013, 1, "B", o.predict),
+        (o.event_timer_ms, 0x6200, 0, "H", o.event_timer_ms),
+        (o.stays, 0x1029, 1, "B", 1),
+    )
+    frames = [sdo_write(index, sub, kind, value or 0) for is_set, index, sub, kind, value in simple if is_set]
+    if setup.times:
+        second = (0x20000810, 0x20000910) if setup.servo else (0x20000520,)
+        frames += _mapping(0x1400, ADC_ID, (0x20000110, 0x20000210, *second), o.rpdo_type)
+    if setup.servo:
+        frames += _mapping(0x1402, TIMES_ID, (0x20000520,), o.rpdo_type)
+    extra = (0x20000310, 0x20000410) * o.coarse + (0x20000608, 0x20000710) * o.extra
+    if extra:
+        frames += _mapping(0x1401, EXTRA_ID, extra, o.rpdo_type)
+    if o.acceleration:
+        frames += _mapping(0x1802, 0x40000380 + NODE, (0x20110110, 0x20110920), 254)
+    return frames
 
-    def __init__(self, setup: Setup, options: Options) -> None:
-        self.frames: list[Frame] = []
-        write = self._write
-        if setup.counter:
-            write(0x1019, 0, "B", options.overflow)
-        if options.period:
-            write(0x1006, 0, "I", round(options.interval_s * options.period_factor * 1e6))
-        if options.jitter_s:
-            write(0x2010, 13, "f", options.jitter_s)
-        if options.limit is not None:
-            per_cycle = TWO_PI / CYCLES_PER_REVOLUTION
-            write(0x2010, 2, "f", options.limit * per_cycle / options.interval_s**2)
-        if options.coast is not None:
-            write(0x2010, 3, "B", options.coast)
-        if setup.servo:
-            self._be_servo(options)
-        elif setup.times:
-            self._map(0x1400, 0x1600, ADC_ID, (0x20000110, 0x20000210, 0x20000520), options.rpdo_type)
-        elif options.rpdo_type != 255:
-            write(0x1400, 2, "B", options.rpdo_type)
-        extra = (0x20000310, 0x20000410) * options.coarse + (0x20000608, 0x20000710) * options.extra
-        if extra:
-            self._map(0x1401, 0x1601, EXTRA_ID, extra, options.rpdo_type)
-        if options.tpdo_type != 254:
-            write(0x1800, 2, "B", options.tpdo_type)
-        if options.predict:
-            write(0x2013, 1, "B", options.predict)
-        if options.event_timer_ms:
-            write(0x6200, 0, "H", options.event_timer_ms)
-        if options.stays:
-            write(0x1029, 1, "B", 1)
-        if options.acceleration:
-            self._map(0x1802, 0x1A02, 0x380 + NODE, (0x20110110, 0x20110920), 254)
 
-    def _be_servo(self, options: Options) -> None:
-        write = self._write
-        write(0x2010, 9, "B", options.margin)
-        tracks = (0x20000110, 0x20000210, 0x20000810, 0x20000910)
-        self._map(0x1400, 0x1600, ADC_ID, tracks, options.rpdo_type)
-        self._map(0x1402, 0x1602, TIMES_ID, (0x20000520,), options.rpdo_type)
-
-    def _map(self, index: int, mapping: int, can_id: int, objects: tuple[int, ...], kind: int) -> None:
-        """A PDO with these objects, not valid while it is mapped."""
-        write = self._write
-        write(index, 1, "I", 0xC0000000 | can_id)
-        write(mapping, 0, "B", 0)
-        for n, one in enumerate(objects, 1):
-            write(mapping, n, "I", one)
-        write(mapping, 0, "B", len(objects))
-        write(index, 2, "B", kind)
-        write(index, 1, "I", 0x40000000 | can_id if index >= 0x1800 else can_id)
-
-    def _write(self, index: int, subindex: int, kind: str, value: float) -> None:
-        self.frames.append(sdo_write(index, subindex, kind, value))
+def _mapping(index: int, cob_id: int, objects: tuple[int, ...], kind: int) -> list[Frame]:
+    """A PDO with these objects, not valid while it is mapped."""
+    mapping = index + 0x200
+    return [
+        sdo_write(index, 1, "I", 0xC0000000 | cob_id),
+        sdo_write(mapping, 0, "B", 0),
+        *(sdo_write(mapping, n, "I", one) for n, one in enumerate(objects, 1)),
+        sdo_write(mapping, 0, "B", len(objects)),
+        sdo_write(index, 2, "B", kind),
+        sdo_write(index, 1, "I", cob_id),
+    ]
 
 
 def sdo_write(index: int, subindex: int, kind: str, value: float) -> Frame:
