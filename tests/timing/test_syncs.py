@@ -150,7 +150,7 @@ def test_no_sync_raises(frames: list[tuple[float, bool, int | None]]) -> None:
 @pytest.mark.parametrize(("periods", "until"), [(1, 1.2), (2, 2.0), (5, 5.0)])
 def test_validity_ends_without_sync(periods: int, until: float) -> None:
     producer = Producer()
-    producer.syncs.periods = periods
+    producer.syncs.declare(0.0, periods)
     producer.sync(60)
     assert producer.syncs.until - BEGIN - 60 * T == pytest.approx(until * T, rel=0.1)
     before = producer.syncs.place

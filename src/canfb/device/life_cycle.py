@@ -176,7 +176,7 @@ class Services:
         for can_id, handler in self.consumer.routes().items():
             routes.add(can_id, handler)
         if state in COMMUNICATING:
-            routes.add(self.sync.can_id, self.sync.handle)
+            routes.add(self.sync.can_id, self.sync.drop if self.sync.generates else self.sync.handle)
             routes.add(self.time_stamp.can_id, self.time_stamp.handle)
             for channel in [] if self._silence.active else self.channels:  # no answer: nothing is written
                 routes.add(channel.request_id, channel.server.handle)

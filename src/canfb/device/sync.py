@@ -1,6 +1,6 @@
 """SYNC and TIME: 1005h, 1006h, 1007h, 1019h (CiA 301, 7.2.5), and 1012h (7.2.6).
 
-What a SYNC does to PDOs, `Pdos.synchronise` does in one order, so that what is sent belongs to what was
+What a SYNC does to PDOs, `Sync.handle` does in one order, so that what is sent belongs to what was
 received before: the program says whether PDOs follow (`ProcessData.synchronise`) and has the synchronous
 RPDOs taken over; it acts on the new interval; synchronous TPDOs are sampled and sent; then `tpdos_sampled`.
 
@@ -33,12 +33,13 @@ class Pdos:
         self._core = core
         self.rpdos = {number: Rpdo(core, number) for number in numbers(core.dictionary, Direction.RECEIVE)}
         self.tpdos = {number: Tpdo(core, number) for number in numbers(core.dictionary, Direction.TRANSMIT)}
-        self._operational = False
-        self._sync_rpdos: list[Rpdo] = []
-        self._send: list[Callable[[float, int | None], None]] = []
+        self.operational = False
+        self.sync_rpdos: list[Rpdo] = []
+        self.send: list[Callable[[float, int | None], None]] = []
+        """What act at a SYNC."""
 
     def enable(self, operational: bool, now: float) -> None:
-        self._operational = operational
+        self.operational = operational
         for rpdo in self.rpdos.values():
             rpdo.enable(operational, now)
         for tpdo in self.tpdos.values():
@@ -46,7 +47,7 @@ class Pdos:
 
     def synchronous_rpdo(self, number: int) -> Rpdo | None:
         """RPDO `number` if it waits for SYNC now, else None."""
-        return next((rpdo for rpdo in self._sync_rpdos if rpdo.number == number), None)
+        return next((rpdo for rpdo in self.sync_rpdos if rpdo.number == number), None)
 
     def add_routes(self, routes: Routes) -> None:
         for rpdo in self.rpdos.values():
@@ -57,22 +58,8 @@ class Pdos:
                 routes.add_sent(tpdo.configured_can_id, tpdo.sent)
 
     def choose(self) -> None:
-        self._sync_rpdos = [rpdo for rpdo in self.rpdos.values() if rpdo.is_synchronous]
-        self._send = [tpdo.at_sync for tpdo in self.tpdos.values() if tpdo.is_synchronous]
-
-    def synchronise(self, counter: int | None, now: float) -> None:
-        core, process = self._core, self._core.process
-        if core.window_s:
-            core.window_end = now + core.window_s
-        if not self._operational:
-            process.idle_sync_received(counter)
-            return
-        follow = process.synchronise(counter, now, self._sync_rpdos)
-        if follow:
-            for send in self._send:
-                send(now, counter)
-            if follow == REVOKED:
-                process.tpdos_sampled()
+        self.sync_rpdos = [rpdo for rpdo in self.rpdos.values() if rpdo.is_synchronous]
+        self.send = [tpdo.at_sync for tpdo in self.tpdos.values() if tpdo.is_synchronous]
 
 
 class Sync(Timed):
@@ -113,22 +100,35 @@ class Sync(Timed):
             self._start(now)
 
     def handle(self, data: bytes, now: float) -> None:
-        if self._generates:
+        if (self._length_error or len(data) != self._length) and not self._has_length(data, now):
+            return
+        counter = data[0] if data else None
+        core, pdos = self._core, self._pdos
+        if core.window_s:
+            core.window_end = now + core.window_s
+        process = core.process
+        if not pdos.operational:
+            process.idle_sync_received(counter)
+            return
+        follow = process.synchronise(counter, now, pdos.sync_rpdos)
+        if follow:
+            for send in pdos.send:
+                send(now, counter)
+            if follow == REVOKED:
+                process.tpdos_sampled()
+
+    def drop(self, data: bytes, now: float) -> None:
+        self._counters.malformed_frames += 1
+
+    def _has_length(self, data: bytes, now: float) -> bool:
+        self._length_error = wrong = len(data) != self._length
+        if wrong:
             self._counters.malformed_frames += 1
-        elif len(data) != self._length:
-            self._length_error = True
-            self._counters.malformed_frames += 1
-            code, register, length = (
-                EmergencyCode.SYNC_LENGTH,
-                ErrorRegister.COMMUNICATION,
-                bytes([len(data)]),
-            )
-            self._emergency.report(code, register, length, now, _SYNC_OBJECT)
+            code, length = EmergencyCode.SYNC_LENGTH, bytes([len(data)])
+            self._emergency.report(code, ErrorRegister.COMMUNICATION, length, now, _SYNC_OBJECT)
         else:
-            if self._length_error:
-                self._length_error = False
-                self._emergency.clear(EmergencyCode.SYNC_LENGTH, now, _SYNC_OBJECT)
-            self._pdos.synchronise(data[0] if data else None, now)
+            self._emergency.clear(EmergencyCode.SYNC_LENGTH, now, _SYNC_OBJECT)
+        return not wrong
 
     def tick(self, now: float) -> None:
         """Produce the SYNC that is due; missed periods are left out."""
@@ -137,11 +137,12 @@ class Sync(Timed):
         period = self._period_s
         following = self.deadline + period
         self.deadline = following if following > now else now + period
-        counter: int | None = None
+        data = b""
         if self._length:
-            counter = self._counter = self._counter % self._overflow.value + 1
-        self._emit(Frame(self.can_id, b"" if counter is None else bytes([counter])))
-        self._pdos.synchronise(counter, now)
+            self._counter = self._counter % self._overflow.value + 1
+            data = bytes([self._counter])
+        self._emit(Frame(self.can_id, data))
+        self.handle(data, now)
 
     @property
     def _period_s(self) -> float:
@@ -149,7 +150,7 @@ class Sync(Timed):
 
     def _read(self) -> None:
         self.can_id = int(self._cob_id.value & cob.CAN_ID)
-        self._generates = bool(self._cob_id.value & cob.GENERATE) and self._period_s > 0
+        self.generates = bool(self._cob_id.value & cob.GENERATE) and self._period_s > 0
         self._length = 1 if self._overflow.value > 1 else 0
         self._core.window_s = self._window.value / 1e6
         if not self._core.window_s:
@@ -157,7 +158,7 @@ class Sync(Timed):
 
     def _start(self, now: float) -> None:
         self._counter = 0
-        running = self._enabled and self._generates
+        running = self._enabled and self.generates
         self.deadline = now + self._period_s if running else NEVER
 
     def _install(self) -> None:

@@ -149,7 +149,7 @@ def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:
 def summary_of(module: FeedbackModule) -> str:
     """Samples and counters, at the end."""
     counts = ", ".join(f"{name} {module.dictionary.entry(*place).value}" for name, place in COUNTERS.items())
-    samples = module.dictionary.entry(*od.FEEDBACK_SAMPLES).value
+    samples = module.dictionary.entry(*od.FEEDBACK_SAMPLES).current()
     return f"{short_title_of(module)}: {samples} samples; {counts}{duplicates_of(module)}"
 
 

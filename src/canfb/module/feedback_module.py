@@ -241,6 +241,7 @@ class FeedbackModule(NodeDevice):
 
     def _on_followed(self, received_s: float, stamped: bool) -> None:
         """An event after a pause; and the jitter is measured if receive times are known, sample times not."""
+        self._limits.follow()
         self.events.synced(self._syncs.grid.period, received_s)
         last = self._publishing.last
         if stamped and last is not None and not self._pairing.timed:
@@ -259,8 +260,7 @@ class FeedbackModule(NodeDevice):
         self._limits.noise_changes()
 
     def _declare_jitter(self) -> None:
-        self._syncs.declare(self._sync_jitter.value)
-        self._syncs.periods = self._periods.value
+        self._syncs.declare(self._sync_jitter.value, self._periods.value)
         self.chain.declare_jitter(self._sync_jitter.value)
 
     def _encoder_changed(self) -> None:

@@ -26,10 +26,11 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.sample import TICK_S, Sample
 from canfb.signal.supervision import VALID
 from canfb.timing.answers import Answers
-from canfb.timing.syncs import ON_TIME, Syncs, SyncVerdict
+from canfb.timing.syncs import USUAL, Syncs, SyncVerdict
 
 COUNTER_OVERFLOW = 0x1019
 COUNTERS = (od.COUNTER_BAD_FRAMES, od.COUNTER_DUPLICATE_SYNCS, od.COUNTER_SYNCS_NOT_HEARD)
+CAME = -2  # in place of a number of an RPDO
 MOST_MISSED = 256  # in a row, one by one: more than 2010:03 can bridge
 
 
@@ -39,40 +40,6 @@ class Pairing(ProcessData):
     With a ``source`` each SYNC is answered by it, and RPDOs are not looked at. ``observers`` see each sample
     and each one that was missed.
     """
-
-    # More than 30 attributes in a dict cost each frame 3 % of a cycle.
-    __slots__ = (
-        "_accounted",
-        "_ambiguous",
-        "_answered",
-        "_bad_frames",
-        "_call",
-        "_chain",
-        "_duplicate_syncs",
-        "_elapsed",
-        "_grid",
-        "_input",
-        "_interval",
-        "_limits",
-        "_lost_syncs",
-        "_observers",
-        "_off",
-        "_overflow",
-        "_prediction",
-        "_publishing",
-        "_sample_came",
-        "_second",
-        "_source",
-        "_stages",
-        "_stale",
-        "_synced",
-        "_tracks_came",
-        "answers",
-        "sampled",
-        "syncs",
-        "unconfirmed",
-        "usual",
-    )
 
     def __init__(
         self,
@@ -117,7 +84,7 @@ class Pairing(ProcessData):
         self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
         self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
         self.usual = NO_RPDO
-        """The RPDO that may bring a usual sample of the last SYNC."""
+        """The RPDO that may bring a usual sample of the last SYNC; CAME: it has, and nothing since."""
         self.syncs.pause()
         self._accounted = self._answered = self.syncs.place  # the last with a sample or a miss; a sample
 
@@ -144,20 +111,40 @@ class Pairing(ProcessData):
 
         With 2013:01 the TPDOs get the position of this SYNC; the sample of a source belongs to it anyway.
         """
-        syncs, call, parts, source = self.syncs, self._call, self._input, self._source
+        syncs, call = self.syncs, self._call
         if counter is not None:
             syncs.overflow = self._overflow.value
-        extra_came = syncs.extra_came
+        after_extra = syncs.extra_came
         verdict = syncs.sync(call.received, call.is_stamped, counter)
+        if verdict is USUAL and self.usual == CAME and not (waiting or self._prediction.is_on):
+            self._sample_came, self.usual = 0, self._input.usual
+            return FOLLOWED
         self.usual, self._off = NO_RPDO, verdict.off
         if verdict.extra:
             return self._extra_sync(verdict, now, waiting)
+        self._begin_interval(verdict, counter, now, waiting, after_extra)
+        if self._prediction.extrapolates and self._source is None:
+            self._publishing.extrapolate()
+            return REVOKED
+        return FOLLOWED
+
+    def _begin_interval(
+        self,
+        verdict: SyncVerdict,
+        counter: int | None,
+        now: float,
+        waiting: Sequence[HeldRpdo],
+        after_extra: bool,
+    ) -> None:
+        """The interval before this SYNC is over; the next may bring a usual sample, or may not."""
+        syncs, parts, source = self.syncs, self._input, self._source
         place, late = syncs.place, syncs.late_s > 0.0
-        if verdict is not ON_TIME or late or waiting or self._ambiguous or place - 1 > self._accounted:
+        if verdict is not USUAL:
+            self._limits.follow()
+        if verdict != USUAL or late or waiting or self._ambiguous or place - 1 > self._accounted:
             self._account(verdict, counter, now, waiting)
-        second = self._second.number
-        if second is not None:
-            self._second.interval_over(not (verdict.lost or late or extra_came))
+        if self._second.number is not None:
+            self._second.interval_over(not (verdict.lost or late or after_extra))
         if parts.arrived and parts.give_up():
             self.count_bad_frame()
         if not self._sample_came and self.sampled and self._synced and source is None:
@@ -170,12 +157,8 @@ class Pairing(ProcessData):
         in_turn = not self._prediction.follows if parts.timed else place - 1 == self._accounted
         if source is not None:
             self._sample_source(source, now)
-        elif in_turn and not (self.unconfirmed or late or verdict.off or syncs.grid.early):
-            self.usual = parts.usual if parts.usual != second else NO_RPDO
-        if self._prediction.extrapolates and source is None:
-            self._publishing.extrapolate()
-            return REVOKED
-        return FOLLOWED
+        elif in_turn and self.sampled and not (self.unconfirmed or late or verdict.off or syncs.grid.early):
+            self.usual = parts.usual
 
     def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[HeldRpdo]) -> int:
         """It comes too early for the sampling, and brings no sample (2012:0D).
@@ -273,14 +256,11 @@ class Pairing(ProcessData):
 
         A usual sample is that of the last SYNC, in time, and without more than two counts and their time.
         """
-        parts, syncs, call, limits = self._input, self.syncs, self._call, self._limits
-        stamped, feedback = call.is_stamped, None
+        parts, syncs, call, feedback = self._input, self.syncs, self._call, None
+        stamped = call.is_stamped
         if number == self.usual and not (self._observers.open or parts.flags.value):
-            grid = syncs.grid
-            if not limits.shortest_s < (self._interval.speed_unit_s or grid.period) < limits.longest_s:
-                limits.follow()
             if parts.timed:
-                if stamped is syncs.stamped:
+                if stamped == syncs.stamped:
                     feedback = self._chain.take_in_turn(
                         parts.sine.value,
                         parts.cosine.value,
@@ -289,21 +269,19 @@ class Pairing(ProcessData):
                         syncs.synced_s,
                     )
             elif (
-                self.answers.is_usual(call.received - syncs.synced_s, grid)
+                self.answers.is_usual(call.received - syncs.synced_s, syncs.grid)
                 if stamped and syncs.stamped
-                else not call.received >= grid.due
+                else not call.received >= syncs.grid.due
             ):
                 feedback = self._stages.take(parts.sine.value, parts.cosine.value)
-                self._tracks_came = True
         if feedback is None:
             self._look_closely(number, now)
             return
-        self.usual = NO_RPDO
+        self.usual, self._sample_came = CAME, 1
         self._accounted = self._answered = syncs.place
-        self._sample_came, self.sampled = 1, True
-        noise = limits.noise
+        noise = self._limits.noise
         if feedback[-1] >= noise.due and noise.take(feedback):
-            limits.measured()
+            self._limits.measured()
         self._publishing.publish(feedback, now)
 
     def _look_closely(self, number: int, now: float) -> None:
@@ -327,6 +305,8 @@ class Pairing(ProcessData):
         place, parts = syncs.place, self._input
         if not self._synced:
             verdict = syncs.sync(call.received, call.is_stamped, None)  # each is its own
+            if verdict is not USUAL:
+                self._limits.follow()
             place = syncs.place if not verdict.extra else self._answered
         elif call.is_stamped and syncs.stamped:
             delay_s = call.received - syncs.synced_s
@@ -439,7 +419,6 @@ class Pairing(ProcessData):
         return self._ambiguous or syncs.late_s > 0.0 or syncs.grid.early > 0
 
     def _take(self, sample: Sample, elapsed: float, now: float) -> None:
-        self._limits.follow()
         placed = not (self._off and self._chain.slips(self._off))
         feedback = self._chain.after(sample, elapsed, placed=placed)
         if self.unconfirmed or (self._is_open and self._chain.slips(1.0)):

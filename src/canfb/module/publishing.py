@@ -18,7 +18,7 @@ from canfb.module.cia406.profile import EncoderProfile
 from canfb.module.events import EventWatch
 from canfb.module.interval import SamplingInterval
 from canfb.module.objects.prediction import Prediction
-from canfb.module.objects.publication import SIXTEEN_BITS, U32, LastLoss, Latest, Publication
+from canfb.module.objects.publication import SIXTEEN_BITS, LastLoss, Latest, Publication
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain
@@ -46,9 +46,7 @@ class Publishing:
         self.on_feedback: Callable[[Feedback, float], None] | None = None
         self._dictionary, self._node = dictionary, node
         entry = dictionary.entry
-        self._status, self._residual, self._samples = (
-            entry(*one) for one in (od.FEEDBACK_STATUS, od.FEEDBACK_RESIDUAL, od.FEEDBACK_SAMPLES)
-        )
+        self._status, self._residual = entry(*od.FEEDBACK_STATUS), entry(*od.FEEDBACK_RESIDUAL)
         self._position, self._fine = entry(*od.POSITION_VALUE), entry(*od.HIGH_PRECISION_POSITION)
         self.profile = EncoderProfile(dictionary, interval, self.latest)
         self.warnings = Warnings(
@@ -75,19 +73,16 @@ class Publishing:
 
     def publish(self, feedback: Feedback, now: float, send: bool = True) -> None:
         """Into the dictionary, and out if there is something new to say."""
-        _, _, amplitude, _, cycles, phase, residual, status, _, _, _, samples = feedback
-        latest, objects, warnings, profile = self.latest, self.objects, self.warnings, self.profile
-        good = (
-            status == warnings.last_status and status & FLAGGED_AND_VALID == VALID and not self.alarm.active
-        )
-        if not good:
-            objects.count(feedback)
+        _, _, amplitude, _, cycles, phase, residual, status, _, _, _, _ = feedback
+        latest, warnings, profile = self.latest, self.warnings, self.profile
+        usual = status == warnings.usual_status
+        if not usual:
+            self.objects.count(feedback)
         latest.feedback = feedback
-        if good or status & VALID:
+        if usual or status & VALID:
             latest.valid = feedback
-        self._status.value = status | objects.work
+        self._status.value = status | self.objects.work
         self._residual.value = int(residual * SIXTEEN_BITS)
-        self._samples.value = samples & U32
         if self._tracks.lag_intervals:
             cycles, phase = latest.place(feedback)
         scale = profile.scale
@@ -100,19 +95,17 @@ class Publishing:
             profile.cams.follow(position)
         if self.prediction.follows:
             self.prediction.shift(feedback)
-        if not good:
+        if not usual:
             self._alarm(feedback, now)
         if send:
             for trigger in self.event_tpdos:
                 trigger(now)
-        if (
-            status != warnings.last_status
-            or residual > warnings.near_cycles
-            or amplitude < warnings.reserve_counts
-        ):
+        if not usual or residual > warnings.near_cycles or amplitude < warnings.reserve_counts:
             if status != self.events.status:
                 self.events.follow(feedback, now)
             warnings.follow(feedback, now)
+            if status & FLAGGED_AND_VALID != VALID or self.alarm.active:
+                warnings.look_again()
         if self.on_feedback is not None:
             self.on_feedback(feedback, now)
 
@@ -150,6 +143,7 @@ class Publishing:
         self.events.outdated(now)
         if self.last is not None and not self.alarm.active:
             self.alarm.report(False, self.last.status & ~VALID, now, self.loss)
+            self.warnings.look_again()
 
     def extrapolate(self) -> None:
         if self.last is not None:

@@ -47,6 +47,8 @@ class SyncVerdict(NamedTuple):
     doubt: float = 0.0
 
 
+USUAL = SyncVerdict()
+"""On time, in turn after another, and nothing is open."""
 ON_TIME = SyncVerdict()
 EXTRA = SyncVerdict(extra=True)
 REPEATED = SyncVerdict(extra=True, repeated=True)
@@ -69,6 +71,7 @@ class Syncs:
         "_high_s",
         "_low_s",
         "_next_counter",
+        "_periods",
         "_received_s",
         "_valid_s",
         "begun",
@@ -78,7 +81,6 @@ class Syncs:
         "late_s",
         "on_followed",
         "overflow",
-        "periods",
         "place",
         "stamped",
         "synced_s",
@@ -89,14 +91,14 @@ class Syncs:
         self.grid = Grid(jitter=USUAL_JITTER_S)
         self.overflow = 0
         """SYNC counter overflow (1019h)."""
-        self.periods = 2
-        """Periods without SYNC until the position is not valid (2010:06)."""
+        self._periods = 2
         self.on_followed: Callable[[float, bool], None] | None = None
         """Called as (time_s, stamped) with every TOGETHER-th usual SYNC."""
         self.place = 0
         self.pause()
 
-    def declare(self, jitter_s: float) -> None:
+    def declare(self, jitter_s: float, periods: int = 2) -> None:
+        self._periods = periods
         self.grid.declare(jitter_s or USUAL_JITTER_S)
         self._low_s, self._high_s = inf, -inf
 
@@ -126,39 +128,33 @@ class Syncs:
 
     def sync(self, time_s: float, stamped: bool, counter: int | None) -> SyncVerdict:
         grid = self.grid
-        off_s, places, verdict = time_s - grid.due, 1, ON_TIME
-        usual = (
-            self._low_s < off_s < self._high_s
-            and counter == self._next_counter
-            and stamped == self.stamped
-            and not self.extra_came
-        )
-        if not usual:
+        off_s, places, verdict = time_s - grid.due, 1, USUAL
+        if not (
+            self._low_s < off_s < self._high_s and counter == self._next_counter and stamped == self.stamped
+        ):
             verdict, places, off_s = self._judged(time_s, stamped, counter)
             if verdict.extra:
                 self._look_ahead()
                 return verdict
+            self._counter = self._next_counter = counter
         self.place += 1
         self.synced_s = self._received_s = time_s
-        self._counter = self._next_counter = counter
         if counter is not None:
-            self._next_counter = 1 if counter == self.overflow else counter + 1
-        # With one period alone, the next may be late.
-        late_s = grid.allowed if self.periods == 1 else 0.0
-        self._valid_s = valid_s = self.periods * (grid.period or UNSETTLED_S) + late_s
-        self.until = time_s + valid_s
+            self._counter, self._next_counter = counter, 1 if counter == self.overflow else counter + 1
         if places:
             self._grouped += 1
             if stamped:
                 grid.follow(places, off_s)
             else:
-                grid.skip(places)
+                grid.due += places * grid.period
+                grid.lead = 0.0
                 if off_s < self._earliest_s:
                     self._earliest_s = off_s
             if self._grouped >= TOGETHER:
                 self._group_over()
-        if not usual:
+        if verdict is not USUAL:
             self._look_ahead()
+        self.until = time_s + self._valid_s
         return verdict
 
     def _group_over(self) -> None:
@@ -167,8 +163,7 @@ class Syncs:
             grid.skip(-1)
             grid.follow(1, self._earliest_s, TOGETHER)
         self._grouped, self._earliest_s = 0, inf
-        if grid.seen < grid.memory:
-            self._look_ahead()
+        self._look_ahead()
         if self.on_followed is not None:
             self.on_followed(self.synced_s, self.stamped)
 
@@ -176,7 +171,10 @@ class Syncs:
         grid = self.grid
         self._low_s, self._high_s = inf, -inf
         counted = self._counter is not None and self.overflow > 1
-        if grid.period and not self.late_s and not grid.row:
+        # With one period alone, the next may be late.
+        late_s = grid.allowed if self._periods == 1 else 0.0
+        self._valid_s = self._periods * (grid.period or UNSETTLED_S) + late_s
+        if grid.period and not (self.late_s or grid.row or self.extra_came):
             self._low_s = -grid.allowed if self.stamped else self._early_s(counted)
             self._high_s = grid.allowed if self.stamped else LATE * grid.period
 

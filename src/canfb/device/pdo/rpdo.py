@@ -48,7 +48,7 @@ class Rpdo(Timed):
 
     @property
     def can_id(self) -> int | None:
-        return None if self._unpack is None else self._parameters.can_id
+        return self._parameters.can_id if self._length else None
 
     @property
     def configured_can_id(self) -> int | None:
@@ -58,40 +58,40 @@ class Rpdo(Timed):
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
         self._length = length_of(slots)
-        self._unpack: Unpack | None = unpacker(slots) if slots else None  # while it is active
+        self._unpack = unpacker(slots)
         self.is_synchronous: bool = self._parameters.type.value in SYNCHRONOUS
         self._timeout_s: float = self._timeout.value / 1000
         self._pending: bytes | None = None
         self.waiting = 0
         """PDOs of a synchronous type that came since the last SYNC; the last one is taken over."""
         self.deadline = NEVER
-        self._supervised = self._failed or self._timeout_s > 0
+        self._choose_usual()
 
     def handle(self, data: bytes, now: float) -> None:
-        unpack = self._unpack
-        if unpack is None:
+        if len(data) != self._usual_length and not self._look_closely(data, now):
             return
-        if len(data) != self._length:
-            if len(data) < self._length:
-                self._refuse(len(data), self._length, now)
-                return
-            self._accept_long(len(data), self._length, now)
-        elif self._supervised:
-            self._supervise(now)
-        if self.is_synchronous:
-            self._keep(data, now)
-            return
-        refused = unpack(data)
+        refused = self._unpack(data)
         if refused:
             self._counters.refused_rpdo_values += refused
         self._core.process.rpdo_received(self.number, now)
 
+    def _look_closely(self, data: bytes, now: float) -> bool:
+        """Not simply to be taken over. False: not now, or not at all."""
+        if len(data) < self._length:
+            self._refuse(len(data), self._length, now)
+            return False
+        if len(data) > self._length:
+            self._accept_long(len(data), self._length, now)
+        else:
+            self._supervise(now)
+        if self.is_synchronous:
+            self._keep(data, now)
+        return not self.is_synchronous
+
     def synchronise(self, now: float) -> None:
-        data, unpack = self._pending, self._unpack
-        self.waiting = 0
-        if data is not None and unpack is not None:
-            self._pending = None
-            self._counters.refused_rpdo_values += unpack(data)
+        data, self._pending, self.waiting = self._pending, None, 0
+        if data is not None:
+            self._counters.refused_rpdo_values += self._unpack(data)
             self._core.process.rpdo_received(self.number, now)
 
     def tick(self, now: float) -> None:
@@ -120,20 +120,26 @@ class Rpdo(Timed):
         self._restart_timeout(now)
 
     def _report(self, code: EmergencyCode, manufacturer: bytes, now: float) -> None:
-        self._failed = self._supervised = True
+        self._failed = True
+        self._choose_usual()
         self._emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
 
     def _supervise(self, now: float) -> None:
         if self._failed:
             self._clear_errors(now)
-            self._supervised = self._timeout_s > 0
         self._restart_timeout(now)
+
+    def _choose_usual(self) -> None:
+        """Bytes of a PDO that is taken over at once, and no more; -1: none is."""
+        supervised = self._failed or self._timeout_s > 0
+        self._usual_length = -1 if supervised or self.is_synchronous else self._length
 
     def _restart_timeout(self, now: float) -> None:
         self.deadline = now + self._timeout_s if self._timeout_s else NEVER
 
     def _clear_errors(self, now: float) -> None:
         self._failed = False
+        self._choose_usual()
         for code in ERRORS:
             self._clear(code, now)
 

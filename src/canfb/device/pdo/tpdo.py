@@ -62,9 +62,7 @@ class Tpdo(Timed):
 
     @property
     def remote_can_id(self) -> int | None:
-        if self._pack is None or not self._parameters.allows_remote:
-            return None
-        return self._can_id
+        return self._can_id if self._is_active and self._parameters.allows_remote else None
 
     @property
     def configured_can_id(self) -> int | None:
@@ -72,16 +70,16 @@ class Tpdo(Timed):
 
     @property
     def is_synchronous(self) -> bool:
-        return self._pack is not None and (self._type in SYNCHRONOUS or self._type == SYNC_REMOTE)
+        return self._is_active and (self._type in SYNCHRONOUS or self._type == SYNC_REMOTE)
 
     def enable(self, operational: bool, now: float) -> None:
         """Whether the state allows PDOs; compiles the mapping."""
         self._operational = operational
         slots = self._parameters.active_slots() if operational else []
-        self._pack: Pack | None = packer(slots) if slots else None  # while it is active
+        self._pack, self._is_active = packer(slots), bool(slots)
         self._can_id = self._parameters.can_id
         self._type: int = self._parameters.type.value
-        self._event_driven = self._pack is not None and self._type in EVENT_DRIVEN
+        self._event_driven = self._is_active and self._type in EVENT_DRIVEN
         self._inhibit_s: float = self._inhibit.value / 10_000
         self._timer_s: float = self._event_timer.value / 1000 if self._event_driven else 0.0
         self._limited = self._inhibit_s > 0 or self._timer_s > 0
@@ -99,22 +97,19 @@ class Tpdo(Timed):
     def trigger(self, now: float) -> None:
         if self._event_driven and now >= self._not_before:
             self.send(now)
-        elif self._pack is not None:
+        elif self._is_active:
             self._event = True
             self._schedule()
 
     def synchronise(self, now: float, counter: int | None) -> None:
         if self._type == SYNC_REMOTE:
-            self._sampled = b"" if self._pack is None else self._pack()
+            self._sampled = self._pack()
         elif self._is_turn(counter):
             self.send(now)
 
     def send(self, now: float, counter: int | None = None) -> None:
-        """Sample it and send it, if it is active."""
-        pack, emit = self._pack, self._emit
-        if pack is None:
-            return
-        emit(_new(Frame, (self._can_id, pack(), False, None)))
+        """Sample it and send it; only while it is active."""
+        self._emit(_new(Frame, (self._can_id, self._pack(), False, None)))
         if self._limited:
             self._restart(now)
 

@@ -68,7 +68,7 @@ class Warnings:
 
     A warning is reported with the sample that causes it, and ends when it was absent for 2004:02 (ms); none
     without a valid position. :meth:`follow` must see samples whose residual is above ``near_cycles``, whose
-    amplitude is below ``reserve_counts``, or whose status word is not ``last_status``.
+    amplitude is below ``reserve_counts``, or whose status word is not ``usual_status``.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Warnings:
         self._reported = 0
         self._present_s = dict.fromkeys(CODES, 0.0)
         self.near_cycles = self.reserve_counts = 0.0
-        self.last_status = NO_STATUS
+        self.usual_status = NO_STATUS
         dictionary.entry(WARNINGS).on_read = lambda: self._present(latest.feedback)
         self._mask.on_written = self.look_again
 
@@ -102,7 +102,7 @@ class Warnings:
         self.look_again()
 
     def look_again(self) -> None:
-        self.last_status = NO_STATUS
+        self.usual_status = NO_STATUS
 
     def limits_changed(self) -> None:
         # A reported warning is checked in each sample, so that its end is detected.
@@ -112,7 +112,7 @@ class Warnings:
 
     def follow(self, feedback: Feedback, now: float) -> None:
         """Report what this sample, at ``now``, begins or ends."""
-        self.last_status = feedback.status
+        self.usual_status = feedback.status
         if not feedback.status & VALID:
             return
         present = self._present(feedback)

@@ -65,6 +65,7 @@ class Prediction:
         """2013h was written, the node was reset, or OPERATIONAL begins."""
         # Whether extrapolate and withdraw, and shift, are to be called.
         self.extrapolates, self.follows = bool(self._kind.value != OFF), bool(self._nominal.value)
+        self.is_on = self.extrapolates or self.follows
         self._at_sync: int | None = None  # samples up to the last SYNC
         self._speed_cycles = 0.0  # of the last valid sample
         self._valid_samples = 0  # in a row

@@ -161,6 +161,7 @@ class Publication:
                 od.FEEDBACK_VELOCITY: lambda: self._rad_s(self._last.speed_cycles, 1),
                 od.FEEDBACK_ACCELERATION: lambda: self._rad_s(self._last.acceleration_cycles, 2),
                 od.FEEDBACK_JUMP: self._jump,
+                od.FEEDBACK_SAMPLES: lambda: self._last.samples & U32,
                 od.FEEDBACK_NOISE: lambda: _sixteen_bits(limits.noise.rms_cycles, U16),
                 od.COUNTER_RECOVERED: lambda: chain.reference.recovered & U32,
                 od.COUNTER_SET_RIGHT: lambda: chain.reference.set_right & U32,

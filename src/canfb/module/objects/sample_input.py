@@ -63,6 +63,8 @@ class SampleInput:
             place=with_(od.SAMPLE_ZERO_PULSE_PLACE),
             earlier=list(itertools.takewhile(lambda number: number is not None, earlier)),
         )
+        if with_(od.SAMPLE_SECOND_POSITION) is not None:  # which is paired with each sample
+            self.usual = NO_RPDO
 
     def _use(
         self,
