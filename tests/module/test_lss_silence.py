@@ -88,17 +88,6 @@ def test_it_is_silent_for_the_delay_before_and_after_the_switch(line: Line) -> N
     assert {frame.can_id for _, frame in after} >= {POSITION, HEARTBEAT}
 
 
-def test_it_goes_on_counting_and_the_position_is_valid_at_the_end(line: Line) -> None:
-    line.run(0.1)
-    line.activate()
-    after = [frame for _, frame in line.run(0.2) if frame.can_id == POSITION]
-    samples = line.module.dictionary.entry(0x2011, 8).current()
-    assert samples == 300
-    (status,) = struct.unpack_from("<H", after[0].data, 4)
-    assert status & 1
-    assert line.module.dictionary.entry(0x2012, 1).value == 0
-
-
 @pytest.mark.parametrize("index", [None, 0, 3], ids=["nothing configured", "not offered", "refused"])
 def test_a_refused_activation_makes_no_silence(line: Line, index: int | None) -> None:
     line.run(0.02)

@@ -25,8 +25,8 @@ class HeldRpdo(Protocol):
         """Take over what came since the last SYNC, with `rpdo_received`."""
 
 
+# After a SYNC: no TPDOs are sent, they are, or they are and `tpdos_sampled` is called then.
 IGNORED, FOLLOWED, REVOKED = range(3)
-"""After a SYNC: no TPDOs are sent, they are, or they are and `tpdos_sampled` is called then."""
 
 
 class ProcessData:

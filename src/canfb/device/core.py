@@ -1,7 +1,6 @@
-"""The core of a node: what its services share, and what they ask of it.
+"""What the services of a node share: :class:`Core`, and the :class:`Agenda` of those with a timer.
 
-Every service takes the :class:`Core`. One with a timer is :class:`Timed`; :class:`Agenda` keeps the earliest
-deadline. :class:`Pending` is an SDO write whose answer waits for its effect, as that of `save`.
+:class:`Pending` is an SDO write whose answer waits for its effect, as that of `save`.
 """
 
 from __future__ import annotations
@@ -17,14 +16,11 @@ from canfb.cia301.nmt import NmtState
 from canfb.device.application import Application, ProcessData
 from canfb.device.od.dictionary import Dictionary
 
-NEVER = float("inf")
-"""The deadline of a service that waits for nothing, seconds."""
+NEVER = float("inf")  # The deadline of a service that waits for nothing, seconds.
 
-STAMP_NOISE_S = 1e-3
-"""A receive time may be earlier than the one before by this; by more, the clock was set."""
+STAMP_NOISE_S = 1e-3  # A receive time may be earlier than the one before by this; by more, the clock was set.
 
-Emit = Callable[[Frame], None]
-"""How a service sends a frame."""
+Emit = Callable[[Frame], None]  # How a service sends a frame.
 
 
 class CallContext:
@@ -59,8 +55,7 @@ class Agenda:
 
     def __init__(self) -> None:
         self._services: tuple[Timed, ...] = ()
-        self.earliest = NEVER
-        """The earliest deadline, seconds, unless one has :attr:`moved` since."""
+        self.earliest = NEVER  # The earliest deadline, seconds, unless one has :attr:`moved` since.
         self.moved = True
 
     def fill(self, services: Iterable[Timed]) -> None:
@@ -86,8 +81,7 @@ class Agenda:
 class Timed(ABC):
     """A service with a timer, due at `deadline`, seconds."""
 
-    agenda = Agenda()
-    """Where the service is listed; as long as it is nowhere, one that is never asked."""
+    agenda = Agenda()  # Where the service is listed; as long as it is nowhere, one that is never asked.
     _deadline = NEVER
 
     @property
@@ -109,26 +103,19 @@ class Timed(ABC):
 class Counters:
     """Frames and values without effect, by reason."""
 
+    # Frames that no service listens to in the present NMT state; frames for others included.
     unknown_cob_ids: int = 0
-    """Frames that no service listens to in the present NMT state; frames for others included."""
+    # More than 8 bytes, a CAN-ID above 7FFh, or a length or content that the service cannot mean.
     malformed_frames: int = 0
-    """More than 8 bytes, a CAN-ID above 7FFh, or a length or content that the service cannot mean."""
-    remote_frames: int = 0
-    """Remote frames where none is meant, or on a TPDO that allows none."""
+    remote_frames: int = 0  # Remote frames where none is meant, or on a TPDO that allows none.
+    # Data frames with a CAN-ID that only this node may send: another has its node-ID or COB-ID.
     duplicate_frames: int = 0
-    """Data frames with a CAN-ID that only this node may send: another has its node-ID or COB-ID."""
-    short_rpdos: int = 0
-    """RPDOs shorter than their mapping; the data was kept."""
-    long_rpdos: int = 0
-    """RPDOs longer than their mapping; the mapped part was used."""
-    late_rpdos: int = 0
-    """Synchronous RPDOs after the synchronous window (1007h)."""
-    refused_rpdo_values: int = 0
-    """Mapped values beyond the limits of their entry, or refused by it."""
-    sdo_aborts: int = 0
-    """SDO aborts that were sent."""
-    lost_emergencies: int = 0
-    """EMCY frames dropped for newer ones while sending was not allowed."""
+    short_rpdos: int = 0  # RPDOs shorter than their mapping; the data was kept.
+    long_rpdos: int = 0  # RPDOs longer than their mapping; the mapped part was used.
+    late_rpdos: int = 0  # Synchronous RPDOs after the synchronous window (1007h).
+    refused_rpdo_values: int = 0  # Mapped values beyond the limits of their entry, or refused by it.
+    sdo_aborts: int = 0  # SDO aborts that were sent.
+    lost_emergencies: int = 0  # EMCY frames dropped for newer ones while sending was not allowed.
 
 
 Ended = Callable[[AbortCode | None], None]
@@ -153,10 +140,8 @@ class Pending:
             self.on_end(code)
 
 
-Handler = Callable[[bytes, float], None]
-"""Takes the data of a frame, and the time."""
-RemoteHandler = Callable[[float], None]
-"""Takes a remote frame: the time."""
+Handler = Callable[[bytes, float], None]  # Takes the data of a frame, and the time.
+RemoteHandler = Callable[[float], None]  # Takes a remote frame: the time.
 
 
 class CanIds(NamedTuple):
@@ -301,8 +286,7 @@ class Core:
         "window_s",
     )
 
-    emergency: ErrorReports
-    """The EMCY producer of the present services; the first of them that is made."""
+    emergency: ErrorReports  # The EMCY producer of the present services; the first of them that is made.
 
     def __init__(
         self,
@@ -314,8 +298,8 @@ class Core:
         sdo_timeout_s: float,
     ) -> None:
         self.dictionary = dictionary
+        # The present node-ID, 255 for none. Services hold for one: they are made again with another.
         self.node_id = node_id
-        """The present node-ID, 255 for none. Services hold for one: they are made again with another."""
         self.application = application
         self.process: ProcessData = application
         self.reactions = reactions
@@ -325,12 +309,10 @@ class Core:
         self.counters = Counters()
         self.agenda = Agenda()
         self.routes = Routes()
+        # Of the SDO write that is just being done: its answer waits for this.
         self.pending: Pending | None = None
-        """Of the SDO write that is just being done: its answer waits for this."""
         self.outbox: list[Frame] = []
-        self.emit: Emit = self.outbox.append
-        """Sends a frame: with the return of the running call."""
+        self.emit: Emit = self.outbox.append  # Sends a frame: with the return of the running call.
+        # So long after a SYNC its synchronous RPDOs may come (1007h), seconds; 0.0: always.
         self.window_s = 0.0
-        """So long after a SYNC its synchronous RPDOs may come (1007h), seconds; 0.0: always."""
-        self.window_end = NEVER
-        """The end of it for the last SYNC."""
+        self.window_end = NEVER  # The end of it for the last SYNC.

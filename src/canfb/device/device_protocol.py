@@ -58,8 +58,7 @@ class Ending(Protocol):
 class Inhibited(Protocol):
     """Its inhibit times count from when its frames leave."""
 
-    inhibited: Mapping[int | None, object]
-    """By CAN-ID: the frames for which ``sent`` is called."""
+    inhibited: Mapping[int | None, object]  # By CAN-ID: the frames for which ``sent`` is called.
 
     def sent(self, can_id: int, now: float) -> None:
         """A frame of its own has left."""
@@ -98,8 +97,7 @@ class NodeDevice(Node, Application):
     :meth:`Application.bit_rate_activated`.
     """
 
-    register_bits = ErrorRegister.GENERIC
-    """Bits of 1001h while stored parameters are refused."""
+    register_bits = ErrorRegister.GENERIC  # Bits of 1001h while stored parameters are refused.
 
     def __init__(
         self,
@@ -120,8 +118,7 @@ class NodeDevice(Node, Application):
             store=store,
             bit_rates_kbit_s=bit_rates_kbit_s,
         )
-        self.observer = Application()
-        """Gets the NMT state, EMCY and saved parameters as well."""
+        self.observer = Application()  # Gets the NMT state, EMCY and saved parameters as well.
         self.on_parameter_faults: Callable[[Mapping[ParameterGroup, str]], None] = lambda faults: None
         self.on_duplicate: Callable[[int, float], None] = lambda can_id, now: None
         self.on_bit_rate: Callable[[int, float, float], None] = lambda kbit_s, delay_s, now: None

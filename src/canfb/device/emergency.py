@@ -15,8 +15,7 @@ from canfb.device.od.dictionary import Entry, refuse_if
 _EMERGENCY = struct.Struct("<HB5s")
 _WAITING = 8
 
-APPLICATION = None
-"""Source of the errors that the program reports."""
+APPLICATION = None  # Source of the errors that the program reports.
 
 
 class Emergency(Timed):

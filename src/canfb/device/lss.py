@@ -16,19 +16,16 @@ from canfb.device.storage.image import ParameterGroup, Record
 from canfb.device.storage.storage import Storage
 
 REQUEST_ID, RESPONSE_ID = 0x7E5, 0x7E4
-UNCONFIGURED = 255
-"""The node-ID of a device that has none yet."""
+UNCONFIGURED = 255  # The node-ID of a device that has none yet.
 
+# The standard table of bit timings; 5 is reserved.
 BIT_RATES_KBIT_S = {0: 1000, 1: 800, 2: 500, 3: 250, 4: 125, 6: 50, 7: 20, 8: 10}
-"""The standard table of bit timings; 5 is reserved."""
 
-SELECT = range(0x40, 0x44)
-"""Switch state selective: one frame for each part of the address."""
+SELECT = range(0x40, 0x44)  # Switch state selective: one frame for each part of the address.
+# Identify remote slave: vendor-ID, product code, lowest and highest revision, and serial number.
 IDENTIFY = range(0x46, 0x4C)
-"""Identify remote slave: vendor-ID, product code, lowest and highest revision, and serial number."""
 IDENTIFY_NON_CONFIGURED, FASTSCAN = 0x4C, 0x51
-SELECTED, IDENTIFIED, NON_CONFIGURED = 0x44, 0x4F, 0x50
-"""Answers to these."""
+SELECTED, IDENTIFIED, NON_CONFIGURED = 0x44, 0x4F, 0x50  # Answers to these.
 
 _CONFIRM = 128  # of the fastscan: is there any device without a node-ID?
 _PARTS = range(4)
@@ -52,8 +49,7 @@ class LssCommand(IntEnum):
     CONFIGURE_BIT_TIMING = 0x13
     ACTIVATE_BIT_TIMING = 0x15
     STORE_CONFIGURATION = 0x17
-    INQUIRE_IDENTITY = 0x5A
-    """5Ah to 5Dh: vendor-ID, product code, revision number, serial number."""
+    INQUIRE_IDENTITY = 0x5A  # 5Ah to 5Dh: vendor-ID, product code, revision number, serial number.
     INQUIRE_NODE_ID = 0x5E
 
 
@@ -85,8 +81,7 @@ class LssSlave:
 
     def __init__(self, core: Core, storage: Storage, bit_rates_kbit_s: Collection[int]) -> None:
         self.pending_node_id = self._own_node_id = core.node_id
-        self.bit_rate_kbit_s: int | None = None
-        """The bit rate that was configured or stored, None for none."""
+        self.bit_rate_kbit_s: int | None = None  # The bit rate that was configured or stored, None for none.
         self._core = core
         self._storage = storage
         self._bit_rates_kbit_s = frozenset(bit_rates_kbit_s)

@@ -6,27 +6,26 @@ from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.device.core import Core
 from canfb.device.od.dictionary import Dictionary, refuse_if
 
+# The states with SDO, SYNC and EMCY.
 COMMUNICATING = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
-"""The states with SDO, SYNC and EMCY."""
 
+# Where a command leads, from any state but INITIALISING.
 NEXT_STATE = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
     NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
 }
-"""Where a command leads, from any state but INITIALISING."""
 
 COMMUNICATION_ONLY = {NmtCommand.RESET_NODE: False, NmtCommand.RESET_COMMUNICATION: True}
 
+# What 1029h makes of a communication error, by its value and the present state.
 REACTION = {
     0: {NmtState.OPERATIONAL: NmtState.PRE_OPERATIONAL},
     1: {},
     2: {NmtState.OPERATIONAL: NmtState.STOPPED, NmtState.PRE_OPERATIONAL: NmtState.STOPPED},
 }
-"""What 1029h makes of a communication error, by its value and the present state."""
 
-WAIT_FOR_MASTER = 1 << 2
-"""Bit 2 of 1F80h: the node does not go to OPERATIONAL by itself."""
+WAIT_FOR_MASTER = 1 << 2  # Bit 2 of 1F80h: the node does not go to OPERATIONAL by itself.
 
 
 class Nmt:

@@ -84,15 +84,14 @@ class Node:
         self.storage = life.storage
         self.lss = life.lss
         self.counters = core.counters
-        self.call = core.call
-        """The times of the running call."""
+        self.call = core.call  # The times of the running call.
         # What every frame needs, without a detour.
         self._agenda = core.agenda
         self._outbox = core.outbox
         self._routes, self._remote_routes = core.routes.data, core.routes.remote
         self._silence = life.silence
+        # By CAN-ID: what `sent` calls; the same mapping for the life of the node.
         self.inhibited = core.routes.sent
-        """By CAN-ID: what `sent` calls; the same mapping for the life of the node."""
 
     @property
     def process(self) -> ProcessData:

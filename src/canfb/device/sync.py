@@ -35,8 +35,7 @@ class Pdos:
         self.tpdos = {number: Tpdo(core, number) for number in numbers(core.dictionary, Direction.TRANSMIT)}
         self.operational = False
         self.sync_rpdos: list[Rpdo] = []
-        self.send: list[Callable[[float, int | None], None]] = []
-        """What act at a SYNC."""
+        self.send: list[Callable[[float, int | None], None]] = []  # What act at a SYNC.
 
     def enable(self, operational: bool, now: float) -> None:
         self.operational = operational
@@ -191,10 +190,8 @@ class Sync(Timed):
 
 
 MILLISECONDS_PER_DAY = 86_400_000
-CONSUME = 1 << 31
-"""Bit 31 of 1012h: the device listens to TIME."""
-PRODUCE = 1 << 30
-"""Bit 30 of 1012h: the device sends TIME, which this one cannot."""
+CONSUME = 1 << 31  # Bit 31 of 1012h: the device listens to TIME.
+PRODUCE = 1 << 30  # Bit 30 of 1012h: the device sends TIME, which this one cannot.
 
 _TIME_LENGTH = 6
 _MILLISECOND_BITS = 0x0FFFFFFF

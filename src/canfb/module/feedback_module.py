@@ -78,8 +78,8 @@ class FeedbackModule(NodeDevice):
         )
         self.config = config
         self.chain = SignalChain(ChainConfig())  # limits and correction are those of the dictionary
-        self.on_source: Callable[[str], None] | None = None
-        self.on_warning: Callable[[str], None] | None = None
+        self.on_source: Callable[[str], None] = lambda text: None
+        self.on_warning: Callable[[str], None] = lambda text: None
         self._make_chain_around(source)
         self._make_commands()
         self._resets = (  # in this order
@@ -112,7 +112,7 @@ class FeedbackModule(NodeDevice):
         self._second = SecondInput(dictionary, self, chain)
         self._source: LocalSource | None = None
         if source is not None:
-            self._source = LocalSource(source, self._input, self._source_message)
+            self._source = LocalSource(source, self._input, lambda text: self.on_source(text))
         self._observers = SampleObservers()
         self._publishing = Publishing(dictionary, self, interval, self._limits, chain, self._input)
         self.observer = self.events
@@ -135,7 +135,9 @@ class FeedbackModule(NodeDevice):
         self._sampling = Sampling(syncs, interval, grid, self._limits, chain, self._pairing, self._publishing)
         cycles_per_revolution = dictionary.entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         cycles_per_revolution.on_written = self._encoder_changed
-        self._jitter = JitterWatch(syncs, interval, self._limits, cycles_per_revolution, self._warn)
+        self._jitter = JitterWatch(
+            syncs, interval, self._limits, cycles_per_revolution, lambda text: self.on_warning(text)
+        )
         syncs.on_followed = self._on_followed
         self._sync_jitter = dictionary.entry(*od.SUPERVISION_SYNC_JITTER)
         self._periods = dictionary.entry(*od.SUPERVISION_PERIODS)
@@ -246,14 +248,6 @@ class FeedbackModule(NodeDevice):
         last = self._publishing.last
         if stamped and last is not None and not self._pairing.timed:
             self._jitter.look(last, received_s)
-
-    def _warn(self, text: str) -> None:
-        if self.on_warning is not None:
-            self.on_warning(text)
-
-    def _source_message(self, text: str) -> None:
-        if self.on_source is not None:
-            self.on_source(text)
 
     def _on_correction(self, correction: Correction) -> None:
         self.events.table(correction, self.call.now)

@@ -25,8 +25,8 @@ class SamplingInterval:
     def __init__(self, communication_cycle_period: Entry, syncs: Syncs) -> None:
         self._period_us, self._syncs = communication_cycle_period, syncs
         self.samples_per_sync = 1
+        # The unit of the speeds of samples that bring their time; 0.0: they bring none.
         self.speed_unit_s = 0.0
-        """The unit of the speeds of samples that bring their time; 0.0: they bring none."""
 
     @property
     def nominal_s(self) -> float:

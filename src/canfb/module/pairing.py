@@ -1,9 +1,7 @@
 """Which frames make a sample, one for each SYNC, and what becomes of it, or of its absence.
 
-What time says of a SYNC is in :mod:`canfb.timing.syncs`, which of them an ADC PDO answers in
-:mod:`canfb.timing.answers`. Here both meet the parts of a sample, which may come in several RPDOs. Each
-place of SYNC is accounted for once: by its sample, or as missed. A usual sample is two counts, and perhaps
-their time, which go to the chain as they stand in the dictionary; all others are a :class:`Sample`.
+Each place of SYNC is accounted for once: by its sample, or as missed. A usual sample is two counts, and
+perhaps their time, which go to the chain as they stand in the dictionary; all others are a :class:`Sample`.
 """
 
 from __future__ import annotations
@@ -69,13 +67,11 @@ class Pairing(ProcessData):
         self._bad_frames, self._duplicate_syncs, self._lost_syncs = (entry(*counter) for counter in COUNTERS)
         sample_input.on_mixed = self.count_bad_frame
         chain.on_unit = limits.unit_changed
-        self.unconfirmed = 0
-        """Samples after a pause that are not called valid yet."""
+        self.unconfirmed = 0  # Samples after a pause that are not called valid yet.
         self.begin()
 
     def begin(self) -> None:
-        self.sampled = False
-        """A sample came since OPERATIONAL."""
+        self.sampled = False  # A sample came since OPERATIONAL.
         self._sample_came = 0  # since the last SYNC; with their times, how many
         self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
         self._synced = False  # a SYNC came since OPERATIONAL
@@ -83,8 +79,8 @@ class Pairing(ProcessData):
         self._off = 0.0  # the grid, so far was the last sample taken, intervals
         self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
         self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
+        # The RPDO that may bring a usual sample of the last SYNC; CAME: it has, and nothing since.
         self.usual = NO_RPDO
-        """The RPDO that may bring a usual sample of the last SYNC; CAME: it has, and nothing since."""
         self.syncs.pause()
         self._accounted = self._answered = self.syncs.place  # the last with a sample or a miss; a sample
 

@@ -13,12 +13,10 @@ from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
 from canfb.device.od import eds
 
-COMMISSIONING = "DeviceComissioning"
-"""The section as CiA 306 spells it."""
+COMMISSIONING = "DeviceComissioning"  # The section as CiA 306 spells it.
 LINE_END = "\r\n"
 _PLAIN = 1e9
-REFUSE_ON_DOWNLOAD = 0x1
-"""Bit 0 of ObjFlags: not to be written when a configuration is loaded."""
+REFUSE_ON_DOWNLOAD = 0x1  # Bit 0 of ObjFlags: not to be written when a configuration is loaded.
 
 Place = tuple[int, int]
 
@@ -27,8 +25,7 @@ class Reals(Enum):
     """How reals are written: CiA 306 does not say it."""
 
     DECIMAL = "decimal"
-    IEEE754 = "ieee754"
-    """The bits of the number, in hexadecimal."""
+    IEEE754 = "ieee754"  # The bits of the number, in hexadecimal.
 
 
 @dataclass(frozen=True, kw_only=True)

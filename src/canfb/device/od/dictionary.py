@@ -190,8 +190,7 @@ def refuse_if(
     return check
 
 
-STORE_EDS = 0x1021
-"""The EDS of the device, in the format that 1022h names (CiA 301, 7.5.2.24)."""
+STORE_EDS = 0x1021  # The EDS of the device, in the format that 1022h names (CiA 301, 7.5.2.24).
 
 
 class Dictionary:

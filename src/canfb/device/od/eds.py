@@ -96,16 +96,14 @@ class Described:
     product: int | None
     objects: tuple[ObjectInfo, ...]
     entries: tuple[Description, ...]
-    dummies: frozenset[int]
-    """Data types that may fill gaps of an RPDO (section DummyUsage)."""
+    dummies: frozenset[int]  # Data types that may fill gaps of an RPDO (section DummyUsage).
 
 
 ACCESS = frozenset({"ro", "rw", "wo", "rwr", "rww", "const"})
-FIRST_OBJECT = 0x1000
-"""Below are data types (CiA 301, 7.4.1), which are no objects of the device."""
+FIRST_OBJECT = 0x1000  # Below are data types (CiA 301, 7.4.1), which are no objects of the device.
 LONGEST_MESSAGE = 200
+# Data types that a profile or a manufacturer defines: their values are bytes here.
 _FIRST_OWN_TYPE, _LAST_OWN_TYPE = 0x20, 0x025F
-"""Data types that a profile or a manufacturer defines: their values are bytes here."""
 _WITHOUT_LIMITS = frozenset(
     {DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.STRINGS, *datatypes.FIXED_BYTES}
 )
@@ -116,6 +114,7 @@ _DUMMY = re.compile(r"^Dummy([0-9A-Fa-f]{4})$", re.IGNORECASE)
 _HEADER = re.compile(r"^\[([^\]\n]*)\]", re.MULTILINE)
 _UNIT = re.compile(r"^; *Unit *=(.*)\n\[([^\]\n]*)\]", re.MULTILINE)
 _OCTAL = re.compile(r"[+-]?0[0-9]+")
+# Sections and keys as CiA 306 spells them; case has no meaning in a file.
 _SPELLING = {
     name.lower(): name
     for name in (
@@ -125,7 +124,6 @@ _SPELLING = {
         *("ParameterValue", "Unit", "VendorNumber", "ProductNumber", "ProductName", "EDSVersion"),
     )
 }
-"""Sections and keys as CiA 306 spells them; case has no meaning in a file."""
 
 
 def read(path: Path) -> RawConfigParser:

@@ -16,8 +16,8 @@ _COMMUNICATIONS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
 _SDO_CHANNELS = range(0x1200, 0x1300)
 _EMCY = 0x1014
 
+# What `turn` gives: most parameters, numbers of mapped objects, 1006h, COB-IDs, at last 1020h.
 TURNS = range(5)
-"""What `turn` gives: most parameters, numbers of mapped objects, 1006h, COB-IDs, at last 1020h."""
 
 
 def turn(entry: Entry) -> int:

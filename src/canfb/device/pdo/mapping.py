@@ -61,8 +61,7 @@ def resolve_all(dictionary: Dictionary, mappings: Sequence[int], direction: Dire
     return slots
 
 
-SYNCHRONOUS = range(241)
-"""Transmission types that act at a SYNC."""
+SYNCHRONOUS = range(241)  # Transmission types that act at a SYNC.
 SYNC_REMOTE = 0xFC
 EVENT_REMOTE = 0xFD
 EVENT_DRIVEN = frozenset({0xFE, 0xFF})

@@ -22,8 +22,8 @@ from canfb.device.pdo.mapping import SYNCHRONOUS, Direction, PdoParameters, Slot
 
 Unpack = Callable[[bytes], int]
 
+# What an RPDO of the mapped length ends.
 ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, EmergencyCode.RPDO_TIMEOUT)
-"""What an RPDO of the mapped length ends."""
 
 
 class Rpdo(Timed):
@@ -62,8 +62,8 @@ class Rpdo(Timed):
         self.is_synchronous: bool = self._parameters.type.value in SYNCHRONOUS
         self._timeout_s: float = self._timeout.value / 1000
         self._pending: bytes | None = None
+        # PDOs of a synchronous type that came since the last SYNC; the last one is taken over.
         self.waiting = 0
-        """PDOs of a synchronous type that came since the last SYNC; the last one is taken over."""
         self.deadline = NEVER
         self._choose_usual()
 

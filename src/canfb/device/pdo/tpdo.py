@@ -30,8 +30,7 @@ from canfb.device.pdo.mapping import (
 )
 
 Pack = Callable[[], bytes]
-UNFIT = (struct.error, OverflowError)
-"""What `struct` raises for a value that does not fit."""
+UNFIT = (struct.error, OverflowError)  # What `struct` raises for a value that does not fit.
 
 _LARGEST_START = 240
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes

@@ -18,17 +18,14 @@ from canfb.device.sdo.transfer import (
     finish_download,
 )
 
-LARGEST_BLOCK = 127
-"""Segments of a block at most (CiA 301)."""
+LARGEST_BLOCK = 127  # Segments of a block at most (CiA 301).
 
+# Segments of a block that the server asks for. Not more, so that the first byte of a new request (20h and up,
+# A0h and up) cannot be taken for the sequence number of a segment.
 DOWNLOAD_BLOCK = 31
-"""Segments of a block that the server asks for. Not more, so that the first byte of a new request
-(20h and up, A0h and up) cannot be taken for the sequence number of a segment."""
 
-BURST = 4
-"""Segments of an upload that are sent at once ..."""
-PAUSE_S = 0.001
-"""... and the time to the next, seconds: PDOs must not wait behind a whole block."""
+BURST = 4  # Segments of an upload that are sent at once ...
+PAUSE_S = 0.001  # ... and the time to the next, seconds: PDOs must not wait behind a whole block.
 
 _SEGMENT = 7
 _LAST = 0x80
@@ -39,9 +36,9 @@ _DOWNLOAD_ANSWER = 0xA0
 _DOWNLOAD_ACKNOWLEDGE = 0xA2
 _DOWNLOAD_END = 0xA1
 
+# In the first frame of either side. The server sets it only when the client did: some clients check a CRC
+# that they did not ask for.
 CRC_SUPPORTED = 0x04
-"""In the first frame of either side. The server sets it only when the client did: some clients
-check a CRC that they did not ask for."""
 
 
 def crc16(data: bytes) -> int:
@@ -49,8 +46,8 @@ def crc16(data: bytes) -> int:
     return crc_hqx(data, 0)
 
 
+# Client subcommands of an upload: the one that is expected is its phase.
 _END, _ACKNOWLEDGE, _START = 1, 2, 3
-"""Client subcommands of an upload: the one that is expected is its phase."""
 
 
 class BlockUpload(Transfer):

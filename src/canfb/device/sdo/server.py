@@ -25,8 +25,7 @@ from canfb.device.sdo.transfer import (
     expedited_upload,
 )
 
-TIMEOUT_S = 1.0
-"""How long a client may be silent within a transfer, seconds."""
+TIMEOUT_S = 1.0  # How long a client may be silent within a transfer, seconds.
 
 _FRAME_LENGTH = 8
 
@@ -39,8 +38,8 @@ class SdoServer(Timed):
 
     def __init__(self, core: Core) -> None:
         self.deadline = NEVER
+        # The CAN-ID of the answers; that of the first channel, unless another one is given.
         self.response_id = cob.SDO_RESPONSE + core.node_id
-        """The CAN-ID of the answers; that of the first channel, unless another one is given."""
         self._core = core
         self._dictionary = core.dictionary
         self._emit = core.emit

@@ -9,11 +9,10 @@ from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.core import NEVER
 from canfb.device.od.dictionary import Entry
 
+# Bytes that a download to a DOMAIN or a string may have; more is aborted (05040005h).
 LARGEST_DOWNLOAD = 1 << 16
-"""Bytes that a download to a DOMAIN or a string may have; more is aborted (05040005h)."""
 
-Reply = Callable[[bytes], None]
-"""Sends up to 8 bytes to the client, filled up with zeros."""
+Reply = Callable[[bytes], None]  # Sends up to 8 bytes to the client, filled up with zeros.
 
 DOWNLOAD_SEGMENT = 0
 INITIATE_DOWNLOAD = 1
@@ -21,8 +20,7 @@ INITIATE_UPLOAD = 2
 UPLOAD_SEGMENT = 3
 ABORT = 4
 BLOCK_UPLOAD = 5
-BLOCK_DOWNLOAD = 6
-"""Client command specifiers: bits 5 to 7 of the first byte."""
+BLOCK_DOWNLOAD = 6  # Client command specifiers: bits 5 to 7 of the first byte.
 
 ABORT_COMMAND = 0x80
 

@@ -11,16 +11,16 @@ from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.device.od.writes import TURNS, switched_off, turn
 from canfb.device.storage.image import ImageError, ParameterGroup, Record
 
+# The indices of each group (CiA 301, 7.5.2.13), without gaps between them.
 RANGES = {
     ParameterGroup.COMMUNICATION: range(0x1000, 0x2000),
     ParameterGroup.MANUFACTURER: range(0x2000, 0x6000),
     ParameterGroup.APPLICATION: range(0x6000, 0xA000),
 }
-"""The indices of each group (CiA 301, 7.5.2.13), without gaps between them."""
 PARAMETER_INDICES = range(0x1000, 0xA000)
 
+# Objects that SDO reads and writes, and that are commands.
 NO_PARAMETERS = frozenset({0x1003, 0x1010, 0x1011})
-"""Objects that SDO reads and writes, and that are commands."""
 
 _CAN_ID = 0x1FFFFFFF
 _FLAGS_AND_ID = 0xFFFFFFFF

@@ -29,8 +29,7 @@ POLL_S = 0.002  # from one question whether it is done to the next
 MOST_WAITING = 4  # changes that a store may have before it; a peer that sends more is refused
 
 Changes = Mapping[ParameterGroup, bytes | None]
-Done = Callable[[OSError | None], None]
-"""Called when a change is kept, or with the reason why it is not."""
+Done = Callable[[OSError | None], None]  # Called when a change is kept, or with the reason why it is not.
 
 
 class Store(Protocol):
@@ -98,8 +97,8 @@ SAVE_SIGNATURE = int.from_bytes(b"save", "little")
 LOAD_SIGNATURE = int.from_bytes(b"load", "little")
 SAVES_ON_COMMAND = RESTORES = 1
 
+# The groups of 1010h and 1011h.
 PARAMETERS = (ParameterGroup.COMMUNICATION, ParameterGroup.APPLICATION, ParameterGroup.MANUFACTURER)
-"""The groups of 1010h and 1011h."""
 
 
 class MemoryStore:

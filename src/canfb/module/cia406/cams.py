@@ -148,8 +148,8 @@ class Cams:
 
 
 AREA_STATE, AREA_LOW, AREA_HIGH = 0x6400, 0x6401, 0x6402
+# Bits of 6400h: outside of the limits; above the high one; below the low one.
 OUT_OF_RANGE, OVERFLOW, UNDERFLOW = 1 << 0, 1 << 1, 1 << 2
-"""Bits of 6400h: outside of the limits; above the high one; below the low one."""
 
 
 def work_area_state(position: int, low: int, high: int, total_range: int) -> int:
