@@ -15,14 +15,14 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 LONGEST_FILE = 500
 
 # What every part that speaks CANopen, or says what it found, may use.
-WORDS = {"checks", "cia301", "errors", "objects", "rows"}
+WORDS = {"checks", "cia301", "errors", "files", "objects", "rows"}
 # What each part may import of canfb, beyond itself. The files beside the folders are parts of their own.
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
+    "files": {"errors"},
     "checks": set(),
     "cia301": {"checks"},
     "objects": {"cia301"},
-    # What a command found, for the terminal, for a page and as JSON.
     "rows": set(),
     # YAML with the line of each key, for all that read a file.
     "marked_yaml": set(),
@@ -30,7 +30,7 @@ ALLOWED: dict[str, set[str]] = {
     "timing": {"checks", "objects", "errors"},
     "signal": {"timing", "checks", "objects", "errors"},
     "calibration": {"signal", "objects", "errors"},
-    "device": WORDS - {"objects", "rows"},
+    "device": WORDS - {"files", "objects", "rows"},
     "eds_files": {"errors"},
     # A source gives samples, the word of signal, and all else comes to it as an argument (Surroundings):
     # the simulated machine, and the threads and clocks of bus. So module, simulation and bus build on it.
@@ -42,7 +42,7 @@ ALLOWED: dict[str, set[str]] = {
     # Time is an argument here as well: frames of a log in, what the module made of them out.
     "replay": {"signal", "calibration", "device", "module", "view"} | WORDS,
     "configuration": {"signal", "sources", "module", "interface", "simulation", "checks", "errors",
-                      "marked_yaml"},
+                      "files", "marked_yaml"},
     # Pictures need what is measured, and nothing of how: so the demo and every tool on top may use them.
     "report": {"signal", "calibration", "rows"},
     # What a module is, from its objects. The limits in force are arithmetic of signal.
@@ -51,16 +51,15 @@ ALLOWED: dict[str, set[str]] = {
     "master": {"signal", "calibration", "sources", "view"} | WORDS,
     # Objects by name, correction tables, backups.
     "sdo": {"marked_yaml", "signal", "calibration", "device", "view", "master"} | WORDS,
-    "diagnosis": {"signal", "view", "master", "sdo"} | WORDS - {"checks"},
+    "diagnosis": {"signal", "view", "master", "sdo"} | WORDS - {"checks", "files"},
     "calibrate": {"signal", "calibration", "sources", "report", "view", "master", "sdo"} | WORDS,
     "commission": {"signal", "timing", "calibration", "report", "view", "master", "calibrate"} | WORDS,
     # What others tell of themselves on the bus; so it may watch modules that are not ours.
     "monitoring": {"signal", "timing", "module", "configuration", "bus", "logfile", "view", "master"}
-                  | WORDS - {"checks", "rows"},
-    # What a page in a browser shows, and its server.
+                  | WORDS - {"checks", "files", "rows"},
     "scope": {"signal", "calibration", "monitoring", "errors", "objects"},
     # The clock, frames and the runner of any device: it knows nothing of encoders.
-    "bus": {"device"} | WORDS - {"checks", "objects", "rows"},
+    "bus": {"device"} | WORDS - {"checks", "files", "objects", "rows"},
     "hosting": {"signal", "sources", "module", "device", "interface", "simulation", "configuration", "bus"}
                | WORDS - {"checks", "rows"},
     "logfile": {"bus", "cia301", "errors", "rows"},

@@ -20,8 +20,9 @@ import yaml
 
 from canfb.checks import flag, integer_in
 from canfb.errors import ConfigError
+from canfb.files import read_bytes
 from canfb.interface.interface_config import InterfaceConfig
-from canfb.marked_yaml import YamlError, compose, construct, found_at, pairs, read_bytes
+from canfb.marked_yaml import YamlError, compose, construct, found_at, pairs
 from canfb.marked_yaml import line_of as yaml_line
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig, SecondPositionConfig
 from canfb.signal.adaptation import AdaptConfig

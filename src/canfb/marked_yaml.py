@@ -8,7 +8,6 @@ one that contains itself for any number.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import yaml
@@ -151,11 +150,3 @@ class MarkedYaml:
     def line(self, *keys: str) -> int:
         """The line, from 1, of the last of these nested keys that is there."""
         return found_at(self._root, *keys)[0]
-
-
-def read_bytes(path: Path, refuse: type[Exception]) -> bytes:
-    """The bytes of a file; ``refuse`` is raised, in one line."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise refuse(f"{path}: cannot be read: {error.strerror}") from None

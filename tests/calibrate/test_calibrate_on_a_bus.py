@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canfb.calibrate.artefacts import prepare
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError
+from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, read_active
 from canfb.signal.correction import NO_CORRECTION
@@ -30,7 +30,7 @@ SHORT = ("--seconds", "1.5", "--least-samples", "1000", "--verify", "0.6")
 def calibrate(bench: Bench, *arguments: str, progress: Progress | None = None) -> int:
     options = build_parser().parse_args(["calibrate", *SHORT, *arguments])
     if options.out:
-        prepare(options.out)
+        prepare_folder(options.out)
     quiet = progress or Progress(quiet=True)
     return over_bus(bench.master, options, Config(), quiet, Guard(), "2026-03-01")
 

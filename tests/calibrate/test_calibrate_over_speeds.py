@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from test_calibrate_on_a_bus import position_errors
 
-from canfb.calibrate.artefacts import prepare
 from canfb.calibrate.calibration_summary import delay_words
 from canfb.calibrate.choices import CalibrateOptions
 from canfb.calibration.path_fit import LowPass
@@ -23,6 +22,7 @@ from canfb.cli.progress import Progress
 from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError, ConfigError
+from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, read_active
 from canfb.master.machine_watch import Provenance
@@ -72,7 +72,7 @@ def bench(path: AnalogPath = PATH, rpm: tuple[float, ...] = (61.0, 703.0, 3001.0
 def calibrate(bench: Bench, *arguments: str, speeds: str = ALL, progress: Progress | None = None) -> int:
     options = build_parser().parse_args(["calibrate", "--speeds", speeds, *SHORT, *arguments])
     if options.out:
-        prepare(options.out)
+        prepare_folder(options.out)
     quiet = progress or Progress(quiet=True)
     return over_bus(bench.master, options, Config(), quiet, Guard(), "2026-03-01")
 

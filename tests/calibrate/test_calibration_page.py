@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canfb.calibrate.artefacts import prepare, refusal_html, report_html, write, write_refusal
+from canfb.calibrate.artefacts import refusal_html, report_html, write, write_refusal
 from canfb.calibrate.calibration_summary import comparison
 from canfb.calibrate.measurement import Measurement, Settings, block_of
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.deviation import best_deviation
 from canfb.errors import CalibrationError
+from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import Provenance
 from canfb.master.samples import TrackSamples, read_npz
@@ -87,7 +88,7 @@ def test_everything_is_written_and_can_be_read_again(
     measured: Measurement, done: Installation, tmp_path: Path
 ) -> None:
     folder = tmp_path / "a" / "b"
-    prepare(folder)
+    prepare_folder(folder)
     assert list(folder.iterdir()) == []
     paths = write(folder, measured, done, WHERE, LIMITS)
     assert [path.name for path in paths] == ["table.yaml", "table.bin", "samples.npz", "report.html"]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from canfb.calibrate.artefacts import prepare
 from canfb.cia301.frame import Frame
 from canfb.cli.calibrate import over_bus
 from canfb.cli.config_file import EXAMPLE
@@ -16,6 +15,7 @@ from canfb.cli.progress import Progress
 from canfb.cli.simulate import chosen
 from canfb.configuration import parse_config
 from canfb.errors import CalibrationError
+from canfb.files import prepare_folder
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.master.all_or_nothing import Guard
 from canfb.module.feedback_module import FeedbackModule
@@ -47,7 +47,7 @@ def calibrated(text: str, folder: Path) -> tuple[FeedbackModule, EmbeddedBus, fl
     options = build_parser().parse_args(
         ["calibrate", "feedback.yaml", "--out", str(folder / "measured"), "--json"]
     )
-    prepare(options.out)
+    prepare_folder(options.out)
     try:
         assert over_bus(master, options, config, Progress(quiet=True), Guard(), "2026-03-01") == 0
     finally:

@@ -125,9 +125,9 @@ def test_a_folder_that_cannot_be_made_is_found_before_the_work(
     path = tmp_path / "a file"
     path.write_text("")
     assert main(["demo", "--out", str(path)]) == 1
-    assert capsys.readouterr().err == f"canfb: cannot write figures to {path}: File exists\n"
+    assert capsys.readouterr().err == f"canfb: {path}: cannot be written: File exists\n"
     assert main(["demo", "--out", str(path / "below")]) == 1
-    assert capsys.readouterr().err == f"canfb: cannot write figures to {path / 'below'}: Not a directory\n"
+    assert capsys.readouterr().err == f"canfb: {path / 'below'}: cannot be written: Not a directory\n"
 
 
 def test_a_story_that_does_not_hold_is_exit_code_1(

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from canfb import objects as od
-from canfb.calibrate.artefacts import prepare
 from canfb.cia301.frame import Frame
 from canfb.cli.commission import over_bus
 from canfb.cli.main import build_parser
@@ -19,6 +18,7 @@ from canfb.cli.progress import Progress
 from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import BusError
+from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, put_in_force
 from canfb.simulation.encoder import Encoder
@@ -44,7 +44,7 @@ def commission(bench: Bench, *arguments: str, guard: Guard | None = None) -> int
     options = build_parser().parse_args(["commission", "0x20", *SHORT, *arguments])
     options.line = "canfb commission"
     if options.out:
-        prepare(options.out)
+        prepare_folder(options.out)
     quiet = Progress(quiet=True)
     return over_bus(bench.master, options, Config(), quiet, guard or Guard(), "2026-03-01")
 

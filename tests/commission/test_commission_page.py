@@ -10,11 +10,11 @@ import pytest
 from test_commission_on_a_bus import SHORT, bench_of
 
 from canfb import objects as od
-from canfb.calibrate.artefacts import prepare
 from canfb.cli.commission import named_config, over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.progress import Progress
 from canfb.device.storage.storage import MemoryStore
+from canfb.files import prepare_folder
 from canfb.master.all_or_nothing import Guard
 
 ROOT = Path(__file__).parents[2]
@@ -35,7 +35,7 @@ def test_the_commands_of_the_page_run(
         options.line = ""
         config = named_config(options)
         if options.out:
-            prepare(options.out)
+            prepare_folder(options.out)
         assert over_bus(bench.master, options, config, Progress(quiet=True), Guard(), "2026-03-01") == 0
     assert Path("limits/report.html").exists()
     assert "saved (1010:04)" in capsys.readouterr().out

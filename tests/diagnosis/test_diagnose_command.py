@@ -153,8 +153,8 @@ def test_a_command_that_is_not_there_is_a_line() -> None:
 
 
 def test_what_is_written_first_is_checked(canfb: Commands, tmp_path: Path) -> None:
-    _, err = canfb(Bench(sync=False), "why", "--bundle", MODULE_ID, "--out", tmp_path, code=1)
-    assert err == f"canfb: cannot write {tmp_path}: it is a folder\n"
+    _, err = canfb(Bench(sync=False), "why", "--bundle", MODULE_ID, "--out", tmp_path, code=2)
+    assert err == f"canfb: {tmp_path}: cannot be written: it is a folder\n"
 
 
 def test_the_commands_of_the_page_are_those_of_the_parser() -> None:

@@ -268,7 +268,7 @@ def test_a_node_that_is_not_there_or_another_device(canfb: Commands, file: Path)
 
 def test_a_disk_that_is_full(canfb: Commands) -> None:
     _, err = canfb(module(), "backup", "save", NODE, "/dev/full", code=1)
-    assert err == "canfb: cannot write /dev/full: No space left on device\n"
+    assert err == "canfb: /dev/full: cannot be written: No space left on device\n"
 
 
 def test_preset_and_offset_are_noted_and_not_restored(canfb: Commands, tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def test_a_domain_goes_by_file(canfb: Commands, bench: Bench, tmp_path: Path) ->
     assert out.endswith(", written\n")
     assert bench.value(0x2020, 2) == CorrectionTable.identity().crc32
     _, err = canfb(bench, "sdo", "read", NODE, "2020:01", "--out", "/dev/full", code=1)
-    assert err == "canfb: cannot write /dev/full: No space left on device\n"
+    assert err == "canfb: /dev/full: cannot be written: No space left on device\n"
 
 
 def test_save_is_a_word(canfb: Commands) -> None:

@@ -226,17 +226,17 @@ def test_a_disk_that_is_full_leaves_the_old_file(
     bench, path = bench_with(NEW), tmp_path / "table.yaml"
     path.write_text("what was there before")
     _, err = canfb(bench, "table", "read", NODE, "/dev/full", code=1)
-    assert err == "canfb: cannot write /dev/full: No space left on device\n"
+    assert err == "canfb: /dev/full: cannot be written: No space left on device\n"
 
     def full(handle: int) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
     _, err = canfb(bench, "table", "read", NODE, path, code=1)
-    assert err == f"canfb: cannot write {path}: No space left on device\n"
+    assert err == f"canfb: {path}: cannot be written: No space left on device\n"
     assert path.read_text() == "what was there before"
     assert [one.name for one in tmp_path.iterdir()] == ["table.yaml"]
-    _, err = canfb(bench, "table", "read", NODE, tmp_path / "no" / "table.yaml", code=1)
+    _, err = canfb(bench, "table", "read", NODE, tmp_path / "no" / "table.yaml", code=2)
     assert "there is no folder" in err
 
 

@@ -107,7 +107,7 @@ def test_a_folder_is_no_file_and_a_file_that_fails_is_one_line(tmp_path: Path) -
     (tmp_path / "x.csv").mkdir()
     with pytest.raises(ConfigError, match="cannot be written"):
         check_record(str(tmp_path / "x.csv"))
-    with pytest.raises(CanfbError, match=r"--record .*x\.csv: Is a directory"):
+    with pytest.raises(CanfbError, match=r"--record .*x\.csv: cannot be written: Is a directory"):
         write_record(tmp_path / "x.csv", recorded(COUNTS), RATE_HZ)
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from canfb.calibrate.measurement import Measurement
 from canfb.calibrate.procedure import Installation
 from canfb.calibration.motion_blocks import BINS, samples_in_bins
 from canfb.errors import CalibrationError
-from canfb.master.access import CommissioningError
+from canfb.files import writing
 from canfb.master.machine_watch import Provenance, origins
 from canfb.master.samples import TrackSamples, write_npz
 from canfb.report import pictures
@@ -55,23 +54,6 @@ META = (
 )
 
 
-@contextlib.contextmanager
-def _writing(place: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise CommissioningError(f"cannot write to {place}: {error.strerror}") from None
-
-
-def prepare(folder: Path) -> None:
-    """Make the folder. CommissioningError if it cannot be made or written to: before the work starts."""
-    with _writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".{REPORT}"
-        probe.touch()
-        probe.unlink()
-
-
 def write(
     folder: Path,
     measured: Measurement,
@@ -81,7 +63,7 @@ def write(
 ) -> list[Path]:
     figures = findings(measured, done, where).to_json()
     meta = {key: figures[key] for key in META if figures.get(key) is not None}
-    with _writing(folder):
+    with writing(folder):
         (folder / TABLE_YAML).write_text(as_yaml(measured.found, meta), encoding="utf-8")
         (folder / TABLE_BIN).write_bytes(measured.calibration.table.to_bytes())
         write_npz(folder / SAMPLES, measured.samples)
@@ -91,8 +73,8 @@ def write(
 
 
 def keep_samples(folder: Path, samples: TrackSamples) -> Path:
-    """Write the samples alone; their path. CommissioningError if that does not work."""
-    with _writing(folder):
+    """The samples alone; their path. CanfbError."""
+    with writing(folder):
         write_npz(folder / SAMPLES, samples)
     return folder / SAMPLES
 
@@ -100,7 +82,7 @@ def keep_samples(folder: Path, samples: TrackSamples) -> Path:
 def keep_speeds(folder: Path, measured: Sequence[tuple[TrackSamples, float]]) -> list[Path]:
     place = folder / SPEEDS
     paths = [place / f"{number:02d}.npz" for number in range(1, len(measured) + 1)]
-    with _writing(place):
+    with writing(place):
         place.mkdir(exist_ok=True)
         for old in place.glob("*.npz"):  # of an earlier run
             old.unlink()
@@ -117,7 +99,7 @@ def write_refusal(
     limits: SampleLimits | None = None,
 ) -> list[Path]:
     """Samples and report of a measurement that was refused: they show why. There is no table."""
-    with _writing(folder):
+    with writing(folder):
         for name in (TABLE_YAML, TABLE_BIN):  # of an earlier run: they must not pass for those of this one
             (folder / name).unlink(missing_ok=True)
         write_npz(folder / SAMPLES, samples)

@@ -12,8 +12,8 @@ from canfb.cli import node_options
 from canfb.cli.options import JSON, TIMEOUT, Commands, add_bus_options, add_command, add_group, option
 from canfb.cli.subjects import node_or_file, nodes, required_file
 from canfb.eds_files import eds_path
+from canfb.files import check_writable, write_whole
 from canfb.master.access import Master, NodeAccess
-from canfb.master.all_or_nothing import check_writable, write_whole
 from canfb.module.device_configuration import (
     OF_THE_MACHINE,
     backup_values,

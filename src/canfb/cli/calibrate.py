@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
-from canfb.calibrate.artefacts import prepare
 from canfb.calibrate.calibration_run import CalibrationRun
 from canfb.calibrate.choices import (
     LEAST_SAMPLES,
@@ -38,6 +37,7 @@ from canfb.cli.progress import Progress, shown_progress
 from canfb.cli.subjects import COLUMNS, MEASURED_NODES
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
+from canfb.files import prepare_folder
 from canfb.master.access import Master
 from canfb.master.all_or_nothing import Guard
 from canfb.rows import Result
@@ -156,7 +156,7 @@ def calibrate(options: argparse.Namespace) -> int:
     choices = choices_of(options)
     config = named_config(options)
     if choices.out:
-        prepare(choices.out)
+        prepare_folder(choices.out)
     with shown_progress(quiet=options.json, interrupted="the module is unchanged") as progress:
         if choices.samples:
             run = _run(choices, options, progress, date_and_time())

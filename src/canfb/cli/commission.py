@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
-from canfb.calibrate.artefacts import prepare
 from canfb.calibrate.choices import CalibrateOptions
 from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
@@ -25,6 +24,7 @@ from canfb.commission.commission_run import CommissionOptions
 from canfb.commission.commission_run import commission as run
 from canfb.configuration import Config
 from canfb.errors import ConfigError
+from canfb.files import prepare_folder
 from canfb.master.access import Master
 from canfb.master.all_or_nothing import Guard
 
@@ -76,7 +76,7 @@ def register(commands: Commands) -> None:
 def commission(options: argparse.Namespace) -> int:
     wishes, config = wishes_of(options), named_config(options)
     if wishes.out:
-        prepare(wishes.out)
+        prepare_folder(wishes.out)
     nodes_of_choices(options, config)  # says what cannot be before there is a bus
     words = bus_options(options, config.bus)
     guard, as_before = Guard(), "the limits of the module are as they were"

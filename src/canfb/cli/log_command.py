@@ -29,11 +29,12 @@ from canfb.cli.progress import Progress, shown_progress
 from canfb.cli.subjects import node_or_file, nodes, positive, required_file, size, whole_number
 from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
+from canfb.files import check_writable
 from canfb.hosting.readiness import Readiness
 from canfb.logfile.bus_log import BusLog, SentLog
 from canfb.logs.folder_replay import check_table, do_work, work_of
 from canfb.logs.log_replay import ReplayOptions, replay_log
-from canfb.logs.published_files import check_place, published
+from canfb.logs.published_files import published
 from canfb.logs.replay_page import write_page
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.findings import KINDS, Overview
@@ -151,7 +152,7 @@ def replay(options: argparse.Namespace) -> int:
     if len(settings.modules) > 1 and (options.out or options.report) and not options.log.is_dir():
         raise ConfigError("--out, --report: are for one module; choose it by NODE")
     if options.report is not None:
-        check_place("--report", options.report)
+        check_writable(options.report, "--report")
     replay_what = _folder if options.log.is_dir() else _one_log
     with shown_progress(quiet=options.json) as progress:
         return replay_what(options, settings, progress)

@@ -9,9 +9,8 @@ from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command, add_group, option
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import ConfigError
-from canfb.marked_yaml import read_bytes
+from canfb.files import check_writable, read_bytes, write_whole
 from canfb.master.access import CommissioningError, Master, NodeAccess
-from canfb.master.all_or_nothing import check_writable, write_whole
 from canfb.rows import Result, Row, as_columns
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import SdoTasks, described_by, is_lost

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +21,8 @@ from canfb.cli.options import (
 from canfb.cli.printing import printed_without_waiting, say
 from canfb.cli.subjects import COLUMNS, JITTER, jittered, nodes, positive
 from canfb.configuration import Config, load_config
-from canfb.errors import CanfbError, ConfigError
+from canfb.errors import ConfigError
+from canfb.files import check_writable, writing
 from canfb.hosting.readiness import Readiness
 from canfb.hosting.simulating import Simulating, fed_module
 from canfb.master.samples import TrackSamples, write_csv, write_npz
@@ -155,16 +155,11 @@ def check_record(name: str) -> Path:
     path = Path(name)
     if path.suffix not in WRITERS:
         raise ConfigError(f"--record {name}: the name must end with {' or '.join(WRITERS)}")
-    if not path.parent.is_dir():
-        raise ConfigError(f"--record {name}: there is no folder {path.parent}")
-    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise ConfigError(f"--record {name}: cannot be written")
+    check_writable(path, "--record")
     return path
 
 
 def write_record(path: Path, recorder: SampleRecorder, rate_hz: float) -> None:
     samples = TrackSamples.of(*recorder.tracks(), rate_hz, "canfb simulate --record")
-    try:
+    with writing(path, "--record"):
         WRITERS[path.suffix](path, samples)
-    except OSError as error:
-        raise CanfbError(f"--record {path}: {error.strerror or error}") from error

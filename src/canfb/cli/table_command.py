@@ -11,8 +11,8 @@ from canfb.cli import node_options
 from canfb.cli.options import Commands, add_command, add_group, option
 from canfb.cli.subjects import node_number
 from canfb.errors import ConfigError
+from canfb.files import check_writable
 from canfb.master.access import NodeAccess
-from canfb.master.all_or_nothing import check_writable
 from canfb.rows import Result
 from canfb.sdo.table_file import TableState, read_table_file
 from canfb.sdo.table_tasks import TableTasks

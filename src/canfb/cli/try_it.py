@@ -21,10 +21,10 @@ from canfb.cli.progress import Progress
 from canfb.cli.subjects import JITTER, jittered
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
+from canfb.files import prepare_folder, write_whole
 from canfb.hosting.event_log import EventLog, summary_of
 from canfb.hosting.readiness import Readiness
 from canfb.hosting.trying import START_ALL, NetworkOnBus, end_main, private_bus
-from canfb.master.all_or_nothing import write_whole
 
 ANY_PORT = 0
 LEAST_HZ, MOST_HZ = 50.0, 1000.0  # below, the machine of the example accelerates too much from SYNC to SYNC
@@ -133,11 +133,11 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
 
 def _tell_story(options: argparse.Namespace) -> int:
     from canfb.demo.demo_network import DemoNetwork  # here: the network of `try` needs none of it
-    from canfb.demo.demo_page import account, figures, prepare, write_files
+    from canfb.demo.demo_page import account, figures, write_files
     from canfb.demo.story import run_story
 
     if options.out:
-        prepare(options.out)
+        prepare_folder(options.out)
     date = page_date() if options.out else ""
     network = DemoNetwork()
     show = None if options.json or not sys.stderr.isatty() else Progress().step

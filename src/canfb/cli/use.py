@@ -16,7 +16,7 @@ from canfb.cli.options import (
     remembered,
 )
 from canfb.errors import ConfigError
-from canfb.master.all_or_nothing import write_whole
+from canfb.files import write_whole
 
 
 def register(commands: Commands) -> None:

@@ -28,8 +28,8 @@ from canfb.diagnosis.nodes_on_bus import frame_counts, node_facts, scan
 from canfb.diagnosis.status_word import decoded
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import CanfbError, ConfigError
+from canfb.files import check_writable, write_whole
 from canfb.master.access import CommissioningError, NodeAccess
-from canfb.master.all_or_nothing import check_writable, write_whole
 
 LISTEN_S = 2.0
 

@@ -13,7 +13,7 @@ from canfb.calibrate.calibration_summary import delay_words
 from canfb.commission.limit_choice import Choice
 from canfb.commission.machine_figures import MachineFigures, smooth_acceleration
 from canfb.commission.observation import Observation
-from canfb.master.all_or_nothing import write_whole
+from canfb.files import write_whole
 from canfb.master.machine_watch import Provenance, in_words, origins, where_words
 from canfb.master.supervision_limits import (
     JITTER,

@@ -19,7 +19,7 @@ from canfb.demo.story import (
     peak,
     rms,
 )
-from canfb.errors import CanfbError
+from canfb.files import prepare_folder, writing
 from canfb.report.page import beside, figure, gallery, page, svg_file, table
 from canfb.report.pictures import SHOWN_SAMPLES, circle, cloud, square_plot
 from canfb.report.plot import Plot, nice_limit
@@ -246,14 +246,6 @@ TRACKS = "Encoder tracks"
 BEFORE, AFTER = "Position error before the table", "Position error with the table"
 
 
-def prepare(folder: Path) -> None:
-    """Make ``folder``. CanfbError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CanfbError(f"cannot write figures to {folder}: {error.strerror}") from None
-
-
 def write_files(
     network: DemoNetwork, story: Story, folder: Path, version: str, date: str
 ) -> tuple[list[Path], Path]:
@@ -261,7 +253,7 @@ def write_files(
 
     ``version`` of canfb and ``date`` are for the page: the same arguments give the same bytes.
     """
-    prepare(folder)
+    prepare_folder(folder)
     shown, before, after, faults = (
         tracks(network, story),
         error_before(story),
@@ -276,11 +268,9 @@ def write_files(
         "servo-move.svg": svg_file([(SERVO, moved)]),
         REPORT: demo_page(story, f"canfb {version}, {date}", (shown, before, after, faults, moved)),
     }
-    try:
+    with writing(folder):
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CanfbError(f"cannot write figures to {folder}: {error.strerror}") from None
     *pictures, report = (folder / name for name in files)
     return pictures, report
 

@@ -17,7 +17,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,6 +32,7 @@ from canfb.cia301.datatypes import DataType
 from canfb.configuration import Config
 from canfb.device.device_protocol import NodeDevice
 from canfb.errors import reason
+from canfb.files import replacing
 from canfb.hosting.event_log import title_of
 from canfb.hosting.state_files import SWITCH_S, small_stack
 
@@ -223,24 +223,13 @@ class SelfDiagnosis:
                 "log": self._kept.lines(),
             }
             path = self._folder / f"canfb-diagnose-{os.getpid()}.json"
-            _replace(path, diagnosis_text(f"process {os.getpid()}", parts))
+            with replacing(path, private=True) as part:
+                part.write_text(diagnosis_text(f"process {os.getpid()}", parts), encoding="utf-8")
             self._outcome = f"diagnosis written: {path}"
         except Exception as error:  # a thread that dies would leave no trace
             self._outcome = f"no diagnosis: {reason(error)}"
         finally:
             sys.setswitchinterval(switch_s)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Whole, readable by its owner alone; no link is followed."""
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.replace(name, path)
-    except OSError:
-        os.unlink(name)
-        raise
 
 
 def diagnosing_on_signal(request: Callable[[], None]) -> contextlib.AbstractContextManager[None]:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from canfb.errors import CanfbError, ConfigError, reason
+from canfb.files import check_writable, replacing, writing
 from canfb.logfile.log_files import is_log
 from canfb.logs.log_replay import COLUMNS, LogJob, ReplayOptions, Row, failed_rows, job_of, rows_of
 from canfb.logs.published_files import read_rows, write_rows
@@ -33,8 +34,7 @@ def check_table(out: Path) -> Path:
     """Where the table goes. ConfigError if that cannot be."""
     if out.suffix.lower() != ".parquet":
         raise ConfigError("--out: a folder of logs needs a table, such as --out month.parquet")
-    if not out.parent.is_dir():
-        raise ConfigError(f"--out {out}: there is no folder {out.parent}")
+    check_writable(out, "--out")
     return out
 
 
@@ -78,7 +78,8 @@ def do_work(
     finally:
         rows.sort(key=lambda row: (row["log"], row["module"]))
         if out is not None:
-            _write(out, rows)
+            with writing(out, "--out"), replacing(out) as part:
+                write_rows(part, rows, COLUMNS)
     return rows
 
 
@@ -92,15 +93,6 @@ def _table(out: Path) -> list[Row]:
     if rows and not COLUMNS.keys() <= rows[0].keys():
         raise CanfbError(f"--out {out}: is there already, and is no table of logs; take another name")
     return rows
-
-
-def _write(out: Path, rows: list[Row]) -> None:
-    part = out.with_name(f"{out.name}.part")
-    try:
-        write_rows(part, rows, COLUMNS)
-        part.replace(out)
-    except OSError as error:
-        raise CanfbError(f"--out {out}: cannot be written: {reason(error)}") from error
 
 
 def _done(

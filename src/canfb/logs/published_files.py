@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from canfb.errors import CanfbError, ConfigError, reason
+from canfb.errors import CanfbError, ConfigError
+from canfb.files import check_writable, replacing, writing
 from canfb.replay.sample_columns import COLUMNS, Block
 
 HINT = "Parquet needs pyarrow: pip install 'canfb[fleet]'"
@@ -75,14 +75,6 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def check_place(option: str, path: Path) -> None:
-    """ConfigError for a place where no file can be written."""
-    if not path.parent.is_dir():
-        raise ConfigError(f"{option} {path}: there is no folder {path.parent}")
-    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise ConfigError(f"{option} {path}: cannot be written")
-
-
 @contextlib.contextmanager
 def published(path: Path) -> Iterator[Take]:
     """What takes the blocks of samples; the file is there when it is whole.
@@ -93,13 +85,6 @@ def published(path: Path) -> Iterator[Take]:
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
         raise ConfigError(f"--out {path}: the name must end with {', '.join(WRITERS)}")
-    check_place("--out", path)
-    part = path.with_name(f"{path.name}.part")
-    try:
-        with writer(part) as take:
-            yield take
-        part.replace(path)
-    except OSError as error:
-        raise CanfbError(f"--out {path}: cannot be written: {reason(error)}") from error
-    finally:
-        part.unlink(missing_ok=True)
+    check_writable(path, "--out")
+    with writing(path, "--out"), replacing(path) as part, writer(part) as take:
+        yield take

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from canfb.errors import CanfbError, reason
+from canfb.files import writing
 from canfb.logs.log_replay import LogReplayed
 from canfb.replay.findings import Overview
 from canfb.replay.module_replay import ModuleReplay
@@ -40,10 +40,8 @@ def write_page(path: Path, replayed: LogReplayed, overview: Overview) -> None:
     good = whole and not other and not any(replay.faults.times.values())
     said = [f"{one[:1].upper()}{one[1:]}." for one in (*result.notes(), result.verdict())]
     text = page(f"Replay of {log.path.name}", result.head(), said, body, "Margin: what is left of it", good)
-    try:
+    with writing(path, "--report"):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CanfbError(f"--report {path}: cannot be written: {reason(error)}") from error
 
 
 def _pictures(replay: ModuleReplay, overview: Overview) -> list[str]:

@@ -21,6 +21,7 @@ from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.device.od.writes import TURNS, Write, encode_concise, switched_off, turn
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
+from canfb.files import write_whole
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import EDS
@@ -308,11 +309,11 @@ class ConfigurationFiles:
 
     def write(self, date: str, time: str) -> None:
         """``date`` mm-dd-yyyy, ``time`` hh:mmAM (CiA 306). CanfbError."""
-        _put(self.path, self._text(date, time).encode("ascii", errors="replace"))
+        write_whole(self.path, self._text(date, time).encode("ascii", errors="replace"))
         if self.table_path is not None:
-            _put(self.table_path, self.configuration.table)
+            write_whole(self.table_path, self.configuration.table)
         if self.concise is not None:
-            _put(self.concise, encode_concise(self.configuration.writes()))
+            write_whole(self.concise, encode_concise(self.configuration.writes()))
 
     def _text(self, date: str, time: str) -> str:
         configuration, words = self.configuration, self.bus_words or {}
@@ -370,10 +371,3 @@ class ConfigurationFiles:
 def place_names(places: list[Place]) -> str:
     """1017:00, 2010:03."""
     return ", ".join(od.place_text(place) for place in places)
-
-
-def _put(path: Path, data: bytes) -> None:
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise CanfbError(f"cannot write {path}: {error.strerror}") from None

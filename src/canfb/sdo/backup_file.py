@@ -12,7 +12,8 @@ import yaml
 
 from canfb import objects as od
 from canfb.cia301.datatypes import DataType
-from canfb.marked_yaml import MarkedYaml, read_bytes
+from canfb.files import read_bytes
+from canfb.marked_yaml import MarkedYaml
 from canfb.master.access import CommissioningError
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, numbered
 from canfb.sdo.sdo_tasks import check_value, short_real

@@ -14,7 +14,7 @@ from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.device.od import eds
 from canfb.errors import ConfigError
-from canfb.marked_yaml import read_bytes
+from canfb.files import read_bytes
 from canfb.master.access import CommissioningError
 
 Place = tuple[int, int]

@@ -12,7 +12,8 @@ import yaml
 
 from canfb import objects as od
 from canfb.calibration.motion_blocks import peak, root_mean
-from canfb.marked_yaml import MarkedYaml, read_bytes
+from canfb.files import read_bytes
+from canfb.marked_yaml import MarkedYaml
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import read_active, read_conditioning
 from canfb.master.machine_watch import Provenance

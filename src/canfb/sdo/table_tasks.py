@@ -10,6 +10,7 @@ from typing import Any
 
 from canfb import objects as od
 from canfb.errors import CanfbError
+from canfb.files import write_whole
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import (
     Guard,
@@ -22,7 +23,6 @@ from canfb.master.all_or_nothing import (
     read_conditioning,
     stage,
     write_conditioning,
-    write_whole,
 )
 from canfb.master.supervision_limits import AMPLITUDES, as_real32
 from canfb.rows import Result, as_figures

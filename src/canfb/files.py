@@ -1,0 +1,82 @@
+"""Files: where they can be, and written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from canfb.errors import CanfbError, ConfigError, reason
+
+
+def read_bytes(path: Path, refuse: type[Exception]) -> bytes:
+    """``refuse`` is raised, in one line."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise refuse(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def check_writable(path: Path, option: str = "") -> None:
+    """ConfigError, with the ``option``, where no file can be."""
+    name = f"{option} {path}".strip()
+    if path.is_dir():
+        raise ConfigError(f"{name}: cannot be written: it is a folder")
+    if not path.parent.is_dir():
+        raise ConfigError(f"{name}: there is no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise ConfigError(f"{name}: cannot be written: Permission denied")
+
+
+@contextlib.contextmanager
+def writing(path: Path, option: str = "") -> Iterator[None]:
+    """CanfbError, with the ``option``, for an OSError within."""
+    try:
+        yield
+    except OSError as error:
+        raise CanfbError(f"{option} {path}".strip() + f": cannot be written: {reason(error)}") from error
+
+
+def prepare_folder(folder: Path) -> None:
+    """CanfbError where no file can be made in it."""
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+
+
+@contextlib.contextmanager
+def replacing(path: Path, *, private: bool = False) -> Iterator[Path]:
+    """A file that takes the place of ``path`` at the end; OSError leaves what was.
+
+    ``private``: nobody else may read it.
+    """
+    target = path.resolve()  # a link stays one
+    handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+    part = Path(name)
+    try:
+        yield part
+        os.fsync(handle)
+        if not private:
+            part.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask())
+        part.replace(target)
+    finally:
+        os.close(handle)
+        part.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Replace a file, whole; a pipe is written to. CanfbError leaves what was."""
+    with writing(path):
+        if path.exists() and not path.is_file():
+            path.write_bytes(data)
+            return
+        with replacing(path) as part:
+            part.write_bytes(data)
+
+
+def _umask() -> int:
+    before = os.umask(0o022)
+    os.umask(before)
+    return before
