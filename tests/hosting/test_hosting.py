@@ -90,14 +90,14 @@ def test_what_it_opened_is_closed_when_something_is_wrong(config: Path) -> None:
 def test_the_program_of_the_page_runs(
     config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "several-modules.md").read_text(encoding="utf-8")
-    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    page = (Path(__file__).parents[2] / "docs" / "attach.md").read_text(encoding="utf-8")
+    program = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[-1]
     run = Hosting.run
     monkeypatch.setattr(Hosting, "run", lambda hosting: run(hosting, hosting.stop))
     monkeypatch.setattr(logging, "basicConfig", lambda **keys: None)
     monkeypatch.chdir(config.parent)
     config.rename("axes.yaml")
-    exec(compile(program, "several-modules.md", "exec"), {})
+    exec(compile(program, "attach.md", "exec"), {})
     assert capsys.readouterr() == ("", "")
 
 

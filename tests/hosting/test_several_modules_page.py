@@ -1,4 +1,4 @@
-"""docs/several-modules.md: what must differ in its configuration, and its frames."""
+"""docs/attach.md: what must differ in its configuration, and its frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ from canfb.errors import ConfigError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 
-PAGE = (Path(__file__).parents[2] / "docs" / "several-modules.md").read_text(encoding="utf-8")
+PAGE = (
+    (Path(__file__).parents[2] / "docs" / "attach.md")
+    .read_text(encoding="utf-8")
+    .partition("\n## Several")[2]
+)
 (CONFIG,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.S)
 
 
