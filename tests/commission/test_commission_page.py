@@ -1,4 +1,4 @@
-"""docs/commission.md: its commands run on a module."""
+"""docs/plan.md: its commands run on a module."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from canfb.files import prepare_folder
 from canfb.master.all_or_nothing import Guard
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "commission.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8").partition("\n## Measured on")[2]
 (BLOCK,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
 COMMANDS = [shlex.split(line)[1:] for line in BLOCK.splitlines()]
 CONFIG = "bus: {interface: virtual}\nmodules: [{node_id: 0x20, encoder_interface: 0x10}]\n"
