@@ -22,11 +22,7 @@ from canfb.objects import StatusBit
 from canfb.simulation.embedded_bus import EmbeddedBus
 from ideal_tracks import counts_at
 
-PAGE = (
-    (Path(__file__).parents[2] / "docs" / "attach.md")
-    .read_text(encoding="utf-8")
-    .partition("\n## Several")[0]
-)
+PAGE = (Path(__file__).parents[2] / "docs/attach.md").read_text("utf-8").partition("\n## Several")[0]
 NODE, INTERFACE = 0x20, 0x10
 SYNC, OFF, NO_REMOTE = Frame(0x80, b""), 1 << 31, 1 << 30
 TRACKS = 0x190

@@ -14,11 +14,7 @@ from canfb.errors import ConfigError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 
-PAGE = (
-    (Path(__file__).parents[2] / "docs" / "attach.md")
-    .read_text(encoding="utf-8")
-    .partition("\n## Several")[2]
-)
+PAGE = (Path(__file__).parents[2] / "docs/attach.md").read_text("utf-8").partition("\n## Several")[2]
 (CONFIG,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.S)
 
 
