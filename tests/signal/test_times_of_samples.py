@@ -32,8 +32,10 @@ knowledge = pytest.mark.parametrize("known", ["nothing", "calls", "receive times
 class Clock:
     """An interface that answers each SYNC, and what a module knows of it."""
 
-    def __init__(self, known: str, start: int = 0, interval_s: float = 0.0, samples: int = 40) -> None:
-        self.times, self.known, self.start = SampleTimes(), known, start
+    def __init__(
+        self, known: str, start: int = 0, interval_s: float = 0.0, samples: int = 40, apart: int = T
+    ) -> None:
+        self.times, self.known, self.start, self.apart = SampleTimes(), known, start, apart
         self.times.sync_interval_s = interval_s
         self.n, self.counted, self.set_ticks = 0, 1.0, 0
         for _ in range(samples):
@@ -42,7 +44,7 @@ class Clock:
     def next(self, off: float = 0.0, late_s: float = 0.0, speed: float = FAST, skip: int = 0) -> float:
         """The sample after ``skip`` that did not come; its time is ``off`` ticks, its SYNC late."""
         self.n += 1 + skip
-        at = self.n * T + round(late_s * 1e7)
+        at = self.n * self.apart + round(late_s * 1e7)
         synced_s = at * 1e-7 + random.Random(self.n).uniform(0.0, 3e-5)
         time = (self.start + self.set_ticks + at + round(off)) % TICKS
         received = {
@@ -93,6 +95,16 @@ def test_one_bad_time_costs_one_sample(
         assert clock.next() == pytest.approx(2.0, abs=1e-3), "from the last good one"
 
 
+@pytest.mark.parametrize("apart", [T // 2, T, 10 * T, 100 * T])
+@given(wrong=st.lists(st.integers(-5, 5).filter(bool), min_size=1, max_size=ROW - 1, unique=True))
+def test_wrong_times_do_not_count_against_the_receive_times(apart: int, wrong: list[int]) -> None:
+    """They are still the judge of the next one, which is off by more than they may be."""
+    clock = Clock("receive times", apart=apart)
+    for intervals in wrong:
+        assert clock.next(off=intervals * apart) < 0.0
+    assert clock.next(off=4 * HEARD_S * 1e7) < 0.0
+
+
 @knowledge
 @given(back=st.integers(0, int(OLDEST) - 2))
 def test_earlier_samples_change_nothing(known: str, back: int) -> None:
@@ -132,16 +144,17 @@ def test_syncs_that_were_not_sent_are_known_by_the_second_call() -> None:
     assert clock.next() == pytest.approx(5.0, abs=1e-3)
 
 
-def test_a_sync_that_was_late_proves_its_sample() -> None:
-    """By receive times; by calls alone it may be a wrong time."""
-    assert Clock("receive times").next(late_s=6e-4) == pytest.approx(1.6, abs=0.01)
-    assert Clock("calls").next(late_s=6e-4) == SUSPECT
-
-
-def test_no_host_takes_a_sync_before_it_comes() -> None:
-    clock = Clock("calls")
-    assert clock.next(off=1500) == SUSPECT
-    assert clock.next(off=-1500) == pytest.approx(1.85, abs=0.01), "it may have been late"
+@pytest.mark.parametrize(
+    ("known", "off", "late_s", "passed"),
+    [
+        ("receive times", 0, 6e-4, 1.6),
+        ("calls", 0, 6e-4, SUSPECT),  # it may be a wrong time
+        ("calls", 1500, 0.0, SUSPECT),  # no host takes a SYNC before it comes
+        ("calls", -1500, 0.0, 0.85),  # it may have been late
+    ],
+)
+def test_a_sync_off_the_grid(known: str, off: int, late_s: float, passed: float) -> None:
+    assert Clock(known).next(off, late_s) == pytest.approx(passed, abs=0.01)
 
 
 def test_a_timer_of_the_interface_is_known_by_its_line() -> None:

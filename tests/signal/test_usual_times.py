@@ -49,7 +49,8 @@ class Line:
 def at_once(chain: SignalChain, sample: Sample, received_s: float | None, synced_s: float | None) -> Feedback:
     """As the module takes it."""
     assert sample.time_100ns is not None
-    feedback = chain.take_in_turn(sample.sine, sample.cosine, sample.time_100ns, received_s, synced_s)
+    usual = sample.sine, sample.cosine, sample.time_100ns, received_s, synced_s
+    feedback = None if sample.invalid else chain.take_in_turn(*usual)
     return chain.step(sample, received_s, synced_s) if feedback is None else feedback
 
 
@@ -83,14 +84,8 @@ def test_same_bits_as_the_close_look(
         )
         sample = sample._replace(invalid=kind == "bad")
         for _ in range(1 + (kind == "twice")):
-            if sample.invalid:
-                results = [chain.step(sample, received_s, synced_s) for chain in chains]
-            else:
-                results = [
-                    at_once(chains[0], sample, received_s, synced_s),
-                    chains[1].step(sample, received_s, synced_s),
-                ]
-            assert repr(results[0]) == repr(results[1])
+            close_look = chains[1].step(sample, received_s, synced_s)
+            assert repr(at_once(chains[0], sample, received_s, synced_s)) == repr(close_look)
     assert chains[0].unit_s == chains[1].unit_s
 
 

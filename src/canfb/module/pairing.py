@@ -387,7 +387,7 @@ class Pairing(ProcessData):
         if self._interval.samples_per_sync > 1:
             self._grid.follow()
         last = self._publishing.last
-        feedback = self._chain.step(sample, received_s, synced_s)
+        feedback = self._chain.step(sample, received_s, synced_s, syncs.place > self._accounted)
         is_new = last is None or feedback.samples != last.samples
         if is_new:
             self._out(sample, self._withheld(feedback) if self.unconfirmed else feedback, now)

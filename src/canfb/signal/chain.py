@@ -55,6 +55,7 @@ class SignalChain:
         """The clock of the encoder interface, by the sample times so far."""
         self._per_sync = 1
         self._waited = 0.0  # intervals without a sample since the last one with a sample time
+        self._left_out = 0.0  # since then, of samples that were crowded
         self._untimed_unit_s = config.interval_s
         self.set_limits(config.chain_limits)
 
@@ -173,6 +174,7 @@ class SignalChain:
             if old_s > 0.0 and unit_s > 0.0:
                 factor = old_s / unit_s
                 self._waited *= factor
+                self._left_out *= factor
                 self.stages.estimator.rescale(factor)
             self.on_unit()
         self._follow_unit()
@@ -221,15 +223,12 @@ class SignalChain:
         and its phases did since; after :meth:`reset` unless the machine turned at it, or the position was
         lost and its phases had not stood for STILL_SAMPLES.
         """
-        if self._pauses.resume(intervals * self._per_sync):
-            self._times.forget()
-            self._waited = 0.0
-        else:
-            self._forget_times_of_samples()
+        goes_on = self._pauses.resume(intervals * self._per_sync)
+        self._forget_times_of_samples(keep_interval=goes_on)
 
-    def _forget_times_of_samples(self) -> None:
-        self._times.reset()
-        self._waited = 0.0
+    def _forget_times_of_samples(self, keep_interval: bool = False) -> None:
+        (self._times.forget if keep_interval else self._times.reset)()
+        self._waited = self._left_out = 0.0
 
     def slips(self, intervals: float) -> bool:
         """In so many intervals of SYNC the machine goes so far that its phase could mislead."""
@@ -253,14 +252,16 @@ class SignalChain:
         sample: Sample,
         received_s: float | None = None,
         synced_s: float | None = None,
+        counts: bool = True,
     ) -> Feedback:
         """Take one sample through the whole chain. A bad sample is flagged, it never raises.
 
-        A sample with the time of the one before, or of an earlier one, comes too late: the same
-        Feedback, the same object, is returned, and nothing changes. Times must agree
+        A sample with the time of one before comes too late: the same
+        Feedback object is returned, and nothing changes. Times must agree
         with the receptions, of this sample at ``received_s`` and of the SYNC that it answers at
         ``synced_s``, seconds, None where that is not known. One whose time fits nothing is a bad sample in
-        motion; see :class:`canfb.signal.sample_times.SampleTimes`.
+        motion; see :class:`canfb.signal.sample_times.SampleTimes`. It ``counts`` but where another one
+        answered this SYNC.
 
         With several samples in an interval (``samples_per_sync`` of :class:`ChainLimits`) all of them are
         taken, in their order; the result is that of the newest, :attr:`between` has the others.
@@ -270,11 +271,12 @@ class SignalChain:
             return self.after(sample, elapsed)
         times, stages = self._times, self.stages
         speed, unit_s = abs(stages.estimator.tracker.step_cycles) * self._per_sync, times.unit_s
-        counted = elapsed + self._waited
+        counted = elapsed + self._waited + self._left_out
         passed = times.elapsed(time_100ns, counted, received_s, synced_s, speed)
         self._unit_may_have_changed(unit_s)
         self.crowded = passed == CROWDED
         if passed <= 0.0:
+            self._left_out += elapsed * (self.crowded and counts)
             if passed in (REPEATED, CROWDED) and stages.last is not None:
                 return stages.last
             if passed != SUSPECT:
@@ -287,7 +289,7 @@ class SignalChain:
         next_one = elapsed + self._waited < HOLE_INTERVALS
         if self.measures_intervals:
             elapsed = passed - self._waited  # what was waited for is counted already
-        self._waited = 0.0
+        self._waited = self._left_out = 0.0
         return self.after(sample, elapsed, next_one=next_one)
 
     def withheld(self, feedback: Feedback) -> Feedback:
@@ -300,7 +302,7 @@ class SignalChain:
     ) -> Feedback | None:
         """:meth:`step` for a sample of counts alone; None, nothing changed, unless its time is usual.
 
-        ``sine`` and ``cosine`` were taken at ``time_100ns``; ``received_s`` and ``synced_s`` as there.
+        Arguments: ``sine``, ``cosine``, ``time_100ns``, ``received_s``, ``synced_s``.
         """
         if self._waited or self._per_sync != 1 or not self.measures_intervals:
             return None
@@ -313,7 +315,7 @@ class SignalChain:
         Its length is unknown: a machine that creeps may have gone on as long as the times say.
         """
         lost = self.uncertain(max(least, self._times.passed) if self._pauses.creeps else 1.0)
-        self._waited = 0.0
+        self._waited = self._left_out = 0.0
         if self.lost:  # what its times say of the speed begins here
             self.stages.estimator.lose(LossCause.TIME, starts=False)
         return self.after(sample._replace(time_100ns=None), sample.elapsed) if lost is None else lost

@@ -22,6 +22,7 @@ HALF_TICKS = TICKS // 2
 OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
 CLOSEST = 0.25  # intervals: samples closer together would give a poor speed
 HEARD_S = 75e-6  # two receive times of 30 us, and the interface
+FAR_S = 10 * HEARD_S  # counts in their mean: so ROW wrong times do not reach HEARD_S
 DRIFT = 2e-4  # of two clocks, 100 ppm each
 # A time may be wrong by no more than this at the speed of the machine, without a second opinion: with the
 # residual limit of 1/3 it is less than half a cycle.
@@ -90,9 +91,8 @@ class SampleTimes:
         ticks = time_100ns - last
         at, allowed, pace_s = self._at + ticks, grid.allowed, grid.period * TICK_S
         off, passed_s = at - grid.due, ticks * TICK_S
-        if not -allowed <= off <= allowed or abs(pace_s - unit) > SAME_PACE * pace_s:
-            return 0.0
-        if passed_s < CLOSEST * unit:
+        at_place = -allowed <= off <= allowed and passed_s >= CLOSEST * unit
+        if not at_place or abs(pace_s - unit) > SAME_PACE * pace_s:
             return 0.0
         if received_s is None:
             if synced_s is not None:
@@ -153,7 +153,7 @@ class SampleTimes:
         if heard_apart_s is not None and apart_s is not None:
             error_s = abs(apart_s - passed_s)
             wrong = max(wrong, error_s / unit, abs(apart_s / unit - counted))
-            self._heard_s += (min(error_s, unit) - self._heard_s) / SHOWN
+            self._heard_s += (min(error_s, FAR_S) - self._heard_s) / SHOWN
         if heard_apart_s is None or self._heard_s > HEARD_S:
             right = places == round(counted)
             if synced_s is not None and received_s is None:

@@ -78,11 +78,14 @@ class Grid:
         self.lead = 0.0
         self._fresh = 0
         self._first: list[float] = []
+        self._end_row()
+        self._find_gains()
+
+    def _end_row(self) -> None:
         self.row: list[float] = []
         self._in_turn: list[bool] = []  # whether each of the row was
         self.early = 0
         """Of the row, by calls."""
-        self._find_gains()
 
     @property
     def locked(self) -> bool:
@@ -210,11 +213,6 @@ class Grid:
         self.row.append(instant)
         self._in_turn.append(in_turn)
         del self.row[:-most], self._in_turn[:-most]
-
-    def _end_row(self) -> None:
-        self.row.clear()
-        self._in_turn.clear()
-        self.early = 0
 
     def set_again(self, instants: list[float]) -> bool:
         """These regular instants are the grid; True if its period is another one."""
