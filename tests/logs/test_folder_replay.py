@@ -58,7 +58,7 @@ def comparable(rows: Iterable[Row]) -> list[list[Any]]:
 def test_each_log_has_its_row_and_a_second_run_does_what_has_changed(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "month.parquet"
     parts: list[float] = []
-    rows = do_work(work_of(folder, SETTINGS, out), SETTINGS, out, 1, progress=parts.append)
+    rows = do_work(*work_of(folder, SETTINGS, out), SETTINGS, out, 1, progress=parts.append)
     assert comparable(read_rows(out)) == comparable(rows)
     by_name = {Path(row["log"]).stem: row for row in rows}
     assert by_name.pop("bad")["error"].endswith("1 damaged lines")
@@ -72,12 +72,12 @@ def test_each_log_has_its_row_and_a_second_run_does_what_has_changed(folder: Pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["month", "month.parquet"]
 
     work = work_of(folder, SETTINGS, out)
-    assert (work.jobs, comparable(work.done)) == ([], comparable(rows)), "a bad one is not done again either"
+    assert (work[0], comparable(work[1])) == ([], comparable(rows)), "a bad one is not done again either"
     (folder / "1.blf").unlink()
     write_log(folder / "0.log", live(session(50))[0])
     work = work_of(folder, SETTINGS, out)
-    assert [job.name for job in work.jobs] == ["0.log"]
-    assert {row["log"] for row in do_work(work, SETTINGS, out, 1)} == {
+    assert [job.name for job in work[0]] == ["0.log"]
+    assert {row["log"] for row in do_work(*work, SETTINGS, out, 1)} == {
         "0.log", "bad.log", "monday/2.log", "monday/3.blf"
     }  # fmt: skip
     for other in (
@@ -85,7 +85,7 @@ def test_each_log_has_its_row_and_a_second_run_does_what_has_changed(folder: Pat
         ReplayOptions((config(),), channel="can0"),
         ReplayOptions((config(),), drift=True),
     ):
-        assert work_of(folder, other, out).done == []
+        assert work_of(folder, other, out)[1] == []
 
 
 class InTurn(Executor):
@@ -99,17 +99,17 @@ class InTurn(Executor):
 
 def test_another_executor_and_an_interruption(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "x.parquet"
-    whole = do_work(work_of(folder, SETTINGS, None), SETTINGS, None, executor=InTurn())
+    whole = do_work(*work_of(folder, SETTINGS, None), SETTINGS, None, executor=InTurn())
 
     def interrupt(part: float) -> None:
         if part > 0.4:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        do_work(work_of(folder, SETTINGS, out), SETTINGS, out, 1, progress=interrupt)
+        do_work(*work_of(folder, SETTINGS, out), SETTINGS, out, 1, progress=interrupt)
     work = work_of(folder, SETTINGS, out)
-    assert 0 < len(work.done) < GOOD
-    assert comparable(do_work(work, SETTINGS, out, 1)) == comparable(whole)
+    assert 0 < len(work[1]) < GOOD
+    assert comparable(do_work(*work, SETTINGS, out, 1)) == comparable(whole)
 
 
 def kill_first(job: LogJob, settings: ReplayOptions) -> list[Row]:
@@ -122,9 +122,9 @@ def kill_first(job: LogJob, settings: ReplayOptions) -> list[Row]:
 def test_of_two_processes_the_one_that_is_killed_costs_its_log(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = do_work(work_of(folder, SETTINGS, None), SETTINGS, None, 1)
+    expected = do_work(*work_of(folder, SETTINGS, None), SETTINGS, None, 1)
     monkeypatch.setattr(folder_replay, "rows_of", kill_first)
-    rows = do_work(work_of(folder, SETTINGS, None), SETTINGS, None, 2)
+    rows = do_work(*work_of(folder, SETTINGS, None), SETTINGS, None, 2)
     lost = [row for row in rows if row["log"] == "monday/3.blf"]
     assert [row["error"] for row in lost] == ["its process was ended again and again"]
     assert comparable(row for row in rows if row not in lost) == comparable(

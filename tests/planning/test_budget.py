@@ -144,11 +144,11 @@ def test_an_uncorrected_phase_takes_what_the_module_allows_it_and_noise_is_withi
     assert budget(noise_counts=5.0).needed_cycles > 4 * 819 / 65536
     assert budget(table=True).needed_cycles < 0.006
     assert budget(phase_error_cycles=0.02).needed_cycles == pytest.approx(
-        0.08 + PEAK * math.sqrt(6.0) * one.phase_errors.noise_cycles
+        0.08 + PEAK * math.sqrt(6.0) * one.phase_noise_cycles
     )
     few_bits = planned(adc_bits=6).budgets[0]
-    assert PEAK * math.sqrt(6.0) * few_bits.phase_errors.noise_cycles == pytest.approx(
-        64.0 * PEAK * math.sqrt(6.0) * one.phase_errors.noise_cycles
+    assert PEAK * math.sqrt(6.0) * few_bits.phase_noise_cycles == pytest.approx(
+        64.0 * PEAK * math.sqrt(6.0) * one.phase_noise_cycles
     )
 
 

@@ -48,7 +48,7 @@ def same(plan: list[Planned], **fields: Any) -> ModuleReplay:
     replay, again = replayed(log, **fields)
     assert contents(again) == contents(sent)
     assert_equal(replay)
-    assert replay.counters.recorded_own == len(sent)
+    assert replay.recorded_own == len(sent)
     return replay
 
 
@@ -100,8 +100,8 @@ def test_faults_reset_and_saved_parameters() -> None:
     assert faults.samples["missed"] > 15
     assert faults.times["lost"] >= 1
     assert faults.times["amplitude"] == 1
-    assert replay.counters.emergencies > 0
-    assert replay.counters.restarts == 0
+    assert replay.emergencies > 0
+    assert replay.restarts == 0
 
 
 def test_a_table_that_is_downloaded_in_the_middle() -> None:
@@ -121,7 +121,7 @@ def test_a_module_that_is_switched_off_and_on() -> None:
     assert contents(sent[-len(sent_second) :]) == contents(sent_second)
     between = sent[len(sent_first) : -len(sent_second)]
     assert {frame.can_id for frame in between} == {0xA0, POSITION_ID}, "it misses the SYNC until then"
-    assert replay.counters.restarts == 1
+    assert replay.restarts == 1
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc", ".log.gz", ".mf4"])
@@ -131,10 +131,10 @@ def test_through_a_file_of_each_format(tmp_path: Path, suffix: str) -> None:
     log, sent = live(session(200, jitter_s=1e-5))
     path = write_log(tmp_path / f"bus{suffix}", log)
     again: list[Frame] = []
-    found = replay_log(path, ReplayOptions((config(),)), sent=again.append)
+    read, results = replay_log(path, ReplayOptions((config(),)), sent=again.append)
     assert contents(again) == contents(sent)
-    assert found.log.trouble is None
-    assert_equal(found.results[0].replay)
+    assert read.trouble is None
+    assert_equal(results[0].replay)
 
 
 def test_a_log_that_starts_in_the_middle() -> None:

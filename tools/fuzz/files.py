@@ -239,9 +239,9 @@ def _arrays() -> list[bytes]:
 
 def _log(path: Path) -> None:
     """As ``canfb log replay`` reads it, through a module."""
-    done = replay_log(path, ReplayOptions((ModuleConfig(node_id=NODE_ID),)))
-    demand("MemoryError" not in (done.log.trouble or ""), "it takes all memory")
-    json.dumps([(result.lines(), result.figures()) for result in done.results], allow_nan=False)
+    log, results = replay_log(path, ReplayOptions((ModuleConfig(node_id=NODE_ID),)))
+    demand("MemoryError" not in (log.trouble or ""), "it takes all memory")
+    json.dumps([(result.lines(), result.figures()) for result in results], allow_nan=False)
 
 
 def _logs(suffix: str, **options: Any) -> Callable[[], list[bytes]]:

@@ -165,19 +165,18 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
         takers += [] if options.out is None else [files.enter_context(published(options.out))]
         sent = None if options.frames is None else files.enter_context(SentLog(options.frames)).take
         progress.step(f"replaying {options.log}")
-        replayed = replay_log(options.log, settings, takers, sent, progress.part)
+        log, results = replay_log(options.log, settings, takers, sent, progress.part)
         if options.report is not None:
-            write_page(options.report, replayed, overview)
+            write_page(options.report, log, results[0], overview)
     progress.clear()
     written = [path for path in (options.out, options.frames, options.report) if path is not None]
-    log = replayed.log
     about = log.counters.facts(log.trouble)
     figures = {
         "log": str(log.path),
         **as_figures(about),
-        "modules": [one.figures() for one in replayed.results],
+        "modules": [one.figures() for one in results],
     }
-    lines = [*as_lines(about), *(line for one in replayed.results for line in one.lines())]
+    lines = [*as_lines(about), *(line for one in results for line in one.lines())]
     say_result(options, Result(figures, [*lines, *(f"written  {path}" for path in written)]))
     return int(log.trouble is not None)
 
@@ -214,9 +213,9 @@ def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Prog
     out = None if options.out is None else check_table(options.out)
     if options.workers is not None and options.workers < 1:
         raise ConfigError(f"--workers {options.workers}: must be 1 at least")
-    work = work_of(options.log, settings, out)
-    progress.step(f"{len(work.jobs)} logs to replay, {len({row['log'] for row in work.done})} are done")
-    rows = do_work(work, settings, out, options.workers, progress=progress.part)
+    jobs, done = work_of(options.log, settings, out)
+    progress.step(f"{len(jobs)} logs to replay, {len({row['log'] for row in done})} are done")
+    rows = do_work(jobs, done, settings, out, options.workers, progress=progress.part)
     progress.clear()
     bad = [row for row in rows if row["error"] is not None]
     for row in rows:

@@ -12,7 +12,6 @@ import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass
 from pathlib import Path
 
 from canfb.errors import CanfbError, ConfigError, reason
@@ -20,14 +19,6 @@ from canfb.files import check_writable, replacing, writing
 from canfb.logfile.log_files import is_log
 from canfb.logs.log_replay import COLUMNS, LogJob, ReplayOptions, Row, failed_rows, job_of, rows_of
 from canfb.logs.published_files import read_rows, write_rows
-
-
-@dataclass(frozen=True)
-class FolderWork:
-    """What there is to do, and the rows that an earlier run has left."""
-
-    jobs: list[LogJob]
-    done: list[Row]
 
 
 def check_table(out: Path) -> Path:
@@ -38,8 +29,8 @@ def check_table(out: Path) -> Path:
     return out
 
 
-def work_of(folder: Path, settings: ReplayOptions, out: Path | None) -> FolderWork:
-    """The logs below ``folder`` whose rows are not in the table ``out``; None: no table, all of them.
+def work_of(folder: Path, settings: ReplayOptions, out: Path | None) -> tuple[list[LogJob], list[Row]]:
+    """The logs below ``folder`` that are to do, and the rows of the table ``out`` of the others.
 
     CanfbError for a folder without logs, and for a table that cannot be read.
     """
@@ -50,11 +41,12 @@ def work_of(folder: Path, settings: ReplayOptions, out: Path | None) -> FolderWo
     known = {job.name: job.fingerprint for job in jobs.values()}
     done = [] if out is None else [row for row in _table(out) if known.get(row["log"]) == row["fingerprint"]]
     names = {row["log"] for row in done}
-    return FolderWork([job for name, job in jobs.items() if name not in names], done)
+    return [job for name, job in jobs.items() if name not in names], done
 
 
 def do_work(
-    work: FolderWork,
+    jobs: list[LogJob],
+    done: list[Row],
     settings: ReplayOptions,
     out: Path | None,
     workers: int | None = None,
@@ -66,12 +58,10 @@ def do_work(
     In ``workers`` processes, None: one for each processor, 1: this one; or on ``executor``. A log whose
     process is killed is done once more. Interrupted, the table has what is done. CanfbError if a file fails.
     """
-    rows = list(work.done)
-    total, ready = sum(job.size for job in work.jobs) or 1, 0
+    rows = list(done)
+    total, ready = sum(job.size for job in jobs) or 1, 0
     try:
-        for job, found in _done(
-            deque(sorted(work.jobs, key=lambda job: -job.size)), settings, workers, executor
-        ):
+        for job, found in _done(deque(sorted(jobs, key=lambda job: -job.size)), settings, workers, executor):
             rows += found
             ready += job.size
             progress(ready / total)

@@ -57,21 +57,13 @@ class ReplayOptions:
             raise ConfigError(f"--state {self.state_dir}: there is no such folder")
 
 
-@dataclass(frozen=True)
-class LogReplayed:
-    """What the log was like, and its modules."""
-
-    log: BusLogFile
-    results: list[ReplayResult]
-
-
 def replay_log(
     path: Path,
     settings: ReplayOptions,
     takers: Sequence[Callable[[Block], None]] = (),
     sent: Callable[[Frame], None] | None = None,
     progress: Callable[[float], None] = lambda part: None,
-) -> LogReplayed:
+) -> tuple[BusLogFile, list[ReplayResult]]:
     """Read it once, for all modules. ``progress`` gets the part that is done, 0..1.
 
     ``takers`` and ``sent`` get the samples and the frames of the modules, see ModuleReplay. LogError for
@@ -102,7 +94,7 @@ def replay_log(
         active = replay.module.chain.correction
         drift = track.drift(active, module.adc_bits) if settings.drift else None
         results.append(ReplayResult(replay, drift, log.counters.left_out_of(replay.own_can_ids)))
-    return LogReplayed(log, results)
+    return log, results
 
 
 def _check_frames(log: BusLogFile) -> None:
@@ -202,11 +194,11 @@ def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
 def rows_of(job: LogJob, settings: ReplayOptions) -> list[Row]:
     """Its rows, whatever is the matter with it."""
     try:
-        replayed = replay_log(job.path, settings)
+        log, results = replay_log(job.path, settings)
     except Exception as error:  # one log must not cost the others
         kind = "" if isinstance(error, CanfbError) else f"{type(error).__name__}: "
         return failed_rows(job, settings, f"{kind}{reason(error)}")
-    return [_row(job, replayed.log, one.figures()) for one in replayed.results]
+    return [_row(job, log, one.figures()) for one in results]
 
 
 def failed_rows(job: LogJob, settings: ReplayOptions, why: str) -> list[Row]:

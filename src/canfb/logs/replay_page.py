@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from canfb.files import writing
-from canfb.logs.log_replay import LogReplayed
+from canfb.logfile.log_reader import BusLogFile
 from canfb.replay.findings import Overview
 from canfb.replay.module_replay import ModuleReplay
-from canfb.replay.replay_result import RPM
+from canfb.replay.replay_result import RPM, ReplayResult
 from canfb.report.page import beside, figure, gallery, page, table
 from canfb.report.pictures import Curve, lissajous, over_time
 from canfb.rows import Row
@@ -18,9 +18,8 @@ from canfb.rows import Row
 MOST_FAULTS = 40
 
 
-def write_page(path: Path, replayed: LogReplayed, overview: Overview) -> None:
+def write_page(path: Path, log: BusLogFile, result: ReplayResult, overview: Overview) -> None:
     """The page of the one module that was replayed. CanfbError if the file fails."""
-    (result,), log = replayed.results, replayed.log
     replay = result.replay
     whole = not (result.left_out or log.counters.damaged_lines or log.trouble)
     tables = table("Margins", [*result.facts(), *log.counters.facts(log.trouble)])
@@ -46,7 +45,7 @@ def write_page(path: Path, replayed: LogReplayed, overview: Overview) -> None:
 
 def _pictures(replay: ModuleReplay, overview: Overview) -> list[str]:
     found = overview.stretches
-    time_s = found["begin_s"] - replay.counters.first_s
+    time_s = found["begin_s"] - replay.first_s
     if not len(time_s):
         return []
     residual = [

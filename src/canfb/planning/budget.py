@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from canfb.planning.plan_input import EncoderErrors, PlanInput
+from canfb.planning.plan_input import PlanInput
 from canfb.planning.planned_module import PlannedModule
 from canfb.signal.declared import Declared
 from canfb.signal.limits import (
@@ -36,50 +36,8 @@ RPM = 60.0 / (2.0 * math.pi)  # of a speed in rad/s
 WEIGHTS, SQUARES = 4.0, 6.0  # sums of the sizes and of the squares of 1, 2, 1 (eq. 9)
 
 
-@dataclass(frozen=True)
-class PhaseErrors:
-    """Those of an encoder."""
-
-    errors: EncoderErrors
-    module: PlannedModule
-
-    @cached_property
-    def noise_cycles(self) -> float:
-        """The rms noise of a phase; inf without an amplitude."""
-        counts = math.sqrt(self.errors.noise_counts**2 + ROUNDING_VARIANCE)
-        amplitude = self.errors.amplitude * self.module.full_scale_counts
-        return counts / (2.0 * math.pi * amplitude) if amplitude else math.inf
-
-    @property
-    def largest_cycles(self) -> float:
-        """Without noise, given or usual."""
-        if self.errors.phase_cycles is not None:
-            return self.errors.phase_cycles
-        return TABLE_PHASE_ERROR_CYCLES if self.module.has_table else RAW_PHASE_ERROR_CYCLES
-
-    @property
-    def largest_residual(self) -> float:
-        return WEIGHTS * self.largest_cycles + PEAK * math.sqrt(SQUARES) * self.noise_cycles
-
-    @property
-    def rms_residual(self) -> float:
-        """The rms of a residual, as the module measures it (2011:0B).
-
-        At speed the errors of the table are as good as random: up to their largest size, all alike.
-        """
-        return math.sqrt(SQUARES) * math.hypot(self.noise_cycles, self.largest_cycles / math.sqrt(3.0))
-
-
 HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
 ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # of sums: a limit that is narrowed to the motion holds
-
-
-@dataclass(frozen=True)
-class ResidualPart:
-    """A part of the largest residual."""
-
-    what: str
-    cycles: float
 
 
 @dataclass(frozen=True)
@@ -123,7 +81,9 @@ class ResidualBudget:
     @cached_property
     def measured_noise_cycles(self) -> float:
         """Rms of the residual without motion (2011:0B)."""
-        return self.phase_errors.rms_residual
+        return math.sqrt(SQUARES) * math.hypot(
+            self.phase_noise_cycles, self.phase_error_cycles / math.sqrt(3.0)
+        )
 
     @cached_property
     def noise_margin_cycles(self) -> float:
@@ -135,7 +95,7 @@ class ResidualBudget:
 
     @property
     def asked_rad_s2(self) -> float | None:
-        return self.plan_input.motion.acceleration_of(self.module)
+        return self.plan_input.acceleration_of(self.module)
 
     @cached_property
     def sync_jitter_s(self) -> float:
@@ -158,21 +118,21 @@ class ResidualBudget:
         return HALF_TICK_S if self.module.times and not self.module.samples_itself else 0.0
 
     @property
-    def parts(self) -> tuple[ResidualPart, ...]:
+    def parts_cycles(self) -> dict[str, float]:
         instants = self.instants_cycles
-        return (
-            self.motion_part,
-            ResidualPart("sampling instants", instants),
-            ResidualPart("errors of the encoder", self.rest_cycles(instants) - instants),
-        )
+        return {
+            "acceleration": self.motion_cycles,
+            "sampling instants": instants,
+            "errors of the encoder": self.rest_cycles(instants) - instants,
+        }
 
     @cached_property
-    def motion_part(self) -> ResidualPart:
-        return ResidualPart("acceleration", self.acceleration_cycles(self.asked_rad_s2 or 0.0))
+    def motion_cycles(self) -> float:
+        return self.acceleration_cycles(self.asked_rad_s2 or 0.0)
 
     @cached_property
     def needed_cycles(self) -> float:
-        return sum(part.cycles for part in self.parts)
+        return sum(self.parts_cycles.values())
 
     @property
     def margin(self) -> float:
@@ -204,7 +164,7 @@ class ResidualBudget:
 
         0.0 if the errors need the whole limit, inf if the sampling instants are known.
         """
-        motion = self.motion_part.cycles
+        motion = self.motion_cycles
         if self.slow_limit_cycles - motion < self.rest_cycles(0.0) - ROUNDING_CYCLES:
             motion = 0.0
         return self._speed_beside(motion + self.phase_cycles)
@@ -224,7 +184,7 @@ class ResidualBudget:
         count.
         """
         widest = self.module.widest_limit_cycles
-        taken, left = self.motion_part.cycles, self.left_cycles(widest, widest)
+        taken, left = self.motion_cycles, self.left_cycles(widest, widest)
         if not taken:
             return 0.0
         return self.plan_input.sync_hz * math.sqrt(taken / left) if left > 0.0 else math.inf
@@ -249,19 +209,29 @@ class ResidualBudget:
         )
 
     @cached_property
-    def phase_errors(self) -> PhaseErrors:
-        return PhaseErrors(self.plan_input.errors, self.module)
+    def phase_noise_cycles(self) -> float:
+        """The rms noise of a phase; inf without an amplitude."""
+        counts = math.sqrt(self.plan_input.noise_counts**2 + ROUNDING_VARIANCE)
+        amplitude = self.plan_input.amplitude * self.module.full_scale_counts
+        return counts / (2.0 * math.pi * amplitude) if amplitude else math.inf
+
+    @property
+    def phase_error_cycles(self) -> float:
+        """Without noise, given or usual."""
+        if self.plan_input.phase_cycles is not None:
+            return self.plan_input.phase_cycles
+        return TABLE_PHASE_ERROR_CYCLES if self.module.has_table else RAW_PHASE_ERROR_CYCLES
 
     @property
     def phase_cycles(self) -> float:
         """Errors of the phases in a residual: all at the same time, or six deviations of the noise."""
-        largest = self.phase_errors.largest_residual
+        largest = WEIGHTS * self.phase_error_cycles + PEAK * math.sqrt(SQUARES) * self.phase_noise_cycles
         return min(largest, PEAK * self.measured_noise_cycles) if self.has_noise_margin else largest
 
     @property
     def _cycles_per_s(self) -> float:
         cycles = self.module.cycles_per_revolution
-        return (self.plan_input.motion.speed_rad_s or 0.0) * cycles / (2 * math.pi)
+        return (self.plan_input.speed_rad_s or 0.0) * cycles / (2 * math.pi)
 
     @property
     def instants_cycles(self) -> float:
@@ -270,7 +240,7 @@ class ResidualBudget:
 
     def rest_cycles(self, instants_cycles: float) -> float:
         """All but the motion; without a table 4 x 2010:0C at least."""
-        uncorrected = self.plan_input.errors.phase_cycles is None and not self.module.has_table
+        uncorrected = self.plan_input.phase_cycles is None and not self.module.has_table
         rest = self.phase_cycles + instants_cycles
         return max(rest, self._declared_cycles) if uncorrected else rest
 

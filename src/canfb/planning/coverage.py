@@ -93,9 +93,9 @@ def window_of(plan: Plan, budget: ResidualBudget) -> SampleWindow:
         full_scale_counts=module.full_scale_counts,
         low_counts=low,
         high_counts=high,
-        nominal_counts=plan.plan_input.errors.amplitude * module.full_scale_counts,
+        nominal_counts=plan.plan_input.amplitude * module.full_scale_counts,
         limit_cycles=budget.limit_cycles,
-        motion_cycles=min(budget.motion_part.cycles or LEAST_MOTION_CYCLES, budget.limit_cycles),
+        motion_cycles=min(budget.motion_cycles or LEAST_MOTION_CYCLES, budget.limit_cycles),
         tolerance_cycles=tolerance * module.cycles_per_revolution,
     )
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 from canfb import objects as od
 from canfb.planning.budget import RPM, WEIGHTS
@@ -102,7 +101,7 @@ def _of_the_speed(plan: Plan) -> Ways:
     yield from _table(plan)
     rpm = min(one.largest_speed_rad_s for one in plan.budgets) * RPM * JUST_BELOW
     if rpm > 0.0:
-        yield f"turn at {rpm:.4g} rpm at most", _moving(plan, speed_rad_s=rpm / RPM)
+        yield f"turn at {rpm:.4g} rpm at most", replace(plan.plan_input, speed_rad_s=rpm / RPM)
 
 
 def _of_the_motion(plan: Plan) -> Ways:
@@ -119,9 +118,9 @@ def _of_the_motion(plan: Plan) -> Ways:
     yield from _more_samples(plan)
     most = min(one.largest_acceleration_rad_s2 for one in plan.budgets) * JUST_BELOW
     if 0.0 < most < asked:
-        gentler = _moving(plan, acceleration_rad_s2=most, is_final=True)
+        gentler = replace(given, acceleration_rad_s2=most, is_final=True)
         yield f"accelerate by {most:.4g} rad/s^2 at most", gentler
-    quiet = replace(given, errors=replace(given.errors, noise_counts=0.0))
+    quiet = replace(given, noise_counts=0.0)
     yield "average the tracks, or raise their amplitude: their noise alone exceeds the limit", quiet
 
 
@@ -137,7 +136,7 @@ def _times(plan: Plan) -> Ways:
 
 def _table(plan: Plan) -> Ways:
     given = plan.plan_input
-    if given.errors.phase_cycles is None and not all(module.has_table for module in given.modules):
+    if given.phase_cycles is None and not all(module.has_table for module in given.modules):
         modules = tuple(replace(module, has_table=True) for module in given.modules)
         yield "measure the correction table (canfb calibrate)", replace(given, modules=modules)
 
@@ -199,7 +198,7 @@ def _sharper(plan: Plan) -> Ways:
     yield f"set noise_margin (2010:09) to {NOISE_MARGIN}: the residual limit becomes {becomes:.3f}", after
     declared = max(one.settings.phase_error_cycles for one in given.modules)
     least = (WELL - WEIGHTS * declared) / 2.0 * LEAVES
-    taken = max(budget.motion_part.cycles for budget in plan.budgets)
+    taken = max(budget.motion_cycles for budget in plan.budgets)
     if taken > least:
         rate_hz = float(rounded_up(given.sync_hz * math.sqrt(taken / least)))
         yield f"raise the SYNC rate to {rate_hz:g} Hz", replace(given, sync_hz=rate_hz)
@@ -211,10 +210,6 @@ def _with(given: PlanInput, place: od.Multiplexer, value: float) -> PlanInput:
 
 def _limited(given: PlanInput, limit_cycles: float) -> PlanInput:
     return _with(given, od.SUPERVISION_RESIDUAL_LIMIT, int(limit_cycles * LIMIT_UNITS))
-
-
-def _moving(plan: Plan, **motion: Any) -> PlanInput:
-    return replace(plan.plan_input, motion=replace(plan.plan_input.motion, **motion))
 
 
 def _at(given: PlanInput, bit_rate: int) -> PlanInput:

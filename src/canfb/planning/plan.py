@@ -123,15 +123,15 @@ class Plan:
         declared = budget.declared
         if limit != budget.limit_cycles:
             declared = replace(declared, residual_limit=limit)
-        return CountDetection(limit, budget.motion_part.cycles, declared)
+        return CountDetection(limit, budget.motion_cycles, declared)
 
     def _margins(self) -> Iterator[Margin]:
-        load, motion = self.plan_input.bus.load, self.plan_input.motion
+        load, speed = self.plan_input.bus.load, self.plan_input.speed_rad_s
         yield Margin(Limited.BUS, None, over(1.0, load))
         for budget in self.budgets:
             module = budget.module
-            if motion.speed_rad_s is not None:
-                yield Margin(Limited.SPEED, module, over(budget.largest_speed_rad_s, motion.speed_rad_s))
+            if speed is not None:
+                yield Margin(Limited.SPEED, module, over(budget.largest_speed_rad_s, speed))
             if budget.asked_rad_s2 is not None:
                 limit = budget.largest_acceleration_rad_s2
                 yield Margin(Limited.ACCELERATION, module, over(limit, budget.asked_rad_s2))

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 from canfb import objects as od
 from canfb.checks import integer_in, within
@@ -43,44 +44,6 @@ ROUNDED_AMPLITUDE = 0.75  # of full scale, as the simulated encoder has it
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionInput:
-    """Motion that the encoders have to follow; None: not given.
-
-    speed_rad_s            largest speed
-    acceleration_rad_s2    largest acceleration
-    is_final               no module has to follow more, whatever its 2010:02 says
-    where                  who says so, for people
-    """
-
-    speed_rad_s: float | None = None
-    acceleration_rad_s2: float | None = None
-    is_final: bool = False
-    where: str = ""
-
-    def acceleration_of(self, module: PlannedModule) -> float | None:
-        """What this module has to follow: the largest acceleration of its machine counts, too."""
-        known = module.known_acceleration_rad_s2
-        if self.is_final or not known:
-            return self.acceleration_rad_s2
-        return max(known, self.acceleration_rad_s2 or 0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class EncoderErrors:
-    """What makes residuals without any motion.
-
-    noise_counts     rms noise of a track before the ADC, counts
-    amplitude        of the tracks, relative to full scale
-    phase_cycles     largest error of a phase that enters eq. 9; None: that of the module with its table,
-                     or without
-    """
-
-    noise_counts: float = 0.5
-    amplitude: float = ROUNDED_AMPLITUDE
-    phase_cycles: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
 class PlanInput:
     """All that a plan depends on.
 
@@ -92,13 +55,25 @@ class PlanInput:
     heartbeat_s     of every node, 0.0: as each node has it
     modules         at least one
     others          further nodes, by node-ID: their objects
+    speed_rad_s, acceleration_rad_s2   largest ones that the encoders have to follow; None: not given
+    is_final        no module has to follow more, whatever its 2010:02 says
+    where           who says so, for people
+    noise_counts    rms noise of a track before the ADC, counts
+    amplitude       of the tracks, relative to full scale
+    phase_cycles    largest error of a phase that enters eq. 9; None: that of the module with its table,
+                    or without
     """
 
     bit_rate: int
     sync_hz: float
     modules: tuple[PlannedModule, ...]
-    motion: MotionInput
-    errors: EncoderErrors = field(default_factory=EncoderErrors)
+    speed_rad_s: float | None = None
+    acceleration_rad_s2: float | None = None
+    is_final: bool = False
+    where: str = ""
+    noise_counts: float = 0.5
+    amplitude: float = ROUNDED_AMPLITUDE
+    phase_cycles: float | None = None
     jitter_s: float = 0.0
     aperture_s: float = 0.0
     extra_load: float = 0.0
@@ -114,6 +89,13 @@ class PlanInput:
         for node_id, values in self.others:
             messages += self._beating(node_id, values, sampled=False)
         return BusLoad(self.bit_rate, self.sync_hz, in_order(messages), self.extra_load)
+
+    def acceleration_of(self, module: PlannedModule) -> float | None:
+        """What this module has to follow: the largest acceleration of its machine counts, too."""
+        known = module.known_acceleration_rad_s2
+        if self.is_final or not known:
+            return self.acceleration_rad_s2
+        return max(known, self.acceleration_rad_s2 or 0.0)
 
     def _beating(self, node_id: int, values: Values, *, sampled: bool) -> list[Message]:
         found = node_messages(values, node_id, sampled=sampled)
@@ -201,12 +183,10 @@ def plan_input_of(config: Config, modules: Iterable[DeviceConfiguration], option
         bit_rate=bit_rate,
         sync_hz=rate_hz,
         modules=planned,
-        motion=_motion(simulation, config.modules[0], rate_hz, options),
-        errors=EncoderErrors(
-            noise_counts=_first(options.noise_counts, simulation.encoder.noise_lsb),
-            amplitude=simulation.encoder.amplitude,
-            phase_cycles=options.phase_error_cycles,
-        ),
+        noise_counts=_first(options.noise_counts, simulation.encoder.noise_lsb),
+        amplitude=simulation.encoder.amplitude,
+        phase_cycles=options.phase_error_cycles,
+        **_motion(simulation, config.modules[0], rate_hz, options),
         jitter_s=_first(options.jitter_us, jitter_us) * 1e-6,
         aperture_s=CUT_OFF * simulation.aperture_jitter_ns * 1e-9,
         extra_load=_first(options.extra_load, simulation.bus_load),
@@ -238,7 +218,7 @@ def _planned(config: ModuleConfig, found: DeviceConfiguration, options: PlanOpti
 
 def _motion(
     simulation: SimulationConfig, config: ModuleConfig, rate_hz: float, options: PlanOptions
-) -> MotionInput:
+) -> dict[str, Any]:
     speed, acceleration, where = None, None, ""
     demand = _demand(simulation, config, rate_hz)
     if demand is not None:
@@ -247,12 +227,12 @@ def _motion(
     if options.rpm is not None:
         speed = options.rpm * RAD_S
     is_final = options.acceleration_rad_s2 is not None
-    return MotionInput(
-        speed_rad_s=speed,
-        acceleration_rad_s2=options.acceleration_rad_s2 if is_final else acceleration,
-        is_final=is_final,
-        where="" if is_final and options.rpm is not None else where,
-    )
+    return {
+        "speed_rad_s": speed,
+        "acceleration_rad_s2": options.acceleration_rad_s2 if is_final else acceleration,
+        "is_final": is_final,
+        "where": "" if is_final and options.rpm is not None else where,
+    }
 
 
 def _demand(simulation: SimulationConfig, config: ModuleConfig, rate_hz: float) -> MotionDemand | None:

@@ -170,7 +170,7 @@ def _alike(plan: Plan) -> list[tuple[str, ResidualBudget]]:
 
 
 def _heading(names: str, budget: ResidualBudget) -> list[str]:
-    module, where = budget.module, budget.plan_input.motion.where
+    module, where = budget.module, budget.plan_input.where
     several = f"{module.samples_per_sync} samples per SYNC, " if module.samples_per_sync > 1 else ""
     narrowed = ""
     if budget.is_narrowed:
@@ -183,7 +183,7 @@ def _heading(names: str, budget: ResidualBudget) -> list[str]:
 
 
 def _module_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
-    module, motion = budget.module, plan.plan_input.motion
+    module, speed = budget.module, plan.plan_input.speed_rad_s
     return [
         Row(
             node_id=module.node_id,
@@ -197,8 +197,8 @@ def _module_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
             measured_noise_cycles=_finite(budget.measured_noise_cycles),
             sync_jitter_s=budget.sync_jitter_s,
         ),
-        _speed_row(budget, motion.speed_rad_s),
-        analog_row(module, motion.speed_rad_s),
+        _speed_row(budget, speed),
+        analog_row(module, speed),
         Row("", _instants(budget)),
         *_motion_rows(budget),
         _margin_row(
@@ -207,11 +207,11 @@ def _module_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
             budget.margin,
             residual={
                 "needed_cycles": _finite(budget.needed_cycles),
-                "parts_cycles": {part.what: _finite(part.cycles) for part in budget.parts},
+                "parts_cycles": {what: _finite(cycles) for what, cycles in budget.parts_cycles.items()},
                 "margin": budget.margin,
             },
         ),
-        Row("", " + ".join(f"{part.what} {part.cycles:.3f}" for part in budget.parts)),
+        Row("", " + ".join(f"{what} {cycles:.3f}" for what, cycles in budget.parts_cycles.items())),
         *_detection_rows(plan, budget),
     ]
 
@@ -300,7 +300,7 @@ def _detection_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
     frozen = f"after {module.frozen_samples} equal samples" if module.frozen_samples else "not looked for"
     half = "always" if found.half_cycle else "not always"
     low, high = module.amplitude_limits_counts
-    nominal = budget.plan_input.errors.amplitude * module.full_scale_counts
+    nominal = budget.plan_input.amplitude * module.full_scale_counts
     amplitude = f"{low} to {high} counts"
     if nominal:
         amplitude = f"{low / nominal:.2g} to {high / nominal:.2g} of nominal"

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
 from enum import Enum
 from itertools import islice
 
@@ -30,36 +29,6 @@ from canfb.signal.correction import Correction
 
 LONGEST_GAP_S = 60.0
 """A longer silence is cut to this: the module has lost everything by then that it can lose."""
-
-
-class LogTime:
-    """Turns stamps of a log (seconds, of any clock) into the seconds of ``now``; ``origin_s``: stamp less
-    ``now``.
-
-    Counted: ``steps_back`` of the clock, ``gaps`` of more than a minute, ``bad`` stamps that are no number.
-    """
-
-    def __init__(self) -> None:
-        self.origin_s = 0.0
-        self.steps_back = self.gaps = self.bad = 0
-
-    def judged(self, stamp_s: float, now: float) -> float:
-        """When a frame came of which ``now <= stamp_s - origin_s <= now + LONGEST_GAP_S`` does not hold.
-
-        Seconds of ``now``. A step back is a clock that was set: the reader puts late frames in their places.
-        """
-        if not math.isfinite(stamp_s):
-            self.bad += 1
-            return now
-        received = stamp_s - self.origin_s
-        if received < now:
-            self.steps_back += 1
-        else:
-            self.gaps += 1
-            now += LONGEST_GAP_S
-        self.origin_s = stamp_s - now
-        return now
-
 
 HEAD_FRAMES = 20_000
 """So many frames from the beginning of a log are asked."""
@@ -103,19 +72,6 @@ RESET_ANSWER_S = 1.0  # a boot-up so long after that of the replay is its counte
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
-@dataclass
-class ReplayCounters:
-    """Frames of the log, of the module in it, of the replay, its EMCYs; and power-ups without a reset."""
-
-    frames: int = 0
-    recorded_own: int = 0
-    sent: int = 0
-    emergencies: int = 0
-    restarts: int = 0
-    first_s: float = 0.0
-    last_s: float = 0.0
-
-
 class ModuleReplay:
     """One module of a log. :meth:`feed` it the frames, in any pieces, and :meth:`close` it.
 
@@ -135,9 +91,11 @@ class ModuleReplay:
         sent: Callable[[Frame], None] | None = None,
     ) -> None:
         self.module = FeedbackModule(config, store)
-        self.counters = ReplayCounters()
-        self.faults, self.margins, self.times = FaultList(), Margins(), LogTime()
-        self._correction, self.begin, self._sent = correction, begin, sent
+        self.frames = self.recorded_own = self.sent = self.emergencies = self.restarts = 0
+        self.first_s = self.last_s = 0.0
+        self.steps_back = self.gaps = self.bad_stamps = 0
+        self.faults, self.margins = FaultList(), Margins()
+        self._correction, self.begin, self._on_sent = correction, begin, sent
         self.samples = SampleColumns(
             self.module,
             [self.faults.take, self._note_speed_limit, self.margins.take, *takers],
@@ -157,7 +115,7 @@ class ModuleReplay:
     @property
     def compared(self) -> dict[int, Compared]:
         """By CAN-ID; empty if the log has no frame of the module."""
-        if not self.counters.recorded_own:
+        if not self.recorded_own:
             return {}
         return {can_id: one.compared for can_id, one in sorted(self._own_frames.items())}
 
@@ -194,7 +152,7 @@ class ModuleReplay:
     def _opened(self) -> list[Frame]:
         head, self._head = self._head or [], None
         known = (one.timestamp for one in head if one.timestamp is not None and math.isfinite(one.timestamp))
-        self.times.origin_s = self.samples.origin_s = self.counters.first_s = next(known, 0.0)
+        self.samples.origin_s = self.first_s = next(known, 0.0)
         self._power_on_first(head)
         return head
 
@@ -224,9 +182,9 @@ class ModuleReplay:
 
     def _take(self, batch: list[Frame]) -> None:
         """The hot path: a frame that the module does not receive costs next to nothing."""
-        times, module = self.times, self.module
+        samples, module = self.samples, self.module
         receive, deadline = module.receive, module.deadline
-        now, origin = self._now, times.origin_s
+        now, origin = self._now, samples.origin_s
         received_ids, own, poll_s, node = self._received_ids, self._own, self._poll_s, module.node
         for can_id, data, rtr, stamp in batch:
             received = (origin if stamp is None else stamp) - origin
@@ -234,10 +192,8 @@ class ModuleReplay:
                 now = received
             else:
                 self._now = now
-                received = now = times.judged(origin + now if stamp is None else stamp, now)
-                if origin != times.origin_s:
-                    origin = times.origin_s
-                    self.samples.origin_s = self.times.origin_s
+                received = now = self._judged(origin + now if stamp is None else stamp, now)
+                origin = samples.origin_s
             if can_id in received_ids and not rtr:
                 due = deadline()
                 if due is not None and due < now:
@@ -259,8 +215,24 @@ class ModuleReplay:
                 self._look_round()
                 received_ids, own = self._received_ids, self._own
         self._now = now
-        self.counters.frames += len(batch)
-        self.counters.last_s = now + origin
+        self.frames += len(batch)
+        self.last_s = now + origin
+
+    def _judged(self, stamp_s: float, now: float) -> float:
+        """When a frame came of which ``now <= stamp_s - origin_s <= now + LONGEST_GAP_S`` does not hold.
+
+        A step back is a clock that was set: the reader puts late frames in their places.
+        """
+        if not math.isfinite(stamp_s):
+            self.bad_stamps += 1
+            return now
+        if stamp_s - self.samples.origin_s < now:
+            self.steps_back += 1
+        else:
+            self.gaps += 1
+            now += LONGEST_GAP_S
+        self.samples.origin_s = stamp_s - now
+        return now
 
     def _tick(self, now: float) -> None:
         """What is due before ``now``, each at its time: as the runner has it, a frame comes first."""
@@ -291,10 +263,10 @@ class ModuleReplay:
             self._received_ids -= self._own
 
     def _recorded(self, can_id: int, data: bytes, now: float) -> None:
-        self.counters.recorded_own += 1
+        self.recorded_own += 1
         if data == BOOT_UP and can_id > cob.ERROR_CONTROL:
             self._booted_up(now)
-        self._pairs(can_id).recorded(data, now, now + self.times.origin_s)
+        self._pairs(can_id).recorded(data, now, now + self.samples.origin_s)
 
     def _booted_up(self, now: float) -> None:
         """The module of the log has booted up; if nobody has reset it, it was switched off and on."""
@@ -302,7 +274,7 @@ class ModuleReplay:
             self._power_on(now)
         elif now - self._boot_up_s > RESET_ANSWER_S:
             self._tick(now)
-            self.counters.restarts += 1
+            self.restarts += 1
             self._command(NmtCommand.RESET_NODE, now)
             self.module.chain.restart()  # power-on: it knows nothing of the machine
 
@@ -314,17 +286,17 @@ class ModuleReplay:
         return found
 
     def _give_out(self, frames: list[Frame], now: float, pair: bool = True) -> None:
-        self.counters.sent += len(frames)
+        self.sent += len(frames)
         for can_id, data, rtr, _ in frames:
             self._left(can_id, now)
             if pair:
                 (self._own_frames.get(can_id) or self._pairs(can_id)).replayed(data, now)
             if can_id == self._emergency.value & cob.CAN_ID:
-                self.counters.emergencies += 1
+                self.emergencies += 1
             elif data == BOOT_UP and can_id > cob.ERROR_CONTROL:
                 self._rebooted(now)
-            if self._sent is not None:
-                self._sent(Frame(can_id, data, rtr, now + self.times.origin_s))
+            if self._on_sent is not None:
+                self._on_sent(Frame(can_id, data, rtr, now + self.samples.origin_s))
 
     def _rebooted(self, now: float) -> None:
         """The replayed module has started: with the table that is to be tried."""

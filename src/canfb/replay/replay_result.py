@@ -46,9 +46,9 @@ class ReplayResult:
 
     def head(self) -> str:
         """Module, frames and seconds."""
-        node_id, counters = self.replay.module.node.node_id, self.replay.counters
-        seconds = counters.last_s - counters.first_s
-        return f"module {node_id} ({node_id:02X}h): {counters.frames} frames, {seconds:.3f} s"
+        node_id, replay = self.replay.module.node.node_id, self.replay
+        seconds = replay.last_s - replay.first_s
+        return f"module {node_id} ({node_id:02X}h): {replay.frames} frames, {seconds:.3f} s"
 
     def figures(self) -> dict[str, Any]:
         return as_figures([self._verdict()], self.facts())
@@ -70,7 +70,7 @@ class ReplayResult:
         changed = sorted({name for one in compared.values() for name in one.uploads})
         if changed:
             notes.append(f"the recorded module had other values in {', '.join(changed)}: --config or --state")
-        more = replay.counters.emergencies - sum(
+        more = replay.emergencies - sum(
             one.equal + one.different + one.only_recorded
             for can_id, one in compared.items()
             if 0x80 < can_id < 0x100
@@ -94,18 +94,18 @@ class ReplayResult:
         return f"{samples} samples; faults: {found}{missing}"
 
     def _verdict(self) -> Row:
-        replay, counters, faults = self.replay, self.replay.counters, self.replay.faults
+        replay, faults = self.replay, self.replay.faults
         return Row(
             "samples",
             self.verdict(),
             node_id=replay.module.node.node_id,
-            first_s=counters.first_s,
-            last_s=counters.last_s,
+            first_s=replay.first_s,
+            last_s=replay.last_s,
             left_out=self.left_out,
             samples=replay.samples.rows - faults.samples["missed"],
             faults={kind: {"times": faults.times[kind], "samples": faults.samples[kind]} for kind in KINDS},
             table_crc32=f"{replay.module.chain.correction.crc32:08X}",
-            sent=counters.sent,
+            sent=replay.sent,
             compared={
                 f"{can_id:03X}h": self._compared(can_id, one) for can_id, one in replay.compared.items()
             },
@@ -119,13 +119,13 @@ class ReplayResult:
 
     def faults(self) -> list[str]:
         return [
-            f"{fault.begin_s - self.replay.counters.first_s:.6f} s: {fault.kind}, {fault.samples} "
+            f"{fault.begin_s - self.replay.first_s:.6f} s: {fault.kind}, {fault.samples} "
             f"{'interval' if fault.samples == 1 else 'intervals'}"
             for fault in self.replay.faults.in_order()
         ]
 
     def facts(self) -> list[Row]:
-        times, counters, drift = self.replay.times, self.replay.counters, self.drift
+        replay, drift = self.replay, self.drift
         rows = [
             Row(MARGINS[name][0], self._margin(one, *MARGINS[name][1:]))
             for name, one in self.replay.margins.nearest.items()
@@ -143,11 +143,11 @@ class ReplayResult:
             )
         )
         odd = (
-            ("restarts", "restarts", counters.restarts, "power-ups of the recorded module within the log"),
-            ("clock", "steps_back", times.steps_back, "times the clock of the log was set back"),
-            ("gaps", "gaps", times.gaps, "silences of more than a minute, each replayed as one of a minute"),
-            ("time stamps", None, times.bad, "that are no numbers"),
-            ("EMCY", "emergencies", counters.emergencies, "sent"),
+            ("restarts", "restarts", replay.restarts, "power-ups of the recorded module within the log"),
+            ("clock", "steps_back", replay.steps_back, "times the clock of the log was set back"),
+            ("gaps", "gaps", replay.gaps, "silences of more than a minute, each replayed as one of a minute"),
+            ("time stamps", None, replay.bad_stamps, "that are no numbers"),
+            ("EMCY", "emergencies", replay.emergencies, "sent"),
         )
         return rows + [
             Row(name, f"{count} {text}" if count else None, **({key: count} if key else {}))
@@ -158,7 +158,7 @@ class ReplayResult:
         if math.isnan(found.value):
             return None
         value = f"{found.value * factor:{form}}"
-        when = f"at {found.time_s - self.replay.counters.first_s:.3f} s"
+        when = f"at {found.time_s - self.replay.first_s:.3f} s"
         if not math.isfinite(found.limit):
             return f"{value} {unit} {when}"
         return f"{value} of {found.limit * factor:{form}} {unit} {when}; margin {100.0 * found.margin:.0f} %"
@@ -188,7 +188,7 @@ class ReplayResult:
             rows.append(Row(f"recorded {can_id:03X}h", ", ".join(said)))
             if found.first is not None:
                 time_s, recorded, replayed = found.first
-                at = f"first at {time_s - self.replay.counters.first_s:.6f} s"
+                at = f"first at {time_s - self.replay.first_s:.6f} s"
                 rows.append(Row("", f"{at}: {recorded.hex()} recorded, {replayed.hex()} replayed"))
             for one in self.replay.differences(can_id):
                 if one.pairs:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import Any
 
@@ -26,14 +25,8 @@ HIGHEST_LOAD = 0.95
 INTERFRAME_BITS = 3  # the bus is silent for this long after the end of a frame
 
 
-@dataclass(order=True)
-class Waiting:
-    """A frame that waits: the lowest CAN-ID first, then the oldest."""
-
-    can_id: int
-    number: int
-    frame: Frame = field(compare=False)
-    sender: Any = field(compare=False)
+Waiting = tuple[int, int, Frame, Any]
+"""A frame that waits, and its sender: the lowest CAN-ID first, then the oldest, by a number."""
 
 
 class Wire:
@@ -61,17 +54,18 @@ class Wire:
 
     def put(self, frame: Frame, sender: Any) -> None:
         self._numbers += 1
-        heappush(self._waiting, Waiting(frame.can_id, self._numbers, frame, sender))
+        heappush(self._waiting, (frame.can_id, self._numbers, frame, sender))
 
     def advance(self, now: float) -> tuple[Frame, Any] | None:
         """Do what happens at ``now``: the frame that has ended, with its time stamp, and its sender."""
         ended = None
         if self._sending is not None and now >= self._end_s:
-            ended = self._sending.frame._replace(timestamp=self._end_s), self._sending.sender
+            _, _, frame, sender = self._sending
+            ended = frame._replace(timestamp=self._end_s), sender
             self._sending = None
         elif self._sending is None and self._waiting and now >= self._free_s:
             self._sending = heappop(self._waiting)
-            frame = self._sending.frame
+            frame = self._sending[2]
             bits = frame_bits(0 if frame.rtr else len(frame.data))
             self._end_s = now + (bits - INTERFRAME_BITS) / self.bit_rate
             self._free_s = now + bits / self.bit_rate
