@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import re
 from collections.abc import Iterator
-from datetime import datetime, timedelta
+from datetime import datetime
 from typing import Any
 
 import can
@@ -124,6 +124,7 @@ def test_time_passes(peer: can.BusABC) -> None:
     with BusMaster(open_virtual()) as master:
         began = master.now()
         master.wait(0.02)
-        assert 0.02 <= master.now() - began < 2.0
+        assert master.now() - began >= 0.02
         master.wait(0.0)
-    assert abs(datetime.now().astimezone() - datetime.fromisoformat(date_and_time())) < timedelta(minutes=1)
+    before = datetime.now().astimezone().replace(microsecond=0)
+    assert before <= datetime.fromisoformat(date_and_time()) <= datetime.now().astimezone()
