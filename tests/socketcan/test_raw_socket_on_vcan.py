@@ -15,14 +15,9 @@ from network import frame, frames
 from pace import Pace
 
 from canfb.bus.bus_state import ERROR_RESTARTED
-from canfb.bus.frame_bus import ERROR, REMOTE, PythonCanBus, Received
+from canfb.bus.frame_bus import ERROR, REMOTE, Received
 from canfb.bus.opening import open_device_bus
 from canfb.bus.raw_can_bus import RawCanBus
-from canfb.bus.runner import Runner
-from canfb.cia301.nmt import NmtState
-from canfb.errors import BusError
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 
 DOWN = "vcan9"
 
@@ -107,20 +102,6 @@ def test_no_frame_is_lost_while_filters_change(
     assert changes > 3
 
 
-def test_python_can_where_it_is_asked_for(can_channel: str) -> None:
-    words = {"interface": "socketcan", "channel": can_channel}
-    for more in ({"python_can": True}, {"fd": True}, {"can_filters": None, "local_loopback": False}):
-        with open_device_bus(words | more) as bus:
-            assert isinstance(bus, PythonCanBus)
-
-
-def test_an_interface_that_there_is_not() -> None:
-    with pytest.raises(
-        BusError, match=r"^cannot open the bus socketcan nothing77: No such device; `ip link`"
-    ):
-        open_device_bus({"interface": "socketcan", "channel": "nothing77"})
-
-
 def ip(*words: str) -> None:
     done = subprocess.run(["ip", "link", *words], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -151,64 +132,6 @@ def test_an_interface_that_goes_down_is_an_error_and_works_again_when_it_is_up(p
             assert [one for one, _, _ in heard(bus, pace, 0x080)] == [0x080]
     finally:
         ip("del", "dev", DOWN)
-
-
-class Ups:
-    """A module on an interface that is down at its start, then up, removed, made again."""
-
-    def __init__(self, pace: Pace) -> None:
-        self._give_up_s = time.monotonic() + pace.patience_s
-        self.lines: list[str] = []
-        self.heard: list[tuple[int, bytes]] = []
-        self.module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
-        self._other: can.BusABC | None = None
-        self._over = False
-        self._steps = self._plan()
-        self._ready = next(self._steps)
-
-    def finished(self) -> bool:
-        assert time.monotonic() < self._give_up_s, (self.lines, self.heard)
-        while self._other is not None and (one := self._other.recv(0.0)) is not None:
-            self.heard.append((one.arbitration_id, bytes(one.data)))
-        if self._ready():
-            self._ready = next(self._steps)
-        return self._over
-
-    def _plan(self) -> Iterator[Callable[[], bool]]:
-        yield lambda: self.lines == ["the bus fails: Network is down"]
-        ip("set", DOWN, "up")
-        self._other = can.Bus(interface="socketcan", channel=DOWN)
-        yield lambda: len(self.lines) == 2
-        self._other.shutdown()
-        self._other = None
-        ip("del", "dev", DOWN)
-        yield lambda: len(self.lines) == 3
-        ip("add", "dev", DOWN, "type", "vcan")
-        ip("set", DOWN, "up")
-        self._other = can.Bus(interface="socketcan", channel=DOWN)
-        yield lambda: len(self.lines) == 4 and (0x0A0, bytes(8)) in self.heard
-        self._other.send(frame(0x000, bytes([0x80, 32])))  # the filters are those of the module again
-        yield lambda: self.module.state is NmtState.PRE_OPERATIONAL
-        self._other.shutdown()
-        self._other = None
-        self._over = True
-        yield lambda: False
-
-
-def test_a_module_outlives_its_interface(pace: Pace) -> None:
-    """The first thing that it says is its boot-up, and it opens an interface of the same name again."""
-    ip("add", "dev", DOWN, "type", "vcan")
-    try:
-        ups = Ups(pace)
-        with open_device_bus({"interface": "socketcan", "channel": DOWN}) as bus:
-            Runner(bus, [ups.module], ups.lines.append).run(ups.finished)
-    finally:
-        subprocess.run(["ip", "link", "del", "dev", DOWN], check=False)
-    assert ups.heard[0] == (0x720, b"\0")
-    assert [one for one in ups.heard if one[0] == 0x720] == [(0x720, b"\0")]
-    assert ups.lines[1::2] == ["the bus works again"] * 2
-    assert ups.lines[2] in ("the bus fails: Network is down", "the bus fails: No such device")
-    assert (0x0A0, bytes.fromhex("4081110000000000")) in ups.heard
 
 
 def test_frames_that_wait_while_the_host_stalls_are_there(
