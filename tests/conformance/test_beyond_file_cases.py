@@ -50,7 +50,7 @@ def test_beyond_23_a_domain_has_no_pdo_mapping(tester: Tester) -> None:
 def test_beyond_24_the_size_of_the_stored_eds(tester: Tester) -> None:
     file = (FOLDER / f"{tester.eds.name}.eds").read_bytes()
     assert tester.ask("40 21 10 00") == f"41 21 10 00 {little(len(file), 4)}"
-    tester.sdo("80 21 10 00 00 00 00 08")
+    assert tester.upload("21 10 00") == file
     assert block_upload(tester, "21 10 00", with_crc=True)[0] == file
     if tester.kind == "module":
         assert f"({round(len(file) / 1000)} kB: use block transfer)" in CHOICES.read_text(encoding="utf-8")
