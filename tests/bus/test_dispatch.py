@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.bus.frame_bus import REMOTE, FrameBus, Received
@@ -19,6 +19,7 @@ from canfb.device.core import CanIds
 from canfb.device.device_protocol import Device, Selective
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from drawing import examples
 from fake_bus import FakeClock
 from ideal_tracks import counts_at
 
@@ -245,7 +246,7 @@ def played(plan: list[Batch], dispatched: bool) -> Outcome:
 
 
 @given(plans())
-@settings(max_examples=40)
+@examples(40)
 def test_the_same_frames_out_and_the_same_states(plan: list[Batch]) -> None:
     to_all, dispatched = played(plan, False), played(plan, True)
     assert dispatched.sent == to_all.sent

@@ -9,13 +9,14 @@ from typing import Any
 
 import can
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.bus.runner import Runner
 from canfb.device.device_protocol import Device, Inhibited
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from drawing import examples
 from fake_bus import FakeBus, FakeClock, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 POSITION, EMCY = 0x1A0, 0xA0
@@ -67,7 +68,7 @@ def played(delays_s: list[float], samples: int = 60) -> SlowBus:
 
 @given(st.lists(st.floats(0.0, 0.009), min_size=1, max_size=9))
 @example([0.0])
-@settings(max_examples=20)
+@examples(20)
 def test_no_two_frames_are_closer_than_the_inhibit_time(delays_s: list[float]) -> None:
     bus = played(delays_s)
     for can_id in (POSITION, EMCY):

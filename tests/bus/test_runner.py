@@ -9,7 +9,7 @@ from typing import Any, cast
 import can
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.bus.bus_state import RETRY_S
@@ -22,6 +22,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource
 from canfb.simulation.sync_producer import SyncProducer
+from drawing import examples
 from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 WALL_S = 1.8e9  # the time of day minus the clock of the runner
@@ -266,7 +267,7 @@ PERIODS_S = st.lists(st.floats(0.01, 0.5), min_size=1, max_size=3)
 
 
 @given(EVENTS, PERIODS_S, st.floats(0.0, 4.0), st.floats(0.0, 4.0))
-@settings(max_examples=40)
+@examples(40)
 def test_whatever_a_bus_does_frames_come_once_and_deadlines_are_kept(
     events: list[tuple[float, str]], periods_s: list[float], refuses_s: float, takes_s: float
 ) -> None:

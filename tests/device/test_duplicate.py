@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 from device_kit import ID, OK, Bench
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
+from drawing import examples
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 PRISTINE = Dictionary.load(SHIPPED, ID)
@@ -167,7 +168,7 @@ def expected_own(dictionary: Dictionary) -> set[int]:
     return sent - heard | {0x720}
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(
     changes=st.lists(cob_ids, max_size=8),
     command=st.sampled_from([1, 2, 128]),

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 
 from device_kit import ID
-from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from recording_application import RecordingApplication
@@ -20,6 +19,7 @@ from canfb.cia301.nmt import NmtState
 from canfb.device.core import Counters
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
+from drawing import examples
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 PRISTINE = Dictionary.load(SHIPPED, ID)
@@ -313,4 +313,4 @@ class NodeModel(RuleBasedStateMachine):
 
 
 TestNodeModel = NodeModel.TestCase
-TestNodeModel.settings = settings(max_examples=60, stateful_step_count=60)
+TestNodeModel.settings = examples(60, stateful_step_count=60)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from device_kit import ID, Bench
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from canfb.cia301 import cob
@@ -14,6 +14,7 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import COMMUNICATION, LONGEST_BITS, MAPPING, Direction, numbers, resolve
+from drawing import examples
 
 SERVER = 0x600 + ID
 ERROR_CONTROL = 0x700 + ID
@@ -114,7 +115,7 @@ def play(bench: Bench, script: list[tuple[Frame, float]]) -> None:
 
 
 @pytest.mark.parametrize("started", [False, True])
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(script=st.lists(steps, max_size=40))
 def test_the_sample_device(sample_path: Path, started: bool, script: list[tuple[Frame, float]]) -> None:
     bench = Bench(Dictionary.load(sample_path, ID))
@@ -123,7 +124,7 @@ def test_the_sample_device(sample_path: Path, started: bool, script: list[tuple[
     play(bench, script)
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(data=st.lists(st.binary(min_size=8, max_size=8), max_size=60))
 def test_a_hostile_sdo_client_does_not_spoil_the_next_one(sample_path: Path, data: list[bytes]) -> None:
     bench = Bench(Dictionary.load(sample_path, ID))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from device_kit import OK
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from storing_bench import COMMUNICATION, MANUFACTURER, RESET_NODE, StoringBench, write_eds
 
@@ -21,6 +21,7 @@ from canfb.device.storage.image import (
     encode_image,
 )
 from canfb.device.storage.storage import MemoryStore
+from drawing import examples
 
 GROUP = ParameterGroup.COMMUNICATION
 IDENTITY = Identity(0, 0, 0)  # that of the sample device, whose 1018h has a vendor-ID alone
@@ -229,7 +230,7 @@ numbers = st.one_of(
 )
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(st.lists(st.tuples(places, numbers), max_size=40))
 def test_what_a_master_could_write_can_be_restored(
     path: Path, writes: list[tuple[tuple[int, int], int]]

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 from device_kit import ID, OK, Bench
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.sdo.block import BURST, DOWNLOAD_BLOCK, PAUSE_S, crc16
+from drawing import examples
 
 TABLE = "202000"
 REQUEST_2, RESPONSE_2 = 0x680, 0x6C0
@@ -137,7 +138,7 @@ SIZES = st.integers(0, 300) | st.sampled_from([0, 1, 6, 7, 8, 14, 888, 889, 890]
     st.dictionaries(st.integers(0, 9), st.integers(1, 20)),
 )
 @example(16384, True, [127], {})
-@settings(max_examples=50)
+@examples(50)
 def test_an_upload_gives_what_is_there(
     started: Bench, size: int, crc: bool, sizes: list[int], lost: dict[int, int]
 ) -> None:
@@ -150,7 +151,7 @@ def test_an_upload_gives_what_is_there(
 @given(SIZES, st.booleans(), st.booleans(), st.sets(st.integers(1, 150)))
 @example(7 * DOWNLOAD_BLOCK, True, True, set())
 @example(16384, True, False, {1, 32, 63})
-@settings(max_examples=50)
+@examples(50)
 def test_a_download_arrives_whole(
     started: Bench, size: int, crc: bool, announce: bool, lost: set[int]
 ) -> None:

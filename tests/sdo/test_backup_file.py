@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301 import datatypes
@@ -17,6 +17,7 @@ from canfb.sdo.backup_file import Backup, NodeIdentity, backup_text, read_backup
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import value_range
 from canfb.signal.correction import CorrectionTable
+from drawing import examples
 
 TYPES = sorted(datatypes.KNOWN)
 EDS = "[DeviceInfo]\nProductName=any\nVendorNumber=0\nProductNumber=1\n[ManufacturerObjects]\n" + "".join(
@@ -62,7 +63,7 @@ def round_trip(text: str) -> Backup:
 U32 = st.integers(0, 0xFFFFFFFF)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(VALUES, VALUES, st.builds(NodeIdentity, U32, U32, U32, U32), st.integers(1, 127), LATIN, st.booleans())
 def test_any_values_come_back(
     values: dict[tuple[int, int], Any],
@@ -81,7 +82,7 @@ def test_any_values_come_back(
 GOOD = backup_text(Backup(32, NodeIdentity(0, 1, 1, 2), "d", "v", "n", {(0x2105, 0): 7}), DESCRIBED)
 
 
-@settings(max_examples=80)
+@examples(80)
 @given(st.integers(0, len(GOOD) - 1), st.integers(0, 12), st.text(max_size=8))
 def test_a_damaged_file_is_read_or_refused_in_one_line(at: int, length: int, put: str) -> None:
     for text in (GOOD[:at] + put + GOOD[at + length :], put):

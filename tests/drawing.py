@@ -1,0 +1,12 @@
+"""How many examples of a property are drawn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hypothesis import settings
+
+
+def examples(count: int, **more: Any) -> settings:
+    """``count`` where hypothesis draws 100 by default; in CI and in ``make check`` as many fewer as there."""
+    return settings(max_examples=max(5, count * settings.default.max_examples // 100), **more)
