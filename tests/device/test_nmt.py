@@ -1,3 +1,5 @@
+"""NMT states, start-up and what a node drops; the cases State and Trans are in tests/conformance."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -5,15 +7,18 @@ from pathlib import Path
 import pytest
 from device_kit import ID, OK, Bench
 
-from canfb.cia301.codes import AbortCode
+from canfb.cia301.codes import AbortCode, EmergencyCode
+from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary, Entry
+from folding import each
 
 COMMANDS = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}
 STATES = {state: command for command, state in COMMANDS.items()}
+UPLOAD = "4000100000000000"
 
 
-def test_autostart(sample_path: Path) -> None:
+def test_autostart_is_the_default_of_1f80(sample_path: Path) -> None:
     bench = Bench(Dictionary.load(sample_path, ID), autostart=True)
     states: list[tuple[NmtState, NmtState]] = []
     bench.application.react(state_changed=lambda old, new, now, why: states.append((old, new)))
@@ -22,20 +27,13 @@ def test_autostart(sample_path: Path) -> None:
         (NmtState.INITIALISING, NmtState.PRE_OPERATIONAL),
         (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL),
     ]
-    assert bench.nmt(129) == ["720#00"]
-    assert bench.node.state is NmtState.OPERATIONAL
-
-
-def test_autostart_is_the_default_of_1f80(sample_path: Path) -> None:
-    bench = Bench(Dictionary.load(sample_path, ID), autostart=True)
-    bench.start()
-    assert bench.read(0x1F80) == 0
-    assert bench.node.autostart
+    assert (bench.read(0x1F80), bench.node.autostart) == (0, True)
     assert bench.write(0x1F80, 0, 4, 4) == OK
     assert not bench.node.autostart
-    bench.nmt(130)
-    assert bench.read(0x1F80) == 0
-    assert bench.node.state is NmtState.OPERATIONAL
+    for command in (129, 130):
+        assert bench.nmt(command) == ["720#00"]
+        assert bench.read(0x1F80) == 0
+        assert bench.node.state is NmtState.OPERATIONAL
 
 
 def test_1f80_without_autostart(bench: Bench) -> None:
@@ -58,23 +56,23 @@ def test_a_stored_1f80_starts_the_node(silent: Bench, command: int) -> None:
     assert silent.node.state is NmtState.OPERATIONAL
 
 
-@pytest.mark.parametrize("bit", sorted(set(range(32)) - {2}))
-@pytest.mark.parametrize("more", [0, 4])
+@each("bit", sorted(set(range(32)) - {2}))
+@each("more", [0, 4])
 def test_bits_of_1f80_for_masters_are_refused(bench: Bench, bit: int, more: int) -> None:
     assert bench.write(0x1F80, 0, 1 << bit | more, 4) is AbortCode.INVALID_VALUE
     assert bench.read(0x1F80) == 4
 
 
-@pytest.mark.parametrize("subindex", [1, 2])
-@pytest.mark.parametrize("value", [0, 1, 2, 3, 255])
+@each("subindex", [1, 2])
+@each("value", [0, 1, 2, 3, 255])
 def test_the_error_behaviour_takes_0_to_2(bench: Bench, subindex: int, value: int) -> None:
     expected = OK if value <= 2 else AbortCode.INVALID_VALUE
     assert bench.write(0x1029, subindex, value, 1) == expected
 
 
-@pytest.mark.parametrize("state", STATES)
-@pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("addressed", [0, ID])
+@each("state", STATES)
+@each("command", COMMANDS)
+@each("addressed", [0, ID])
 def test_every_command_in_every_state(bench: Bench, state: NmtState, command: int, addressed: int) -> None:
     bench.nmt(STATES[state])
     bench.application.calls.clear()
@@ -84,45 +82,29 @@ def test_every_command_in_every_state(bench: Bench, state: NmtState, command: in
     assert bench.application.told("state_changed") == told
 
 
-def test_nothing_is_served_before_start(silent: Bench) -> None:
-    assert silent.nmt(1) == []
-    assert silent.sdo("40001000") == []
-    assert silent.sync() == []
+def test_nothing_is_served_before_start_and_what_was_set_before_is_kept(silent: Bench) -> None:
+    assert silent.nmt(1) == silent.sdo("40001000") == silent.sync() == []
     assert silent.node.state is NmtState.INITIALISING
     assert silent.node.counters.unknown_cob_ids == 3
-
-
-def test_reset_communication_keeps_the_application(bench: Bench) -> None:
-    bench.dictionary.entry(0x2010, 7).value = 99
-    bench.write(0x1006, 0, 5000, 4)
-    seen: list[object] = []
-    bench.application.react(
-        reset_done=lambda only, now: seen.append((only, bench.dictionary.entry(0x1006).value))
-    )
-    bench.nmt(130)
-    assert seen == [(True, 0)]
-    assert bench.dictionary.entry(0x2010, 7).value == 99
-    bench.nmt(129)
-    assert seen == [(True, 0), (False, 0)]
-    assert bench.dictionary.entry(0x2010, 7).value == -5
-
-
-def test_start_keeps_what_was_set_before(silent: Bench) -> None:
     silent.dictionary.entry(0x2010, 7).value = 99
     silent.start()
     assert silent.application.told("reset_done") == [(False, silent.now)]
     assert silent.dictionary.entry(0x2010, 7).value == 99
 
 
-def test_the_order_of_a_reset(bench: Bench) -> None:
-    bench.operational()
+def test_a_reset_has_its_order_and_one_of_communication_keeps_the_application(bench: Bench) -> None:
+    bench.dictionary.entry(0x2010, 7).value = 99
+    bench.write(0x1006, 0, 5000, 4)
     seen: list[object] = []
     bench.application.react(
         state_changed=lambda old, new, now, why: seen.append(new),
-        reset_done=lambda only, now: seen.append("reset"),
+        reset_done=lambda only, now: seen.append((only, bench.dictionary.entry(0x1006).value)),
     )
-    bench.nmt(129)
-    assert seen == [NmtState.INITIALISING, "reset", NmtState.PRE_OPERATIONAL]
+    for command, kept in ((130, 99), (129, -5)):
+        bench.nmt(command)
+        assert seen == [NmtState.INITIALISING, (command == 130, 0), NmtState.PRE_OPERATIONAL]
+        assert bench.dictionary.entry(0x2010, 7).value == kept
+        seen.clear()
 
 
 def test_stopped_serves_only_nmt_and_heartbeat(bench: Bench) -> None:
@@ -133,21 +115,103 @@ def test_stopped_serves_only_nmt_and_heartbeat(bench: Bench) -> None:
     bench.nmt(2)
     bench.node.trigger_tpdo(1, bench.now)
     bench.node.emergency(0x7300, 0x20, now=bench.now)
-    assert bench.sdo("40001000") == []
-    assert bench.sync() == []
-    assert bench.send(0x190, "01000200") == []
+    assert bench.sdo("40001000") == bench.sync() == bench.send(0x190, "01000200") == []
     assert bench.dictionary.entry(0x2000, 1).value == 0
     assert [text for _, text in bench.run(0.35)] == ["720#04"] * 3
     assert bench.nmt(128) == ["0A0#0073210000000000"]
-    assert bench.write(0x1017, 0, 0, 2) == OK
 
 
-@pytest.mark.parametrize("node_id", [0, 128])
-def test_node_id_range(silent: Bench, node_id: int) -> None:
-    with pytest.raises(ValueError, match="1 to 127"):
-        type(silent.node)(silent.dictionary, node_id)
+# What is dropped, what raises, and when the node wants to be called.
 
 
-def test_the_values_of_the_states() -> None:
-    """CiA 301, 7.2.8.3.2."""
-    assert [int(state) for state in NmtState] == [0, 4, 5, 127]
+DROPPED = [(can_id, bytes(9)) for can_id in (0x000, 0x080, 0x190, 0x620, 0x123)]
+DROPPED += [(can_id, bytes.fromhex(UPLOAD)) for can_id in (0x800, 0x1FFFFFFF, -1)]
+UNKNOWN = (0x123, 0x621, 0x5A1, 0x721, 0x1A1)
+
+
+def test_frames_that_are_none_or_of_others_are_dropped_and_counted(bench: Bench) -> None:
+    bench.operational()
+    for number, (can_id, data) in enumerate(DROPPED, 1):
+        assert bench.send(can_id, data) == []
+        assert (bench.node.counters.malformed_frames, bench.node.counters.unknown_cob_ids) == (number, 0)
+    for number, can_id in enumerate(UNKNOWN, 1):
+        assert bench.send(can_id, UPLOAD) == []
+        assert bench.node.counters.unknown_cob_ids == number
+    assert bench.node.counters.malformed_frames == len(DROPPED)
+    assert len(bench.node.receive(Frame(0x620, bytes.fromhex(UPLOAD), False, -1e30), 0.0)) == 1
+
+
+def test_the_deadline_is_the_earliest(bench: Bench) -> None:
+    assert bench.node.deadline() is None
+    bench.write(0x1006, 0, 30_000, 4)
+    bench.write(0x1005, 0, 0x40000080, 4)
+    bench.write(0x1016, 1, 0x00470032, 4)
+    bench.send(0x747, "05")
+    assert bench.node.deadline() == pytest.approx(0.03)
+    bench.write(0x1006, 0, 0, 4)
+    assert bench.node.deadline() == pytest.approx(0.05)
+    bench.sdo("40081000")
+    bench.write(0x1016, 1, 0, 4)
+    assert bench.node.deadline() is None
+
+
+def test_an_exception_of_the_program_loses_no_frame(bench: Bench) -> None:
+    bench.operational()
+
+    def broken(number: int, now: float) -> None:
+        bench.node.trigger_tpdo(1, now)
+        raise RuntimeError("a mistake in the program")
+
+    bench.application.react(rpdo_received=broken)
+    with pytest.raises(RuntimeError):
+        bench.send(0x190, "01000200")
+    assert bench.tick() == ["1A0#0000000000000000"]
+
+
+@pytest.mark.parametrize("timeout_s", [1.0, 0.25])
+def test_the_sdo_timeout(sample_path: Path, timeout_s: float) -> None:
+    bench = Bench(Dictionary.load(sample_path, ID), sdo_timeout_s=timeout_s)
+    bench.start()
+    assert bench.write(0x1201, 2, 0x6D1, 4) == OK
+    assert bench.write(0x1201, 1, 0x6D0, 4) == OK
+    for channel in (0x620, 0x6D0):
+        bench.send(channel, "4008100000000000")
+        start = bench.now
+        ((time, text),) = bench.run(10.0)
+        assert time - start == pytest.approx(timeout_s)
+        assert text.endswith("#8008100000000405")
+
+
+def test_a_change_of_other_parameters_is_no_new_configuration(bench: Bench) -> None:
+    bench.operational()
+    bench.application.calls.clear()
+    for index, value, size in ((0x1017, 500, 2), (0x1012, 0x80000100, 4), (0x1005, 0x81, 4)):
+        assert bench.write(index, 0, value, size) == OK
+    assert bench.write(0x1016, 1, 0x00470100, 4) == OK
+    assert bench.application.told("configuration_changed") == []
+    assert bench.write(0x1400, 2, 1, 1) == OK
+    assert bench.application.told("configuration_changed") == [()]
+
+
+@each("words, message", [
+    *(({"node_id": node_id}, "1 to 127") for node_id in (0, 128)),
+    *(({"sdo_timeout_s": wrong}, "sdo_timeout_s") for wrong in (0, -1.0, float("inf"), float("nan"))),
+])  # fmt: skip
+def test_wrong_arguments(silent: Bench, words: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        type(silent.node)(silent.dictionary, **{"node_id": ID, **words})  # type: ignore[arg-type]
+
+
+# A device with the mandatory objects only: every other service does without its objects.
+
+
+@pytest.mark.parametrize("register", [True, False])
+def test_without_optional_objects(register: bool) -> None:
+    entries = [Entry(0x1000, 0, 7, access="ro"), Entry(0x1201, 1, 7, default=0x680)]
+    bench = Bench(Dictionary([*entries, *[Entry(0x1001, 0, 5, access="ro")] * register]))
+    bench.start()
+    bench.node.emergency(EmergencyCode.SENSOR, 0x20, now=0.0)
+    assert bench.tick() == [f"{0x80 + ID:03X}#0073210000000000"]
+    assert bench.read(0x1001) == (0x21 if register else AbortCode.NO_OBJECT)
+    assert bench.send(0x680, "4001120100000000") == [], "half a second channel is none"
+    assert bench.read(0x1201, 1) == 0x680
