@@ -1,21 +1,35 @@
+"""SYNC and TIME, beyond the cases SYNC and Beyond 17, 18 of tests/conformance."""
+
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
+from pathlib import Path
+from typing import Any
 
 import pytest
-from device_kit import Bench
+from device_kit import ID, OK, Bench
+from hypothesis import given
+from hypothesis import strategies as st
 
+from canfb.cia301.codes import AbortCode
 from canfb.device.application import FOLLOWED, IGNORED, REVOKED, HeldRpdo
+from canfb.device.od.dictionary import Dictionary
+from folding import each
+
+PRODUCES = 0x40000080
+RPDO, TIME, TIME_DATA = 0x190, 0x100, "010000000200"
 
 
-def seen_by(bench: Bench) -> list[tuple[int | None, float]]:
-    seen: list[tuple[int | None, float]] = []
-    bench.application.react(sync_received=lambda counter, now: seen.append((counter, now)))
+def told_of(bench: Bench, method: str) -> list[Any]:
+    """The arguments of each call of the application, from now on."""
+    seen: list[Any] = []
+    bench.application.react(**{method: lambda *arguments: seen.append(arguments)})
     return seen
 
 
 def test_sync_received_only_in_operational(bench: Bench) -> None:
-    seen = seen_by(bench)
+    seen = told_of(bench, "sync_received")
     bench.sync()
     bench.operational()
     bench.now = 2.5
@@ -45,7 +59,7 @@ def test_the_order_within_a_sync(bench: Bench) -> None:
         rpdo_received=lambda number, now: order.append(("rpdo", number, sine.value)),
         tpdos_sampled=lambda: order.append("sampled"),
     )
-    assert bench.send(0x190, "05000200") == []
+    assert bench.send(RPDO, "05000200") == []
     assert sine.value == 0
     assert bench.sync() == ["2A0#0A000000"]
     assert order == [("rpdo", 1, 5), ("sync", 5), "sampled"]
@@ -53,80 +67,55 @@ def test_the_order_within_a_sync(bench: Bench) -> None:
     assert order[3:] == [("sync", 5), "sampled", ("sync", 5), ("sync", 5)]
 
 
-def test_the_producer_acts_on_its_own_sync(bench: Bench) -> None:
-    bench.write(0x1006, 0, 100_000, 4)
-    bench.write(0x1005, 0, 0x40000080, 4)
+@pytest.mark.parametrize(("overflow", "counters"), [(0, [None] * 3), (2, [1, 2, 1])])
+def test_the_producer_acts_on_its_own_sync(bench: Bench, overflow: int, counters: list[int | None]) -> None:
+    for index, value, size in ((0x1019, overflow, 1), (0x1006, 100_000, 4), (0x1005, PRODUCES, 4)):
+        assert bench.write(index, 0, value, size) == OK
     bench.operational()
-    seen = seen_by(bench)
-    assert bench.run(0.1) == [(0.1, "080#"), (0.1, "2A0#00000000")]
-    assert len(seen) == 1
-    assert bench.sync() == []
-    assert len(seen) == 1
+    seen = told_of(bench, "sync_received")
+    assert bench.run(0.1)[0][1] == ("080#01" if overflow else "080#")
+    sent = bench.run(0.25)
+    assert [text[:3] for _, text in sent] == ["080", "2A0"] * 2
+    assert [counter for counter, _ in seen] == counters
+    assert bench.sync(None if not overflow else 1) == [], "a producer hears no other one"
+    assert len(seen) == 3
 
 
 def test_a_late_tick_sends_one_sync(bench: Bench) -> None:
     bench.write(0x1006, 0, 1_000, 4)
-    bench.write(0x1005, 0, 0x40000080, 4)
+    bench.write(0x1005, 0, PRODUCES, 4)
     bench.now = 5.0
     assert bench.tick() == ["080#"]
     assert bench.node.deadline() == pytest.approx(5.001)
 
 
-def test_the_window_for_rpdos(bench: Bench) -> None:
+TICK_US, TICK_S = 15_625, 1 / 64  # without rounding: a PDO may come at the end of the window itself
+STEPS = st.lists(
+    st.tuples(st.integers(0, 4), st.sampled_from(["sync", "pdo", "pdo", 0, 1, 2, 3])), max_size=40
+)
+
+
+@given(STEPS)
+def test_the_window_for_rpdos(sample_path: Path, steps: list[tuple[int, Any]]) -> None:
+    """1007h, which counts from the next SYNC on; 0 ends it at once."""
+    bench = Bench(Dictionary.load(sample_path, ID))
+    bench.start()
     bench.write(0x1400, 2, 1, 1)
-    bench.write(0x1007, 0, 10_000, 4)
     bench.operational()
-    sine = bench.dictionary.entry(0x2000, 1)
-    bench.send(0x190, "01000000")
-    bench.sync()
-    assert sine.value == 1
-    bench.now = 0.009
-    bench.send(0x190, "02000000")
-    bench.now = 0.011
-    bench.send(0x190, "03000000")
-    bench.now = 0.1
-    bench.sync()
-    assert sine.value == 2
-    assert bench.node.counters.late_rpdos == 1
-    bench.now = 0.105
-    bench.send(0x190, "04000000")
-    bench.sync()
-    assert sine.value == 4
-
-
-def test_the_window_taken_away(bench: Bench) -> None:
-    bench.write(0x1400, 2, 1, 1)
-    bench.write(0x1007, 0, 10_000, 4)
-    bench.operational()
-    bench.sync()
-    bench.write(0x1007, 0, 0, 4)
-    bench.now = 1.0
-    bench.send(0x190, "03000000")
-    bench.sync()
-    assert bench.dictionary.entry(0x2000, 1).value == 3
-
-
-def test_the_end_of_the_window_belongs_to_it(bench: Bench) -> None:
-    bench.write(0x1400, 2, 1, 1)
-    bench.write(0x1007, 0, 500_000, 4)
-    bench.operational()
-    bench.now = 1.0
-    bench.sync()
-    bench.now = 1.5
-    bench.send(0x190, "02000000")
-    assert bench.node.counters.late_rpdos == 0
-    bench.sync()
-    assert bench.dictionary.entry(0x2000, 1).value == 2
-
-
-def test_a_producer_with_a_counter_acts_on_its_own_sync(bench: Bench) -> None:
-    bench.write(0x1019, 0, 2, 1)
-    bench.write(0x1006, 0, 100_000, 4)
-    bench.write(0x1005, 0, 0x40000080, 4)
-    bench.operational()
-    seen = seen_by(bench)
-    bench.run(0.35)
-    assert [counter for counter, _ in seen] == [1, 2, 1]
+    window, end, held, late = 0, inf, 0, 0
+    for number, (ticks, what) in enumerate(steps, 1):
+        bench.now += ticks * TICK_S
+        if what == "pdo":
+            bench.send(RPDO, number.to_bytes(4, "little"))
+            held, late = (number, late) if bench.now <= end else (held, late + 1)
+        elif what == "sync":
+            bench.sync()
+            assert bench.dictionary.entry(0x2000, 1).value == held
+            end = bench.now + window * TICK_S if window else inf
+        else:
+            bench.write(0x1007, 0, what * TICK_US, 4)
+            window, end = what, end if what else inf
+    assert bench.node.counters.late_rpdos == late
 
 
 def test_an_error_of_length_ends_with_a_reset(bench: Bench) -> None:
@@ -138,3 +127,45 @@ def test_an_error_of_length_ends_with_a_reset(bench: Bench) -> None:
     bench.operational()
     assert bench.sync() == ["2A0#00000000"]
     assert len(bench.sync(1)) == 1
+
+
+# TIME
+
+
+def test_the_time_is_told_if_it_is_one(bench: Bench) -> None:
+    seen = told_of(bench, "time_received")
+    bench.send(TIME, TIME_DATA)
+    assert (seen, bench.node.counters.unknown_cob_ids) == ([], 1), "not consumed by default"
+    assert bench.write(0x1012, 0, 0x80000100, 4) == OK
+    bench.now = 2.5
+    for data in ("FF5B26050000", "01000000FFFF"):
+        assert bench.send(TIME, data) == []
+    assert seen == [(0, 86_399_999, 2.5), (65535, 1, 2.5)]
+    assert bench.node.counters.malformed_frames == 0
+    wrong = ["", "00", "00" * 5, "00" * 7, "00" * 8, "005C26050000", "FFFFFF0F0100"]
+    for data in wrong:
+        assert bench.send(TIME, data) == []
+    assert len(seen) == 2
+    assert bench.node.counters.malformed_frames == len(wrong)
+    bench.nmt(130)
+    bench.send(TIME, TIME_DATA)
+    assert len(seen) == 2
+
+
+def test_the_can_id_of_time_is_fixed_while_it_is_used(bench: Bench) -> None:
+    for value in (0x80000181, 0x80000181, 0x00000182, 0x80000100):
+        assert bench.write(0x1012, 0, value, 4) == OK
+    assert bench.write(0x1012, 0, 0x80000181, 4) is AbortCode.INVALID_VALUE
+    assert bench.read(0x1012) == 0x80000100
+    for value in (0x00000181, 0x80000181):
+        assert bench.write(0x1012, 0, value, 4) == OK
+    seen = told_of(bench, "time_received")
+    bench.send(TIME, TIME_DATA)
+    bench.send(0x181, TIME_DATA)
+    assert seen == [(2, 1, 0.0)]
+
+
+@each("value", [0x40000100, 0xC0000100, 0x20000100, 0xA0000100, 0x00000900])
+def test_flags_of_time_that_are_not_meant(bench: Bench, value: int) -> None:
+    assert bench.write(0x1012, 0, value, 4) is AbortCode.INVALID_VALUE
+    assert bench.read(0x1012) == 0x100
