@@ -1,116 +1,149 @@
+"""RPDOs: lengths, time-out, what is taken over when; and the mapping of both kinds of PDO."""
+
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
-from device_kit import OK, Bench
-from test_pdo_parameters import remap
+import sample_eds
+from device_kit import ID, OK, Bench
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.device.node import Node
+from canfb.device.od.dictionary import Dictionary
+from folding import each
 
 RPDO = 0x190
+OFF = {0x1400: 0x80000190, 0x1401: 0x80000320, 0x1800: 0xC00001A0, 0x1801: 0x800002A0}
+FREE = 0x80000000
+TOO_SHORT, TOO_LONG, TIMED_OUT = 0x8210, 0x8220, 0x8250
 
 
-def sine(bench: Bench) -> int:
-    return int(bench.dictionary.entry(0x2000, 1).value)
+def remap(bench: Bench, index: int, mappings: list[int]) -> list[AbortCode | str]:
+    """The procedure of CiA 301, 7.5.2.36, with the answer to each step."""
+    number_of = index + 0x200
+    answers = [bench.write(index, 1, OFF[index], 4), bench.write(number_of, 0, 0, 1)]
+    answers += [bench.write(number_of, sub, value, 4) for sub, value in enumerate(mappings, 1)]
+    answers.append(bench.write(number_of, 0, len(mappings), 1))
+    answers.append(bench.write(index, 1, OFF[index] & ~FREE, 4))
+    return answers
 
 
-def calls_of(bench: Bench) -> list[object]:
-    calls: list[object] = []
-    bench.application.react(
-        rpdo_received=lambda number, now: calls.append((number, now, sine(bench))),
-        rpdo_too_short=lambda *arguments: calls.append(("bad", *arguments)),
+def value(bench: Bench, subindex: int = 1) -> object:
+    return bench.dictionary.entry(0x2000, subindex).value
+
+
+class Errors:
+    """EMCY of one RPDO: each error once until it is over (CiA 301, 7.2.7)."""
+
+    def __init__(self) -> None:
+        self.active, self.sent, self.last = set[int](), list[str](), 0
+
+    def report(self, code: int, *detail: int) -> None:
+        if code not in self.active:
+            self.active.add(code)
+            data = code.to_bytes(2, "little") + b"\x11" + bytes(detail).ljust(5, b"\0")
+            self.sent.append(f"0A0#{data.hex().upper()}")
+            self.last = code | int.from_bytes(bytes(detail[:2]), "little") << 16
+
+    def clear(self, *codes: int) -> None:
+        for code in codes:
+            if code in self.active:
+                self.active.discard(code)
+                self.sent.append(f"0A0#0000{0x11 if self.active else 0:02X}0000000000")
+
+
+@given(
+    st.booleans(),
+    st.booleans(),
+    st.sampled_from([0, 50]),
+    st.lists(st.tuples(st.integers(0, 70), st.sampled_from([0, 1, 3, 4, 4, 5, 8])), max_size=25),
+)
+def test_lengths_and_the_time_out(
+    sample_path: Path, synchronous: bool, late: bool, timeout_ms: int, frames: list[tuple[int, int]]
+) -> None:
+    """Less is refused and does not stop the time-out; more is an error, too, but taken and in time."""
+    bench = Bench(Dictionary.load(sample_path, ID))
+    bench.start()
+    bench.write(0x1400, 2, 1 if synchronous else 255, 1)
+    bench.nmt(1 if late else 128)
+    bench.write(0x1400, 5, timeout_ms, 2)
+    bench.operational()
+    bad: list[object] = []
+    bench.application.react(rpdo_too_short=lambda *arguments: bad.append(arguments))
+    errors, seen, end, taken, counts = Errors(), list[str](), float("inf"), 0, {"short": 0, "long": 0}
+    for number, (wait_ms, length) in enumerate(frames, 1):
+        seen += [text for _, text in bench.run(wait_ms / 1000)]
+        if end <= bench.now:
+            errors.report(TIMED_OUT, 1)
+            end = float("inf")
+        seen += bench.send(RPDO, (number.to_bytes(2, "little") + bytes(6))[:length])
+        if length < 4:
+            counts["short"] += 1
+            errors.report(TOO_SHORT, 1, length, 4)
+            errors.clear(TOO_LONG)
+            assert bad[-1] == (1, length, 4, bench.now)
+        else:
+            if length > 4:
+                counts["long"] += 1
+                errors.report(TOO_LONG, 1, length, 4)
+                errors.clear(TOO_SHORT, TIMED_OUT)
+            errors.clear(*({TOO_SHORT, TOO_LONG, TIMED_OUT} if length == 4 else ()))
+            end = bench.now + timeout_ms / 1000 if timeout_ms else end
+            assert value(bench) == (taken if synchronous else number)
+            taken = number
+        if synchronous:
+            bench.sync()
+        assert value(bench) == taken
+    assert seen == errors.sent
+    counters = bench.node.counters
+    assert (counters.short_rpdos, counters.long_rpdos, len(bad)) == (
+        counts["short"],
+        counts["long"],
+        counts["short"],
     )
-    return calls
+    assert bench.read(0x1001) == (0x11 if errors.active else 0)
+    assert not errors.last or bench.read(0x1003, 1) == errors.last
 
 
-@pytest.mark.parametrize("kind", [0, 1, 2, 240])
-def test_at_the_next_sync(bench: Bench, kind: int) -> None:
-    bench.write(0x1400, 2, kind, 1)
+def test_an_error_outlives_operational(bench: Bench) -> None:
     bench.operational()
-    calls = calls_of(bench)
-    bench.send(RPDO, "01000000")
-    bench.send(RPDO, "02000000")
-    assert calls == []
-    bench.sync()
-    bench.sync()
-    assert calls == [(1, 0.0, 2)]
-
-
-@pytest.mark.parametrize("kind", [255, 1])
-@pytest.mark.parametrize("length", [0, 1, 3])
-def test_too_short(bench: Bench, kind: int, length: int) -> None:
-    bench.write(0x1400, 2, kind, 1)
-    bench.operational()
-    calls = calls_of(bench)
-    assert bench.send(RPDO, bytes(length)) == [f"0A0#10821101{length:02X}040000"]
-    assert bench.send(RPDO, bytes(length)) == []
-    bench.sync()
-    assert calls == [("bad", 1, length, 4, 0.0)] * 2
-    assert bench.node.counters.short_rpdos == 2
-    assert bench.read(0x1001) == 0x11
-    assert bench.read(0x1003, 1) == 0x8210 | 0x01 << 16 | length << 24
-    assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
-    bench.sync()
-    assert sine(bench) == 5
-    assert bench.read(0x1001) == 0
-    assert len(bench.send(RPDO, bytes(length))) == 1
-
-
-def test_the_error_outlives_operational(bench: Bench) -> None:
-    bench.operational()
-    (emergency,) = bench.send(RPDO, b"")
+    assert len(bench.send(RPDO, b"")) == 1
     assert bench.nmt(128) == []
-    assert bench.read(0x1001) == int(emergency[8:10], 16)
+    assert bench.read(0x1001) == 0x11
     bench.operational()
     assert bench.send(RPDO, b"") == []
     assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
 
 
-@pytest.mark.parametrize("kind", [255, 1])
-def test_too_long(bench: Bench, kind: int) -> None:
+@pytest.mark.parametrize("kind", [0, 1, 2, 240])
+def test_the_last_one_is_taken_at_the_next_sync(bench: Bench, kind: int) -> None:
     bench.write(0x1400, 2, kind, 1)
     bench.operational()
-    calls = calls_of(bench)
-    assert bench.send(RPDO, "05000600FFFFFFFF") == ["0A0#2082110108040000"]
-    bench.sync()
-    assert bench.send(RPDO, "0700060000") == []
-    bench.sync()
-    assert calls == [(1, 0.0, 5), (1, 0.0, 7)]
-    assert bench.node.counters.long_rpdos == 2
-    assert bench.read(0x1001) == 0x11
-    assert bench.read(0x1003, 1) == 0x8220 | 0x01 << 16 | 8 << 24
-    assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
-    assert bench.send(RPDO, "05000600") == []
-    assert bench.send(RPDO, "0500060000") == ["0A0#2082110105040000"]
+    calls: list[object] = []
+    bench.application.react(rpdo_received=lambda number, now: calls.append((number, now, value(bench))))
+    for data in ("01000000", "02000000"):
+        bench.send(RPDO, data)
+    assert calls == []
+    for _ in range(2):
+        bench.sync()
+    assert calls == [(1, 0.0, 2)]
 
 
-def test_a_long_rpdo_is_in_time(bench: Bench) -> None:
-    bench.write(0x1400, 5, 50, 2)
+def refuse(value: int) -> None:
+    raise SdoAbort(AbortCode.INVALID_VALUE)
+
+
+@pytest.mark.parametrize("limit", [{"high": 100}, {"on_check": refuse}])
+def test_values_that_are_refused_are_kept_out(bench: Bench, limit: dict[str, object]) -> None:
+    for name, what in limit.items():
+        setattr(bench.dictionary.entry(0x2000, 1), name, what)
     bench.operational()
-    bench.send(RPDO, "05000600")
-    bench.run(1.0)
-    assert [text[4:8] for text in bench.send(RPDO, "0500060007")] == ["2082", "0000"]
-    bench.run(0.04)
-    assert bench.send(RPDO, "0500060007") == []
-    start = bench.now
-    assert bench.run(1.0) == [(pytest.approx(start + 0.05), "0A0#5082110100000000")]
-
-
-def test_a_short_rpdo_does_not_stop_the_time_out(bench: Bench) -> None:
-    bench.write(0x1400, 5, 50, 2)
-    bench.operational()
-    bench.send(RPDO, "05000600")
-    bench.run(0.04)
-    bench.send(RPDO, "0500")
-    assert bench.run(1.0) == [(0.05, "0A0#5082110100000000")]
-
-
-def test_values_beyond_the_limits_are_kept_out(bench: Bench) -> None:
-    bench.dictionary.entry(0x2000, 1).high = 100
-    bench.operational()
-    calls = calls_of(bench)
     bench.send(RPDO, "65000700")
-    assert calls == [(1, 0.0, 0)]
-    assert bench.dictionary.entry(0x2000, 2).value == 7
+    assert bench.application.told("rpdo_received") == [(1, 0.0)]
+    assert (value(bench, 1), value(bench, 2)) == (0, 7)
     assert bench.node.counters.refused_rpdo_values == 1
 
 
@@ -120,52 +153,68 @@ def test_mixed_mapping_with_dummies(bench: Bench) -> None:
     bench.operational()
     word = 0xAA | 1 << 8 | 0x123456 << 9 | 0x5A << 33
     bench.send(0x320, word.to_bytes(6, "little"))
-    values = [bench.dictionary.entry(0x2000, sub).value for sub in (3, 4, 5)]
-    assert values == [True, 0x5A, 0x123456]
+    assert [value(bench, sub) for sub in (3, 4, 5)] == [True, 0x5A, 0x123456]
 
 
-def test_an_rpdo_without_mapping_is_not_there(bench: Bench) -> None:
+def test_two_rpdos_on_one_can_id_and_one_without_mapping(bench: Bench) -> None:
     bench.write(0x1401, 1, 0x320, 4)
     bench.operational()
     bench.send(0x320, "00")
     assert bench.node.counters.unknown_cob_ids == 1
-
-
-def test_two_rpdos_on_one_can_id(bench: Bench) -> None:
     remap(bench, 0x1401, [0x20000408])
     bench.write(0x1401, 2, 255, 1)
     bench.write(0x1401, 1, 0x80000190, 4)
     assert bench.write(0x1401, 1, RPDO, 4) == OK
-    bench.operational()
     bench.send(RPDO, "05000600")
-    assert (sine(bench), bench.dictionary.entry(0x2000, 4).value) == (5, 5)
+    assert (value(bench, 1), value(bench, 4)) == (5, 5)
 
 
-def test_the_time_out(bench: Bench) -> None:
-    assert bench.write(0x1400, 5, 50, 2) == OK
+# Mapping
+
+
+def test_the_whole_procedure_takes_effect_in_operational_too(bench: Bench) -> None:
     bench.operational()
-    assert bench.run(1.0) == []
+    assert remap(bench, 0x1800, [0x20100210]) == [OK] * 5
+    bench.dictionary.entry(0x2010, 2).value = 0x1234
+    bench.node.trigger_tpdo(1, bench.now)
+    assert bench.tick() == ["1A0#3412"]
+    assert remap(bench, 0x1400, [0x20000210, 0x20000110]) == [OK] * 6
     bench.send(RPDO, "01000200")
-    bench.run(0.04)
-    bench.send(RPDO, "01000200")
-    assert bench.run(1.0) == [(1.09, "0A0#5082110100000000")]
-    assert bench.send(RPDO, "01000200") == ["0A0#0000000000000000"]
-    assert len(bench.run(1.0)) == 1
+    assert (value(bench, 2), value(bench, 1)) == (1, 2)
 
 
-def test_the_time_out_written_in_operational(bench: Bench) -> None:
-    bench.operational()
-    bench.write(0x1400, 5, 50, 2)
-    bench.send(RPDO, "01000200")
-    assert len(bench.run(1.0)) == 1
+MAPPABLE = {
+    (0x1400, OK): [0x20000110, 0x20000720, 0x20100720, 0x00020008, 0x00070020, 0x00010001],
+    (0x1400, AbortCode.NOT_MAPPABLE): [
+        *(0x00020010, 0x00020108, 0x10010008, 0x20100401, 0x10170010, 0x20000108, 0x20000100),
+    ],
+    (0x1400, AbortCode.NO_OBJECT): [0x00080020, 0x20001010, 0x2FFF0010],
+    (0x1800, OK): [0x10010008, 0x20100401, 0x20100720],
+    (0x1800, AbortCode.NOT_MAPPABLE): [0x20000110, 0x20000720, 0x10000020, 0x20200000],
+    (0x1800, AbortCode.NO_OBJECT): [0x00020008],
+}
 
 
-def test_a_mapped_entry_may_refuse(bench: Bench) -> None:
-    def refuse(value: int) -> None:
-        raise SdoAbort(AbortCode.INVALID_VALUE)
+@each("index, expected, mapping", [(*case, one) for case, mapped in MAPPABLE.items() for one in mapped])
+def test_what_can_be_mapped(bench: Bench, index: int, expected: AbortCode | str, mapping: int) -> None:
+    bench.write(index, 1, OFF[index], 4)
+    bench.write(index + 0x200, 0, 0, 1)
+    before = bench.read(index + 0x200, 1)
+    assert bench.write(index + 0x200, 1, mapping, 4) == expected
+    assert bench.read(index + 0x200, 1) == (mapping if expected == OK else before)
 
-    bench.dictionary.entry(0x2000, 1).on_check = refuse
-    bench.operational()
-    bench.send(RPDO, "05000600")
-    assert sine(bench) == 0
-    assert bench.node.counters.refused_rpdo_values == 1
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        sample_eds.rpdo(1, "0x190", 255, [0x2FFF0110]),
+        sample_eds.rpdo(1, "0x190", 255, [0x20100120]),
+        sample_eds.tpdo(1, "0x1A0", 255, [0x20100120] * 3),
+        [row for row in sample_eds.rpdo(1, "0x190", 255, [0x20000110] * 2) if row[:2] != (0x1600, 2)][:-6],
+    ],
+)
+def test_an_impossible_default_mapping(tmp_path: Path, rows: list[sample_eds.Row]) -> None:
+    others = [row for row in sample_eds.ROWS if row[0] >= 0x2000]
+    path = sample_eds.write(tmp_path / "sample.eds", rows + others)
+    with pytest.raises(ValueError, match=r"mapping 1[6A]00h"):
+        Node(Dictionary.load(path, ID), ID)
