@@ -293,7 +293,8 @@ def test_canopen_and_the_device_read_the_same(
     assert theirs.entries.keys() == {(entry.index, entry.subindex) for entry in ours}
     for entry in ours:
         variable = theirs.entries[entry.index, entry.subindex]
-        assert (variable.data_type, variable.access_type) == (entry.data_type, entry.access)
+        assert (variable.name, variable.data_type) == (entry.name, entry.data_type)
+        assert variable.access_type == entry.access
         assert variable.pdo_mappable == entry.pdo_mappable
         if variable.default is not None and variable.data_type not in (0x09, 0x0F):
             assert variable.default == entry.default
