@@ -62,37 +62,27 @@ def select_last() -> list[tuple[int, bytes]]:
 
 nodes = st.sampled_from((*NODES, NEW_NODE))
 can_ids = st.sampled_from(CAN_IDS)
+
+
+def written(indices: tuple[int, ...], sub: int, size: int, values: Iterable[int]) -> st.SearchStrategy[Any]:
+    build = lambda node, index, value: sdo(node, index, sub, size, value)  # noqa: E731
+    return st.builds(build, nodes, st.sampled_from(indices), st.sampled_from(list(values)))
+
+
+def flagged(*flags: int) -> list[int]:
+    return [can_id | bits for can_id in CAN_IDS for bits in flags]
+
+
 writes = st.one_of(
-    st.builds(
-        lambda node, pdo, can_id, bits: sdo(node, pdo, 1, 4, can_id | bits),
-        nodes,
-        st.sampled_from((0x1400, 0x1401, 0x1800, 0x1801)),
-        can_ids,
-        st.sampled_from((0, 0x4000_0000, 0xC000_0000)),
-    ),
-    st.builds(
-        lambda node, pdo, kind: sdo(node, pdo, 2, 1, kind),
-        nodes,
-        st.sampled_from((0x1400, 0x1800, 0x1801)),
-        st.sampled_from((0, 1, 2, 252, 253, 254, 255)),
-    ),
-    st.builds(
-        lambda node, can_id, bits: sdo(node, 0x1005, 0, 4, can_id | bits),
-        nodes,
-        can_ids,
-        st.sampled_from((0, 0, 0, 0x4000_0000)),
-    ),
-    st.builds(lambda node, can_id: sdo(node, 0x1012, 0, 4, can_id | 0x8000_0000), nodes, can_ids),
-    st.builds(
-        lambda node, other, ms: sdo(node, 0x1016, 1, 4, other << 16 | ms),
-        nodes,
-        st.sampled_from((*NODES, NEW_NODE, 5)),
-        st.sampled_from((0, 20, 100)),
-    ),
-    st.builds(lambda node, ms: sdo(node, 0x1017, 0, 2, ms), nodes, st.sampled_from((0, 10, 50))),
-    st.builds(lambda node, ms: sdo(node, 0x1006, 0, 4, ms), nodes, st.sampled_from((0, 2000))),
-    st.builds(lambda node: sdo(node, 0x100C, 0, 2, 20), nodes),
-    st.builds(lambda node, bits: sdo(node, 0x1014, 0, 4, 0xA0 | bits), nodes, st.just(0)),
+    written((0x1400, 0x1401, 0x1800, 0x1801), 1, 4, flagged(0, 0x4000_0000, 0xC000_0000)),
+    written((0x1400, 0x1800, 0x1801), 2, 1, (0, 1, 2, 252, 253, 254, 255)),
+    written((0x1005,), 0, 4, flagged(0, 0, 0, 0x4000_0000)),
+    written((0x1012,), 0, 4, flagged(0x8000_0000)),
+    written((0x1016,), 1, 4, (node << 16 | ms for node in (*NODES, NEW_NODE, 5) for ms in (0, 20, 100))),
+    written((0x1017,), 0, 2, (0, 10, 50)),
+    written((0x1006,), 0, 4, (0, 2000)),
+    written((0x100C,), 0, 2, (20,)),
+    written((0x1014,), 0, 4, (0xA0,)),
 )
 commands = st.builds(
     lambda command, node: (0x000, bytes([command, node])),

@@ -79,12 +79,6 @@ def test_it_waits_no_longer_than_it_was_told(wire: Wire, wait_s: float) -> None:
     assert time.perf_counter() - start >= min(wait_s, int(wait_s * 1000) / 1000 or wait_s) - 1e-5
 
 
-def test_a_frame_goes_out_as_it_is(wire: Wire) -> None:
-    assert wire.bus.send(0x1A0, b"\x01\x02\x03", False)
-    assert wire.bus.send(0x720, b"", True)
-    assert wire.sent() == [(0x1A0, b"\x01\x02\x03"), (0x720 | REMOTE, b"")]
-
-
 def test_a_full_queue_is_no_wait_and_no_error(wire: Wire) -> None:
     count = wire.fill()
     assert count >= 1

@@ -16,12 +16,8 @@ from canfb.bus.bus_state import RETRY_S
 from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, DeviceFailure, Runner
 from canfb.cia301.frame import Frame
 from canfb.device.device_protocol import Device
-from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, MotionSource
-from canfb.simulation.sync_producer import SyncProducer
 from drawing import examples
 from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 
@@ -91,24 +87,17 @@ def test_ready_is_when_the_boot_up_is_out_and_frames_are_taken() -> None:
     assert runner.counters.received == 1
 
 
-def test_devices_are_powered_on_and_hear_of_each_other() -> None:
-    bench = Bench()
-    one, other = bench.device(boot=(Frame(0x701, b"\0"),)), bench.device(boot=(Frame(0x702, b"\0"),))
-    bench.run([one, other], 0.05)
-    assert bench.bus.sent_ids() == [0x701, 0x702]
-    assert one.heard_ids() == [0x702]
-    assert other.heard_ids() == [0x701]
-
-
-def test_answers_to_answers_come_in_order_and_nobody_hears_himself() -> None:
+def test_boot_ups_and_answers_to_answers_come_in_order_and_nobody_hears_himself() -> None:
     bench = Bench((0.0, message(0x100)))
     replies = {0x100: [Frame(0x101, b""), Frame(0x102, b"")], 0x201: []}
-    one = bench.device(answer=lambda frame: replies.get(frame.can_id, []))
-    other = bench.device(answer=lambda frame: [Frame(0x201, b"")] if frame.can_id == 0x101 else [])
+    one = bench.device(answer=lambda frame: replies.get(frame.can_id, []), boot=(Frame(0x701, b"\0"),))
+    other = bench.device(
+        answer=lambda frame: [Frame(0x201, b"")] if frame.can_id == 0x101 else [], boot=(Frame(0x702, b"\0"),)
+    )
     bench.run([one, other], 0.05)
-    assert bench.bus.sent_ids() == [0x101, 0x102, 0x201]
-    assert one.heard_ids() == [0x100, 0x201]
-    assert other.heard_ids() == [0x101, 0x102, 0x100]
+    assert bench.bus.sent_ids() == [0x701, 0x702, 0x101, 0x102, 0x201]
+    assert one.heard_ids() == [0x702, 0x100, 0x201]
+    assert other.heard_ids() == [0x701, 0x101, 0x102, 0x100]
 
 
 @pytest.fixture
@@ -307,7 +296,7 @@ def test_whatever_a_bus_does_frames_come_once_and_deadlines_are_kept(
         assert [text.startswith(trouble) for text in lines] == [n % 2 == 0 for n in range(len(lines))]
 
 
-def test_stop_ends_it_from_within() -> None:
+def test_stop_ends_it_from_within_or_after_the_boot_up() -> None:
     bench = Bench((0.1, message(0x123)), (0.2, message(0x124)))
 
     def ending(frame: Frame) -> list[Frame]:
@@ -319,32 +308,12 @@ def test_stop_ends_it_from_within() -> None:
     runner.run()
     assert device.heard_ids() == [0x123]
     assert bench.bus.sent_ids() == [0x200]
-
-
-def test_stopped_before_it_runs_it_powers_on_and_ends() -> None:
     bench = Bench()
-    device = bench.device(boot=(Frame(0x701, b"\0"),))
-    runner = Runner(frame_bus(bench.bus), [device], clock=bench.clock)
+    runner = Runner(frame_bus(bench.bus), [bench.device(boot=(Frame(0x701, b"\0"),))], clock=bench.clock)
     runner.stop()
     runner.run()
     assert bench.bus.sent_ids() == [0x701]
     assert bench.bus.waits == []
-
-
-def test_a_bus_that_cannot_be_read_is_reported_once_counted_and_tried_again() -> None:
-    bench = Bench(*((0.5, BROKEN) for _ in range(10)), (4.0, message(0x181)), (4.5, message(0x182)))
-    device = bench.device(period_s=0.25)
-    runner = bench.run([device], 4.9)
-    assert bench.lines == [
-        (0.5, "the bus fails: the cable is off [Error Code 5]"),
-        (4.0, "the bus works again"),
-    ]
-    assert runner.counters.bus_failures == 10
-    assert set(bench.clock.slept) == {RETRY_S}
-    assert 4 <= len(bench.clock.slept) <= 9, "it neither gives up nor spins"
-    assert device.heard_ids() == [0x181, 0x182]
-    assert len(device.ticked) == 19, "timers go on meanwhile"
-    assert max(device.ticked) <= RETRY_S
 
 
 def test_a_bus_that_fails_now_and_then_is_not_reported_each_time() -> None:
@@ -418,27 +387,6 @@ def test_a_device_that_raises_ends_it_for_all(method: str) -> None:
         ["the CAN controller is bus-off"],
         ["the CAN controller is bus-off", "the CAN controller is on the bus again"],
     )
-
-
-def test_module_interface_and_sync_in_one_process() -> None:
-    """The devices themselves: a second of SYNC at 100 Hz gives a position for each sample."""
-    bench = Bench()
-    source = MotionSource(
-        ShaftEncoder(Encoder(amplitude_counts=1500.0), 2500), Motion((), start_rpm=0.6), 0.01
-    )
-    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
-    interface = EncoderInterface(16, source, autostart=True)
-    runner = bench.run([module, interface, SyncProducer(0.01)], 1.005)
-    ids = bench.bus.sent_ids()
-    assert ids[:2] == [0x720, 0x710]
-    assert ids.count(0x80) == ids.count(0x190) == ids.count(0x1A0) == 100
-    ids = [can_id for can_id in ids if can_id in (0x80, 0x190, 0x1A0)]
-    assert ids == [0x80, 0x190, 0x1A0] * 100
-    assert module.feedback is not None
-    assert module.feedback.valid
-    assert module.feedback.cycles + module.feedback.phase == pytest.approx(source.position_cycles, abs=0.02)
-    assert runner.counters.sent == len(bench.bus.sent)
-    assert bench.reported == []
 
 
 ASKED = [Frame(0x620, b"\x40\x00\x10\x00\0\0\0\0")]

@@ -74,6 +74,10 @@ def octal(text: str) -> str:
     return numbers.sub(lambda found: f"{found[1]}0{int(found[2], 0):o}", text)
 
 
+def cased(case: Callable[[str], str], pattern: str, text: str) -> bytes:
+    return re.sub(pattern, lambda found: case(found[0]), text, flags=re.M).encode()
+
+
 # How files of the field look, all of which mean the same.
 ODD: dict[str, Callable[[str], bytes]] = {
     "byte order mark": lambda text: b"\xef\xbb\xbf" + text.encode(),
@@ -81,13 +85,10 @@ ODD: dict[str, Callable[[str], bytes]] = {
     "Windows-1252": lambda text: f"; M\u00fcller GmbH, 20 \u00b5s, \u20ac\n{text}".encode("cp1252"),
     "lines of DOS": lambda text: text.replace("\n", "\r\n").encode(),
     "indented": lambda text: text.replace("\n", "\n\t ").encode(),
-    **{
-        f"{case.__name__} {what}": lambda text, case=case, pattern=pattern: re.sub(
-            pattern, lambda found: case(found[0]), text, flags=re.M
-        ).encode()
-        for case in (str.upper, str.lower)
-        for what, pattern in (("keys", r"^\w+="), ("sections", r"^\[.*"))
-    },
+    "upper-case keys": lambda text: cased(str.upper, r"^\w+=", text),
+    "lower-case keys": lambda text: cased(str.lower, r"^\w+=", text),
+    "upper-case sections": lambda text: cased(str.upper, r"^\[.*", text),
+    "lower-case sections": lambda text: cased(str.lower, r"^\[.*", text),
     "blanks around =": lambda text: text.replace("=", " = ").encode(),
     "octal": lambda text: octal(text).encode(),
     "the node-ID last": lambda text: re.sub(r"\$NODEID\+(\w+)", r"\1 + $nodeid", text).encode(),

@@ -77,12 +77,6 @@ def bench(make: Callable[..., LssBench]) -> LssBench:
 # Switching the state.
 
 
-def test_selective_switch(bench: LssBench) -> None:
-    assert bench.select() == ["44"]
-    assert bench.lss(0x5E) == ["5E2"]
-    assert bench.select() == []  # it is selected already
-
-
 @pytest.mark.parametrize("wrong", range(4))
 def test_another_address_selects_nobody(bench: LssBench, wrong: int) -> None:
     address = [number ^ (1 << 31 if n == wrong else 0) for n, number in enumerate(ADDRESS)]
@@ -91,6 +85,7 @@ def test_another_address_selects_nobody(bench: LssBench, wrong: int) -> None:
     assert bench.node.lss.state is LssState.WAITING
     assert bench.part(0x43, ADDRESS[3]) == []  # three parts are missing
     assert bench.select() == ["44"]
+    assert bench.select() == []  # it is selected already
 
 
 def test_a_selection_with_a_part_left_out_is_none(bench: LssBench) -> None:
@@ -169,19 +164,6 @@ def test_a_node_id_is_in_force_after_reset_communication(bench: LssBench) -> Non
     assert bench.send(0x728, rtr=True) == ["728#7F"]
     assert bench.nmt(1, 40) == []
     assert bench.node.state is NmtState.OPERATIONAL
-
-
-def test_every_service_has_the_new_node_id(bench: LssBench) -> None:
-    bench.configure().lss(0x11, 40)
-    bench.nmt(RESET_COMMUNICATION)
-    bench.nmt(1, 40)
-    assert bench.send(0x190, bytes(4)) == []
-    assert bench.application.told("rpdo_received") == [(1, bench.now)]
-    bench.node.trigger_tpdo(1, 0.0)
-    bench.node.emergency(0x7300, 0x20, now=0.0)
-    assert [text[:3] for text in bench.tick()] == ["1A8", "0A8"]
-    assert bench.send(0x628, "2B17100064000000") == ["5A8#6017100000000000"]
-    assert [text for _, text in bench.run(0.15)] == ["728#05", "728#05"]
 
 
 # Without a node-ID.
@@ -272,15 +254,6 @@ def test_a_part_out_of_turn_is_not_answered(make: Callable[..., LssBench]) -> No
 
 
 # Bit rate.
-
-
-def test_the_bit_rates_of_the_bus_can_be_configured(bench: LssBench) -> None:
-    bench.configure()
-    answers = {index: bench.lss(0x13, 0, index) for index in (*range(11), 255)}
-    assert [index for index, answer in answers.items() if answer == ["13"]] == [2, 4]
-    assert all(answer in (["13"], ["1301"]) for answer in answers.values())
-    assert bench.lss(0x13, 1, 2) == ["1301"]  # no other table
-    assert bench.node.lss.bit_rate_kbit_s == 125
 
 
 def test_activation_is_told_with_the_delay(bench: LssBench) -> None:

@@ -13,10 +13,8 @@ from recording_application import RecordingApplication
 from test_properties import check_pdos
 
 from canfb.cia301 import cob
-from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.core import Counters
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from drawing import examples
@@ -63,9 +61,6 @@ WRITES: dict[tuple[int, int, int], list[int]] = {
     (0x1A00, 1, 4): [0x20110110, 0x10010008, 0x60040020, 0x20000110],
     (0x1F80, 0, 4): [0, 4, 1, 8, 0xFFFFFFFF],
 }
-# Entries that may be refused as they are, by the rules for changing them and not for their value.
-PROCEDURE = {0x1003, 0x1010, 0x1011, 0x1019}
-
 writes = st.sampled_from(sorted(WRITES)).flatmap(
     lambda place: st.tuples(st.just(place), st.sampled_from(WRITES[place]))
 )
@@ -255,22 +250,6 @@ class NodeModel(RuleBasedStateMachine):
         assert due is None or due > self.now
 
     @invariant()
-    def no_entry_has_a_value_that_would_be_refused(self) -> None:
-        for entry in self.node.dictionary:
-            if entry.on_read is None and entry.index != 0x1003:
-                assert entry.decode(entry.encode()) == entry.value
-            mapping_or_fixed = entry.index & 0xFE00 in (0x1600, 0x1A00) or (
-                entry.index & 0xFF00 == 0x1800 and entry.subindex in (3, 6)
-            )
-            if entry.on_check is None or mapping_or_fixed:
-                continue
-            if entry.index not in PROCEDURE:
-                try:
-                    entry.on_check(entry.value)
-                except SdoAbort as abort:
-                    raise AssertionError(f"{entry} would be refused: {abort}") from abort
-
-    @invariant()
     def parameters_are_in_their_ranges(self) -> None:
         """What CiA 301 says, apart from the code that checks it."""
         value = partial(value_of, self.node.dictionary)
@@ -301,15 +280,6 @@ class NodeModel(RuleBasedStateMachine):
         assert not register & ~0x31
         assert bool(register) == bool(register & 0x01)
         assert value_of(self.node.dictionary, 0x1003) <= 8
-
-    @invariant()
-    def counters_only_grow(self) -> None:
-        names = Counters.__slots__
-        counters = [getattr(self.node.counters, name) for name in names]
-        before = getattr(self, "counters_before", [0] * len(counters))
-        if len(before) == len(counters) and self.node is getattr(self, "counted_node", None):
-            assert all(new >= old for new, old in zip(counters, before, strict=True))
-        self.counters_before, self.counted_node = counters, self.node
 
 
 TestNodeModel = NodeModel.TestCase

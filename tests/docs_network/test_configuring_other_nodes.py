@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import canopen
 import configuring
 import network_file
-import pytest
 from network_bench import EDS_FOLDER, TEXT, write
 from story_bench import StoryNetwork
 
@@ -55,30 +53,3 @@ def test_all_is_written_in_order_and_read_back(tmp_path: Path) -> None:
     nodes.written.clear()
     assert made(nodes, tmp_path).apply() == 0
     assert nodes.written == []
-
-
-def test_a_failure_takes_it_all_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    nodes = Nodes()
-    configuration = made(nodes, tmp_path)
-    before = configuration.compare()
-    monkeypatch.setattr(configuration.remotes["module"].sdo, "upload", refusing(nodes, 0x1017))
-    with pytest.raises(
-        configuring.NetworkError, match="1017:00: abort 08000021h, Data can not be transferred"
-    ):
-        configuration.apply()
-    monkeypatch.undo()
-    assert made(nodes, tmp_path).compare() == before
-
-
-def refusing(nodes: Nodes, refused: int) -> object:
-    """An upload that fails for one object once anything was written."""
-    upload = canopen.sdo.SdoClient.upload
-
-    def read(index: int, subindex: int) -> bytes:
-        if index == refused and nodes.written:
-            raise canopen.SdoAbortedError(0x08000021)
-        client = nodes.network[0x21].sdo
-        assert isinstance(client, canopen.sdo.SdoClient)
-        return upload(client, index, subindex)
-
-    return read

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from canfb.cia301.codes import EmergencyCode
 from canfb.cia301.frame import Frame
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
@@ -38,15 +37,6 @@ def test_what_must_differ(old: str, new: str) -> None:
 
 def test_what_may_be_the_same() -> None:
     assert parse_config(CONFIG.replace("encoder_interface: 0x11", "encoder_interface: 0x10"))
-
-
-def test_the_alarm() -> None:
-    module = modules()[0]
-    module.start(0.0)
-    assert module.receive(Frame(0x1A0, bytes(8)), 0.0) == [
-        Frame(0x0A0, bytes.fromhex("508111A001000000")),
-    ]
-    assert EmergencyCode.CAN_ID_COLLISION == 0x8150
 
 
 def test_bus_off_with_and_without_the_setting() -> None:

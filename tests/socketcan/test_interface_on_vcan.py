@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -30,7 +31,6 @@ from network import (
     write_config,
 )
 from pace import Pace
-from test_local_adc import with_adc
 
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
@@ -43,6 +43,15 @@ UNITS_PER_CYCLE, RANGE_CYCLES = 8192, 209 * 2500
 SERIAL = 0x7E570001
 SYNCS = 400
 UNANSWERED_S = 5.0
+
+
+TREE = Path(__file__).with_name("emulated_iio_tree.py")
+
+
+def with_adc(period_ms: float) -> list[str]:
+    """In a mount namespace of its own, with the rights that it takes."""
+    namespace = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--map-root-user", "--mount"]
+    return [*namespace, sys.executable, str(TREE), str(period_ms)]
 
 
 @pytest.fixture(autouse=True)

@@ -47,17 +47,9 @@ def eight(process: Callable[..., Process], tmp_path: Path, can_bus: can.BusABC, 
     return started
 
 
-def test_positions_a_twin_and_a_bus_off(
-    eight: Process,
-    can_bus: can.BusABC,
-    can_channel: str,
-    pace: Pace,
-    process: Callable[..., Process],
-    tmp_path: Path,
-) -> None:
+def test_positions_a_twin_and_a_bus_off(eight: Process, can_bus: can.BusABC, pace: Pace) -> None:
     each_gives_its_own_positions(can_bus, pace)
     a_twin_is_noticed(eight, can_bus, pace)
-    a_twin_of_ours_leaves_before_its_boot_up(can_bus, can_channel, process, tmp_path)
     error_frames_report_bus_off(eight, can_bus, pace)
     assert eight.stop() == 0
     refused = [line for line in eight.lines if "refused" in line]
@@ -96,21 +88,6 @@ def a_twin_is_noticed(eight: Process, bus: can.BusABC, pace: Pace) -> None:
     bus.send(frame(0x700 + NODES[0], b"\x05"))
     assert next_frame(bus, pace, 0x080 + NODES[0]) == bytes.fromhex("5081112107000000")
     eight.wait_for(r"^canfb: node 33 \(21h\): another node on the bus uses this node-ID \(721h\)$")
-
-
-def a_twin_of_ours_leaves_before_its_boot_up(
-    bus: can.BusABC, channel: str, process: Callable[..., Process], folder: Path
-) -> None:
-    config = folder / "twin.yaml"
-    config.write_text(f"bus: {{interface: socketcan, channel: {channel}}}\nmodules: [{{node_id: 34}}]\n")
-    twin = process("run", str(config))
-    assert twin.wait() == 1
-    (line,) = twin.lines
-    assert line.startswith("canfb: node 34 (22h): another node on socketcan ")
-    heard = []
-    while (message := bus.recv(0.0)) is not None:
-        heard.append(message.arbitration_id)
-    assert 0x722 not in heard
 
 
 def error_frames_report_bus_off(eight: Process, bus: can.BusABC, pace: Pace) -> None:
