@@ -15,10 +15,7 @@ from tools.vcan import uml
 
 @pytest.mark.parametrize(
     ("flags", "release", "needed"),
-    [
-        ("fpu sse2 avx512f amx_tile", "6.12.1-rc1", True),
-        ("fpu sse2 avx512f amx_tile", "6.13", False),
-    ],
+    [("fpu sse2 avx512f amx_tile", "6.12.1-rc1", True), ("fpu sse2 avx512f amx_tile", "6.13", False)],
 )
 def test_registers_are_filled_up_only_where_needed(flags: str, release: str, needed: bool) -> None:
     cpuinfo = f"processor\t: 0\nmodel name\t: any\nflags\t\t: {flags}\n"

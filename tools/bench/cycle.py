@@ -133,11 +133,7 @@ def feedback_module(times: bool = False, **fields: Any) -> canfb.FeedbackModule:
     """The module with factory defaults, operational, with an active correction table."""
     module = canfb.FeedbackModule(
         canfb.ModuleConfig(
-            node_id=NODE_ID,
-            encoder_interface=ENCODER_INTERFACE,
-            autostart=True,
-            times=times,
-            **fields,
+            node_id=NODE_ID, encoder_interface=ENCODER_INTERFACE, autostart=True, times=times, **fields
         )
     )
     module.start(0.0)

@@ -171,12 +171,7 @@ class Motion:
 
 
 def counts(
-    x: Array,
-    rng: Rng,
-    *,
-    exact: bool = False,
-    amplitude: float = AMPLITUDE_COUNTS,
-    most_noise: float = 3.0,
+    x: Array, rng: Rng, *, exact: bool = False, amplitude: float = AMPLITUDE_COUNTS, most_noise: float = 3.0
 ) -> tuple[Counts, Counts]:
     """ADC counts of an ideal encoder, 12 bits, half a count of noise.
 

@@ -203,10 +203,7 @@ def cables(effort: Effort) -> Iterator[Claim]:
         f"{', '.join(f'{name} {percent(part, 2)}' for name, part in turning.items())} (swapped and inverted "
         f"tracks are those of a machine that turns the other way). At standstill {percent(standing, 2)}: "
         "amplitude has to be watched too",
-        verdict(
-            0.9 < dead < 0.99 and 0.45 < mirrored < 0.7 and 0.05 < standing < 0.3,
-            Verdict.LIMITED,
-        ),
+        verdict(0.9 < dead < 0.99 and 0.45 < mirrored < 0.7 and 0.05 < standing < 0.3, Verdict.LIMITED),
     )
 
 

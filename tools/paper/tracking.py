@@ -9,14 +9,7 @@ import numpy as np
 
 from canfb import TrackResult, max_acceleration, track
 from tools.paper.claim import Claim, Effort, grouped, verdict
-from tools.paper.plant import (
-    CYCLES_PER_REVOLUTION,
-    USUAL,
-    Way,
-    cycles_per_sample,
-    followed,
-    score,
-)
+from tools.paper.plant import CYCLES_PER_REVOLUTION, USUAL, Way, cycles_per_sample, followed, score
 
 RATE_HZ = 25_000.0
 SLOW_RATE_HZ = 1000.0

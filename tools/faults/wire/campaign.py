@@ -23,10 +23,7 @@ from tools.faults.wire.setups import SETUPS
 from tools.faults.wire.stalls import IN_A_ROW, RATES_HZ, WHO, stall
 
 CONFIRMED = 3
-COUNTS = (
-    *("episodes", "wrong", "physics", "lost", "flagged", "kept"),
-    *("early", "accel.", "EMCY", "PDOs"),
-)
+COUNTS = (*("episodes", "wrong", "physics", "lost", "flagged", "kept"), *("early", "accel.", "EMCY", "PDOs"))
 STALL_COUNTS = ("one motion fits", "kept", "longer", "kept of longer", "wrong")
 TIMED = [name for name, setup in SETUPS.items() if setup.fits("times !servo")]
 

@@ -321,12 +321,7 @@ class WireClass:
 
 
 def wire_class(
-    name: str,
-    *changes: Change,
-    torque: float = 0.5,
-    after: int = 70,
-    of: str = "",
-    valid: str | None = None,
+    name: str, *changes: Change, torque: float = 0.5, after: int = 70, of: str = "", valid: str | None = None
 ) -> WireClass:
     return WireClass(name, changes, torque, after, of, False, valid)
 
