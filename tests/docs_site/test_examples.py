@@ -17,10 +17,9 @@ import pytest
 from canfb.cli.aliases import current
 from canfb.cli.commands import build_parser
 from canfb.configuration import ANY_NODES, parse_config
-from tools.site.nav import pages_of
 
 ROOT = Path(__file__).parents[2]
-PAGES = [*pages_of(ROOT), "README.md"]
+PAGES = [*(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")), "README.md"]
 ENDS = {">", ">>", "2>", "|", "&", "&&", ";"}
 """What a shell takes for itself, and not for an argument."""
 FENCE = r"^```{}\n(.*?)^```"

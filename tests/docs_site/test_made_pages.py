@@ -16,10 +16,10 @@ import canfb
 from canfb.cli.commands import build_parser
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import source_kinds
-from tools.site.api_page import as_rst
-from tools.site.commands_page import commands_of
-from tools.site.keys_page import SECTIONS, Key, keys_of
-from tools.site.made import MADE
+from tools.site.commands_page import commands_of, commands_page
+from tools.site.docstrings import as_rst
+from tools.site.keys_page import SECTIONS, Key, keys_of, keys_page
+from tools.site.objects_page import objects_page
 
 EDS = Path(__file__).parents[2] / "eds"
 DIMENSIONLESS = {
@@ -38,9 +38,7 @@ DIMENSIONLESS |= {name for name in canfb.Conditioning().words if name.startswith
 KINDS = [kind for _, kind, _ in SECTIONS] + list(source_kinds().values())
 
 
-@cache
-def page(name: str) -> str:
-    return MADE[name]()
+commands, keys, objects = cache(commands_page), cache(keys_page), cache(objects_page)
 
 
 def units_in(text: str) -> Iterator[tuple[str, str]]:
@@ -52,7 +50,7 @@ def units_in(text: str) -> Iterator[tuple[str, str]]:
 @pytest.mark.parametrize("name", ["canfb-module", "encoder-interface", "drive"])
 def test_every_object_is_there_with_its_unit_and_default(name: str) -> None:
     text = (EDS / f"{name}.eds").read_text(encoding="utf-8")
-    part = page("reference/objects.md").partition(f"`eds/{name}.eds`")[2].partition("\n## ")[0]
+    part = objects().partition(f"`eds/{name}.eds`")[2].partition("\n## ")[0]
     rows = {
         cells[0].strip("`"): cells
         for line in part.splitlines()
@@ -75,12 +73,12 @@ def test_every_object_is_there_with_its_unit_and_default(name: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 def test_every_key_is_there_with_unit_range_and_meaning(kind: type) -> None:
-    keys = list(keys_of(kind))
-    assert [key.name for key in keys] == [
+    every = list(keys_of(kind))
+    assert [key.name for key in every] == [
         f.name for f in dataclasses.fields(kind) if f.metadata.get("key", True)
     ]
-    for key in keys:
-        assert f"| `{key.name}` | {key.default or 'required'} |" in page("reference/keys.md")
+    for key in every:
+        assert f"| `{key.name}` | {key.default or 'required'} |" in keys()
         assert key.text, f"{kind.__name__}.{key.name}: its docstring says nothing of it"
         if key.is_number and key.name not in ("time_column", "columns"):
             assert key.range, f"{kind.__name__}.{key.name}: no range in its docstring"
@@ -112,21 +110,15 @@ def test_the_ranges_are_those_that_the_classes_hold(kind: type) -> None:
 
 
 def test_every_command_is_there_with_its_options() -> None:
-    text = page("reference/commands.md")
-    commands = list(commands_of(build_parser()))
-    assert {"canfb run", "canfb table write", "canfb config dcf"} <= {one.prog for one in commands}
-    for command in commands:
+    text = commands()
+    every = list(commands_of(build_parser()))
+    assert {"canfb run", "canfb table write", "canfb config dcf"} <= {one.prog for one in every}
+    for command in every:
         part = text.partition(f"\n## {command.prog}\n")[2].partition("\n## ")[0]
         assert part, command.prog
         for action in command._actions:
             for name in () if action.help == argparse.SUPPRESS else action.option_strings:
                 assert name in ("-h", "--help") or f"`{name}" in part, (command.prog, name)
-
-
-def test_every_public_name_is_there() -> None:
-    text = page("reference/api.rst")
-    for name in canfb.__all__:
-        assert re.search(rf"^\.\. auto\w+:: {name}$", text, re.MULTILINE), name
 
 
 def test_columns_of_a_docstring_become_fields() -> None:

@@ -1,17 +1,26 @@
-"""Sphinx: how the pages in build/site/source become the site (tools/site/build.py calls it)."""
+"""Sphinx: how the pages of the repository become the site (tools/site/build.py calls it)."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import canfb
-from tools.site.api_page import as_rst
+from tools.site.commands_page import commands_page
+from tools.site.docstrings import as_rst
+from tools.site.keys_page import keys_page
+from tools.site.objects_page import objects_page
 
+MADE = {
+    "docs/reference/objects": objects_page,
+    "docs/reference/keys": keys_page,
+    "docs/reference/commands": commands_page,
+}
 project = "canfb"
 version = release = canfb.__version__
 copyright = "canfb contributors, MIT licence"
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
-root_doc = "index"
+root_doc = "docs/index"
+include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/**.md"]
 # The anchors that a reader of the repository sees, too; a link to one that is missing is an error.
 myst_heading_anchors = 6
 autodoc_member_order = "bysource"
@@ -29,10 +38,17 @@ pygments_style = "friendly"
 pygments_dark_style = "native"
 
 
+def made(_app: Any, page: str, source: list[str]) -> None:
+    """Pages that are made of the code."""
+    if page in MADE:
+        source[0] = MADE[page]()
+
+
 def as_written(_app: Any, _what: str, _name: str, _thing: Any, _options: Any, lines: list[str]) -> None:
     """Docstrings of ours are plain text with columns."""
     lines[:] = as_rst(list(lines))
 
 
 def setup(app: Any) -> None:
+    app.connect("source-read", made)
     app.connect("autodoc-process-docstring", as_written)

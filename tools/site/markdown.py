@@ -1,15 +1,12 @@
-"""Small parts of Markdown pages: cells, tables, titles, first sentences, links."""
+"""Small parts of Markdown pages: cells, tables, text."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
 
-FENCED = re.compile(r"^(```|~~~).*?^\1[^\n]*$", re.MULTILINE | re.DOTALL)
-LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 FIELD = re.compile(r"^(\w+(?:, \w+)*) {2,}(\S.*)$")
 """A line of a docstring on a field: its name, or several, and what it means."""
-SENTENCE = re.compile(r"(.+?[.:])(?:\s|$)", re.DOTALL)
 
 
 def cell(text: object) -> str:
@@ -32,25 +29,3 @@ def plain(text: str) -> str:
     return "".join(
         f"`{p[2:-2]}`" if p.startswith("``") else re.sub(r"([*_<\[\]])", r"\\\1", p) for p in parts
     )
-
-
-def title_of(page: str) -> str:
-    """The first heading of a page."""
-    found = re.search(r"^# +(.+?)\s*$", page, re.MULTILINE)
-    return found[1] if found else ""
-
-
-def first_sentence(page: str) -> str:
-    """What a page says of itself: the first sentence below its heading, without links."""
-    _, _, below = page.partition(f"# {title_of(page)}")
-    for part in FENCED.sub("", below).split("\n\n"):
-        text = " ".join(part.split())
-        if (text and text[0].isalpha()) or text.startswith("`"):
-            sentence = SENTENCE.match(text)
-            return LINK.sub(r"\2", sentence[1] if sentence else text).rstrip(":") if text else ""
-    return ""
-
-
-def words_of(page: str) -> int:
-    """Number of words, as wc counts them."""
-    return len(page.split())

@@ -25,8 +25,8 @@ All objects of the feedback module, and of the two devices that `canfb simulate`
 from the EDS files in `eds/`, which the programs load at run time. Numbers are hexadecimal where they end in
 h. `rwr` and `rww` may be mapped into a TPDO or an RPDO. An empty range is that of the type. An empty
 default is a live value, or belongs to the single device. Read and write them by name: [canfb
-sdo](../docs/monitor.md#one-object-of-a-node-canfb-sdo); services and error codes: [the CANopen
-side](../docs/canopen.md).
+sdo](../monitor.md#one-object-of-a-node-canfb-sdo); services and error codes: [the CANopen
+side](../canopen.md).
 """
 
 
