@@ -4,11 +4,13 @@ matters.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from canfb.signal.adaptation import Adaptation, AdaptConfig, FollowedDrift
-from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable, check_table
+from canfb.signal.correction import NO_CORRECTION, Correction, check_table
 from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import FrontEnd
-from canfb.signal.harmonics import NO_LOW_PASS, Corners, Row, corrected
+from canfb.signal.harmonics import NO_LOW_PASS, Corners, corrected
 
 
 class Conditioner:
@@ -16,36 +18,34 @@ class Conditioner:
 
     correction      the active one
     coefficients    of the conditioning of the next sample
-    table           for the phases; None: the identity
-    row             of the harmonics at the next sample; () for none
+    correct         the phase at a raw phase that is not NaN
     front           what depends on the speed; None: nothing
     lag_intervals   2002:07 in sampling intervals: the position is that of so much earlier
     unit_s          the sampling interval, seconds; 0.0: not known
     """
 
     __slots__ = (
+        "_row",
+        "_table_phase",
         "adaptation",
         "coefficients",
         "corners",
+        "correct",
         "correction",
         "front",
         "lag_intervals",
-        "row",
-        "table",
         "unit_s",
     )
 
     def __init__(self, unit_s: float) -> None:
         self.correction, self.corners = NO_CORRECTION, NO_LOW_PASS
-        self.table: CorrectionTable | None = None
-        self.row: Row = ()
         self.unit_s = unit_s
         self.adaptation = Adaptation()
         self._renew()
 
     def activate(self, correction: Correction) -> None:
         check_table(correction.table)
-        self.correction, self.table = correction, correction.table
+        self.correction = correction
         self.adaptation.use(correction)
         self._renew()
 
@@ -70,13 +70,11 @@ class Conditioner:
         if front is not None:
             self.coefficients = front.coefficients(speed_cycles, amplitude_known)
             if front.varies:
-                self.row, self.lag_intervals = front.row(speed_cycles), front.lag_intervals(speed_cycles)
+                self._row, self.lag_intervals = front.row(speed_cycles), front.lag_intervals(speed_cycles)
 
-    def corrected(self, raw: float) -> float:
-        if raw != raw:
-            return raw
-        phase = raw if self.table is None else self.table.correct(raw)
-        return corrected(self.row, phase) if self.row else phase
+    def _without_harmonics(self, raw: float) -> float:
+        phase = self._table_phase(raw)
+        return corrected(self._row, phase) if self._row else phase
 
     def learn(self, feedback: Feedback) -> bool:
         moved = self.adaptation.take(feedback, self.unit_s)
@@ -110,7 +108,11 @@ class Conditioner:
         depends = not self.phases_keep or corners.are_there
         self.front = FrontEnd(conditioning, corners) if depends else None
         self.coefficients = conditioning.coefficients()
-        self.row = ()
+        self._row = ()  # of the harmonics at the next sample; () for none
+        table = self.correction.table
+        self._table_phase: Callable[[float], float] = float if table is None else table.correct
+        harmonics = self.front is not None and self.front.varies
+        self.correct = self._without_harmonics if harmonics else self._table_phase
         self._remove_drift()
         self.use_unit(self.unit_s)
 

@@ -206,8 +206,13 @@ class Stages:
         amplitude = sqrt(s * s + c * c)
         raw = raw_phase(s, c)
         phase = nan
-        if lowest < sine < highest and lowest < cosine < highest and smallest <= amplitude <= largest:
-            phase = tracks.corrected(raw)
+        if (
+            lowest < sine < highest
+            and lowest < cosine < highest
+            and smallest <= amplitude <= largest
+            and raw == raw
+        ):
+            phase = tracks.correct(raw)
         repeated = sine == self._sine and cosine == self._cosine
         residual = NOT_USUAL
         tracker, estimator = self._tracker, self.estimator
