@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,9 +30,9 @@ class Parts:
         self.valid: list[bool] = []  # the position of each of these
         step = self.module.chain.step
 
-        def spy(sample: Sample, received_s: float | None, synced_s: float | None) -> Feedback:
+        def spy(sample: Sample, *known: Any) -> Feedback:
             before = self.module.chain.samples
-            feedback = step(sample, received_s, synced_s)
+            feedback = step(sample, *known)
             if feedback.samples > before:  # else its time is an earlier one
                 self.taken.append(sample)
                 self.valid.append(bool(feedback.status & VALID))

@@ -49,9 +49,10 @@ class Line:
 def at_once(chain: SignalChain, sample: Sample, received_s: float | None, synced_s: float | None) -> Feedback:
     """As the module takes it."""
     assert sample.time_100ns is not None
-    usual = sample.sine, sample.cosine, sample.time_100ns, received_s, synced_s
-    feedback = None if sample.invalid else chain.take_in_turn(*usual)
-    return chain.step(sample, received_s, synced_s) if feedback is None else feedback
+    usual = 0.0 if sample.invalid else chain.times.in_turn(sample.time_100ns, received_s, synced_s)
+    if usual:
+        return chain.stages.take(sample.sine, sample.cosine, usual, True)
+    return chain.step(sample, received_s, synced_s)
 
 
 @given(
@@ -98,7 +99,6 @@ def test_most_times_of_a_healthy_machine_are_taken_at_once(proved: bool | None) 
     for _ in range(200):
         sample, received_s, synced_s = line.next()
         assert sample.time_100ns is not None
-        time = sample.time_100ns
-        taken += chain.take_in_turn(sample.sine, sample.cosine, time, received_s, synced_s) is not None
+        taken += chain.times.in_turn(sample.time_100ns, received_s, synced_s) > 0.0
         chain.step(sample, received_s, synced_s)
     assert taken > 150

@@ -257,13 +257,10 @@ class Pairing(ProcessData):
         if number == self.usual and not (self._observers.open or parts.flags.value):
             if parts.timed:
                 if stamped == syncs.stamped:
-                    feedback = self._chain.take_in_turn(
-                        parts.sine.value,
-                        parts.cosine.value,
-                        parts.time.value,
-                        call.received if stamped else None,
-                        syncs.synced_s,
-                    )
+                    received_s = call.received if stamped else None
+                    elapsed = self._chain.times.in_turn(parts.time.value, received_s, syncs.synced_s)
+                    if elapsed:
+                        feedback = self._stages.take(parts.sine.value, parts.cosine.value, elapsed, True)
             elif (
                 self.answers.is_usual(call.received - syncs.synced_s, syncs.grid)
                 if stamped and syncs.stamped

@@ -50,11 +50,10 @@ class SignalChain:
         self.measures_intervals = True
         """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
         self._pauses = Pauses(self.stages)
-        self._times = SampleTimes()
-        self.sample_grid = self._times.grid
+        self.times = SampleTimes()
+        self.sample_grid = self.times.grid
         """The clock of the encoder interface, by the sample times so far."""
         self._per_sync = 1
-        self._waited = 0.0  # intervals without a sample since the last one with a sample time
         self._left_out = 0.0  # since then, of samples that were crowded
         self._untimed_unit_s = config.interval_s
         self.set_limits(config.chain_limits)
@@ -149,12 +148,12 @@ class SignalChain:
     @property
     def sync_interval_s(self) -> float:
         """Nominal interval of SYNC, seconds, used to check sample times. 0.0: not known."""
-        return self._times.sync_interval_s
+        return self.times.sync_interval_s
 
     @sync_interval_s.setter
     def sync_interval_s(self, interval_s: float) -> None:
         """Positions and speeds stay as they are; intervals in progress are counted in the new unit."""
-        old, self._times.sync_interval_s = self._times.unit_s, interval_s
+        old, self.times.sync_interval_s = self.times.unit_s, interval_s
         self._unit_may_have_changed(old)
 
     def use_interval(self, sampling_s: float) -> None:
@@ -166,14 +165,14 @@ class SignalChain:
     @property
     def unit_s(self) -> float:
         """The interval in which speeds of timed samples are given, seconds; 0.0 before it is known."""
-        return self._times.unit_s / self._per_sync
+        return self.times.unit_s / self._per_sync
 
     def _unit_may_have_changed(self, old_s: float) -> None:
-        unit_s = self._times.unit_s
+        unit_s = self.times.unit_s
         if unit_s != old_s:
             if old_s > 0.0 and unit_s > 0.0:
                 factor = old_s / unit_s
-                self._waited *= factor
+                self.times.waited *= factor
                 self._left_out *= factor
                 self.stages.estimator.rescale(factor)
             self.on_unit()
@@ -190,7 +189,7 @@ class SignalChain:
 
     def forget_times(self) -> None:
         """Another interface may send the sample times from now on, by another clock and at another rate."""
-        self._times.reset()
+        self.times.reset()
         self.sync_interval_s = 0.0
 
     # Starts and pauses.
@@ -227,8 +226,8 @@ class SignalChain:
         self._forget_times_of_samples(keep_interval=goes_on)
 
     def _forget_times_of_samples(self, keep_interval: bool = False) -> None:
-        (self._times.forget if keep_interval else self._times.reset)()
-        self._waited = self._left_out = 0.0
+        (self.times.forget if keep_interval else self.times.reset)()
+        self._left_out = 0.0
 
     def slips(self, intervals: float) -> bool:
         """In so many intervals of SYNC the machine goes so far that its phase could mislead."""
@@ -269,9 +268,9 @@ class SignalChain:
         time_100ns, elapsed = sample.time_100ns, sample.elapsed
         if time_100ns is None:
             return self.after(sample, elapsed)
-        times, stages = self._times, self.stages
+        times, stages = self.times, self.stages
         speed, unit_s = abs(stages.estimator.tracker.step_cycles) * self._per_sync, times.unit_s
-        counted = elapsed + self._waited + self._left_out
+        counted = elapsed + times.waited + self._left_out
         passed = times.elapsed(time_100ns, counted, received_s, synced_s, speed)
         self._unit_may_have_changed(unit_s)
         self.crowded = passed == CROWDED
@@ -281,15 +280,15 @@ class SignalChain:
                 return stages.last
             if passed != SUSPECT:
                 return self._restarted(sample)
-            self._waited += elapsed
+            times.waited += elapsed
             still = self.begun and not self.lost and not self.slips(times.off)
             return self.after(sample, elapsed, placed=still)
-        if passed < self._waited + CLOSEST and self._waited:  # what was waited for did not pass
+        if passed < times.waited + CLOSEST and times.waited:  # what was waited for did not pass
             return self._restarted(sample, least=float("inf"))
-        next_one = elapsed + self._waited < HOLE_INTERVALS
+        next_one = elapsed + times.waited < HOLE_INTERVALS
         if self.measures_intervals:
-            elapsed = passed - self._waited  # what was waited for is counted already
-        self._waited = self._left_out = 0.0
+            elapsed = passed - times.waited  # what was waited for is counted already
+        times.waited = self._left_out = 0.0
         return self.after(sample, elapsed, next_one=next_one)
 
     def withheld(self, feedback: Feedback) -> Feedback:
@@ -297,25 +296,13 @@ class SignalChain:
         self.adaptation.drop()
         return feedback._replace(status=feedback.status & ~VALID | COASTING)
 
-    def take_in_turn(
-        self, sine: float, cosine: float, time_100ns: int, received_s: float | None, synced_s: float | None
-    ) -> Feedback | None:
-        """:meth:`step` for a sample of counts alone; None, nothing changed, unless its time is usual.
-
-        Arguments: ``sine``, ``cosine``, ``time_100ns``, ``received_s``, ``synced_s``.
-        """
-        if self._waited or self._per_sync != 1 or not self.measures_intervals:
-            return None
-        elapsed = self._times.in_turn(time_100ns, received_s, synced_s)
-        return self.stages.take(sine, cosine, elapsed, True) if elapsed else None
-
     def _restarted(self, sample: Sample, least: float = 1.0) -> Feedback:
         """The clock of the interface was restarted, or none of the SYNCs since the last sample was heard.
 
         Its length is unknown: a machine that creeps may have gone on as long as the times say.
         """
-        lost = self.uncertain(max(least, self._times.passed) if self._pauses.creeps else 1.0)
-        self._waited = self._left_out = 0.0
+        lost = self.uncertain(max(least, self.times.passed) if self._pauses.creeps else 1.0)
+        self.times.waited = self._left_out = 0.0
         if self.lost:  # what its times say of the speed begins here
             self.stages.estimator.lose(LossCause.TIME, starts=False)
         return self.after(sample._replace(time_100ns=None), sample.elapsed) if lost is None else lost
@@ -373,6 +360,6 @@ class SignalChain:
 
     def miss(self) -> Feedback:
         """One interval of SYNC without a sample: the position coasts, flagged."""
-        self._waited += 1.0
+        self.times.waited += 1.0
         self.between = ()
         return self.stages.miss(float(self._per_sync))

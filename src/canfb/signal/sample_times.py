@@ -52,6 +52,7 @@ class SampleTimes:
         "off",
         "passed",
         "sync_interval_s",
+        "waited",
     )
 
     def __init__(self) -> None:
@@ -77,6 +78,7 @@ class SampleTimes:
         self._least_s = inf  # by the call of its SYNC, when the first sample was taken, at the soonest
         self._agrees = False  # the last time that was not right was where its call was due
         self._refused_counted = 0.0  # intervals counted up to the last time that was not right
+        self.waited = 0.0  # intervals without a sample since the last one with its time
 
     @property
     def unit_s(self) -> float:
@@ -86,7 +88,7 @@ class SampleTimes:
     def in_turn(self, time_100ns: int, received_s: float | None, synced_s: float | None) -> float:
         """:meth:`elapsed` for the next sample in turn, if there is no need to look closely; else 0.0."""
         last, grid, unit = self._last, self.grid, self._pace_s
-        if last is None or self.sync_interval_s or not grid.period or grid.row:
+        if last is None or self.waited or self.sync_interval_s or not grid.period or grid.row:
             return 0.0
         ticks = time_100ns - last
         at, allowed, pace_s = self._at + ticks, grid.allowed, grid.period * TICK_S
@@ -96,9 +98,12 @@ class SampleTimes:
             return 0.0
         if received_s is None:
             if synced_s is not None:
-                if HEARD_S < self._least_s - synced_s + at * TICK_S < inf:
+                soonest_s, least_s = synced_s - at * TICK_S, self._least_s
+                if not soonest_s - least_s >= -HEARD_S:
                     return 0.0
-                self._follow_calls(ticks, synced_s)
+                if soonest_s < least_s + HEARD_S:
+                    least_s += DRIFT * passed_s
+                    self._least_s = soonest_s if soonest_s < least_s else least_s
         elif synced_s is None or self._synced_s is None:
             return 0.0
         else:

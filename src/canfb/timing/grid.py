@@ -50,6 +50,7 @@ class Grid:
         "_in_turn",
         "_jitter",
         "_phase",
+        "_shown",
         "_slope",
         "allowed",
         "deviation",
@@ -144,11 +145,11 @@ class Grid:
             self._fresh += 1
             self.seen = min(self.seen + 1, self.memory)
             self._find_gains()
-        before = self.period
-        self.period += self._slope * off / (elapsed or places)
-        self.lead = off * (self._phase - 1.0)
-        self.due += (places - 1) * before + off * self._phase + self.period
-        self.deviation += (abs(off) - self.deviation) / min(self._fresh, SHOWN)
+        before, phase = self.period, off * self._phase
+        self.period = period = before + self._slope * off / (elapsed or places)
+        self.lead = phase - off
+        self.due += (places - 1) * before + phase + period
+        self.deviation += (abs(off) - self.deviation) * self._shown
 
     def take(self, instant: float) -> None:
         """An instant that is right, however far it is off the line: that goes on, or begins again there."""
@@ -239,6 +240,7 @@ class Grid:
         n = max(self.seen, 2)
         self._phase = max((4 * n - 2) / (n * (n + 1)), 1.0 / max(self._fresh, 1))
         self._slope = 6.0 / (n * (n + 1))
+        self._shown = 1.0 / min(max(self._fresh, 1), SHOWN)
         most = UNDECLARED * self.period
         spare = 1.0 + 3.0 * math.sqrt(2.0 / max(self._fresh, 2))
         self.allowed = min(most, self._jitter * spare) if self._jitter else most
