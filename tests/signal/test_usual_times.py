@@ -50,9 +50,8 @@ def at_once(chain: SignalChain, sample: Sample, received_s: float | None, synced
     """As the module takes it."""
     assert sample.time_100ns is not None
     usual = 0.0 if sample.invalid else chain.times.in_turn(sample.time_100ns, received_s, synced_s)
-    if usual:
-        return chain.stages.take(sample.sine, sample.cosine, usual, True)
-    return chain.step(sample, received_s, synced_s)
+    known = sample.sine, sample.cosine, usual, True
+    return chain.stages.take(*known) if usual else chain.step(sample, received_s, synced_s)
 
 
 @given(
@@ -98,7 +97,6 @@ def test_most_times_of_a_healthy_machine_are_taken_at_once(proved: bool | None) 
     taken = 0
     for _ in range(200):
         sample, received_s, synced_s = line.next()
-        assert sample.time_100ns is not None
-        taken += chain.times.in_turn(sample.time_100ns, received_s, synced_s) > 0.0
+        taken += chain.times.in_turn(sample.time_100ns or 0, received_s, synced_s) > 0.0
         chain.step(sample, received_s, synced_s)
     assert taken > 150

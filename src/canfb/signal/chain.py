@@ -39,20 +39,18 @@ class SignalChain:
     def __init__(self, config: ChainConfig, table: AnyTable = None) -> None:
         config, table = with_correction(config, table)
         self.stages = Stages(config, table)
-        self.tracks = self.stages.tracks
-        """What makes a phase of counts."""
+        self.tracks = self.stages.tracks  # What makes a phase of counts.
+        # Called when :attr:`unit_s` has changed, before a sample is held against limits of the old one.
         self.on_unit: Callable[[], None] = lambda: None
-        """Called when :attr:`unit_s` has changed, before a sample is held against limits of the old one."""
+        # Of the last interval: what the samples before the newest gave, oldest first.
         self.between: tuple[Feedback, ...] = ()
-        """Of the last interval: what the samples before the newest gave, oldest first."""
+        # The last sample came, but so soon after the one before that nothing was made of it.
         self.crowded = False
-        """The last sample came, but so soon after the one before that nothing was made of it."""
+        # Sample times say how long an interval was; False: they only tell new samples from doubled ones.
         self.measures_intervals = True
-        """Sample times say how long an interval was; False: they only tell new samples from doubled ones."""
         self._pauses = Pauses(self.stages)
         self.times = SampleTimes()
-        self.sample_grid = self.times.grid
-        """The clock of the encoder interface, by the sample times so far."""
+        self.sample_grid = self.times.grid  # The clock of the encoder interface, by the sample times so far.
         self._per_sync = 1
         self._left_out = 0.0  # since then, of samples that were crowded
         self._untimed_unit_s = config.interval_s

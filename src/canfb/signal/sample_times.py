@@ -57,10 +57,9 @@ class SampleTimes:
 
     def __init__(self) -> None:
         self.sync_interval_s = 0.0
-        self.grid = Grid()
-        """The times that were right, ticks since the first one."""
+        self.grid = Grid()  # The times that were right, ticks since the first one.
+        # Intervals since the last sample, by a RESTARTED time; and from a SUSPECT one to its place.
         self.passed, self.off = 1.0, 0.0
-        """Intervals since the last sample, by a RESTARTED time; and from a SUSPECT one to its place."""
         self.reset()
 
     def reset(self) -> None:

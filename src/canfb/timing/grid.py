@@ -69,8 +69,7 @@ class Grid:
 
     def forget(self) -> None:
         self.period = self.deviation = 0.0
-        self.seen = 0
-        """Instants that carry the line."""
+        self.seen = 0  # Instants that carry the line.
         self.pause()
 
     def pause(self) -> None:
@@ -85,8 +84,7 @@ class Grid:
     def _end_row(self) -> None:
         self.row: list[float] = []
         self._in_turn: list[bool] = []  # whether each of the row was
-        self.early = 0
-        """Of the row, by calls."""
+        self.early = 0  # Of the row, by calls.
 
     @property
     def locked(self) -> bool:

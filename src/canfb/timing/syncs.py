@@ -47,13 +47,12 @@ class SyncVerdict(NamedTuple):
     doubt: float = 0.0
 
 
-USUAL = SyncVerdict()
-"""On time, in turn after another, and nothing is open."""
+USUAL = SyncVerdict()  # On time, in turn after another, and nothing is open.
 ON_TIME = SyncVerdict()
 EXTRA = SyncVerdict(extra=True)
 REPEATED = SyncVerdict(extra=True, repeated=True)
+# With it the places by which the line goes on, 0: not by this SYNC, and how far off it is, seconds.
 Judged = tuple[SyncVerdict, int, float]
-"""With it the places by which the line goes on, 0: not by this SYNC, and how far off it is, seconds."""
 
 
 class Syncs:
@@ -89,11 +88,10 @@ class Syncs:
 
     def __init__(self) -> None:
         self.grid = Grid(jitter=USUAL_JITTER_S)
-        self.overflow = 0
-        """SYNC counter overflow (1019h)."""
+        self.overflow = 0  # SYNC counter overflow (1019h).
         self._periods = 2
+        # Called as (time_s, stamped) with every TOGETHER-th usual SYNC.
         self.on_followed: Callable[[float, bool], None] | None = None
-        """Called as (time_s, stamped) with every TOGETHER-th usual SYNC."""
         self.place = 0
         self.pause()
 
@@ -112,12 +110,10 @@ class Syncs:
         self.grid.pause()
         self.until = inf
         self.begun = self.stamped = False
-        self.extra_came = False
-        """Since the last SYNC: the interface may answer it."""
-        self.extra_after = 0.0
-        """Periods from the last SYNC to the extra one."""
+        self.extra_came = False  # Since the last SYNC: the interface may answer it.
+        self.extra_after = 0.0  # Periods from the last SYNC to the extra one.
+        # So late is a SYNC without receive time that others may be lost before it; 0.0: it is in time.
         self.late_s = 0.0
-        """So late is a SYNC without receive time that others may be lost before it; 0.0: it is in time."""
         self.synced_s = self._received_s = 0.0  # the last one, and with extra ones
         self._counter: int | None = None
         self._next_counter: int | None = None
