@@ -7,7 +7,6 @@ constant, a condition, a returned value, a statement left out) is made in memory
 pytest with PYTEST_ARGS up to the first failure. A change that no test notices is a survivor, and is printed.
 LIST names survivors that are known to change nothing, one per line, with the reason after two spaces and a #.
 The exit status is 1 if there are others, 2 if the tests fail unchanged. Nothing is written to the disk.
-docs/testing.md compares it with the mutation testers of others.
 """
 
 from __future__ import annotations
