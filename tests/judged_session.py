@@ -2,7 +2,7 @@
 
 Its example bridges a stall of HOLDS_MS, and the next one EVERY_S later: docs/time.md promises it. A busy
 machine stalls for longer, or again before the position is back. Then the position may be lost, but never
-valid and wrong. That it is kept is proven in simulated time, too (tests/cli/test_example_on_a_bus.py).
+valid and wrong. That it is kept is proven in simulated time, too (tests/cli/test_readme_commands.py).
 """
 
 from __future__ import annotations

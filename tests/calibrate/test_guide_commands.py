@@ -27,10 +27,10 @@ GUIDES = (
 PARSED_ONLY = {
     "canfb demo --out demo": "takes 9 s; tests/cli/test_demo_command.py runs it",
     "canfb calibrate -i socketcan -c can0 --method zero-crossings --seconds 4": (
-        "needs an encoder interface that records at 50 kHz; test_fast_recording_on_a_bus.py simulates one"
+        "needs an interface that records at 50 kHz; test_recordings_and_own_calibration.py has one"
     ),
     "canfb calibrate -i socketcan -c vcan0 --method zero-crossings --source recording --seconds 2": (
-        "uploads 100 000 samples; test_fast_recording_on_a_bus.py does so"
+        "uploads 100 000 samples; test_recordings_and_own_calibration.py does so"
     ),
     "canfb try": "runs until Ctrl-C; tests/cli/test_try_command.py does so",
     "canfb node list": "on the bus that the line before it names",

@@ -1,56 +1,34 @@
-"""Upload, proof and saving: all of it, or the module is left as it was. Every step is made to fail."""
+"""Upload, proof and saving: all of it, or the module is left as it was, even if the terminal goes."""
 
 from __future__ import annotations
 
-import struct
+import io
+import os
+import pty
+import signal
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TextIO
 
 import pytest
+from test_calibrate_on_a_bus import SHORT
 
+from canfb.bus.runner import ending_on_signals
 from canfb.calibrate.measurement import Measurement, Settings
 from canfb.calibrate.procedure import Installation, install, verify
 from canfb.cia301.frame import Frame
+from canfb.cli.calibrate import over_bus
+from canfb.cli.main import build_parser
+from canfb.cli.progress import Progress
+from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError
-from canfb.master.all_or_nothing import Guard, put_in_force, put_in_force_again, read_active, save
+from canfb.master.all_or_nothing import Guard, put_in_force, put_in_force_again, read_active
 from canfb.master.samples import TrackSamples
 from canfb.signal.correction import NO_CORRECTION, Correction
 from commissioning_kit import Bench
+from node_commands import ANSWER, between, place_of
 
-SDO_REQUEST, SDO_ANSWER = 0x620, 0x5A0
 AS_BEFORE = "the previous table and conditioning are active in module 32 (20h)"
-
-
-class Fault:
-    """Between the bus and the module: spoils the n-th SDO request, or those to an object."""
-
-    def __init__(self, bench: Bench) -> None:
-        self.requests = 0
-        self.spoil: Callable[[int, Frame], list[Frame] | None] = lambda number, frame: None
-        self._receive = bench.module.receive
-        bench.module.receive = self.receive  # type: ignore[method-assign]
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        if frame.can_id != SDO_REQUEST:
-            return self._receive(frame, now)
-        self.requests += 1
-        spoiled = self.spoil(self.requests, frame)
-        return self._receive(frame, now) if spoiled is None else spoiled
-
-
-def abort(frame: Frame, code: int = 0x08000000) -> list[Frame]:
-    return [Frame(SDO_ANSWER, b"\x80" + frame.data[1:4] + struct.pack("<I", code))]
-
-
-def object_of(frame: Frame) -> tuple[int, int]:
-    """Index and sub-index of an initiating request."""
-    index, subindex = struct.unpack_from("<HB", frame.data, 1)
-    return index, subindex
-
-
-def is_write(frame: Frame) -> bool:
-    return frame.data[0] >> 5 in (1, 6)
 
 
 def prepared(old: Correction, **options: Any) -> Bench:
@@ -111,65 +89,26 @@ def test_what_is_not_saved_is_active_and_said(
 
 
 PHASE_ERROR = (0x2010, 12)
-WRITES = [(0x2002, n) for n in range(1, 6)] + [(0x2020, 1), (0x2020, 3), PHASE_ERROR, (0x1010, 4)]
 
 
-@pytest.mark.parametrize("target", WRITES, ids=lambda one: f"{one[0]:04X}:{one[1]:02X}")
-@pytest.mark.parametrize("before", ["a table", "nothing"])
-def test_a_refused_write_leaves_the_old_set(
-    target: tuple[int, int],
-    before: str,
-    measured: Measurement,
-    measured_first: Measurement,
-    old: Correction,
-    fresh: TrackSamples,
-    settings: Settings,
-) -> None:
-    known, chosen = (old, measured) if before == "a table" else (NO_CORRECTION, measured_first)
-    bench = prepared(known, store=MemoryStore())
-    if known.table is not None:
-        save(bench.access)
-    fault = Fault(bench)
-    refused: list[int] = []
-
-    def spoil(number: int, frame: Frame) -> list[Frame] | None:
-        if is_write(frame) and object_of(frame) == target and len(refused) < 2:
-            refused.append(number)
-            return abort(frame)
-        return None
-
-    if target != (0x2020, 1):  # the block transfer and the segmented one
-        refused.append(0)
-    fault.spoil = spoil
-    with pytest.raises(CommissioningError, match="refused") as error:
-        run_install(bench, chosen, fresh, settings)
-    assert str(error.value).endswith(AS_BEFORE)
-    assert "\n" not in str(error.value)
-    assert len(refused) == 2
-    assert read_active(bench.access) == known
-    assert bench.module.chain.correction.table == known.table
-    assert bench.access.integer(*PHASE_ERROR, "H") == 819
-
-
-def lying(bench: Bench, index: int, subindex: int, times: int) -> None:
+def lying(bench: Bench, place: tuple[int, int], times: int) -> None:
     """The module tells a wrong CRC."""
-    fault = Fault(bench)
     left = [times]
 
-    def spoil(number: int, frame: Frame) -> list[Frame] | None:
-        if frame.data[0] == 0x40 and object_of(frame) == (index, subindex) and left[0]:
+    def spoil(frame: Frame) -> list[Frame] | None:
+        if frame.data[0] == 0x40 and place_of(frame) == place and left[0]:
             left[0] -= 1
-            return [Frame(SDO_ANSWER, b"\x43" + frame.data[1:4] + b"\x01\x02\x03\x04")]
+            return [Frame(ANSWER, b"\x43" + frame.data[1:4] + b"\x01\x02\x03\x04")]
         return None
 
-    fault.spoil = spoil
+    between(bench, spoil)
 
 
 def test_a_wrong_crc_of_the_staged_table_activates_nothing(
     measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(old)
-    lying(bench, 0x2020, 2, 1)
+    lying(bench, (0x2020, 2), 1)
     with pytest.raises(CommissioningError, match="CRC of the staged table is 04030201h") as error:
         run_install(bench, measured, fresh, settings)
     assert str(error.value).endswith(AS_BEFORE)
@@ -181,17 +120,18 @@ def test_an_interruption_leaves_the_old_set(
     number: int, measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
 ) -> None:
     bench = prepared(old)
-    guard, fault, said = Guard(), Fault(bench), list[str]()
+    guard, said, requests = Guard(), list[str](), list[Frame]()
 
-    def spoil(count: int, frame: Frame) -> list[Frame] | None:
-        if count >= number:  # Ctrl-C again and again: while it puts the old set back, too
+    def spoil(frame: Frame) -> None:
+        requests.append(frame)
+        if len(requests) >= number:  # Ctrl-C again and again: while it puts the old set back, too
             guard.interrupt()
-        return None
 
-    fault.spoil = spoil
+    receive = bench.module.receive
+    between(bench, spoil)
     with pytest.raises(KeyboardInterrupt):
         install(bench.access, measured, lambda found: verify(fresh, found, settings), guard, step=said.append)
-    fault.spoil = lambda count, frame: None
+    bench.module.receive = receive  # type: ignore[method-assign]
     assert said[-1] == AS_BEFORE
     assert read_active(bench.access) == old
 
@@ -212,6 +152,75 @@ def test_an_interruption_of_the_proof_leaves_the_old_set(
 
 def test_put_back_tells_when_it_is_not_what_it_was(old: Correction, measured: Measurement) -> None:
     bench = prepared(measured.found)
-    lying(bench, 0x2020, 4, 100)
+    lying(bench, (0x2020, 4), 100)
     with pytest.raises(CommissioningError, match="CRC of the active table is 04030201h"):
         put_in_force_again(bench.access, old)
+
+
+def interrupted(bench: Bench, times: int, stream: TextIO, gone: int | None = None) -> None:
+    """`canfb calibrate`, and SIGHUP as soon as the new table is active; ``gone``: and the terminal."""
+    options = build_parser().parse_args(["calibrate", *SHORT])
+    guard, terminal = Guard(), [] if gone is None else [gone]
+
+    def hang_up(now: float) -> None:
+        if bench.value(0x2020, 4):
+            for descriptor in terminal:
+                os.close(descriptor)
+            terminal.clear()
+            for _ in range(times):
+                signal.raise_signal(signal.SIGHUP)
+
+    bench.master.on_wait = hang_up
+    with ending_on_signals(guard.interrupt):
+        over_bus(bench.master, options, Config(), Progress(stream=stream), guard, "2026-03-01")
+
+
+def test_a_hangup_while_it_is_proven_puts_the_old_table_back() -> None:
+    bench, said = Bench(), io.StringIO()
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(bench, 1, said)
+    bench.master.on_wait = lambda now: None
+    assert read_active(bench.access) == NO_CORRECTION
+    assert said.getvalue().splitlines()[-2:] == [
+        "... restoring the old table",
+        "... the previous table and conditioning are active in module 32 (20h)",
+    ]
+
+
+def test_a_terminal_that_has_gone_does_not_keep_the_old_table_away() -> None:
+    bench = Bench()
+    ours, theirs = pty.openpty()
+    stream = os.fdopen(theirs, "w", encoding="utf-8")
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(bench, 2, stream, gone=ours)
+    with pytest.raises(OSError, match="Input/output error"):
+        stream.close()  # what it still holds
+    bench.master.on_wait = lambda now: None
+    assert read_active(bench.access) == NO_CORRECTION
+
+
+def test_the_second_signal_is_too_late_to_stop_what_the_first_one_began() -> None:
+    guard = Guard()
+    with pytest.raises(KeyboardInterrupt):
+        guard.interrupt()
+    guard.interrupt()
+    with guard.held():
+        guard.interrupt()
+    guard.interrupt()
+
+
+class Gone(io.StringIO):
+    """A terminal that refuses all."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        raise OSError(5, "Input/output error")
+
+
+def test_progress_never_fails() -> None:
+    progress = Progress(stream=Gone())
+    progress.step("one")
+    progress.part(0.5)
+    progress.clear()

@@ -1,4 +1,4 @@
-"""Objects 2050h and 2030h as sources of samples and tables, with the module itself on the bus."""
+"""Where `canfb calibrate` has its samples from: PDOs, 2050h of module and interface, 2030h of the module."""
 
 from __future__ import annotations
 
@@ -7,16 +7,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_calibrate_on_a_bus import calibrate
+from test_calibrate_on_a_bus import calibrate, calibrated, position_errors
 
+import commissioning_kit
 from canfb.cia301.frame import Frame
+from canfb.cli.calibrate import choices_of, over_bus
+from canfb.cli.config_file import EXAMPLE
+from canfb.cli.main import build_parser
+from canfb.cli.node_options import nodes_of
+from canfb.cli.progress import Progress
+from canfb.configuration import Config, parse_config
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
-from canfb.master.all_or_nothing import read_active
-from canfb.master.listening import record
+from canfb.master.all_or_nothing import Guard, read_active
+from canfb.master.listening import listen, record
+from canfb.master.session import agreed_layout
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import NO_CORRECTION
-from canfb.simulation.motion import Motion
-from commissioning_kit import RATE_HZ, Bench
+from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.encoder import Encoder, ShaftEncoder
+from canfb.simulation.motion import Motion, MotionSource, Ramp
+from canfb.simulation.sync_producer import SyncProducer, SyncTiming
+from canfb.view.pdo_map import PdoLayout
+from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, random_encoder
+from folding import each
 
 
 def with_calculator(bench: Bench) -> Bench:
@@ -171,3 +186,134 @@ def test_the_module_tells_its_drift(capsys: pytest.CaptureFixture[str]) -> None:
     assert figures["drift_rms_cycles"] == pytest.approx(want, rel=0.2)
     assert read_active(bench.access) == active
     assert bench.access.integer(0x2030, 2, "B") == 0
+
+
+class OwnConverter(Bench):
+    """The bench with a module that asks the encoder itself, and nobody else on the bus."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.bus = EmbeddedBus()
+        self.module = FeedbackModule(
+            ModuleConfig(node_id=MODULE_ID, cycles_per_revolution=CYCLES, autostart=True), source=self.source
+        )
+        self.master = type(self.master)(self.bus)
+        self.bus.attach(self.module)
+        self.bus.attach(SyncProducer(1.0 / RATE_HZ))
+
+
+def test_its_own_recording_calibrates_it(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = OwnConverter()
+    bench.bus.run_until(0.5)
+    before = position_errors(bench, 1000)
+    assert calibrate(bench, "--source", "recording", "--recorder", "module", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["encoder_interface"] is None
+    after = position_errors(bench, 1000)
+    assert bench.value(0x2020, 4) != 0
+    assert np.abs(after).max() < 0.2 * np.abs(before).max()
+
+
+@pytest.mark.parametrize("source", ["pdo", "module"])
+def test_without_an_adc_pdo_it_says_what_to_do(source: str) -> None:
+    with pytest.raises(CommissioningError, match="--source recording --recorder module"):
+        calibrate(OwnConverter(), "--source", source)
+
+
+def test_the_configuration_of_such_a_module_names_no_encoder_interface() -> None:
+    config = parse_config("modules: [{node_id: 16, source: {kind: motion}}]")
+    options = build_parser().parse_args(["calibrate"])
+    assert choices_of(options).nodes(nodes_of(config)) == (16, None)
+
+
+TIMING = SyncTiming(sync_jitter_us=20.0)
+
+
+def several(per_sync: int, *, times: bool = True) -> Bench:
+    return Bench(config={"samples_per_sync": per_sync}, timing=TIMING if times else SyncTiming())
+
+
+@pytest.mark.parametrize(
+    ("per_sync", "expected"),
+    [
+        (2, PdoLayout(0x190, earlier=(PdoLayout(0x190, 4, 6),), timed_by=PdoLayout(0x290, time_byte=0))),
+        (
+            4,
+            PdoLayout(
+                0x190,
+                earlier=(PdoLayout(0x190, 4, 6), PdoLayout(0x290), PdoLayout(0x290, 4, 6)),
+                timed_by=PdoLayout(0x390, time_byte=0),
+            ),
+        ),
+    ],
+)
+def test_the_layout_names_all_pdos(per_sync: int, expected: PdoLayout) -> None:
+    network = several(per_sync)
+    assert agreed_layout(network.access, network.interface_access) == expected
+
+
+@each("per_sync", [2, 3, 4])
+def test_every_sample_is_heard_in_its_order(per_sync: int) -> None:
+    network = several(per_sync)
+    layout = agreed_layout(network.access, network.interface_access)
+    network.master.send(0x000, bytes((2, MODULE_ID)))  # stop it: the interface alone is heard
+    samples = listen(network.master, layout, 1.0)
+    assert samples.rate_hz == pytest.approx(RATE_HZ * per_sync, rel=1e-3)
+    assert len(samples) % per_sync == 0
+    assert samples.time_s is not None
+    phase = np.arctan2(samples.sine, samples.cosine) / (2.0 * np.pi)
+    there = np.isfinite(phase)
+    apart = np.diff(samples.time_s)[there[1:] & there[:-1]]
+    steps = np.diff(phase)[there[1:] & there[:-1]]
+    speed = 10.0 * CYCLES  # 600 rpm, give or take 3 %
+    away = (steps - speed * apart + 0.5) % 1.0 - 0.5
+    locked = away[len(away) // 2 :]  # to SYNC, whose jitter of 20 us is half a cycle
+    assert np.abs(locked).max() < 0.05 * speed / (RATE_HZ * per_sync) + 0.1
+    assert samples.missed <= 2 * per_sync  # the first SYNC has none
+
+
+def test_a_calibration_by_two_samples_for_each_sync(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = EXAMPLE.replace("    times: true", "    samples_per_sync: 2\n    times: true", 1)
+    assert text != EXAMPLE
+    module, _, took_s = calibrated(text, tmp_path)
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["accepted"]
+    assert figures["fresh_rms_cycles"] < 2e-4
+    assert took_s < 110.0
+    assert module.limits.samples_per_sync == 2
+
+
+def phase_errors(bench: Bench, motion: MotionSource, samples: int) -> list[float]:
+    """Error of the module's position within a cycle, sample by sample."""
+    errors = []
+    for _ in range(samples):
+        bench.bus.run_until(bench.bus.now + 1.0 / RATE_HZ)
+        assert bench.module.feedback is not None
+        errors.append((bench.module.feedback.phase - motion.position_cycles + 0.5) % 1.0 - 0.5)
+    return errors
+
+
+def test_the_interface_records_and_the_position_becomes_right(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def source(encoder: Encoder, motion: Motion) -> MotionSource:
+        return MotionSource(ShaftEncoder(encoder, CYCLES, seed=7), motion, 1.0 / RATE_HZ)
+
+    monkeypatch.setattr(commissioning_kit, "ChangingSource", source)
+    bench = Bench(random_encoder(3), motion=Motion((Ramp(0.2, 0.0), Ramp(1.0, 13.3))))
+    motion = bench.interface.source
+    assert isinstance(motion, MotionSource)
+    bench.bus.run_until(1.5)
+    assert bench.value(0x2011, 1) & 0x7F == 0x01
+    before = np.ptp(phase_errors(bench, motion, 400))
+    words = ["calibrate", "--method", "zero-crossings", "--source", "recording", "--seconds", "2", "--json"]
+    options = build_parser().parse_args(words)
+    assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["crc32"] == f"{bench.value(0x2020, 4):08X}"
+    after = np.ptp(phase_errors(bench, motion, 400))
+    assert before > 0.01
+    assert 1e-5 < after < 0.002
+    assert bench.value(0x2011, 1) & 0x7F == 0x01, "valid, and nothing else to say"
+    assert bench.value(0x2012, 1) == 0, "no sample missed"

@@ -1,13 +1,17 @@
-"""`canfb config`: the example is itself valid, and what is wrong is told."""
+"""`canfb config`: the example is itself valid, and what is wrong is told, also for this machine."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
+import can
 import pytest
 
 import canfb
+from canfb.bus.opening import check_words
 from canfb.cli.main import main
+from canfb.errors import ConfigError
 
 
 @pytest.fixture
@@ -65,8 +69,90 @@ def test_what_the_example_has_in_comments_is_valid_too(example: str, tmp_path: P
     assert config.simulation.drive is not None
 
 
-def test_several_modules_are_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "two.yaml"
-    path.write_text("modules: [{node_id: 1}, {node_id: 127}]\n")
-    assert main(["config", "check", str(path)]) == 0
-    assert capsys.readouterr().out == f"{path}: valid; modules: 01h, 7Fh\n"
+MODULES = "modules:\n  - node_id: 32\n"
+
+
+def checked(path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    path.write_text(text)
+    code = main(["config", "check", str(path)])
+    said = capsys.readouterr()
+    (line,) = (said.out + said.err).splitlines()
+    return code, line.removeprefix("canfb: ").removeprefix(str(path))
+
+
+WRONG = {
+    f"bus: {{interface: socketcann}}\n{MODULES}": (
+        ":1: unknown interface 'socketcann' in bus; did you mean 'socketcan'?"
+    ),
+    f"bus:\n  interface: socketcan\n  chanel: can0\n{MODULES}": (
+        ":3: unknown key 'chanel' in bus for socketcan; did you mean 'channel'?"
+    ),
+    f"bus:\n  interface: socketcan\n  bitrate: 1M\n{MODULES}": (
+        ":3: bitrate in bus must be bits per second, such as 1000000, not '1M'"
+    ),
+    f"bus:\n  interface: virtual\n  receive_own_messages: true\n{MODULES}": (
+        ":3: receive_own_messages: omit it; a device must not receive its own frames"
+    ),
+    f"{MODULES}    source:\n      kind: recording\n      file: /nowhere/tracks.csv\n": (
+        ":5: file /nowhere/tracks.csv of source cannot be read: No such file or directory"
+    ),
+    f"{MODULES}    state_dir: /dev/null/x\n": (
+        ":3: state_dir /dev/null/x cannot be used: /dev/null is not a folder"
+    ),
+    f"{MODULES}realtime:\n  cpu: 65535\n": (
+        f":4: cpu 65535 in realtime: this machine has {os.cpu_count()}, 0 to {(os.cpu_count() or 1) - 1}"
+    ),
+}
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_what_cannot_be_on_this_machine(
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert checked(tmp_path / "feedback.yaml", text, capsys) == (2, WRONG[text])
+
+
+@pytest.mark.parametrize(
+    "bus",
+    [
+        "{}",
+        "{channel: can0, bitrate: 500000}",
+        "{interface: socketcan, channel: can0, local_loopback: false}",
+        "{interface: kvaser, channel: 0, bitrate: 500000, accept_virtual: true}",
+        "{interface: pcan, channel: PCAN_USBBUS1, fd: true, f_clock_mhz: 80, nom_brp: 1, auto_reset: true}",
+        "{interface: slcan, channel: /dev/ttyUSB0, bitrate: 1000000, tty_baudrate: 115200}",
+        "{interface: ixxat, channel: 0, bitrate: 1000000, unique_hardware_id: HW1}",
+        "{interface: gs_usb, channel: 0, bus: 1, address: 2, bitrate: 1000000}",
+        "{interface: vector, channel: 0, app_name: CANalyzer, bitrate: 1000000}",
+        "{interface: socketcand, channel: can0, host: localhost, port: 29536}",
+        "{interface: udp_multicast, channel: 239.74.163.2, hop_limit: 1}",
+    ],
+)
+def test_what_may_be(bus: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "new" / "state"
+    text = f"bus: {bus}\n{MODULES}    state_dir: {folder}\n  - node_id: 127\nrealtime: {{cpu: 0}}\n"
+    assert checked(tmp_path / "feedback.yaml", text, capsys) == (0, ": valid; modules: 20h, 7Fh")
+    assert not folder.exists()
+
+
+def test_a_processor_that_all_share_is_not_polled_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    text = f"{MODULES}realtime: {{cpu: 0, busy_poll: true}}\n"
+    want = ":3: busy_poll in realtime: this machine has one processor, which all programs share"
+    assert checked(tmp_path / "feedback.yaml", text, capsys) == (2, want)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tmp_path.joinpath("closed").mkdir(mode=0o500)
+    code, line = checked(tmp_path / "feedback.yaml", f"{MODULES}    state_dir: {tmp_path}/closed/x\n", capsys)
+    assert (code, line.endswith("closed is not writable")) == (2, True)
+
+
+@pytest.mark.parametrize("interface", sorted(can.VALID_INTERFACES))
+def test_every_interface_knows_its_keys_without_its_driver(interface: str) -> None:
+    check_words({"interface": interface, "channel": "x", "bitrate": 1000000})
+    with pytest.raises(ConfigError, match="unknown key 'no_such_key' in bus"):
+        check_words({"interface": interface, "no_such_key": 1})

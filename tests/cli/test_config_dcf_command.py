@@ -1,8 +1,10 @@
-"""`canfb config dcf`: from a configuration, from what is saved, from a node; and what cannot be."""
+"""`canfb config dcf`: from a configuration, from what is saved, from a node; and its page docs/storage.md."""
 
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,13 @@ import numpy as np
 import pytest
 
 from canfb.bus.sdo_channel import SharedClient
+from canfb.cia301.frame import Frame
+from canfb.cli import config_file
 from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.device.od.writes import decode_concise
-from canfb.device.storage.storage import Store
+from canfb.device.storage.storage import MemoryStore, Store
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.hosting.hosting import saved_configuration
@@ -165,17 +169,12 @@ def test_for_programs(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert summary["refused_in_index_order"] == []
 
 
-def test_one_of_several(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("name", ["0x21", "33"])
+def test_one_of_several(name: str, yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
     yaml.write_text(TWO)
-    _, err = said(capsys, str(yaml), code=2)
-    assert err.startswith(f"canfb: {yaml}: NODE is required, as there are several: 32 (20h), 33 (21h)")
-    for name in ("0x21", "33"):
-        out, _ = said(capsys, str(yaml), name)
-        assert "node 33 (21h)" in out
-        assert "2010:03" in out
-    _, err = said(capsys, str(yaml), "1", code=2)
-    want = "1: no module has this node-ID; there are 32 (20h), 33 (21h)"
-    assert err == f"canfb: {yaml}: {want}\n"
+    out, _ = said(capsys, str(yaml), name)
+    assert "node 33 (21h)" in out
+    assert "2010:03" in out
 
 
 def test_what_a_master_in_the_order_of_the_indices_cannot_write_is_told(
@@ -200,17 +199,88 @@ def test_a_live_module_is_read_by_sdo() -> None:
     assert (read.node_id, read.serial_number, read.table) == (5, 4711, TABLE.to_bytes())
 
 
-def test_a_node_that_is_none_of_ours() -> None:
+def test_another_node_and_another_version_are_refused() -> None:
     peer = Peer(ModuleConfig(node_id=5))
-    peer.module.dictionary.entry(0x1000).value = 0x00040191
-    with pytest.raises(
-        CanfbError, match=r"node 5 \(05h\) is not a feedback module of canfb: 1000:00 is 40191h"
-    ):
-        read_configuration(NodeAccess(peer, 5, "node"))  # type: ignore[arg-type]
-
-
-def test_a_module_of_another_version() -> None:
-    peer = Peer(ModuleConfig(node_id=5))
+    access: Any = NodeAccess(peer, 5, "node")  # type: ignore[arg-type]
     del peer.module.dictionary._entries[0x2010, 4]
     with pytest.raises(CanfbError, match=r"2010:04 is refused: .*does not exist"):
-        read_configuration(NodeAccess(peer, 5, "node"))  # type: ignore[arg-type]
+        read_configuration(access)
+    peer.module.dictionary.entry(0x1000).value = 0x00040191
+    want = r"node 5 \(05h\) is not a feedback module of canfb: 1000:00 is 40191h"
+    with pytest.raises(CanfbError, match=want):
+        read_configuration(access)
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "storage.md").read_text(encoding="utf-8")
+PAGE = PAGE.partition("\n## A file for the PLC")[2]
+COMMANDS = [
+    shlex.split(line, comments=True)
+    for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+    for line in block.splitlines()
+]
+EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+YAML = "bus: {bitrate: 500000}\nmodules: [{node_id: 0x20, adc_bits: 16, conditioning: {sine_gain: 1.07}}]\n"
+
+
+class Network(EmbeddedNetwork):
+    """In place of the bus of the examples: a module that can save is on it."""
+
+    def __init__(self) -> None:
+        bus = EmbeddedBus()
+        super().__init__(bus)
+        self.module = FeedbackModule(ModuleConfig(node_id=0x20), MemoryStore())
+        bus.attach(self.module)
+
+    def connect(self, *args: Any, **words: Any) -> Any:
+        assert words == {"interface": "socketcan", "channel": "can0"}
+        return self
+
+    def sdo(self, node_id: int) -> Any:
+        return SharedClient(self, node_id, 1.0)
+
+    def wait(self, duration_s: float) -> None:
+        """Nothing happens meanwhile, and the bus has not failed."""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "feedback.yaml").write_text(YAML)
+    return tmp_path
+
+
+def test_commands_and_examples_make_the_module_of_the_configuration(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert [words[:3] for words in COMMANDS] == [["canfb", "config", "dcf"]] * 3
+    for words in COMMANDS[:2]:
+        assert main(words[1:]) == 0
+    network = Network()
+    monkeypatch.setattr(canopen, "Network", lambda: network)
+    names: dict[str, Any] = {}
+    exec(compile(EXAMPLES[0], "docs/storage.md", "exec"), names)
+    wanted = saved_configuration(load_config("feedback.yaml").modules[0])
+    assert configuration_of(network.module).values() == wanted.values()
+
+    # The third command reads the module; the second example writes what it has read.
+    monkeypatch.setattr(config_file, "master_of", lambda options: network)
+    assert main(COMMANDS[2][1:]) == 0
+    fresh = Network()
+    names["node"] = fresh.add_node(0x20, canopen.import_od("module-20h.dcf"))
+    exec(compile(EXAMPLES[1], "docs/storage.md", "exec"), names)
+    assert configuration_of(fresh.module).values() == wanted.values()
+
+
+def test_the_heartbeat_of_the_page_is_in_the_concise_form() -> None:
+    def heartbeats(module: FeedbackModule) -> list[int]:
+        return [
+            int.from_bytes(one.data, "little")
+            for one in configuration_of(module).writes()
+            if (one.index, one.subindex) == (0x1017, 0)
+        ]
+
+    module = Network().module
+    assert heartbeats(module) == [0]
+    (request,) = re.findall(r"`cansend can0 620#(\w+)`", PAGE)
+    module.receive(Frame(0x620, bytes.fromhex(request)), 0.0)
+    assert heartbeats(module) == [500]

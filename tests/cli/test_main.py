@@ -142,21 +142,22 @@ def test_a_reader_that_goes_away_is_no_traceback() -> None:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize(
-    ("command", "first", "last"),
+    ("command", "number", "first", "last"),
     [
-        ("run", "running node 32 (20h) on virtual canfb-cli; end with Ctrl-C", "node 32: 0 samples; "),
+        ("run", signal.SIGINT, "running node 32 (20h) on virtual canfb-cli", "node 32: 0 samples; "),
         (
             "simulate",
-            "encoder interface: node 16 (10h) on virtual canfb-cli; end with Ctrl-C",
+            signal.SIGTERM,
+            "encoder interface: node 16 (10h) on virtual canfb-cli",
             "0 samples sent",
         ),
     ],
 )
 def test_a_signal_ends_it_with_exit_code_0(
-    command: str, first: str, last: str, number: signal.Signals, config: str
+    command: str, number: signal.Signals, first: str, last: str, config: str
 ) -> None:
+    """SIGHUP: test_reader_that_stops.py."""
     process = Process((sys.executable, "-W", "error", "-m", "canfb", command, config))
     try:
         process.wait_for("end with Ctrl-C")
@@ -164,5 +165,5 @@ def test_a_signal_ends_it_with_exit_code_0(
         assert process.wait() == 0
     finally:
         process.stop()
-    assert process.lines[0] == first
+    assert process.lines[0] == f"{first}; end with Ctrl-C"
     assert process.lines[-1].startswith(last)

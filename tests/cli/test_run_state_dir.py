@@ -15,44 +15,10 @@ import can
 import canopen
 import pytest
 
-from canfb.cia301.frame import Frame
 from canfb.eds_files import eds_path
-from canfb.hosting.hosting import make_module
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from processes import Process
 
 LIMIT_S = 30.0
-SAVE = bytes.fromhex("2310100173617665")
-SAVED = Frame(0x5A0, bytes.fromhex("6010100100000000"))
-CHANGE = bytes.fromhex("2B171000F4010000")  # 1017h = 500
-READ = bytes.fromhex("4017100000000000")
-
-
-def exchanged(config: ModuleConfig, *requests: bytes) -> list[str]:
-    """The answers of a module that is made, switched on, asked and taken away again."""
-    with contextlib.ExitStack() as resources:
-        module = make_module(config, resources, {})
-        module.start(0.0)
-        return [answer for data in requests for answer in answers(module, data)]
-
-
-def answers(module: FeedbackModule, data: bytes) -> list[str]:
-    """Those to one request; that of a save comes when the thread of the store is done."""
-    frames, end_s = module.receive(Frame(0x620, data), 0.0), time.monotonic() + LIMIT_S
-    while not frames and time.monotonic() < end_s:
-        frames = [frame for frame in module.tick(module.deadline() or 0.0) if frame.can_id == SAVED.can_id]
-    return [frame.data.hex() for frame in frames]
-
-
-def test_a_module_of_the_command_keeps_its_parameters(tmp_path: Path) -> None:
-    config = ModuleConfig(node_id=32, state_dir=str(tmp_path / "state"))
-    assert exchanged(config, CHANGE, SAVE)[-1] == SAVED.data.hex()
-    assert exchanged(config, READ) == ["4b171000f4010000"]
-
-
-def test_without_a_state_dir_it_says_that_nothing_is_kept() -> None:
-    assert exchanged(ModuleConfig(node_id=32), SAVE) == ["8010100120000008"]
 
 
 # In processes of their own.

@@ -1,20 +1,35 @@
-"""`canfb simulate`: options that cannot be, recordings that cannot be played, and one that can."""
+"""`canfb simulate`: a motion, a recording, a drive, several samples for each SYNC."""
 
 from __future__ import annotations
 
+import json
+import re
+import struct
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
 import pytest
 
+from canfb.bus.frame_bus import PythonCanBus
+from canfb.bus.runner import Runner
 from canfb.cli.main import build_parser, main
 from canfb.cli.simulate import chosen
-from canfb.configuration import load_config
+from canfb.configuration import Config, load_config, parse_config
+from canfb.device.device_protocol import Device
+from canfb.errors import ConfigError
+from canfb.hosting.simulating import fed_module
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.sample import Sample
+from canfb.simulation.cia402.plant import DriveConfig
+from canfb.simulation.cia402.state_machine import State
+from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.motion import MotionSource
-from canfb.simulation.set_up import source_of
+from canfb.simulation.set_up import Play, SimulatedAxis, SimulatedNetwork, set_up, simulated_axis, source_of
 from canfb.sources.recording_source import RecordingSource
+from fake_bus import FakeBus, FakeClock, message
 
 CHANNEL = "canfb-simulate"
 CONFIG = f"""\
@@ -127,3 +142,152 @@ def test_a_sync_that_jitters_on_purpose(config: str) -> None:
     options = build_parser().parse_args(["simulate", config, "--rate", "200", "--jitter", "10%"])
     simulation, _, _ = chosen(options, load_config(config))
     assert simulation.sync_jitter_us == pytest.approx(500.0)
+
+
+MODULES = "modules: [{node_id: 0x20, encoder_interface: 0x10}]\n"
+
+
+def parsed(drive: str, modules: str = MODULES) -> Config:
+    return parse_config(f"{modules}simulation:\n  drive: {drive}\n", "drive.yaml")
+
+
+def axis_of(config: Config, rate_hz: float | None = None, module: int = 0) -> SimulatedAxis | None:
+    return simulated_axis(
+        config.simulation, fed_module(config.modules[module]), autostart=True, rate_hz=rate_hz
+    )
+
+
+def test_without_the_section_there_is_no_drive() -> None:
+    assert parse_config(MODULES).simulation.drive is None
+    assert axis_of(parse_config(MODULES)) is None
+
+
+def test_the_yaml_of_the_page_is_a_drive() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    (drive,) = [config for config in map(parse_config, blocks) if config.simulation.drive is not None]
+    axis = axis_of(drive, 1000.0)
+    assert axis is not None
+    assert axis.demand is not None
+    assert axis.demand.warning() is None
+
+
+def test_each_key_is_read_and_has_a_default() -> None:
+    assert parsed("{}").simulation.drive == DriveConfig()
+    keys: dict[str, Any] = {
+        "node_id": 0x31,
+        "inertia_kg_m2": 2e-3,
+        "load_at_s": 3.0,
+        "synchronous_feedback": True,
+    }
+    assert parsed(json.dumps(keys)).simulation.drive == DriveConfig(**keys)
+
+
+@pytest.mark.parametrize(
+    ("drive", "line", "words"),
+    [
+        ("{inertia_kg_m2: 0}", 3, "inertia_kg_m2 must be a number 1e-09..1e+06, not 0"),
+        ("\n    coulomb_friction_nm: -1", 4, "coulomb_friction_nm must be a number 0..1e+06, not -1"),
+        ("{rated_torque_nm: yes}", 3, "rated_torque_nm must be a number"),
+        ("{node_id: 128}", 3, "node_id must be"),
+        ("{synchronous_feedback: 1}", 3, "synchronous_feedback must be true or false"),
+        ("{inertia: 1}", 3, "unknown key 'inertia' in drive"),
+        ("{brake_torque_nm: .nan}", 3, "brake_torque_nm must be a number"),
+        ("{start_revolutions: 1e7}", 3, "start_revolutions must be a number"),
+        ("7", 3, "drive must be a mapping"),
+        ("\n    load_at_s: 1\n    node_id: 0x20", 5, "node_id 32 is the node_id of modules[0]"),
+        ("{node_id: 16}", 3, "node_id 16 is the encoder_interface of modules[0]"),
+    ],
+)
+def test_a_wrong_value_is_refused_with_its_line(drive: str, line: int, words: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        parsed(drive)
+    assert str(refused.value).startswith(f"drive.yaml:{line}: ")
+    assert words in str(refused.value)
+
+
+def test_the_node_of_the_default_is_looked_at_as_well() -> None:
+    with pytest.raises(ConfigError, match=r"drive\.yaml:3: drive: node_id 48 is the node_id of modules\[0\]"):
+        parsed("{}", "modules: [{node_id: 48}]\n")
+
+
+def test_a_module_that_samples_itself_has_no_encoder_interface() -> None:
+    module = "modules: [{node_id: 32, encoder_interface: 48, source: {kind: motion}}]\n"
+    assert parsed("{}", module).simulation.drive is not None
+
+
+def test_a_module_without_a_node_id_has_no_position_to_take() -> None:
+    with pytest.raises(ConfigError, match="no node_id"):
+        axis_of(parsed("{}", "modules: [{node_id: 255, encoder_interface: 0x10}]\n"))
+
+
+def test_all_in_one_process_on_a_runner_move_the_shaft() -> None:
+    """The order of the devices, and frames between them, are those of the command."""
+    config = parsed("{}")
+    axis = axis_of(config)
+    assert axis is not None
+    plan = [(1e-3 * n, message(0x080)) for n in range(1, 601)]
+    plan += [(2e-3, message(0x000, b"\x01\x20"))]
+    plan += [
+        (1e-3 * at, message(0x230, struct.pack("<Hb", controlword, 8)))
+        for at, controlword in ((20, 0x06), (21, 0x07), (22, 0x0F))
+    ]
+    plan += [(1e-3 * n, message(0x330, struct.pack("<i", 1000))) for n in range(30, 601)]
+    clock = FakeClock()
+    bus = FakeBus(clock, sorted(plan, key=lambda one: one[0]))
+    interface = EncoderInterface(0x10, axis.source, autostart=True)
+    devices: list[Device] = [axis.plant, interface, axis.drive, FeedbackModule(config.modules[0])]
+    Runner(PythonCanBus(bus), devices, clock=clock, sleep=clock.sleep).run(lambda: not bus.plan)  # type: ignore[arg-type]
+    assert axis.drive.power is State.OPERATION_ENABLED, axis.summary()
+    assert axis.plant.motor.revolutions * 2**20 == pytest.approx(1000, abs=20)
+    assert axis.summary() == "drive: Operation enabled; the shaft is at 0.001 revolutions"
+
+
+RATE_HZ = 1000.0
+# 2400 rad/s^2: three times what one sample for each SYNC follows.
+MOVE = """
+modules: [{{node_id: 32, times: true, samples_per_sync: {per_sync}, autostart: true}}]
+simulation: {{sync_jitter_us: 50, motion: {{standstill_s: 0.1, ramp_s: 0.13, rpm: 3000}}}}
+"""
+
+
+def network_of(config: Config) -> SimulatedNetwork:
+    return set_up(
+        config.simulation, fed_module(config.modules[0]), Play(rate_hz=RATE_HZ, autostart=True), report=print
+    )
+
+
+@pytest.mark.parametrize(("per_sync", "held"), [(1, False), (2, True), (4, True)])
+def test_a_move_on_the_bus(per_sync: int, held: bool) -> None:
+    config = parse_config(MOVE.format(per_sync=per_sync))
+    network, module, bus = network_of(config), FeedbackModule(config.modules[0]), EmbeddedBus(1_000_000)
+    for device in (*network.devices, module):
+        bus.attach(device)
+    source = network.interface.source
+    assert isinstance(source, MotionSource)
+    away: list[float] = []
+    valid: list[bool] = []
+
+    def listen(feedback: object, now: float) -> None:
+        found = module.feedback
+        assert found is not None
+        valid.append(found.valid)
+        away.append(found.cycles + found.phase - source.position_cycles)
+
+    module.on_feedback = listen
+    bus.run_until(0.4)
+    assert len(valid) > 390
+    exact = all(valid) and max(abs(one - away[0]) for one in away) < 0.3
+    assert exact is held, away[-1] - away[0]
+
+
+@pytest.mark.parametrize(
+    ("per_sync", "followed", "warned"),
+    [(1, "838 at 1000 Hz (eq. 10)", True), (2, "3.35e+03 at 1000 Hz with 2 samples for each SYNC", False)],
+)
+def test_what_is_said_of_it(per_sync: int, followed: str, warned: bool) -> None:
+    demand = network_of(parse_config(MOVE.format(per_sync=per_sync))).demand
+    assert demand is not None
+    assert f"the module follows {followed}" in demand.describe()
+    assert (demand.warning() is not None) is warned
+    assert demand.sync_hz == RATE_HZ

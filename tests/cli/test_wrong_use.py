@@ -51,6 +51,8 @@ WRONG_USE = {
     "config check key.yaml": "key.yaml:3: unknown key 'adc_bit' in modules[0]; did you mean 'adc_bits'?",
     "try --story --rate 200": "--rate: not with --story",
     "try --out x": "--out: only with --story",
+    **{f"try --rate {rate}": f"--rate {rate}" for rate in ("20", "2000", "nan")},
+    "try --port 70000": "--port 70000",
     # simulate
     "simulate nothing.yaml": f"canfb: nothing.yaml: {NO_FILE}",
     "simulate x.yaml --rate fast": "canfb simulate: argument --rate: invalid float value",
@@ -76,6 +78,10 @@ WRONG_USE = {
     "simulate feedback.yaml --samples x.csv --columns a,b,c": "--columns a,b,c: two columns are required",
     "simulate feedback.yaml --samples x.csv --mid-scale nan": "--mid-scale nan: must be a number",
     "simulate feedback.yaml --samples x.csv --time-column t --gap-samples 0": "--gap-samples 0: must be 1",
+    **{f"simulate feedback.yaml --seconds={s}": "argument --seconds: " for s in ("0", "-1", "nan", "inf")},
+    "simulate feedback.yaml --record x.txt": "must end with .csv or .npz",
+    "simulate feedback.yaml --record ''": "must end",
+    "simulate feedback.yaml --record no/folder/x.csv": "there is no folder",
     "simulate feedback.yaml --jitter 1ms": "--jitter: only with --rate",
     "simulate feedback.yaml --rate 100 --jitter 46%": "at most 45% (4500us)",
     "simulate feedback.yaml --rate 100 --jitter 0.1": "is 1000% of the period",
@@ -170,6 +176,9 @@ WRONG_USE = {
     "config dcf unnamed.yaml": "canfb: the module with serial number 7 has no node-ID yet",
     "config dcf feedback.yaml": "feedback.yaml: NODE is required, as there are several: 32 (20h), 33 (21h)",
     "config dcf feedback.yaml 1": "feedback.yaml: 1: no module has this node-ID; there are 32 (20h), 33",
+    # log
+    **dict.fromkeys(("log record x.log --seconds 0", "log record x.log --seconds x"), "--seconds: "),
+    **{f"log record x.log --max-size {size}": "--max-size: " for size in ("-1", "9X")},
     # plan
     "plan --rate nan": "canfb: --rate must be a number",
     "plan --rate 0": "--rate must be a number",

@@ -1,25 +1,62 @@
-"""The demo's pictures and page show the story that was told."""
+"""The story of the demo holds, its figures are those to expect, its pictures show it; the servo's move."""
 
 from __future__ import annotations
 
+import json
+import math
 import re
 from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from canfb.cia301.frame import Frame, frame_bits
 from canfb.demo import demo_page
-from canfb.demo.demo_page import error_after, error_before, residual, servo, tracks
-from canfb.demo.story import FAULT_SAMPLES, FAULTS, LOST_SAMPLE, Story
+from canfb.demo import story as story_module
+from canfb.demo.demo_network import (
+    BIT_RATE,
+    CYCLES_PER_REVOLUTION,
+    OTHER_LOAD,
+    SYNC_PERIOD_S,
+    DemoNetwork,
+    demo_motion,
+)
+from canfb.demo.demo_page import account, error_after, error_before, residual, servo, servo_facts, tracks
+from canfb.demo.demo_page import figures as figures_of
+from canfb.demo.servo_act import (
+    ACCELERATION_RAD_S2,
+    JERK_RAD_S3,
+    MOST_RESIDUAL_CYCLES,
+    RPM,
+    ServoRun,
+    servo_move,
+)
+from canfb.demo.story import (
+    FAULT_SAMPLES,
+    FAULTS,
+    LOST_SAMPLE,
+    REFERENCE_HZ,
+    RUN_UP_SAMPLES,
+    Story,
+    run_story,
+)
+from canfb.objects import StatusBit
 from canfb.report.plot import Plot
 from canfb.rows import Row
-from canfb.simulation.encoder import Encoder
+from canfb.signal.conditioning import IDENTITY
+from canfb.signal.correction import Correction
+from canfb.signal.phase import phase_in_cycle
+from canfb.signal.starts import MOST_WAITING
+from canfb.simulation.encoder import Encoder, Harmonic
+from canfb.simulation.motion import SCurve
+from folding import each
 from html_page import Page
+from servo_kit import IDEAL_TABLE, s_curve
 
 
-def story() -> Story:
+def some_story() -> Story:
     phase = np.linspace(0.0, 0.99, 100)
     return Story(
         error_before=0.02 * np.sin(6.28 * phase),
@@ -42,7 +79,7 @@ def network() -> Any:
 
 
 def test_each_fault_is_ringed_and_named_once() -> None:
-    svg = tracks(network(), story()).svg()
+    svg = tracks(network(), some_story()).svg()
     assert svg.count("<circle ") == len(FAULTS) - 1
     for place, (name, _) in FAULTS.items():
         assert svg.count(f">{name}</text>") == (place != LOST_SAMPLE)
@@ -50,7 +87,7 @@ def test_each_fault_is_ringed_and_named_once() -> None:
 
 def test_the_names_of_the_faults_do_not_cross() -> None:
     """Each is right of its line and below the one before; its line ends there."""
-    svg = residual(story()).svg()
+    svg = residual(some_story()).svg()
     places = [re.search(rf'<text x="([\d.]+)" y="([\d.]+)"[^>]*>{name}<', svg) for name, _ in FAULTS.values()]
     found = [(float(place[1]), float(place[2])) for place in places if place]
     assert len(found) == len(FAULTS)
@@ -60,7 +97,7 @@ def test_the_names_of_the_faults_do_not_cross() -> None:
 
 @pytest.mark.parametrize("draw", [error_before, error_after])
 def test_no_error_is_beyond_the_picture(draw: Any) -> None:
-    plot: Plot = draw(story())
+    plot: Plot = draw(some_story())
     points = re.findall(r"M([\d.]+) ([\d.]+)h0", plot.drawing())
     assert len(points) == 100
     top, bottom = plot.y(plot.y.high), plot.y(plot.y.low)
@@ -69,7 +106,7 @@ def test_no_error_is_beyond_the_picture(draw: Any) -> None:
 
 def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demo_page, "run_facts", lambda told: [Row("samples", "3")])
-    good, bad = story(), story()
+    good, bad = some_story(), some_story()
     bad.checks = {"it flies": True, "it <floats>": False}
     pages = [
         Page(
@@ -90,6 +127,293 @@ def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPat
 
 
 def test_there_is_no_page_of_a_story_that_has_not_been_told() -> None:
-    told = story()
+    told = some_story()
     with pytest.raises(ValueError, match="has not run"):
         demo_page.demo_page(told, "", (residual(told),) * 5)
+
+
+SPEED = RPM * 2.0 * math.pi / 60.0
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[ServoRun]:
+    return servo_move(Encoder(amplitude_counts=1800.0, noise_lsb=0.5), Correction(IDEAL_TABLE, IDENTITY), 7)
+
+
+def test_four_samples_count_exactly_and_one_loses_the_move(runs: list[ServoRun]) -> None:
+    four, two, one = runs
+    assert four.exact
+    assert 0.15 < four.largest_residual < MOST_RESIDUAL_CYCLES < four.limit_cycles
+    for fewer in (two, one):
+        assert not fewer.exact
+    assert abs(one.cycles_off) > 1000
+
+
+def test_every_sample_is_in_the_picture(runs: list[ServoRun]) -> None:
+    four, _, one = runs
+    assert len(four.residual) == 4 * (len(one.residual) - 1), "the first SYNC has no earlier one"
+    assert abs(np.diff(four.time_s) - 0.25e-3).max() < 0.25e-3  # SYNC jitters by 0.1 ms, twice
+    assert 0.0 < four.time_s[np.argmax(four.residual)] < 0.055, "it is within the move"
+    drawn = servo(Story(servo=runs)).svg()
+    assert four.name in drawn
+    assert servo(Story()).svg()
+
+
+def test_what_is_said(runs: list[ServoRun]) -> None:
+    facts = servo_facts(Story(servo=runs))
+    assert facts[0].words == ("0 to 3000 rpm in 50 ms: 7850 rad/s^2, 785000 rad/s^3",)
+    assert facts[1].words[0].startswith("four samples for each SYNC: counted exactly, largest residual 0.")
+    assert facts[3].words[0] == f"one sample for each SYNC: lost, {abs(runs[2].cycles_off)} cycles off"
+    assert runs[0].figures()["counted_exactly"] is True
+
+
+def test_a_run_that_was_wrong_once_is_not_exact() -> None:
+    assert ServoRun(2, valid=True).exact
+    assert not ServoRun(2, valid=True, wrong_and_valid=1).exact
+    assert not ServoRun(2, valid=True, cycles_off=-1).exact
+    assert not ServoRun(2).exact
+
+
+def test_the_move_is_limited_in_jerk() -> None:
+    times = np.linspace(-0.02, 0.08, 1001)
+    move = SCurve(SPEED, ACCELERATION_RAD_S2, JERK_RAD_S3, 0.01)
+    assert move.end_s == pytest.approx(0.06, abs=1e-4)
+    expected = s_curve(SPEED, ACCELERATION_RAD_S2, JERK_RAD_S3, times - 0.01) / (2.0 * math.pi)
+    np.testing.assert_allclose(move.revolutions_at(times), expected, atol=1e-12)
+    np.testing.assert_allclose([move.revolutions(float(t)) for t in times], expected, atol=1e-12)
+
+
+@each(
+    "values, message",
+    [
+        ((0.0, 1.0, 1.0), "speed_rad_s must be positive"),
+        ((1.0, math.inf, 1.0), "acceleration_rad_s2 must be positive"),
+        ((1.0, 1.0, -1.0), "jerk_rad_s3 must be positive"),
+        ((1.0, 100.0, 100.0), "speed_rad_s is too low to reach 100"),
+    ],
+)
+def test_a_move_that_cannot_be(values: tuple[float, float, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        SCurve(*values)
+
+
+WORSE = Encoder(
+    amplitude_counts=1200.0,
+    sine_offset=-0.12,
+    cosine_offset=0.1,
+    sine_amplitude=0.9,
+    cosine_amplitude=1.1,
+    phase_error_rad=-0.12,
+    harmonics=(Harmonic(3, 0.03, 0.03), Harmonic(4, 0.01, 0.0, 0.3)),
+    noise_lsb=0.3,
+)
+BETTER = Encoder(amplitude_counts=1900.0, noise_lsb=0.3)
+TRUSTED_AGAIN = 9  # samples
+NOISY = Encoder(amplitude_counts=1500.0, noise_lsb=15.0)
+
+
+class Told(NamedTuple):
+    network: DemoNetwork
+    story: Story
+    track_samples: int
+    reference_samples: int
+
+
+def told(encoder: Encoder, seed: int, track_samples: int, reference_samples: int) -> Told:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(story_module, "TRACK_SAMPLES", track_samples)
+        patch.setattr(story_module, "REFERENCE_SAMPLES", reference_samples)
+        network = DemoNetwork(encoder, seed)
+        return Told(network, run_story(network), track_samples, reference_samples)
+
+
+# Shorter than the demo, which tests/cli/test_demo_command.py runs as it is.
+CASES = {
+    "worse": (WORSE, 2, 1500, 7000),
+    "better": (BETTER, 3, 1500, 7000),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request: pytest.FixtureRequest) -> Told:
+    return told(*CASES[request.param])
+
+
+def test_the_story_holds(case: Told) -> None:
+    assert [name for name, held in case.story.checks.items() if not held] == []
+    assert case.story.held
+    assert len(case.story.checks) == 13
+
+
+def test_the_machine_turns_as_told(case: Told) -> None:
+    story = case.story
+    rpm = story.cycles_per_sample / CYCLES_PER_REVOLUTION / SYNC_PERIOD_S * 60
+    assert 1940 < rpm < 2060, "2000 rpm, give or take 3 %"
+    assert 83 <= story.cycles_per_sample < 84
+    recorded = round(case.reference_samples / REFERENCE_HZ / SYNC_PERIOD_S)
+    told_samples = RUN_UP_SAMPLES + 2 * case.track_samples + recorded + 20 + FAULT_SAMPLES
+    # Two frames for each seven bytes of the recording and of the table that go by SDO, on a bus that is busy.
+    transferred = 2 * (4 * case.reference_samples + 4096) / 7 * frame_bits(8) / BIT_RATE / SYNC_PERIOD_S
+    assert told_samples + transferred < story.samples < told_samples + 2.5 * transferred
+    assert len(story.error_before) == len(story.error_after) == case.track_samples
+
+
+def test_the_error_before_is_that_of_table_1_and_of_the_encoder(case: Told) -> None:
+    """Computed once more from the tracks without noise, for phases all over the cycle."""
+    encoder = case.network.encoder
+    phase = np.arange(20_000) / 20_000
+    error = phase_in_cycle(*encoder.tracks(phase)) - phase
+    error -= np.rint(error)
+    error -= error.mean()
+    noise = noise_cycles(encoder)
+    before = case.story.error_before
+    assert np.abs(before).max() == pytest.approx(np.abs(error).max(), abs=6 * noise + 2e-4)
+    assert math.sqrt(np.mean(before**2)) == pytest.approx(math.sqrt(np.mean(error**2)), rel=0.03)
+    assert np.abs(before).max() > 0.011, "less than the error of Table 1 itself cannot be"
+
+
+def noise_cycles(encoder: Encoder) -> float:
+    """What noise and rounding of a single sample make of the phase, rms."""
+    amplitude = encoder.amplitude_counts * (encoder.sine_amplitude + encoder.cosine_amplitude) / 2
+    return math.sqrt(encoder.noise_lsb**2 + 1 / 12) / amplitude / (2 * math.pi)
+
+
+def test_the_error_with_the_table_is_the_noise_of_single_samples_and_not_less(case: Told) -> None:
+    noise = noise_cycles(case.network.encoder)
+    after = case.story.error_after
+    rms = math.sqrt(np.mean(after**2))
+    assert 0.85 * noise < rms < 1.2 * noise
+    assert 2.5 * rms < np.abs(after).max() < 6 * rms
+    correlation = np.corrcoef(after[1:], after[:-1])[0, 1]
+    assert abs(correlation) < 0.15, "noise, and nothing that the table left"
+
+
+def test_the_calibration_knows_how_good_it_is(case: Told) -> None:
+    calibration = case.story.calibration
+    assert calibration is not None
+    assert calibration.accepted
+    assert 0.99 <= calibration.coverage <= 1.0
+    assert case.story.table_crc32 == calibration.table.crc32 == case.network.master.sdo[0x2020][4].raw
+    noise = noise_cycles(case.network.encoder)
+    assert 0.01 * noise < calibration.uncertainty_peak < 0.5 * noise
+    truth = np.arange(1000) / 1000
+    table = calibration.table(phase_in_cycle(*case.network.encoder.tracks(truth))) - truth
+    table -= np.rint(table)
+    table -= table.mean()
+    # What it says of itself against the truth, which it does not know.
+    assert np.abs(table).max() < 3 * calibration.uncertainty_peak + 2e-6
+    assert np.abs(table).max() > 1e-7
+
+
+def test_counts_are_right_and_faults_are_flagged_at_once(case: Told) -> None:
+    story, faults = case.story, case.story.faults
+    assert story.wrong_counts == 0
+    assert (faults.provoked, faults.flagged_at_once) == (len(FAULTS), len(FAULTS))
+    assert (faults.wrong_and_valid, faults.wrong_counts_after) == (0, 0)
+    # Each fault itself, and after it as many samples as it takes to trust the phase again: more than on a
+    # bus without jitter, for a sample time of 100 ns is 0.008 of a cycle.
+    assert len(FAULTS) < faults.flagged_samples <= TRUSTED_AGAIN * len(FAULTS)
+
+
+def test_status_and_residual_tell_of_the_faults_and_of_nothing_else(case: Told) -> None:
+    consumed = case.network.drive.consumed
+    numbers = [number - 1 for number in consumed.sync_number]
+    first, last = case.story.fault_window
+    valid = {
+        number: bool(status & StatusBit.VALID)
+        for number, status in zip(numbers, consumed.status, strict=True)
+    }
+    started = min(valid) + MOST_WAITING  # the uneven times tell first whether it stood at the start
+    told_wrong = {number - first for number, good in valid.items() if not good and number >= started}
+    near = {place + n for place in FAULTS for n in range(TRUSTED_AGAIN)}
+    assert told_wrong <= near, "no false alarm in the whole run"
+    assert {place for place in FAULTS if place != LOST_SAMPLE} <= told_wrong
+    quiet = [n for n in case.story.residual_number.tolist() if n not in near]
+    residual = dict(zip(case.story.residual_number.tolist(), case.story.residual.tolist(), strict=True))
+    assert 0.0005 < max(residual[n] for n in quiet) < 0.06
+    assert max(residual.values()) == 0.5
+    assert last - first == FAULT_SAMPLES
+
+
+def test_the_load_of_the_bus_is_that_of_its_frames(case: Told) -> None:
+    """Each millisecond a SYNC and eight bytes of counts and of position, frames of others; then the SDO."""
+    regular = (frame_bits(0) + 2 * frame_bits(8)) / SYNC_PERIOD_S / BIT_RATE + OTHER_LOAD
+    assert regular < case.story.bus_load < 0.75
+
+
+def test_time_is_that_of_a_real_bus() -> None:
+    """The SYNC is late by its producer, by the frame on the wire; the samples are taken when it is heard."""
+    network, heard = DemoNetwork(seed=4), list[float]()
+    network.bus.observers.append(lambda frame, now: heard.append(now) if frame.can_id == 0x80 else None)
+    for node in (network.master, network.interface_master):
+        node.nmt.state = "OPERATIONAL"
+    network.drive.start_sync(network.bus.now)
+    network.run(3000)
+    times = np.array(heard)
+    off_us = 1e6 * (times - np.polyval(np.polyfit(np.arange(len(times)), times, 1), np.arange(len(times))))
+    assert 100 < np.abs(off_us).max() < 300
+    assert 50 < off_us.std() < 80
+    truth = np.array(network.source.truth_cycles)
+    motion = demo_motion()
+    at = CYCLES_PER_REVOLUTION * np.array([motion.revolutions(time - times[0]) for time in times])
+    # 20 ns of aperture jitter at 83 cycles per ms, and no more.
+    assert 0.001 < np.abs(truth - at).max() < 0.01
+
+
+def test_the_figures_for_programs_are_plain_and_complete(case: Told) -> None:
+    figures = json.loads(json.dumps(figures_of(case.story)))
+    assert figures["held"] is True
+    assert figures["checks"] == case.story.checks
+    assert figures["wrong_cycle_counts"] == 0
+    assert figures["error_peak_before_cycles"] > 50 * figures["error_peak_after_cycles"] > 0
+    assert figures["table_crc32"] == f"{case.story.table_crc32:08X}"
+    assert all(isinstance(value, (int, float, str, bool, dict)) for value in figures.values())
+    assert all(math.isfinite(value) for value in figures.values() if isinstance(value, float))
+
+
+def test_the_account_for_people_has_the_figures(case: Told) -> None:
+    text = account(case.story)
+    lines = text.splitlines()
+    assert all(len(line) <= 110 for line in lines)
+    assert 20 <= len(lines) <= 40
+    assert text.count("  held  ") == len(case.story.checks)
+    assert "FAILED" not in text
+    assert f"{case.story.samples}, wrong cycle counts 0" in text
+    assert f"CRC-32 {case.story.table_crc32:08X}h" in text
+    assert f"{100 * np.abs(case.story.error_before).max():8.4f}" in text
+    assert "4 of 4 flagged at once" in text
+
+
+def test_with_an_encoder_too_noisy_the_story_does_not_hold_and_says_so() -> None:
+    story = told(NOISY, 4, 500, 3000).story
+    assert not story.held
+    failed = {name for name, held in story.checks.items() if not held}
+    assert failed == {"error at least 50 times smaller", "error below 0.05 % of a cycle"}
+    assert account(story).count("  FAILED  ") == 2
+    assert figures_of(story)["held"] is False
+
+
+def test_with_a_module_that_calls_everything_valid_the_story_does_not_hold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(story_module, "TRACK_SAMPLES", 500)
+    monkeypatch.setattr(story_module, "REFERENCE_SAMPLES", 3000)
+    network = DemoNetwork(BETTER, 5)
+    receive = network.drive.receive
+
+    def gullible(frame: Frame, now: float) -> list[Frame]:
+        answer = receive(frame, now)
+        network.drive.consumed.status[-1:] = [status | 1 for status in network.drive.consumed.status[-1:]]
+        return answer
+
+    monkeypatch.setattr(network.drive, "receive", gullible)
+    story = run_story(network)
+    assert not story.held
+    assert story.faults.flagged_at_once == story.faults.flagged_samples == 0
+    assert not story.checks["every fault flagged in the same sample"]
+
+
+def test_an_untold_story_does_not_hold() -> None:
+    assert not Story().held
+    with pytest.raises(ValueError, match="has not run"):
+        account(Story())

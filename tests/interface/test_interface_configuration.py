@@ -58,63 +58,36 @@ def test_one_file_may_serve_both_computers() -> None:
     assert [one.node_id for one in parse_config(BOTH, needs=INTERFACES).interfaces] == [16]
 
 
+ONE = "interfaces:\n- node_id: 16\n"
+# Text: the line, and words of the message.
 WRONG = {
-    "no interfaces": (
-        "modules: [{node_id: 3}]",
-        1,
-        "'interfaces' is missing: a list with at least one encoder interface",
+    "modules: [{node_id: 3}]": "1: 'interfaces' is missing: a list with at least one encoder interface",
+    ONE: "2: 'source' is missing in interfaces[0]",
+    f"{ONE}  source: null\n": "3: interfaces[0]: source must be a configuration of a source, not None",
+    f"{ONE}  {ADC}\n  residual_limit: 0.3\n": "4: unknown key 'residual_limit' in interfaces[0]",
+    f"{ONE}  {ADC}\n  samples_per_sync: 9\n": "4: samples_per_sync must be a whole number 1..8, not 9",
+    f"interfaces: [{{node_id: 128, {ADC}}}]": "1: node_id must be a whole number 1..127",
+    f"interfaces: [{{node_id: 1, {ADC}, state_dir: 4}}]": "1: state_dir must be text, not 4",
+    f"interfaces: [{{node_id: 1, {ADC}, times: 1}}]": "1: times must be true or false, not 1",
+    BOTH.replace("id: 0x10, s", "id: 0x20, s"): "4: node_id 32 of interfaces[0] is also that of modules[0]",
+    f"interfaces:\n- {{node_id: 16, {ADC}}}\n- {{node_id: 16, {ADC}}}\n": (
+        "3: node_id 16 of interfaces[1] is also that of interfaces[0]"
     ),
-    "no source": ("interfaces:\n- node_id: 16\n", 2, "'source' is missing in interfaces[0]"),
-    "no source at all": (
-        "interfaces:\n- node_id: 16\n  source: null\n",
-        3,
-        "interfaces[0]: source must be a configuration of a source, not None",
+    f"modules: [{{node_id: 3, state_dir: x}}]\ninterfaces:\n- {{node_id: 16, {ADC}, state_dir: ./x}}\n": (
+        "3: state_dir of interfaces[0] is also that of modules[0]"
     ),
-    "a key of a module": (
-        f"interfaces:\n- node_id: 16\n  {ADC}\n  residual_limit: 0.3\n",
-        4,
-        "unknown key 'residual_limit' in interfaces[0]",
+    f"interfaces:\n- {{node_id: 255, {ADC}}}\n- {{node_id: 255, {ADC}}}\n": (
+        "3: serial_number 0 of interfaces[1] is also that of interfaces[0]: LSS needs unique ones"
     ),
-    "nine samples": (
-        f"interfaces:\n- node_id: 16\n  {ADC}\n  samples_per_sync: 9\n",
-        4,
-        "samples_per_sync must be a whole number 1..8, not 9",
+    f"interfaces: [{{node_id: 48, {ADC}}}]\nsimulation: {{drive: {{node_id: 48}}}}\n": (
+        "2: drive: node_id 48 is the node_id of interfaces[0]"
     ),
-    "node-ID": (f"interfaces: [{{node_id: 128, {ADC}}}]", 1, "node_id must be a whole number 1..127"),
-    "state_dir": (f"interfaces: [{{node_id: 1, {ADC}, state_dir: 4}}]", 1, "state_dir must be text, not 4"),
-    "times": (f"interfaces: [{{node_id: 1, {ADC}, times: 1}}]", 1, "times must be true or false, not 1"),
-    "the node-ID of a module": (
-        BOTH.replace("node_id: 0x10", "node_id: 0x20"),
-        4,
-        "node_id 32 of interfaces[0] is also that of modules[0]",
-    ),
-    "twice": (
-        f"interfaces:\n- {{node_id: 16, {ADC}}}\n- {{node_id: 16, {ADC}}}\n",
-        3,
-        "node_id 16 of interfaces[1] is also that of interfaces[0]",
-    ),
-    "state_dir twice": (
-        "modules: [{node_id: 3, state_dir: x}]\n"
-        f"interfaces:\n- {{node_id: 16, {ADC}, state_dir: ./x}}\n",
-        3,
-        "state_dir of interfaces[0] is also that of modules[0]",
-    ),
-    "serial numbers": (
-        f"interfaces:\n- {{node_id: 255, {ADC}}}\n- {{node_id: 255, {ADC}}}\n",
-        3,
-        "serial_number 0 of interfaces[1] is also that of interfaces[0]: LSS needs unique ones",
-    ),
-    "the drive": (
-        f"interfaces: [{{node_id: 48, {ADC}}}]\nsimulation: {{drive: {{node_id: 48}}}}\n",
-        2,
-        "drive: node_id 48 is the node_id of interfaces[0]",
-    ),
-}  # fmt: skip
+}
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_is_told_with_its_line(case: str) -> None:
-    text, line, words = WRONG[case]
+@pytest.mark.parametrize("text", WRONG, ids=range(len(WRONG)))
+def test_what_is_wrong_is_told_with_its_line(text: str) -> None:
+    line, _, words = WRONG[text].partition(": ")
     with pytest.raises(ConfigError) as caught:
         parse_config(text, "f.yaml", INTERFACES)
     assert str(caught.value).startswith(f"f.yaml:{line}: ")

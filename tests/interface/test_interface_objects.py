@@ -1,10 +1,13 @@
-"""Sample time, flags, zero pulse and coarse track of the encoder interface, and the PDOs that carry them."""
+"""Sample time and its clock, flags, zero pulse and coarse track of the interface, and their PDOs."""
 
 from __future__ import annotations
 
+import math
 import struct
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import EncoderInterface
@@ -12,6 +15,7 @@ from canfb.interface.sample_instants import SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
+from folding import each
 
 NODE = 16
 SYNC = Frame(0x80, b"")
@@ -51,13 +55,6 @@ def test_as_delivered_tpdo1_is_both_tracks_and_nothing_else_goes_out() -> None:
 def test_with_times_tpdo1_has_the_sample_time_behind_the_tracks() -> None:
     interface = running(FULL, times=True, clock=SampleClock(0.0, 1000))
     assert interface.receive(SYNC, 0.5) == [Frame(0x190, struct.pack("<hhI", 1, -2, 5_001_000))]
-
-
-def test_a_reset_brings_the_mapping_with_times_back() -> None:
-    interface = running(FULL, times=True)
-    interface.receive(Frame(0, bytes([129, NODE])), 0.0)
-    (frame,) = interface.receive(SYNC, 0.5)
-    assert len(frame.data) == 8
 
 
 def test_the_sample_time_is_that_of_the_reception_by_the_clock_of_the_bus() -> None:
@@ -121,6 +118,35 @@ def test_times_are_a_matter_of_the_default_a_master_may_write_another_mapping() 
     assert module.dictionary.entry(0x1600, 0).value == 2
 
 
-def test_times_must_be_true_or_false() -> None:
-    with pytest.raises(ValueError, match="times must be true or false, not 1"):
-        ModuleConfig(node_id=32, times=1)  # type: ignore[arg-type]
+WRAP = 1 << 32
+drifts = st.floats(-10_000, 10_000)
+starts = st.integers(-(1 << 40), 1 << 40)
+times = st.floats(0, 1e7)  # of a monotonic clock: four months
+steps = st.floats(0, 420)  # less than a turn of the clock
+
+
+@given(drifts, starts, times, steps)
+def test_ticks_pass_as_time_does_whatever_it_shows(
+    drift_ppm: float, start: int, now: float, step_s: float
+) -> None:
+    clock = SampleClock(drift_ppm, start)
+    first, second = clock.ticks(now), clock.ticks(now + step_s)
+    assert 0 <= first < WRAP
+    passed = (second - first) % WRAP
+    # A tick at either end, and what a float of such a time cannot hold.
+    assert passed == pytest.approx(step_s * 1e7 * (1 + drift_ppm * 1e-6), abs=1.1 + 4 * math.ulp(now) * 1e7)
+
+
+@given(starts)
+def test_it_wraps_after_429_seconds(start: int) -> None:
+    clock = SampleClock(0.0, start)
+    turn_s = WRAP * 1e-7
+    assert clock.ticks(0.0) == start % WRAP
+    assert clock.ticks(turn_s + 1e-9) == start % WRAP
+    assert clock.ticks(turn_s - 5e-8) == (start - 1) % WRAP
+
+
+@each("drift_ppm", [10_001, -10_001, math.nan, math.inf])
+def test_a_drift_that_no_clock_has_is_refused(drift_ppm: float) -> None:
+    with pytest.raises(ValueError, match="drift_ppm must be a number"):
+        SampleClock(drift_ppm)

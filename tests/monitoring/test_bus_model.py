@@ -1,7 +1,8 @@
-"""What the monitor makes of the frames of real devices is what these devices hold."""
+"""What the monitor makes of the frames of real devices is what these devices hold, its limit included."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import struct
@@ -15,11 +16,15 @@ from hypothesis import strategies as st
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import NEEDED, Origin, assumed_layout, known_layouts, layout_of
-from canfb.monitoring.snapshot import NodeSnapshot
+from canfb.monitoring.lines import residual_words
+from canfb.monitoring.snapshot import ModuleSnapshot, NodeSnapshot
 from canfb.view.pdo_map import Read
-from monitored_network import INTERFACE, NODE, RPM, MonitoredNetwork
+from folding import each
+from monitored_network import INTERFACE, NODE, MonitoredNetwork
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +62,6 @@ def test_position_status_and_residual_are_those_of_the_module(turning: Monitored
     assert shown.residual_peak_cycles is not None
     assert shown.residual_cycles is not None
     assert max(peaks) >= shown.residual_peak_cycles >= shown.residual_cycles > 0.0
-
-
-def test_velocity_is_that_of_the_machine(turning: MonitoredNetwork) -> None:
-    velocity = turning.module().velocity_rad_s
-    assert velocity == pytest.approx(RPM * 2.0 * math.pi / 60.0, rel=2e-3)
 
 
 def test_velocity_goes_on_over_the_end_of_the_range_and_backwards() -> None:
@@ -122,14 +122,6 @@ def test_nmt_states_are_followed(turning: MonitoredNetwork) -> None:
     network.bus.send(Frame(0x000, bytes((129, 0))))
     assert nodes(network)[NODE].boot_ups == 2
     assert nodes(network)[INTERFACE].module is None, "that is no module"
-
-
-def test_a_module_is_found_by_what_it_sends_and_nothing_else_is_taken_for_one() -> None:
-    network = MonitoredNetwork((NODE, 0x31), known=())
-    network.run(1.0)
-    modules = {node.node_id: one for node, one in network.model.snapshot(network.bus.now).modules}
-    assert sorted(modules) == [NODE, 0x31]
-    assert {one.layout for one in modules.values()} == {"assumed"}
 
 
 def test_an_adc_pdo_of_eight_bytes_is_no_position() -> None:
@@ -256,3 +248,68 @@ def _size(thing: object, seen: set[int]) -> int:
     elif hasattr(thing, "__iter__") and not isinstance(thing, (str, bytes)):
         inner += list(thing)
     return sys.getsizeof(thing) + sum(_size(one, seen) for one in inner)
+
+
+def shown(module: FeedbackModule, syncs: int = 50, noise: int | None = None) -> ModuleSnapshot:
+    """With a SYNC of 1 kHz on the bus; ``noise`` is read by SDO, 1/65536 cycle."""
+    model = BusModel(known_layouts(Config(modules=[module.config])))
+    for k in range(syncs):
+        model.receive(Frame(0x80, b""), k * 1e-3)
+        model.receive(Frame(0x180 + NODE, struct.pack("<IHH", 0, 1, 0)), k * 1e-3 + 5e-4)
+    if noise is not None:
+        model.put(NODE, od.FEEDBACK_NOISE, noise, 0.05)
+    ((_, found),) = model.snapshot().modules
+    return found
+
+
+def started(**fields: Any) -> FeedbackModule:
+    module = FeedbackModule(ModuleConfig(node_id=NODE, **fields))
+    module.dictionary.entry(*od.CYCLE_PERIOD).value = 1000
+    module.start(0.0)
+    return module
+
+
+@given(
+    per_sync=st.integers(1, 4),
+    acceleration=st.sampled_from([0.0, 40.0, 3000.0]),
+    limit=st.sampled_from([0.05, 1.0 / 3.0]),
+    times=st.booleans(),
+)
+def test_by_the_configuration_and_the_sync_on_the_bus(
+    per_sync: int, acceleration: float, limit: float, times: bool
+) -> None:
+    module = started(
+        samples_per_sync=per_sync,
+        max_acceleration_rad_s2=acceleration,
+        residual_limit=limit,
+        times=times,
+    )
+    assert shown(module).residual_limit_cycles == pytest.approx(module.limits.residual_limit, abs=1e-6)
+
+
+@each("noise, limit", [(None, 0.066), (0, 0.066), (16, 0.0159 + 6 * 16 / 65536), (6000, 0.066)])
+def test_the_noise_that_was_read(noise: int | None, limit: float) -> None:
+    module = started(max_acceleration_rad_s2=40.0, noise_margin=6)
+    found = shown(module, noise=noise)
+    assert found.residual_limit_cycles == pytest.approx(limit, abs=5e-4)
+    known = found.residual_noise_cycles
+    assert known == (noise / 65536 if noise else None)
+    assert residual_words(found).endswith(f", noise {noise / 65536:.4f}" if noise else "cycle")
+
+
+def test_sample_times_widen_it_at_speed() -> None:
+    module = started(max_acceleration_rad_s2=40.0, times=True)
+    supervision = known_layouts(Config(modules=[module.config]))[0].supervision
+    slow, fast = (supervision.limit_cycles(2500, 1000.0, None, velocity) for velocity in (0.0, 314.159))
+    assert fast - slow == pytest.approx(4 * 125_000 * 50e-9, rel=1e-4)
+    assert supervision.limit_cycles(2500, 1000.0, None, 1e9) == supervision.widest_cycles
+
+
+def test_pairs_are_counted_to_the_first_that_is_not_mapped() -> None:
+    pairs = [[one.mapped(16) for one in pair] for pair in od.SAMPLE_EARLIER]
+    for there in itertools.product([False, True], repeat=7):
+        mapped = [pair for pair, is_there in zip(pairs, there, strict=True) if is_there]
+        first_gap = there.index(False) if False in there else 7
+        assert od.samples_per_sync(mapped) == 1 + first_gap
+    split = [[pairs[0][0]], [pairs[0][1]]]
+    assert od.samples_per_sync(split) == 1, "both tracks in one RPDO"

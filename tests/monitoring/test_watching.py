@@ -22,7 +22,7 @@ from canfb.monitoring.watching import MessageReader, Watching
 from fake_bus import FakeBus, FakeClock, message
 
 NODE = 0x20
-FORMATS = ("asc", "blf", "csv", "log", "trc")
+FORMATS = ("blf", "log")
 
 
 def position(k: int) -> bytes:

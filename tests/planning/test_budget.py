@@ -1,10 +1,11 @@
-"""The limits of the motion: those of eq. 10 and eq. 12, monotone, and the ones that other commands print."""
+"""The limits of motion and analog path: eq. 10, eq. 12, monotone, and those that other commands print."""
 
 from __future__ import annotations
 
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -14,8 +15,12 @@ from planning_kit import planned
 import canfb
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.module.parameters import configured_defaults
 from canfb.planning.budget import PEAK, RAW_PHASE_ERROR_CYCLES, ResidualBudget
 from canfb.planning.plan import Limited, Plan
+from canfb.planning.plan_rows import analog_row
+from canfb.planning.planned_module import PlannedModule
+from canfb.signal.conditioning import Conditioning
 from canfb.signal.limits import narrowed_residual_limit, safe_deviation, samples_without_harm
 from canfb.simulation.demand import of_motion
 from canfb.simulation.scenario import MotionConfig
@@ -174,3 +179,32 @@ def test_a_wider_limit_never_detects_more(one: float, two: float) -> None:
     n, m = samples_without_harm(min(one, two)), samples_without_harm(max(one, two))
     assert n >= m
     assert n == 0 or max(n + 2, (n + 2) ** 2 // 4) * min(one, two) <= 1.0 + 1e-6
+
+
+SPEED = 3000.0 / 60.0 * 2.0 * math.pi
+
+
+def lines(**fields: Any) -> list[str]:
+    values = configured_defaults(ModuleConfig(node_id=32, **fields))
+    return list(analog_row(PlannedModule(node_id=32, values=values), SPEED).words)
+
+
+def test_the_path_of_the_issue() -> None:
+    used = Conditioning(cosine_delay_s=1e-6, delay_s=1.0 / (2.0 * math.pi * 125e3))
+    (line,) = lines(conditioning=used, corner_hz=125e3)
+    assert line.strip() == (
+        "analog path at 125 kHz: +0.125 cycle between the tracks, removed; 71 % of the amplitude left; "
+        "+0.125 cycle of delay, added to the position"
+    )
+
+
+def test_a_module_that_knows_none_has_no_line() -> None:
+    assert lines() == []
+    values = configured_defaults(ModuleConfig(node_id=32, corner_hz=1e5))
+    assert analog_row(PlannedModule(node_id=32, values=values), None).words == ()
+
+
+@pytest.mark.parametrize(("delay_us", "exceeded"), [(1.8, False), (2.0, True), (-2.0, True)])
+def test_tracks_that_become_one_are_exceeded(delay_us: float, exceeded: bool) -> None:
+    (line,) = lines(conditioning=Conditioning(cosine_delay_s=delay_us * 1e-6))
+    assert line.endswith("<- exceeded") == exceeded

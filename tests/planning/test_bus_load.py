@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import random
-from itertools import product
 
 import pytest
 from hypothesis import given, settings
@@ -25,58 +23,6 @@ from canfb.planning.traffic import (
 from canfb.simulation.sync_producer import LONGEST_FRAME_BITS
 
 NODE = 0x20
-STUFF_BITS_SHORT = 6  # so far below the bound is the longest frame that a search finds
-
-
-def bits_on_the_wire(can_id: int, data: bytes) -> int:
-    """ISO 11898-1: SOF, identifier, RTR, IDE, r0, DLC, data, CRC-15, all stuffed; then what is not."""
-    bits = [0, *_bits(can_id, 11), 0, 0, 0, *_bits(len(data), 4)]
-    for byte in data:
-        bits += _bits(byte, 8)
-    crc = 0
-    for bit in bits:
-        crc = (crc << 1 & 0x7FFF) ^ (0x4599 if bit ^ (crc >> 14) else 0)
-    bits += _bits(crc, 15)
-    stuffed, run, last = 0, 0, -1
-    for bit in bits:
-        run, last = (run + 1, last) if bit == last else (1, bit)
-        if run == 5:
-            stuffed, run, last = stuffed + 1, 1, 1 - bit
-    delimiter, slot, end, intermission = 1, 2, 7, 3
-    return len(bits) + stuffed + delimiter + slot + end + intermission
-
-
-def _bits(value: int, count: int) -> list[int]:
-    return [value >> place & 1 for place in reversed(range(count))]
-
-
-def test_the_count_is_that_of_a_frame_in_the_books() -> None:
-    """Without any stuff bit a frame has 47 bits and its data; SYNC has long rows of zeros."""
-    assert bits_on_the_wire(0x555, b"\xaa" * 8) - 64 - 47 in range(3)
-    assert bits_on_the_wire(0x80, b"") > 47
-
-
-@given(st.integers(0, 0x7FF), st.binary(max_size=8))
-def test_no_frame_is_longer_than_the_bound(can_id: int, data: bytes) -> None:
-    assert 47 + 8 * len(data) <= bits_on_the_wire(can_id, data) <= frame_bits(len(data))
-
-
-def test_every_sync_like_frame_is_within_the_bound_and_one_is_near() -> None:
-    lengths = [bits_on_the_wire(can_id, b"") for can_id in range(0x800)]
-    assert frame_bits(0) - 2 <= max(lengths) <= frame_bits(0)
-
-
-@pytest.mark.parametrize("size", range(1, 9))
-def test_the_bound_is_nearly_reached(size: int) -> None:
-    """By data that changes after each fourth bit, so that each stuff bit begins the next row of five."""
-    rng, longest = random.Random(size), 0
-    patterns = (0x3C, 0xC3, 0x78, 0x87, 0x1E, 0xE1, 0xF0, 0x0F)
-    for pattern, can_id in product(patterns, (0x078, 0x7C3, 0x7F0, 0x67E, 0x43C)):
-        for _ in range(25):
-            free = min(2, size)
-            data = bytes([pattern] * (size - free)) + rng.randbytes(free)
-            longest = max(longest, bits_on_the_wire(can_id, data))
-    assert frame_bits(size) - STUFF_BITS_SHORT - 2 <= longest <= frame_bits(size)
 
 
 def tpdo(kind: int, inhibit: int = 0, timer: int = 0, mapped: int = 0x60040020) -> Values:

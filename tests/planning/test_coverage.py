@@ -1,10 +1,11 @@
-"""Diagnostic coverage: the area of the voltages, faults one by one, and the table of docs/evidence.md."""
+"""Diagnostic coverage against docs/evidence.md, and the commands of docs/plan.md with their output."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
+import shlex
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from planning_kit import planned
 
+from canfb.cia301.frame import frame_bits
 from canfb.cli.main import main
 from canfb.planning.coverage import (
     KINDS,
@@ -56,13 +58,6 @@ def test_the_area_is_that_of_any_voltages(window: SampleWindow) -> None:
     assert shares.second == shares.residual, "a second position of 25 cycles sees nothing of a phase"
 
 
-def test_the_ring_of_a_safe_drive() -> None:
-    """Within the range of the converter the ring is pi (R^2 - r^2)."""
-    assert area_coverage(COMMISSIONED).amplitude == pytest.approx(
-        1.0 - math.pi * (1800**2 - 1200**2) / 4096**2
-    )
-
-
 def test_what_must_be_seen_and_what_cannot_be() -> None:
     for window in (DEFAULT, COMMISSIONED):
         faults = found(window)
@@ -91,12 +86,6 @@ def test_each_means_adds_to_the_one_before() -> None:
     assert [one.shares.residual for one in without] == [
         one.shares.residual for one in found(DEFAULT).values()
     ]
-
-
-def test_narrow_limits_are_what_helps() -> None:
-    for name in KINDS:
-        wide, narrow = found(DEFAULT)[name].shares, found(COMMISSIONED)[name].shares
-        assert narrow.residual >= wide.residual, name
 
 
 def test_the_window_of_a_plan() -> None:
@@ -159,3 +148,47 @@ def test_the_page_has_these_figures() -> None:
         if name in KINDS and len(cells) == 6:
             rows[name] = [cells[0], cells[1], cells[3], cells[4]]
     assert rows == {name: row(name) for name in KINDS}, "\n".join(f"{n}: {row(n)}" for n in KINDS)
+
+
+PLAN_PAGE = (Path(__file__).parents[2] / "docs" / "plan.md").read_text(encoding="utf-8")
+PLAN_PAGE = PLAN_PAGE.partition("\n## The SYNC rate")[0]
+BLOCKS = [block.splitlines() for block in re.findall(r"```sh\n(.*?)```", PLAN_PAGE, re.S)]
+
+
+def test_the_output_of_the_first_command(capsys: pytest.CaptureFixture[str]) -> None:
+    ((line,), *_) = BLOCKS
+    (shown, *_) = re.findall(r"```text\n(.*?)```", PLAN_PAGE, re.S)
+    assert main(shlex.split(line)[1:]) == 1
+    assert capsys.readouterr().out == shown
+
+
+def test_sample_times_remove_the_limit(capsys: pytest.CaptureFixture[str]) -> None:
+    (line,) = BLOCKS[1]
+    assert main(shlex.split(line)[1:]) == 0
+    assert "the plan holds" in capsys.readouterr().out
+
+
+def test_several_samples(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = re.findall(r"```text\n(.*?)```", PLAN_PAGE, re.S)[1:]
+    for (line,), part, code in zip(BLOCKS[3:], shown, (1, 0), strict=True):
+        assert main(shlex.split(line)[1:]) == code
+        assert part in capsys.readouterr().out
+
+
+def test_the_commands_with_a_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    example, *plans = BLOCKS[2]
+    assert example.endswith("> feedback.yaml")
+    assert main(["config", "example"]) == 0
+    Path("feedback.yaml").write_text(capsys.readouterr().out)
+    for line in plans:
+        assert main(shlex.split(line)[1:]) == 0, line
+
+
+def test_the_length_of_a_frame() -> None:
+    (formula,) = re.findall(r"\| (47 \+ .*?) bits", PLAN_PAGE)
+    for n in range(9):
+        assert frame_bits(n) == 47 + 8 * n + (34 + 8 * n - 1) // 4
+    assert formula == "47 + 8 n + floor((34 + 8 n - 1) / 4)"

@@ -26,6 +26,11 @@ def texts(plan: Plan) -> list[str]:
         ),
         ({"acceleration_rad_s2": 1600.0}, "acceleration: raise the SYNC rate to 1500 Hz"),
         (
+            {"acceleration_rad_s2": 6000.0},
+            "acceleration: send three samples for each SYNC (samples_per_sync: 3; "
+            "8 bytes more for each SYNC, bus load +13.5 %): that holds this move",
+        ),
+        (
             {"acceleration_rad_s2": 900.0, "bit_rate": 500_000, "table": True},
             "acceleration: raise the SYNC rate to 1100 Hz",
         ),

@@ -1,4 +1,4 @@
-"""What a module sent live, the replay of the log sends again: every frame, byte for byte."""
+"""What a module sent live, the replay of the log sends again, byte for byte; margins of several samples."""
 
 from __future__ import annotations
 
@@ -17,11 +17,15 @@ from canfb.logs.log_replay import ReplayOptions, replay_log
 from canfb.objects import StatusBit
 from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.replay_result import ReplayResult
+from canfb.replay.sample_columns import Block
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
+from ideal_tracks import counts_at
 from replay_kit import (
     ADC_ID,
+    EPOCH_S,
     NODE_ID,
+    PERIOD_S,
     POSITION_ID,
     SYNC_ID,
     Planned,
@@ -230,3 +234,38 @@ def test_any_sequence(events: list[tuple[float, Frame]], pieces: int) -> None:
         divided.feed(log[n * len(log) // pieces : (n + 1) * len(log) // pieces])
     divided.close()
     assert whole == again
+
+
+SPEED = 0.035  # cycles from sample to sample
+GLITCH_AT, GLITCH = 200, 0.05
+WEAK_AT, WEAK_COUNTS = 300, 900.0
+
+
+def of_two() -> list[Planned]:
+    plan: list[Planned] = []
+    for n in range(500):
+        at = 0.1 + n * PERIOD_S
+        newest = counts_at(2 * n * SPEED + (GLITCH if n == GLITCH_AT else 0.0))
+        earlier = counts_at((2 * n - 1) * SPEED, WEAK_COUNTS if n == WEAK_AT else 1500.0)
+        plan += [
+            (at, Frame(SYNC_ID, b"")),
+            (at + 2e-4, Frame(ADC_ID, struct.pack("<hhhh", *newest, *earlier))),
+        ]
+    return plan
+
+
+def test_margins_of_all_samples() -> None:
+    """Behind a glitch the residual is twice as large, and here that is an earlier sample."""
+    fields: dict[str, Any] = {"autostart": True, "samples_per_sync": 2}
+    log, sent = live(of_two(), **fields)
+    rows: list[Block] = []
+    replay, again = replayed(log, options={"takers": [rows.append]}, **fields)
+    assert contents(again) == contents(sent)
+    assert replay.samples.rows == sum(len(block["time_s"]) for block in rows) == 500
+    assert min(float(np.min(block["amplitude_counts"][5:])) for block in rows) > 1490.0
+    of_rows = max(float(np.max(block["residual"][5:])) for block in rows)
+    residual, amplitude_low = (replay.margins.nearest[name] for name in ("residual", "amplitude_low"))
+    assert residual.value == pytest.approx(2 * GLITCH, abs=0.03)
+    assert residual.value > of_rows + 0.02
+    assert residual.time_s == pytest.approx(EPOCH_S + 0.1 + (GLITCH_AT + 1.2) * PERIOD_S, abs=1e-4)
+    assert amplitude_low.value == pytest.approx(WEAK_COUNTS, abs=2.0)

@@ -1,4 +1,4 @@
-"""Motions: the position is the integral of the speed."""
+"""Motions: the position is the integral of the speed, and what they ask of the module."""
 
 from __future__ import annotations
 
@@ -10,7 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.limits import max_acceleration
+from canfb.simulation.cia402.plant import MotorConfig
+from canfb.simulation.demand import of_drive, of_motion, of_recording
+from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.scenario import MotionConfig
 
 speeds = st.floats(-3000, 3000)
 durations = st.one_of(st.just(0.0), st.floats(1e-6, 5))  # numpy's interpolation fails on subnormal ones
@@ -47,25 +53,103 @@ def test_the_position_is_the_integral_of_the_speed(
     ramps: tuple[Ramp, ...], ripples: tuple[Ripple, ...], start_rpm: float, time_s: float
 ) -> None:
     motion = Motion(ramps, ripples, start_rpm)
+    assert motion.revolutions(0.0) == 0.0
     assert motion.revolutions(time_s) == pytest.approx(integrated(motion, time_s), rel=1e-6, abs=1e-3)
     times = np.linspace(0.0, time_s, 7)
     assert motion.revolutions_at(times) == pytest.approx([motion.revolutions(t) for t in times], abs=1e-9)
 
 
-@given(ramps, ripples, speeds)
-def test_it_starts_at_zero(ramps: tuple[Ramp, ...], ripples: tuple[Ripple, ...], start_rpm: float) -> None:
-    assert Motion(ramps, ripples, start_rpm).revolutions(0.0) == 0.0
+MODULE = ChainConfig()
+N = MODULE.cycles_per_revolution
 
 
-def test_written_out_by_hand() -> None:
-    motion = Motion((Ramp(1.0, 0.0), Ramp(2.0, 60.0), Ramp(0.0, -60.0)))
-    assert [motion.revolutions(t) for t in (0.0, 1.0, 2.0, 3.0, 4.0)] == [0.0, 0.0, 0.25, 1.0, 0.0]
+@given(
+    rpm=st.floats(-3000, 3000).filter(lambda rpm: abs(rpm) > 1.0),
+    ramp_s=st.sampled_from([0.0, 0.003, 0.4, 1.0, 2.0]),
+    ripple=st.sampled_from([(0.0, 1.0), (0.5, 0.3), (-3.0, 2.0)]),
+    rate_hz=st.sampled_from([50.0, 100.0, 500.0, 1000.0]),
+)
+def test_speed_and_acceleration_are_those_of_the_sampled_motion(
+    rpm: float, ramp_s: float, ripple: tuple[float, float], rate_hz: float
+) -> None:
+    motion = MotionConfig(rpm=rpm, standstill_s=0.5, ramp_s=ramp_s, ripple_rpm=ripple[0], ripple_hz=ripple[1])
+    demand = of_motion(motion, MODULE, rate_hz)
+    # Sampled a little later each time: a short ramp may begin anywhere in an interval.
+    times = (np.arange(int(7.0 * rate_hz)) + np.linspace(0.0, 1.0, 8, endpoint=False)[:, None]) / rate_hz
+    position = motion.motion().revolutions_at(times)
+    speed = float(np.abs(np.diff(position)).max()) * N
+    acceleration = float(np.abs(np.diff(position, 2)).max()) * rate_hz**2 * 2.0 * math.pi
+    assert demand.speed_cycles is not None
+    assert speed <= demand.speed_cycles * (1 + 1e-9) + 1e-9
+    assert speed >= 0.98 * demand.speed_cycles - 1e-9
+    assert acceleration <= demand.acceleration_rad_s2 * (1 + 1e-6) + 1e-6
+    # A step of twice the ripple, against it: a third of the sum is seen.
+    assert acceleration >= 0.3 * demand.acceleration_rad_s2, "a bound, and not a wild one"
 
 
-def test_a_ripple_swings_about_its_mean_and_comes_back() -> None:
-    motion = Motion((), (Ripple(60.0, 2.0),))
-    assert motion.revolutions(0.25) == pytest.approx(2.0 / (2 * math.pi * 2.0))
-    assert motion.revolutions(0.5) == pytest.approx(0.0, abs=1e-12)
-    later = [motion.revolutions(n / 1000) for n in range(2000)]
-    assert min(later) >= 0.0
-    assert max(later) == pytest.approx(1 / (2 * math.pi), rel=1e-6)
+def test_the_limit_is_that_of_eq_10_and_an_uncorrected_phase_needs_its_part() -> None:
+    demand = of_motion(MotionConfig(rpm=60, ramp_s=1.0), MODULE, 100.0)
+    assert demand.allowed_rad_s2 == max_acceleration(N, 100.0, MODULE.residual_limit)
+    assert demand.acceleration_rad_s2 == pytest.approx(2.0 * math.pi)
+    assert demand.warning() is None
+    assert demand.describe() == (
+        "motion: 60 rpm: up to 25 cycles per sample, acceleration up to 6.28 rad/s^2, the module follows "
+        "8.38 at 100 Hz (eq. 10)"
+    )
+    for ramp_s, warned in ((0.9, False), (0.87, True), (0.5, True)):
+        assert (of_motion(MotionConfig(rpm=60, ramp_s=ramp_s), MODULE, 100.0).warning() is not None) is warned
+
+
+def test_the_warning_names_a_rate_that_is_enough() -> None:
+    motion = MotionConfig(rpm=600, ramp_s=2.0)
+    warning = of_motion(motion, MODULE, 100.0).warning()
+    assert warning == (
+        "motion: 600 rpm: the module will lose the position: acceleration 31.4 rad/s^2, it follows 8.38 at "
+        "100 Hz: set --rate to 220 or more, or a longer ramp_s"
+    )
+    assert of_motion(motion, MODULE, 220.0).warning() is None
+    assert of_motion(motion, MODULE, 205.0).warning() is not None
+
+
+def test_a_step_of_the_speed_and_a_start_in_motion() -> None:
+    step = of_motion(MotionConfig(rpm=60, standstill_s=0.5, ramp_s=0.0), MODULE, 100.0)
+    assert step.acceleration_rad_s2 == pytest.approx(200.0 * math.pi)
+    assert "will lose the position" in (step.warning() or "")
+    moving = of_motion(MotionConfig(rpm=60, standstill_s=0.0, ramp_s=0.0), MODULE, 100.0)
+    assert moving.acceleration_rad_s2 == 0.0
+    assert "turns by 25 cycles per sample from the first sample on" in (moving.warning() or "")
+    slow = of_motion(MotionConfig(rpm=1, standstill_s=0.0, ramp_s=0.0), MODULE, 100.0)
+    assert slow.warning() is None
+
+
+def test_a_drive_has_its_torque_and_its_friction() -> None:
+    demand = of_drive(MotorConfig(rated_torque_nm=0.5, coulomb_friction_nm=0.01), MODULE, 500.0, 10.0)
+    assert demand.acceleration_rad_s2 == pytest.approx(510.0)
+    assert demand.speed_cycles == pytest.approx(50.0)
+    assert "write 336 or less to 6072h" in (demand.warning() or "")
+    assert of_drive(MotorConfig(), MODULE, 1000.0, 10.0).warning() is None
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 400.0])
+@pytest.mark.parametrize("ramp_s", [2.0, 0.5])
+def test_a_recording_asks_for_what_the_motion_did_that_it_is_of(rate_hz: float, ramp_s: float) -> None:
+    motion = MotionConfig(rpm=60, standstill_s=0.3, ramp_s=ramp_s)
+    times = np.arange(int(3.0 * rate_hz)) / rate_hz
+    position = motion.motion().revolutions_at(times) * N
+    sine, cosine = (track.astype(float) for track in Encoder().sample(position))
+    sine[50] = np.nan
+    cosine[60] = np.nan
+    demand = of_recording(sine, cosine, MODULE, rate_hz, "tracks.npz")
+    wanted = of_motion(motion, MODULE, rate_hz)
+    # The errors of Table 1 are 1.1 % of a cycle, and eq. 9 takes them four times at worst: 0.14 of 1/3.
+    assert demand.acceleration_rad_s2 < wanted.acceleration_rad_s2 + 0.15 * demand.allowed_rad_s2
+    bend = wanted.acceleration_rad_s2 / demand.allowed_rad_s2 / 3.0
+    assert demand.acceleration_rad_s2 > (0.9 if bend < 0.5 else 0.0) * wanted.acceleration_rad_s2
+    assert (demand.warning() is not None) is (bend > 1 / 3)
+    assert demand.describe().startswith("recording tracks.npz, with the errors of its tracks: up to ")
+
+
+def test_a_recording_of_nothing() -> None:
+    for length in (0, 1, 2):
+        demand = of_recording(np.full(length, 100.0), np.full(length, np.nan), MODULE, 100.0, "x.csv")
+        assert (demand.speed_cycles, demand.acceleration_rad_s2, demand.warning()) == (0.0, 0.0, None)

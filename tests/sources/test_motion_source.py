@@ -32,13 +32,6 @@ def test_the_position_is_a_function_of_true_time_whatever_is_sampled(
         assert one.position_cycles == pytest.approx(2500 * MOTION.revolutions(now - start), abs=1e-5)
 
 
-def test_a_sample_from_before_the_first_one_is_that_one() -> None:
-    one = source()
-    one.sample_at(10.0)
-    one.sample_at(9.0)
-    assert one.position_cycles == 0.0
-
-
 def test_the_coarse_track_has_one_cycle_per_revolution() -> None:
     one = source(Motion((), start_rpm=6.0))
     for tenth in range(25):
@@ -84,11 +77,6 @@ def test_aperture_jitter_moves_the_instant_by_its_rms_and_four_times_that_at_mos
         off.append(one.position_cycles / 2500 - n * 1e-3)
     assert statistics.pstdev(off[1:]) == pytest.approx(rms_s, rel=0.05)
     assert 2.8 * rms_s < max(map(abs, off)) <= 4.001 * rms_s
-
-
-def test_jitter_and_noise_are_the_same_again_with_the_same_seed() -> None:
-    one, other = (source(aperture_jitter_s=1e-6, noise_lsb=1.0) for _ in range(2))
-    assert [one.sample_at(n * 1e-3) for n in range(300)] == [other.sample_at(n * 1e-3) for n in range(300)]
 
 
 def test_for_a_module_that_samples_itself_an_interval_passes_with_each_sample() -> None:

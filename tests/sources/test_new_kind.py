@@ -112,11 +112,6 @@ def test_its_mistakes_have_their_line(source: str, message: str) -> None:
     assert str(caught.value) == f"configuration:{message}"
 
 
-def test_an_unknown_kind_is_told_of_it() -> None:
-    with pytest.raises(ConfigError, match="known: iio, motion, recording, steady"):
-        parse_config(configuration("").replace("kind: steady", "kind: stead"))
-
-
 def test_a_module_runs_on_it() -> None:
     config = parse_config(configuration("      steps: [0, 0.125, 0.25, 0.375, 0.375]\n"))
     with contextlib.ExitStack() as resources:

@@ -142,13 +142,6 @@ def test_a_column_that_is_not_there_is_refused(tmp_path: Path, name: str) -> Non
         open_recording(path, RecordingLayout(("a", name)))
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(CanfbError, match="cannot be read: No such file or directory"):
-        open_recording(tmp_path / "nothing.csv", AB)
-    with pytest.raises(CanfbError, match="cannot be read: Is a directory"):
-        open_recording(tmp_path, AB)
-
-
 @pytest.mark.parametrize(
     ("paced", "ticks"), [(False, [0, 10_000, 21_000, 30_000]), (True, [0, 50_000, 105_000, 150_000])]
 )

@@ -1,20 +1,22 @@
-"""`source:` of a module: what is right loads, what is wrong gets one line with line and key."""
+"""`source:` of a module: what is right loads, what is wrong gets one line; and docs/local-adc.md."""
 
 from __future__ import annotations
 
 import dataclasses
 import re
+from pathlib import Path
 
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
 from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.motion_source import MotionSourceConfig
-from canfb.sources.protocol import SourceConfig
+from canfb.sources.protocol import SourceConfig, source_kinds
 from canfb.sources.recording_source import RecordingSourceConfig
 
 
@@ -140,3 +142,25 @@ def test_any_value_of_a_key_loads_or_is_refused(kind: str, keys: dict[str, objec
     except ConfigError as error:
         message = str(error)
     assert not message or re.fullmatch(r"configuration:\d+: \S.*", message)
+
+
+PAGE = (Path(__file__).parents[2] / "docs" / "local-adc.md").read_text(encoding="utf-8")
+PAGE = PAGE.partition("\n## An encoder interface")[0]
+CONFIGURATIONS = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+
+
+def test_it_shows_every_kind() -> None:
+    kinds = {
+        module.source.kind
+        for text in CONFIGURATIONS
+        for module in parse_config(text).modules
+        if module.source is not None
+    }
+    assert kinds == set(source_kinds())
+
+
+def test_the_example_of_the_command_shows_a_source() -> None:
+    lines = [line.split("#")[1].strip() for line in EXAMPLE.splitlines() if "# source:" in line]
+    (source,) = lines
+    config = parse_config(f"modules:\n  - node_id: 32\n    {source}\n")
+    assert isinstance(config.modules[0].source, IioSourceConfig)

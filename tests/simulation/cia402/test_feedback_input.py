@@ -80,15 +80,6 @@ def test_it_goes_on_where_the_range_wraps(full: int) -> None:
     assert one.feedback.position == position
 
 
-def test_the_speed_is_the_mean_over_the_intervals() -> None:
-    one = Input()
-    one.take(0)
-    one.take(1_024_000)
-    assert one.feedback.speed == pytest.approx(50.0)
-    one.take(1_024_000 + 2 * 1_000_000, syncs=2)
-    assert one.feedback.speed == pytest.approx(1_000_000 / 20_480)
-
-
 def test_late_positions_give_the_speed_of_their_own_intervals() -> None:
     """Three SYNCs are heard before the positions of the first two."""
     one, position = Input(), 0

@@ -1,11 +1,15 @@
+"""The position loop of the drive, and the trajectory that it follows."""
+
 from __future__ import annotations
+
+import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.simulation.cia402.axis import nearest, saturated, wrapped
-from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, approach, chosen_gains
+from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, Trajectory, approach, chosen_gains
 
 GAINS = Gains(50.0, 0.2, 0.04, 1.0, 1.0, 1e-3)
 
@@ -81,3 +85,29 @@ def test_the_nearest_of_all_positions_that_show_alike(target: int, reference: in
 )
 def test_what_does_not_fit_is_saturated(value: float, shown: int) -> None:
     assert saturated(value, 16) == shown
+
+
+T = 1e-3
+
+
+@pytest.mark.parametrize("speed", [-100.0, 100.0, 0.05])
+def test_a_ramp_takes_the_way_of_its_deceleration(speed: float) -> None:
+    trajectory = Trajectory()
+    trajectory.place(0.0, speed)
+    count = 1
+    while not trajectory.brake(1000.0, T):
+        count += 1
+    assert trajectory.position == pytest.approx(math.copysign(speed * speed / 2000.0, speed), rel=1e-6)
+    assert count == pytest.approx(abs(speed) / 1000.0 / T, abs=1)
+
+
+def test_targets_are_joined_by_straight_lines() -> None:
+    trajectory = Trajectory()
+    seen = []
+    for count in range(12):
+        if count in (1, 5):
+            trajectory.set_target(8.0 * count, 4)
+        trajectory.advance(T)
+        seen.append((trajectory.position, trajectory.speed * T))
+    assert [position for position, _ in seen] == [0, 2, 4, 6, 8, 16, 24, 32, 40, 40, 40, 40]
+    assert [speed for _, speed in seen] == [0, 2, 2, 2, 2, 8, 8, 8, 8, 0, 0, 0]
