@@ -37,6 +37,11 @@ class Result:
     lines: list[str]
 
 
+def those(*said: tuple[object, str]) -> list[str]:
+    """The texts whose condition holds."""
+    return [text for holds, text in said if holds]
+
+
 def as_figures(*lists: Iterable[Row]) -> dict[str, Any]:
     """All figures, in the order of the rows. ValueError for a key that comes twice: one would be lost."""
     found: dict[str, Any] = {}

@@ -184,7 +184,7 @@ def test_more_coasting_is_not_proposed_where_it_cannot_help() -> None:
 @each("cause", list(LossCause)[1:])
 def test_each_cause_has_an_advice(cause: LossCause) -> None:
     lost = replace(LOST, loss=replace(LOST.loss, cause=cause))  # type: ignore[type-var]
-    assert lost.would_have_kept()
+    assert all(replace(lost, sample_hz=hz).would_have_kept() for hz in (0.0, 100.0))
     assert cause.text in "\n".join(lost.lines())
     assert cause.text in PAGE
 

@@ -23,7 +23,7 @@ from canfb.master.supervision_limits import (
 from canfb.report import pictures
 from canfb.report.page import figure, gallery, page, section, sentence, table
 from canfb.report.pictures import lissajous
-from canfb.rows import Findings, Row, Section
+from canfb.rows import Findings, Row, Section, those
 from canfb.signal.limits import samples_without_harm
 from canfb.timing.syncs import USUAL_JITTER_S
 from canfb.view.limits_in_force import LIMIT_UNITS
@@ -183,17 +183,14 @@ def _rounded(value: float) -> str:
 
 
 def notes(done: Commissioned) -> list[str]:
-    said = []
-    n = done.new.cycles_per_revolution
-    if done.machine.motion.turned < n:
-        said.append(
-            "the machine moved less than one revolution: the amplitude elsewhere on the scale is not known"
-        )
-    if done.observed.samples.missed:
-        said.append(
-            f"{done.observed.samples.missed} samples did not come: each is flagged, whatever the limits"
-        )
-    return said
+    missed = done.observed.samples.missed
+    return those(
+        (
+            done.machine.motion.turned < done.new.cycles_per_revolution,
+            "the machine moved less than one revolution: the amplitude elsewhere on the scale is not known",
+        ),
+        (missed, f"{missed} samples did not come: each is flagged, whatever the limits"),
+    )
 
 
 def limit_rows(done: Commissioned) -> list[Row]:

@@ -117,43 +117,47 @@ def _service(frame: Frame) -> tuple[str, int | None, str]:
     can_id, data = frame.can_id, frame.data
     node = can_id & 0x7F
     function = can_id - node
-    if frame.rtr:
-        return "", node or None, f"remote request to {node}" if node else "remote request"
-    if can_id == 0:
-        return _nmt(data)
-    if can_id == cob.SYNC:
-        return "sync", None, f"SYNC, counter {data[0]}" if data else "SYNC"
-    if can_id == TIME:
-        return "time", None, "TIME"
-    if can_id in (LSS_MASTER, LSS_SLAVE):
-        return "lss", None, f"LSS, {'master' if can_id == LSS_MASTER else 'slave'}"
-    if function == cob.EMERGENCY and len(data) == EMERGENCY.size:
-        code, register, detail = EMERGENCY.unpack(data)
-        meaning = emergency_text(code, od.EMERGENCY_TEXTS)
-        words = f"EMCY of {node}: {code:04X}h {meaning}, 1001h {register:02X}h"
-        cause = od.loss_cause(detail[2]) if code == EmergencyCode.SENSOR else None
-        return "emcy", node, words if cause is None else f"{words}; lost: {cause.text}"
-    if function == cob.ERROR_CONTROL and node and data:
-        state = data[0] & 0x7F
-        said = STATES.get(state, f"state {state}")
-        return "heartbeat", node, f"boot-up of {node}" if not state else f"heartbeat of {node}: {said}"
-    if function in (cob.SDO_REQUEST, cob.SDO_RESPONSE) and node:
-        return _sdo(function, node, data)
-    if function in cob.TPDOS:
-        return "", node or None, f"PDO, TPDO{cob.TPDOS.index(function) + 1} of {node} by its CAN-ID"
-    return "", None, ""
+    tpdo = cob.TPDOS.index(function) + 1 if function in cob.TPDOS else 0
+    state = data[0] & 0x7F if data else 0
+    heartbeat = f"heartbeat of {node}: {STATES.get(state, f'state {state}')}"
+    is_sdo = node > 0 and function in (cob.SDO_REQUEST, cob.SDO_RESPONSE)
+    sdo, way = ("request", "to") if function == cob.SDO_REQUEST else ("response", "of")
+    command = COMMANDS.get(data[0], f"command {data[0]}") if data else ""
+    whom = data[1] if len(data) == 2 else 0
+    nmt = f"NMT {command}: {whom or 'all nodes'}" if len(data) == 2 else "NMT, wrong length"
+    known = (
+        (frame.rtr, "", node, f"remote request to {node}" if node else "remote request"),
+        (can_id == 0, "nmt", whom, nmt),
+        (can_id == cob.SYNC, "sync", 0, f"SYNC, counter {data[0]}" if data else "SYNC"),
+        (can_id == TIME, "time", 0, "TIME"),
+        (can_id == LSS_MASTER, "lss", 0, "LSS, master"),
+        (can_id == LSS_SLAVE, "lss", 0, "LSS, slave"),
+        (function == cob.EMERGENCY and len(data) == EMERGENCY.size, "emcy", node, _emergency(node, data)),
+        (
+            function == cob.ERROR_CONTROL and node and data,
+            "heartbeat",
+            node,
+            heartbeat if state else f"boot-up of {node}",
+        ),
+        (is_sdo, f"sdo {sdo}", node, f"SDO {sdo} {way} {node}{_sdo(data)}"),
+        (tpdo, "", node, f"PDO, TPDO{tpdo} of {node} by its CAN-ID"),
+        (True, "", 0, ""),
+    )
+    return next((kind, of or None, text) for holds, kind, of, text in known if holds)
 
 
-def _nmt(data: bytes) -> tuple[str, int | None, str]:
-    if len(data) != 2:
-        return "nmt", None, "NMT, wrong length"
-    command = COMMANDS.get(data[0], f"command {data[0]}")
-    return "nmt", data[1] or None, f"NMT {command}: {data[1] or 'all nodes'}"
+def _emergency(node: int, data: bytes) -> str:
+    if len(data) != EMERGENCY.size:
+        return ""
+    code, register, detail = EMERGENCY.unpack(data)
+    cause = od.loss_cause(detail[2]) if code == EmergencyCode.SENSOR else None
+    lost = "" if cause is None else f"; lost: {cause.text}"
+    return (
+        f"EMCY of {node}: {code:04X}h {emergency_text(code, od.EMERGENCY_TEXTS)}, 1001h {register:02X}h{lost}"
+    )
 
 
-def _sdo(function: int, node: int, data: bytes) -> tuple[str, int | None, str]:
-    kind, way = ("sdo request", "to") if function == cob.SDO_REQUEST else ("sdo response", "of")
+def _sdo(data: bytes) -> str:
     initiates = len(data) == 8 and data[0] >> 5 in (1, 2, 3, 4)
     place = f", {struct.unpack_from('<H', data, 1)[0]:04X}:{data[3]:02X}" if initiates else ""
-    abort = ", abort" if data[:1] == b"\x80" else ""
-    return kind, node, f"{kind.replace('sdo', 'SDO')} {way} {node}{place}{abort}"
+    return f"{place}, abort" if data[:1] == b"\x80" else place

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from canfb import objects as od
 from canfb.master.access import NodeAccess
 from canfb.objects import LossCause, PositionState, StatusBit
-from canfb.rows import Result
+from canfb.rows import Result, those
 from canfb.signal.limits import cycles_per_interval_squared, kept_samples, max_acceleration
 from canfb.view.limits_in_force import limit_settings
 from canfb.view.pdo_map import mapped_objects
@@ -20,6 +19,37 @@ MISSED = StatusBit.MISSED
 BAD_SIGNAL = StatusBit.AMPLITUDE | StatusBit.CLIPPED
 MOTION = (LossCause.CONTRADICTED, LossCause.JUMP, LossCause.UNDECIDED)
 MOST_MISSED = 255
+NOT_DECLARED = (
+    "2010:02 is 0, not declared: set it to the largest acceleration of the machine, rad/s², "
+    "so that only motions that it can do are considered"
+)
+# What would have kept it, by cause: with sample times, without, in both cases.
+ADVICE: tuple[tuple[tuple[LossCause, ...], bool | None, str], ...] = (
+    (MOTION, None, "a correction table, which removes phase errors: canfb calibrate"),
+    (
+        (LossCause.TIME,),
+        True,
+        "a clock of the encoder interface that is not restarted while the module runs",
+    ),
+    ((LossCause.TIME,), False, "sample times from the encoder interface: map 2000:05 (times: true)"),
+    ((LossCause.TIME,), False, "a SYNC counter (1019h), and a bus driver with receive times"),
+    (
+        (LossCause.PAUSE,),
+        None,
+        "a machine that stands still before NMT stop or preop, until after NMT start",
+    ),
+    (
+        (LossCause.START,),
+        None,
+        "a start at standstill; or a coarse track, which finds the speed of a turning machine",
+    ),
+    (
+        (LossCause.REFERENCE,),
+        None,
+        "wiring and scale of coarse track and zero pulse: one contradicted the count (2010:05)",
+    ),
+    ((LossCause.CONFIGURATION,), None, "limits and PDO mapping written while the position is valid"),
+)
 SAME = 0.9  # a limit of now is that of then: measured noise narrows it a little (2010:09)
 
 
@@ -111,51 +141,48 @@ class LostPosition:
         return Result(self.figures(), self.lines())
 
     def lines(self) -> list[str]:
-        state = od.position_state(self.status)
-        faults = "".join(f", {words}" for words in od.fault_words(self.status))
-        lines = [f"{self.name}: position {state}{faults}"]
-        lines += [f"  {text}" for text in self._now()]
-        lines += ["last loss", *(f"  {text}" for text in self.happened())]
-        if state is not PositionState.VALID:
-            lines += ["what brings it back", *(f"  {text}" for text in self.brings_back())]
-        if kept := self.would_have_kept():
-            lines += ["what would have kept it", *(f"  {text}" for text in kept)]
-        return lines
-
-    def _now(self) -> Iterator[str]:
-        node = f"{self.node_id:#04x}"
-        if not self.sample_hz:
-            yield (
-                f"no samples are processed now: is it OPERATIONAL (canfb node start {node}), does SYNC come, "
-                "does the encoder interface send?"
+        state, kept = od.position_state(self.status), self.would_have_kept()
+        now = those(
+            (
+                not self.sample_hz,
+                "no samples are processed now: is it OPERATIONAL (canfb node start "
+                f"{self.node_id:#04x}), does SYNC come, does the encoder interface send?",
             )
+        )
+        parts = {
+            ", ".join([f"{self.name}: position {state}", *od.fault_words(self.status)]): now,
+            "last loss": self.happened(),
+            "what brings it back": [] if state is PositionState.VALID else self.brings_back(),
+            "what would have kept it": kept,
+        }
+        first = next(iter(parts))
+        shown = {head: texts for head, texts in parts.items() if texts or head == first}
+        return [line for head, texts in shown.items() for line in (head, *(f"  {text}" for text in texts))]
 
     def happened(self) -> list[str]:
         """Cause and conditions of the last loss."""
-        loss = self.loss
+        loss, losses = self.loss, f"{self.losses} {'loss' if self.losses == 1 else 'losses'}"
         if loss is None:
-            if not self.keeps_cause:
-                losses = _times(self.losses, "loss", "losses")
-                return [f"not known: this module does not keep the cause; {losses} so far"]
-            return ["none since the start"]
-        facts = [f"{age_words(loss.since_s)} ago: {loss.cause.text}"]
-        if loss.bad_samples:
-            facts.append(
-                f"{loss.bad_samples} samples in a row missed or bad{_fault_words(loss.faults)}; "
-                f"2010:03 bridges {self.coast_samples}"
-            )
-        elif loss.faults:
-            facts.append(f"faults since the last valid position: {', '.join(od.fault_words(loss.faults))}")
+            unknown = f"not known: this module does not keep the cause; {losses} so far"
+            return ["none since the start" if self.keeps_cause else unknown]
+        faults = ", ".join(od.fault_words(loss.faults))
         compared = (
             "nothing to compare" if loss.residual_cycles >= 0.5 else f"{loss.residual_cycles:.3g} cycle"
         )
-        facts.append(f"residual then: {compared}; limit {loss.limit_cycles:.3g} cycle")
-        facts.append(f"speed then: {self._speed_words(loss.speed_cycles)}")
-        facts.append(
-            f"since the start: {_times(self.losses, 'loss', 'losses')}, {self.missed} missed samples, "
-            f"{self.missed_syncs} SYNCs not heard"
-        )
-        return facts
+        return [
+            f"{age_words(loss.since_s)} ago: {loss.cause.text}",
+            *those(
+                (
+                    loss.bad_samples,
+                    f"{loss.bad_samples} samples in a row missed or bad{f' ({faults})' if faults else ''}; "
+                    f"2010:03 bridges {self.coast_samples}",
+                ),
+                (faults and not loss.bad_samples, f"faults since the last valid position: {faults}"),
+            ),
+            f"residual then: {compared}; limit {loss.limit_cycles:.3g} cycle",
+            f"speed then: {self._speed_words(loss.speed_cycles)}",
+            f"since the start: {losses}, {self.missed} missed samples, {self.missed_syncs} SYNCs not heard",
+        ]
 
     def _speed_words(self, cycles: float) -> str:
         if not self.sample_hz:
@@ -182,64 +209,46 @@ class LostPosition:
     def would_have_kept(self) -> list[str]:
         """Against this cause; empty without a loss."""
         loss = self.loss
-        return [] if loss is None else list(self._kept(loss))
+        if loss is None:
+            return []
+        cause, missed = loss.cause, loss.faults & MISSED
+        rate = f" at {self.sample_hz:.4g} Hz and 2010:01: a faster SYNC, or a gentler motion"
+        limits = self.cycles_per_revolution, self.sample_hz, self.residual_limit_cycles
+        gentler = cause in MOTION and self.sample_hz > 0.0
+        largest = max_acceleration(*limits) if gentler else 0.0
+        doubtful = cause is LossCause.AMBIGUOUS or (cause is LossCause.COASTED and missed)
+        return those(
+            (cause is LossCause.COASTED, self._longer(loss)),
+            (doubtful, self._declared()),
+            (
+                doubtful and missed,
+                "fewer missed samples: docs/service.md, and the priority of SYNC and ADC PDO on the bus",
+            ),
+            (
+                loss.faults & BAD_SIGNAL,
+                "a signal within 2001:03 to 2001:04: watch it with canfb monitor, check the wiring",
+            ),
+            *(self._narrow(loss) if cause in MOTION or loss.faults & StatusBit.RESIDUAL else ()),
+            (gentler, f"the motion must stay below {largest:.4g} rad/s²{rate}"),
+            *((cause in causes and timed in (None, self.timed), text) for causes, timed, text in ADVICE),
+        )
 
-    def _kept(self, loss: Loss) -> Iterator[str]:
-        cause = loss.cause
-        if cause is LossCause.COASTED:
-            yield from self._longer(loss)
-        if cause in (LossCause.COASTED, LossCause.AMBIGUOUS) and loss.faults & MISSED:
-            yield from self._declared()
-            yield "fewer missed samples: docs/service.md, and the priority of SYNC and ADC PDO on the bus"
-        elif cause is LossCause.AMBIGUOUS:
-            yield from self._declared()
-        if loss.faults & BAD_SIGNAL:
-            yield "a signal within 2001:03 to 2001:04: watch it with canfb monitor, check the wiring"
-        if cause in MOTION or loss.faults & StatusBit.RESIDUAL:
-            yield from self._narrow(loss)
-        if cause in MOTION:
-            yield from self._gentler()
-        if cause is LossCause.TIME:
-            if self.timed:
-                yield "a clock of the encoder interface that is not restarted while the module runs"
-            else:
-                yield "sample times from the encoder interface: map 2000:05 (times: true)"
-                yield "a SYNC counter (1019h), and a bus driver with receive times"
-        if cause is LossCause.PAUSE:
-            yield "a machine that stands still before NMT stop or preop, until after NMT start"
-        if cause is LossCause.START:
-            yield "a start at standstill; or a coarse track, which finds the speed of a turning machine"
-        if cause is LossCause.REFERENCE:
-            yield "wiring and scale of coarse track and zero pulse: one contradicted the count (2010:05)"
-        if cause is LossCause.CONFIGURATION:
-            yield "limits and PDO mapping written while the position is valid"
-
-    def _longer(self, loss: Loss) -> Iterator[str]:
+    def _longer(self, loss: Loss) -> str:
         bridged = self.coast_samples * self.samples_per_sync
         time = f", {bridged / self.sample_hz * 1e3:.3g} ms" if self.sample_hz else ""
         text = f"2010:03 bridges {bridged} samples{time}"
         if self.coast_samples >= MOST_MISSED:
-            yield f"{text}, the most that it can"
-            return
+            return f"{text}, the most that it can"
         most = self.longest_gap() if loss.faults & MISSED else None
         if most is not None and most <= bridged:
-            yield f"{text}; more would not help at this acceleration (2010:02) and SYNC rate"
-        else:
-            yield f"{text}: a larger value bridges a longer fault"
+            return f"{text}; more would not help at this acceleration (2010:02) and SYNC rate"
+        return f"{text}: a larger value bridges a longer fault"
 
-    def _declared(self) -> Iterator[str]:
-        if not self.acceleration_rad_s2:
-            yield (
-                "2010:02 is 0, not declared: set it to the largest acceleration of the machine, rad/s², "
-                "so that only motions that it can do are considered"
-            )
-            return
+    def _declared(self) -> str:
         most = self.longest_gap()
         said = "" if most is None else f": one motion is certain over {most} missed samples at most"
-        yield (
-            f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s²{said}; a smaller one, if it is true, "
-            "or a faster SYNC, over more"
-        )
+        known = f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s²{said}; a smaller one, if it is true, "
+        return f"{known}or a faster SYNC, over more" if self.acceleration_rad_s2 else NOT_DECLARED
 
     def longest_gap(self) -> int | None:
         """Missed samples over which 2010:02 leaves one motion, or None."""
@@ -249,32 +258,26 @@ class LostPosition:
         largest = cycles_per_interval_squared(self.acceleration_rad_s2, n, interval_s)
         return kept_samples(largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
 
-    def _narrow(self, loss: Loss) -> Iterator[str]:
+    def _narrow(self, loss: Loss) -> list[tuple[bool, str]]:
         then, now = f"{loss.limit_cycles:.3g} cycle", f"{self.limit_now_cycles:.3g} cycle"
-        if loss.limit_cycles < SAME * self.limit_now_cycles:
-            yield (
+        reasons = (
+            (
+                loss.limit_cycles < SAME * self.limit_now_cycles,
                 f"the residual limit was {then} and is {now} now: 2010:01 was written since "
-                "(or 2010:02, 2010:0C, which narrow it); what it was then lost the position"
-            )
-        elif self.residual_limit_cycles < self.needed_cycles:
-            yield (
+                "(or 2010:02, 2010:0C, which narrow it); what it was then lost the position",
+            ),
+            (
+                self.residual_limit_cycles < self.needed_cycles,
                 f"2010:01 is {self.residual_limit_cycles:.3g} cycle, and the declared acceleration (2010:02) "
-                f"and phase error (2010:0C) need {self.needed_cycles:.3g}"
-            )
-        elif loss.limit_cycles < self.residual_limit_cycles:
-            yield (
+                f"and phase error (2010:0C) need {self.needed_cycles:.3g}",
+            ),
+            (
+                loss.limit_cycles < self.residual_limit_cycles,
                 f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s², which narrows the residual limit to "
-                f"{then}: is it the largest acceleration, also in a jolt? See canfb commission"
-            )
-
-    def _gentler(self) -> Iterator[str]:
-        if self.sample_hz:
-            largest = max_acceleration(self.cycles_per_revolution, self.sample_hz, self.residual_limit_cycles)
-            yield (
-                f"the motion must stay below {largest:.4g} rad/s² at {self.sample_hz:.4g} Hz and "
-                "2010:01: a faster SYNC, or a gentler motion"
-            )
-        yield "a correction table, which removes phase errors: canfb calibrate"
+                f"{then}: is it the largest acceleration, also in a jolt? See canfb commission",
+            ),
+        )
+        return [one for one in reasons if one[0]][:1]
 
 
 def read_lost_position(module: NodeAccess) -> LostPosition:
@@ -334,14 +337,6 @@ def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
     )
     residual_cycles, limit_cycles, speed_cycles = (one / CYCLE_UNITS for one in (residual, limit, speed))
     return Loss(cause, since_ms / 1e3, bad, residual_cycles, limit_cycles, speed_cycles, faults), True
-
-
-def _times(count: int, one: str, several: str) -> str:
-    return f"{count} {one if count == 1 else several}"
-
-
-def _fault_words(faults: int) -> str:
-    return f" ({', '.join(words)})" if (words := od.fault_words(faults)) else ""
 
 
 def age_words(seconds: float) -> str:

@@ -20,6 +20,7 @@ from canfb.cia301.nmt import NmtState
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, Master, NodeAccess, RefusedError
 from canfb.master.node_state import state_in
+from canfb.rows import those
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import Reading, described_by
 
@@ -51,15 +52,14 @@ class FoundNode:
 
     def line(self) -> str:
         head = f"{self.node_id:3} ({self.node_id:02X}h)  {self.state or 'state not known':15}"
-        if self.device_type is None:
-            return f"{head}  answers no SDO"
-        parts = [self.name or f"device type {self.device_type:08X}h"]
-        if self.vendor_id is not None:
-            parts.append(f"vendor {self.vendor_id:X}h product {self.product_code or 0:X}h")
-        if self.revision is not None:
-            parts.append(f"revision {self.revision >> 16}.{self.revision & 0xFFFF}")
-        if self.serial_number is not None:
-            parts.append(f"serial {self.serial_number}")
+        vendor, revision = self.vendor_id, self.revision or 0
+        parts = those(
+            (self.device_type is None, "answers no SDO"),
+            (self.device_type is not None, self.name or f"device type {self.device_type or 0:08X}h"),
+            (vendor is not None, f"vendor {vendor or 0:X}h product {self.product_code or 0:X}h"),
+            (self.revision is not None, f"revision {revision >> 16}.{revision & 0xFFFF}"),
+            (self.serial_number is not None, f"serial {self.serial_number}"),
+        )
         return f"{head}  {', '.join(parts)}"
 
 

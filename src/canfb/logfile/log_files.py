@@ -14,7 +14,7 @@ from typing import IO, Any
 from can.io import MESSAGE_READERS, MESSAGE_WRITERS
 
 from canfb.errors import CanfbError, ConfigError
-from canfb.rows import Row
+from canfb.rows import Row, those
 
 GZIP = ".gz"
 # python-can's binary writers seek back to their header, which gzip cannot; asammdf reads files only.
@@ -111,24 +111,29 @@ class LogCounters:
         self.first_damaged_line = self.first_damaged_line or line
 
     def lines_left_out(self) -> list[str]:
-        counted = (
-            (self.damaged_lines, f"damaged lines left out, the first is line {self.first_damaged_line}"),
-            (self.empty_lines, "empty lines and comments left out"),
+        damaged, empty = self.damaged_lines, self.empty_lines
+        return those(
+            (damaged, f"{damaged} damaged lines left out, the first is line {self.first_damaged_line}"),
+            (empty, f"{empty} empty lines and comments left out"),
         )
-        return [f"{number} {text}" for number, text in counted if number]
 
     def facts(self, trouble: str | None) -> list[Row]:
         """What is missing and why, the most important first."""
-        counted = (
-            (self.error_frames, "error frames left out"),
-            (self.not_canopen, "frames with 29-bit identifiers or CAN FD left out"),
-            (self.late, "frames that were written down late, put in their places"),
-        )
-        words = [self._channels(), *self.lines_left_out()]
-        words += [f"{number} {text}" for number, text in counted if number]
+        words = [
+            *self._channels(),
+            *self.lines_left_out(),
+            *those(
+                (self.error_frames, f"{self.error_frames} error frames left out"),
+                (
+                    self.not_canopen,
+                    f"{self.not_canopen} frames with 29-bit identifiers or CAN FD left out",
+                ),
+                (self.late, f"{self.late} frames that were written down late, put in their places"),
+            ),
+        ]
         return [
             Row("log", trouble, trouble=trouble),
-            *(Row("log", text) for text in words if text),
+            *(Row("log", text) for text in words),
             Row(
                 frames=self.frames,
                 damaged_lines=self.damaged_lines,
@@ -137,15 +142,20 @@ class LogCounters:
             ),
         ]
 
-    def _channels(self) -> str:
-        if self.left_out:
-            number = sum(one.total() for one in self.left_out.values())
-            left_out, taken = _names(self.left_out), _names(self.channels)
-            return f"{number} frames of channel {left_out} left out: --channel takes those of {taken} alone"
-        if len(self.channels) > 1:
-            names = _names(self.channels)
-            return f"channels {names} are taken as one bus; if they are several, --channel takes one"
-        return ""
+    def _channels(self) -> list[str]:
+        number = sum(one.total() for one in self.left_out.values())
+        left_out, taken = _names(self.left_out), _names(self.channels)
+        several = len(self.channels) > 1 and not left_out
+        return those(
+            (
+                left_out,
+                f"{number} frames of channel {left_out} left out: --channel takes those of {taken} alone",
+            ),
+            (
+                several,
+                f"channels {taken} are taken as one bus; if they are several, --channel takes one",
+            ),
+        )
 
 
 def _names(channels: Collection[str]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 from canfb.replay.findings import KINDS, Extreme, LogDrift
 from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.own_frames import Compared
-from canfb.rows import Row, as_figures, as_lines
+from canfb.rows import Row, as_figures, as_lines, those
 
 RPM = 60.0 / (2.0 * math.pi)
 SHOWN_FAULTS = 10
@@ -63,21 +63,25 @@ class ReplayResult:
 
     def notes(self) -> list[str]:
         """Why the replay may be another one than the recorded module, not for a fault of either."""
-        replay, notes = self.replay, []
-        if replay.begin is not Begin.BOOT_UP and replay.margins.begin_cycles > MOVES_CYCLES:
-            notes.append("the log begins in motion, behind the start of the module: --begin, docs/monitor.md")
-        compared = replay.compared
-        changed = sorted({name for one in compared.values() for name in one.uploads})
-        if changed:
-            notes.append(f"the recorded module had other values in {', '.join(changed)}: --config or --state")
+        replay, compared = self.replay, self.replay.compared
+        changed = ", ".join(sorted({name for one in compared.values() for name in one.uploads}))
         more = replay.emergencies - sum(
             one.equal + one.different + one.only_recorded
             for can_id, one in compared.items()
             if 0x80 < can_id < 0x100
         )
-        if compared and more > 0 and not changed:
-            notes.append(f"{more} EMCY are not in the log: were the limits others (--config, --state)?")
-        return notes
+        moves = replay.begin is not Begin.BOOT_UP and replay.margins.begin_cycles > MOVES_CYCLES
+        return those(
+            (
+                moves,
+                "the log begins in motion, behind the start of the module: --begin, docs/monitor.md",
+            ),
+            (changed, f"the recorded module had other values in {changed}: --config or --state"),
+            (
+                compared and more > 0 and not changed,
+                f"{more} EMCY are not in the log: were the limits others (--config, --state)?",
+            ),
+        )
 
     def verdict(self) -> str:
         faults = self.replay.faults

@@ -15,7 +15,7 @@ from canfb.device.od.writes import Write
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import Guard, change, check_can_save
 from canfb.master.node_state import nmt_state
-from canfb.rows import Result
+from canfb.rows import Result, those
 from canfb.sdo.backup_file import Backup, NodeIdentity
 from canfb.sdo.object_description import ObjectDescriptions, Place
 from canfb.sdo.sdo_tasks import short_real
@@ -168,12 +168,13 @@ def backup_result(backup: Backup, path: Path) -> Result:
     table = f"table {_crc32(backup):08X}h, {len(backup.table) // 4} entries" if backup.table else "no table"
     node, serial = backup.node_id, backup.identity.serial_number
     what = f"module {node} ({node:02X}h), serial number {serial}"
-    lines = [f"{path}: {what}, {len(backup.values)} parameters, {table}"]
-    noted = [od.place_text(place) for place, value in backup.not_restored.items() if value]
-    if noted:
-        lines.append(
-            f"note: {', '.join(noted)} (preset, offset) are in it, but not restored: set the preset again"
-        )
+    noted = ", ".join(od.place_text(place) for place, value in backup.not_restored.items() if value)
+    lines = [
+        f"{path}: {what}, {len(backup.values)} parameters, {table}",
+        *those(
+            (noted, f"note: {noted} (preset, offset) are in it, but not restored: set the preset again"),
+        ),
+    ]
     figures = {
         "file": str(path),
         "node_id": backup.node_id,
@@ -186,18 +187,18 @@ def backup_result(backup: Backup, path: Path) -> Result:
 
 
 def restored_result(path: Path, backup: Backup, done: Restored, described: ObjectDescriptions) -> Result:
-    """What changed, and what the operator should know."""
-    name, wishes = done.module.name, done.wishes
-    lines = [_change(place, pair, described) for place, pair in done.changes.items()]
+    name, dry_run, saved_as = done.module.name, done.wishes.dry_run, done.saved_as
     count = f"{len(done.changes)} of {len(backup.values) + 1} values"
-    if wishes.dry_run:
-        lines.append(f"dry run: {path} would change {count} in {name}; nothing was written")
-    elif done.changes:
-        lines.append(f"{name}: {count} changed to those of {path}, proven by reading all of them back")
-    else:
-        lines.append(f"{name}: all values are those of {path} already; nothing was written")
-    if not wishes.dry_run:
-        lines.append(f"saved ({done.saved_as})" if done.saved_as else "not saved: --save keeps it (1010h)")
+    written = f"{count} changed to those of {path}, proven by reading all of them back"
+    nothing = f"all values are those of {path} already; nothing was written"
+    lines = [
+        *(_change(place, pair, described) for place, pair in done.changes.items()),
+        *those(
+            (dry_run, f"dry run: {path} would change {count} in {name}; nothing was written"),
+            (not dry_run, f"{name}: {written if done.changes else nothing}"),
+            (not dry_run, f"saved ({saved_as})" if saved_as else "not saved: --save keeps it (1010h)"),
+        ),
+    ]
     changes = {
         od.place_text(place): [one.hex() if isinstance(one, bytes) else one for one in pair]
         for place, pair in done.changes.items()
@@ -206,7 +207,7 @@ def restored_result(path: Path, backup: Backup, done: Restored, described: Objec
         "file": str(path),
         "node_id": done.module.node_id,
         "changed": changes,
-        "written": bool(changes) and not done.wishes.dry_run,
+        "written": bool(changes) and not dry_run,
         "saved_as": done.saved_as,
         "serial_number": done.identity.serial_number,
         "serial_number_of_backup": backup.identity.serial_number,
@@ -217,17 +218,18 @@ def restored_result(path: Path, backup: Backup, done: Restored, described: Objec
 
 
 def _notes(backup: Backup, done: Restored) -> list[str]:
-    ours, theirs = done.identity.serial_number, backup.identity.serial_number
-    notes = []
-    if ours != theirs:
-        notes.append(f"the backup is of serial number {theirs}, this module has {ours}")
-    if backup.unknown:
-        notes.append(f"left out, as this version does not know them: {', '.join(backup.unknown)}")
-    if done.untouched:
-        places = ", ".join(od.place_text(place) for place in done.untouched)
-        notes.append(f"not in the backup, and as before: {places}")
-    if done.wishes.preop and done.changes and not done.wishes.dry_run:
-        notes.append(f"the node is in PRE-OPERATIONAL: canfb node start {done.module.node_id:#04x}")
+    ours, theirs, wishes = done.identity.serial_number, backup.identity.serial_number, done.wishes
+    untouched = ", ".join(od.place_text(place) for place in done.untouched)
+    sent = wishes.preop and done.changes and not wishes.dry_run
+    notes = those(
+        (ours != theirs, f"the backup is of serial number {theirs}, this module has {ours}"),
+        (
+            backup.unknown,
+            f"left out, as this version does not know them: {', '.join(backup.unknown)}",
+        ),
+        (untouched, f"not in the backup, and as before: {untouched}"),
+        (sent, f"the node is in PRE-OPERATIONAL: canfb node start {done.module.node_id:#04x}"),
+    )
     return [f"note: {note}" for note in notes]
 
 
