@@ -132,6 +132,11 @@ class ReferenceModel:
         published = self._bad(Bit.MISSED)
         return None if known else published
 
+    def invalid(self) -> Published:
+        """A pair of counts that the interface flags."""
+        self.now += 1
+        return self._bad(0)
+
     def _faults(self, sine: int, cosine: int) -> int:
         limits = self.limits
         low, high, margin = float(limits.low), float(limits.high), 0

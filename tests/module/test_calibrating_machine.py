@@ -245,5 +245,7 @@ def test_astuple_is_the_order_of_2002h() -> None:
     assert astuple(Conditioning(*values)) == values
 
 
-ModuleUnderAnyMaster.TestCase.settings = settings(max_examples=60, stateful_step_count=25)
+ModuleUnderAnyMaster.TestCase.settings = settings(
+    max_examples=min(60, settings.default.max_examples), stateful_step_count=25
+)
 TestAnyMaster = ModuleUnderAnyMaster.TestCase

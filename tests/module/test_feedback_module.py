@@ -57,12 +57,6 @@ def test_an_interface_that_falls_silent_loses_the_position_once(bench: Bench) ->
     assert bench.sdo[0x6503].raw == 0
 
 
-def test_a_sample_that_the_interface_calls_invalid_is_not_taken(bench: Bench) -> None:
-    bench.at(0.0)
-    bench.sdo[0x2000][6].raw = 2
-    assert not bench.at(0.0)[1] & StatusBit.VALID
-
-
 def test_after_a_pause_no_position_is_valid_before_a_sample_came(bench: Bench) -> None:
     """A synchronous TPDO would send the old one, for ever where the encoder interface has gone."""
     bench.sdo[0x1800][1].raw = 0x800001A0

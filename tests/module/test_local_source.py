@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -17,7 +16,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.signal.starts import START_SAMPLES
-from canfb.signal.supervision import COASTING, MISSED, VALID
+from canfb.signal.supervision import MISSED, VALID
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource, Ramp
 from canfb.sources.motion_source import MotionSourceConfig
@@ -131,15 +130,6 @@ def test_a_sample_that_cannot_be_is_a_failure(sample: Sample, words: str) -> Non
     assert local.value(0x2012, 1) == 1
 
 
-def test_half_a_coarse_track_is_none() -> None:
-    local = Local(Played(Sample(1, 2, coarse_sine=7), Sample(1, 2, coarse_cosine=7)))
-    local.start()
-    for _ in range(2):
-        local.sync()
-        assert [local.value(0x2000, n) for n in (3, 4)] == [0, 0]
-    assert local.told == []
-
-
 @pytest.mark.parametrize(("pulse", "place"), [(0.0, 0), (0.5, 32768), (1.0, 65535)])
 def test_the_place_of_a_zero_pulse(pulse: float, place: int) -> None:
     local = Local(Played(at(0.1)._replace(zero_pulse=pulse), at(0.1)))
@@ -220,15 +210,6 @@ def test_a_source_that_flickers_does_not_fill_the_screen() -> None:
     assert local.told == ["the source fails: loose contact"]
 
 
-def test_a_source_that_never_gives_anything_raises_the_alarm() -> None:
-    local = Local(Played(None))
-    local.start()
-    frames = [frame for _ in range(10) for frame in local.sync()]
-    assert not local.value(0x2011, 1) & VALID
-    assert local.value(0x2012, 1) == 10
-    assert [frame.can_id for frame in frames].count(0x0A0) == 1
-
-
 def test_the_end_of_a_recording_is_told_once_and_the_node_goes_on() -> None:
     source = Played(at(0.1), at(0.1), SourceEnded())
     local = Local(source)
@@ -271,28 +252,6 @@ def test_the_interval_is_that_of_the_sample_times(first_s: float, late: bool) ->
             assert local.value(0x2011, 7) == pytest.approx(2 * math.pi / 2500 * 0.25 / PERIOD_S, rel=0.001)
 
 
-def test_a_scan_that_comes_twice_is_counted_and_no_new_sample() -> None:
-    local = Local(Played(at(0.1, 0.0), at(0.1, 0.001), at(0.1, 0.001)))
-    local.start()
-    for _ in range(3):
-        local.sync()
-    assert local.value(0x2012, 8) == 1
-    assert local.value(0x2011, 8) == 2
-
-
-def test_the_recording_of_the_module_holds_its_samples() -> None:
-    local = Local(Played(Sample(0, 1500), Sample(10, 1500), None, Sample(30, 1500)))
-    local.start()
-    local.sync()
-    local.module.receive(Frame(0x600 + NODE, bytes.fromhex("2f50200101000000")), local.now)
-    for _ in range(3):
-        local.sync()
-    read = local.module.dictionary.entry(0x2050, 3).on_read
-    assert read is not None
-    data = read()
-    assert struct.unpack("<6h", data) == (10, 1500, -32768, -32768, 30, 1500)
-
-
 def test_a_node_may_have_the_id_of_the_interface_that_it_does_not_need() -> None:
     source = MotionSourceConfig()
     assert ModuleConfig(node_id=16, source=source).source is source
@@ -328,21 +287,3 @@ def test_nothing_that_a_source_does_raises(played: list[Sample | Exception | Non
     for _ in played:
         local.sync()
     assert local.value(0x2011, 8) + local.value(0x2012, 8) == len(played)
-
-
-def test_a_reset_begins_with_the_next_sample() -> None:
-    resets: list[Callable[[Local], object]] = [
-        lambda local: local.module.receive(Frame(0, bytes([129, NODE])), local.now),
-        lambda local: local.module.receive(Frame(0, bytes([130, NODE])), local.now),
-    ]
-    withheld = [0, 4]  # after reset communication the cycle count goes on, when it is confirmed
-    for reset, unconfirmed in zip(resets, withheld, strict=True):
-        local = Local(Played(at(0.25)))
-        local.start()
-        local.sync()
-        reset(local)
-        assert local.value(0x1400, 1) == 0x80000190
-        local.start()
-        for _ in range(unconfirmed):
-            assert local.position(local.sync())[1] == COASTING
-        assert local.position(local.sync())[1] & VALID

@@ -55,19 +55,6 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Bus:
     return Bus(monkeypatch)
 
 
-@pytest.mark.parametrize("serial_number", [0, 1, 0x80000000, 0xFFFFFFFF, 0x12345678])
-def test_fast_scan_finds_a_module(bus: Bus, serial_number: int) -> None:
-    bus.module(NONE, serial_number)
-    bus.module(33, 7)
-    assert bus.lss.fast_scan() == (True, [*MODULE, serial_number])
-    bus.lss.configure_node_id(34)
-    bus.wait()
-    assert bus.heard[-1] == 0x722
-    assert bus.lss.fast_scan() == (False, None)
-    assert bus.master(34).sdo[0x1018][4].raw == serial_number
-    assert bus.master(34).sdo[0x650B].raw == serial_number
-
-
 def test_devices_without_a_node_id_get_one_after_the_other(bus: Bus) -> None:
     """Lowest identity first, until nobody answers."""
     for serial_number in (300, 5, 77):

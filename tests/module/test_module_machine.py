@@ -1,8 +1,9 @@
 """The whole module against the plain model of it (reference_model), whatever happens in whatever order.
 
-A machine that accelerates, with SYNCs and samples; samples that are missing or faulty, PDOs that come twice
-or are too short, frames of others, SDO writes, NMT, resets, pauses. Every PDO is that of the model; after a
-pause, which it does not know, a valid position is right.
+A machine that accelerates, with SYNCs and samples; samples that are missing, faulty or flagged, SYNCs and
+PDOs that come twice or are too short, frames of others, SDO writes, NMT, resets, pauses, silence. Every PDO
+is that of the model; after a pause, which it does not know, a valid position is right, and none in motion
+is valid.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import Counter
+from dataclasses import replace
 
 from hypothesis import event, settings
 from hypothesis import strategies as st
@@ -28,7 +30,7 @@ TABLE = CorrectionTable([k / 64 + 0.008 * math.sin(4 * math.pi * k / 64) for k i
 MOST_ACCELERATION = 0.06  # cycles per interval^2: with the error of Table 1 within the 0.1 that is assumed
 PHASE_ERROR = 0.0135  # cycles: of Table 1 where no table is, and of the rounding of 6004h
 AMPLITUDES = {"weak": 300.0, "edge": 415.0, "strong": 2600.0}  # edge: refused after another fault only
-FAULTS = ("weak", "edge", "strong", "clipped", "glitch")
+FAULTS = ("weak", "edge", "strong", "clipped", "glitch", "invalid")
 CONFIRMED, AT_REST, STANDING = 30, 20, 300  # samples; the last ends a loss
 # What concerns others than the position PDO: index, sub-index, type, value.
 WRITES = {
@@ -42,7 +44,8 @@ WRITES = {
     "guard of 1016h": (0x1016, 1, "I", 0x100010),
     "refused": (0x2001, 1, "I", 0),
 }
-COUNTER_MISSED, COUNTER_BAD_FRAMES = (0x2012, 1), (0x2012, 8)
+COUNTER_MISSED, COUNTER_BAD_FRAMES, COUNTER_DOUBLED_SYNCS = (0x2012, 1), (0x2012, 8), (0x2012, 13)
+STATUS_WORD, FLAGS = (0x2011, 1), (0x2000, 6, "B")
 # Sub-index of 2012h: the bits of the published status words that it counts.
 COUNTERS = {
     2: Bit.RESIDUAL,
@@ -69,7 +72,7 @@ class ModuleMachine(RuleBasedStateMachine):
     def _begin(self) -> None:
         """As after a reset at standstill."""
         self.model = ReferenceModel(self.limits)
-        self.missed = self.bad_frames = 0
+        self.missed = self.bad_frames = self.doubled_syncs = 0
         self.flagged: Counter[int] = Counter()
         self.is_beyond = False
         for _ in range(CONFIRMED):
@@ -117,6 +120,16 @@ class ModuleMachine(RuleBasedStateMachine):
         self._send(ADC_PDO, struct.pack("<hh", *pair), 0.0002)
         self._compare(self.model.sample(*pair))
 
+    def _invalid(self) -> None:
+        """The interface flags its sample, 2000:06."""
+        self._write(*FLAGS, 2)
+        self._step()
+        self._send(SYNC, b"", 0.0008)
+        self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)), 0.0002)
+        self.doubled = False
+        self._compare(self.model.invalid())
+        self._write(*FLAGS, 0)
+
     def _stop(self) -> None:
         """Brake, and stand for long enough to end a loss; nothing is compared."""
         self.target, standing = 0.0, 0
@@ -145,6 +158,8 @@ class ModuleMachine(RuleBasedStateMachine):
                         self._sample()
                     elif kind == "glitch":
                         self._sample(0.5 if n == 0 else 0.0)
+                    elif kind == "invalid":
+                        self._invalid()
                     elif kind == "clipped":
                         self._sample(amplitude=2200.0, axis=True)
                     else:
@@ -172,6 +187,14 @@ class ModuleMachine(RuleBasedStateMachine):
         self._send(ADC_PDO, struct.pack("<hh", *pair), 0.0002)
         self._compare(self.model.sample(*pair))
 
+    def _write(self, index: int, sub: int, kind: str, value: float) -> int:
+        """By SDO; the command of the answer."""
+        data = struct.pack("<" + kind, value)
+        head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub)
+        sent = self._send(0x600 + NODE, head + data.ljust(4, b"\0"))
+        (answer,) = [one.data[0] for one in sent if one.can_id == 0x580 + NODE]
+        return answer
+
     @rule(speed=st.integers(-29, 192).map(lambda one: one / 64.0), count=st.integers(1, 60))
     def turns(self, speed: float, count: int) -> None:
         self.target = speed
@@ -187,23 +210,26 @@ class ModuleMachine(RuleBasedStateMachine):
 
     @rule(what=st.sampled_from([*WRITES]))
     def writes(self, what: str) -> None:
-        index, sub, kind, value = WRITES[what]
-        data = struct.pack("<" + kind, value)
-        head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub)
-        sent = self._send(0x600 + NODE, head + data.ljust(4, b"\0"))
-        (answer,) = [one.data[0] for one in sent if one.can_id == 0x580 + NODE]
-        assert answer == (0x80 if what == "refused" else 0x60)
+        assert self._write(*WRITES[what]) == (0x80 if what == "refused" else 0x60)
+
+    @rule(low=st.sampled_from([100, 410, 1000]), scale=st.sampled_from([1800, 2048]))
+    def limits_of_a_sample(self, low: int, scale: int) -> None:
+        """They are those of the next sample, which is judged without hysteresis."""
+        self._write(0x2001, 3, "H", low)
+        self._write(0x2001, 2, "H", scale)
+        self.model.limits = replace(self.model.limits, low=low, full_scale=scale)
+        self.model.after_fault = False
 
     @rule(reverse=st.booleans())
     def code_sequence(self, reverse: bool) -> None:
-        self._send(0x600 + NODE, struct.pack("<BHBHxx", 0x2B, 0x6000, 0, reverse))
+        self._write(0x6000, 0, "H", reverse)
         units = abs(self.model.units_per_revolution)
         self.model.units_per_revolution = -units if reverse else units
 
     @rule()
     def table(self) -> None:
         self.module.dictionary.entry(0x2020, 1).download(TABLE.to_bytes())
-        self._send(0x600 + NODE, struct.pack("<BHBI", 0x23, 0x2020, 3, TABLE.crc32))
+        self._write(0x2020, 3, "I", TABLE.crc32)
         self.model.table = [float(one) for one in TABLE.entries]
 
     @rule(data=st.binary(max_size=3))
@@ -219,6 +245,12 @@ class ModuleMachine(RuleBasedStateMachine):
             self.doubled = True
             self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)))
             self.bad_frames += 1
+
+    @rule()
+    def doubled_sync(self) -> None:
+        """Within the same period: it brings no sample, and none is missed."""
+        self._send(SYNC, b"")
+        self.doubled_syncs += 1
 
     @rule(can_id=st.sampled_from([0x123, 0x182, 0x701, 0x77F]), data=st.binary(max_size=8))
     def others(self, can_id: int, data: bytes) -> None:
@@ -248,6 +280,40 @@ class ModuleMachine(RuleBasedStateMachine):
         for one in said:
             assert not one.status & Bit.VALID or self._error(one) <= PHASE_ERROR
 
+    @rule(speed=st.floats(0.1, 3.0), sign=st.sampled_from([1, -1]), pause_s=st.floats(0.05, 100.0))
+    def pause_in_motion(self, speed: float, sign: int, pause_s: float) -> None:
+        """Nobody knows how far it went: the position is lost, and stays so."""
+        self._reset()
+        self.target = sign * speed
+        self._try([("good", 80)])
+        self._send(0x000, bytes([128, NODE]), 0.0005)
+        assert not self.module.dictionary.entry(*STATUS_WORD).current() & Bit.VALID
+        self.position += self.speed * pause_s / 0.001
+        self._send(0x000, bytes([1, NODE]), pause_s)
+        self.said = []
+        for _ in range(CONFIRMED):
+            self._step()
+            self._send(SYNC, b"", 0.0008)
+            self._send(ADC_PDO, struct.pack("<hh", *self._counts(self.position)), 0.0002)
+        assert len(self.said) == CONFIRMED
+        assert all(one.status & Bit.LOST and not one.status & Bit.VALID for one in self.said)
+        self.is_beyond = True
+        self._reset()
+
+    @rule(periods=st.integers(1, 300), samples_only=st.booleans())
+    def silence(self, periods: int, samples_only: bool) -> None:
+        """Without SYNC, or with nothing but SYNC, no position is valid after the two periods of 2010:06."""
+        self._reset()
+        for _ in range(2 + periods):
+            self._send(SYNC if samples_only else 0x123, b"", 0.0008)
+            self._send(0x123, b"", 0.0002)
+        status = self.module.dictionary.entry(*STATUS_WORD).current()
+        assert not status & Bit.VALID
+        assert status & Bit.LOST or periods < 4
+        assert not any(one.status & Bit.VALID for one in self.said)
+        self.is_beyond = True
+        self._reset()
+
     def _error(self, one: Published) -> float:
         """Of a position, cycles; the code sequence is forward after a reset."""
         true = (self.position - self.count) * UNITS
@@ -260,10 +326,12 @@ class ModuleMachine(RuleBasedStateMachine):
         entry = self.module.dictionary.entry
         assert entry(*COUNTER_MISSED).current() == self.missed
         assert entry(*COUNTER_BAD_FRAMES).current() == self.bad_frames
+        assert entry(*COUNTER_DOUBLED_SYNCS).current() == self.doubled_syncs
+        assert entry(*STATUS_WORD).current() == self.last.status
         assert {sub: entry(0x2012, sub).current() for sub in COUNTERS} == {
             sub: self.flagged[sub] for sub in COUNTERS
         }
 
 
 TestModule = ModuleMachine.TestCase
-TestModule.settings = settings(max_examples=60, stateful_step_count=15)
+TestModule.settings = settings(max_examples=min(60, settings.default.max_examples), stateful_step_count=15)

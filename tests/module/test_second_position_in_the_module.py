@@ -11,10 +11,8 @@ from module_bench import SYNC, Bench
 
 from canfb.cia301.frame import Frame
 from canfb.module.events import Event, EventKind
-from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.objects import StatusBit
-from canfb.signal.sample import Sample
 from folding import each
 from ideal_tracks import counts_at
 
@@ -217,34 +215,3 @@ def test_where_no_rpdo_is_left() -> None:
     with pytest.raises(ValueError, match="second_position: no RPDO is left"):
         ModuleConfig(node_id=3, second_position=second(), samples_per_sync=7, times=True)
     ModuleConfig(node_id=3, second_position=second(cob_id=None), samples_per_sync=7, times=True)
-
-
-class Turning:
-    """A source at constant speed, from the tenth sample on."""
-
-    def __init__(self) -> None:
-        self.place, self.samples = 0.0, 0
-
-    def next(self) -> Sample:
-        self.samples += 1
-        self.place += min(max(0.0, 0.2 * (self.samples - 20)), 30.0)
-        return Sample(*counts_at(self.place))
-
-
-def test_with_the_samples_of_a_source() -> None:
-    """They belong to the SYNC itself, and the value comes after it."""
-    source, slip = Turning(), 0.0
-    config = ModuleConfig(node_id=32, autostart=True, second_position=second())
-    module = FeedbackModule(config, source=source)
-    module.start(0.0)
-    statuses = []
-    for k in range(400):
-        now = 1.0 + k * 1e-3
-        module.receive(SYNC, now)
-        slip += 1.0 if k >= 350 else 0.0
-        value = math.floor((source.place + slip) / N * INCREMENTS)
-        module.receive(Frame(VALUE_ID, struct.pack("<i", value)), now + 3e-4)
-        assert module.feedback is not None
-        statuses.append(module.feedback.status)
-    assert set(statuses[5:350]) == {StatusBit.VALID}
-    assert statuses[350:].index(StatusBit.VALID | DISAGREES) == pytest.approx(28, abs=1)

@@ -102,14 +102,14 @@ def test_no_start_in_motion_is_valid_before_its_speed_is_known(start: Start) -> 
         assert not wrong, f"start {seed}: wrong at sample {wrong[0]}"
 
 
-def test_a_start_in_motion_is_right_soon_also_where_no_period_was_known() -> None:
-    assert all(wrong_and_right(Start(), 0.01, seed, 80)[1] for seed in range(STARTS))
-
-
-def test_a_lost_position_keeps_its_count_over_missed_samples() -> None:
-    """The speed is found while it is lost, and the count from the first sample on with it."""
-    right = [wrong_and_right(Start(nominal=True, lost=(6,)), 0.05, seed, 80)[1] for seed in range(STARTS)]
-    assert sum(right) >= STARTS - 1
+@pytest.mark.parametrize(
+    ("start", "acceleration", "least"),
+    [(Start(), 0.01, STARTS), (Start(nominal=True, lost=(6,)), 0.05, STARTS - 1)],
+    ids=str,
+)
+def test_a_start_in_motion_is_right_soon(start: Start, acceleration: float, least: int) -> None:
+    """Where no period was known, and with the count of the first sample where one was missed."""
+    assert sum(wrong_and_right(start, acceleration, seed, 80)[1] for seed in range(STARTS)) >= least
 
 
 @pytest.mark.parametrize("speed", [0.0, 3.0])

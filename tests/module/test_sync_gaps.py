@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from module_bench import Bench
 
@@ -48,33 +48,6 @@ class Counted(Bench):
         return self.sdo[0x2011][4].raw + self.sdo[0x2011][3].raw / 2**32
 
 
-@pytest.mark.parametrize("lost", [1, 2, 3])
-def test_a_few_are_stepped_over(lost: int) -> None:
-    bench = Counted()
-    before = bench.count()
-    for _ in range(lost):
-        bench.cycle(heard=False)
-    for _ in range(16):
-        bench.cycle()
-    assert bench.sdo[0x2012][1].raw == lost
-    assert bench.sdo[0x2011][1].raw == StatusBit.VALID
-    assert bench.count() - before == pytest.approx(SPEED * (lost + 16), abs=0.03)  # no table
-
-
-@pytest.mark.parametrize("lost", [5, 13, 18])
-def test_many_lose_the_position_and_it_is_told(lost: int) -> None:
-    bench = Counted()
-    for _ in range(lost):
-        bench.cycle(heard=False)
-    for _ in range(40):
-        found = bench.cycle()
-        assert found is not None
-        assert not found[1] & StatusBit.VALID
-        assert found[1] & StatusBit.LOST
-    assert 0x7300 in bench.emergencies()
-    assert bench.sdo[0x6503].raw == 1
-
-
 def test_after_a_pause_in_pre_operational_the_counter_begins_anew() -> None:
     bench = Counted()
     bench.remote.nmt.state = "PRE-OPERATIONAL"
@@ -89,16 +62,32 @@ def test_after_a_pause_in_pre_operational_the_counter_begins_anew() -> None:
 
 
 @given(st.lists(st.booleans(), max_size=30), st.integers(2, 40))
+@example([False] * 3, 20)
+@example([False] * 5, 20)
+@example([False] * 18, 20)
 def test_every_sync_that_was_not_heard_is_counted(heard: list[bool], overflow: int) -> None:
+    """A few are stepped over; many lose the position, and it is told."""
     bench = Counted(overflow)
-    run = longest = 0
+    before = bench.count() - SPEED * bench.number
+    longest = max((len(run) for run in "".join("01"[one] for one in heard).split("1")), default=0)
     for one in heard:
-        run = 0 if one else run + 1
-        longest = max(longest, run)
         bench.cycle(one)
-    bench.cycle()
-    if longest < overflow:
-        assert bench.sdo[0x2012][1].raw == heard.count(False)
+    found = [bench.cycle() for _ in range(16)]
+    if longest >= overflow:
+        return
+    assert bench.sdo[0x2012][1].raw == heard.count(False)
+    for number, one in enumerate(found, bench.number - len(found) + 1):
+        assert one is not None
+        units, status = one
+        if status & StatusBit.VALID:
+            assert longest < 5
+            assert units / 8192 - before == pytest.approx(SPEED * number, abs=0.03)  # no table
+    if longest >= 5:
+        assert bench.sdo[0x2011][1].raw & StatusBit.LOST
+        assert 0x7300 in bench.emergencies()
+        assert bench.sdo[0x6503].raw == 1
+    elif heard.count(False) <= 3:
+        assert bench.sdo[0x2011][1].raw == StatusBit.VALID
 
 
 @given(before=st.integers(0, 40), overflow=st.integers(2, 40), unheard=st.integers(1, 3))

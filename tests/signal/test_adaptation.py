@@ -267,11 +267,6 @@ def test_arrays_have_the_bits_of_single_samples(seed: int, blocks: list[int], de
         assert np.array_equal(whole.phase, [one.phase for one in got])
 
 
-def test_arrays_need_the_interval() -> None:
-    with pytest.raises(ValueError, match="adapt needs interval_s"):
-        canfb.process([1000.0] * 20, [0.0] * 20, adapt=True)
-
-
 @given(
     st.tuples(*(st.floats(-0.2, 0.2) for _ in range(5))),
     st.tuples(*(st.floats(-0.2, 0.2) for _ in range(4))),

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 from random import Random
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -22,7 +20,6 @@ from canfb.signal.harmonics import Corners
 from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Stages
-from canfb.signal.stream import process_stream
 from canfb.signal.supervision import SampleLimits
 from ideal_tracks import counts_at
 
@@ -192,22 +189,3 @@ def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way(
         pair = counts_at(0.1 + speed * (k + early / 10000))
         chain.step(Sample(*pair, time_100ns=None if jitter_ticks is None else 10000 * k + early))
     assert resolved < 20
-
-
-def test_repeats_of_a_run_on_arrays_are_counted_on() -> None:
-    """An input that freezes in one block and moves again in a short one, then freezes once more."""
-    config = ChainConfig(frozen_samples=6)
-    steps = [1.1] * 36 + [1.0] * 4 + [1.1] * 2 + [1.0] * 4 + [1.1] * 10  # a whole cycle looks like none
-    positions = np.cumsum(steps).tolist()
-    pairs = np.array([counts_at(position) for position in positions], float)
-    by_parts = Parts(config)
-    by_parts.restart(0, 1.1)
-    wanted = [by_parts.step(Sample(*pair)) for pair in pairs.tolist()]
-    for first in range(9, len(pairs)):
-        blocks = [
-            (pairs[a:b, 0], pairs[a:b, 1])
-            for a, b in pairwise([0, 8, *range(first, len(pairs), 5), len(pairs)])
-        ]
-        results = list(process_stream(blocks, config, speed_cycles=1.1))
-        assert np.concatenate([one.status for one in results]).tolist() == [one.status for one in wanted]
-        assert np.concatenate([one.cycles for one in results]).tolist() == [one.cycles for one in wanted]
