@@ -15,7 +15,7 @@ from canfb.simulation.scenario import SimulationConfig
 from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.protocol import Surroundings
 
-LIMIT_S = 20.0  # for what takes milliseconds
+LIMIT_S = 60.0  # for what takes milliseconds, or a second
 
 
 def until(happened: Callable[[], bool], what: str) -> None:
@@ -49,3 +49,9 @@ def deliver(server: EmulatedIiod, source: CapturedSource, *scans: dict[str, int]
 
 def sample(sine: int, cosine: int, time_100ns: int | None) -> Sample:
     return Sample(sine, cosine, time_100ns=time_100ns)
+
+
+def fired_by_sync(server: EmulatedIiod) -> str:
+    """The source of a configuration: an ADC that samples when its trigger is fired."""
+    place = f"uri: 'ip:127.0.0.1:{server.port}', device: ads7950"
+    return f"{{kind: iio, {place}, trigger: sysfstrig7, wait_us: 1000000}}"

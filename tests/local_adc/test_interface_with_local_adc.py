@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import re
-import signal
 import struct
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import can
 import pytest
 from emulated_iiod import EmulatedAdc, EmulatedIiod
-from iio_kit import LIMIT_S, deliver, reading, until
+from iio_kit import LIMIT_S, deliver, fired_by_sync, reading, until
 
 from canfb.cia301.frame import Frame
 from canfb.configuration import INTERFACES, parse_config
@@ -71,15 +65,6 @@ def test_each_sync_sends_its_scan_with_the_time_of_the_kernel(
     deliver(server, source_of(interface), *[reading(2048 + n, 2048, n * 1_000_000) for n in range(20, 25)])
     assert interface.receive(SYNC, 0.03) == [adc(24, 0, 240_000)]
     assert (interface.samples, interface.missed) == (2, 2)
-
-
-def test_a_trigger_that_is_fired_samples_at_the_sync(
-    iiod: Iiod, made: Callable[..., EncoderInterface]
-) -> None:
-    server = iiod()
-    server.adc.on_fire = lambda: server.deliver(reading(2049, 2050, 300))
-    interface = made(server, source=", trigger: sysfstrig7, wait_us: 1000000")
-    assert interface.receive(SYNC, 0.0) == [adc(1, 2, 3)]
 
 
 def test_without_time_stamps_the_time_is_that_of_the_sync(
@@ -140,60 +125,6 @@ def written(interface: EncoderInterface, data: bytes) -> bytes:
     return next(frame.data for frame in frames if frame.can_id == 0x580 + NODE)
 
 
-class Running:
-    """`canfb run` as a process on a multicast bus."""
-
-    def __init__(self, process: subprocess.Popen[str], bus: can.BusABC) -> None:
-        self._process, self._bus = process, bus
-
-    def heard(self, can_id: int) -> bytes:
-        """The next frame with this CAN-ID."""
-        end = time.monotonic() + LIMIT_S
-        while time.monotonic() < end:
-            message = self._bus.recv(0.2)
-            if message is not None and message.arbitration_id == can_id:
-                return bytes(message.data)
-            if self._process.poll() is not None:
-                pytest.fail(f"ended: {self._process.communicate()}")
-        pytest.fail(f"no {can_id:03X}h within {LIMIT_S:g} s")
-
-    def send(self, can_id: int, data: bytes = b"") -> None:
-        self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-
-    def signal(self, number: int) -> None:
-        self._process.send_signal(number)
-
-    def ended(self) -> tuple[int, str, str]:
-        self._process.send_signal(signal.SIGTERM)
-        output, errors = self._process.communicate(timeout=LIMIT_S)
-        return self._process.returncode, output, errors
-
-
-@pytest.fixture
-def command(multicast_bus: can.BusABC, multicast_words: dict[str, Any], tmp_path: Path) -> Iterator[Any]:
-    """Starts the command with a source, and these options."""
-    with contextlib.ExitStack() as stack:
-
-        def start(source: str, *options: str) -> Running:
-            config = tmp_path / "interface.yaml"
-            config.write_text(
-                f"bus: {json.dumps(multicast_words)}\n"
-                f"interfaces:\n- {{node_id: {NODE}, times: true, source: {source}}}\n"
-            )
-            process = subprocess.Popen(
-                [sys.executable, "-W", "error", "-m", "canfb", "run", str(config), *options],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            stack.enter_context(process)
-            stack.callback(process.kill)
-            return Running(process, multicast_bus)
-
-        yield start
-
-
 def test_the_command_serves_an_adc_from_boot_up_to_the_end(command: Any, iiod: Iiod, tmp_path: Path) -> None:
     server = iiod()
     count = iter(range(1, 1000))
@@ -203,11 +134,9 @@ def test_the_command_serves_an_adc_from_boot_up_to_the_end(command: Any, iiod: I
         server.deliver(reading(2048 + number, 2048 - number, number * 1_000_000))
 
     server.adc.on_fire = scan
-    place = f"uri: 'ip:127.0.0.1:{server.port}', device: ads7950"
     ready = tmp_path / "interface.ready"
-    running = command(
-        f"{{kind: iio, {place}, trigger: sysfstrig7, wait_us: 1000000}}", "--ready-file", str(ready)
-    )
+    nodes = f"interfaces:\n- {{node_id: {NODE}, times: true, source: {fired_by_sync(server)}}}"
+    running = command(nodes, "--ready-file", str(ready))
     assert running.heard(0x710) == b"\0"
     until(ready.exists, "ready")
     running.send(0x000, bytes([1, NODE]))
@@ -224,41 +153,3 @@ def test_the_command_serves_an_adc_from_boot_up_to_the_end(command: Any, iiod: I
         "node 16 (10h): OPERATIONAL",
         "node 16: 50 samples sent",
     ]
-
-
-def test_the_command_serves_the_simulated_machine(command: Any) -> None:
-    running = command("{kind: motion}")
-    assert running.heard(0x710) == b"\0"
-    running.send(0x000, bytes([1, NODE]))
-    running.send(0x80)
-    sine, cosine, _ = struct.unpack("<hhI", running.heard(ADC_PDO))
-    assert 1500 < (sine**2 + cosine**2) ** 0.5 < 1570
-    assert running.ended()[0] == 0
-
-
-def test_on_sigusr1_the_command_writes_a_diagnosis_and_goes_on(
-    command: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    running = command("{kind: motion}")
-    running.heard(0x710)
-    running.send(0x000, bytes([1, NODE]))
-    running.send(0x80)
-    running.heard(ADC_PDO)
-    running.signal(signal.SIGUSR1)
-    until(lambda: any(tmp_path.glob("canfb-diagnose-*.json")), "written")
-    (path,) = tmp_path.glob("canfb-diagnose-*.json")
-    (node,) = json.loads(path.read_text(encoding="utf-8"))["nodes"]
-    assert (node["node_id"], node["state"]) == (NODE, "OPERATIONAL")
-    running.send(0x80)
-    running.heard(ADC_PDO)
-    returncode, output, _ = running.ended()
-    assert returncode == 0
-    assert output.endswith(f"node {NODE}: 2 samples sent\n")
-
-
-def test_a_device_that_is_not_there_ends_the_command(command: Any) -> None:
-    running = command("{kind: iio, uri: 'ip:127.0.0.1:9', device: x}")
-    _, errors = running._process.communicate(timeout=LIMIT_S)
-    assert running._process.returncode == 1
-    assert [line for line in errors.splitlines() if line.startswith("canfb: IIO context 'ip:127.0.0.1:9': ")]

@@ -246,6 +246,6 @@ def test_astuple_is_the_order_of_2002h() -> None:
 
 
 ModuleUnderAnyMaster.TestCase.settings = settings(
-    max_examples=min(60, settings.default.max_examples), stateful_step_count=25
+    max_examples=min(60, settings().max_examples), stateful_step_count=25
 )
 TestAnyMaster = ModuleUnderAnyMaster.TestCase
