@@ -220,6 +220,8 @@ def test_a_few_lost_or_doubled_frames_are_counted_and_the_position_goes_on(name:
 @example(["none"] * 10, True, 0.3)
 def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool, speed: float) -> None:
     machine = Machine(stamped, ramped(speed))
+    if not stamped:  # an answer after more than a period is beyond 2010:0E, and without its time not seen
+        heard = [what for what in heard if what != "late"]
     machine.run(1, 100)
     play(machine, heard, 100)
     machine.run(100 + len(heard), 120 + len(heard))

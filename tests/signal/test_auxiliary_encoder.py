@@ -140,6 +140,14 @@ def test_after_a_pause_the_offset_is_that_of_before(slip: float) -> None:
     assert has(got, DISAGREES)[-1] == bool(slip)
 
 
+def test_a_machine_that_turns_after_a_pause_did_not_stand_still() -> None:
+    machine = standing()
+    machine.chain.resume(1000.0)
+    got = machine.run(400, 83.2)
+    assert got[-1].status & LOST
+    assert not any(has(got, VALID))
+
+
 def test_it_must_be_a_sensor() -> None:
     chain = SignalChain(ChainConfig())
     with pytest.raises(TypeError, match="SecondSensor"):
