@@ -76,7 +76,6 @@ class NodeProcess:
         self._clock = (~self._process.pid << 3) | 2  # of the process: clock_getcpuclockid(3)
 
     def processor_s(self) -> float:
-        """Processor time until now."""
         return time.clock_gettime(self._clock)
 
     def end(self) -> None:
@@ -101,7 +100,6 @@ class Found:
     late: int = 0
 
     def cells(self, first: Found) -> list[str]:
-        """For a row."""
         # A node that a busy machine has not let run has spent nothing.
         pairs = zip(self.processor_us, first.processor_us, strict=True)
         ratio = statistics.median(one / two if two else math.nan for one, two in pairs)
@@ -155,7 +153,6 @@ def undisturbed(*, first: bool) -> Iterator[None]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and print; times in microseconds."""
     parser = argparse.ArgumentParser(
         prog="python -m tools.bench.bus",
         description=__doc__,

@@ -67,14 +67,12 @@ def python_can_bus(options: argparse.Namespace) -> can.BusABC:
 
 
 def raw_bus(options: argparse.Namespace) -> RawCanBus:
-    """That of `canfb run`."""
     if options.fd is None:
         return RawCanBus.open(options.channel)
     return RawCanBus(socket.socket(fileno=options.fd))
 
 
 def serve_stock(bus: can.BusABC, realtime: RealtimeConfig) -> None:
-    """Until SIGTERM."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     network = canopen.Network(bus)
     stock_node(network)
@@ -85,7 +83,6 @@ def serve_stock(bus: can.BusABC, realtime: RealtimeConfig) -> None:
 
 
 def serve_floor(bus: RawCanBus, realtime: RealtimeConfig) -> None:
-    """Until SIGTERM, which ends the process."""
     apply_realtime(realtime)
     units = bytes(8)
     wait_s = 0.0 if realtime.busy_poll else LONGEST_WAIT_S
@@ -102,7 +99,6 @@ def serve_floor(bus: RawCanBus, realtime: RealtimeConfig) -> None:
 
 
 def serve_module(bus: FrameBus, realtime: dict[str, Any]) -> int:
-    """`canfb run` until SIGTERM."""
     setattr(serving, "open_device_bus", lambda words: bus)  # noqa: B010
     module = {"node_id": NODE_ID, "encoder_interface": ENCODER_INTERFACE, "autostart": True}
     words = {"interface": "socketcan", "channel": "handed-down"}
@@ -113,7 +109,6 @@ def serve_module(bus: FrameBus, realtime: dict[str, Any]) -> int:
 
 
 def main() -> int:
-    """Serve one node."""
     parser = argparse.ArgumentParser()
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("--fd", type=int)

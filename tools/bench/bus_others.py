@@ -47,11 +47,9 @@ class Times:
     with_sync_s: dict[int, float] = field(default_factory=dict)
 
     def from_sync_us(self) -> list[float]:
-        """SYNC to the position PDO that it asks for."""
         return [(at - self.sync_s[n + 1]) * 1e6 for n, at in self.with_sync_s.items() if n + 1 in self.sync_s]
 
     def from_adc_us(self) -> list[float]:
-        """ADC PDO to the position PDO with its sample."""
         return [(at - self.adc_s[n]) * 1e6 for n, at in self.at_once_s.items() if n in self.adc_s]
 
     def not_in_time(self, period_s: float) -> int:
@@ -88,7 +86,6 @@ class Others:
         sys.exit("the module does not take a table")
 
     def play(self, cycles: int, rate_hz: float, load: Load) -> Times:
-        """So many SYNC periods with the load beside them."""
         self._load, self._times = load, Times()
         next_s = time.monotonic()
         for _ in range(cycles):
@@ -112,7 +109,6 @@ class Others:
         self._bus.send(frame)
 
     def _until(self, moment_s: float) -> None:
-        """Take what the module sends, and send the load."""
         while (left_s := moment_s - time.monotonic()) > 0.0:
             if self._load.waits:
                 busy_s = self._free_s - moment_s + left_s

@@ -46,7 +46,6 @@ Work = Callable[[], object]
 
 
 def seconds(make: Callable[[], Work], loops: int) -> float:
-    """Of the process, for so many calls."""
     work = make()
     work()  # warm up
     started = time.process_time()
@@ -159,8 +158,6 @@ ANALOG_PATHS: dict[str, dict[str, Any]] = {
 
 
 class ModuleRun:
-    """The module; what it sends is checked at the end."""
-
     interval_s = INTERVAL_S
 
     def __init__(self, cycles: int, *, speed: float = 0.3, times: bool = False, **fields: Any) -> None:
@@ -201,8 +198,6 @@ class TimedRun(ModuleRun):
 
 
 class StockRun:
-    """The same frames into a network with a stock node."""
-
     def __init__(self, network: canopen.Network, cycles: int) -> None:
         stock_node(network)
         self.network = network
@@ -239,7 +234,6 @@ def tracks(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def array_goals() -> tuple[float, float, float]:
-    """Of float64, int16 and the supervised stream."""
     found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
     return GOALS_AVX512 if any("AVX512" in name or name == "X86_V4" for name in found) else GOALS_OTHER
 
@@ -261,7 +255,6 @@ def process_arrays(kind: type) -> Work:
 
 
 def unwrap_arrays(kind: type) -> Work:
-    """What numpy has for it, whose positions are right."""
     position, sine, cosine = tracks(SAMPLES)
     s, c = as_type(sine, kind), as_type(cosine, kind)
 
@@ -321,7 +314,6 @@ def bare_arithmetic() -> Work:
 
 
 def tracker_updates() -> Work:
-    """One phase after the other."""
     counts = [PAIR.unpack(pair) for pair in adc_data(CYCLES)]
     phases = [canfb.phase_in_cycle(*pair) for pair in counts]
     tracker = canfb.Tracker()
@@ -335,7 +327,6 @@ def tracker_updates() -> Work:
 
 
 def chain_steps() -> Work:
-    """One sample after the other, with a table."""
     samples = [canfb.Sample(*PAIR.unpack(pair)) for pair in adc_data(CYCLES)]
     chain = canfb.SignalChain(canfb.ChainConfig(), encoder_table())
 
@@ -370,7 +361,6 @@ WORK: dict[str, Timed] = {
 
 
 def comparisons() -> list[Comparison]:
-    """All of them; the goals of arrays depend on the processor."""
     floats, counts, stream = array_goals()
     return [
         Comparison("cycle", MODULE, STOCK, 0.6),

@@ -21,8 +21,6 @@ EXAMPLES = 5
 
 
 class Cell(NamedTuple):
-    """One fault in one set-up."""
-
     fault: str
     setup: str
 
@@ -48,7 +46,6 @@ class Sums:
     examples: list[str] = field(default_factory=list)
 
     def add(self, said: Mapping[str, int], example: str = "") -> None:
-        """One episode."""
         self.counts.update({"episodes": 1} | {name: int(count) for name, count in said.items()})
         if example and len(self.examples) < EXAMPLES:
             self.examples.append(example)
@@ -87,7 +84,6 @@ class Campaign:
     runs: Callable[[Cell], bool] = lambda cell: True
 
     def cells(self) -> list[Cell]:
-        """In the order of the table."""
         every = (Cell(fault, setup) for fault in self.faults for setup in self.setups)
         return [cell for cell in every if self.runs(cell)]
 
@@ -163,7 +159,6 @@ def by_count(results: Results, counts: Sequence[str], *, each_setup: bool = Fals
 
 
 def parser(prog: str, doc: str | None, episodes: int, seed: int) -> argparse.ArgumentParser:
-    """The options that all campaigns have."""
     options = argparse.ArgumentParser(prog=f"python -m {prog}", description=(doc or "").partition("\n")[0])
     options.add_argument("--episodes", type=_positive, default=episodes, metavar="N", help="of each cell")
     options.add_argument("--seed", type=int, nargs="+", default=[seed], metavar="S")

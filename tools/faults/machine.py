@@ -131,7 +131,6 @@ class Motion:
     jerks: list[tuple[float, float]] = field(default_factory=list)
 
     def push(self, begin: float, duration: float, acceleration: float) -> None:
-        """Add a constant acceleration for a while."""
         self.pieces += [(begin, acceleration), (begin + duration, -acceleration)]
 
     def s_curve(self, begin: float, duration: float, acceleration: float, steps: int = 8) -> None:
@@ -165,7 +164,6 @@ class Motion:
         return float(np.abs(constant[inside]).max()) + shaking
 
     def speed(self, time: float) -> float:
-        """At this time."""
         before, after = self.at([time - 5e-4, time + 5e-4])
         return float(after - before) / 1e-3
 

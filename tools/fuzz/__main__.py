@@ -35,7 +35,6 @@ UNTRACED = ["canfb.signal.*", "canfb.calibration.*"]
 
 
 def kept_frames() -> list[bytes]:
-    """The inputs of the frames that are kept in the repository."""
     lines = CORPUS_OF_FRAMES.read_text(encoding="ascii").splitlines()
     return [bytes.fromhex(line.split()[0]) for line in lines if line and not line.startswith("#")]
 
@@ -98,7 +97,6 @@ def again(target: str, path: Path) -> int:
 
 
 def main(arguments: list[str]) -> int:
-    """Fuzz, or play inputs; the exit code."""
     parser = argparse.ArgumentParser(
         "python -m tools.fuzz", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -94,8 +94,6 @@ class Services(NamedTuple):
 
 
 class Play:
-    """One device with the eyes of the checks on it."""
-
     def __init__(self, device: Device) -> None:
         self.device = device
         self.dictionary = device.dictionary
@@ -123,13 +121,11 @@ class Play:
         return self.node_id != UNCONFIGURED
 
     def start(self) -> None:
-        """Power on: the boot-up."""
         sent = self.device.start(self.now)
         demand(any(map(self._is_boot_up, sent)) or not self._is_configured, "no boot-up")
         self._check_deadline()
 
     def receive(self, frame: Frame) -> list[Frame]:
-        """A frame from the bus."""
         node = self.device.node
         state, may = node.state, self._services()
         if state in COMMUNICATING and not frame.rtr:
@@ -143,7 +139,6 @@ class Play:
         return sent
 
     def tick(self) -> None:
-        """The time is up."""
         state, may = self.state, self._services()
         self._first.waiting()
         self._second.waiting()
@@ -163,7 +158,6 @@ class Play:
         self.tick()
 
     def do(self, step: Step) -> None:
-        """One step of an input."""
         for frame in step.frames:
             self.receive(self._addressed(frame))
         self.wait(step.pause_s, punctual=step.punctual)
@@ -263,7 +257,6 @@ class Play:
 
 
 def story(data: bytes, *, transfers_only: bool = False) -> Iterator[str]:
-    """What an input means, in lines."""
     reader = Reader(data)
     yield f"device {reader.byte()}"
     for step in steps(reader, transfers_only=transfers_only):
@@ -303,7 +296,6 @@ def play(data: bytes, *, transfers_only: bool = False) -> int:
 
 
 def damage(store: MemoryStore, data: bytes) -> None:
-    """Change what is saved: a byte of each image, or its length."""
     place, change = data[-1], data[-2] if len(data) > 1 else 1
     for group, image in store.images.items():
         at = place % (len(image) + 1)

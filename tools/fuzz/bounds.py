@@ -93,5 +93,4 @@ def _too_long(number: int, frame: FrameType | None) -> None:
 
 
 def _largest_memory() -> int:
-    """Bytes; Linux counts in kB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10

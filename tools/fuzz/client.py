@@ -24,7 +24,6 @@ class Follower:
         self._sent = 0  # bytes, or segments of a block download
 
     def heard(self, data: bytes) -> None:
-        """An answer."""
         if self._streams and data[0] & 0x7F == self._streamed + 1:
             self._streamed += 1
             return

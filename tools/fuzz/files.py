@@ -130,12 +130,10 @@ def play(data: bytes, folder: Path) -> bool:
 
 
 def seeds() -> list[bytes]:
-    """What inputs begin with."""
     return [bytes([number]) + data for number, reader in enumerate(READERS) for data in reader.begin()]
 
 
 def _eds(path: Path) -> None:
-    """As a device and ``canfb sdo --eds`` read it."""
     for entry in Dictionary.load(path, NODE_ID):
         demand(entry.index or entry.name is not None, "an object without a name")
 
@@ -152,7 +150,6 @@ def _concise(path: Path) -> None:
 
 
 def _configuration(path: Path) -> None:
-    """As all commands read it; the devices of it are made."""
     config = load_config(path, ANY_NODES)
     for module in config.modules[:3]:
         FeedbackModule(module, source=None if module.source is None else _Silent()).start(0.0)
@@ -238,7 +235,6 @@ def _arrays() -> list[bytes]:
 
 
 def _log(path: Path) -> None:
-    """As ``canfb log replay`` reads it, through a module."""
     log, results = replay_log(path, ReplayOptions((ModuleConfig(node_id=NODE_ID),)))
     demand("MemoryError" not in (log.trouble or ""), "it takes all memory")
     json.dumps([(result.lines(), result.figures()) for result in results], allow_nan=False)

@@ -131,7 +131,6 @@ def _read(reader: Reader) -> Step:
 
 
 def _begin(reader: Reader) -> Step:
-    """The first request of a segmented or block transfer."""
     command = reader.choose([0x21, 0x20, 0xC6, 0xC2, 0xC0, 0xC4, 0xA0, 0xA4])
     return Step((Frame(SERVER, bytes([command]) + _multiplexer(reader) + reader.take(2) + bytes(2)),))
 
@@ -167,7 +166,6 @@ def _sample(reader: Reader) -> Step:
 
 
 def _cycles(reader: Reader) -> Step:
-    """SYNC and sample, many times."""
     count, sample = reader.byte() % 32 + 1, reader.take(4)
     return Step((Frame(0x080, b""), Frame(0x190, sample)) * count, 0.001)
 
@@ -183,7 +181,6 @@ def _pause(reader: Reader) -> Step:
 
 
 def _second_channel(reader: Reader) -> Step:
-    """Make the second SDO channel valid, as a master would."""
     writes = ((1, SECOND_SERVER), (2, SECOND_ANSWER))
     frames = [b"\x23\x01\x12" + bytes([sub]) + value.to_bytes(4, "little") for sub, value in writes]
     return Step(tuple(Frame(SERVER, frame) for frame in frames))
@@ -212,7 +209,6 @@ def _sequence(head: bytes, mapping: bytes, off: int, mapped: Sequence[int], kind
 
 
 def _sample_layout(reader: Reader) -> Step:
-    """RPDO1 with other parts of the sample."""
     layout = LAYOUTS[reader.byte() % len(LAYOUTS)]
     return _sequence(b"\x00\x14", b"\x00\x16", 0x190, layout, reader.byte())
 
@@ -242,7 +238,6 @@ def _producer(reader: Reader) -> Step:
 
 
 def _heard(reader: Reader) -> Step:
-    """A heartbeat, or the time of the day."""
     beat = Frame(0x747, bytes([reader.choose([0, 4, 5, 127, 1])]))
     return Step((beat, Frame(0x100, reader.take(6))))
 
@@ -262,7 +257,6 @@ def _timing(reader: Reader) -> Step:
 
 
 def _storage(reader: Reader) -> Step:
-    """Save or load parameters."""
     index, command = reader.choose([0, 1]), reader.choose([0, 1])
     multiplexer = bytes([0x10 + index, 0x10, reader.byte() % 5])
     return Step((Frame(SERVER, b"\x23" + multiplexer + (b"save", b"load")[command]),))

@@ -30,7 +30,6 @@ class SdoWatcher:
         self.reset()
 
     def reset(self) -> None:
-        """As after a reset: whatever ran is given up."""
         self._request = bytes(8)
         self._left = 0  # answers that the server still may give
         self._next = 0  # sequence number of the next segment of a block upload, 0 outside of one
@@ -51,7 +50,6 @@ class SdoWatcher:
         self._left = 1
 
     def answer(self, data: bytes) -> None:
-        """A frame of the server."""
         demand(len(data) == 8, f"an answer of {len(data)} bytes")
         if self._next and data[0] & 0x7F == self._next:
             self._segment_of_a_block(data)

@@ -50,7 +50,6 @@ Maker = Callable[[Effort], Iterator[Claim]]
 
 
 def verdict(holds: bool, otherwise: Verdict = Verdict.YES) -> Verdict:
-    """The verdict where `holds` says that ours is as expected."""
     return otherwise if holds else Verdict.NO
 
 
@@ -60,10 +59,8 @@ def percent(part: float, digits: int = 3) -> str:
 
 
 def grouped(number: float) -> str:
-    """A whole number with its digits in groups of three."""
     return f"{number:,.0f}".replace(",", " ")
 
 
 def cells(claim: Claim) -> tuple[str, str, str, str, str]:
-    """The row of a claim."""
     return claim.place, claim.claim, claim.paper, claim.ours, claim.verdict.value

@@ -21,7 +21,6 @@ SAMPLES = 1_000_000
 
 
 def shift_cycles(rpm: float, offset_s: float) -> float:
-    """Way in cycles during a time."""
     return rpm / 60.0 * CYCLES_PER_REVOLUTION * offset_s
 
 
@@ -84,7 +83,6 @@ def extremes() -> Iterator[Encoder]:
 
 
 def conventional(effort: Effort) -> Iterator[Claim]:
-    """Wrong positions with and without the fix."""
     samples = min(SAMPLES, effort.samples)
     plain = {
         (rpm, offset): wrong_per_million(USUAL, rpm, shift_cycles(rpm, offset), False, samples)

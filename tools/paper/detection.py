@@ -29,7 +29,6 @@ CRUISE = 20.3  # cycles per sample before an acceleration
 
 
 def two_thirds(effort: Effort) -> Iterator[Claim]:
-    """The acceleration that the limit of 1/3 leaves."""
     formula = max_acceleration(CYCLES_PER_REVOLUTION, RATE_HZ, LIMIT)
     found = largest_acceleration(lambda way, result: is_right(way, result) and bool(result.ok.all()))
     part = found / max_acceleration(CYCLES_PER_REVOLUTION, RATE_HZ)
@@ -76,7 +75,6 @@ def accelerated(change: float, samples: int = 60, after: int = 40) -> Accelerate
 
 
 def too_fast(effort: Effort) -> Iterator[Claim]:
-    """Accelerations beyond the limits, at 1 kHz as in the paper."""
     samples = 60
     between = accelerated(0.42, samples)
     allowed = max_acceleration(CYCLES_PER_REVOLUTION, SLOW_RATE_HZ)

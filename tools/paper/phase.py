@@ -46,7 +46,6 @@ def introduction(effort: Effort) -> Iterator[Claim]:
 
 
 def phases(effort: Effort) -> Iterator[Claim]:
-    """Table 1 and its correction."""
     position = np.arange(GRID) / GRID
     raw = phase_in_cycle(*_circle(position))
     error = _largest(raw - position)
@@ -102,7 +101,6 @@ def _arc_tangent(position: FloatArray) -> Claim:
 
 
 def reference_measurement(effort: Effort) -> Iterator[Claim]:
-    """The reference measurement of section 2."""
     speed_rpm = 60.0 * RECORDING_RATE_HZ / 50.0 / CYCLES_PER_REVOLUTION
     yield Claim(
         "reference-speed",
@@ -146,7 +144,6 @@ def reference_measurement(effort: Effort) -> Iterator[Claim]:
 
 
 def conclusion(effort: Effort) -> Iterator[Claim]:
-    """What section 5 says of amplitude and resolution."""
     position = np.arange(0, GRID, 7) / GRID
     sine, cosine = _circle(position)
     raw = phase_in_cycle(sine, cosine)
@@ -181,7 +178,6 @@ def phases_as_printed(position: FloatArray) -> FloatArray:
 
 
 def peak_error(encoder: Encoder, table: CorrectionTable, position: FloatArray) -> float:
-    """Largest error of the corrected phase, its mean taken off."""
     return float(np.abs(phase_error(table(phase_in_cycle(*encoder.tracks(position))), position)).max())
 
 

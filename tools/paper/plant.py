@@ -49,7 +49,6 @@ def positions_over_raw_phase(encoder: Encoder, n: int) -> FloatArray:
 
 
 def exact_table(encoder: Encoder, entries: int = 1024) -> CorrectionTable:
-    """The individual table of this encoder."""
     return CorrectionTable(positions_over_raw_phase(encoder, entries))
 
 
@@ -111,14 +110,12 @@ class Way:
 
     @property
     def reversals(self) -> int:
-        """How often the direction changes."""
         sign = np.sign(np.diff(self.units)).astype(np.int8)
         sign = sign[sign != 0]
         return int(np.count_nonzero(sign[1:] != sign[:-1]))
 
     @property
     def top_speed(self) -> float:
-        """Largest speed in cycles per sample."""
         return float(np.abs(np.diff(self.units)).max()) / UNIT
 
     def part(self, start: int) -> Way:

@@ -35,7 +35,6 @@ MAKERS: tuple[Maker, ...] = (
 
 
 def claims(effort: Effort) -> Iterator[Claim]:
-    """Try them all, one after the other."""
     for maker in MAKERS:
         yield from maker(effort)
 

@@ -178,7 +178,6 @@ def acceleration_step(rad_s2: float, rate_hz: float) -> float:
 
 
 def is_right(way: Way, result: TrackResult) -> bool:
-    """Every sample is in its cycle."""
     return bool(np.abs(way.error(result.cycles, result.phase)).max() < 0.5)
 
 

@@ -33,7 +33,6 @@ The second line is for bash and zsh: put it into `~/.bashrc` or `~/.zshrc`. For 
 
 
 def commands_page() -> str:
-    """The page, Markdown."""
     parser = build_parser()
     lines = [INTRODUCTION, *_one(parser)]
     for command in commands_of(parser):

@@ -39,7 +39,6 @@ pygments_dark_style = "native"
 
 
 def made(_app: Any, page: str, source: list[str]) -> None:
-    """Pages that are made of the code."""
     if page in MADE:
         source[0] = MADE[page]()
 

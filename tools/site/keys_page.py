@@ -130,7 +130,6 @@ def described(kind: type) -> dict[str, str]:
 
 
 def keys_of(kind: type) -> Iterator[Key]:
-    """The keys of a section, in the order of the class."""
     texts = described(kind)
     for field in dataclasses.fields(kind):
         if not field.metadata.get("key", True):
@@ -149,7 +148,6 @@ def keys_of(kind: type) -> Iterator[Key]:
 
 
 def keys_page() -> str:
-    """The page, Markdown."""
     lines = [INTRODUCTION, *_top(), BUS]
     kinds = [(f"modules: source, kind {name}", kind, _summary(kind)) for name, kind in source_kinds().items()]
     for title, kind, about in (*SECTIONS[:2], *kinds, *SECTIONS[2:]):

@@ -31,7 +31,6 @@ side](../canopen.md).
 
 
 def objects_page() -> str:
-    """The page, Markdown."""
     return "\n".join([INTRODUCTION, *(line for device in DEVICES for line in _device(*device))]) + "\n"
 
 
@@ -77,7 +76,6 @@ class _Details:
         self.notes = [lines[key] for key in lines if key != "Lines"]
 
     def row(self, entry: ObjectDescription) -> tuple[str, ...]:
-        """The cells of one entry."""
         section = self._parser[self._sections[entry.place]]
         default = section.get("DefaultValue", "").strip()
         limits = (section.get("LowLimit", "").strip(), section.get("HighLimit", "").strip())

@@ -51,7 +51,6 @@ class Resources(NamedTuple):
 
 
 def soak(setup: Setup, cycles: int, seed: int) -> dict[str, Any]:
-    """One set-up; what came out."""
     world = World(setup, seed)
     looks: list[Resources] = []
 
@@ -86,7 +85,6 @@ def slope(looks: list[Resources], cycles: int) -> float:
 
 
 def as_figures(setup: Setup, found: Findings, looks: Sequence[Resources]) -> dict[str, Any]:
-    """All there is to say of one set-up."""
     first, half, last = looks[0], looks[len(looks) // 2], looks[-1]
     grown = {
         "memory_bytes": min(half.memory_bytes - first.memory_bytes, last.memory_bytes - half.memory_bytes)
@@ -107,7 +105,6 @@ def as_figures(setup: Setup, found: Findings, looks: Sequence[Resources]) -> dic
 
 
 def lines(one: dict[str, Any]) -> list[str]:
-    """The same for people."""
     warm, end = one["warm"], one["end"]
     return [
         f"{one['setup']}: {one['cycles']} cycles ({one['cycles'] * INTERVAL_S / 3600.0:.3g} h), "

@@ -64,7 +64,6 @@ def send(world: World, frames: list[Frame]) -> None:
 
 
 def nmt_pause(world: World) -> None:
-    """STOPPED or PRE-OPERATIONAL for a while."""
     world.before_a_pause()
     world.nmt(world.rng.choice((NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL)))
     world.bus.run_until(world.bus.now + world.rng.uniform(0.002, 0.09))
@@ -72,14 +71,12 @@ def nmt_pause(world: World) -> None:
 
 
 def reset(world: World) -> None:
-    """Node or communication, at standstill."""
     while not rests(world.bus.now, 0.5):
         world.pass_(0.05)
     world.reset(world.rng.choice((NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)))
 
 
 def node_goes(world: World) -> None:
-    """The node whose heartbeat is monitored is away for a while."""
     world.before_a_pause()
     world.interruptions += 1
     world.other.is_there = False
@@ -125,12 +122,10 @@ def table(world: World) -> None:
 
 
 def save(world: World) -> None:
-    """1010h, now and then on a full disk."""
     world.access.write_bytes(0x1010, 1, b"save", 1.0)
 
 
 def reading(world: World) -> None:
-    """What a monitor reads."""
     world.access.read_bytes(*NAME)
     for sub in range(1, 16):
         world.access.read_bytes(0x2012, sub)
@@ -151,7 +146,6 @@ def flood(world: World) -> None:
 
 
 def short_frames(world: World) -> None:
-    """SYNC and samples of a wrong length."""
     world.bus.send(Frame(SYNC, b"\1\2"))
     world.bus.send(Frame(SAMPLES, b"\1"))
     world.bus.send(Frame(0x000, b"\1"))
@@ -174,12 +168,10 @@ def extra_syncs(world: World) -> None:
 
 
 def clock_set(world: World) -> None:
-    """The clock of the receive times is ahead for a while."""
     world.cable.stamp_s = world.rng.choice((0.0, 3600.0))
 
 
 def clock_behind(world: World) -> None:
-    """The clock of the receive times is behind for a while."""
     world.cable.stamp_s = world.rng.choice((0.0, -3600.0))
 
 
@@ -198,7 +190,6 @@ def long_stall(world: World) -> None:
 
 
 def link_down(world: World) -> None:
-    """`ip link set can0 down`, and up again."""
     world.before_a_pause()
     world.interruptions += 1
     hosted = hosted_of(world)
@@ -208,7 +199,6 @@ def link_down(world: World) -> None:
 
 
 def queue_full(world: World) -> None:
-    """The interface takes no frame for a while: ENOBUFS."""
     socket = hosted_of(world).bus
     socket.full = True
     world.pass_(world.rng.uniform(0.001, 0.3))
@@ -236,7 +226,6 @@ OF_A_PROCESS = (stall, long_stall, link_down, queue_full, wall_clock_set)
 
 
 def disturbances_of(setup: Setup) -> Mapping[str, Disturbance]:
-    """What can happen to this set-up, by name."""
     chosen = [*ALWAYS]
     if setup.stamps:
         chosen += [clock_set, clock_behind]

@@ -14,8 +14,6 @@ STEP_S = 0.001
 
 
 class EmbeddedClient(SharedClient):
-    """Simulated time passes while it waits."""
-
     def __init__(self, master: EmbeddedMaster, node_id: int, answer_s: float) -> None:
         super().__init__(master.network, node_id, answer_s)
         self._master = master

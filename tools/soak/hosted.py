@@ -40,7 +40,6 @@ class _Turns:
         self._thread = threading.Thread(target=self._run, name="runner of the soak", daemon=True)
 
     def start(self) -> None:
-        """The first turn of the runner."""
         self._thread.start()
         self._wait()
 
@@ -50,7 +49,6 @@ class _Turns:
         self._wait()
 
     def give_back(self) -> None:
-        """The runner waits."""
         self._world.release()
         self._runner.acquire()
         if self._over:
@@ -104,26 +102,21 @@ class Hosted:
         self._turns = _Turns(self.runner.run)
 
     def close(self) -> None:
-        """End the runner."""
         self._turns.end()
 
     def start(self, now: float) -> list[Frame]:
-        """Power on."""
         self._now = now
         self._turns.start()
         return self.bus.taken()
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        """A frame into the socket."""
         self._now = now
         return self._go_on() if self.bus.put(frame) and self._reading else []
 
     def deadline(self) -> float:
-        """When the wait of the runner ends."""
         return max(self._wake_s, self.stalled_until_s)
 
     def tick(self, now: float) -> list[Frame]:
-        """The wait is over."""
         self._now = now
         return self._go_on()
 
@@ -172,11 +165,9 @@ class _Socket:
         return self._keep((frame.can_id | (REMOTE if frame.rtr else 0), frame.data, self._wall()))
 
     def bus_off(self) -> None:
-        """The controller reports it."""
         self._keep((ERROR | ERROR_BUS_OFF, bytes(8), self._wall()))
 
     def restarted(self) -> None:
-        """The controller, or the interface, is there again."""
         self._keep((ERROR | ERROR_RESTARTED, bytes(8), self._wall()))
 
     def down(self) -> None:
@@ -184,12 +175,10 @@ class _Socket:
         self._down = True
 
     def up(self) -> None:
-        """And up again."""
         self._down = False
         self.restarted()
 
     def taken(self) -> list[Frame]:
-        """What was sent since."""
         sent, self._sent = self._sent, []
         return sent
 
@@ -201,7 +190,6 @@ class _Socket:
         return True
 
     def receive(self, wait_s: float) -> Received | None:
-        """See :class:`canfb.bus.frame_bus.FrameBus`."""
         if wait_s > 0.0 and not self._waiting and not self._down:
             self._wait(wait_s)
         if self._down:
@@ -209,7 +197,6 @@ class _Socket:
         return self._waiting.popleft() if self._waiting else None
 
     def send(self, can_id: int, data: bytes, remote: bool) -> bool:
-        """See :class:`canfb.bus.frame_bus.FrameBus`."""
         if self._down:
             raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
         if not self.full:
@@ -217,7 +204,6 @@ class _Socket:
         return not self.full
 
     def accept(self, can_ids: Iterable[int] | None, remote_can_ids: Iterable[int]) -> None:
-        """See :class:`canfb.bus.frame_bus.FrameBus`."""
         self._heard = None if can_ids is None else frozenset((*can_ids, *remote_can_ids))
 
     def __enter__(self) -> Self:

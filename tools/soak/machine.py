@@ -49,7 +49,6 @@ class Machine:
         self.sampled_cycles = 0.0
 
     def sample_at(self, now: float) -> Sample:
-        """The sample of this instant, seconds."""
         if self.broken:
             raise SourceError("the converter does not answer")
         self.sampled_cycles = position = position_cycles(now)

@@ -139,7 +139,6 @@ class World:
         self._configure()
 
     def close(self) -> None:
-        """Nothing of it is left."""
         self._log.handlers, self._log.propagate = [], True
         self._log.setLevel(logging.NOTSET)
         if self.hosted is not None:
@@ -178,12 +177,10 @@ class World:
             self.miss_count(abs(after[1] - before[1]), f"{after[1] - before[1]} SYNCs without a feedback")
 
     def _settle(self) -> None:
-        """Until all PDOs of the last SYNC have come."""
         all_came_s = self._synced_s + 0.8 * INTERVAL_S
         self.bus.run_until(all_came_s if all_came_s >= self.bus.now else all_came_s + INTERVAL_S)
 
     def pass_(self, seconds: float) -> None:
-        """Time passes; the master starts a module that has stopped."""
         end = self.bus.now + seconds
         while self.bus.now < end:
             self.bus.run_until(min(end, self.bus.now + HEARTBEAT_S / 2.0))
@@ -212,7 +209,6 @@ class World:
         self.found.longest_recovery_s = max(self.found.longest_recovery_s, self.bus.now - began)
 
     def nmt(self, command: NmtCommand) -> None:
-        """To the module."""
         self.interruptions += 1
         self._was_valid = False
         self.bus.send(Frame(0x000, bytes((command, MODULE))))
@@ -234,7 +230,6 @@ class World:
         return int(self.module.dictionary.entry(*od.COUNTER_MISSED).value)
 
     def miss_count(self, cycles: int, what: str) -> None:
-        """So many cycles were not counted."""
         self.found.uncounted += cycles
         if not self.found.first_uncounted:
             self.found.first_uncounted = f"{self.bus.now:.3f} s, {self._suffers}: {what}"
@@ -248,7 +243,6 @@ class World:
         self.found.log_lines += 1
 
     def valid(self) -> bool:
-        """What the status word says."""
         return bool(self.module.dictionary.entry(*od.FEEDBACK_STATUS).current() & StatusBit.VALID)
 
     # -- what is seen ----------------------------------------------------------------------------------
@@ -288,7 +282,6 @@ class World:
             self.see_wrong(f"{now:.3f} s, {self._suffers}: off by {error - self._offset:.3f} cycle")
 
     def see_wrong(self, what: str) -> None:
-        """Something is wrong that was said to be right."""
         self.found.wrong += 1
         if not self.found.first_wrong:
             self.found.first_wrong = what

@@ -40,8 +40,6 @@ SWAPPED |= {ast.FloorDiv: ast.Div, ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.LSh
 
 
 class Mutant(NamedTuple):
-    """One change of one module."""
-
     path: Path
     line: int
     name: str  # where and what, without the line: stays the same when lines move
@@ -49,7 +47,6 @@ class Mutant(NamedTuple):
 
 
 def changes(node: ast.AST) -> Iterator[ast.AST]:
-    """What this node could have been."""
     if isinstance(node, ast.Compare):
         for place, operator in enumerate(node.ops):
             yield changed(node, ops=[*node.ops[:place], SWAPPED[type(operator)](), *node.ops[place + 1 :]])
@@ -98,7 +95,6 @@ def places(node: ast.AST, within: str = "") -> Iterator[Place]:
 
 
 def mutants(path: Path) -> list[Mutant]:
-    """All changes of a module, in the order of its lines."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     found = []
     for name, (parent, field, place, node, _), other in named_changes(path.stem, tree):
@@ -176,7 +172,6 @@ def run_tests(mutant: Mutant | None, pytest_args: list[str], limit_s: int = 0) -
 
 
 def survivors(every: list[Mutant], pytest_args: list[str], jobs: int, limit_s: int) -> list[Mutant]:
-    """The changes that no test notices."""
     waiting, survived = list(reversed(every)), []
     running: dict[int, Mutant] = {}
     while waiting or running:
@@ -192,7 +187,6 @@ def survivors(every: list[Mutant], pytest_args: list[str], jobs: int, limit_s: i
 
 
 def main(arguments: list[str]) -> int:
-    """Run it; the exit status."""
     ours, pytest_args = arguments, []
     if "--" in arguments:
         at = arguments.index("--")

@@ -64,7 +64,6 @@ def sources() -> set[str] | None:
 
 
 def differences(name: str, found: Iterable[str], expected: Iterable[str]) -> Iterator[str]:
-    """One line for each member that is missing or too many."""
     found, expected = set(found), set(expected)
     yield from (f"{name}: {member} is missing" for member in sorted(expected - found))
     yield from (f"{name}: {member} does not belong there" for member in sorted(found - expected))
@@ -93,7 +92,6 @@ def links_to_nowhere(description: str) -> list[str]:
 
 
 def check_archives(sdist: Path, wheel: Path) -> Iterator[str]:
-    """Findings about what is in them."""
     members = sdist_members(sdist)
     tracked = sources()
     if tracked is not None:

@@ -37,8 +37,6 @@ IFF_UP = 1
 
 @dataclass(frozen=True)
 class Kernel:
-    """How the running kernel gives a vcan."""
-
     detail: str
     prefix: tuple[str, ...] = ()
 
@@ -68,7 +66,6 @@ exec "$@"
 
 
 def find_kernel() -> Kernel | None:
-    """How this kernel gives a vcan, or None."""
     if interface_state(CHANNEL) == "up":
         return Kernel(f"{CHANNEL} is up")
     if which("ip") is None:
@@ -90,7 +87,6 @@ def _succeeds(*command: str) -> bool:
 
 @contextlib.contextmanager
 def interface(name: str) -> Iterator[None]:
-    """Have the vcan up; what was there before is left as it was."""
     state = interface_state(name)
     if state is None and not _succeeds("ip", "link", "add", "dev", name, "type", "vcan"):
         raise VcanError(f"ip link add dev {name} type vcan: failed")
@@ -152,7 +148,6 @@ def shell_status(returncode: int) -> int:
 
 
 def run(command: Sequence[str], timeout_s: float | None) -> int:
-    """Run a command where vcan0 exists; returns its exit status."""
     way = find()
     if isinstance(way, Kernel):
         return run_in_kernel(way, command, timeout_s)
@@ -176,7 +171,6 @@ def check() -> int:
 
 
 def shell() -> int:
-    """Open an interactive shell where vcan0 exists."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise VcanError("shell needs a terminal; use: run -- COMMAND")
     way = find()
@@ -188,7 +182,6 @@ def shell() -> int:
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
-    """Options of the command line."""
     usage, _, _ = (__doc__ or "").partition("\n")
     parser = argparse.ArgumentParser(prog="python -m tools.vcan", description=usage)
     commands = parser.add_subparsers(dest="action", required=True)
@@ -211,7 +204,6 @@ def _end(number: int, _frame: FrameType | None) -> NoReturn:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Do what the command line says; returns the exit status."""
     options = parse(arguments)
     try:
         if options.action == "check":

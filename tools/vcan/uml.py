@@ -58,8 +58,6 @@ def which(program: str) -> str | None:
 
 @dataclass(frozen=True)
 class Machine:
-    """An installed user-mode Linux: what is needed to boot it."""
-
     kernel: str
     release: str
     preload: bool  # the processor has more registers than this kernel can handle: fpregs.c
@@ -134,11 +132,9 @@ class Place:
 
     @classmethod
     def here(cls) -> Place:
-        """The place of this process."""
         return cls(os.getcwd(), dict(os.environ))
 
     def line(self, command: Sequence[str]) -> str:
-        """Line of shell that runs the command there."""
         pairs = [f"{name}={value}" for name, value in self.environment.items()]
         return shlex.join(["env", "-i", f"--chdir={self.folder}", *pairs, *command])
 
@@ -215,15 +211,12 @@ def memory_folder(candidates: Sequence[str] = ("/dev/shm", "/tmp", "/var/tmp")) 
 
 
 class Tail:
-    """Copies what a growing file gains to a stream."""
-
     def __init__(self, path: Path, sink: BinaryIO) -> None:
         path.touch()
         self._source = path.open("rb", buffering=0)
         self._sink = sink
 
     def pump(self) -> None:
-        """Copy what is new."""
         while chunk := self._source.read(1 << 16):
             self._sink.write(chunk)
             self._sink.flush()
@@ -376,7 +369,6 @@ def shell(machine: Machine, command: Sequence[str], channel: str) -> int:
 
 
 def _to_foreground(group: int) -> None:
-    """Let a process group read the terminal."""
     previous = signal.signal(signal.SIGTTOU, signal.SIG_IGN)
     try:
         os.tcsetpgrp(0, group)

@@ -60,7 +60,6 @@ def run_group(work: Work, adapt: bool = False) -> Sums:
 
 
 def misses(cell: Cell, sums: Sums) -> Iterator[str]:
-    """The goals that are missed."""
     if sums["silent"]:
         yield f"{sums['silent']} silent wrong positions"
     illegal = sums["matters"] - sums["legal"]
@@ -73,7 +72,6 @@ def misses(cell: Cell, sums: Sums) -> Iterator[str]:
 
 
 def cell_text(cell: Cell, sums: Sums) -> str:
-    """Detected, and lost."""
     return f"{sums.percent('seen', 'matters'):.1f} {sums.percent('lost'):.1f}"
 
 
@@ -85,7 +83,6 @@ def table(results: Results) -> Rows:
 
 
 def campaign(faults: Sequence[str], settings: Sequence[str], adapt: bool = False) -> Campaign:
-    """Of these."""
     return Campaign(faults, settings, partial(run_group, adapt=adapt), misses, CHUNK)
 
 

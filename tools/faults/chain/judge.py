@@ -51,7 +51,6 @@ def play(fault_class: FaultClass, turning: Turning, rng: np.random.Generator) ->
 
 
 def follow(chain: SignalChain, samples: Samples) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Published positions, cycles, and status words."""
     published = [
         chain.step(Sample(s, c)) if delivered else chain.miss()
         for s, c, delivered in zip(

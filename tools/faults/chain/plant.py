@@ -63,7 +63,6 @@ class Setting:
 
     @cached_property
     def conditioning(self) -> Conditioning:
-        """The known truth of the encoder, or the identity."""
         if not self.conditioned:
             return IDENTITY
         e = ENCODER
@@ -157,7 +156,6 @@ class Turning:
 
 
 def _chain_of(setting: Setting) -> SignalChain:
-    """With wide limits, to get to a speed."""
     if not setting.adapt:
         return SignalChain(ChainConfig(conditioning=setting.conditioning), setting.table)
     config = ChainConfig(conditioning=setting.calibrated, interval_s=ADAPT_INTERVAL_S)

@@ -39,8 +39,6 @@ BOUNDS = (0.01, 0.05, 0.1, 0.2)
 
 
 class Played(NamedTuple):
-    """An episode with its end."""
-
     name: str
     episode: Episode
     published: Published
@@ -62,7 +60,6 @@ class Player:
         return replace(self.machine, acceleration=float(setup))
 
     def episodes(self, work: Work) -> list[Episode]:
-        """Draws of one chunk, whatever else is run."""
         declared = self.declared(work.cell.setup)
         words = [round(1e6 * one) for one in (declared.acceleration, declared.phase_error)]
         seeds = [work.seed, work.first // CHUNK, declared.samples_per_sync, *words, *work.cell.fault.encode()]
@@ -70,7 +67,6 @@ class Player:
         return draw(KINDS[work.cell.fault], machine, work.size, np.random.default_rng(seeds))
 
     def played(self, work: Work) -> Iterator[Played]:
-        """Each episode of a piece of work."""
         declared = self.declared(work.cell.setup)
         for number, episode in zip(work.numbers, self.episodes(work), strict=True):
             published = play(episode, chain_for(replace(episode, declared=declared)))
@@ -91,11 +87,9 @@ class Player:
         return self.exceed <= 1.0 and KINDS[cell.fault].is_covered(self.declared(cell.setup))
 
     def can_run(self, cell: Cell) -> bool:
-        """Uneven instants are those of one sample for each SYNC."""
         return KINDS[cell.fault].is_even or self.machine.samples_per_sync == 1
 
     def misses(self, cell: Cell, sums: Sums) -> Iterator[str]:
-        """The goals that are missed."""
         if sums["silent"] and self.is_covered(cell):
             yield f"{sums['silent']} of {sums['episodes']} silent"
 
@@ -119,14 +113,12 @@ class Player:
 
 
 def counted(verdict: Verdict) -> dict[str, int]:
-    """What an episode adds to the sums."""
     kept = {"kept": 1, "not valid": verdict.not_valid} if verdict.kept else {}
     causes = {cause.value: 1 for cause in set(verdict.wrong.values())}
     return {"silent": verdict.silent, "excused": verdict.excused, "lost": verdict.lost} | kept | causes
 
 
 def show(name: str, player: Player) -> str:
-    """One episode in full."""
     kind, bound, seed, number = name.rsplit(":", 3)
     first = int(number) // CHUNK * CHUNK
     every = list(player.played(Work(Cell(kind, bound), int(seed), first, CHUNK)))
@@ -151,7 +143,6 @@ def show(name: str, player: Player) -> str:
 def campaign(
     player: Player, kinds: Sequence[str] = tuple(KINDS), bounds: Sequence[float] = BOUNDS
 ) -> Campaign:
-    """Of these kinds of fault, and machines."""
     return Campaign(kinds, [f"{one:g}" for one in bounds], player, player.misses, CHUNK, player.can_run)
 
 

@@ -66,7 +66,6 @@ class Published:
 
 
 def draw(kind: Kind, declared: Declared, episodes: int, rng: Rng) -> list[Episode]:
-    """Episodes of this kind."""
     per_sync = declared.samples_per_sync
     at = rng.integers(*BEFORE, episodes)
     at += -at % per_sync  # what is missing or flagged is so for all samples of a SYNC

@@ -22,8 +22,6 @@ LEAD = 4  # good samples before the fault, from which the motions are followed
 
 
 class Cause(Enum):
-    """Of a wrong position."""
-
     EXCUSED = "legal motion"
     GUESSED = "two legal motions, the wrong one"
     ILLEGAL = "no legal motion"
@@ -60,7 +58,6 @@ class Verdict:
 
 
 def judge(episode: Episode, published: Published) -> Verdict:
-    """Hold what was published against the truth."""
     per_sync, fault = episode.declared.samples_per_sync, episode.fault
     valid = published.valid
     wrong = valid & (np.abs(published.position - episode.truth) >= WRONG_CYCLES)
@@ -77,7 +74,6 @@ def judge(episode: Episode, published: Published) -> Verdict:
 
 
 def motions_before(episode: Episode) -> LegalMotions:
-    """The one motion up to the fault."""
     declared, begin = episode.declared, slice(episode.fault - LEAD, episode.fault)
     right = episode.phase + np.rint(episode.truth - episode.phase)
     motions = LegalMotions(declared.phase_error, 2, declared.acceleration)
@@ -86,7 +82,6 @@ def motions_before(episode: Episode) -> LegalMotions:
 
 
 def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[int, Cause]:
-    """The cause of each wrong position."""
     motions, truth = motions_before(episode), motions_before(episode)
     received = ~np.isin(episode.state, (State.MISSING, State.FLAGGED))
     said = dict.fromkeys(wrong.tolist(), Cause.ILLEGAL)

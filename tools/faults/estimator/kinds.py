@@ -68,8 +68,6 @@ def make_chain(declared: Declared, table: CorrectionTable | None = None) -> Sign
 
 
 class State(IntEnum):
-    """Of one sample."""
-
     GOOD = 0
     MISSING = 1
     FLAGGED = 2
@@ -113,7 +111,6 @@ def _row(samples: int, *parts: tuple[State, int]) -> States:
 
 
 def _of(state: State, *lengths: int) -> Callable[[Rng, int], States]:
-    """One row of this state; one of these lengths."""
     return lambda rng, samples: _row(samples, (state, int(rng.choice(lengths))))
 
 

@@ -73,7 +73,6 @@ def least_bound(instants: Array, samples: Array, phase_error: float | Array, ord
 
 
 def is_legal(instants: Array, samples: Array, phase_error: float, order: int, bound: float) -> bool:
-    """A motion with this bound fits the samples."""
     return least_bound(instants, samples, phase_error, order) <= bound + SLACK
 
 
@@ -107,12 +106,10 @@ class LegalMotions:
         self._checked_from = 0  # the samples that the program has to see while the run is short
 
     def begin(self, instants: Sequence[float], positions: Sequence[float]) -> None:
-        """The known motion: at least r samples without a hole."""
         self.instants, self.paths = list(instants), [tuple(positions)]
         self._run, self._checked_from = len(instants), 0
 
     def add(self, instant: float, phase: float) -> None:
-        """The next sample that nothing flagged."""
         order = self._order
         before = self.instants[-order:]
         weights, radius = window(before, instant, self._phase_error, self._bound)

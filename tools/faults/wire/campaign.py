@@ -29,7 +29,6 @@ TIMED = [name for name, setup in SETUPS.items() if setup.fits("times !servo")]
 
 
 def play_class(work: Work) -> Sums:
-    """Episodes of a class of wire faults."""
     sums = Sums()
     for n in work.numbers:
         episode = Episode(*work.cell, work.seed * 1_000_000 + n)
@@ -40,7 +39,6 @@ def play_class(work: Work) -> Sums:
 
 
 def counted(verdict: Verdict) -> dict[str, int]:
-    """What an episode adds to the sums."""
     return {
         verdict.outcome: 1,
         "early": verdict.early > 0,
@@ -52,7 +50,6 @@ def counted(verdict: Verdict) -> dict[str, int]:
 
 
 def example(episode: Episode, verdict: Verdict) -> str:
-    """Of a silent wrong position; nothing if there is none."""
     if verdict.outcome != "wrong":
         return ""
     first = verdict.first_wrong
@@ -74,7 +71,6 @@ def class_misses(cell: Cell, sums: Sums) -> Iterator[str]:
 
 
 def classes(faults: Sequence[str] = tuple(CLASSES), setups: Sequence[str] = tuple(SETUPS)) -> Campaign:
-    """Wire faults."""
 
     def runs(cell: Cell) -> bool:
         return SETUPS[cell.setup].fits(CLASSES[cell.fault].of)

@@ -47,17 +47,14 @@ def slots(
 
 
 def options(**fields: object) -> Change:
-    """Set these options of the module."""
     return lambda plan: vars(plan.options).update(fields)
 
 
 def wire(**fields: object) -> Change:
-    """Set these fields of the plan."""
     return lambda plan: vars(plan).update(fields)
 
 
 def any_of(*changes: Change) -> Change:
-    """One of them, at random."""
     return lambda plan: changes[int(plan.rng.integers(len(changes)))](plan)
 
 
@@ -282,7 +279,6 @@ SYNC_DOUBLED = doubled(47.0, lambda _: 120.0)
 
 
 def lost(count: int | Callable[[Plan], int]) -> Change:
-    """ADC PDOs."""
     return slots(count, pdo_lost=True)
 
 

@@ -62,7 +62,6 @@ def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER, steady
 
 
 def _fastest(plan: Plan) -> float:
-    """Cycles/T."""
     x = plan.motion.at(np.arange(plan.end))
     return float(np.abs(np.diff(x)).max(initial=0.0))
 
@@ -100,7 +99,6 @@ def _draw_wire(plan: Plan, speed: float, limit: float) -> None:
 
 
 def torque(plan: Plan, share: float = 0.7) -> None:
-    """A torque pulse within the limit, placed around the fault."""
     if plan.accelerating:
         return
     rng, limit = plan.rng, plan.options.limit or UNKNOWN_LIMIT

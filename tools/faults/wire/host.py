@@ -20,8 +20,6 @@ ENDLESS = 1000  # ticks in a row without progress
 
 
 class Sent(NamedTuple):
-    """A frame of the module, and what it was doing."""
-
     now: float  # T
     cause: Event | None  # None: a timer
     frame: Frame

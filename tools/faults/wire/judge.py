@@ -75,8 +75,6 @@ class Shown:
 
 @dataclass
 class Verdict:
-    """What became of an episode."""
-
     outcome: str = "kept"  # wrong, physics, lost, flagged, kept
     wrong: int = 0  # valid and wrong
     first_wrong: Shown | None = None
@@ -92,8 +90,6 @@ class Verdict:
 
 
 class Judge:
-    """Compares what was sent with the truth of one episode."""
-
     def __init__(self, plan: Plan, line: Line) -> None:
         self._plan, self._line = plan, line
         start = line.positions[0] if line.positions else 0.0
@@ -114,7 +110,6 @@ class Judge:
         self.verdict = Verdict()
 
     def judge(self, sent: list[Sent]) -> Verdict:
-        """Go through all frames, in order."""
         plan, verdict = self._plan, self.verdict
         emergencies: list[float] = []
         for one in sent:
@@ -181,7 +176,6 @@ class Judge:
         return self._is_legal([(line.named[one.sample], one.position) for one in self._answers()])
 
     def _answers(self) -> list[Shown]:
-        """The valid positions that were sent upon an ADC PDO."""
         return [one for one in self.shown if one.what == "TPDO" and one.valid and one.sample >= 0]
 
     def _is_legal(self, shown: list[tuple[float, float]]) -> bool:

@@ -75,8 +75,6 @@ class Event(NamedTuple):
 
 @dataclass
 class Plan:
-    """One episode, before it is laid on the wire."""
-
     setup: Setup
     options: Options
     motion: Motion
@@ -127,7 +125,6 @@ class _Sampling(NamedTuple):
 
 
 def lay(plan: Plan) -> Line:
-    """Put the plan on the wire."""
     events: list[Event] = []
     samplings: list[_Sampling] = []
     for number, at in enumerate(_sync_times(plan)):

@@ -62,7 +62,6 @@ def _is_unheard(slot: Slot) -> bool:
 
 
 def _runs(bits: list[bool]) -> list[int]:
-    """Lengths of the runs of True."""
     return [sum(1 for _ in group) for bit, group in itertools.groupby(bits) if bit]
 
 

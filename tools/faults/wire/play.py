@@ -21,8 +21,6 @@ GAUSSIAN, BLOCKED_US = 4.5, 135.0  # standard deviations: one of 150 000; a fram
 
 
 class Episode(NamedTuple):
-    """Which one; two of a name are the same in every run."""
-
     fault: str
     setup: str
     seed: int
@@ -40,8 +38,6 @@ class Episode(NamedTuple):
 
 
 class Played(NamedTuple):
-    """All of one episode."""
-
     plan: Plan
     line: Line
     sent: list[Sent]
@@ -54,7 +50,6 @@ _bench = Bench()
 
 
 def plan_of(episode: Episode) -> Plan:
-    """The plan that this class, set-up and seed give."""
     wire_class, setup = CLASSES[episode.fault], SETUPS[episode.setup]
     rng = np.random.default_rng([episode.seed, *episode.fault.encode(), *episode.setup.encode()])
     plan = draw_plan(setup, rng, wire_class.after, steady=wire_class.torque == 0.0)
@@ -84,7 +79,6 @@ def jitter_s(plan: Plan) -> float:
 
 
 def play_plan(plan: Plan, fresh: bool = False, bench: Bench = _bench) -> Played:
-    """Play a plan on a module."""
     module = bench.begin(plan.setup, plan.options, fresh or bool(os.environ.get("CANFB_FRESH")))
     begin = bench.now + 0.01
     module.receive(_START, bench.now + 0.005)

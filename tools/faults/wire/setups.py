@@ -108,7 +108,6 @@ class Bench:
 
 
 def configuration(setup: Setup, options: Options) -> list[Frame]:
-    """The SDO downloads that put a set-up in force."""
     o = options
     limit = 0.0 if o.limit is None else o.limit * TWO_PI / CYCLES_PER_REVOLUTION / o.interval_s**2
     simple = (
@@ -152,12 +151,10 @@ def _mapping(index: int, cob_id: int, objects: tuple[int, ...], kind: int) -> li
 
 
 def sdo_write(index: int, subindex: int, kind: str, value: float) -> Frame:
-    """The request of an expedited SDO download."""
     data = struct.pack("<" + kind, value)
     head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, subindex)
     return Frame(SDO_RX, head + data.ljust(4, b"\0"))
 
 
 def sdo_read(index: int, subindex: int) -> Frame:
-    """The request of an SDO upload."""
     return Frame(SDO_RX, struct.pack("<BHBI", 0x40, index, subindex, 0))

@@ -55,7 +55,6 @@ def stall(who: str, rate_hz: int, setup: Setup, seed: int, is_short: bool) -> di
 
 
 def _lengths(rng: np.random.Generator, who: str, rate_hz: int, bridged: int, is_short: bool) -> list[float]:
-    """Of stalls in a row, in periods."""
     most = LONGEST_S * rate_hz
     if is_short and who in ("producer", "all"):
         most = min(most, bridged)
