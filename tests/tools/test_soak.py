@@ -12,8 +12,7 @@ import pytest
 from canfb.signal.feedback import Feedback
 from tools.soak.__main__ import Resources, as_figures, main
 from tools.soak.disturbances import disturbances_of
-from tools.soak.setups import SETUPS
-from tools.soak.world import Findings, World
+from tools.soak.world import SETUPS, Findings, World
 
 CYCLES = 2000
 BY_NAME = {one.name: one for one in SETUPS}

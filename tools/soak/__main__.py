@@ -24,8 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tools.soak.disturbances import disturbances_of
-from tools.soak.setups import SETUPS, Setup
-from tools.soak.world import INTERVAL_S, Findings, World
+from tools.soak.world import INTERVAL_S, SETUPS, Findings, Setup, World
 
 WARM = 0.3  # of the cycles: caches fill
 # In each half of the looks: what is loaded once, at the first table or the first save, grows in one of them.

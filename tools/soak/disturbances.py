@@ -11,9 +11,8 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
 from canfb.signal.correction import CorrectionTable
 from tools.soak.hosted import Hosted
-from tools.soak.machine import rests
-from tools.soak.setups import Setup
-from tools.soak.world import INTERFACE, INTERVAL_S, MODULE, OTHER, SAMPLES, SYNC, World
+from tools.soak.parts import rests
+from tools.soak.world import INTERFACE, INTERVAL_S, MODULE, OTHER, SAMPLES, SYNC, Setup, World
 
 EDS, NAME = (0x1021, 0), (0x1008, 0)
 TABLE = CorrectionTable.identity(64)
@@ -38,33 +37,24 @@ def samples_lost(world: World) -> None:
 
 def bus_off(world: World) -> None:
     """The controller is bus-off for a while, or the cable is pulled out and nobody says so."""
-    world.before_a_pause()
+    world.pause_begins()
     world.interruptions += 1
-    reported, hosted = world.rng.random() < 0.7, world.hosted
+    reported = world.rng.random() < 0.7
     world.cable.pulled = True
-    if hosted is not None:
-        hosted.bus.full = True
-    if reported and hosted is not None:
-        hosted.happen(hosted.bus.bus_off, world.bus.now)
-    elif reported:
-        world.module.bus_off(world.bus.now)
+    if world.hosted is not None:
+        world.hosted.bus.full = True
+    if reported:
+        world.happens("bus_off")
     world.pass_(world.rng.uniform(0.002, LONGEST_GAP_S))
     world.cable.pulled = False
-    if hosted is not None:
-        hosted.bus.full = False
-    if reported and hosted is not None:
-        send(world, hosted.happen(hosted.bus.restarted, world.bus.now))
-    elif reported:
-        send(world, world.module.bus_back(world.bus.now))
-
-
-def send(world: World, frames: list[Frame]) -> None:
-    for frame in frames:
-        world.bus.send(frame)
+    if world.hosted is not None:
+        world.hosted.bus.full = False
+    if reported:
+        world.happens("restarted")
 
 
 def nmt_pause(world: World) -> None:
-    world.before_a_pause()
+    world.pause_begins()
     world.nmt(world.rng.choice((NmtCommand.STOP, NmtCommand.ENTER_PRE_OPERATIONAL)))
     world.bus.run_until(world.bus.now + world.rng.uniform(0.002, 0.09))
     world.nmt(NmtCommand.START)
@@ -77,7 +67,7 @@ def reset(world: World) -> None:
 
 
 def node_goes(world: World) -> None:
-    world.before_a_pause()
+    world.pause_begins()
     world.interruptions += 1
     world.other.is_there = False
     world.pass_(world.rng.uniform(0.2, 0.8))
@@ -86,7 +76,7 @@ def node_goes(world: World) -> None:
 
 def interface_goes(world: World) -> None:
     """The encoder interface is stopped, or reset: it starts by itself; no sample comes meanwhile."""
-    world.before_a_pause()
+    world.pause_begins()
     command = world.rng.choice((NmtCommand.STOP, NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION))
     world.bus.send(Frame(0x000, bytes((command, INTERFACE))))
     world.pass_(world.rng.uniform(0.002, 0.09))
@@ -158,7 +148,7 @@ def extra_syncs(world: World) -> None:
     (docs/evidence.md).
     """
     if world.rng.random() < 0.5:
-        world.before_a_pause()
+        world.pause_begins()
     world.interruptions += 1
     for _ in range(world.rng.randint(1, 30)):
         sync_s = world.producer.deadline() or world.bus.now
@@ -183,19 +173,19 @@ def stall(world: World) -> None:
 
 def long_stall(world: World) -> None:
     """The process gets no processor for so long (or is stopped: SIGSTOP) that its socket overflows."""
-    world.before_a_pause()
+    world.pause_begins()
     world.interruptions += 1
     hosted_of(world).stalled_until_s = world.bus.now + world.rng.uniform(SHORT_STALL_S, LONG_STALL_S)
     world.pass_(2.0 * LONG_STALL_S)
 
 
 def link_down(world: World) -> None:
-    world.before_a_pause()
+    """`ip link set can0 down`, and up again."""
+    world.pause_begins()
     world.interruptions += 1
-    hosted = hosted_of(world)
-    hosted.happen(hosted.bus.down, world.bus.now)
+    world.happens("down")
     world.pass_(world.rng.uniform(0.002, LONGEST_GAP_S))
-    send(world, hosted.happen(hosted.bus.up, world.bus.now))
+    world.happens("up")
 
 
 def queue_full(world: World) -> None:

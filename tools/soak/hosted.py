@@ -86,7 +86,7 @@ class Hosted:
 
     def __init__(self, device: Device, report: Callable[[str], None]) -> None:
         self.stalled_until_s = -math.inf
-        self.bus = _Socket(self._wait_for_frames, lambda: WALL_S + self._now + self.set_s)
+        self.bus = Socket(self._wait_for_frames, lambda: WALL_S + self._now + self.set_s)
         self.set_s = 0.0
         self._now = 0.0
         self._wake_s = math.inf
@@ -121,7 +121,7 @@ class Hosted:
         return self._go_on()
 
     def happen(self, event: Callable[[], None], now: float) -> list[Frame]:
-        """Something happens to the bus, such as :meth:`_Socket.down`; what is sent then."""
+        """Something happens to the bus, such as :meth:`Socket.down`; what is sent then."""
         self._now = now
         event()
         return self._go_on() if self._reading else []
@@ -142,7 +142,7 @@ class Hosted:
         self._turns.give_back()
 
 
-class _Socket:
+class Socket:
     """The bus of the runner.
 
     full     the queue of the interface takes no frame

@@ -1,9 +1,10 @@
-"""What stands around the module in the soak: cables, another node, a slow store, and who knows the truth."""
+"""What stands around the module in the soak: machine, cable, another node, a slow store."""
 
 from __future__ import annotations
 
 import logging
-from collections import OrderedDict, deque
+import math
+from collections import deque
 from collections.abc import Callable, Collection
 
 from canfb.cia301.frame import Frame
@@ -12,64 +13,98 @@ from canfb.device.storage.storage import Changes, MemoryStore, Store
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.signal.sample import Sample
+from canfb.sources.protocol import SourceError
 
+AMPLITUDE_COUNTS = 1500.0
+MOVE_S, REST_S = 1.4, 2.0
+TOP_CYCLES_S = 20_000.0
+MAX_ACCELERATION_CYCLES_S2 = TOP_CYCLES_S * math.pi / MOVE_S
 SAVE_POLLS = 5
-MOST_ON_THE_WAY = 4096  # samples
 
 logging.getLogger("canopen").setLevel(logging.CRITICAL)  # transfers are broken off on purpose
 
 
-class Cable:
-    """A device behind a cable that can be pulled out, and that loses frames of some CAN-IDs."""
+def position_cycles(time_s: float) -> float:
+    """To and fro, with a rest at either end: v = top / 2 (1 - cos(2 pi t / MOVE_S))."""
+    within = time_s % (2.0 * (MOVE_S + REST_S))
+    back = within >= MOVE_S + REST_S
+    t = min(within - (MOVE_S + REST_S if back else 0.0), MOVE_S)
+    way = TOP_CYCLES_S / 2.0 * (t - MOVE_S / (2.0 * math.pi) * math.sin(2.0 * math.pi * t / MOVE_S))
+    whole = TOP_CYCLES_S / 2.0 * MOVE_S
+    return 0.3 + (whole - way if back else way)
 
-    def __init__(self, device: Device) -> None:
-        self.device = device
+
+def rests(time_s: float, spare_s: float = 0.0) -> bool:
+    """Whether it stands still from now until ``spare_s`` later."""
+    within = time_s % (MOVE_S + REST_S)
+    return within >= MOVE_S and within + spare_s < MOVE_S + REST_S
+
+
+def is_fast(time_s: float) -> bool:
+    """Whether it moves fast, and does so for a while."""
+    return 0.3 <= time_s % (MOVE_S + REST_S) <= 0.4
+
+
+class Machine:
+    """A source of samples; remembers where the machine was at the last one.
+
+    ``coarse``: the samples have a track with one cycle per revolution of ``cycles_per_revolution``, too.
+    ``broken``: the converter gives nothing.
+    """
+
+    def __init__(self, cycles_per_revolution: int, *, coarse: bool = False) -> None:
+        self._per_revolution = cycles_per_revolution
+        self._coarse = coarse
+        self.broken = False
+        self.sampled_cycles = 0.0
+
+    def sample_at(self, now: float) -> Sample:
+        if self.broken:
+            raise SourceError("the converter does not answer")
+        self.sampled_cycles = position = position_cycles(now)
+        sine, cosine = _tracks(position)
+        if not self._coarse:
+            return Sample(sine, cosine)
+        coarse_sine, coarse_cosine = _tracks(position / self._per_revolution)
+        return Sample(sine, cosine, coarse_sine=coarse_sine, coarse_cosine=coarse_cosine)
+
+    def next(self) -> Sample:
+        """Not asked: the interface knows when it samples."""
+        raise NotImplementedError
+
+
+def _tracks(position: float) -> tuple[int, int]:
+    angle = 2.0 * math.pi * (position % 1.0)
+    return round(AMPLITUDE_COUNTS * math.sin(angle)), round(AMPLITUDE_COUNTS * math.cos(angle))
+
+
+class Cable:
+    """A device behind a cable that can be pulled out, and that loses frames of some CAN-IDs.
+
+    losing   by CAN-ID: how many frames more do not arrive
+    stamp_s  by how much the clock of receive times is ahead; None: frames have none
+    """
+
+    def __init__(self, device: Device, stamp_s: float | None) -> None:
+        self._device, self.stamp_s = device, stamp_s
         self.pulled = False
         self.losing: dict[int, int] = {}
-        """By CAN-ID: how many frames more do not arrive."""
-        self.lost = 0
-        self.stamp_s: float | None = None
-        """By how much the clock of receive times is ahead; None: frames have none."""
-
-    def start(self, now: float) -> list[Frame]:
-        return self.device.start(now)
+        self.start, self.deadline = device.start, device.deadline
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         if self.pulled:
             return []
         if self.losing.get(frame.can_id):
             self.losing[frame.can_id] -= 1
-            self.lost += 1
             return []
         if self.stamp_s is not None:
             frame = frame._replace(timestamp=now + self.stamp_s)
-        return self.device.receive(frame, now)
+        return self._device.receive(frame, now)
 
     def tick(self, now: float) -> list[Frame]:
-        frames = self.device.tick(now)
+        frames = self._device.tick(now)
         return [] if self.pulled else frames
-
-    def deadline(self) -> float | None:
-        return self.device.deadline()
-
-
-class Truths:
-    """Where the machine was at each sample that is on its way, by the bytes of its PDO."""
-
-    def __init__(self) -> None:
-        self._by_id: OrderedDict[int, tuple[bytes, float]] = OrderedDict()
-
-    def note(self, data: bytes, position_cycles: float) -> None:
-        """A sample leaves. The very object is kept, so that no other one has its id."""
-        self._by_id.pop(id(data), None)
-        self._by_id[id(data)] = data, position_cycles
-        if len(self._by_id) > MOST_ON_THE_WAY:
-            self._by_id.popitem(last=False)
-
-    def of(self, data: bytes) -> float | None:
-        """It has arrived; None for a PDO of somebody else."""
-        found = self._by_id.get(id(data))
-        return None if found is None else found[1]
 
 
 class SampledInterface(EncoderInterface):

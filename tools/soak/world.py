@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import random
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from canfb import objects as od
 from canfb.cia301.frame import Frame
@@ -21,12 +23,20 @@ from canfb.monitoring.bus_model import BusModel
 from canfb.objects import StatusBit
 from canfb.signal.feedback import Feedback
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.sync_producer import SyncProducer
+from canfb.simulation.sync_producer import REGULAR, SyncProducer, SyncTiming
 from tools.soak.embedded_master import EmbeddedMaster
 from tools.soak.hosted import Hosted
-from tools.soak.machine import Machine, is_fast, rests
-from tools.soak.parts import Cable, OtherNode, SampledInterface, SlowStore, Truths, WatchedModule
-from tools.soak.setups import CYCLES, Setup
+from tools.soak.parts import (
+    MAX_ACCELERATION_CYCLES_S2,
+    Cable,
+    Machine,
+    OtherNode,
+    SampledInterface,
+    SlowStore,
+    WatchedModule,
+    is_fast,
+    rests,
+)
 
 MODULE, INTERFACE, OTHER = 32, 16, 5
 SYNC, SAMPLES = 0x080, 0x180 + INTERFACE
@@ -49,6 +59,46 @@ COARSE_SENT = {
     (0x1A00, 3): od.INTERFACE_COARSE_SINE.mapped(16),
     (0x1A00, 4): od.INTERFACE_COARSE_COSINE.mapped(16),
 }
+CYCLES = 2500
+RADIANS = 2.0 * math.pi / CYCLES
+SPARE = 1.05  # declared beyond what the machine does
+ACCELERATION = {"max_acceleration_rad_s2": SPARE * MAX_ACCELERATION_CYCLES_S2 * RADIANS}
+JITTER = SyncTiming(sync_jitter_us=20.0, sync_drift_ppm=-50.0)
+MOST_ON_THE_WAY = 4096  # samples
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A network.
+
+    config    of the module
+    stamps    frames have receive times
+    coarse    samples have a coarse track, in the same PDO
+    hosted    the module is in the runner of `canfb run`
+    bit_rate  of the bus, bit/s: frames take time and wait for each other; None: they do not
+    timing    of the SYNC
+    """
+
+    name: str
+    config: dict[str, Any] = field(default_factory=dict)
+    stamps: bool = False
+    coarse: bool = False
+    hosted: bool = False
+    bit_rate: int | None = None
+    timing: SyncTiming = REGULAR
+
+
+SETUPS = (
+    Setup("plain", ACCELERATION),
+    Setup("times", ACCELERATION | {"times": True}),
+    Setup("two samples", ACCELERATION | {"times": True, "samples_per_sync": 2}),
+    Setup("coarse track", ACCELERATION, coarse=True),
+    Setup("predicted", ACCELERATION | {"times": True, "predict": True}),
+    Setup("receive times", ACCELERATION | {"times": True}, stamps=True),
+    Setup("wire", ACCELERATION | {"times": True}, bit_rate=1_000_000, timing=JITTER),
+    Setup("hosted", ACCELERATION, hosted=True),
+    Setup("hosted, times", ACCELERATION | {"times": True}, hosted=True),
+)
 
 
 @dataclass
@@ -71,15 +121,6 @@ class Findings:
     @property
     def bad(self) -> int:
         return self.wrong + self.uncounted + self.not_recovered
-
-
-class _Lines(logging.Handler):
-    def __init__(self, found: Findings) -> None:
-        super().__init__()
-        self._found = found
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._found.log_lines += 1
 
 
 class World:
@@ -106,16 +147,15 @@ class World:
             apply_defaults(self.module.dictionary, COARSE)
             apply_defaults(self.interface.dictionary, COARSE_SENT)
         self.hosted = Hosted(self.module, self._say) if setup.hosted else None
-        self.cable = Cable(self.hosted or self.module)
-        if setup.stamps:
-            self.cable.stamp_s = 0.0
+        self.cable = Cable(self.hosted or self.module, 0.0 if setup.stamps else None)
         self.other = OtherNode(OTHER, HEARTBEAT_S)
         self.monitor = BusModel()
         self.syncs = self.feedbacks = 0
         self.interruptions = 0
         """Times at which cycles need not be counted: the position is lost, the module not OPERATIONAL."""
         self._was_valid = False  # since the last start
-        self._truths, self._truth = Truths(), 0.0
+        self._truths: dict[int, tuple[bytes, float]] = {}  # by the identity of the bytes of its PDO
+        self._truth = 0.0
         self._offset: int | None = None
         self._counted = 0
         self._next_s = self._synced_s = 0.0
@@ -123,7 +163,9 @@ class World:
         self._events = EventLog()
         self._log = logging.getLogger("canfb.hosting.event_log")
         self._log.setLevel(logging.INFO)
-        self._log.handlers, self._log.propagate = [_Lines(self.found)], False
+        handler = logging.Handler()
+        handler.emit = lambda record: self._say("")  # type: ignore[method-assign]
+        self._log.handlers, self._log.propagate = [handler], False
         self._events.watch(self.module, self.module.events)
         self._events.begin()
         self._counters = [self.module.dictionary.entry(0x2012, sub) for sub in COUNTERS]
@@ -143,8 +185,6 @@ class World:
         self._log.setLevel(logging.NOTSET)
         if self.hosted is not None:
             self.hosted.close()
-
-    # -- what goes on all the time ---------------------------------------------------------------------
 
     def run(
         self,
@@ -219,7 +259,7 @@ class World:
         self._offset, self._counted = None, -1  # position and counters begin at 0
         self._configure()
 
-    def before_a_pause(self) -> None:
+    def pause_begins(self) -> None:
         """What stands when a pause begins must not move in it: docs/supervision.md, Start of the module."""
         rest = self.rng.random() < 0.5
         while not (rests(self.bus.now, PAUSE_S) if rest else is_fast(self.bus.now)):
@@ -231,8 +271,8 @@ class World:
 
     def miss_count(self, cycles: int, what: str) -> None:
         self.found.uncounted += cycles
-        if not self.found.first_uncounted:
-            self.found.first_uncounted = f"{self.bus.now:.3f} s, {self._suffers}: {what}"
+        what = f"{self.bus.now:.3f} s, {self._suffers}: {what}"
+        self.found.first_uncounted = self.found.first_uncounted or what
 
     def _configure(self) -> None:
         with contextlib.suppress(CanfbError):
@@ -242,10 +282,20 @@ class World:
     def _say(self, line: str) -> None:
         self.found.log_lines += 1
 
+    def happens(self, event: str) -> None:
+        """An event of the bus, by its name in :class:`tools.soak.hosted.Socket`."""
+        if self.hosted is not None:
+            frames = self.hosted.happen(getattr(self.hosted.bus, event), self.bus.now)
+        elif event == "bus_off":
+            self.module.bus_off(self.bus.now)
+            frames = []
+        else:
+            frames = self.module.bus_back(self.bus.now)
+        for frame in frames:
+            self.bus.send(frame)
+
     def valid(self) -> bool:
         return bool(self.module.dictionary.entry(*od.FEEDBACK_STATUS).current() & StatusBit.VALID)
-
-    # -- what is seen ----------------------------------------------------------------------------------
 
     def _hear(self, frame: Frame, now: float) -> None:
         if frame.can_id == SYNC and not frame.data:
@@ -256,13 +306,14 @@ class World:
 
     def _leaves(self, frame: Frame) -> None:
         if frame.can_id == SAMPLES:
-            self._truths.note(frame.data, self.machine.sampled_cycles)
+            self._truths.pop(id(frame.data), None)
+            self._truths[id(frame.data)] = frame.data, self.machine.sampled_cycles
+            if len(self._truths) > MOST_ON_THE_WAY:
+                del self._truths[next(iter(self._truths))]
 
     def _arrives(self, frame: Frame) -> None:
         if frame.can_id == SAMPLES:
-            truth = self._truths.of(frame.data)
-            if truth is not None:
-                self._truth = truth
+            _, self._truth = self._truths.get(id(frame.data), (b"", self._truth))
 
     def _judge(self, feedback: Feedback, now: float) -> None:
         status = feedback.status
@@ -279,12 +330,9 @@ class World:
         if self._offset is None:
             self._offset = round(error)
         if abs(error - self._offset) > WRONG_CYCLES:
-            self.see_wrong(f"{now:.3f} s, {self._suffers}: off by {error - self._offset:.3f} cycle")
-
-    def see_wrong(self, what: str) -> None:
-        self.found.wrong += 1
-        if not self.found.first_wrong:
-            self.found.first_wrong = what
+            what = f"{now:.3f} s, {self._suffers}: off by {error - self._offset:.3f} cycle"
+            self.found.wrong += 1
+            self.found.first_wrong = self.found.first_wrong or what
 
     def _judge_count(self, status: int) -> None:
         """A cycle without a valid position is in a counter, or the position is lost, or was not valid yet."""
