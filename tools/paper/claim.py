@@ -1,12 +1,10 @@
-"""One claim of the paper, and the table of all of them."""
+"""One claim of the paper: what comes out here, and whether that is as expected; docs/paper.md has the rest."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-
-COLUMNS = ("place", "claim", "the paper", "ours", "agrees")
 
 
 class Verdict(StrEnum):
@@ -20,18 +18,11 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim; the verdict holds the figures of `ours` against their bounds, on both sides."""
+    """The verdict holds the figures of `ours` against their bounds, on both sides."""
 
     key: str
-    place: str
-    claim: str
-    paper: str
     ours: str
     verdict: Verdict
-
-    @property
-    def holds(self) -> bool:
-        return self.verdict is not Verdict.NO
 
 
 @dataclass(frozen=True)
@@ -60,7 +51,3 @@ def percent(part: float, digits: int = 3) -> str:
 
 def grouped(number: float) -> str:
     return f"{number:,.0f}".replace(",", " ")
-
-
-def cells(claim: Claim) -> tuple[str, str, str, str, str]:
-    return claim.place, claim.claim, claim.paper, claim.ours, claim.verdict.value
