@@ -1,4 +1,4 @@
-"""One claim of the paper: what comes out here, and whether that is as expected; docs/paper.md has the rest."""
+"""One claim of the paper: what comes out here, and whether it is as expected; docs/paper.md has the rest."""
 
 from __future__ import annotations
 
