@@ -202,7 +202,6 @@ GONE = dict.fromkeys(("prediction_order", "max_jerk_rad_s3"), _SEVERAL)
 
 
 def _unknown(key: str, known: list[str], where: str) -> str:
-    """What to say of a key that there is not."""
     if key in GONE:
         return f"{key!r} in {where} is no key any more: {GONE[key]}"
     near = difflib.get_close_matches(key, known, n=1)
@@ -229,7 +228,6 @@ class _Reader:
         return node.value
 
     def read(self, node: yaml.Node, kind: type, where: str) -> Any:
-        """One mapping as a ``kind``."""
         inside = self._inside(node, yaml.MappingNode, where, "a mapping of keys to values")
         known = {
             f.metadata.get("named", f.name): f

@@ -148,5 +148,4 @@ class MarkedYaml:
             raise YamlError(mark.line + 1 if mark else 1, f"{error.problem}") from None
 
     def line(self, *keys: str) -> int:
-        """The line, from 1, of the last of these nested keys that is there."""
         return found_at(self._root, *keys)[0]

@@ -226,7 +226,6 @@ FAULT_WORDS: Final[dict[int, str]] = {
 
 
 def fault_words(status: int) -> list[str]:
-    """What is wrong by the status word 2011:01."""
     return [words for bit, words in FAULT_WORDS.items() if status & bit]
 
 
@@ -240,7 +239,6 @@ class PositionState(StrEnum):
 
 
 def position_state(status: int) -> PositionState:
-    """The position by the bits of the status word 2011:01."""
     if status & StatusBit.VALID:
         return PositionState.VALID
     if status & StatusBit.LOST:

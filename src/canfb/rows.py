@@ -109,7 +109,6 @@ class Findings:
         return as_figures(self.figures, *(section.figures() for section in self.sections))
 
     def result(self, paths: Iterable[Path] = ()) -> Result:
-        """For the terminal and for programs; ``paths`` are the files that were written."""
         lines = [line for section in self.sections for line in (*section.lines(), "")]
         files = [str(path) for path in paths]
         written = [f"written  {path}" for path in files]

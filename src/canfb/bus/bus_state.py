@@ -100,7 +100,6 @@ class BusState:
         self._sending.failed(error, now, known=self.gone)
 
     def sending_worked(self, now: float) -> None:
-        """A frame could be sent, or queued."""
         self._sending.worked(now)
         if not self._bus_off:
             self._show_life(now)
@@ -112,7 +111,6 @@ class BusState:
         return not notified
 
     def returned(self, now: float) -> bool:
-        """Whether the bus is back; true once."""
         if not self.gone or self._alive_s is None or now - self._alive_s < SETTLED_S:
             return False
         self.gone = self._bus_off = False
@@ -143,11 +141,9 @@ class BusState:
 
 
 def is_down(error: Exception) -> bool:
-    """The interface is down or removed."""
     return code_of(error) in INTERFACE_DOWN
 
 
 def code_of(error: Exception) -> int | None:
-    """The errno of a failure, of python-can's too."""
     code: int | None = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     return code

@@ -98,7 +98,6 @@ class NamedInterface:
             self._bus = under
 
     def comes_back(self, error: Exception) -> bool:
-        """Whether it may work again after this failure."""
         return code_of(error) == errno.ENETDOWN or (self._bus is not None and is_down(error))
 
     def bind(self) -> None:

@@ -180,7 +180,6 @@ _GENERAL = frozenset({
 
 
 def check_interface(words: Mapping[str, Any]) -> None:
-    """ConfigError for an unknown ``interface``."""
     interface = words.get("interface")
     if interface is not None and (not isinstance(interface, str) or interface not in can.VALID_INTERFACES):
         known = sorted(can.VALID_INTERFACES)

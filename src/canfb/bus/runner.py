@@ -306,8 +306,6 @@ def _in_one_line(error: Exception) -> str:
 
 @contextlib.contextmanager
 def on_signals(call: Callable[[], None], numbers: Iterable[int]) -> Iterator[None]:
-    """Call ``call`` on these signals."""
-
     def handle(number: int, frame: FrameType | None) -> None:
         call()
 

@@ -20,7 +20,6 @@ Item = can.Message | Exception
 
 
 def only_reads(message: can.Message) -> bool:
-    """Whether it belongs to an SDO upload."""
     data, node = message.data, message.arbitration_id - cob.SDO_REQUEST
     classic = not (message.is_extended_id or message.is_remote_frame or message.is_fd)
     return classic and 1 <= node <= 127 and len(data) == SDO_BYTES and data[0] >> 5 in READING

@@ -73,7 +73,6 @@ def write(
 
 
 def keep_samples(folder: Path, samples: TrackSamples) -> Path:
-    """The samples alone; their path. CanfbError."""
     with writing(folder):
         write_npz(folder / SAMPLES, samples)
     return folder / SAMPLES

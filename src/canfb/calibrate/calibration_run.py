@@ -110,7 +110,6 @@ class CalibrationRun:
         return self._report(self._measured(samples, before, settings), Installation())
 
     def over_bus(self, master: Master, module: int, interface: int | None, guard: Guard) -> Result:
-        """With the nodes of a bus; ``interface`` None if the module is to say it."""
         choices = self._choices
         session = self._begin(master, module, interface)
         if choices.speeds is not None:
@@ -284,7 +283,6 @@ class CalibrationRun:
         )
 
     def _check_at_speed(self, session: Session) -> Result:
-        """How far the encoder has moved away, at this speed."""
         choices = self._choices
         self._look(session, None)
         self._steps.step(f"collecting {choices.collecting}")

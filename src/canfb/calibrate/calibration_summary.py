@@ -22,7 +22,6 @@ LOST = "position lost"
 
 
 def speed_words(hertz: float, where: Provenance) -> str:
-    """A speed in rpm, or in cycles per second where the encoder is not known."""
     if not where.cycles_per_revolution:
         return f"{hertz:.6g} cycles/s"
     return f"{60.0 * hertz / where.cycles_per_revolution:.4g} rpm"
@@ -86,7 +85,6 @@ def path_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
 
 
 def delay_words(low_pass: LowPass, where: Provenance) -> str:
-    """What the amplitude over the speed says of the delay, and how sure that is."""
     at = speed_words(low_pass.top_hz, where)
     if low_pass.rises:
         return "not known: the amplitude rises with the speed"
@@ -298,7 +296,6 @@ def bound_words(calibration: Calibration) -> str:
 
 
 def outcome(measured: Measurement, done: Installation, where: Provenance) -> str:
-    """One line: what the module computes with now."""
     if where.module is None:
         return "measured from a file: nothing was written to a module"
     if not done.active:
@@ -332,7 +329,6 @@ def verdict(measured: Measurement, where: Provenance) -> str:
 
 
 def findings(measured: Measurement, done: Installation, where: Provenance) -> Findings:
-    """What ``canfb calibrate`` found; figures in cycles, counts, seconds."""
     calibration = measured.calibration
     judged = Row(
         accepted=calibration.accepted,
@@ -350,7 +346,6 @@ def findings(measured: Measurement, done: Installation, where: Provenance) -> Fi
 
 
 def module_drift_result(found: ModuleDrift, active: Correction, where: Provenance) -> Result:
-    """The check by the module itself; cycles."""
     rows = [
         *_error_rows(found.rms, found.peak, active, where),
         Row(
@@ -364,7 +359,6 @@ def module_drift_result(found: ModuleDrift, active: Correction, where: Provenanc
 
 
 def drift_result(found: DriftCheck, where: Provenance) -> Result:
-    """The check from samples; cycles."""
     fresh, change = found.calibration, found.change
     now_rms, new_rms = found.on_samples.before_rms, fresh.residual_rms
     changed = change and (

@@ -90,7 +90,6 @@ class CalibrateOptions:
 
     @property
     def collecting(self) -> str:
-        """What is collected, in words."""
         return f"{self.collect_s:g} s of samples, at least {self.least_samples}"
 
     @property
@@ -138,7 +137,6 @@ class CalibrateOptions:
         return chosen_layout(self.columns, self.mid_scale, self.scale, self.time_column)
 
     def refuse_impossible(self) -> None:
-        """ConfigError for options that cannot be."""
         refuse_beyond(self, RANGES)
         _ = self._layout
         _ = self.speeds_rpm, self.delay_to_set

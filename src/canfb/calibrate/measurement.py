@@ -140,7 +140,6 @@ class OverSpeeds:
         return max(one.deviation.peak for one in self.errors)
 
     def near(self, hertz: float) -> ErrorAtSpeed:
-        """The error at the speed that is nearest to this one."""
         return min(self.errors, key=lambda one: abs(one.hertz - hertz))
 
 
@@ -237,7 +236,6 @@ class DriftCheck:
 
 
 def check(samples: TrackSamples, active: Correction, settings: Settings, progress: Progress) -> DriftCheck:
-    """Measure again, with the active conditioning, and compare. Errors as for a calibration."""
     measured = measure(samples, settings, active, progress, active.conditioning)
     return _compared(measured.calibration, active, measured.on_samples)
 

@@ -131,7 +131,6 @@ def install(
 
 
 def write_corners(module: NodeAccess, corners: Corners) -> None:
-    """Write 2001:05 and 2001:06. CommissioningError if they read otherwise then."""
     if read_corners(module) == corners:
         return
     values = (corners.corner_hz, corners.cosine_corner_hz)

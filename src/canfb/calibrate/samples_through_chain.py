@@ -119,7 +119,6 @@ class SpeedSamples:
 
     @property
     def rate_hz(self) -> float:
-        """Of the samples. CommissioningError where it is not known."""
         if not self.samples.rate_hz:
             raise CommissioningError("the rate of the samples is not known: --rate")
         return self.samples.rate_hz

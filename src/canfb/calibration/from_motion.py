@@ -97,7 +97,6 @@ MIN_BLOCKS_OF_PART = 24
 
 
 def finish(record: Recording, solution: Solution, conditioning: Conditioning, entries: int) -> Calibration:
-    """Table, figures and verdict. CalibrationError if the measurement cannot be used."""
     fit, blocks, whole, loss, undetermined = solution
     use = blocks.used
     position = blocks.evaluate(fit.motion)

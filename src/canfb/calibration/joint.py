@@ -65,19 +65,16 @@ class JointFit:
 
     @property
     def noise_counts(self) -> float:
-        """Rms noise of one track: what is neither motion nor a change of amplitude."""
         return min(self.noise.across, self.noise.along)
 
     @property
     def noise_cycles(self) -> float:
-        """Rms deviation of single samples from the smooth motion, cycles."""
         return self.noise.along / float(np.sqrt(np.mean(self.speed**2)))
 
 
 def initial_waveform(
     blocks: Blocks, sine: FloatArray, cosine: FloatArray, motion: FloatArray, orders: tuple[int, ...]
 ) -> Waveform:
-    """Tracks by least squares over the positions of ``motion``."""
     use = blocks.used
     columns = basis(blocks.evaluate(motion)[use], orders)
     both = np.column_stack([sine[blocks.index][use], cosine[blocks.index][use]])
@@ -292,7 +289,6 @@ class Waveform:
     cosine: FloatArray
 
     def tracks(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Sine and cosine track at these positions (cycles)."""
         columns = basis(position, self.orders)
         return columns @ self.sine, columns @ self.cosine
 
@@ -307,7 +303,6 @@ class Waveform:
         return Waveform(self.orders, parts[0], parts[1])
 
     def with_orders(self, orders: tuple[int, ...]) -> Waveform:
-        """The same tracks with these orders; new ones are zero."""
         parts = []
         for track in (self.sine, self.cosine):
             moved = np.zeros(1 + 2 * len(orders))
@@ -329,7 +324,6 @@ def series_of(spectrum: npt.NDArray[np.complex128], orders: tuple[int, ...]) -> 
 
 
 def grid_phases(points: int = GRID) -> FloatArray:
-    """Phases 0..1, both ends included."""
     return np.arange(points + 1) / points
 
 
@@ -365,7 +359,6 @@ def origin_of(raw_curve: FloatArray) -> float:
 
 
 def table_of(raw_curve: FloatArray, entries: int) -> CorrectionTable:
-    """Correction table of a curve of :func:`raw_phase_curve`: phase 0 at raw phase 0."""
     raw = np.arange(entries) / entries
     return table_from_phases(phase_at_raw(raw_curve, raw) - origin_of(raw_curve))
 

@@ -103,7 +103,6 @@ class LowPass:
 
     @property
     def is_one_pole(self) -> bool:
-        """The amplitudes do not speak against it."""
         return self.misfit <= MOST_MISFIT and not self.rises
 
     @property
@@ -127,7 +126,6 @@ class LowPass:
         return math.atan(hertz * self.per_hz) / (2.0 * math.pi)
 
     def delay_sigma_cycles(self, hertz: float) -> float:
-        """Its uncertainty at a speed."""
         ratio = hertz * self.per_hz
         return abs(hertz) * self.delay_sigma_s / (1.0 + ratio * ratio)
 
@@ -148,7 +146,6 @@ class PathFit:
     off_cycles: tuple[float, ...]
 
     def turned_rad(self, hertz: npt.ArrayLike) -> FloatArray:
-        """From a sine to its cosine at these speeds."""
         f = np.asarray(hertz, np.float64)
         return np.asarray(
             2.0 * math.pi * f * self.cosine_delay_s

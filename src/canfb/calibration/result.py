@@ -175,7 +175,6 @@ CHANGE_SPEED = (
 
 
 def check_distance(coverage: float, cycles: float) -> None:
-    """Refuse a recording that meets too little of the cycle, or too few cycles."""
     if coverage < MIN_COVERAGE:
         locked = cycles >= MIN_CYCLES
         raise CalibrationError(
@@ -206,7 +205,6 @@ def no_fit(what: str, loss: float) -> CalibrationError:
 
 
 def changed(what: str) -> CalibrationError:
-    """The error for tracks that do not stay the same."""
     return CalibrationError(
         f"the tracks change during the measurement, {what}: let the electronics warm up, check plugs and "
         "mounting, and measure again",

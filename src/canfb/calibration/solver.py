@@ -265,7 +265,6 @@ COARSE_CYCLES = 0.05
 
 
 def uncertainty(fit: JointFit, conditioning: Conditioning) -> float:
-    """Expected rms error of the table, cycles."""
     sensitivity = table_sensitivity(fit.waveform, conditioning)
     variance = np.einsum("pi,pi->p", sensitivity @ fit.covariance, sensitivity)
     return float(np.sqrt(max(0.0, float(variance.mean()))))

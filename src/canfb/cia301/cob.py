@@ -41,7 +41,6 @@ def is_valid(value: int) -> bool:
 
 
 def is_restricted(can_id: int) -> bool:
-    """Whether no configurable object may use the CAN-ID (CiA 301, 7.3.5)."""
     return any(first <= can_id <= last for first, last in _RESTRICTED)
 
 

@@ -94,7 +94,6 @@ def bit_length(data_type: int) -> int:
 
 
 def byte_length(data_type: int) -> int:
-    """Length of a value in an SDO, bytes; 0 for a type without a fixed length."""
     return (bit_length(data_type) + 7) // 8
 
 

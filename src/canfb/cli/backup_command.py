@@ -68,7 +68,6 @@ def save(options: argparse.Namespace) -> int:
 
 
 def backup_of(master: Master, node_id: int, date: str) -> Backup:
-    """Parameters and table of a module. CanfbError."""
     module = NodeAccess(master, node_id, "module")
     configuration = read_configuration(module)
     template = ObjectDescriptions(eds_path(EDS), node_id)

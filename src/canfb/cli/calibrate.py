@@ -194,7 +194,6 @@ def _say(result: Result, options: argparse.Namespace, progress: Progress) -> int
 
 
 def choices_of(options: argparse.Namespace) -> CalibrateOptions:
-    """The options, checked. ConfigError."""
     names = [field.name for field in fields(CalibrateOptions) if hasattr(options, field.name)]
     choices = CalibrateOptions(**{name: getattr(options, name) for name in names})
     refuse_combinations(choices, partial(refuse_idle, options), (*BUS_WORDS, "bus_kwargs"))

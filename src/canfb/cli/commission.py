@@ -95,7 +95,6 @@ def over_bus(
 
 
 def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, int | None]:
-    """Node-IDs of module and interface; None: the module says it. ConfigError."""
     choices = CalibrateOptions(
         module=options.module,
         encoder_interface=options.encoder_interface,
@@ -107,7 +106,6 @@ def nodes_of_choices(options: argparse.Namespace, config: Config) -> tuple[int, 
 
 
 def wishes_of(options: argparse.Namespace) -> CommissionOptions:
-    """The options, checked. ConfigError."""
     if options.source == "recording" and options.encoder_interface is not None:
         raise ConfigError("--encoder-interface: not with --source recording, which is that of the module")
     wishes = CommissionOptions(

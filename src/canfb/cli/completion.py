@@ -67,7 +67,6 @@ def nodes(action: argparse.Action, parsed_args: argparse.Namespace, **_: object)
 
 
 def can_interfaces(**_: object) -> list[str]:
-    """The CAN interfaces of this computer."""
     try:
         types = {kind.parent.name: kind.read_text().strip() for kind in NETWORK.glob("*/type")}
     except OSError:

@@ -111,6 +111,5 @@ _EXAMPLES = {
 
 
 def examples_of(command: str) -> str | None:
-    """The examples of a command, ``canfb run``; None where there are none."""
     lines = _EXAMPLES.get(command)
     return None if lines is None else f"examples:{lines}"

@@ -182,7 +182,6 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
 
 
 def settings_of(options: argparse.Namespace) -> ReplayOptions:
-    """What the options say. ConfigError."""
     folder = options.log.is_dir()
     refuse_idle(options, *(OF_A_FILE if folder else OF_A_FOLDER))
     return ReplayOptions(

@@ -78,7 +78,6 @@ def send(options: argparse.Namespace) -> int:
 
 
 def reset(options: argparse.Namespace) -> int:
-    """Reset nodes whose machine stands, and start them."""
     from canfb.diagnosis.nodes_on_bus import scan  # here: an NMT command needs no EDS
 
     chosen = _nodes(options)

@@ -59,7 +59,6 @@ def guarded() -> Iterator[Guard]:
 
 
 def say_result(options: argparse.Namespace, result: Result) -> int:
-    """For programs or for people; 0."""
     print(json.dumps(result.figures, indent=2) if options.json else "\n".join(result.lines))
     return 0
 

@@ -77,8 +77,6 @@ def option(*names: str, **settings: Any) -> Row:
 
 
 def group(title: str, *rows: Row) -> Row:
-    """Options below a title in the help."""
-
     def add(parser: Any) -> None:
         within = parser.add_argument_group(title)
         for row in rows:
@@ -139,14 +137,12 @@ def given(options: argparse.Namespace, names: Iterable[str]) -> list[str]:
 
 
 def refuse_idle(options: argparse.Namespace, names: Iterable[str], why: str) -> None:
-    """ConfigError, with ``why``, if one of these options is given."""
     for name in given(options, names):
         option = ARGUMENTS.get(name) or f"--{name.replace('_', '-')}"
         raise ConfigError(f"{option}: {why}")
 
 
 def refuse_combinations(options: argparse.Namespace) -> None:
-    """ConfigError for options that would do nothing."""
     for names, other, wanted, why in options.idle:
         if bool(given(options, [other])) != wanted:
             refuse_idle(options, names, why)

@@ -15,12 +15,10 @@ from canfb.bus.line_output import LineOutput
 
 
 def report(text: str) -> None:
-    """One line on stderr."""
     print_line(f"canfb: {text}", sys.stderr)
 
 
 def say(text: str) -> None:
-    """One line on stdout, at once."""
     print_line(text, sys.stdout)
 
 

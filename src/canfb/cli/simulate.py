@@ -119,7 +119,6 @@ def simulate(options: argparse.Namespace) -> int:
 
 
 def chosen(options: argparse.Namespace, config: Config) -> tuple[SimulationConfig, FedModule, Play]:
-    """What is simulated. ConfigError for bad options."""
     module = fed_module(chosen_module(options, config))
     if options.rate is not None and not 0.1 <= options.rate <= 100_000:
         raise ConfigError(f"--rate {options.rate:g}: must be 0.1 to 100000 Hz")

@@ -97,7 +97,6 @@ def node_or_file(text: str) -> int | str:
 
 
 def required_file(name: str | None) -> Path:
-    """The file of a command. ConfigError without one."""
     if name is None:
         raise ConfigError("a file is required beside NODE")
     return Path(name)
@@ -159,7 +158,6 @@ def jitter_s(options: argparse.Namespace, rate_hz: float | None) -> float:
 
 
 def jitter_of(text: str) -> Row:
-    """``--jitter`` of the SYNC (docs/time.md)."""
     help_text = f"{text}, ±: 20us, 2e-5 (seconds), 30%% of the period"
     return option("--jitter", type=jitter, metavar="TIME", help=help_text)
 
@@ -168,7 +166,6 @@ JITTER = jitter_of("have the SYNC jitter on purpose, uniformly")
 
 
 def jittered(config: Config, options: argparse.Namespace) -> Config:
-    """With ``--jitter`` at ``--rate``. ConfigError."""
     from canfb.simulation.sync_producer import LARGEST_PART  # here: most commands simulate nothing
 
     if options.jitter is None:

@@ -104,7 +104,6 @@ class CommissionOptions:
     line: str = ""
 
     def refuse_impossible(self) -> None:
-        """ConfigError for a number that cannot be."""
         refuse_beyond(self, RANGES)
 
 

@@ -294,7 +294,6 @@ FOOTER = (
 
 
 def write_page(folder: Path, done: Commissioned) -> Path:
-    """Write the page into a folder; its path. CommissioningError if that does not work."""
     path = folder / REPORT
     found = findings(done)
     body = (

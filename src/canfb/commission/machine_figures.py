@@ -73,7 +73,6 @@ class MotionFigures:
 
     @property
     def residual_noise(self) -> float:
-        """Rms of the residual that the noise of three samples makes."""
         return math.sqrt(RESIDUAL_WEIGHTS) * self.noise
 
 

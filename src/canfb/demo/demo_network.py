@@ -32,7 +32,6 @@ class EmbeddedNetwork(canopen.Network):
         bus.observers.append(self._take)
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Put a frame on the embedded bus."""
         frame = Frame(can_id, bytes(data), remote)
         self._own.append(frame[:3])
         self._embedded.send(frame)

@@ -173,12 +173,10 @@ def tracks(network: DemoNetwork, story: Story) -> Plot:
 
 
 def error_before(story: Story) -> Plot:
-    """Position error over the phase, without a table."""
     return _error(story.phase_before, story.error_before, "before", "without a table")
 
 
 def error_after(story: Story) -> Plot:
-    """Position error over the phase, with the table."""
     return _error(story.phase_after, story.error_after, "after", "with the table")
 
 
@@ -195,7 +193,6 @@ def _error(phase: FloatArray, error: FloatArray, style: str, which: str) -> Plot
 
 
 def residual(story: Story) -> Plot:
-    """While faults are provoked, with the limit."""
     plot = Plot(
         "Residual while faults are provoked at 2000 rpm",
         (0.0, float(FAULT_SAMPLES)),

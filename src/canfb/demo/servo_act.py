@@ -75,7 +75,6 @@ class ServoRun:
 
 
 def servo_move(encoder: Encoder, correction: Correction, seed: int) -> list[ServoRun]:
-    """The move with each of :data:`WAYS`, with the table of ``correction``."""
     return [_run(encoder, correction, seed, ServoRun(way)) for way in WAYS]
 
 

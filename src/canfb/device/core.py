@@ -71,7 +71,6 @@ class Agenda:
         return self.earliest
 
     def tick(self, now: float) -> None:
-        """Call the services that are due."""
         if self.due() <= now:
             for service in self._services:
                 if service.deadline <= now:
@@ -134,7 +133,6 @@ class Pending:
         self.on_end: Ended | None = None
 
     def end(self, code: AbortCode | None) -> None:
-        """The effect has come, or failed with `code`."""
         self.ended, self.code = True, code
         if self.on_end is not None:
             self.on_end(code)
@@ -186,12 +184,10 @@ class Routes:
             self.data[can_id] = handler if other is None else _both(other, handler)
 
     def add_remote(self, can_id: int | None, handler: RemoteHandler) -> None:
-        """Who answers remote frames."""
         if can_id is not None:
             self.remote[can_id] = handler
 
     def add_sent(self, can_id: int | None, follow: Callable[[float], None]) -> None:
-        """Observer of the frames that leave."""
         if can_id is not None:
             self.sent[can_id] = follow
 

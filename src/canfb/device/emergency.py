@@ -44,7 +44,6 @@ class Emergency(Timed):
 
     @property
     def can_id(self) -> int | None:
-        """The CAN-ID of EMCY, or None (1014h)."""
         return self._can_id() if self._is_valid() else None
 
     def reset(self) -> None:
@@ -82,7 +81,6 @@ class Emergency(Timed):
         self._send(int(code), manufacturer, now)
 
     def clear(self, code: int, now: float, source: Hashable = APPLICATION) -> None:
-        """An error is gone: EMCY 0000h."""
         if self._active.pop((int(code), source), None) is None:
             return
         self._set_register()
@@ -163,7 +161,6 @@ class Emergency(Timed):
 
 
 def check_error(code: int, register_bits: int, manufacturer: bytes) -> None:
-    """ValueError for what is no error."""
     if not 0 <= register_bits <= 0xFF:
         raise ValueError(f"register_bits {register_bits:#x} do not fit the 8 bits of 1001h")
     if len(manufacturer) > 5:

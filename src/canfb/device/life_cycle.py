@@ -35,7 +35,6 @@ class Silence(Timed):
         self._reactions = core.reactions
 
     def begin(self, until: float) -> None:
-        """Silent until this time (seconds), or later if it is already."""
         self.deadline = max(until, self.deadline) if self.active else until
         self.active = True
 
@@ -198,11 +197,9 @@ class Services:
         return _without_none(sent - self._received_in_any_state() | {self._error_control_id})
 
     def can_ids_in_any_state(self) -> frozenset[int]:
-        """CAN-IDs of data frames that do anything in some NMT state."""
         return _without_none(self._received_in_any_state()) | self.own_can_ids()
 
     def remote_can_ids_in_any_state(self) -> frozenset[int]:
-        """Those of remote frames."""
         asked = {tpdo.configured_can_id for tpdo in self.pdos.tpdos.values()}
         return _without_none(asked | {self.guarding.can_id})
 
@@ -343,7 +340,6 @@ class LifeCycle(Reactions):
         self.routes_changed()
 
     def pdo_changed(self) -> None:
-        """Other CAN-IDs, and perhaps other mappings."""
         self.routes_changed()
         self._application.configuration_changed()
 

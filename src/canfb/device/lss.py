@@ -62,7 +62,6 @@ class Error(IntEnum):
 
 
 def is_node_id(value: int) -> bool:
-    """Whether this is 1 to 127, or 255 for none."""
     return 1 <= value <= 127 or value == UNCONFIGURED
 
 

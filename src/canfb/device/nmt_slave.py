@@ -71,7 +71,6 @@ class Startup:
 
     @property
     def autostart(self) -> bool:
-        """Whether the next boot-up leads to OPERATIONAL."""
         return not self._entry.value & WAIT_FOR_MASTER
 
 
@@ -85,5 +84,4 @@ class ErrorBehaviour:
                 entry.on_check = refuse_if(lambda value: value not in REACTION)
 
     def reaction(self, state: NmtState) -> NmtState:
-        """The state to enter from `state`."""
         return REACTION.get(self._entry.value, REACTION[0]).get(state, state)

@@ -116,12 +116,10 @@ class Node:
 
     @property
     def own_can_ids(self) -> frozenset[int]:
-        """The CAN-IDs that only this node may send now."""
         return frozenset() if self.node_id == UNCONFIGURED else self._life.services.own_can_ids()
 
     @property
     def route_changes(self) -> int:
-        """How often CAN-IDs may have changed."""
         return self._core.routes.changes
 
     @property
@@ -203,11 +201,9 @@ class Node:
             follow(now)
 
     def rpdo_with(self, *objects: tuple[int, int]) -> int | None:
-        """Number of the first valid RPDO with all these objects, or None."""
         return rpdo_with(self.dictionary, objects)
 
     def synchronous_rpdo(self, number: int) -> Rpdo | None:
-        """RPDO `number` if its type is 0 to F0h, else None."""
         return self._life.services.pdos.synchronous_rpdo(number)
 
     def trigger_tpdo(self, number: int, now: float) -> None:
@@ -245,11 +241,9 @@ class Node:
         self._core.emergency.report(code, register_bits, manufacturer, self._at(now), again=again)
 
     def clear_emergency(self, code: int, now: float | None = None) -> None:
-        """End an error: EMCY 0000h."""
         self._core.emergency.clear(code, self._at(now))
 
     def bus_off(self, now: float) -> list[Frame]:
-        """Bus-off, or interface down: see 1029h:01."""
         self.call.now = now
         self._life.communication_error("the bus is gone", now)
         return self._sent()

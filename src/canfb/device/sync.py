@@ -45,7 +45,6 @@ class Pdos:
             tpdo.enable(operational, now)
 
     def synchronous_rpdo(self, number: int) -> Rpdo | None:
-        """RPDO `number` if it waits for SYNC now, else None."""
         return next((rpdo for rpdo in self.sync_rpdos if rpdo.number == number), None)
 
     def add_routes(self, routes: Routes) -> None:

@@ -72,7 +72,6 @@ class FrameWords:
         self._pdos: dict[int, tuple[str, int, Pdo]] = {}
 
     def learn(self, node: int, read: Read) -> None:
-        """Take the mapping of a module."""
         for name, parameters, mapping in PARAMETERS:
             for pdo in valid_pdos(read, parameters, mapping):
                 if pdo.entries:

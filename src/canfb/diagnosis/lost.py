@@ -191,7 +191,6 @@ class LostPosition:
         return f"{cycles:.3g} cycles per interval, {rpm:.3g} rpm"
 
     def brings_back(self) -> list[str]:
-        """With what this module has."""
         node = f"{self.node_id:#04x}"
         return [
             f"stand still, then canfb node reset {node}: the count begins at 0; reference the machine again",
@@ -207,7 +206,6 @@ class LostPosition:
         ]
 
     def would_have_kept(self) -> list[str]:
-        """Against this cause; empty without a loss."""
         loss = self.loss
         if loss is None:
             return []

@@ -155,7 +155,6 @@ def _read_all(node: NodeAccess, described: ObjectDescriptions, objects: Figures)
 
 
 def frame_counts(master: Master, seconds: float) -> dict[str, int]:
-    """Within ``seconds``, by CAN-ID (11 bits)."""
     counts: Counter[int] = Counter()
 
     def count(can_id: int, data: bytes, at: float) -> None:

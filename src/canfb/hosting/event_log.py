@@ -53,7 +53,6 @@ class Throttle:
         self._due_s = NEVER
 
     def admits(self, key: Hashable, item: Any, now: float) -> bool:
-        """Whether this one passes; else it is counted."""
         window = self._windows.setdefault(key, _Window(now))
         self._due_s = min(self._due_s, window.ends_s)
         if window.passed < BURST:
@@ -101,7 +100,6 @@ def name_of(device: NodeDevice) -> str:
 
 
 def title_of(device: NodeDevice) -> str:
-    """The node, by its node-ID of now."""
     node_id = device.node_id
     if node_id == UNCONFIGURED:
         return f"node without a node-ID (serial number {_serial_number(device)})"
@@ -138,7 +136,6 @@ def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
 
 
 def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:
-    """How fast encoders may turn, by the SYNC jitter."""
     names: dict[str, list[str]] = {}
     for module, name in modules:
         if text := module.speed_limit():
@@ -147,7 +144,6 @@ def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:
 
 
 def summary_of(module: FeedbackModule) -> str:
-    """Samples and counters, at the end."""
     counts = ", ".join(f"{name} {module.dictionary.entry(*place).value}" for name, place in COUNTERS.items())
     samples = module.dictionary.entry(*od.FEEDBACK_SAMPLES).current()
     return f"{short_title_of(module)}: {samples} samples; {counts}{duplicates_of(module)}"
@@ -170,7 +166,6 @@ class EventLog:
         self._begun = False
 
     def watch(self, device: NodeDevice, events: NodeEvents) -> None:
-        """Write its events from now on."""
         events.detailed = self._verbose
         events.on_event = lambda event: self._take(device, event)
 

@@ -155,7 +155,6 @@ class Hosting(OnBus):
         return BusCounters() if self._runner is None else self._runner.counters
 
     def diagnose(self) -> None:
-        """Write a diagnosis soon; for a signal handler."""
         self._diagnosis.request()
 
     def run(
@@ -219,8 +218,6 @@ def bit_rates_of(bus_words: Mapping[str, Any]) -> list[int]:
 
 
 def warn_about(device: FeedbackModule | EncoderInterface, state_dir: str | None) -> None:
-    """Log refused parameters, a doubled node-ID, a failing source."""
-
     def report_faults(faults: Mapping[ParameterGroup, str]) -> None:
         for group, why in faults.items():
             name = group.name.lower()

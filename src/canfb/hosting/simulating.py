@@ -21,7 +21,6 @@ log = logging.getLogger(__name__)
 
 
 def fed_module(config: ModuleConfig) -> FedModule:
-    """The module, as the simulation knows it."""
     scale = configured_defaults(config)
     return FedModule(
         chain=config,

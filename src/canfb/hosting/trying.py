@@ -120,7 +120,6 @@ class NetworkOnBus:
         self._stopped.set()
 
     def wait(self) -> None:
-        """Until :meth:`stop`, or until the bus fails."""
         self._stopped.wait()
 
     def _failed(self) -> None:

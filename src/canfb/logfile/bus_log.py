@@ -89,7 +89,6 @@ class BusLog:
                 raise CanfbError(f"{self.path}: cannot be written: {reason(error)}") from error
 
     def stop(self) -> None:
-        """End :meth:`record`; may be called from a signal handler or another thread."""
         self._stopped = True
 
     def record(self, bus: can.BusABC, seconds: float | None = None) -> None:

@@ -102,7 +102,6 @@ class LogCounters:
     left_out: defaultdict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
 
     def left_out_of(self, can_ids: Collection[int]) -> int:
-        """Frames with one of these CAN-IDs on channels that were not taken."""
         return sum(one[can_id] for one in self.left_out.values() for can_id in can_ids)
 
     def damaged(self, line: int) -> None:

@@ -22,7 +22,6 @@ from canfb.logs.published_files import read_rows, write_rows
 
 
 def check_table(out: Path) -> Path:
-    """Where the table goes. ConfigError if that cannot be."""
     if out.suffix.lower() != ".parquet":
         raise ConfigError("--out: a folder of logs needs a table, such as --out month.parquet")
     check_writable(out, "--out")

@@ -202,7 +202,6 @@ def rows_of(job: LogJob, settings: ReplayOptions) -> list[Row]:
 
 
 def failed_rows(job: LogJob, settings: ReplayOptions, why: str) -> list[Row]:
-    """Rows of a log that could not be done."""
     empty: Row = dict.fromkeys(COLUMNS)
     return [
         empty | {"log": job.name, "module": module.node_id, "error": why, "fingerprint": job.fingerprint}

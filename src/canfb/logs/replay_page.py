@@ -19,7 +19,6 @@ MOST_FAULTS = 40
 
 
 def write_page(path: Path, log: BusLogFile, result: ReplayResult, overview: Overview) -> None:
-    """The page of the one module that was replayed. CanfbError if the file fails."""
     replay = result.replay
     whole = not (result.left_out or log.counters.damaged_lines or log.trouble)
     tables = table("Margins", [*result.facts(), *log.counters.facts(log.trouble)])

@@ -167,8 +167,6 @@ class NodeAccess:
     def write_bytes(
         self, index: int, subindex: int, data: bytes, answer_within_s: float | None = None
     ) -> None:
-        """Write by expedited or segmented transfer."""
-
         def send(client: Client) -> bytes:
             usual = client.RESPONSE_TIMEOUT
             client.RESPONSE_TIMEOUT = max(usual, answer_within_s or 0.0)
@@ -189,7 +187,6 @@ class NodeAccess:
         )
 
     def download_domain(self, index: int, subindex: int, data: bytes) -> None:
-        """By block transfer or segmented."""
         self._by_blocks(
             "writing", index, subindex, lambda client, block: _store(client, index, subindex, data, block)
         )

@@ -79,7 +79,6 @@ def put_in_force(module: NodeAccess, correction: Correction) -> None:
 
 
 def stage(module: NodeAccess, table: CorrectionTable) -> None:
-    """Write 2020:01, check its CRC."""
     module.download_domain(*od.TABLE_STAGED, table.to_bytes())
     _check_crc(module, od.TABLE_STAGED_CRC, "staged", table.crc32)
 
@@ -131,13 +130,11 @@ def check_can_save(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES
 
 
 def saving_object(module: NodeAccess, stores: Sequence[od.Multiplexer] = STORES) -> od.Multiplexer | None:
-    """The first that saves on command, or None."""
     can_save = (store for store in stores if int(module.read_known(store) or 0) & SAVES_ON_COMMAND)
     return next(can_save, None)
 
 
 def write_conditioning(module: NodeAccess, conditioning: Conditioning) -> None:
-    """Write 2002h, and read it back."""
     values = zip(od.CONDITIONING, conditioning.values, read_conditioning(module).values, strict=True)
     changed = [(place, value) for place, value, before in values if value != before]
     for place, value in changed:

@@ -71,7 +71,6 @@ class PdoRecorder:
         self.on_part(can_id, data, time_s)
 
     def on_part(self, can_id: int, data: bytes, time_s: float) -> None:
-        """A PDO with earlier pairs, or the time."""
         if not self._intervals:
             return
         layout, now = self._layout, self._intervals[-1]
@@ -162,7 +161,6 @@ class Listener:
             raise self._no_samples()
 
     def result(self) -> TrackSamples:
-        """What came, or CommissioningError."""
         can_id = self._layout.can_id
         if not self._recorder.samples:
             raise self._no_samples()

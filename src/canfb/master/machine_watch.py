@@ -37,7 +37,6 @@ class LockWatch:
         self._next_s = FIRST_S
 
     def __call__(self, listening: Listener) -> bool:
-        """True if the collection may end."""
         if listening.elapsed_s < self._next_s or listening.intervals < WINDOW:
             return False
         samples = listening.result()
@@ -134,7 +133,6 @@ class Meanwhile:
 
     @property
     def counted(self) -> dict[str, int]:
-        """What it counted in between."""
         return counted(self.before.counters, self.after.counters)
 
     @property
@@ -151,7 +149,6 @@ class Meanwhile:
 
 
 def look_at(module: NodeAccess) -> Look | None:
-    """The module now, or None."""
     try:
         return Look(
             module.integer(*od.FEEDBACK_STATUS, "H"),
@@ -163,7 +160,6 @@ def look_at(module: NodeAccess) -> Look | None:
 
 
 def lost_words(module: NodeAccess, status: int) -> str:
-    """That its position is lost, and why."""
     causes = fault_words(status)
     why = f" ({', '.join(causes)})" if causes else ""
     return (
@@ -188,7 +184,6 @@ class SpeedReadings:
         self.found: list[SpeedReading] = []
 
     def __call__(self, listening: Listener) -> bool:
-        """Read, if it is time; False."""
         if listening.elapsed_s < self._next_s or not listening.intervals:
             return False
         self._next_s = listening.elapsed_s + READINGS_EVERY_S
@@ -221,7 +216,6 @@ def check_valid(module: NodeAccess) -> None:
 
 
 def read_counters(module: NodeAccess) -> dict[str, int]:
-    """The counters that it has."""
     values = {name: module.read_known(place) for name, place in COUNTERS.items()}
     return {name: int(value) for name, value in values.items() if value is not None}
 
@@ -327,7 +321,6 @@ def _node(node_id: int, identity: tuple[int, ...] | None) -> str:
 
 
 def where_words(where: Provenance) -> dict[str, Any]:
-    """Provenance as keys and values."""
     return {
         "date": where.date,
         "time": where.time or None,

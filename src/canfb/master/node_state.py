@@ -114,7 +114,6 @@ class MachineLook:
 
 
 def watch_standstill(module: NodeAccess) -> MachineLook:
-    """CommissioningError for too few samples."""
     master = module.master
     began = master.now()
     first: float | None = None

@@ -71,7 +71,6 @@ class TrackSamples:
         return replace(self, time_s=np.interp(np.arange(len(stamps)), ends, times) * TICK_S)
 
     def recording(self, adc_bits: int | None) -> Recording:
-        """For :mod:`canfb.calibration`."""
         return recording(self.sine, self.cosine, self.time_s, None, adc_bits)
 
     def together(self, cosine_delay_s: float, cycles_per_s: float) -> TrackSamples:
@@ -90,7 +89,6 @@ class TrackSamples:
         return replace(self, cosine=cosine, origin=f"{self.origin}, cosine at the instant of the sine")
 
     def between(self, first: int, stop: int) -> TrackSamples:
-        """These samples alone."""
         at = slice(first, stop)
         return replace(
             self,
@@ -122,7 +120,6 @@ class TrackSamples:
 
     @property
     def skipped(self) -> int:
-        """Intervals without a SYNC, by the times."""
         if not self.rate_hz or not self.duration_s:
             return 0
         more = round(self.duration_s * self.rate_hz) - len(self)
@@ -167,6 +164,5 @@ def read_speed(path: Path) -> float | None:
 
 
 def read_npz(path: Path) -> TrackSamples:
-    """CanfbError for anything else."""
     tracks = read_tracks(path)
     return TrackSamples(tracks.sine, tracks.cosine, tracks.rate_hz, f"file {path.name}", tracks.time_s)

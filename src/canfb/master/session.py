@@ -87,7 +87,6 @@ class Session:
         return lambda seconds, least, progress: listen(self.master, layout, seconds, least, progress, enough)
 
     def speed_rad_s(self) -> float:
-        """2011:07, 0.0 for none."""
         try:
             speed = float(self.module.read(*od.FEEDBACK_VELOCITY, "f"))
         except CommissioningError:
@@ -127,12 +126,10 @@ class Session:
         )
 
     def check_interface(self) -> None:
-        """CommissioningError if the module takes another one's samples."""
         if self.named and module_layout(self.module.read_known) is not None:
             self.layout()
 
     def layout(self) -> PdoLayout:
-        """The PDO with the samples; see :func:`agreed_layout`."""
         return agreed_layout(self.module, self.interface)
 
 

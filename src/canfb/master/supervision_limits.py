@@ -68,7 +68,6 @@ class SupervisionLimits:
 
     @classmethod
     def read(cls, module: NodeAccess) -> SupervisionLimits:
-        """From the module, or CommissioningError."""
         values = {}
         for place, layout, name, _ in LIMITS:
             values[place] = module.read(*place, layout)
@@ -114,7 +113,6 @@ class SupervisionLimits:
         return self.bounds(interval_s).acceleration or 0.0
 
     def residual_limit(self, interval_s: float) -> float:
-        """In force, cycles."""
         return self.bounds(interval_s).residual_limit
 
     def chain_limits(self, interval_s: float) -> ChainLimits:

@@ -73,7 +73,6 @@ class DeviceConfiguration:
 
     @property
     def table_crc32(self) -> int:
-        """For 2020:03; 0: the identity."""
         return zlib.crc32(self.table) if self.table else 0
 
     def values(self, *, with_table: bool = True) -> dict[Place, Any]:
@@ -98,7 +97,6 @@ class DeviceConfiguration:
         return [*first, *parameters, *self._table_writes(), *later]
 
     def changed(self) -> dict[Place, Any]:
-        """Those that are not at the factory default."""
         dictionary = FeedbackModule(ModuleConfig(node_id=self.node_id)).dictionary
         return {
             setting.place: setting.value
@@ -128,7 +126,6 @@ class DeviceConfiguration:
 
 
 def configuration_of(module: FeedbackModule) -> DeviceConfiguration:
-    """Of a module that was started."""
     table = module.chain.correction.table
     return _collect(module, Entry.current, b"" if table is None else table.to_bytes())
 
@@ -249,7 +246,6 @@ _CAN_ID = 0x1FFFFFFF
 
 
 def backup_values(configuration: DeviceConfiguration) -> dict[Place, Any]:
-    """The parameters, without the table."""
     return {setting.place: setting.value for setting in configuration.settings}
 
 
@@ -304,7 +300,6 @@ class ConfigurationFiles:
 
     @property
     def table_path(self) -> Path | None:
-        """Beside the DCF; None: there is no table."""
         return self.path.with_suffix(".table.bin") if self.configuration.table else None
 
     def write(self, date: str, time: str) -> None:

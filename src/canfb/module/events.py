@@ -78,7 +78,6 @@ class NodeEvents(Application):
         self._parameters(EventKind.SAVED, forgotten, what, now, dropped=True)
 
     def saving_failed(self, groups: Groups, reason: str, now: float) -> None:
-        """The store has what it had."""
         self._parameters(EventKind.SAVE_FAILED, groups, f"not saved ({reason})", now, reason=reason)
 
     def _parameters(self, kind: EventKind, groups: Groups, what: str, now: float, **values: Value) -> None:
@@ -176,7 +175,6 @@ class EventWatch(NodeEvents):
             self._report(EventKind.POSITION, now, text, state=self._state)
 
     def fault(self, feedback: Feedback, now: float) -> None:
-        """A sample without a valid position, if `detailed`."""
         if (faults := od.fault_words(feedback.status)) and self.on_event is not None:
             text = f"sample {feedback.samples}: {', '.join(self._reasons(feedback, feedback.status))}"
             self._report(EventKind.FAULT, now, text, sample=feedback.samples, faults=faults)

@@ -77,7 +77,6 @@ def factory_dictionary(config: ModuleConfig, *, samples_itself: bool = False) ->
 
 
 def configured_defaults(config: ModuleConfig) -> Values:
-    """The defaults of the EDS that a configuration replaces."""
     limits = config.limits
     resolution = single_turn_resolution(config.cycles_per_revolution)
     revolutions = distinguishable_revolutions(resolution)
@@ -117,7 +116,6 @@ def _adaptation(config: ModuleConfig) -> Values:
 
 
 def adc_pdos(config: ModuleConfig) -> Values:
-    """The RPDOs of what the encoder interface sends."""
     pairs = [(od.SAMPLE_SINE, od.SAMPLE_COSINE), *od.SAMPLE_EARLIER][: config.samples_per_sync]
     objects = [one.mapped(16) for pair in pairs for one in pair]
     if config.times:
@@ -267,7 +265,6 @@ class Limits:
         return None if entry is None else entry.value
 
     def apply(self) -> None:
-        """Put the dictionary in force."""
         read, per_sync = self._read, self.interval.samples_per_sync
         self._applied_s = known_s = self.interval.known_s
         self._applied_noise = usable = self.noise.usable_cycles

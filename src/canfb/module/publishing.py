@@ -134,11 +134,9 @@ class Publishing:
                 self.events.fault(feedback, now)
 
     def withhold(self) -> None:
-        """Not valid any more, until the next sample."""
         self.objects.withhold()
 
     def outdated(self, now: float) -> None:
-        """Not the position any more: not valid, with its alarm."""
         self.objects.withhold()
         self.events.outdated(now)
         if self.last is not None and not self.alarm.active:

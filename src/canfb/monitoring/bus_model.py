@@ -61,7 +61,6 @@ class NodeModel:
             self._state, self._source = COMMANDED[NmtCommand(command)], "command"
 
     def sends_pdos(self) -> None:
-        """OPERATIONAL, unless a heartbeat says otherwise."""
         if self._source != "heartbeat":
             self._state, self._source = NmtState.OPERATIONAL, "PDO"
 
@@ -140,7 +139,6 @@ class BusModel:
             module.put(place, value, now)
 
     def error_frame(self) -> None:
-        """The bus driver reports an error."""
         self._error_frames += 1
 
     def other_frame(self, data_bytes: int, now: float) -> None:
@@ -148,7 +146,6 @@ class BusModel:
         self._load.frame(frame_bits(min(data_bytes, LONGEST_DATA), extended=True), self._at(now))
 
     def receive(self, frame: Frame, now: float) -> None:
-        """``now``: when it was received, seconds."""
         now = self._at(now)
         can_id, data = frame.can_id, frame.data
         self._load.frame(frame_bits(0 if frame.rtr else min(len(data), LONGEST_DATA)), now)

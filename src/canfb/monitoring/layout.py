@@ -83,7 +83,6 @@ class Origin(StrEnum):
 
 
 def known_values(pdo: Pdo, data: bytes, kinds: Mapping[Multiplexer, str]) -> dict[Multiplexer, Number]:
-    """Objects of ``kinds`` (types as in struct) in a PDO."""
     return {
         place: struct.unpack(f"<{kinds[place]}", part)[0]
         for place, part in pdo.values(data).items()
@@ -170,12 +169,10 @@ def known_objects(config: Config, nodes: Sequence[int] = ()) -> dict[int, Read]:
 
 
 def assumed_layout(node_id: int) -> NodeLayout:
-    """As the EDS has it."""
     return layout_of(node_id, assumed_objects(node_id), Origin.ASSUMED)
 
 
 def assumed_objects(node_id: int) -> Read:
-    """With the usual encoder interface."""
     usual = ModuleConfig(node_id=UNCONFIGURED).encoder_interface
     interface = usual if node_id != usual else node_id % 127 + 1
     return _reader(ModuleConfig(node_id=node_id, encoder_interface=interface))
@@ -204,7 +201,6 @@ class Recognition:
         self._alike: dict[int, int] = {}
 
     def found(self, can_id: int, data: bytes) -> int | None:
-        """The node-ID, once its frames show a module, or None."""
         node_id = can_id - cob.TPDO1
         if not 1 <= node_id <= 127:
             return None

@@ -41,7 +41,6 @@ class MachineUnits:
 
     @property
     def speed_name(self) -> str:
-        """The unit of :meth:`speed`."""
         return "rpm" if self.name == "rev" else f"{self.name}/s"
 
     def speed(self, rad_s: float) -> float:
@@ -115,7 +114,6 @@ def _emergency(node: NodeSnapshot) -> Parts:
 
 
 def emergency_part(one: EmergencySnapshot) -> tuple[str, Tone]:
-    """Code, meaning and age."""
     return f"{one.code:04X}h {one.text}, {age(one.age_s)} ago", "bad" if one.code else ""
 
 
@@ -126,7 +124,6 @@ def tone_of(module: ModuleSnapshot) -> Tone:
 
 
 def residual_tone(module: ModuleSnapshot, residual: float | None) -> Tone:
-    """Near its limit, or over it."""
     limit = module.residual_limit_cycles
     if is_stale(module) or not limit or residual is None or residual <= NEAR * limit:
         return ""
@@ -176,7 +173,6 @@ def position_words(module: ModuleSnapshot) -> str:
 
 
 def lost_words(node: NodeSnapshot, module: ModuleSnapshot) -> str:
-    """And the command that says more."""
     if is_stale(module) or module.position_state != PositionState.LOST:
         return ""
     return f"canfb why {node.node_id:#04x}: {module.lost_by or 'its cause was not heard'}"
@@ -209,7 +205,6 @@ def _mark(module: ModuleSnapshot, name: str) -> str:
 
 
 def mapping_words(module: ModuleSnapshot) -> str:
-    """How the PDO mapping is known."""
     known = module.layout in ("module", ASSUMED)
     return module.layout if known else f"{module.layout}, {ASSUMED}"
 
@@ -225,7 +220,6 @@ def age(seconds: float) -> str:
 
 
 def plain_lines(snapshot: BusSnapshot, units: MachineUnits) -> list[str]:
-    """One for each module, or one for the bus."""
     bus = ", ".join(f"{line.label} {line.text}" for line in bus_lines(snapshot))
     head = f"{snapshot.time_s:.3f}"
     modules = []

@@ -76,7 +76,6 @@ class Bins:
         self._bins: deque[tuple[int, float]] = deque(maxlen=count)
 
     def number(self, now: float) -> int:
-        """Of the interval of ``now``."""
         return math.floor(now / self.width_s)
 
     def add(self, value: float, now: float) -> None:
@@ -88,7 +87,6 @@ class Bins:
             self._bins.append((number, value))
 
     def values(self, now: float) -> list[float | None]:
-        """Until ``now``; None without a value."""
         if not self._bins:
             return []
         last, known = self.number(now), dict(self._bins)
@@ -96,7 +94,6 @@ class Bins:
         return [known.get(number) for number in range(first, last + 1)]
 
     def since(self, now: float, seconds: float) -> list[float]:
-        """Of the last ``seconds``."""
         oldest = self.number(now - seconds)
         return [value for number, value in self._bins if number >= oldest]
 
@@ -113,7 +110,6 @@ class LoadMeter:
         self._frames.add(1, now)
 
     def snapshot(self, now: float) -> LoadSnapshot:
-        """Of the slots that are over by ``now``."""
         slots = [bins.values(now)[:-1] for bins in (self._bits, self._frames)]
         bits, frames = (sum(value or 0 for value in one) / (max(1, len(one)) * SLOT_S) for one in slots)
         return LoadSnapshot(frames, bits, self.bit_rate, bits / self.bit_rate if self.bit_rate else None)
@@ -171,7 +167,6 @@ class ModuleModel:
         return bool(values)
 
     def sampled(self, pdo: Pdo, data: bytes, now: float) -> None:
-        """A PDO that brings it samples."""
         values = known_values(pdo, data, INPUTS)
         if od.SAMPLE_SINE in values and od.SAMPLE_COSINE in values:
             self._tracks.append((int(values[od.SAMPLE_SINE]), int(values[od.SAMPLE_COSINE])))
@@ -198,7 +193,6 @@ class ModuleModel:
             self._positions.append((now, position))
 
     def snapshot(self, now: float, sync_hz: float | None = None) -> ModuleSnapshot:
-        """``sync_hz``: on the bus."""
         layout, values = self.layout, self._values
         status = values.get(od.FEEDBACK_STATUS)
         units, residual = values.get(od.POSITION_VALUE), values.get(od.FEEDBACK_RESIDUAL)

@@ -22,7 +22,6 @@ DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # of a characte
 
 
 def bar(part: float, width: int, *, plain: bool = False) -> str:
-    """The part 0..1 of ``width`` characters."""
     part = min(max(part, 0.0), 1.0) if math.isfinite(part) else 1.0
     full = min(width, math.ceil(part * width - 1e-9))
     return ("#" if plain else "█") * full + ("." if plain else "░") * (width - full)
@@ -77,7 +76,6 @@ class Page:
         yield self.layout(options.max_width, options.height or console.height)
 
     def layout(self, width: int, height: int) -> RenderableType:
-        """Pictures where they fit, else lines."""
         snapshot, modules, others = self._snapshot, self._snapshot.modules, lines.other_nodes(self._snapshot)
         room = height - HEAD_LINES - bool(others)
         body: list[RenderableType]

@@ -121,7 +121,6 @@ class SdoThread:
                 self.look(time.monotonic())
 
     def look(self, now: float) -> None:
-        """Read what is due ``now``, seconds."""
         snapshot = self._latest()
         nodes = {} if snapshot is None else {node.node_id: node for node in snapshot.nodes}
         due = [reader for reader in self._readers if reader.due(now, nodes.get(reader.node_id))]

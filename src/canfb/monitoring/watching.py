@@ -87,7 +87,6 @@ class MessageReader:
 
 
 def classic(frames: Iterable[tuple[float, Frame | None]]) -> Iterator[tuple[float, Frame]]:
-    """Those with 11-bit identifiers, and seconds since the first."""
     first_s: float | None = None
     for time_s, frame in frames:
         if frame is not None and frame.can_id <= HIGHEST_ID:
@@ -96,7 +95,6 @@ def classic(frames: Iterable[tuple[float, Frame | None]]) -> Iterator[tuple[floa
 
 
 def recognised(log: Path) -> dict[int, Read]:
-    """Objects, by node-ID, of modules in a log."""
     recognition, found = Recognition(), set()
     for _, frame in classic(itertools.islice(MessageReader().log(log), RECOGNISED_IN)):
         found.add(recognition.found(frame.can_id, frame.data))
@@ -123,7 +121,6 @@ class Watching:
         self._readings.append(reading)
 
     def opened(self, bus: can.BusABC) -> None:
-        """BusError, in one line, when it fails."""
         self._due_s = self._interval_s
         for at, frame in self._reader.bus(bus, lambda: self._due_s):
             if frame is not None:

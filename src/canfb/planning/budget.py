@@ -63,7 +63,6 @@ class ResidualBudget:
 
     @cached_property
     def slow_limit_cycles(self) -> float:
-        """Of a machine that turns slowly."""
         return self.bounds.residual_limit
 
     @cached_property
@@ -250,7 +249,6 @@ class ResidualBudget:
 
     @property
     def left_in_force_cycles(self) -> float:
-        """:meth:`left_cycles` of the limit in force."""
         return self.left_cycles(self.limit_cycles, self.slow_limit_cycles)
 
     def left_cycles(self, limit_cycles: float, slow_limit_cycles: float) -> float:

@@ -223,7 +223,6 @@ def _needed_limit(plan: Plan) -> float:
 
 
 def asked_acceleration(plan: Plan) -> float:
-    """The largest one, rad/s^2; 0.0: not given."""
     return max(budget.asked_rad_s2 or 0.0 for budget in plan.budgets)
 
 

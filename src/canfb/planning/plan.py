@@ -118,7 +118,6 @@ class Plan:
         return all(margin.holds for margin in self.margins)
 
     def detection(self, budget: ResidualBudget, limit_cycles: float | None = None) -> CountDetection:
-        """With this limit; None: the one in force."""
         limit = budget.limit_cycles if limit_cycles is None else limit_cycles
         declared = budget.declared
         if limit != budget.limit_cycles:

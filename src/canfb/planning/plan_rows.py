@@ -37,7 +37,6 @@ MOST_COASTED = 255
 
 
 def plan_figures(plan: Plan, changes: list[PlanChange]) -> dict[str, Any]:
-    """For programs."""
     tight = plan.tightest
     return {
         "holds": plan.holds,
@@ -55,7 +54,6 @@ def plan_figures(plan: Plan, changes: list[PlanChange]) -> dict[str, Any]:
 
 
 def plan_lines(plan: Plan, changes: list[PlanChange], *, coverage: bool = False) -> list[str]:
-    """For people."""
     bus = plan.plan_input.bus
     lines = [*_frame_lines(bus), *_as_lines(_bus_rows(bus)), ""]
     for names, budget in _alike(plan):
@@ -377,7 +375,6 @@ def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
 
 
 def coverage_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
-    """Diagnostic coverage of the faults one by one; parts 0..1, seconds."""
     window, tolerance = window_of(plan, budget), second_tolerance(budget)
     within, mapped = (USUAL_TOLERANCE, "none is mapped") if tolerance is None else (tolerance, "2014:04")
     found, of_samples = fault_coverage(window), f"{CASES} faults each of {FAULTY_SAMPLES} samples"

@@ -30,7 +30,6 @@ def _of_samples(values: Values) -> list[Pdo]:
 
 
 def sample_bytes(values: Values) -> int:
-    """Data bytes of all PDOs that bring one sample."""
     return sum(pdo.length_bytes for pdo in _of_samples(values))
 
 
@@ -120,11 +119,9 @@ class PlannedModule:
 
     @cached_property
     def settings(self) -> LimitSettings:
-        """All that bounds the motion."""
         return limit_settings(self.values.get)
 
     def bounds(self, interval_s: float, noise_cycles: float) -> Declared:
-        """In force at this sampling interval and rms noise of the residual."""
         return self.settings.bounds(self.cycles_per_revolution, interval_s, noise_cycles)
 
     @property
@@ -139,21 +136,17 @@ class PlannedModule:
 
     @cached_property
     def times(self) -> bool:
-        """Sample times are known."""
         return self.samples_itself or self.settings.timed
 
     @cached_property
     def samples_per_sync(self) -> int:
-        """Pairs of sine and cosine for each SYNC, 1..8."""
         return 1 if self.samples_itself else self.settings.samples_per_sync
 
     @property
     def sample_bytes(self) -> int:
-        """Of the ADC PDOs, for each SYNC."""
         return 0 if self.samples_itself else sample_bytes(self.values)
 
     def with_values(self, values: Mapping[Place, Any]) -> PlannedModule:
-        """With other values of these objects."""
         return replace(self, values={**self.values, **values})
 
     def with_times(self) -> PlannedModule:

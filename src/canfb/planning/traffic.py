@@ -61,7 +61,6 @@ class Message:
         return frame_bits(self.data_bytes)
 
     def rate_hz(self, sync_hz: float) -> float:
-        """Frames per second at this SYNC rate."""
         by_sync = 0.0 if self.each_syncs is None else sync_hz / self.each_syncs
         # An event timer begins again with each frame: it is never over while events come faster.
         timed = self.least_hz if self.least_hz >= by_sync else 0.0
@@ -76,7 +75,6 @@ class Message:
 
 
 def sync_message(values: Values) -> Message:
-    """The SYNC, with a counter if 1019h says so."""
     return Message(
         can_id=values.get(od.SYNC_COB_ID, cob.SYNC) & cob.CAN_ID,
         kind="SYNC",
@@ -86,7 +84,6 @@ def sync_message(values: Values) -> Message:
 
 
 def adc_messages(values: Values) -> list[Message]:
-    """What the RPDOs of a module receive: a sample for each SYNC."""
     found = []
     for pdo in valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING):
         kind, sender = f"for RPDO{pdo.number}", 0

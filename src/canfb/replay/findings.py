@@ -200,7 +200,6 @@ class DriftTracks:
             self._blocks.append(block)
 
     def drift(self, active: Correction, adc_bits: int) -> LogDrift:
-        """Against the ``active`` table and conditioning."""
         if sum(map(len, self._blocks)) < LEAST_SAMPLES:
             return LogDrift(reason="no motion" if not self._moved else "few samples")
         block = np.concatenate(self._blocks)

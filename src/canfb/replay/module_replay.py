@@ -127,7 +127,6 @@ class ModuleReplay:
         return (node.own_can_ids | node.can_ids().any_state) - EVERYBODY - {sync}
 
     def differences(self, can_id: int) -> list[FieldDifference]:
-        """Of the objects in the PDOs with this CAN-ID."""
         return self._own_frames[can_id].differences
 
     def feed(self, frames: list[Frame]) -> None:

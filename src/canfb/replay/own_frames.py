@@ -51,7 +51,6 @@ class OwnFrames:
         self._recorded: deque[tuple[float, bytes]] = deque()
 
     def replayed(self, data: bytes, now: float) -> None:
-        """The replay has sent a frame at ``now``, seconds."""
         if self._recorded:
             self.compared.only_recorded += _drop_late(self._recorded, now)
             before = _taken(self._recorded, data)
@@ -129,7 +128,6 @@ class FieldDifference:
     most: float = -math.inf
 
     def note(self, recorded: int, replayed: int) -> None:
-        """The data of one more pair, as whole numbers."""
         one, other = (whole >> self.first_bit & (1 << self.bits) - 1 for whole in (recorded, replayed))
         if self.data_type in datatypes.FLOATS:
             values = [

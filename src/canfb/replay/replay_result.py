@@ -45,7 +45,6 @@ class ReplayResult:
     left_out: int
 
     def head(self) -> str:
-        """Module, frames and seconds."""
         node_id, replay = self.replay.module.node.node_id, self.replay
         seconds = replay.last_s - replay.first_s
         return f"module {node_id} ({node_id:02X}h): {replay.frames} frames, {seconds:.3f} s"

@@ -132,7 +132,6 @@ def gallery(title: str, figures: Iterable[str]) -> str:
 
 
 def figure(name: str, text: str, picture: str) -> str:
-    """A picture with its caption."""
     caption = f"<figcaption>{escape(name)}<small>{escape(text)}</small></figcaption>"
     return f"<figure>{caption}{picture}</figure>\n"
 
@@ -164,7 +163,6 @@ KEY_WIDTH = 22.0
 
 
 def svg_file(panels: Sequence[tuple[str, Plot]]) -> str:
-    """One SVG of these plots, each with its heading and legend."""
     parts: list[str] = []
     height = 0.0
     for heading, plot in panels:

@@ -22,7 +22,6 @@ CYCLE = 0.0, 1.0
 
 
 def error_over_phase(before: FloatArray, after: FloatArray, title: str) -> str:
-    """Means, both on one scale."""
     most = PERCENT * nice_limit(np.concatenate([before, after]))
     plot = Plot(title, CYCLE, (-most, most), ERROR_LABELS)
     plot.line(PHASES, PERCENT * before, "before", "before")
@@ -30,7 +29,6 @@ def error_over_phase(before: FloatArray, after: FloatArray, title: str) -> str:
 
 
 def remaining_error(after: FloatArray, uncertainty: float) -> str:
-    """With the uncertainty of the table."""
     most = PERCENT * nice_limit(after, 1.3 * uncertainty)
     plot = Plot("Remaining mean error over the phase", CYCLE, (-most, most), ERROR_LABELS)
     plot.line(PHASES, PERCENT * after, "after", "after, mean of each 1/64 cycle")
@@ -78,7 +76,6 @@ HIGHEST_ORDER = 20
 
 
 def harmonics(before: FloatArray, after: FloatArray, noise_rms: float, samples: int) -> str:
-    """Amplitudes, before and after."""
     place = np.arange(1.0, HIGHEST_ORDER + 1.0)
     old, new = (PERCENT * _amplitudes(curve)[1 : HIGHEST_ORDER + 1] for curve in (before, after))
     floor = PERCENT * 2.0 * noise_rms / np.sqrt(max(1, samples))
@@ -156,7 +153,6 @@ def coverage(samples: npt.NDArray[np.int64]) -> str:
 
 
 def table_curve(table: CorrectionTable, before: CorrectionTable | None) -> str:
-    """Phase less raw phase, new and before."""
     place = np.arange(512) / 512.0
     curves = [("after", "new table", table)]
     if before is not None:

@@ -103,7 +103,6 @@ class Plot:
         return self
 
     def svg(self) -> str:
-        """With its legend, for HTML."""
         return (
             f'<svg viewBox="0 0 {self.width:g} {self.height:g}" role="img" '
             f'aria-label="{escape(self.title)}">{self.drawing()}</svg>{self._legend_html()}'
@@ -179,7 +178,6 @@ class Scale:
         return self._start + min(max(part, -0.02), 1.02) * (self._stop - self._start)
 
     def ticks(self) -> list[float]:
-        """Round values."""
         if self.log:
             first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
             return [10.0**power for power in range(first, last + 1)]
@@ -198,7 +196,6 @@ def nice_limit(values: Sequence[float] | FloatArray, least: float = 0.0) -> floa
 
 
 def tick_words(value: float) -> str:
-    """A tick in few characters."""
     if value == 0.0:
         return "0"
     if 1e-4 <= abs(value) < 1e5:

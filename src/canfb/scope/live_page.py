@@ -26,7 +26,6 @@ class LivePage:
         self._lock = threading.Lock()
 
     def know(self, reading: ModuleReading) -> None:
-        """A table was read; from any thread."""
         if reading.correction is not None:
             with self._lock:
                 self._of(reading.node_id).know(reading.correction)

@@ -57,7 +57,6 @@ class ModuleTraces:
         self._due_s = -math.inf
 
     def take(self, now: float, module: ModuleSnapshot) -> None:
-        """What is known ``now``, seconds."""
         if self.points and now < (self.points[-1][0] or 0.0):
             self.points.clear()
             self._due_s = -math.inf
@@ -69,7 +68,6 @@ class ModuleTraces:
         self._follow(module)
 
     def know(self, correction: Correction) -> None:
-        """Read as active."""
         if correction != self._read:
             self._read, self._due_s = correction, -math.inf
 

@@ -28,7 +28,6 @@ _TRUE, _FALSE = ("1", "true", "on"), ("0", "false", "off")
 
 
 def type_name(data_type: int) -> str:
-    """UNSIGNED16."""
     return DataType(data_type).name if data_type in datatypes.KNOWN else f"type {data_type:04X}h"
 
 
@@ -188,7 +187,6 @@ def from_words(product: str, place: Place, text: str) -> int | None:
 
 
 def words_of(product: str, place: Place) -> Mapping[str, int]:
-    """The words that can be written."""
     signatures = {0x1010: SAVE_SIGNATURE, 0x1011: LOAD_SIGNATURE}
     if place[0] in signatures and place[1]:
         return signatures[place[0]]
@@ -197,7 +195,6 @@ def words_of(product: str, place: Place) -> Mapping[str, int]:
 
 
 def abort_words(code: int, entry: ObjectDescription | None, product: str = "") -> str:
-    """What an abort code means, and what to do."""
     meaning = next((one.text for one in AbortCode if one == code), "a code of the manufacturer")
     advice = _TO_DO.get(code, "")
     if code == AbortCode.DEVICE_STATE and entry is not None:
@@ -348,7 +345,6 @@ class SdoTasks:
         return [self._read(entry) for entry in readable]
 
     def write(self, text: str, value: str | bytes, *, raw: bool = False) -> Written:
-        """In the unit that a reading shows, unless ``raw``."""
         entry = self._one(text)
         data = value if isinstance(value, bytes) else self._encoded(entry, value, raw)
         watched = self._described.product == MODULE and entry.index in SUPERVISION
@@ -446,7 +442,6 @@ def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDe
 
 
 def is_lost(reading: Reading) -> bool:
-    """A status word that says lost."""
     is_status = reading.product == MODULE and reading.entry.place == od.FEEDBACK_STATUS
     return is_status and isinstance(reading.value, int) and bool(reading.value & od.StatusBit.LOST)
 

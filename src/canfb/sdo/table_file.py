@@ -60,7 +60,6 @@ def table_words(used: Correction) -> str:
 
 
 def conditioning_in_words(conditioning: Conditioning) -> str:
-    """A conditioning in a few words."""
     if conditioning.is_identity:
         return "none"
     words = (
@@ -121,7 +120,6 @@ def read_table_file(path: str | Path) -> TableFile:
 
 
 def is_yaml(path: Path) -> bool:
-    """By the name."""
     return path.suffix in (".yaml", ".yml")
 
 
@@ -208,7 +206,6 @@ class TableState:
         return None if self.in_file or self.saved_crc32 is None else self.saved_crc32 == self.used.crc32
 
     def rows(self) -> list[Row]:
-        """Cycles, and degrees of the cycle."""
         used, waiting, in_module = self.used, self.waiting, not self.in_file
         rms, high = difference(used.table, None)
         return [
@@ -258,7 +255,6 @@ class TableState:
         return Result(as_figures(self.rows()), [self.name, *as_lines(self.rows(), WIDTH)])
 
     def cycles_in_words(self, cycles: float) -> str:
-        """Also in degrees, and at the shaft."""
         arc = Provenance("", cycles_per_revolution=self.cycles_per_revolution).arc_seconds(cycles)
         shaft = "" if arc is None else f"; {arc:.2g}″ of the shaft"
         return f"{cycles:.3g} cycle ({DEGREES * cycles:.3g}° of the cycle{shaft})"

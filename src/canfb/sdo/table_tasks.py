@@ -70,7 +70,6 @@ class TableTasks:
         return _result(state, [*lines, *self._outcome(new, done)], done)
 
     def activate(self, *, keep: bool, force: bool = False) -> Result:
-        """The staged table, with 2002h and 2005h."""
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
         if not staged:
             raise CommissioningError(
@@ -94,7 +93,6 @@ class TableTasks:
         return _result(state, lines, done)
 
     def download(self, path: Path, date: str) -> Result:
-        """Into a file; ``date`` is ISO 8601."""
         state = TableState.of_module(self._module)
         table = state.used.table or CorrectionTable.identity()
         used = Correction(table, state.used.conditioning)

@@ -66,7 +66,6 @@ class Window(NamedTuple):
         return max(0.0, self.high - self.low)
 
     def counts(self, phase: float) -> range:
-        """The cycle counts of the samples of this phase in the window."""
         if not -math.inf < self.low <= self.high < math.inf:
             return range(0)
         first = math.ceil(self.low - phase - ROUNDING_CYCLES)
@@ -89,7 +88,6 @@ class BoundedMotion:
     instant_error: float = 0.0
 
     def error(self, spots: tuple[Spot, ...]) -> float:
-        """The largest error of a phase at the speed of the last two samples, cycles."""
         if not self.instant_error or len(spots) < 2:
             return self.phase_error
         before, last = spots[-2:]

@@ -184,7 +184,6 @@ class ChainConfig:
 
 
 def check_config(config: object) -> None:
-    """TypeError unless ``config`` is a :class:`ChainConfig`."""
     if not isinstance(config, ChainConfig):
         raise TypeError(f"config must be a ChainConfig, not {type(config).__name__}")
 

@@ -172,7 +172,6 @@ NO_CORRECTION = Correction()
 
 
 def check_table(table: object) -> None:
-    """TypeError unless ``table`` is a :class:`CorrectionTable` or None (the identity)."""
     if table is not None and not isinstance(table, CorrectionTable):
         raise TypeError(
             f"table must be a CorrectionTable or None, not {type(table).__name__}: "

@@ -127,7 +127,6 @@ class Candidate(NamedTuple):
         )
 
     def future(self) -> tuple[object, ...]:
-        """What its next windows depend on."""
         recent = self.spots[-ORDER:] if self.run >= ORDER else self.spots[-ORDER - self.run :]
         places = tuple((round(spot.time - self.time, 9), spot.cycles, spot.phase) for spot in recent)
         return places, min(self.run, ORDER), self.leaves
@@ -252,7 +251,6 @@ class Doubt:
         self.motion, self.bad_samples = motion, bad_samples
 
     def rescale(self, factor: float) -> None:
-        """Intervals are counted in another unit."""
         self.candidates = [one.rescaled(factor) for one in self.candidates]
         self.log = [
             LogEntry(phase, elapsed * factor, tuple(one.rescaled(factor) for one in before))

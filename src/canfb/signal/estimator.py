@@ -127,7 +127,6 @@ class Estimator:
         self.on_lost()
 
     def found(self, cycles: int, step_cycles: int) -> None:
-        """Shift the cycle count by ``cycles`` and the speed by ``step_cycles`` per interval."""
         self.tracker.shift(cycles, step_cycles)
         if step_cycles or self._doubt is not None or self.lost:
             self._remember_tracker()

@@ -67,7 +67,6 @@ def narrowed_residual_limit(
 def cycles_per_interval_squared(
     acceleration_rad_s2: float, cycles_per_revolution: float, interval_s: float
 ) -> float:
-    """An acceleration in rad/s^2 as cycles per sampling interval squared."""
     return acceleration_rad_s2 * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
 
 

@@ -40,7 +40,6 @@ class Pauses:
         return not speeds.stood_still(self._stages.estimator.places, least=0)
 
     def reset(self) -> None:
-        """Start again at cycle count 0; the next :meth:`resume` considers that the machine may turn."""
         stages, estimator = self._stages, self._stages.estimator
         if estimator.lost:
             self._waits, self._turned = not estimator.stands_still, 0.0

@@ -43,7 +43,6 @@ class SampleRecording:
             counts.append(cosine)
 
     def miss(self) -> None:
-        """Add the mark of a missing sample."""
         self.take(MISSED_COUNTS, MISSED_COUNTS)
 
     def to_bytes(self) -> bytes:

@@ -76,13 +76,11 @@ class SpeedHypotheses:
         """They are so even that they never will."""
 
     def expect_bad(self, bad_samples: int) -> None:
-        """m, after the first sample."""
         for row in self._rows:
             row.waits += bad_samples - self._bad_samples
         self._bad_samples = bad_samples
 
     def limit(self, largest: float, instant_error: float) -> None:
-        """The largest acceleration and the error of an instant from the next sample on."""
         self._least += largest - self._largest
         self._largest = largest
         for one in (self._good, *(row.speeds for row in self._rows)):

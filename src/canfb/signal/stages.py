@@ -144,7 +144,6 @@ class Stages:
         self._expect_present_speed()
 
     def sample_faster(self, factor: float) -> None:
-        """There are so many times as many samples from now on."""
         self.estimator.rescale(factor)
         self.reference.slipped()
         self._speed /= factor
@@ -293,7 +292,6 @@ class Stages:
         return feedback
 
     def miss(self, intervals: float) -> Feedback:
-        """So many intervals without a sample: the position coasts, flagged."""
         track, bits = self.estimator.bad(intervals, missed=True)
         self.clock += intervals
         self.place = None

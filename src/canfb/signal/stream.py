@@ -159,7 +159,6 @@ class Stream:
         return sine, cosine
 
     def take(self, sine: AnyArray, cosine: AnyArray) -> ChainResult:
-        """One block, in parts that stay in the processor's cache."""
         samples = len(sine)
         cycles = aligned(BEFORE + samples, np.int64)
         phase, residual = (aligned(BEFORE + samples, np.float64) for _ in range(2))

@@ -186,7 +186,6 @@ class SimulationConfig(SyncTiming):
         return ShaftEncoder(encoder, cycles_per_revolution, self.seed, self.aperture_jitter_ns * 1e-9)
 
     def sample_clock(self) -> SampleClock:
-        """The clock of the interface; what it shows at the start is arbitrary."""
         return SampleClock(self.clock_drift_ppm, random.Random(self.seed).getrandbits(32))
 
 

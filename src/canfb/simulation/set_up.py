@@ -100,7 +100,6 @@ def simulated_axis(
     autostart: bool = False,
     rate_hz: float | None = None,
 ) -> SimulatedAxis | None:
-    """The drive of the configuration, None without one. ConfigError if it cannot be."""
     settings = simulation.drive
     if settings is None:
         return None
@@ -289,12 +288,10 @@ def set_up(
 
 
 def sync_rate(simulation: SimulationConfig, rate_hz: float | None) -> float:
-    """The nominal rate of the SYNC, Hz: that which is produced, else that of the configuration."""
     return float(rate_hz or 1e6 / simulation.sync_period_us)
 
 
 def source_of(simulation: SimulationConfig, module: FedModule, play: Play) -> Source:
-    """The recording that is played, else the motion of the configuration. CanfbError for a bad one."""
     interval_s = 1.0 / sync_rate(simulation, play.rate_hz)
     if play.file is not None:
         timed = play.layout.time_column is not None or play.rate_hz is not None

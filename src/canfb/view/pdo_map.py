@@ -131,7 +131,6 @@ def module_layout(read: Read) -> PdoLayout | None:
 
 
 def coarse_layout(read: Read) -> PdoLayout | None:
-    """The same of the coarse track."""
     return _layout(read, od.RPDO, od.RPDO_MAPPING, MODULE_COARSE_TRACKS, ())
 
 
@@ -141,7 +140,6 @@ def interface_layout(read: Read) -> PdoLayout | None:
 
 
 def mapped_objects(read: Read) -> set[int]:
-    """Entries of the valid RPDOs."""
     return {entry for pdo in valid_pdos(read, od.RPDO, od.RPDO_MAPPING) for entry in pdo.entries}
 
 

@@ -93,7 +93,6 @@ class Entry:
         return f"<Entry {self.index:04X}h:{self.subindex:02X} {self.name!r} = {self.value!r}>"
 
     def fresh(self) -> Entry:
-        """A copy at its default."""
         other = copy(self)
         other.reset()
         return other
@@ -121,7 +120,6 @@ class Entry:
             raise ValueError(f"{self!r}: {error}") from error
 
     def decode(self, data: bytes) -> Any:
-        """Value of bytes from the bus, or SdoAbort."""
         size = self.byte_length
         if size and len(data) != size:
             raise SdoAbort(AbortCode.TOO_LONG if len(data) > size else AbortCode.TOO_SHORT)
@@ -137,23 +135,19 @@ class Entry:
             raise SdoAbort(AbortCode.VALUE_TOO_LOW if value < self.low else AbortCode.INVALID_VALUE)
 
     def check(self, value: Any) -> None:
-        """SdoAbort for a value that the object cannot have."""
         self.check_limits(value)
         if self.on_check is not None:
             self.on_check(value)
 
     def check_readable(self) -> None:
-        """SdoAbort unless SDO may read the entry."""
         if self.access not in READABLE:
             raise SdoAbort(AbortCode.WRITE_ONLY)
 
     def check_writable(self) -> None:
-        """SdoAbort unless SDO may write the entry."""
         if self.access not in WRITABLE:
             raise SdoAbort(AbortCode.READ_ONLY)
 
     def store(self, value: Any) -> None:
-        """Take over a value from the bus, or SdoAbort."""
         self.check_limits(value)
         if self.on_check is not None:
             self.on_check(value)
@@ -166,12 +160,10 @@ class Entry:
                 raise
 
     def upload(self) -> bytes:
-        """An SDO read, or SdoAbort."""
         self.check_readable()
         return self.encode()
 
     def download(self, data: bytes) -> None:
-        """An SDO write, or SdoAbort."""
         self.check_writable()
         self.store(self.decode(data))
         if self.on_download is not None:
@@ -244,7 +236,6 @@ class Dictionary:
             ) from None
 
     def read_live(self, values: Mapping[tuple[int, int], Callable[[], Any]]) -> None:
-        """Objects whose value is computed when it is read."""
         for place, read in values.items():
             self.entry(*place).on_read = read
 
@@ -257,7 +248,6 @@ class Dictionary:
         return Entry(index, subindex, DataType.UNSIGNED32, default=value) if found is None else found
 
     def lookup(self, index: int, subindex: int) -> Entry:
-        """The entry, or SdoAbort."""
         found = self._entries.get((index, subindex))
         if found is None:
             raise SdoAbort(AbortCode.NO_SUBINDEX if index in self._objects else AbortCode.NO_OBJECT)

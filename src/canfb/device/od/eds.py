@@ -68,7 +68,6 @@ class Description:
 
     @property
     def follows_node_id(self) -> bool:
-        """Whether the node-ID is part of the default."""
         return "$NODEID" in self.default.upper()
 
     def values(self, node_id: int) -> tuple[Any, Any, Any]:

@@ -78,7 +78,6 @@ def encode_concise(writes: Iterable[Write]) -> bytes:
 
 
 def decode_concise(data: bytes) -> list[Write]:
-    """The writes of a concise DCF, or ValueError."""
     if len(data) < _COUNT.size:
         raise ValueError("a concise DCF begins with the number of its entries, 4 bytes")
     writes: list[Write] = []

@@ -78,7 +78,6 @@ def numbers(dictionary: Dictionary, direction: Direction) -> list[int]:
 
 
 def rpdo_with(dictionary: Dictionary, objects: Iterable[tuple[int, int]]) -> int | None:
-    """The first valid RPDO with all these objects, or None."""
     required = {index << 8 | subindex for index, subindex in objects}
     for number in numbers(dictionary, Direction.RECEIVE):
         mapping = MAPPING[Direction.RECEIVE] + number - 1
@@ -117,7 +116,6 @@ class PdoParameters:
 
     @property
     def is_valid(self) -> bool:
-        """Bit 31 of its COB-ID is 0."""
         return cob.is_valid(self.cob_id.value)
 
     @property

@@ -158,7 +158,6 @@ class Rpdo(Timed):
 
 
 def length_of(slots: Sequence[Slot]) -> int:
-    """Bytes of a PDO."""
     return (sum(slot.bits for slot in slots) + 7) // 8
 
 

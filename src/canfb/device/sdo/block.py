@@ -150,7 +150,6 @@ class BlockDownload(Download):
         return command != ABORT_COMMAND and command & _SEQUENCE <= DOWNLOAD_BLOCK
 
     def handle(self, data: bytes) -> bool:
-        """Take a segment; the end writes the entry."""
         if self._complete:
             self._end(data[0] >> 2 & 0x07, int.from_bytes(data[1:3], "little"))
             return False

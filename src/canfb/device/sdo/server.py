@@ -226,6 +226,5 @@ class SdoChannel:
 
 
 def channel_indices(dictionary: Dictionary) -> list[int]:
-    """The first, and those that the dictionary has."""
     further = range(FIRST_INDEX + 1, LAST_INDEX + 1)
     return [FIRST_INDEX, *(index for index in further if (index, 1) in dictionary)]

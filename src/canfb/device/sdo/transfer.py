@@ -71,14 +71,12 @@ def check_received(entry: Entry, received: int, announced: int | None) -> None:
 
 
 def finish_download(entry: Entry, data: bytes, announced: int | None) -> None:
-    """Write the complete data, or SdoAbort."""
     if announced is not None and len(data) != announced:
         raise SdoAbort(AbortCode.TOO_LONG if len(data) > announced else AbortCode.TOO_SHORT)
     entry.download(data)
 
 
 def expedited_upload(multiplexer: bytes, data: bytes) -> bytes:
-    """The answer with 1 to 4 bytes."""
     return bytes([0x43 | (4 - len(data)) << 2]) + multiplexer + data
 
 

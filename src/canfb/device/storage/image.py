@@ -40,7 +40,6 @@ class Identity(NamedTuple):
     revision: int
 
     def accepts(self, other: Identity) -> bool:
-        """All but the minor revision is the same."""
         return self[:2] == other[:2] and self.revision >> 16 == other.revision >> 16
 
 
@@ -59,7 +58,6 @@ class ImageError(ValueError):
 
 
 def encode_image(group: ParameterGroup, identity: Identity, records: Iterable[Record]) -> bytes:
-    """Header, records and CRC-32."""
     ordered = sorted(records)
     parts = [_HEADER.pack(_MAGIC, FORMAT_VERSION, group, 0, *identity, len(ordered))]
     for record in ordered:

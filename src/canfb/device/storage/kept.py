@@ -73,7 +73,6 @@ class KeptEntries:
                 yield self._dictionary.lookup(index, subindex)
 
     def settings(self) -> Iterator[Entry]:
-        """The parameters that SDO sets, ascending."""
         for index, subindex in sorted(self._places - self._added):
             yield self._dictionary.lookup(index, subindex)
 
@@ -83,7 +82,6 @@ class KeptEntries:
         return self._dictionary.lookup(index, subindex)
 
     def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
-        """The present values of a group, within their limits."""
         saved = {place: value() for place, value in self._saved_value.items()}
         values = ((entry, saved.get((entry.index, entry.subindex), entry.value)) for entry in self.of(group))
         return [_record(entry, value, node_id) for entry, value in values if _is_within_limits(entry, value)]
@@ -97,7 +95,6 @@ def _record(entry: Entry, value: Any, node_id: int) -> Record:
 
 
 def restored_value(entry: Entry, record: Record, node_id: int) -> Any:
-    """The value of a record, or SdoAbort."""
     if not record.relative:
         return entry.decode(record.data)
     value = (int.from_bytes(record.data, "little") + node_id) & _FLAGS_AND_ID

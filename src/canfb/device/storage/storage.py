@@ -115,7 +115,6 @@ class MemoryStore:
 
 
 def keep(images: dict[ParameterGroup, bytes], changes: Mapping[ParameterGroup, bytes | None]) -> None:
-    """Put ``changes`` among ``images``."""
     for group, image in changes.items():
         if image is None:
             images.pop(group, None)
@@ -196,7 +195,6 @@ class Storage:
             entry.value = 0
 
     def refuse(self, group: ParameterGroup, reason: str) -> None:
-        """Do not use these stored parameters."""
         del self._images[group]
         self.faults[group] = reason
 

@@ -34,7 +34,6 @@ class PositionAlarm:
         self._ended_s = -NEVER
 
     def report(self, valid: bool, status: int, now: float, loss: LastLoss) -> None:
-        """``status`` is the status word, ``loss`` the last loss."""
         if not valid:
             lost = bool(status & LOST) and not self._said_lost
             if lost or not self.active:
@@ -111,7 +110,6 @@ class Warnings:
         self.reserve_counts = AMPLITUDE_RESERVE * self._low.value
 
     def follow(self, feedback: Feedback, now: float) -> None:
-        """Report what this sample, at ``now``, begins or ends."""
         self.usual_status = feedback.status
         if not feedback.status & VALID:
             return

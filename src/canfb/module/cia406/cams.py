@@ -81,7 +81,6 @@ class Cam:
             self.active = False
 
     def update(self, position: int) -> bool:
-        """The state at this position."""
         span = self._release if self.active else self._span
         self.active = span is not None and span.holds(position)
         return self.active

@@ -65,7 +65,6 @@ class CalibrationJob:
     at_speed: bool = False
 
     def __call__(self, progress: Callable[[float], None] = no_progress) -> Outcome:
-        """Table and conditioning; ``progress`` is called with 0..1."""
         try:
             sine, cosine, time_s = tracks_of_job(self.samples, self.times, self.turned, self.adc_bits)
             found = calibrate_from_motion(
@@ -157,7 +156,6 @@ class Calibrating:
             self._refuse(Reason.INTERRUPTED)
 
     def finish(self, job: CalibrationJob, result: Outcome | Exception) -> None:
-        """Nothing happens if it is obsolete."""
         if not isinstance(result, (Outcome, Exception)):
             raise TypeError(f"pass what the job returned, or the Exception that it raised, not {result!r}")
         if job is not self.job:
@@ -171,7 +169,6 @@ class Calibrating:
             self._refuse(result.reason)
 
     def computed(self, job: CalibrationJob, part: float) -> None:
-        """The fraction ``part`` is done, 0..1."""
         if job is self.job:
             self._part = min(max(part, 0.0), 1.0)
 

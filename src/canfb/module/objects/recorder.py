@@ -88,7 +88,6 @@ class Recorder:
         )
 
     def reset(self) -> None:
-        """Nothing was recorded."""
         self.stop()
         self._recording.clear()
 

@@ -138,7 +138,6 @@ class SampleInput:
 
     @property
     def is_ambiguous(self) -> bool:
-        """Several synchronous PDOs with tracks since the last SYNC."""
         return self._waiting is not None and self._waiting.waiting > 1
 
     def sample(self) -> Sample:

@@ -253,7 +253,6 @@ class Reference:
 
 
 def lost_bits(bits: int) -> int:
-    """The status of a position that is lost in this sample."""
     return bits & ~(VALID | COASTING) | LOST
 
 

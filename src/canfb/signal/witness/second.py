@@ -147,7 +147,6 @@ class SecondPosition:
             self.witness.proven = self._waited > START_SAMPLES
 
     def missed(self, bits: int) -> int:
-        """Status bits of a sampling interval without a sample."""
         self._forget_sample()
         return self._bits(bits)
 

@@ -55,7 +55,6 @@ class ZeroPulse:
         return bool(self._places)
 
     def set_place(self, edge: Edge) -> None:
-        """Take the pulse at this position for where it is."""
         self._places[edge.forwards] = edge
         self.forget_doubts()
 
@@ -92,7 +91,6 @@ class ZeroPulse:
         return PulseVerdict.AGREES if agrees else PulseVerdict.SLIPPED
 
     def knows(self, here: Edge) -> bool:
-        """The place of pulses of this direction is known, or none is."""
         return not self._places or here.forwards in self._places
 
     def error_cycles(self, here: Edge) -> int:

@@ -100,7 +100,6 @@ class Axis:
             self._internal.value = wrapped(math.floor(revolutions * self.motor_increments))
 
     def control(self, period_s: float) -> float:
-        """The torque in Nm, from the demand and the position of this cycle."""
         scaling, feedback = self.scaling, self._feedback
         gains = chosen_gains(self._read_gains(), period_s)
         torque = self._loop.step(

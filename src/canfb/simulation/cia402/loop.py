@@ -23,7 +23,6 @@ class Trajectory:
         self._target, self._left = 0.0, 0
 
     def set_target(self, position: float, syncs: int) -> None:
-        """A new target, to be reached in ``syncs`` SYNCs, 1 or more."""
         self._target, self._left = position, syncs
 
     def advance(self, period_s: float) -> None:
