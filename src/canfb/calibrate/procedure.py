@@ -197,16 +197,6 @@ STANDING_S = 2.0  # no sample for this long: it waits for somebody to act
 PATIENCE_S = 120.0  # without progress: a slow computer calculates for long
 
 
-@dataclass(frozen=True)
-class ModuleDrift:
-    """Figures of the module about its table: present error, rms and peak, and noise, in cycles."""
-
-    rms: float
-    peak: float
-    residual_rms: float
-    coverage: float
-
-
 def let_measure(module: NodeAccess, layout: PdoLayout, progress: Progress) -> TrackSamples:
     """Let the module measure until it is ready; the samples that were on the bus in the meantime.
 
@@ -223,8 +213,8 @@ def let_measure(module: NodeAccess, layout: PdoLayout, progress: Progress) -> Tr
         raise
 
 
-def let_check(module: NodeAccess, progress: Progress) -> ModuleDrift:
-    """Let the module measure how far its encoder has moved away from its table. Errors as above."""
+def let_check(module: NodeAccess, progress: Progress) -> tuple[float, float, float, float]:
+    """Let the module check its encoder: drift rms, peak, noise of a sample, cycles; coverage 0..1."""
     _start(module, Command.CHECK)
     try:
         _wait(module, State.CHECKED, progress, lambda: None)
@@ -232,7 +222,7 @@ def let_check(module: NodeAccess, progress: Progress) -> ModuleDrift:
         coverage = module.integer(*od.MEASUREMENT_COVERAGE, "B") / 100.0
     finally:
         discard(module)
-    return ModuleDrift(rms, peak, noise, coverage)
+    return rms, peak, noise, coverage
 
 
 def discard(module: NodeAccess) -> None:

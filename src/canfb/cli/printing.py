@@ -45,17 +45,14 @@ def reader_may_go(stream: TextIO) -> Iterator[None]:
 PATIENCE_S = 0.5  # at the end, for a reader
 
 
-@contextlib.contextmanager
-def printed_as_json() -> Iterator[None]:
-    """Print what the loggers say as JSON, an object a line, within :func:`printed_log`."""
-    printing = [one for one in logging.getLogger("canfb").handlers if isinstance(one, _Printing)]
-    for one in printing:
+def print_as_json() -> None:
+    """Lines of the log, from here to the end of the command, as JSON objects."""
+    for one in _printing():
         one.as_json = True
-    try:
-        yield
-    finally:
-        for one in printing:
-            one.as_json = False
+
+
+def _printing() -> list[_Printing]:
+    return [one for one in logging.getLogger("canfb").handlers if isinstance(one, _Printing)]
 
 
 @contextlib.contextmanager
@@ -76,7 +73,7 @@ def printed_log() -> Iterator[None]:
 @contextlib.contextmanager
 def printed_without_waiting() -> Iterator[None]:
     """Within :func:`printed_log`: the program does not wait for a reader that takes no lines."""
-    printing = [one for one in logging.getLogger("canfb").handlers if isinstance(one, _Printing)]
+    printing = _printing()
     for one in printing:
         one.outputs = {
             stream: output for stream in (sys.stdout, sys.stderr) if (output := _output(stream, one))

@@ -6,11 +6,10 @@ A program error in one of the nodes ends the process for all, with exit code 1.
 from __future__ import annotations
 
 import argparse
-import contextlib
 
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import READY_FILE, Commands, add_bus_options, add_command, bus_options, option
-from canfb.cli.printing import printed_as_json, printed_without_waiting
+from canfb.cli.printing import print_as_json, printed_without_waiting
 from canfb.configuration import ANY_NODES, load_config
 from canfb.hosting.hosting import Hosting
 from canfb.hosting.readiness import Readiness
@@ -34,8 +33,9 @@ def run(options: argparse.Namespace) -> int:
     """Serve the nodes until Ctrl-C, SIGTERM or SIGHUP; SIGUSR1 writes a diagnosis."""
     config = load_config(options.config, ANY_NODES)
     serving = Hosting(config, bus_options(options, config.bus), verbose=options.verbose)
+    if options.json:
+        print_as_json()
     with (
-        printed_as_json() if options.json else contextlib.nullcontext(),
         printed_without_waiting(),
         Readiness(options.ready_file) as readiness,
         serving,

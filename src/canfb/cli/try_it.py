@@ -16,7 +16,7 @@ from canfb.bus.opening import describe, group_port
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.commands import build_parser
 from canfb.cli.options import READY_FILE, Commands, add_command, group, option
-from canfb.cli.printing import printed_as_json, say
+from canfb.cli.printing import print_as_json, say
 from canfb.cli.progress import Progress
 from canfb.cli.subjects import JITTER, jittered
 from canfb.configuration import load_config
@@ -71,7 +71,7 @@ def try_it(options: argparse.Namespace) -> int:
         raise ConfigError(f"--port {options.port}: must be 0 to 65535")
     with contextlib.ExitStack() as held:
         if options.json:
-            held.enter_context(printed_as_json())
+            print_as_json()
         words = held.enter_context(private_bus())
         path = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="canfb-try-")), "feedback.yaml")
         path.write_text(EXAMPLE.replace(EXAMPLE_BUS, json.dumps(words)), encoding="utf-8")

@@ -45,7 +45,7 @@ class BusLog:
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.path = path
-        self.frames = self.error_frames = self.bus_failures = 0
+        self.frames = self.error_frames = 0
         self._max_bytes = max_bytes
         self._clock, self._sleep = clock, sleep
         self._stopped = False
@@ -104,7 +104,6 @@ class BusLog:
             if left <= 0.0:
                 return
             message = reception.receive(min(left, LONGEST_WAIT_S))
-            self.bus_failures = reception.failures
             if message is not None:
                 if name is not None:
                     message.channel = name

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canfb.errors import CanfbError
+from canfb.files import read_bytes
 from canfb.signal.phase import FloatArray
 
 SEPARATORS = "\t;,"  # in this order: a name or a number may hold a comma
@@ -65,10 +66,7 @@ def read_columns(path: Path, names: Sequence[str]) -> Columns:
 
 def _text(path: Path) -> str:
     """The file as text: UTF-8, UTF-16 with its mark, else Windows-1252, in which instruments write units."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise CanfbError(f"{path}: cannot be read: {error.strerror}") from None
+    data = read_bytes(path, CanfbError)
     encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     try:
         text = data.decode(encoding)
