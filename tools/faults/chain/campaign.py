@@ -67,8 +67,6 @@ def misses(cell: Cell, sums: Sums) -> Iterator[str]:
         yield f"only {sums['seen']} of {illegal} detected that are no legal motions"
     if sums["false alarms"]:
         yield f"{sums['false alarms']} false alarms before the fault"
-    if sums["cycle lost"]:
-        yield f"{sums['cycle lost']} cycles lost"
 
 
 def cell_text(cell: Cell, sums: Sums) -> str:

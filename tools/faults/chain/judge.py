@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ SOON_SAMPLES = 3
 GLITCH_SAMPLES = 3  # what the chain has to bridge without losing a cycle
 
 VALID, LOST = 1 << 0, 1 << 2
+FLAGGED = 1 << 4 | 1 << 5 | 1 << 6 | 1 << 11  # amplitude, clipped, missed, frozen
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,6 @@ class Episode:
 
     start: int
     stop: int
-    clean: Samples
     samples: Samples
     truth: Array
     error: Array  # published position less the true one, cycles
@@ -47,7 +47,7 @@ def play(fault_class: FaultClass, turning: Turning, rng: np.random.Generator) ->
     clean = Samples.of(*ENCODER.sample(truth, rng), adc_bits=ENCODER.adc_bits)
     samples = fault_class.draw(rng).inject(clean, start, stop, rng)
     positions, status = follow(turning.chain(), samples)
-    return Episode(start, stop, clean, samples, truth, positions - (truth - turning.offset), status)
+    return Episode(start, stop, samples, truth, positions - (truth - turning.offset), status)
 
 
 def follow(chain: SignalChain, samples: Samples) -> tuple[Array, npt.NDArray[np.int64]]:
@@ -61,8 +61,8 @@ def follow(chain: SignalChain, samples: Samples) -> tuple[Array, npt.NDArray[np.
     return positions, np.array([one.status for one in published], dtype=np.int64)
 
 
-def first_illegal(setting: Setting, samples: Samples, start: int, phases_only: bool = False) -> int | None:
-    """The first sample from ``start`` on that no legal motion can have led to; None: there is none.
+def first_illegal(setting: Setting, samples: Samples, start: int, phases_only: bool = False) -> int:
+    """The first sample from ``start`` on that no legal motion can have led to; behind the last: none.
 
     A motion is legal if it changes its speed by less than the residual limit from sample to sample, and the
     tracks keep the accepted amplitude and the converter's range. The phases p(k) are those of one exactly if
@@ -71,17 +71,15 @@ def first_illegal(setting: Setting, samples: Samples, start: int, phases_only: b
     """
     phase, amplitude = setting.phases(samples.sine, samples.cosine)
     limits = setting.config.limits
-    full = limits.full_scale_counts
     inside = samples.delivered & ~np.isnan(phase)
     if not phases_only:
         for track in (samples.sine, samples.cosine):
-            inside &= (track > -full) & (track < full - 1)
+            inside &= (track > -limits.full_scale_counts) & (track < limits.full_scale_counts - 1)
         inside &= (amplitude >= limits.amplitude_low_counts) & (amplitude <= limits.amplitude_high_counts)
     c = np.diff(phase, 2)
     with np.errstate(invalid="ignore"):
         inside[2:] &= np.abs(np.rint(c) - c) < setting.residual_limit + setting.slack
-    illegal = np.flatnonzero(~inside[start:])
-    return start + int(illegal[0]) if len(illegal) else None
+    return start + int(np.append(inside[start:], False).argmin())
 
 
 def judge(setting: Setting, episode: Episode) -> dict[str, int]:
@@ -94,8 +92,7 @@ def judge(setting: Setting, episode: Episode) -> dict[str, int]:
                     was called valid; and it was flagged
     legal           not flagged, and all samples together are those of a legal motion (:func:`first_illegal`)
     wrong           positions published as valid that are wrong by more than a quarter of a cycle
-    silent          those of them that neither a legal motion accounts for, nor a fault that was reported
-    cycle lost      at the end the position is called valid, its count is wrong, and there were silent ones
+    silent, beyond  those of them that neither a legal motion nor a report explains: as declared, or beyond it
     lost            at the end the position is called lost
     """
     start, stop, samples = episode.start, episode.stop, episode.samples
@@ -106,10 +103,11 @@ def judge(setting: Setting, episode: Episode) -> dict[str, int]:
     unseen = np.flatnonzero(~valid[start:])
     illegal = first_illegal(setting, samples, start)
     wrong = valid & (error > HARM_CYCLES)
-    until = len(samples) if illegal is None else illegal
     jump = first_illegal(setting, samples, start, phases_only=True)
-    silent = _silent(wrong, start, len(samples) if jump is None else max(jump, until))
-    matters = _moved(setting, episode) or bool(wrong.any())
+    unexplained = _unexplained(wrong, start, jump)
+    off = _off(setting, episode)
+    silent = unexplained if _is_declared(setting, episode, off) else 0
+    matters = not (off[start:stop] <= HARM_CYCLES).all() or bool(wrong.any())
     flagged = len(unseen) > 0
     return {
         "faulty": stop - start,
@@ -117,30 +115,34 @@ def judge(setting: Setting, episode: Episode) -> dict[str, int]:
         "soon": flagged and int(unseen[0]) <= SOON_SAMPLES,
         "matters": matters,
         "seen": matters and flagged,
-        "legal": not flagged and matters and illegal is None,
+        "legal": not flagged and matters and illegal == len(samples),
         "wrong": int(wrong.sum()),
         "silent": silent,
-        "cycle lost": bool(valid[-1] and error[-1] > 0.5 and silent),
+        "beyond": unexplained - silent,
         "lost": bool(episode.status[-1] & LOST),
     }
 
 
-def _silent(wrong: npt.NDArray[np.bool_], start: int, jump: int) -> int:
+def _unexplained(wrong: npt.NDArray[np.bool_], start: int, jump: int) -> int:
     """Wrong samples from ``jump`` on, the first one whose phase is not that of a legal motion.
 
-    None if the position was wrong before the last three samples already: a legal motion is carried on as
-    over a glitch.
+    None if the position was wrong before the last three samples: a motion is carried on as over a glitch.
     """
-    if jump < len(wrong) and wrong[max(start - 1, jump - GLITCH_SAMPLES - 1)]:
-        return 0
-    return int(wrong[jump:].sum())
+    carried_on = jump < len(wrong) and wrong[max(start - 1, jump - GLITCH_SAMPLES - 1)]
+    return 0 if carried_on else int(wrong[jump:].sum())
 
 
-def _moved(setting: Setting, episode: Episode) -> bool:
-    span = slice(episode.start, episode.stop)
+def _off(setting: Setting, episode: Episode) -> Array:
+    """How far each phase is from the true one, 0..0.5 cycle; NaN where there is none."""
     samples = episode.samples
-    phase, _ = setting.phases(samples.sine[span], samples.cosine[span])
-    away = phase - episode.truth[span]
-    missing = ~samples.delivered[span] | np.isnan(phase)
-    with np.errstate(invalid="ignore"):
-        return bool((missing | (np.abs(away - np.rint(away)) > HARM_CYCLES)).any())
+    phase, _ = setting.phases(samples.sine, samples.cosine)
+    away = phase - episode.truth
+    return np.where(samples.delivered, np.abs(away - np.rint(away)), np.nan)
+
+
+def _is_declared(setting: Setting, episode: Episode, off: Array) -> bool:
+    """No more samples in a row are bad and not flagged than cannot do harm (docs/legal-motion.md)."""
+    limits = setting.config.chain_limits
+    good = (off <= limits.phase_error) | ~episode.samples.delivered | ((episode.status & FLAGGED) != 0)
+    bad = np.flatnonzero(~good)
+    return not len(bad) or int(bad[-1] - bad[0]) < replace(limits, bad=0).bad_samples
