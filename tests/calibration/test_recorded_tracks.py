@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from measurements import random_encoder, table_error, wandering
 
 from canfb.calibration.deviation import best_deviation
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.motion_blocks import cut
-from canfb.calibration.recording import positions, recorded_tracks, recording
+from canfb.calibration.recording import BASELINE, LONGEST_LAG, positions, recorded_tracks, recording
 from canfb.calibration.result import Reason
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.phase import FloatArray, raw_phases
@@ -29,16 +31,12 @@ def test_what_was_recorded_comes_back() -> None:
     made.take(1, -32768)
     made.miss()
     made.take(-32768, 32767)
-    sine, cosine = recorded_tracks(made.to_bytes())
-    np.testing.assert_array_equal(sine, [1.0, np.nan, -32768.0])
-    np.testing.assert_array_equal(cosine, [-32768.0, np.nan, 32767.0])
+    tracks = [1.0, np.nan, -32768.0], [-32768.0, np.nan, 32767.0]
+    np.testing.assert_array_equal(recorded_tracks(made.to_bytes()), tracks)
     assert [len(track) for track in recorded_tracks(b"")] == [0, 0]
-
-
-@pytest.mark.parametrize("length", [1, 2, 3, 7])
-def test_a_recording_that_was_cut_off_is_a_wrong_argument(length: int) -> None:
-    with pytest.raises(ValueError, match="4 bytes per sample"):
-        recorded_tracks(bytes(length))
+    for cut_off in (1, 2, 3, 7):
+        with pytest.raises(ValueError, match="4 bytes per sample"):
+            recorded_tracks(bytes(cut_off))
 
 
 def test_missing_samples_are_left_out_and_the_time_goes_on() -> None:
@@ -49,8 +47,7 @@ def test_missing_samples_are_left_out_and_the_time_goes_on() -> None:
     data = recorded(sine, cosine, missing).to_bytes()
     result = calibrate_from_motion(*recorded_tracks(data))
     assert np.abs(table_error(result.table, encoder)).max() < 2e-4
-    as_integers = np.frombuffer(data, "<i2").reshape(-1, 2)
-    again = calibrate_from_motion(as_integers[:, 0], as_integers[:, 1])
+    again = calibrate_from_motion(*np.frombuffer(data, "<i2").reshape(-1, 2).T)
     assert again.table == result.table
     assert again.samples_used == result.samples_used <= (~missing).sum()
 
@@ -105,13 +102,9 @@ def test_missing_samples_are_stepped_over_and_breaks_start_afresh():
             assert abs(found[part][seen][0]) < 1.0
 
 
-def _all(n: int) -> np.ndarray:
-    return np.ones(n, np.bool_)
-
-
 @pytest.mark.parametrize(("n", "length"), [(100, 16), (97, 16), (16, 16), (1000, 64), (7, 32)])
 def test_every_sample_is_in_one_block(n, length):
-    blocks = cut(np.arange(n, dtype=float), _all(n), NO_BREAKS, length)
+    blocks = cut(np.arange(n, dtype=float), np.ones(n, np.bool_), NO_BREAKS, length)
     assert sorted(blocks.index[blocks.used]) == list(range(n))
     assert blocks.samples == n
     assert blocks.freedom == n - 4 * len(blocks)
@@ -119,16 +112,15 @@ def test_every_sample_is_in_one_block(n, length):
 
 def test_no_block_reaches_over_a_break():
     breaks = np.array([33, 40, 42])
-    blocks = cut(np.arange(100.0), _all(100), breaks, 16)
+    blocks = cut(np.arange(100.0), np.ones(100, np.bool_), breaks, 16)
     for index, used in zip(blocks.index, blocks.used, strict=True):
-        inside = index[used]
-        assert not any(inside.min() < at <= inside.max() for at in breaks)
+        assert not any(index[used].min() < at <= index[used].max() for at in breaks)
     # Two samples between 40 and 42 are too few for a block.
     assert blocks.samples == 98
 
 
 def test_invalid_samples_and_blocks_without_enough_are_left_out():
-    valid = _all(64)
+    valid = np.ones(64, np.bool_)
     valid[3], valid[16:28] = False, False
     blocks = cut(np.arange(64.0), valid, NO_BREAKS, 16)
     assert len(blocks) == 3
@@ -140,7 +132,7 @@ def test_invalid_samples_and_blocks_without_enough_are_left_out():
 def test_polynomials_of_uneven_times_are_followed(terms):
     rng = np.random.default_rng(1)
     time = np.cumsum(rng.uniform(0.5, 2.0, 640))
-    blocks = cut(time, _all(640), NO_BREAKS, 32, terms)
+    blocks = cut(time, np.ones(640, np.bool_), NO_BREAKS, 32, terms)
     curve = np.polynomial.Polynomial(rng.normal(0.0, 1.0, terms))
     inside = np.array([2.0 * (t - t[0]) / (t[-1] - t[0]) - 1.0 for t in time[blocks.index]])
     values = curve(inside)
@@ -154,7 +146,7 @@ def test_polynomials_of_uneven_times_are_followed(terms):
 def test_informative_blocks_meet_half_of_the_eighths():
     at = np.arange(16.0)
     position = np.array([0.0 * at, at / 2.0, at / 4.0, at / 40.0 + 5.2, at / 16.0])
-    blocks = cut(np.arange(80.0), _all(80), NO_BREAKS, 16)
+    blocks = cut(np.arange(80.0), np.ones(80, np.bool_), NO_BREAKS, 16)
     assert blocks.informative(position).tolist() == [False, False, True, True, True]
 
 
@@ -208,7 +200,7 @@ def test_every_window_is_followed_with_the_right_speed(rate_hz: float, speed: fl
         for length in (300, 1520):
             for start in range(0, 3000 - length + 1, 193 if length == 300 else 307):
                 window = slice(start, start + length)
-                off = positions(phase[window], time[window], True, np.zeros(0, np.int64)) - true[window]
+                off = positions(phase[window], time[window], True, NO_BREAKS) - true[window]
                 line = np.polynomial.Polynomial.fit(time[window], off, 1)
                 # Of a few stalls that are alike, another speed may fit the phases to a fifth of a cycle.
                 assert np.abs(off - line(time[window])).max() < 0.3, (every, jitter, length, start)
@@ -237,27 +229,37 @@ def test_a_long_interval_at_full_acceleration_loses_no_cycle() -> None:
     time = np.concatenate([np.arange(200.0), 207.0 + np.arange(200.0)])
     time += np.random.default_rng(3).uniform(-0.02, 0.02, 400)  # else one gap alone would decide the speed
     true = 12.3 * time + 0.01 * time**2
-    off = positions(true % 1.0, time, True, np.zeros(0, np.int64)) - true
+    off = positions(true % 1.0, time, True, NO_BREAKS) - true
     assert np.abs(off - off[0]).max() < 1e-6
 
 
 def test_samples_in_a_flood_after_a_stall_do_not_multiply_their_errors() -> None:
-    rng = np.random.default_rng(8)
-    steps = ([1.0] * 40 + [6.3] + [0.07] * 10 + [1.0]) * 20
-    time = np.cumsum(steps)
+    time = np.cumsum(([1.0] * 40 + [6.3] + [0.07] * 10 + [1.0]) * 20)
     true = -33.4 * time
-    phase = phases(true, rng)
-    off = positions(phase, time, True, np.zeros(0, np.int64)) - true
-    assert np.ptp(off) < 0.06
+    phase = phases(true, np.random.default_rng(8))
+    assert np.ptp(positions(phase, time, True, NO_BREAKS) - true) < 0.06
+
+
+@given(steps=st.lists(st.floats(0.01, 1.4), min_size=3, max_size=90), speed=st.floats(-30.0, 30.0))
+def test_the_motion_that_is_left_is_followed_with_the_bits_of_arrays(
+    steps: list[float], speed: float
+) -> None:
+    time = np.cumsum(steps)
+    phase = speed * time % 1.0
+    found = positions(phase, time, True, NO_BREAKS)
+    k = np.arange(np.searchsorted(time, time[0] + BASELINE) + 1, len(time))
+    base = np.maximum(np.searchsorted(time, time[k - 1] - BASELINE, side="right") - 1, k - 1 - LONGEST_LAG)
+    ahead = found[k - 1] + (found[k - 1] - found[base]) * (np.diff(time)[k - 1] / (time[k - 1] - time[base]))
+    assert (found[k] == np.rint(ahead - phase[k]) + phase[k]).all()
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3, 5])
 def test_a_few_samples_are_followed_too(n: int) -> None:
     time = np.array([0.0, 0.1, 0.9, 2.0, 3.1])[:n]
     phase = (0.2 * time + 0.9) % 1.0
-    found = positions(phase, time, True, np.zeros(0, np.int64))
+    found = positions(phase, time, True, NO_BREAKS)
     np.testing.assert_allclose(np.diff(found), 0.2 * np.diff(time), atol=1e-9 if n > 2 else 1.0)
-    assert np.isfinite(positions(np.full(n, np.nan), time, True, np.zeros(0, np.int64))).all()
+    assert np.isfinite(positions(np.full(n, np.nan), time, True, NO_BREAKS)).all()
 
 
 def test_reasons_keep_their_numbers():

@@ -217,8 +217,7 @@ def find_lock(sine: FloatArray, cosine: FloatArray) -> Lock | None:
         seen = ~np.isnan(places)
         mean = np.where(seen, places, 0.0).sum(axis=1) / np.maximum(1, seen.sum(axis=1))
         if np.mean(np.abs(mean) ** 2) > power * np.sinc(DRIFT_CYCLES / q) ** 2:
-            turn = z[1:] * np.conj(z[:-1])
-            step = float(np.angle(np.nansum(turn))) / (2.0 * math.pi)
+            step = float(np.angle(np.nansum(z[1:] * np.conj(z[:-1])))) / (2.0 * math.pi)
             return Lock(round(step * q) % q, q)
     return None
 
@@ -226,8 +225,8 @@ def find_lock(sine: FloatArray, cosine: FloatArray) -> Lock | None:
 def away_from(fraction: float) -> float:
     """What to add to these cycles per sample so that they are no simple fraction."""
     for step in STEPS:
-        multiples = [q * (fraction + step) for q in range(1, LARGEST_DENOMINATOR + 1)]
-        if all(abs(one - round(one)) >= FAR for one in multiples):
+        multiples = (q * (fraction + step) for q in range(1, LARGEST_DENOMINATOR + 1))
+        if all(abs(math.remainder(one, 1.0)) >= FAR for one in multiples):
             return step
     return STEPS[0]
 
@@ -281,51 +280,50 @@ def _follow_uneven(phase: FloatArray, time: FloatArray, likely: float) -> tuple[
     base = np.where(k > first, np.maximum(base, k - 1 - LONGEST_LAG), 0)
     elapsed = float(t[first] - t[0])
     most = np.ceil(FASTEST * elapsed)
-    turns, square, rows = _run(p, t, first, base, np.arange(-most, most + 1.0))
-    alike = turns[square <= square.min() + ALIKE * _mean_square(square, len(rows), LEAST_SQUARE)]
+    weights = np.append(0.0, np.diff(t)) / np.maximum(t[k - 1] - t[base], 1e-30)
+    turns, square, rows = _run(p, t, first, base, weights, np.arange(-most, most + 1.0))
+    alike = turns[square <= square.min() + ALIKE * max(square.min() / len(rows), LEAST_SQUARE)]
     turn = alike[np.argmin(np.abs((alike + p[first] - p[0]) / elapsed - likely))]
-    position = np.concatenate(_run(p, t, first, base, np.array([turn]))[2])
-    position = _over_gaps(position, t, first, base)
+    places = np.concatenate(_run(p, t, first, base, weights, np.array([turn]))[2]).tolist()
+    columns = (one[first + 1 :].tolist() for one in (p, base, weights))
+    for one, begin, weight in zip(*columns, strict=True):  # one motion: floats are faster than arrays of one
+        places.append(round(places[-1] + (places[-1] - places[begin]) * weight - one) + one)
+    position = _over_gaps(np.array(places), t, first, base)
     at = base[-1] + 1
     return np.interp(time, t, position), float((position[-1] - position[at]) / (t[-1] - t[at]))
 
 
 def _run(
-    phase: FloatArray, time: FloatArray, first: int, base: IntArray, turns: FloatArray
+    phase: FloatArray, time: FloatArray, first: int, base: IntArray, weights: FloatArray, turns: FloatArray
 ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
     """Follow the motions that have passed these whole cycles from sample 0 to ``first``, straight.
 
-    The speed before sample k is that from sample ``base[k]`` to k - 1. Until one is left: those still open,
-    the sums of the squares of their residuals, relative to those of phase errors of rms 1, their positions.
+    The speed before sample k is that from sample ``base[k]`` to k - 1, times ``weights[k]`` a step. Until one
+    is left: those open, the sums of the squares of their residuals in those of the phases, their positions.
     """
     part = ((time[: first + 1] - time[0]) / (time[first] - time[0]))[:, None]
     line = phase[0] + part * (turns + (phase[first] - phase[0]))
     start = phase[: first + 1, None]
     rows = list(np.rint(line - start) + start)
     square = np.sum((line - rows) ** 2 / (1.0 + (1.0 - part) ** 2 + part**2), axis=0)
-    weights = np.append(0.0, np.diff(time)) / np.maximum(time[np.arange(len(time)) - 1] - time[base], 1e-30)
     scales = 1.0 / (1.0 + (1.0 + weights) ** 2 + weights**2)
     for k in range(first + 1, len(phase)):
+        if len(turns) == 1:
+            break
         ahead = rows[-1] + (rows[-1] - rows[base[k]]) * weights[k]
         rows.append(np.rint(ahead - phase[k]) + phase[k])
         square += (ahead - rows[-1]) ** 2 * scales[k]
-        if len(turns) > 1 and k % PRUNE_SAMPLES == 0:
+        if k % PRUNE_SAMPLES == 0:
             keep = _still_open(np.array(rows[-LONGEST_LAG - 1 :]), square, k)
             turns, square = turns[keep], square[keep]
             rows[-LONGEST_LAG - 2 :] = [row[keep] for row in rows[-LONGEST_LAG - 2 :]]
-            if len(turns) == 1:
-                break
     return turns, square, rows
-
-
-def _mean_square(square: FloatArray, taken: int, least: float) -> float:
-    return max(float(square.min()) / taken, least)
 
 
 def _still_open(latest: FloatArray, square: FloatArray, taken: int) -> IntArray:
     """Motions to go on with: not wrong, and of those with the same latest steps only the best."""
     order = np.argsort(square, kind="stable")
-    order = order[square[order] <= square.min() + WRONG * _mean_square(square, taken, POOR_SQUARE)]
+    order = order[square[order] <= square.min() + WRONG * max(square.min() / taken, POOR_SQUARE)]
     steps = latest[:, order] - latest[-1, order]
     _, first = np.unique(np.rint(steps - steps[:, :1]), axis=1, return_index=True)
     return np.sort(order[first])
