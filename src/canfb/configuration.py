@@ -302,11 +302,8 @@ class _Reader:
 
 
 def _check_distinct_nodes(name: str, root: yaml.Node, config: Config) -> None:
-    """What two devices of one file must not have in common, and what a drive of its own must not.
-
-    Two with one node-ID would answer each other's masters, two with one state_dir overwrite each other's
-    parameters; a module sends no ADC counts; LSS needs serial numbers where a node-ID is missing.
-    """
+    """Node-IDs, state folders, and serial numbers where a node-ID is missing, differ; a module sends no ADC
+    counts."""
     devices = [(f"{key}[{n}]", one, found_at(root, key, n)[1]) for key, n, one in config.nodes]
     sampled = {
         title: one.encoder_interface

@@ -1,11 +1,8 @@
 """Devices on a bus: frames in, frames out, deadlines kept, a clean end on a signal.
 
-A process that did not run for a while finds deadlines in the past, and frames from before them in the queue.
-So a deadline D is kept only if no frame received before D can wait: the last one was received at R >= D, or
-the queue was empty at D or later. Frames put a deadline off by 1 s at most (0.1 s without receive times), so
-that a flood cannot stop heartbeats.
-
-A device that raises ends the run for all: its state is unknown, and a drive must not get a position from it.
+A deadline D is kept only if no frame received before D can wait: the last one was received at R >= D, or the
+queue was empty at D or later. Frames put a deadline off by 1 s at most (0.1 s without receive times), so that
+a flood cannot stop heartbeats. A device that raises ends the run for all: its state is unknown.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""The SDO client of a tool beside other clients of one node.
+"""The SDO client of a tool beside other clients of one node, all of which hear its answers (CiA 301,
+7.2.4.1).
 
-A node has one SDO channel (CiA 301, 7.2.4.1), and all hear its answers: programs on one computer take turns
-by a locked file; answers to another master are ignored, and :class:`canfb.master.access.NodeAccess` begins
-again.
+Programs of one computer take turns by a locked file; answers to another master are ignored.
 """
 
 from __future__ import annotations

@@ -108,7 +108,6 @@ def measure(
 
 
 def block_of(calibration: Calibration) -> int:
-    """Samples over which to take the motion for smooth."""
     if calibration.method == Method.MOTION:
         return calibration.block_samples
     return BLOCK_CYCLES * calibration.block_samples
@@ -216,7 +215,6 @@ class DriftCheck:
 
     @property
     def is_significant(self) -> bool:
-        """False if it is no more than the uncertainty of the measurement."""
         return self.rms > 2.0 * self.calibration.uncertainty_rms
 
 

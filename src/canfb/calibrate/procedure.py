@@ -244,7 +244,6 @@ def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Mea
 
 
 def with_table(measured: Measurement, found: Correction, settings: Settings) -> Measurement:
-    """The same measurement with another table, whose figures are those on the same samples."""
     if found.table is None:
         raise CommissioningError("the module reports an active table, but has none")
     ours = measured.calibration

@@ -129,7 +129,6 @@ class SpeedSamples:
         return TracksAtSpeed(one.sine, one.cosine, self.rate_hz, self.hertz, one.time_s)
 
     def split(self) -> tuple[SpeedSamples, SpeedSamples]:
-        """Those for the fit, and those held out, which come after them."""
         at = round((1.0 - HELD_OUT) * len(self.samples))
         first, last = self.samples.between(0, at), self.samples.between(at, len(self.samples))
         return replace(self, samples=first), replace(self, samples=last)

@@ -1,8 +1,7 @@
 """From a recording to the joint fit (:mod:`.joint`): positions, length of the blocks, orders, faults.
 
 1. Positions from the arc tangent behind the ellipse, with orders 1 to 6.
-2. Of block lengths tried on part of the samples, the one whose fit expects the least error of the table; if
-   motion is left even then, polynomials of higher degree.
+2. The block length whose fit expects the least error of the table; else polynomials of higher degree.
 3. More orders, while the last quarter of them carries something; what does not fit is left out.
 4. Positions again from the phases on the fitted curve, and 3. again.
 5. Only orders that stand out: v' C^-1 v of their four coefficients is by noise above 16 in 0.3 % of cases.

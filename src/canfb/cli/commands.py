@@ -67,7 +67,6 @@ SUMMARIES = {entry.name: entry.summary for entry in COMMANDS}
 
 
 def named_command(words: Sequence[str]) -> str:
-    """The first word that is no option, or ""."""
     return next((word for word in words if not word.startswith("-")), "")
 
 

@@ -21,7 +21,6 @@ YAML_FILES = ("yaml", "yml")
 
 
 def answer(build: Callable[[str], argparse.ArgumentParser], environment: Mapping[str, str]) -> None:
-    """Answer the shell and end the process; without argcomplete return, silently."""
     try:
         import argcomplete
         from argcomplete.completers import DirectoriesCompleter, FilesCompleter

@@ -146,7 +146,6 @@ def record(options: argparse.Namespace) -> int:
 
 
 def replay(options: argparse.Namespace) -> int:
-    """Replay a log, or a folder of them; 1 for a log without its end."""
     options.log = required_file(options.log)
     settings = settings_of(options)
     if len(settings.modules) > 1 and (options.out or options.report) and not options.log.is_dir():

@@ -72,7 +72,6 @@ class _HelpBus(argparse.Action):
 
 
 def option(*names: str, **settings: Any) -> Row:
-    """An option or an argument, as ``add_argument`` of argparse has it."""
     return lambda parser: parser.add_argument(*names, **settings)
 
 
@@ -91,7 +90,6 @@ READY_FILE = option("--ready-file", metavar="PATH", help="a file that exists whi
 
 
 def add_group(commands: Commands, name: str, description: str = "") -> Commands:
-    """Add a command of several parts, for :func:`add_command`."""
     parser = commands.add_parser(
         name,
         help=SUMMARIES[name],
@@ -194,7 +192,6 @@ def chosen_bus(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def named_config(options: argparse.Namespace) -> Config:
-    """The configuration of ``--config`` or CONFIG.yaml; without one, an empty one."""
     from canfb.configuration import Config, load_config
 
     return load_config(options.config) if options.config else Config()

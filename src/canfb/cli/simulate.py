@@ -90,7 +90,6 @@ def register(commands: Commands) -> None:
 
 
 def simulate(options: argparse.Namespace) -> int:
-    """Serve the encoder interface until a signal, --seconds or the end of the recording."""
     if options.config is None:
         raise ConfigError("CONFIG.yaml is required: its module and its simulation")
     config = load_config(options.config)

@@ -1,11 +1,8 @@
 """Figures of a machine from the samples of its duty: its motion, its signal, the noise of both.
 
-**Acceleration and jerk.** The parabola fitted to a window averages the second differences in it with positive
-weights of sum 1 (Savitzky and Golay): never more than the largest acceleration. Noise alone makes the largest
-of n averages sqrt(2 ln n) times its own, which is taken off.
-
-**Noise of a phase.** The fourth difference has little of a motion, and sqrt(70) times the noise of a sample;
-its median ignores faults. It is that of the speeds at which it is largest.
+**Acceleration and jerk**: the second difference of the positions, averaged by a fitted parabola (positive
+weights, Savitzky and Golay), less sqrt(2 ln n) times the noise of n averages. **Noise of a phase**: sqrt(70)
+times it is the rms of the fourth difference; the median ignores faults.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Samples of a machine in its duty, followed by the chain of the module; or why they cannot be.
+"""Samples of a machine in its duty, followed by the chain of the module.
 
-Samples leave the speed open by whole cycles per interval; the speeds that the module reports meanwhile
-(2011:07) close that, and with them the chain is started, with the limits in force.
+They leave the speed open by whole cycles per interval, which the speeds that the module reports (2011:07)
+close.
 """
 
 from __future__ import annotations

@@ -45,7 +45,6 @@ class ServoRun:
 
     @property
     def exact(self) -> bool:
-        """Counted exactly from the first sample to the last."""
         return self.valid and not self.cycles_off and not self.wrong_and_valid
 
     @property

@@ -40,8 +40,7 @@ class CallContext:
     def stamped(self, stamp: float) -> None:
         """The frame of the running call has this time stamp, seconds.
 
-        Frames come in order: one that lies a little before the last is as late as that one. One that lies far
-        before it, or later than now, is of a clock that was set, and not used.
+        One a little before the last is as late as that; one far before it, or later than now, is not used.
         """
         last = self.stamp
         self.is_stamped = last - STAMP_NOISE_S <= stamp <= self.now

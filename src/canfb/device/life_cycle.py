@@ -50,10 +50,10 @@ _DUPLICATE = "duplicate node-ID"
 
 
 class DuplicateWatch:
-    """Listens to the CAN-IDs that this node alone may send: CiA 301, 7.3.5.
+    """Listens to the CAN-IDs that this node alone may send (CiA 301, 7.3.5).
 
-    A data frame there comes from another node. Each is counted; the first after a reset gives EMCY 8150h,
-    with the CAN-ID in bytes 3 and 4. The NMT state stays: a stray frame must not stop a machine.
+    The first frame there after a reset gives EMCY 8150h, with the CAN-ID in bytes 3 and 4. The NMT state
+    stays.
     """
 
     def __init__(self, core: Core) -> None:

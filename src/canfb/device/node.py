@@ -95,7 +95,6 @@ class Node:
 
     @property
     def process(self) -> ProcessData:
-        """What SYNCs and PDOs go to, set before the start."""
         return self._core.process
 
     @process.setter

@@ -1,12 +1,9 @@
 """SYNC and TIME: 1005h, 1006h, 1007h, 1019h (CiA 301, 7.2.5), and 1012h (7.2.6).
 
-What a SYNC does to PDOs, `Sync.handle` does in one order, so that what is sent belongs to what was
-received before: the program says whether PDOs follow (`ProcessData.synchronise`) and has the synchronous
-RPDOs taken over; it acts on the new interval; synchronous TPDOs are sampled and sent; then `tpdos_sampled`.
-
-In PRE-OPERATIONAL the program gets it too (`idle_sync_received`): its period is known before the first
-sample. The CAN-ID does not change while the device produces SYNC, the counter not while 1006h is set (7.5.2.5
-to 7.5.2.22).
+`Sync.handle` serves PDOs in one order: the program says whether they follow (`ProcessData.synchronise`) and
+has the synchronous RPDOs taken over; it acts on the new interval; synchronous TPDOs are sent; then
+`tpdos_sampled`. The CAN-ID does not change while the device produces SYNC, the counter not while 1006h is set
+(7.5.2.5 to 7.5.2.22).
 """
 
 from __future__ import annotations

@@ -101,7 +101,6 @@ class FrameWords:
 
 
 def learn_by_sdo(words: FrameWords, master: Master, nodes: Iterable[int]) -> set[int]:
-    """Learn these modules, by default all; the nodes that have answered."""
     known = set()
     for node in nodes or [one.node_id for one in scan(master, SCAN_S) if one.device_type]:
         read = NodeAccess(master, node, "module").read_known

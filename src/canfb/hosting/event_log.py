@@ -90,7 +90,6 @@ COUNTERS = {
 
 
 def name_of(device: NodeDevice) -> str:
-    """The node-ID that it is going to have; before its start."""
     device.storage.power_on()  # a node-ID stored by LSS takes precedence over the configuration
     device.lss.power_on()
     node_id = device.lss.pending_node_id
@@ -112,7 +111,6 @@ def short_title_of(device: NodeDevice) -> str:
 
 
 def duplicates_of(device: NodeDevice) -> str:
-    """Frames of another node with the same node-ID, or ""."""
     duplicates = device.counters.duplicate_frames
     return f"; {duplicates} frames of another node with this node-ID" if duplicates else ""
 

@@ -1,7 +1,7 @@
 """Stored parameters as files: one for each group in a folder, whole after a crash at any instant.
 
-A group is written beside its file and renamed over it. Several groups are first one file, ``pending.bin``,
-valid by its rename, then copied; the next save does what a crash has left.
+Each is written beside its file and renamed. Several groups are first one file, ``pending.bin``, valid by its
+rename.
 """
 
 from __future__ import annotations

@@ -27,11 +27,9 @@ class EncoderInterface(NodeDevice):
     """A CANopen node, sans-I/O, with the ADC channels in 6401h and TPDO1 at each SYNC.
 
     A :class:`Machine` is sampled at the time of ``time_base`` at which the SYNC was received, another source
-    has one sample for each SYNC; without one no TPDO is sent. Each is an event for the TPDOs of type 0. A
-    source that fails is asked again at the next SYNC; ``on_source`` gets one line, and EMCY 5000h is active.
-
-    2000:01 is the time of the sample by ``clock``, unless it brings its own; with ``times`` TPDO1 carries it.
-    ``samples_per_sync``, 1..8, pairs are sampled by a :class:`Grouped` source or :class:`SeveralSamples`.
+    has one sample for each SYNC; without one no TPDO is sent. A source that fails is asked again at the next
+    SYNC; ``on_source`` gets one line, and EMCY 5000h is active. 2000:01 is the time of the sample by
+    ``clock``, unless it brings its own; with ``times`` TPDO1 carries it. ``samples_per_sync`` is 1..8;
     ``store`` keeps what 1010h and LSS save; ``bit_rates_kbit_s`` are those that LSS may choose.
     """
 
@@ -162,7 +160,6 @@ class EncoderInterface(NodeDevice):
         self._flags.value = flags
 
     def reset_done(self, communication_only: bool, now: float) -> None:
-        """A source that still fails is reported again; a reset of the node drops the recording."""
         self._reported = False
         if not communication_only:
             self.recorder.reset()

@@ -1,8 +1,8 @@
 """Frames of a log in the order of their stamps, although some were written down late.
 
-A program that logs two buses writes some frames milliseconds late. A step back is a clock that was set if the
-frames behind it fill half of the way to the newest stamp without reaching it, and half of them have a CAN-ID
-that came with a later stamp; or if it is longer than the window and does not end at once.
+A step back is a clock that was set if the frames behind it fill half of the way to the newest stamp without
+reaching it, and half of them have a CAN-ID that came with a later stamp; or if it is longer than the window
+and lasts.
 """
 
 from __future__ import annotations

@@ -105,7 +105,6 @@ class LogCounters:
         return sum(one[can_id] for one in self.left_out.values() for can_id in can_ids)
 
     def damaged(self, line: int) -> None:
-        """The line with this number is no whole frame."""
         self.damaged_lines += 1
         self.first_damaged_line = self.first_damaged_line or line
 

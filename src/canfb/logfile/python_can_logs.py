@@ -1,18 +1,14 @@
 """Logs in other formats than that of candump: the readers of python-can, and what they do not do themselves.
 
-A reader of python-can ends at the first line that it cannot read. It gets lines one by one here, and begins
-again behind such a line (:class:`_Lines`). Its known bugs, and where they are worked round:
+A reader of python-can ends at the first line that it cannot read; it gets lines one by one here
+(:class:`_Lines`). Its known bugs (https://github.com/hardbyte/python-can), and where they are worked round:
 
-    #1584, #1581   BLF: an object with length 0 is read again and again          _BlfReader
-    none           candump: of the error frames only bus errors are read as such       _CandumpLines
-    none           BLF: one that was cut off is like a whole one                 _WholeReads, _check_end
-    #1788          ASC: "timestamps relative" is not read                        _AscLines
-    none           ASC: "base" behind another line of the header is not read, the first frame behind a
-                   header without "internal events logged" is lost               _AscLines
-    none           ASC, TRC: a line with too few bytes is a shorter frame        _is_whole
-    none           TRC: an empty line ends the header; an odd start time ends the reading    _TrcLines
-
-The numbers are of https://github.com/hardbyte/python-can.
+    #1584, #1581   BLF: an object with length 0 is read again and again     _BlfReader
+    none           candump: of the error frames only bus errors are read    _CandumpLines
+    none           BLF: one that was cut off is like a whole one            _WholeReads, _check_end
+    #1788          ASC: "timestamps relative"; "base" behind another line   _AscLines
+    none           ASC, TRC: a line with too few bytes is a shorter frame   _is_whole
+    none           TRC: an empty line ends the header                       _TrcLines
 """
 
 from __future__ import annotations

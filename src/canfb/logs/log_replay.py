@@ -1,7 +1,5 @@
-"""A bus log through the modules that it was recorded with, or through others; and as rows of a table.
-
-A row is a module of a log. What is wrong with a log is in its rows: one log does not end the work on others.
-"""
+"""A bus log through its modules, or through others; and as rows of a table: one log does not end the work on
+others."""
 
 from __future__ import annotations
 

@@ -1,8 +1,5 @@
-"""All parameters of a module as SDO writes, and as the files that a CANopen master loads.
-
-A configuration is what `save` keeps and SDO can write, and the table. The order matters: the module refuses,
-as CiA 301 demands, a mapping of a valid PDO, or a lower limit above the upper one.
-"""
+"""All parameters of a module as SDO writes, in an order that CiA 301 allows, and as the files that a master
+loads."""
 
 from __future__ import annotations
 

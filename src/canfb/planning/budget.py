@@ -2,12 +2,11 @@
 
 The residual of a healthy machine is at most
 
-    motion  +  w v u  +  w e  +  noise
+    a N/(2 pi) T^2  +  4 v u  +  4 e  +  noise
 
-with the speed v, the error e of a phase and the uncertainty u of the sampling instant: without sample times
-half the range of the SYNC, with them half a unit of the sample time. w is 4, the sum of the weights 1, 2, 1
-of eq. 9. What the motion leaves is a N/(2 pi) T^2 with the acceleration a and the interval T from sample to
-sample. Sizes of errors of a phase add up to the largest, their squares to the rms.
+with acceleration a, speed v, error e of a phase, interval T from sample to sample, and the uncertainty u of
+the sampling instant: without sample times half the range of the SYNC, with them half a unit of the sample
+time. Errors of a phase add up to the largest, their squares to the rms.
 """
 
 from __future__ import annotations

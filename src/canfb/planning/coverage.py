@@ -1,11 +1,8 @@
-"""How much of the faults of an encoder the configured limits detect: diagnostic coverage.
+"""Diagnostic coverage: how much of the faults of an encoder the configured limits detect.
 
-:func:`area_coverage` is 1 - allowed area / whole area of the voltages, as if a fault left any pair of
-voltages equally likely; with the residual only the phases within L of the predicted one are left of the ring.
-
-:func:`fault_coverage` puts the faults that IEC 61800-5-2 names for such encoders, one by one, into the tracks
-of a machine in motion; equations 9 and 12 say which sample is refused. It knows neither the ambiguity after a
-fault nor the frozen input of 2010:04.
+:func:`area_coverage` is 1 - allowed area / whole area of the voltages; with the residual only the phases
+within L of the predicted one are left of the ring. :func:`fault_coverage` puts the faults of IEC 61800-5-2,
+one by one, into the tracks of a machine in motion. It knows neither the ambiguity after a fault nor 2010:04.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""What to change: the hints for each limit, in the order of what they cost, each tried on the plan.
-
-A setting comes before another bus, and that before a gentler machine. A plan that holds has hints for a
-narrower residual limit, then for a detection that is sharp (docs/supervision.md).
-"""
+"""What to change: the hints for each limit, in the order of what they cost, each tried on the plan."""
 
 from __future__ import annotations
 
@@ -43,11 +39,8 @@ class PlanChange:
 
 
 def changes_of(plan: Plan) -> list[PlanChange]:
-    """What to change, in order: first what is exceeded most, at last what makes the detection sharp.
-
-    Each makes its limit hold, as long as one change can; a plan that needs more is left where the changes
-    end. Empty if nothing is to be gained.
-    """
+    """What to change, in order: first what is exceeded most, at last what makes the detection sharp. Empty:
+    nothing."""
     steps: list[PlanChange] = []
     while not plan.holds:
         found = _for(plan, plan.tightest)

@@ -36,12 +36,10 @@ class CountDetection:
 
     @property
     def bad_samples(self) -> int:
-        """In a row, of any phase, that cannot change the count unseen."""
         return samples_without_harm(self.limit_cycles + self.motion_cycles)
 
     @property
     def missed_samples(self) -> int:
-        """Missed or flagged in a row, after which one motion is left."""
         return self.declared.kept_samples(self.motion_cycles)
 
     def kept_with(self, **declared: Any) -> int:

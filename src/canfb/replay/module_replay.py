@@ -121,7 +121,6 @@ class ModuleReplay:
 
     @property
     def own_can_ids(self) -> frozenset[int]:
-        """CAN-IDs of what it sends and takes, without those for all nodes."""
         node = self.module.node
         sync = self.module.dictionary.entry(*od.SYNC_COB_ID).value & cob.CAN_ID
         return (node.own_can_ids | node.can_ids().any_state) - EVERYBODY - {sync}

@@ -89,7 +89,6 @@ class OwnFrames:
             self._recorded.append((now, data))
 
     def close(self, now: float) -> None:
-        """The log ends. What was sent just before may have its counterpart behind the end."""
         self.compared.only_replayed += _drop_late(self._replayed, now)
         self.compared.only_recorded += len(self._recorded)
         self._replayed.clear()

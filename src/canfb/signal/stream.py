@@ -105,7 +105,6 @@ def process_stream(
 
 
 def from_standstill(results: Iterator[ChainResult], config: ChainConfig) -> Iterator[ChainResult]:
-    """All of them lost if the first samples show that the machine does not stand."""
     first: list[float] = []
     moves = is_known = False
     for result in results:

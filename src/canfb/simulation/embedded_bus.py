@@ -1,7 +1,7 @@
 """A CAN bus inside the process, in simulated time: deterministic, without threads or sockets.
 
-Without a bit rate a frame reaches all at once. With one, the lowest CAN-ID that waits goes first
-(arbitration), takes its bits / bit rate, and is received at its end.
+With a bit rate the lowest CAN-ID that waits goes first, takes its bits / bit rate, and is received at its
+end.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class EmbeddedBus:
     bit/s.
 
     ``now`` is the simulated time, ``bits`` and ``frames`` went over the bus, ``observers`` are called with
-    each frame and its time. What a participant has to compute takes no simulated time; ``computes`` False:
-    never done.
+    each frame and its time. What a participant computes takes no simulated time; ``computes`` False: never
+    done.
     """
 
     def __init__(self, bit_rate: int | None = None) -> None:

@@ -1,7 +1,5 @@
-"""Producers of the SYNC, with drift and jitter: for a bus that has none, or a drive; one watches its rate.
-
-A SYNC goes out at n T plus a deviation that does not add up: jitter, and the rest of the frame on the wire.
-"""
+"""Producers of the SYNC: at n T plus a deviation that does not add up, jitter and the rest of the frame on
+the wire."""
 
 from __future__ import annotations
 

@@ -80,7 +80,6 @@ def binding() -> Any:
 
 
 def open_context(iio: Any, uri: str) -> Any:
-    """The context, which waits two seconds at most. BusError."""
     try:
         context = iio.Context(uri)
         context.set_timeout(TIMEOUT_MS)

@@ -9,13 +9,6 @@ it is, or that it is at none:
 
 The line is that of least squares, in recursive form, through the last ``memory`` instants. How far instants
 are off it is shown, and judges nothing: what was seen is no bound of what may come.
-
-| bound | value | reason |
-|---|---|---|
-| UNDECLARED | 0.45 period | half a period away the next place is as near |
-| REGULAR | 0.2 of the interval | 135 us of 1 ms for a frame before a SYNC, and its producer |
-| FIRST | 6 instants | their line is within 0.25 of the rms jitter of one, per place |
-| LARGEST_FIRST | 13 instants | those that jitter more give their line as they are |
 """
 
 from __future__ import annotations
@@ -24,8 +17,10 @@ import math
 from itertools import pairwise
 from statistics import linear_regression, median
 
-UNDECLARED = 0.45
-REGULAR = 0.2
+UNDECLARED = 0.45  # period: half a period away the next place is as near
+REGULAR = 0.2  # of the interval: 135 us of 1 ms for a frame before a SYNC, and its producer
+# Instants: the line of FIRST is within 0.25 of the rms jitter of one, per place; at LARGEST_FIRST those that
+# jitter more give their line unchanged.
 FIRST, LARGEST_FIRST = 6, 13
 CALLS, MOST_CALLS = 9, 33  # that may be late: straight enough at once, or as they are
 TOGETHER = 0.5  # of a period from one to the next: those that come faster have waited

@@ -5,11 +5,6 @@ the call is only the latest time of the frame: SYNCs are counted in their order,
 have one, and the line follows the earliest of TOGETHER calls. One that is late by a turn of its counter,
 without one by a period, may come after others that were lost: nothing is valid until one is in time again.
 Those that stay late show that SYNCs are missing. Doubt is speed times intervals: at standstill it is none.
-
-| bound | value | reason |
-|---|---|---|
-| USUAL_JITTER_S | 0.2 ms | a frame before it at 1 Mbit/s, and 65 us of producer and receive time |
-| SAME_FRAME_S | 47 us | the shortest frame at 1 Mbit/s: no SYNC comes sooner after another |
 """
 
 from __future__ import annotations
@@ -20,8 +15,8 @@ from typing import NamedTuple
 
 from canfb.timing.grid import Grid
 
-USUAL_JITTER_S = 0.2e-3
-SAME_FRAME_S = 47e-6
+USUAL_JITTER_S = 0.2e-3  # a frame before it at 1 Mbit/s, and 65 us of producer and receive time
+SAME_FRAME_S = 47e-6  # the shortest frame at 1 Mbit/s: no SYNC comes sooner after another
 TOGETHER = 8
 HALF = 0.5
 LATE = 0.9  # of a turn

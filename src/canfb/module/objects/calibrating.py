@@ -151,7 +151,6 @@ class Calibrating:
         self._enter(State.IDLE)
 
     def interrupted(self) -> None:
-        """A recording has a gap of unknown length, and is refused."""
         if self.state is State.RECORDING:
             self._refuse(Reason.INTERRUPTED)
 

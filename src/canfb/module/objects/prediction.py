@@ -18,16 +18,13 @@ KNOWN_ACCELERATION = 3  # successive valid samples that determine one
 
 
 class Prediction:
-    """Extrapolates 6004h and 6008h by one interval of SYNC, for synchronous TPDOs only.
+    """Extrapolates 6004h and 6008h by one interval of SYNC, for synchronous TPDOs only (docs/latency.md).
 
-    At SYNC k+1 the newest sample is that of SYNC k. With x the position, v = x(k) - x(k-1) and
-    a = v(k) - v(k-1), in cycles and intervals:
+    At SYNC k+1 the newest sample is that of SYNC k. With x the position, v = x(k) - x(k-1) and a = v(k) -
+    v(k-1), in cycles and intervals of a sample, m of which are in one of SYNC:
 
-        1  constant speed         x(k) + v       error at most |acceleration| T^2,   noise times sqrt(5)
-        2  constant acceleration  x(k) + v + a   error at most |jerk| T^3,           noise times sqrt(19)
-
-    With m samples in an interval: x(k) + m v, and x(k) + m v + a m (m + 1)/2. v is the speed of half an
-    interval ago, so a counts whole (docs/latency.md).
+        1  constant speed         x(k) + m v 2  constant acceleration  x(k) + m v + a m (m + 1)/2;   v is the
+        speed of half an interval ago, so a counts whole
 
     :meth:`extrapolate` comes before the TPDOs of a SYNC are sampled; :meth:`withdraw` after it puts
     ``measured`` back. Bit 12 of the status word stands in between. While coasting the position goes on at the
@@ -62,7 +59,6 @@ class Prediction:
         self.forget()
 
     def forget(self) -> None:
-        """2013h was written, the node was reset, or OPERATIONAL begins."""
         # Whether extrapolate and withdraw, and shift, are to be called.
         self.extrapolates, self.follows = bool(self._kind.value != OFF), bool(self._nominal.value)
         self.is_on = self.extrapolates or self.follows

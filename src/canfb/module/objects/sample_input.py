@@ -26,14 +26,12 @@ PLACES = 65536.0  # 2000:07 counts the interval of SYNC in 1/65536
 class SampleInput:
     """Waits for all RPDOs that bring a part of 2000h, then gives the sample.
 
-    Both tracks of a pair must come in one RPDO: they belong to one instant. Earlier pairs are used up to the
-    first that no RPDO brings; SDO may set 2000:06 bit 1.
+    Both tracks of a pair must come in one RPDO. Earlier pairs are used up to the first that no RPDO brings.
 
     ``sine`` ... ``place``  the entries of 2000:01..07
     ``arrived``             RPDOs of this sample that have come, bit n: RPDO n
     ``alone``               the RPDO that brings the whole sample, if one does
-    ``usual``               the RPDO that brings two counts, perhaps their time, and no more, at once; else
-                            NO_RPDO
+    ``usual``               the RPDO that brings two counts, perhaps their time, and no more; else NO_RPDO
     ``timed``               each sample brings its time
     ``judged``              the RPDO with the tracks, if only its arrival says to which SYNC they belong
     ``is_synchronous``      the tracks are taken over at the SYNC after they came

@@ -1,7 +1,6 @@
 """What witnesses do to the position (paper, section 4): take its validity, give its speed and its count.
 
-Every jump of the position is reported. A pulse that contradicts a valid position may be false: the position
-is not valid then until another pulse settles it.
+A pulse that contradicts a valid position may be false: it is not valid until another pulse settles it.
 """
 
 from __future__ import annotations

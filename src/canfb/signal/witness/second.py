@@ -1,8 +1,5 @@
-"""Another sensor of the machine as a witness; the rules are in docs/homing.md.
-
-It is heard one SYNC later than the sample, when the interval is over and the value is certain. That it
-contradicts a valid position is reported: it is not known which of the two is wrong.
-"""
+"""Another sensor of the machine as a witness (docs/homing.md), compared one SYNC after the sample, when its
+value is certain."""
 
 from __future__ import annotations
 

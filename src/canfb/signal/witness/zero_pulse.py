@@ -1,9 +1,7 @@
-"""The zero pulse, once per revolution at the same place: it shows a wrong cycle count, and sets it right.
+"""The zero pulse, once per revolution at the same place: it shows a wrong cycle count, and corrects it.
 
-One pulse may be false: two, whole revolutions apart, say where it is, and two agree on how wrong the count
-is. A pulse is about a cycle wide, and its edge is latched where the machine enters it: each direction has a
-place of its own. A pulse of a direction whose place is not known only agrees with one of the other up to
-WIDEST_CYCLES.
+One pulse may be false: two, whole revolutions apart, give its place. It is about a cycle wide: each direction
+has a place of its own, and until that is known a pulse only agrees with one of the other up to WIDEST_CYCLES.
 """
 
 from __future__ import annotations
