@@ -97,6 +97,14 @@ _import_od_once()
 
 
 @pytest.fixture
+def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
+    """Runs `canfb ...` against a bench."""
+    from node_commands import Commands  # loads the commands: most tests need none
+
+    return Commands(monkeypatch, capsys)
+
+
+@pytest.fixture
 def multicast_words() -> dict[str, Any]:
     """A multicast bus on a port that nobody uses: tests side by side have buses of their own."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:

@@ -47,11 +47,6 @@ ENCODER = Encoder(
 )
 
 
-@pytest.fixture
-def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
-    return Commands(monkeypatch, capsys)
-
-
 def bench_at(rpm: float, **config: Any) -> Bench:
     """Up to this speed from standstill, and steady but for a ripple: the module knows the speed."""
     motion = Motion((Ramp(0.3, 0.0), Ramp(2.0, rpm)), (Ripple(0.3, 0.31), Ripple(0.2, 1.7)))

@@ -23,11 +23,6 @@ NODE = hex(MODULE_ID)
 PAGE = (Path(__file__).parents[2] / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
 
 
-@pytest.fixture
-def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
-    return Commands(monkeypatch, capsys)
-
-
 def turning(**fields: Any) -> Bench:
     bench = Bench(**fields)
     bench.bus.run_until(0.5)

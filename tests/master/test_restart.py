@@ -15,11 +15,6 @@ NODE = hex(MODULE_ID)
 STILL = Motion((), ())
 
 
-@pytest.fixture
-def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
-    return Commands(monkeypatch, capsys)
-
-
 def running(motion: Motion, **fields: Any) -> Bench:
     bench = Bench(motion=motion, **fields)
     bench.bus.run_until(0.5)

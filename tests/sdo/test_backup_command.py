@@ -35,11 +35,6 @@ CHANGED: dict[tuple[int, int], tuple[str, float]] = {
 """What makes the module another one than as delivered."""
 
 
-@pytest.fixture
-def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
-    return Commands(monkeypatch, capsys)
-
-
 def module(store: MemoryStore | None = None, **config: Any) -> Bench:
     return Bench(sync=False, operational=False, store=store, config=config)
 

@@ -35,11 +35,6 @@ OF_MODULE = ObjectDescriptions(eds_path("canfb-module"), MODULE_ID)
 
 
 @pytest.fixture
-def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
-    return Commands(monkeypatch, capsys)
-
-
-@pytest.fixture
 def bench() -> Bench:
     return Bench(sync=False)
 

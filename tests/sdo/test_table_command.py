@@ -32,11 +32,6 @@ OLD = Correction(OTHER, Conditioning(sine_gain=1.25))
 
 
 @pytest.fixture
-def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Commands:
-    return Commands(monkeypatch, capsys)
-
-
-@pytest.fixture
 def file(tmp_path: Path) -> Path:
     path = tmp_path / "table.yaml"
     path.write_text(as_yaml(NEW, {"date": "2026-03-01", "cycles_per_revolution": 2500}))
