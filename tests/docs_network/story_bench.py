@@ -11,11 +11,13 @@ import network_file
 
 import master
 from canfb.cia301.frame import Frame
+from canfb.cia301.nmt import NmtState
 from canfb.configuration import load_config
 from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
+from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus
 from canfb.simulation.set_up import simulated_axis
 from canfb.simulation.sync_producer import REGULAR, SyncDeviation, SyncTiming
@@ -128,3 +130,17 @@ class DriveNetwork:
             self.wait,
             lambda network, file: network.send_periodic(0x80, b"", file.sync_period_us / 1e6),
         )
+
+
+def assert_all_quiet(network: DriveNetwork) -> None:
+    """PRE-OPERATIONAL, no power, and no SYNC any more."""
+    assert network.module.state is NmtState.PRE_OPERATIONAL
+    assert network.interface.node.state is NmtState.PRE_OPERATIONAL
+    assert network.drive.state is NmtState.PRE_OPERATIONAL
+    assert network.drive.power in (State.SWITCH_ON_DISABLED, State.FAULT)
+    syncs = network.plant.syncs
+    network.wait(1.0)
+    assert network.plant.syncs == syncs
+    network.plant.go_on_to(network.bus.now)  # time passes without a SYNC, too
+    assert network.plant.motor.braked
+    assert (network.plant.motor.command_nm, network.plant.motor.speed_rad_s) == (0.0, 0.0)

@@ -7,7 +7,7 @@ import re
 
 import network_file
 import pytest
-from story_bench import FOLDER, DriveNetwork
+from story_bench import FOLDER, DriveNetwork, assert_all_quiet
 
 import canfb
 from canfb.configuration import load_config
@@ -22,7 +22,8 @@ def without_numbers(text: str) -> list[str]:
 
 def test_the_output(capsys: pytest.CaptureFixture[str]) -> None:
     (shown,) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
-    assert DriveNetwork().run("--provoke-alarm") == 0
+    network = DriveNetwork()
+    assert network.run("--provoke-alarm") == 0
     said = capsys.readouterr().out
     assert without_numbers(shown) == without_numbers(said)
     written = r"configured: (\d+) object"
@@ -30,6 +31,12 @@ def test_the_output(capsys: pytest.CaptureFixture[str]) -> None:
     for what in ("rms", "peak", "drive", "module"):
         figures = [re.findall(rf"{what} (-?[0-9.]+)", text) for text in (shown, said)]
         assert [float(x) for x in figures[0]] == pytest.approx([float(x) for x in figures[1]], abs=2e-4)
+    (unseen,), (running,) = (
+        re.findall(rf"{what} (\d+) SYNC", said) for what in ("position not valid", "left OPERATION ENABLED")
+    )
+    assert int(unseen) <= 2
+    assert int(running) <= 3
+    assert_all_quiet(network)
 
 
 def test_every_key_of_the_file_is_explained() -> None:

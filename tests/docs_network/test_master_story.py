@@ -14,12 +14,11 @@ import nodes
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from story_bench import FOLDER, DriveNetwork
+from story_bench import FOLDER, DriveNetwork, assert_all_quiet
 
 import master
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.simulation import embedded_bus
 from canfb.simulation.cia402.drive import DriveError
 from canfb.simulation.cia402.state_machine import State
 
@@ -30,20 +29,6 @@ SYNC_S = 0.01
 def figure(said: str, what: str, move: int = 0) -> float:
     """A number of the report, after these words, of the n-th move."""
     return float(re.findall(rf"{what} (-?[0-9.]+)", said)[move])
-
-
-def assert_all_quiet(network: DriveNetwork) -> None:
-    """PRE-OPERATIONAL, no power, and no SYNC any more."""
-    assert network.module.state is NmtState.PRE_OPERATIONAL
-    assert network.interface.node.state is NmtState.PRE_OPERATIONAL
-    assert network.drive.state is NmtState.PRE_OPERATIONAL
-    assert network.drive.power in (State.SWITCH_ON_DISABLED, State.FAULT)
-    syncs = network.plant.syncs
-    network.wait(1.0)
-    assert network.plant.syncs == syncs
-    network.plant.go_on_to(network.bus.now)  # time passes without a SYNC, too
-    assert network.plant.motor.braked
-    assert (network.plant.motor.command_nm, network.plant.motor.speed_rad_s) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("revolutions", [1.0, -2.5])
@@ -59,19 +44,6 @@ def test_a_move(revolutions: float, capsys: pytest.CaptureFixture[str]) -> None:
     assert figure(said, "at most") < 1e-4
     assert network.plant.motor.revolutions == pytest.approx(revolutions, abs=3e-4)
     assert "EMCY" not in said
-    assert_all_quiet(network)
-
-
-def test_the_alarm(capsys: pytest.CaptureFixture[str]) -> None:
-    network = DriveNetwork()
-    assert network.run("--provoke-alarm") == 0
-    said = capsys.readouterr().out
-    assert "EMCY of module (20h): 7300h" in said
-    assert "EMCY of drive (30h): 7305h" in said
-    assert figure(said, "position not valid") <= 2
-    assert figure(said, "left OPERATION ENABLED") <= 3
-    assert figure(said, "position          drive", 1) == pytest.approx(-1.0, abs=2e-4)
-    assert network.drive.power is State.SWITCH_ON_DISABLED
     assert_all_quiet(network)
 
 
@@ -101,18 +73,6 @@ def test_a_second_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None
     assert "all nodes agree with the file" in capsys.readouterr().out
     assert network.run() == 0
     assert "configured: 0 object(s) written" in capsys.readouterr().out
-
-
-def test_check_writes_nothing_and_moves_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    network = DriveNetwork()
-    sent: list[Frame] = []
-    network.bus.observers.append(lambda frame, now: sent.append(frame))
-    network.run("--check")
-    requests = [frame for frame in sent if 0x600 < frame.can_id < 0x680]
-    assert len(requests) > 30
-    assert all(frame.data[0] & 0xE0 == 0x40 for frame in requests)  # uploads
-    own = [frame for frame in sent if frame.can_id != embedded_bus.CAN_ID]
-    assert {frame.can_id & 0x780 for frame in own} == {0x580, 0x600}
 
 
 @pytest.mark.parametrize(

@@ -155,14 +155,6 @@ def test_the_table_of_another_encoder_is_refused(canfb: Commands, tmp_path: Path
     assert in_force(bench) != before
 
 
-def test_a_refused_staging_leaves_the_conditioning(canfb: Commands, file: Path) -> None:
-    bench = bench_with(OLD)
-    refuse_once(bench, (0x2020, 1), 2)
-    _, err = canfb(bench, "table", "write", NODE, file, code=1)
-    assert read_active(bench.access) == OLD
-    assert "; the table and the conditioning from before are in force" in err
-
-
 def test_save_is_refused_before_anything_is_written(canfb: Commands, file: Path) -> None:
     bench = bench_with(OLD)
     _, err = canfb(bench, "table", "write", NODE, file, "--activate", "--save", code=1)
