@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import canfb
@@ -16,6 +16,7 @@ from canfb.errors import ConfigError
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.motion import Ramp, Ripple
 from canfb.simulation.scenario import HarmonicConfig
+from drawing import examples
 
 # The YAML of section 3 of the design, as it stands there.
 DESIGN = """\
@@ -181,7 +182,7 @@ SPACED = [
 WORDS = st.sampled_from(TOKENS.split() + SPACED)
 
 
-@settings(max_examples=400)
+@examples(400)
 @given(st.lists(WORDS, max_size=25).map("".join))
 def test_anything_that_looks_like_yaml_loads_or_is_refused(text: str) -> None:
     loads_or_is_refused(text)

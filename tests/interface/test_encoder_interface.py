@@ -7,7 +7,7 @@ import struct
 from collections.abc import Iterable
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
@@ -16,6 +16,7 @@ from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource
 from canfb.sources.protocol import SourceEnded
+from drawing import examples
 from folding import each
 
 NODE, TPDO1 = 16, 0x190
@@ -99,7 +100,7 @@ steps = st.one_of(
 )
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.lists(steps, max_size=40))
 def test_exactly_one_pdo_for_each_sync_in_operational_and_none_otherwise(frames: list[Frame]) -> None:
     source = Endless()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import can
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
@@ -16,6 +16,7 @@ from canfb.logfile import candump
 from canfb.logfile.in_order import WINDOW_S, InOrder
 from canfb.logfile.log_files import LogError
 from canfb.logfile.log_reader import BusLogFile
+from drawing import examples
 from fake_bus import message
 
 SUFFIXES = [".log", ".blf", ".asc", ".trc", ".csv", ".log.gz", ".asc.gz"]
@@ -50,7 +51,7 @@ def written(path: Path, messages: list[tuple[int, can.Message]]) -> Path:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-@settings(max_examples=10)
+@examples(10)
 @given(messages=MESSAGES)
 def test_the_frames_are_those_of_python_can(
     tmp_path_factory: pytest.TempPathFactory, suffix: str, messages: list[tuple[int, can.Message]]
@@ -275,7 +276,7 @@ def stamps(frames: list[Frame]) -> list[float]:
     return [frame.timestamp or 0.0 for frame in frames]
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     late_s=st.floats(1e-4, 0.9 * WINDOW_S),
     every=st.integers(1, 200),
@@ -297,7 +298,7 @@ def test_frames_that_were_written_late_get_their_places(
     assert [frame for frame in found if frame.can_id != 0x705] == own
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(back_s=st.one_of(st.floats(0.003, 0.4), st.floats(2.0, 1e6)), size=st.sampled_from([100, 333, 4000]))
 def test_a_clock_that_was_set_back_keeps_the_order(back_s: float, size: int) -> None:
     frames = cyclic(500)

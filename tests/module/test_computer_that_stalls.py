@@ -6,13 +6,14 @@ import math
 import random
 import struct
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.module.feedback_module import FeedbackModule
+from drawing import examples
 from ideal_tracks import counts_at
 from judged_session import Judge, TrueMotion
 
@@ -39,7 +40,7 @@ def frames(draw: random.Random, load: float) -> list[tuple[float, float | None]]
     return sent
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     seed=st.integers(0), load=st.sampled_from([0.01, 0.03, 0.1]), stamped=st.booleans(), lost=st.booleans()
 )

@@ -12,7 +12,7 @@ import canopen
 import dcf
 import pytest
 from configuration_kit import NODE_ID, played, run, state, table, write
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
 
@@ -23,6 +23,7 @@ from canfb.module.device_configuration import DeviceConfiguration, configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
+from drawing import examples
 
 TABLE = table(256, 0.015)
 WITH_TABLE = [Write(0x2020, 1, TABLE.to_bytes()), write(0x2020, 3, 4, TABLE.crc32)]
@@ -173,7 +174,7 @@ def test_the_concise_form_is_what_dcf_tools_make_of_the_values(name: str, tmp_pa
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))
-@settings(max_examples=200)
+@examples(200)
 def test_every_real32_comes_back_from_both_ways(value: float) -> None:
     data = struct.pack("<f", value)
     assert struct.pack("<f", float(real_as_text(8, value, Reals.DECIMAL))) == data

@@ -17,7 +17,7 @@ from configuration_kit import (
     table,
     write,
 )
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from module_bench import Bench
 
 from canfb.device.od.writes import Write, decode_concise, encode_concise
@@ -26,6 +26,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
+from drawing import examples
 
 SIXTEEN_BITS = [write(0x2001, 2, 2, 32768), write(0x2001, 4, 2, 40960), write(0x2001, 3, 2, 6554)]
 NARROW = [write(0x2001, 3, 2, 1), write(0x2001, 4, 2, 2)]
@@ -51,7 +52,7 @@ def modules() -> tuple[FeedbackModule, FeedbackModule]:
 @example([], COUNTING)
 @example([*COUNTING[:2], write(0x1005, 0, 4, 0x40000090)], COUNTING)
 @example([*COUNTING, *MOVED_EMCY], [write(0x1014, 0, 4, 0xA1)])
-@settings(max_examples=150)
+@examples(150)
 def test_the_writes_are_taken_whatever_the_module_held_and_make_it_the_same(
     modules: tuple[FeedbackModule, FeedbackModule], wanted: list[Write], before: list[Write]
 ) -> None:
@@ -68,7 +69,7 @@ def test_the_writes_are_taken_whatever_the_module_held_and_make_it_the_same(
 
 
 @given(PROGRAMS)
-@settings(max_examples=50)
+@examples(50)
 def test_a_module_that_was_loaded_answers_the_same_frames_with_the_same_frames(
     modules: tuple[FeedbackModule, FeedbackModule], wanted: list[Write]
 ) -> None:

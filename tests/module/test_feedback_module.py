@@ -5,7 +5,7 @@ import struct
 
 import pytest
 from canopen import SdoAbortedError
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
 
@@ -14,6 +14,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal.speeds import STILL_SAMPLES
+from drawing import examples
 
 
 def test_the_counts_are_in_the_dictionary_and_every_stage_of_them(bench: Bench) -> None:
@@ -98,7 +99,7 @@ def test_bad_values_are_refused_and_change_nothing(bench: Bench, index: int, sub
     assert bench.at(0.0)[1] == StatusBit.VALID
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(st.data())
 def test_no_frame_ever_raises_and_what_is_published_is_well_formed(data: st.DataObject) -> None:
     module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from latency_bench import RANGE, UNITS_PER_CYCLE, Timeline
 
@@ -15,6 +15,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.prediction import ahead
 from canfb.objects import StatusBit
+from drawing import examples
 
 VALID, EXTRAPOLATED = int(StatusBit.VALID), int(StatusBit.EXTRAPOLATED)
 QUANTUM = 2e-5  # cycles: of the 16-bit converter, and of the position
@@ -51,7 +52,7 @@ def stopping(acceleration: float, periods: int) -> Callable[[int], float]:
     return lambda k: moving(min(k, 2 * periods))
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(st.floats(-0.3, 0.3), st.integers(1, 2), st.sampled_from([1, 255]), st.sampled_from([0, 1]))
 def test_at_constant_speed_nothing_is_left_of_the_age(
     acceleration: float, kind: int, rpdo: int, tpdo: int

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import pytest
 from canopen import SdoAbortedError
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
 
@@ -15,6 +15,7 @@ from canfb.eds_files import eds_path
 from canfb.module.cia406.position import STILL, PositionScale, saturated, show_motion
 from canfb.module.interval import SamplingInterval
 from canfb.timing.syncs import Syncs
+from drawing import examples
 
 U32 = st.integers(0, 0xFFFFFFFF)
 CYCLES = st.floats(-1e6, 1e6)
@@ -24,7 +25,7 @@ def nearest(value: Fraction) -> int:
     return max(-0x8000, min(round(value), 0x7FFF))
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(
     CYCLES,
     CYCLES,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode, SdoAbort
@@ -14,6 +14,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.module.cia406.position import PositionScale, distinguishable_revolutions, single_turn_resolution
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from drawing import examples
 
 U32 = 0xFFFFFFFF
 EIGHTHS = [(0, 1000), (1000, 1000), (1000, 0), (1000, -1000), (0, -1000), (-1000, -1000), (-1000, 0),
@@ -171,7 +172,7 @@ HALF = [
 ]
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(st.sampled_from([1, 2, 3, 16, 1000, 2500]), st.lists(STEPS, max_size=40))
 @example(16, [STILL, STILL, ("preset", 0x6003, 2**31, 4)])  # half of the largest range
 @example(1, HALF)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
+from drawing import examples
 from ideal_tracks import counts_at
 
 FREQUENCY, AMPLITUDE, REFERENCE = 0xFF10, 0xFF11, 0xFF15
@@ -101,7 +102,7 @@ def test_only_chosen_warnings_are_told(bench: Bench, mask: int) -> None:
     assert told(bench) == [(AMPLITUDE, 0x21), (0, 0)]
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     st.lists(st.tuples(st.sampled_from([LOW, GOOD, BAD]), st.integers(1, 12)), max_size=12),
     st.sampled_from([0, 1, 5, 20]),

@@ -7,7 +7,7 @@ import struct
 import canopen
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import SYNC
 
@@ -24,6 +24,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
+from drawing import examples
 
 MANUFACTURER = ParameterGroup.MANUFACTURER
 IDENTITY = Identity(0, 1, 1)
@@ -245,7 +246,7 @@ configurations = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(configurations, configurations)
 def test_what_one_configuration_saves_another_restores(
     before: dict[str, object], after: dict[str, object]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
 
@@ -18,6 +18,7 @@ from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import parse_config
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import LOST, VALID
+from drawing import examples
 from ideal_tracks import counts_at
 
 SPARE_CYCLES = 0.1
@@ -147,7 +148,7 @@ def test_the_valid_bit_of_a_start_comes_once(start: list[float]) -> None:
 
 
 @pytest.mark.parametrize("acceleration", [0.0, 1e-3])
-@settings(max_examples=60)
+@examples(60)
 @given(late=st.lists(st.floats(0.0, 0.7), min_size=12, max_size=12))
 def test_even_samples_hold_a_start_whose_syncs_are_heard_unevenly(
     acceleration: float, late: list[float]
@@ -178,7 +179,7 @@ def test_crowded_samples_are_not_missed() -> None:
 
 
 @pytest.mark.parametrize("stamped", [True, False])
-@settings(max_examples=40)
+@examples(40)
 @given(
     ticks=st.one_of(st.integers(-100_000, -50_000), st.integers(50_000, 300_000), st.integers(2**19, 2**31)),
     cycles=st.integers(1, 3),

@@ -10,7 +10,7 @@ import sys
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb import objects as od
@@ -23,6 +23,7 @@ from canfb.monitoring.layout import NEEDED, Origin, assumed_layout, known_layout
 from canfb.monitoring.lines import residual_words
 from canfb.monitoring.snapshot import ModuleSnapshot, NodeSnapshot
 from canfb.view.pdo_map import Read
+from drawing import examples
 from folding import each
 from monitored_network import INTERFACE, NODE, MonitoredNetwork
 
@@ -209,7 +210,7 @@ FRAMES = st.lists(
 )
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(FRAMES)
 def test_no_frame_raises(frames: list[tuple[int, bytes, bool, float]]) -> None:
     model = BusModel(known_layouts(Config(), [NODE]), assumed_layout, 500_000)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from planning_kit import planned
 
@@ -21,6 +21,7 @@ from canfb.planning.traffic import (
     sync_message,
 )
 from canfb.simulation.sync_producer import LONGEST_FRAME_BITS
+from drawing import examples
 
 NODE = 0x20
 
@@ -98,7 +99,7 @@ def test_the_frames_of_a_module_as_delivered() -> None:
     assert planned(times=True).plan_input.bus.load > bus.load
 
 
-@settings(max_examples=12)
+@examples(12)
 @given(
     modules=st.integers(1, 12),
     rate_hz=st.floats(1.0, 5000.0),

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from planning_kit import planned
 
 from canfb.planning.hints import changes_of
 from canfb.planning.plan import Plan
+from drawing import examples
 
 
 def texts(plan: Plan) -> list[str]:
@@ -78,7 +79,7 @@ def test_after_the_limit_is_narrowed_the_rate_makes_it_sharp() -> None:
     assert Plan(then.plan_input).detection(Plan(then.plan_input).budgets[0]).is_sharp
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(
     modules=st.integers(1, 3),
     bit_rate=st.sampled_from([125_000, 250_000, 500_000, 1_000_000]),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
@@ -20,6 +20,7 @@ from canfb.replay.replay_result import ReplayResult
 from canfb.replay.sample_columns import Block
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
+from drawing import examples
 from ideal_tracks import counts_at
 from replay_kit import (
     ADC_ID,
@@ -210,7 +211,7 @@ SPEED_ID = 0x280 + NODE_ID
 OWN = {0x700 + NODE_ID, *(base + NODE_ID for base in (0x80, 0x180, 0x280, 0x380, 0x480, 0x580))}
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.lists(st.tuples(STEPS, EVENTS), max_size=60), st.integers(1, 7))
 def test_any_sequence(events: list[tuple[float, Frame]], pieces: int) -> None:
     """Any frames, live and replayed, in one piece and in several."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import canfb
@@ -23,6 +23,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.track_sectors import TrackSectors, deviation_of
 from canfb.simulation.encoder import Encoder, Harmonic
+from drawing import examples
 from folding import each
 
 AMPLITUDE = 1500.0
@@ -235,7 +236,7 @@ def test_a_growing_fault_is_found_within_the_bound(rate: float, track: str) -> N
     assert reported[1]  # before it was found
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     st.integers(0, 2**32 - 1),
     st.lists(st.integers(1, 400), min_size=1, max_size=8),

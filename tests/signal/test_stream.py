@@ -8,7 +8,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.signal import stream
@@ -20,6 +20,7 @@ from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.signal.stages import Stages
 from canfb.signal.stream import ChainResult, process_stream
+from drawing import examples
 
 Array = np.ndarray
 FIELDS = ("cycles", "phase", "residual", "amplitude", "raw_phase", "status")
@@ -156,7 +157,7 @@ def recording(
     return s, c
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(
     seed=st.integers(0, 2**32),
     samples=st.integers(1, 700),

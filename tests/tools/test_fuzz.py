@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.sdo.server import SdoServer
+from drawing import examples
 from tools.fuzz import body
 from tools.fuzz.body import Play
 from tools.fuzz.inputs import NODE_ID, SERVER
@@ -35,7 +36,7 @@ def test_a_kept_input(data: str) -> None:
     body.play(bytes.fromhex(data))
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(data=st.binary(max_size=300), transfers_only=st.booleans())
 def test_any_input(data: bytes, transfers_only: bool) -> None:
     body.play(data, transfers_only=transfers_only)

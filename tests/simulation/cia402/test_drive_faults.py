@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS, DriveBench, cruising
-from hypothesis import event, given, settings
+from hypothesis import event, given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
@@ -17,6 +17,7 @@ from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State
+from drawing import examples
 from folding import each
 
 HEARTBEAT_MS = 20
@@ -375,7 +376,7 @@ ACTION = st.one_of(
 )
 
 
-@settings(max_examples=150)
+@examples(150)
 @given(st.lists(ACTION, max_size=40))
 def test_no_torque_without_a_state_that_allows_it(actions: list[tuple[str, int]]) -> None:
     rig = Rig()

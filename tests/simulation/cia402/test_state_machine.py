@@ -9,13 +9,14 @@ import canopen
 import pytest
 from canopen.profiles.p402 import State402
 from drive_bench import DRIVE_ID, SYNC, UNITS, DriveBench, cruising
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
 from canfb.simulation.cia402.state_machine import Command, State, StateMachine, command_of
+from drawing import examples
 from folding import each
 
 # State x command as the figure of the standard has it, restated: the state after it, "." for the same.
@@ -216,7 +217,7 @@ def test_a_module_or_a_number_that_cannot_be_is_refused(build: Callable[[], obje
 IDS = [0x000, 0x080, 0x0A0, 0x100, 0x1A0, 0x230, 0x330, 0x630, 0x720, 0x7E5]
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(
     st.lists(st.tuples(st.sampled_from(IDS), st.binary(max_size=8), st.booleans()), max_size=60),
     st.booleans(),
