@@ -91,10 +91,6 @@ class Measuring(Bench):
         """Residual rms and peak, drift rms and peak, cycles."""
         return [self.sdo[0x2030][subindex].raw for subindex in (5, 6, 8, 9)]
 
-    def in_force(self) -> tuple[int, int, int]:
-        """Staged, active, entries: 2020:02, 04, 05."""
-        return tuple(self.sdo[0x2020][subindex].raw for subindex in (2, 4, 5))
-
     def conditioning(self) -> tuple[float, ...]:
         return tuple(self.sdo[0x2002][subindex].raw for subindex in range(1, 6))
 

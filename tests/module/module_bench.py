@@ -11,6 +11,7 @@ from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
 from ideal_tracks import counts_at
 
@@ -26,8 +27,8 @@ class Bench:
         self.bus = EmbeddedBus()
         self.heard: list[Frame] = []
         self.network = EmbeddedNetwork(self.bus)
-        self.module = FeedbackModule(ModuleConfig(node_id=32, **fields), store)
-        self.remote = canopen.RemoteNode(32, str(eds_path("canfb-module")))
+        self.module = FeedbackModule(ModuleConfig(**{"node_id": 32, **fields}), store)
+        self.remote = canopen.RemoteNode(self.module.config.node_id, str(eds_path("canfb-module")))
         self.network.add_node(self.remote)
         self.sdo = self.remote.sdo
         self.bus.observers.append(lambda frame, now: self.heard.append(frame))
@@ -36,6 +37,32 @@ class Bench:
 
     def start(self) -> None:
         self.remote.nmt.state = "OPERATIONAL"
+
+    def save(self, subindex: int = 1) -> None:
+        self.sdo.download(0x1010, subindex, b"save")
+
+    def load(self, subindex: int = 1) -> None:
+        self.sdo.download(0x1011, subindex, b"load")
+
+    def stage(self, table: CorrectionTable) -> None:
+        self.sdo.download(0x2020, 1, table.to_bytes())
+
+    def activate(self, table: CorrectionTable) -> None:
+        self.stage(table)
+        self.sdo[0x2020][3].raw = table.crc32
+
+    def in_force(self) -> tuple[int, int, int]:
+        """CRC of the staged table, CRC and entries of the active one: 2020:02, 04, 05."""
+        return tuple(self.sdo[0x2020][subindex].raw for subindex in (2, 4, 5))
+
+    def map_rpdo2(self, *objects: int) -> None:
+        """RPDO2 with COB-ID 290h carries these objects."""
+        self.sdo[0x1401][1].raw = 0x80000290
+        self.sdo[0x1601][0].raw = 0
+        for n, mapped in enumerate(objects, 1):
+            self.sdo[0x1601][n].raw = mapped
+        self.sdo[0x1601][0].raw = len(objects)
+        self.sdo[0x1401][1].raw = 0x290
 
     def sync(self) -> list[Frame]:
         """The next SYNC; what the module sends upon it."""
@@ -62,4 +89,8 @@ class Bench:
         return struct.unpack("<IHH", data)
 
     def emergencies(self) -> list[int]:
-        return [struct.unpack_from("<H", frame.data)[0] for frame in self.heard if frame.can_id == 0xA0]
+        return [code for code, *_ in self.alarms()]
+
+    def alarms(self) -> list[tuple[int, int, int]]:
+        """Code, error register and first manufacturer byte of each EMCY."""
+        return [struct.unpack_from("<HBB", frame.data) for frame in self.heard if frame.can_id == 0xA0]

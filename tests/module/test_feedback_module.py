@@ -117,12 +117,7 @@ def test_no_frame_ever_raises_and_what_is_published_is_well_formed(data: st.Data
 def test_the_sample_may_come_in_any_rpdo(bench: Bench) -> None:
     sdo = bench.sdo
     sdo[0x1400][1].raw = 0x80000190
-    sdo[0x1401][1].raw = 0x80000000 | 0x290
-    sdo[0x1601][0].raw = 0
-    sdo[0x1601][1].raw = 0x20000210
-    sdo[0x1601][2].raw = 0x20000110
-    sdo[0x1601][0].raw = 2
-    sdo[0x1401][1].raw = 0x290
+    bench.map_rpdo2(0x20000210, 0x20000110)
     bench.sync()
     assert bench.counts(0, 1500) == []
     sample = Frame(0x290, struct.pack("<hh", 0, 1500))
@@ -141,18 +136,8 @@ def test_an_rpdo_without_both_tracks_is_no_sample(bench: Bench) -> None:
     assert sdo[0x2011][8].raw == 0
 
 
-def map_second_rpdo(bench: Bench, *objects: int) -> None:
-    """RPDO2 with COB-ID 290h carries these objects."""
-    sdo = bench.sdo
-    sdo[0x1401][1].raw = 0x80000290
-    for n, mapped in enumerate(objects, 1):
-        sdo[0x1601][n].raw = mapped
-    sdo[0x1601][0].raw = len(objects)
-    sdo[0x1401][1].raw = 0x290
-
-
 def test_a_sample_in_two_pdos_is_complete_with_the_second(bench: Bench) -> None:
-    map_second_rpdo(bench, 0x20000310, 0x20000410, 0x20000608, 0x20000710)
+    bench.map_rpdo2(0x20000310, 0x20000410, 0x20000608, 0x20000710)
     for _ in range(30):
         bench.sync()
         assert bench.counts(0, 1500) == []

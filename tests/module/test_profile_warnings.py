@@ -52,16 +52,6 @@ def test_a_limit_that_a_known_acceleration_narrows(bench: Bench) -> None:
     assert told(bench) == [(FREQUENCY, 0x21)]
 
 
-def zero_pulse(bench: Bench) -> None:
-    """RPDO2 with the flags of a sample."""
-    sdo = bench.sdo
-    sdo[0x1401][1].raw = 0x80000290
-    sdo[0x1601][0].raw = 0
-    sdo[0x1601][1].raw = 0x20000608
-    sdo[0x1601][0].raw = 1
-    sdo[0x1401][1].raw = 0x290
-
-
 def flagged(bench: Bench, flags: int, position: float = 0.0) -> None:
     bench.sync()
     bench.counts(*counts_at(position))
@@ -71,7 +61,7 @@ def flagged(bench: Bench, flags: int, position: float = 0.0) -> None:
 def test_no_zero_pulse_yet(bench: Bench) -> None:
     bench.at(0.0)
     assert bench.sdo[0x6505].raw == 0  # none is wired
-    zero_pulse(bench)
+    bench.map_rpdo2(0x20000608)  # the flags of a sample
     assert bench.sdo[0x6505].raw == 0x20
     assert told(bench) == []
     for _ in range(3):

@@ -99,10 +99,7 @@ def test_the_memory_is_bounded_and_says_so(bench: Bench) -> None:
 
 
 def test_faulty_samples_are_recorded_as_they_came_invalid_ones_are_none(bench: Bench) -> None:
-    bench.sdo[0x1601][0].raw = 0
-    bench.sdo[0x1601][1].raw = 0x20000608
-    bench.sdo[0x1601][0].raw = 1
-    bench.sdo[0x1401][1].raw = 0x290
+    bench.map_rpdo2(0x20000608)
     command(bench, START)
     for counts, flags in (((2047, 2047), 0), ((0, 3), 0), ((5, 1500), 2), ((6, 1500), 0)):
         bench.sync()

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import struct
-
 import canopen
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from module_bench import SYNC
+from module_bench import Bench
 
 from canfb.cia301.frame import Frame
 from canfb.demo.demo_network import EmbeddedNetwork
@@ -18,8 +16,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.device_configuration import configuration_of
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig, SecondPositionConfig
+from canfb.module.module_config import SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.sample import Sample
@@ -32,46 +29,13 @@ PHASES = np.arange(64) / 64
 TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
 
 
-class Machine:
-    """A module with its store, on a bus with a master."""
-
-    def __init__(self, store: MemoryStore | None, **fields: object) -> None:
-        self.bus = EmbeddedBus()
-        network = EmbeddedNetwork(self.bus)
-        self.module = FeedbackModule(ModuleConfig(**{"node_id": 32, **fields}), store)  # type: ignore[arg-type]
-        self.master = canopen.RemoteNode(self.module.config.node_id, str(eds_path("canfb-module")))
-        network.add_node(self.master)
-        self.sdo = self.master.sdo
-        self.heard: list[Frame] = []
-        self.bus.observers.append(lambda frame, now: self.heard.append(frame))
-        self.bus.attach(self.module)
-
-    def save(self, subindex: int = 1) -> None:
-        self.sdo.download(0x1010, subindex, b"save")
-
-    def load(self, subindex: int = 1) -> None:
-        self.sdo.download(0x1011, subindex, b"load")
-
-    def activate(self, table: CorrectionTable) -> None:
-        self.sdo.download(0x2020, 1, table.to_bytes())
-        self.sdo[0x2020][3].raw = table.crc32
-
-    def alarms(self) -> list[tuple[int, int, int]]:
-        """Code, register and first manufacturer byte of each EMCY."""
-        return [struct.unpack_from("<HBB", frame.data) for frame in self.heard if frame.can_id == 0xA0]
-
-    def sample(self) -> None:
-        for frame in (SYNC, Frame(0x190, struct.pack("<hh", 0, 1500))):
-            self.bus.send(frame)
-
-
 @pytest.fixture
 def store() -> MemoryStore:
     return MemoryStore()
 
 
 def test_table_conditioning_and_parameters_come_back(store: MemoryStore) -> None:
-    first = Machine(store)
+    first = Bench(store)
     first.sdo[0x2001][3].raw, first.sdo[0x2001][4].raw = 100, 200  # below the default of the lower limit
     first.sdo[0x2002][1].raw = 12.5
     first.sdo[0x2010][3].raw = 9
@@ -79,9 +43,9 @@ def test_table_conditioning_and_parameters_come_back(store: MemoryStore) -> None
     first.sdo[0x6000].raw = 4
     first.activate(TABLE)
     first.save()
-    for again in (Machine(store), first):
+    for again in (Bench(store), first):
         if again is first:
-            again.master.nmt.send_command(0x81)
+            again.remote.nmt.send_command(0x81)
         assert again.module.chain.correction.table == TABLE
         assert again.module.chain.correction.conditioning == Conditioning(sine_offset_counts=12.5)
         assert again.sdo.upload(0x2020, 1) == TABLE.to_bytes()
@@ -95,7 +59,7 @@ def test_table_conditioning_and_parameters_come_back(store: MemoryStore) -> None
 
 
 def test_a_save_between_upload_and_activation_keeps_what_is_in_force(store: MemoryStore) -> None:
-    machine = Machine(store)
+    machine = Bench(store)
     machine.sdo[0x2002][1].raw = 12.5
     machine.activate(TABLE)
     in_force = machine.module.chain.correction
@@ -104,23 +68,23 @@ def test_a_save_between_upload_and_activation_keeps_what_is_in_force(store: Memo
     machine.save()
     assert machine.sdo[0x2002][4].raw == 1.25, "2002h still shows what waits"
     assert machine.module.chain.correction == in_force
-    assert Machine(store).module.chain.correction == in_force
+    assert Bench(store).module.chain.correction == in_force
     machine.sdo[0x2020][3].raw = machine.sdo[0x2020][2].raw
     machine.save()
-    assert Machine(store).module.chain.correction == Correction(
+    assert Bench(store).module.chain.correction == Correction(
         CorrectionTable.identity(16), Conditioning(sine_offset_counts=-3.0, cosine_gain=1.25)
     )
 
 
 def test_the_table_survives_reset_communication_and_goes_with_load(store: MemoryStore) -> None:
-    machine = Machine(store)
+    machine = Bench(store)
     machine.activate(TABLE)
     machine.save(4)
-    machine.master.nmt.send_command(0x82)
+    machine.remote.nmt.send_command(0x82)
     assert machine.module.chain.correction.table == TABLE
     machine.load(4)
     assert machine.module.chain.correction.table == TABLE
-    machine.master.nmt.send_command(0x81)
+    machine.remote.nmt.send_command(0x81)
     assert machine.module.chain.correction.table is None
 
 
@@ -142,14 +106,14 @@ BAD_TABLES = {
 
 @pytest.mark.parametrize("name", BAD_TABLES)
 def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm(store: MemoryStore, name: str) -> None:
-    first = Machine(store)
+    first = Bench(store)
     first.sdo[0x2010][3].raw = 9
     first.sdo[0x1017].raw = 0
     first.save()
     records = [r for r in stored(store) if (r.index, r.subindex) != (0x2020, 1)]
     records.append(Record(0x2020, 1, False, BAD_TABLES[name]))
     store.images[MANUFACTURER] = encode_image(MANUFACTURER, IDENTITY, records)
-    machine = Machine(store)
+    machine = Bench(store)
     assert machine.heard[0] == Frame(0x720, b"\x00")
     assert machine.alarms() == [(0x6310, 0x21, 4)]
     assert machine.sdo[0x6503].raw == 0x1000
@@ -157,8 +121,9 @@ def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm(store: MemoryS
     assert machine.sdo[0x1001].raw == 0x21
     assert machine.sdo[0x2010][3].raw == 3
     assert machine.module.chain.correction.table is None
-    machine.master.nmt.state = "OPERATIONAL"
-    machine.sample()
+    machine.remote.nmt.state = "OPERATIONAL"
+    machine.sync()
+    machine.counts(0, 1500)
     assert machine.sdo[0x2011][1].raw & 1  # it measures
     assert machine.sdo[0x6503].raw == 0x1000
     machine.activate(TABLE)
@@ -170,18 +135,18 @@ def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm(store: MemoryS
 
 def test_the_alarm_comes_again_with_each_reset_and_ends_with_load(store: MemoryStore) -> None:
     store.images[MANUFACTURER] = b"?"
-    machine = Machine(store)
+    machine = Bench(store)
     told: list[object] = []
     machine.module.on_parameter_faults = told.append
     for command in (0x81, 0x82):
-        machine.master.nmt.send_command(command)
+        machine.remote.nmt.send_command(command)
         assert machine.sdo[0x6503].raw == 0x1000
     assert [code for code, *_ in machine.alarms()] == [0x6310] * 3
     machine.load()
     assert machine.sdo[0x6503].raw == 0
     assert machine.alarms()[-1] == (0, 0, 0)
     assert told == [{MANUFACTURER: "no stored parameters, or truncated"}] * 2 + [{}]
-    machine.master.nmt.send_command(0x81)
+    machine.remote.nmt.send_command(0x81)
     assert machine.sdo[0x6503].raw == 0
     assert len(machine.alarms()) == 4
 
@@ -252,9 +217,9 @@ def test_what_one_configuration_saves_another_restores(
     before: dict[str, object], after: dict[str, object]
 ) -> None:
     store = MemoryStore()
-    first = Machine(store, **before)
+    first = Bench(store, **before)
     first.save()
-    second = Machine(store, **after)
+    second = Bench(store, **after)
     assert second.module.node.storage.faults == {}
     one, other = (configuration_of(machine.module) for machine in (first, second))
     differing = {place for place, value in one.values().items() if other.values()[place] != value}
@@ -267,7 +232,7 @@ def test_a_cob_id_of_another_node_does_not_follow_the_node_id(cob_id: int) -> No
     """That of the second encoder is of the configuration; saved by node 33 it is the same in node 32."""
     store = MemoryStore()
     second = SecondPositionConfig(increments=1, revolutions=1, cob_id=cob_id)
-    Machine(store, node_id=33, second_position=second).save()
-    restored = Machine(store).module
+    Bench(store, node_id=33, second_position=second).save()
+    restored = Bench(store).module
     assert restored.node.storage.faults == {}
     assert restored.dictionary.entry(0x1401, 1).value == cob_id

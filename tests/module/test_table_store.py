@@ -20,35 +20,18 @@ def wavy(n: int = 256, size: float = 0.01) -> CorrectionTable:
     return CorrectionTable(x + size * np.sin(2 * np.pi * x))
 
 
-def stage(bench: Bench, data: bytes) -> None:
-    bench.sdo.download(0x2020, 1, data)
-
-
-def activate(bench: Bench, crc32: int) -> None:
-    bench.sdo[0x2020][3].raw = crc32
-
-
-def in_force(bench: Bench) -> tuple[int, int]:
-    return bench.sdo[0x2020][4].raw, bench.sdo[0x2020][5].raw
-
-
 @pytest.mark.parametrize("n", [16, 200, 256, 4096])
 def test_staged_checked_activated_and_read_back(bench: Bench, n: int) -> None:
     table = wavy(n)
-    stage(bench, table.to_bytes())
-    assert bench.sdo[0x2020][2].raw == zlib.crc32(table.to_bytes())
-    assert in_force(bench) == (0, 0)
+    bench.stage(table)
+    assert bench.in_force() == (zlib.crc32(table.to_bytes()), 0, 0)
     assert not bench.at(0.1)[1] & StatusBit.TABLE_ACTIVE
-    activate(bench, table.crc32)
-    assert in_force(bench) == (table.crc32, n)
+    bench.activate(table)
+    assert bench.in_force()[1:] == (table.crc32, n)
     assert bench.sdo.upload(0x2020, 1) == table.to_bytes()
-    _, status, _ = bench.at(0.1)
-    assert status == StatusBit.VALID | StatusBit.TABLE_ACTIVE
+    assert bench.at(0.1)[1] == StatusBit.VALID | StatusBit.TABLE_ACTIVE
     sine, cosine = counts_at(0.1)
-    expected = table(sine / cosine / 8)
-    assert bench.sdo[0x2011][3].raw / 2**32 == pytest.approx(expected, abs=1e-9)
-    activate(bench, 0)
-    assert in_force(bench) == (0, 0)
+    assert bench.sdo[0x2011][3].raw / 2**32 == pytest.approx(table(sine / cosine / 8), abs=1e-9)
 
 
 def change(n: int, value: float) -> bytes:
@@ -68,45 +51,38 @@ def change(n: int, value: float) -> bytes:
 )  # fmt: skip
 def test_a_bad_table_is_refused_and_leaves_everything_as_it_was(bench: Bench, data: bytes) -> None:
     good, next_one = wavy(size=0.01), wavy(size=0.02)
-    stage(bench, good.to_bytes())
-    activate(bench, good.crc32)
-    stage(bench, next_one.to_bytes())
-    with pytest.raises(SdoAbortedError) as error:
-        stage(bench, data)
-    assert error.value.code == 0x06090030
-    assert bench.sdo[0x2020][2].raw == next_one.crc32
-    assert in_force(bench) == (good.crc32, 256)
+    bench.activate(good)
+    bench.stage(next_one)
+    with pytest.raises(SdoAbortedError, match="06090030"):
+        bench.sdo.download(0x2020, 1, data)
+    assert bench.in_force() == (next_one.crc32, good.crc32, 256)
     assert bench.sdo.upload(0x2020, 1) == good.to_bytes()
 
 
 def test_only_the_crc_of_the_staged_or_the_active_table_activates(bench: Bench) -> None:
     first, second = wavy(size=0.01), wavy(size=0.02)
+    activate = bench.sdo[0x2020][3]
     for crc32 in (1, first.crc32):
-        with pytest.raises(SdoAbortedError) as error:
-            activate(bench, crc32)
-        assert error.value.code == 0x06090030
-    stage(bench, first.to_bytes())
-    activate(bench, first.crc32)
-    stage(bench, second.to_bytes())
-    activate(bench, first.crc32)
-    assert in_force(bench)[0] == first.crc32
-    activate(bench, second.crc32)
-    assert in_force(bench)[0] == second.crc32
+        with pytest.raises(SdoAbortedError, match="06090030"):
+            activate.raw = crc32
+    bench.activate(first)
+    bench.stage(second)
+    for one in (first, second):
+        activate.raw = one.crc32
+        assert bench.in_force()[1] == one.crc32
 
 
 def test_the_crc_of_what_is_saved() -> None:
-    store = MemoryStore()
-    bench = Bench(store=store)
+    bench = Bench(MemoryStore())
     saved = bench.sdo[0x2020][6]
     assert saved.raw == 0, "nothing is saved yet"
-    stage(bench, wavy().to_bytes())
-    activate(bench, wavy().crc32)
+    bench.activate(wavy())
     assert saved.raw == 0, "active is not saved"
-    bench.sdo.download(0x1010, 4, b"save")
+    bench.save(4)
     assert saved.raw == wavy().crc32
-    activate(bench, 0)
+    bench.sdo[0x2020][3].raw = 0
     assert saved.raw == wavy().crc32, "a reset brings it back"
-    bench.sdo.download(0x1010, 1, b"save")
+    bench.save()
     assert saved.raw == 0
     with pytest.raises(SdoAbortedError):
         saved.raw = 1

@@ -21,7 +21,6 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.track_sectors import TrackSectors, deviation_of
 from canfb.simulation.encoder import Encoder, Harmonic
 from drawing import examples
 from folding import each
@@ -107,16 +106,6 @@ def test_a_drift_of_a_tenth_is_followed(speed: float, conditioning: str | None) 
     followed, without = rms
     assert without > 0.015
     assert 0.00003 < followed < 0.0003
-
-
-@each("correction", ["fit", None])
-def test_what_does_not_drift_is_left_alone(correction: str | None) -> None:
-    chain = chain_of(FAST, calibrated(correction))
-    taken(chain, drifted(motion(60000)))
-    assert chain.adaptation.is_recent(60000)
-    sine, cosine, gain, phase = chain.adaptation.drift
-    assert max(abs(sine), abs(cosine)) < 6e-4 * AMPLITUDE
-    assert max(abs(gain), abs(phase)) < 1e-3
 
 
 @each("name, value", [("sine_offset", 0.05), ("cosine_offset", -0.05), ("gain", 0.05), ("phase_rad", 0.03)])
@@ -320,26 +309,6 @@ def test_the_bound_of_what_it_hides(parts: tuple[float, ...], ranges: tuple[floa
     assert np.abs(moved).max() <= limits.hidden_cycles + 1e-9
     # and the amplitude, in relation to the circle
     assert np.abs(np.hypot(sine, cosine) - 1.0).max() <= limits.hidden_amplitude + 1e-9
-
-
-def test_the_reference_is_that_of_the_calibration() -> None:
-    """Conditioning, table and harmonics of a calibration tell what the tracks were."""
-    correction = calibrated()
-    known = deviation_of(correction)
-    assert known is not None
-    sectors = TrackSectors()
-    chain = chain_of(False)
-    rng = np.random.default_rng(4)
-    positions = np.cumsum(rng.uniform(0.0, 0.3, 20000))
-    for one in taken(chain, ENCODER.sample(positions, rng)):
-        sectors.take(one.sine, one.cosine, one.phase)
-    found = sectors.found()
-    assert found.amplitude_counts == pytest.approx(1500.0, rel=0.03)
-    assert abs(found.deviation.offset - known.offset) < 1e-4
-    assert abs(found.deviation.backward - known.backward) < 1e-4
-    assert abs(known.backward) > 0.005 < abs(known.offset) * 2.0
-    assert deviation_of(calibrated(None)) is None
-    assert deviation_of(Correction(None, correction.conditioning)) == (0j, 0j)
 
 
 def test_activation_begins_at_zero_and_off_is_as_calibrated() -> None:

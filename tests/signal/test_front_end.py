@@ -16,12 +16,10 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import FrontEnd
 from canfb.signal.harmonics import NO_LOW_PASS
 from canfb.signal.sample import Sample
 from folding import each
-from ideal_tracks import counts_at
 
 INTERVAL_S = 1e-3
 TICKS = 10_000  # of 100 ns in it
@@ -105,20 +103,6 @@ def test_the_interval_may_come_with_the_samples(kind: str) -> None:
     assert worst < 2e-5
 
 
-def test_several_samples_in_an_interval() -> None:
-    chain = chain_of(ELLIPSE)
-    chain.set_limits(replace(ChainConfig().chain_limits, samples_per_sync=2))
-    chain.use_interval(INTERVAL_S / 2.0)
-    chain.restart(0, 20.185)
-    for k in range(100):
-        position = 0.1 + 40.37 * k
-        earlier = counts(position - 20.185, 40.37, ELLIPSE)
-        got = chain.step(Sample(*counts(position, 40.37, ELLIPSE), earlier=(earlier,)))
-        for one, true in ((got, position), *((first, position - 20.185) for first in chain.between)):
-            away = one.phase - true % 1.0
-            assert abs(away - round(away)) < 2e-5
-
-
 # The amplitude.
 
 
@@ -147,31 +131,6 @@ def test_a_track_that_falls_short_is_flagged_at_speed() -> None:
     weak = chain.step(Sample(*counts(position + FAST, FAST, Conditioning(), 1275.0, 125e3)))
     assert got.valid
     assert weak.status & StatusBit.AMPLITUDE
-
-
-def test_a_lost_position_is_found_though_its_speed_is_not_known() -> None:
-    """The amplitude at an unknown speed cannot be judged: the coarse track finds the position anyway."""
-    n = 2500
-    chain = chain_of(
-        ELLIPSE,
-        corner_hz=125e3,
-        amplitude_low_counts=1350,
-        amplitude_high_counts=1650,
-        cycles_per_revolution=n,
-    )
-
-    def take(k: int) -> Feedback:
-        position = 0.1 + FAST * k
-        coarse = counts_at(position / n % 1.0)
-        return chain.step(Sample(*counts(position, FAST, ELLIPSE, 1500.0, 125e3), 1.0, False, *coarse))
-
-    first = [take(k) for k in range(10)]
-    assert not any(one.status & StatusBit.LOST for one in first[:1])
-    later = [take(k) for k in range(10, 400)]
-    assert later[-1].valid
-    assert later[-1].speed_cycles == pytest.approx(FAST, abs=1e-3)
-    error = later[-1].phase - (0.1 + FAST * 399) % 1.0
-    assert abs(error - round(error)) < 1e-4
 
 
 # What it must not do.
