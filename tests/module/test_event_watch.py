@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -29,22 +31,18 @@ class Machine:
         self.events: list[Event] = []
         self.module.events.on_event = self.events.append
         self.module.events.detailed = detailed
-        self.now, self.cycles_s = 0.0, 5.0
+        self.now, self.cycles_s, self.times, self.off_s = 0.0, 5.0, config.times, 0.0
         self.module.start(0.0)
 
     def run(self, syncs: int, *, sample: bool = True, amplitude: float = 1500.0, jump: float = 0.0) -> None:
         for _ in range(syncs):
             self.now += PERIOD_S
-            angle = 2.0 * math.pi * (self.cycles_s * self.now + jump)
-            data = struct.pack(
-                "<hh",
-                *(
-                    max(-2048, min(round(amplitude * one), 2047))
-                    for one in (math.sin(angle), math.cos(angle))
-                ),
-            )
+            pair = counts_at(self.cycles_s * self.now + jump, amplitude)
             self.give(0x080, b"", self.now)
             if sample:
+                data = struct.pack("<hh", *(max(-2048, min(one, 2047)) for one in pair))
+                if self.times:
+                    data += struct.pack("<I", round((self.now + self.off_s) * 1e7))
                 self.give(0x180 + INTERFACE, data, self.now + 2e-4)
 
     def silence(self, seconds: float) -> None:
@@ -133,28 +131,40 @@ def test_a_lost_position_names_every_cause_and_how_long_it_took() -> None:
     assert machine.events[-1].values["cause"] == "coasted"
 
 
-@pytest.mark.parametrize(
-    ("amplitude", "words"),
-    [(200.0, "amplitude 200 counts outside of"), (2500.0, "clipped")],
-)
-def test_the_check_that_failed_is_named(amplitude: float, words: str) -> None:
-    machine = Machine()
-    machine.run(100)
-    machine.events.clear()
-    machine.run(20, amplitude=amplitude)
-    assert any(words in text for text in machine.texts(EventKind.POSITION))
-    assert len(machine.events) <= 4, "20 bad samples are no 20 events"
-
-
-def test_a_position_that_time_keeps_from_being_valid_says_what_was_late() -> None:
-    machine = Machine(stamped=False)
-    machine.cycles_s = 180.0
-    machine.run(100)
-    machine.events.clear()
+def late(machine: Machine) -> None:
     machine.now += 1.5 * PERIOD_S  # without a receive time this is a missed SYNC, or one that was heard late
     machine.run(1)
-    (text,) = machine.texts(EventKind.POSITION)
-    assert text == "position coasting: SYNC 1.5 ms late, one may have been missed: the next SYNCs decide"
+
+
+def off_time(machine: Machine) -> None:
+    machine.off_s = 0.6 * PERIOD_S
+    machine.run(1)
+
+
+@pytest.mark.parametrize(
+    ("fields", "cycles_s", "act", "words"),
+    [
+        ({}, 5.0, lambda one: one.run(20, amplitude=200.0), "amplitude 200 counts outside of"),
+        ({}, 5.0, lambda one: one.run(20, amplitude=2500.0), "clipped"),
+        (
+            {"stamped": False},
+            180.0,
+            late,
+            "SYNC 1.5 ms late, one may have been missed: ",
+        ),
+        ({"times": True}, 300.0, off_time, "position coasting: the sample time is not where it was due"),
+    ],
+)
+def test_what_takes_the_validity_is_named(
+    fields: dict[str, Any], cycles_s: float, act: Callable[[Machine], None], words: str
+) -> None:
+    machine = Machine(**fields)
+    machine.cycles_s = cycles_s
+    machine.run(100)
+    machine.events.clear()
+    act(machine)
+    assert any(words in text for text in machine.texts(EventKind.POSITION))
+    assert len(machine.events) <= 4, "20 bad samples are no 20 events"
 
 
 def test_sync_is_lost_and_found_again() -> None:
@@ -197,22 +207,3 @@ def test_table_and_saving_are_told() -> None:
     machine.events.clear()
     machine.give(0x000, bytes((NmtCommand.RESET_NODE, NODE)), machine.now)
     assert machine.texts(EventKind.TABLE) == [f"table in force: 16 entries, CRC {table.crc32:08X}h"]
-
-
-def test_a_sample_time_that_fits_nothing_is_reported() -> None:
-    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE, autostart=True, times=True), MemoryStore())
-    events: list[Event] = []
-    module.start(0.0)
-
-    def sample(k: int, off_s: float = 0.0) -> None:
-        at = 0.01 * k
-        data = struct.pack("<hhI", *counts_at(0.3 * k), round((at + off_s) * 1e7))
-        module.receive(Frame(0x080, b"", timestamp=at), at)
-        module.receive(Frame(0x180 + INTERFACE, data, timestamp=at + 2e-4), at + 2e-4)
-
-    for k in range(1, 100):
-        sample(k)
-    module.events.on_event = events.append
-    sample(100, off_s=0.006)
-    (text,) = (event.text for event in events if event.kind is EventKind.POSITION)
-    assert text == "position coasting: the sample time is not where it was due"
