@@ -26,6 +26,8 @@ APART = (StatusBit.VALID, StatusBit.COASTING, StatusBit.LOST)
 
 
 def decoded(word: int) -> Result:
+    unknown, apart = word & ~sum(MEANINGS), sum(bool(word & bit) for bit in APART)
+    both = "bits 0, 1 and 2 exclude each other: words of two samples, or another object (6041h?)"
     rows = [
         Row(
             f"status {word:04X}h",
@@ -33,18 +35,13 @@ def decoded(word: int) -> Result:
             status=word,
             position=str(position_state(word)),
             faults=fault_words(word),
-        )
+        ),
+        *(
+            Row(f"bit {bit.bit_length() - 1} ({bit:04X}h)", text)
+            for bit, text in MEANINGS.items()
+            if word & bit
+        ),
+        Row(f"{unknown:04X}h", "bits without a meaning: is this 2011:01?" if unknown else None),
+        Row("note", both if apart > 1 else None),
     ]
-    rows += [
-        Row(f"bit {bit.bit_length() - 1} ({bit:04X}h)", text) for bit, text in MEANINGS.items() if word & bit
-    ]
-    unknown = word & ~sum(MEANINGS)
-    if unknown:
-        rows.append(Row(f"{unknown:04X}h", "bits without a meaning: is this 2011:01?"))
-    if sum(bool(word & bit) for bit in APART) > 1:
-        rows.append(
-            Row(
-                "note", "bits 0, 1 and 2 exclude each other: words of two samples, or another object (6041h?)"
-            )
-        )
     return Result(as_figures(rows), as_lines(rows))

@@ -27,7 +27,7 @@ from canfb.planning.hints import PlanChange
 from canfb.planning.plan import CountDetection, Plan
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.traffic import BusLoad, Message
-from canfb.rows import Row, as_figures
+from canfb.rows import Row, as_figures, those
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.front_end import LARGEST_RAD, FrontEnd
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES
@@ -216,18 +216,20 @@ def _module_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
 
 def _speed_row(budget: ResidualBudget, given: float | None) -> Row:
     largest = budget.largest_speed_rad_s
-    allowed = "no limit" if math.isinf(largest) else f"{largest * RPM:.4g} rpm"
     figures = {
         "stated_rpm": None if given is None else _finite(given * RPM),
         "largest_rpm": _finite(largest * RPM),
         "equation_rpm": _finite(budget.equation_speed_rad_s * RPM),
         "margin": _margin(largest, given),
     }
-    if given is None:
-        return Row("speed", allowed, speed=figures)
-    if math.isinf(largest):
-        return Row("speed", f"{given * RPM:.4g} rpm, {allowed}", speed=figures)
-    return _margin_row("speed", f"{given * RPM:.4g} of {allowed}", over(largest, given), speed=figures)
+    return _limited_row("speed", "rpm", given and given * RPM, largest * RPM, speed=figures)
+
+
+def _limited_row(name: str, unit: str, given: float | None, largest: float, **figures: Any) -> Row:
+    allowed = "no limit" if math.isinf(largest) else f"{largest:.4g} {unit}"
+    if given is None or math.isinf(largest):
+        return Row(name, allowed if given is None else f"{given:.4g} {unit}, {allowed}", **figures)
+    return _margin_row(name, f"{given:.4g} of {allowed}", over(largest, given), **figures)
 
 
 def analog_row(module: PlannedModule, speed_rad_s: float | None) -> Row:
@@ -238,16 +240,17 @@ def analog_row(module: PlannedModule, speed_rad_s: float | None) -> Row:
     corners = module.settings.corners
     front = FrontEnd(used, corners)
     front.use_interval(1.0)
-    parts = []
-    turned = front.turned_rad(hertz)
+    turned, corner_hz = front.turned_rad(hertz), corners.corner_hz
     exceeded = abs(turned) + abs(used.phase_error_rad) >= LARGEST_RAD
-    if turned:
-        parts.append(f"{turned / (2.0 * math.pi):+.3f} cycle between the tracks, removed")
-    if corners.corner_hz:
-        left = 1.0 / math.hypot(1.0, hertz / corners.corner_hz)
-        parts.append(f"{100.0 * left:.0f} % of the amplitude left")
-    if used.delay_s:
-        parts.append(f"{front.lag_intervals(hertz) * hertz:+.3f} cycle of delay, added to the position")
+    left = 1.0 / math.hypot(1.0, hertz / corner_hz) if corner_hz else 1.0
+    parts = those(
+        (turned, f"{turned / (2.0 * math.pi):+.3f} cycle between the tracks, removed"),
+        (corner_hz, f"{100.0 * left:.0f} % of the amplitude left"),
+        (
+            used.delay_s,
+            f"{front.lag_intervals(hertz) * hertz:+.3f} cycle of delay, added to the position",
+        ),
+    )
     words = f"analog path at {hertz / 1e3:.4g} kHz: {'; '.join(parts)}{EXCEEDED * exceeded}"
     return Row("", words if parts and hertz else None)
 
@@ -277,16 +280,11 @@ def _motion_rows(budget: ResidualBudget) -> list[Row]:
         "least_sync_hz": _finite(least),
         "margin": _margin(largest, asked),
     }
-    allowed = "no limit" if math.isinf(largest) else f"{largest:.4g} rad/s^2"
-    if asked is None:
-        rows = [Row("acceleration", allowed, acceleration=acceleration)]
-    elif math.isinf(largest):
-        rows = [Row("acceleration", f"{asked:.4g} rad/s^2, {allowed}", acceleration=acceleration)]
-    else:
-        words = f"{asked:.4g} of {allowed}"
-        rows = [_margin_row("acceleration", words, over(largest, asked), acceleration=acceleration)]
     equations = f"eq. 12 alone allows {budget.equation_rad_s2:.4g}, eq. 10 {budget.paper_rad_s2:.4g}"
-    return [*rows, Row("", f"{equations}; {needs}" if asked else equations)]
+    return [
+        _limited_row("acceleration", "rad/s^2", asked, largest, acceleration=acceleration),
+        Row("", f"{equations}; {needs}" if asked else equations),
+    ]
 
 
 # What is detected.
@@ -352,26 +350,29 @@ def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
     if known is None:
         source = "2010:0B" if declared.assumes else "by the residual limit"
         followed = f"2010:02 not set, {declared.followed:.3g} cycle per interval² assumed, {source}"
-    kept = found.missed_samples
-    lines = [
+    kept, moves = found.missed_samples, found.motion_cycles > 0.0
+    with_motion = found.kept_with(acceleration=found.motion_cycles) if moves and known is None else kept
+    smaller = min(declared.phase_error, CALIBRATED_PHASE_ERROR_CYCLES)
+    others = {
+        "2010:02 for the motion of this plan": with_motion,
+        f"a phase error of {CALIBRATED_PHASE_ERROR_CYCLES:g}, as after canfb calibrate": found.kept_with(
+            phase_error=smaller
+        ),
+        "a larger 2010:03": found.kept_with(coast_samples=MOST_COASTED),
+    }
+    return [
         "missed or flagged samples in a row after which the position is certain: "
         f"{kept}, at most {budget.module.coast_samples} (2010:03)",
         f"  declared: {followed}; phase error {declared.phase_error:.3g} cycle (2010:0C); "
         f"up to {declared.bad_samples} bad unnoticed (2010:0A)",
+        *those(
+            (
+                not found.is_declared,
+                "  the motion is larger: after a gap a position can be valid and wrong; set 2010:02",
+            ),
+            *((moves and other != kept, f"  {other} with {words}") for words, other in others.items()),
+        ),
     ]
-    if not found.is_declared:
-        lines.append("  the motion is larger: after a gap a position can be valid and wrong; set 2010:02")
-    choices: dict[str, dict[str, float]] = {
-        "2010:02 for the motion of this plan": {"acceleration": found.motion_cycles} if known is None else {},
-        f"a phase error of {CALIBRATED_PHASE_ERROR_CYCLES:g}, as after canfb calibrate": {
-            "phase_error": min(declared.phase_error, CALIBRATED_PHASE_ERROR_CYCLES)
-        },
-        "a larger 2010:03": {"coast_samples": MOST_COASTED},
-    }
-    for words, change in choices.items():
-        if change and found.motion_cycles and (other := found.kept_with(**change)) != kept:
-            lines.append(f"  {other} with {words}")
-    return lines
 
 
 def coverage_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
@@ -433,12 +434,11 @@ def _verdict(plan: Plan, changes: list[PlanChange]) -> list[str]:
     tight = plan.tightest
     which = "" if tight.module is None or len(plan.budgets) == 1 else f" of node {tight.module.node_id:02X}h"
     said = "the plan holds" if plan.holds else "the plan does NOT hold"
-    lines = [f"{said}; tightest: {tight.limited}{which}, margin {_factor(tight.factor)}"]
-    if not changes:
-        lines.append("nothing to change" if plan.holds else "no single change helps")
-    for n, one in enumerate(changes):
-        lines.append(f"{'first' if n == 0 else 'then'}, for {one.for_what}: {one.text}")
     last = Plan(changes[-1].plan_input) if changes else plan
-    if changes and not last.holds:
-        lines.append(f"still exceeded then: {last.tightest.limited}, margin {_factor(last.tightest.factor)}")
-    return lines
+    nothing = "nothing to change" if plan.holds else "no single change helps"
+    left = f"{last.tightest.limited}, margin {_factor(last.tightest.factor)}"
+    return [
+        f"{said}; tightest: {tight.limited}{which}, margin {_factor(tight.factor)}",
+        *(f"{'then' if n else 'first'}, for {one.for_what}: {one.text}" for n, one in enumerate(changes)),
+        *those((not changes, nothing), (changes and not last.holds, f"still exceeded then: {left}")),
+    ]
