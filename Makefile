@@ -108,10 +108,10 @@ $(INSTALLED_TEST): pyproject.toml | $(PY)
 	@$(PIP) --editable '.[test]'
 	@touch $(INSTALLED) $@
 
-$(LOWEST)/.installed: pyproject.toml tools/suite/lowest.py
+$(LOWEST)/.installed: pyproject.toml
 	@echo "installing canfb with the lowest versions into $(LOWEST)"
 	@$(PYTHON) -m venv --clear $(LOWEST)
-	@$(PYTHON) -m tools.suite.lowest >$(LOWEST)/constraints.txt
-	@$(LOWEST)/bin/python -m pip install --quiet --quiet --disable-pip-version-check \
-		--constraint $(LOWEST)/constraints.txt --editable '.[monitor]' pytest hypothesis
+	@$(LOWEST)/bin/python -m pip install --quiet --quiet --disable-pip-version-check uv pytest hypothesis
+	@$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
+		--editable '.[monitor]'
 	@touch $@

@@ -1,1 +1,1 @@
-"""How the suite is run: its package, its lowest versions, and whether it notices changes of the code."""
+"""How the suite is run: its package, and whether it notices changes of the code."""
