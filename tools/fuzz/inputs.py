@@ -6,6 +6,7 @@ bytes are 0. A change of the kinds or of a table changes what kept inputs mean.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -91,6 +92,41 @@ def steps(reader: Reader, *, transfers_only: bool = False) -> Iterator[Step]:
         yield kinds[reader.byte() % len(kinds)](reader)
 
 
+Kind = Callable[[Reader], Step]
+Part = bytes | Callable[[Reader], bytes]
+
+
+def take(count: int) -> Part:
+    return lambda reader: reader.take(count)
+
+
+def pick(choices: list[int], size: int = 1) -> Part:
+    return lambda reader: reader.choose(choices).to_bytes(size, "little")
+
+
+def number(limit: int = 256, *, least: int = 0, times: int = 1, size: int = 1) -> Part:
+    return lambda reader: ((least + reader.byte() % limit) * times).to_bytes(size, "little")
+
+
+def frame(can_id: int, *parts: Part) -> Callable[[Reader], Frame]:
+    """A frame whose data are these parts, some of them from the input."""
+    return lambda reader: Frame(
+        can_id, b"".join(part if isinstance(part, bytes) else part(reader) for part in parts)
+    )
+
+
+def request(*parts: Part) -> Callable[[Reader], Frame]:
+    return frame(SERVER, *parts)
+
+
+def step(*frames: Callable[[Reader], Frame], pause_s: float = 0.0) -> Kind:
+    return lambda reader: Step(tuple(one(reader) for one in frames), pause_s)
+
+
+def multiplexer(reader: Reader) -> bytes:
+    return reader.choose(INDICES).to_bytes(2, "little") + bytes([reader.byte() % 16])
+
+
 def _any_frame(reader: Reader) -> Step:
     head = reader.word()
     length = reader.byte() % 10
@@ -102,37 +138,16 @@ def _known_frame(reader: Reader) -> Step:
     return Step((Frame(can_id, reader.take(length % 10), length >= 240),))
 
 
-def _request(reader: Reader) -> Step:
-    return Step((Frame(SERVER, reader.take(8)),))
-
-
-def _second_request(reader: Reader) -> Step:
-    return Step((Frame(SECOND_SERVER, reader.take(8)),))
-
-
-def _multiplexer(reader: Reader) -> bytes:
-    return reader.choose(INDICES).to_bytes(2, "little") + bytes([reader.byte() % 16])
-
-
 def _write(reader: Reader) -> Step:
-    multiplexer, size = _multiplexer(reader), reader.byte() % 5
+    place, size = multiplexer(reader), reader.byte() % 5
     value = reader.choose(VALUES).to_bytes(4, "little")
     command = 0x23 | (4 - size) << 2 if size else 0x22
-    return Step((Frame(SERVER, bytes([command]) + multiplexer + value),))
+    return Step((Frame(SERVER, bytes([command]) + place + value),))
 
 
 def _write_bytes(reader: Reader) -> Step:
-    multiplexer, size = _multiplexer(reader), reader.byte() % 4
-    return Step((Frame(SERVER, bytes([0x23 | size << 2]) + multiplexer + reader.take(4)),))
-
-
-def _read(reader: Reader) -> Step:
-    return Step((Frame(SERVER, b"\x40" + _multiplexer(reader) + bytes(4)),))
-
-
-def _begin(reader: Reader) -> Step:
-    command = reader.choose([0x21, 0x20, 0xC6, 0xC2, 0xC0, 0xC4, 0xA0, 0xA4])
-    return Step((Frame(SERVER, bytes([command]) + _multiplexer(reader) + reader.take(2) + bytes(2)),))
+    place, size = multiplexer(reader), reader.byte() % 4
+    return Step((Frame(SERVER, bytes([0x23 | size << 2]) + place + reader.take(4)),))
 
 
 def _segments(reader: Reader) -> Step:
@@ -147,22 +162,9 @@ def _segments(reader: Reader) -> Step:
     return Step(tuple(frames))
 
 
-def _transfer_command(reader: Reader) -> Step:
-    command = reader.choose([0xA3, 0xA2, 0xA1, 0xC1, 0xD5, 0x80, 0x60, 0x70, 0x00, 0x10, 0x01, 0x0D, 0x81])
-    return Step((Frame(SERVER, bytes([command]) + reader.take(2) + bytes(5)),))
-
-
-def _nmt(reader: Reader) -> Step:
-    return Step((Frame(0x000, bytes([reader.choose(NMT_COMMANDS), reader.choose(NMT_NODES)])),))
-
-
 def _sync(reader: Reader) -> Step:
     counter = reader.byte()
     return Step((Frame(0x080, bytes([counter]) if counter else b""),))
-
-
-def _sample(reader: Reader) -> Step:
-    return Step((Frame(0x190, reader.take(4)),))
 
 
 def _cycles(reader: Reader) -> Step:
@@ -180,41 +182,28 @@ def _pause(reader: Reader) -> Step:
     return Step((), PAUSES_S[choice % len(PAUSES_S)], choice >= 128)
 
 
-def _second_channel(reader: Reader) -> Step:
-    writes = ((1, SECOND_SERVER), (2, SECOND_ANSWER))
-    frames = [b"\x23\x01\x12" + bytes([sub]) + value.to_bytes(4, "little") for sub, value in writes]
-    return Step(tuple(Frame(SERVER, frame) for frame in frames))
-
-
 def _mapping(reader: Reader) -> Step:
     """Off, other objects, on: the whole sequence of a mapping."""
     pdo, count = reader.choose([0x1400, 0x1401, 0x1800, 0x1801, 0x1802, 0x1803]), reader.byte() % 9
-    head, mapping = pdo.to_bytes(2, "little"), (pdo + 0x200).to_bytes(2, "little")
     off = reader.choose(VALUES)
-    mapped = [reader.choose(VALUES) for _ in range(count)]
-    return _sequence(head, mapping, off, mapped, reader.byte())
-
-
-def _sequence(head: bytes, mapping: bytes, off: int, mapped: Sequence[int], kind: int) -> Step:
-    frames = [b"\x23" + head + b"\x01" + (off | 1 << 31).to_bytes(4, "little")]
-    frames.append(b"\x2f" + mapping + bytes(5))
-    frames += [
-        b"\x23" + mapping + bytes([sub]) + value.to_bytes(4, "little")
-        for sub, value in enumerate(mapped, start=1)
-    ]
-    frames.append(b"\x2f" + mapping + b"\x00" + bytes([len(mapped), 0, 0, 0]))
-    frames.append(b"\x2f" + head + b"\x02" + bytes([kind, 0, 0, 0]))
-    frames.append(b"\x23" + head + b"\x01" + (off & ~(1 << 31)).to_bytes(4, "little"))
-    return Step(tuple(Frame(SERVER, frame) for frame in frames))
+    return _mapped(pdo, off, [reader.choose(VALUES) for _ in range(count)], reader.byte())
 
 
 def _sample_layout(reader: Reader) -> Step:
     layout = LAYOUTS[reader.byte() % len(LAYOUTS)]
-    return _sequence(b"\x00\x14", b"\x00\x16", 0x190, layout, reader.byte())
+    return _mapped(0x1400, 0x190, layout, reader.byte())
 
 
-def _long_sample(reader: Reader) -> Step:
-    return Step((Frame(0x080, b""), Frame(0x190, reader.take(8))), 0.001)
+def _mapped(pdo: int, cob_id: int, objects: Sequence[int], kind: int) -> Step:
+    writes = [(pdo, 1, cob_id | 1 << 31), (pdo + 0x200, 0, 0)]
+    writes += [(pdo + 0x200, sub, value) for sub, value in enumerate(objects, start=1)]
+    writes += [(pdo + 0x200, 0, len(objects)), (pdo, 2, kind), (pdo, 1, cob_id & ~(1 << 31))]
+    frames = []
+    for index, sub, value in writes:
+        is_byte = sub == 0 or (index, sub) == (pdo, 2)
+        head = b"\x2f" if is_byte else b"\x23"
+        frames.append(Frame(SERVER, head + struct.pack("<HBI", index, sub, value)))
+    return Step(tuple(frames))
 
 
 def _follow(reader: Reader) -> Step:
@@ -222,69 +211,75 @@ def _follow(reader: Reader) -> Step:
     return Step((), 0.0, True, rounds, content, 1 if spoil > 250 else 0)
 
 
-def _activate(reader: Reader) -> Step:
-    checksum = reader.choose(CHECKSUMS).to_bytes(4, "little")
-    return Step((Frame(SERVER, b"\x23\x20\x20\x03" + checksum),))
-
-
-def _producer(reader: Reader) -> Step:
-    """SYNC, heartbeat and TIME of others watched, SYNC of its own, with times that are near."""
-    frames = [
-        *(b"\x23\x06\x10\x00" + (reader.byte() * 100).to_bytes(4, "little"),),
-        *(b"\x23\x16\x10\x01" + bytes([reader.byte(), 0, 0x47, 0]),),
-        *(b"\x23\x12\x10\x00\x00\x01\x00\x80", b"\x23\x05\x10\x00\x80\x00\x00\x40"),
-    ]
-    return Step(tuple(Frame(SERVER, frame) for frame in frames))
-
-
-def _heard(reader: Reader) -> Step:
-    beat = Frame(0x747, bytes([reader.choose([0, 4, 5, 127, 1])]))
-    return Step((beat, Frame(0x100, reader.take(6))))
-
-
 def _timing(reader: Reader) -> Step:
     """A TPDO with transmission type, inhibit time, event timer and SYNC start value."""
-    number, kind = reader.byte() % 4, reader.choose([1, 2, 240, 252, 253, 254, 255, 0])
-    head = bytes([number, 0x18])
-    cob_id = ([0x1A0, 0x2A0, 0x3A0, 0x4A0][number]).to_bytes(4, "little")
+    tpdo, kind = reader.byte() % 4, reader.choose([1, 2, 240, 252, 253, 254, 255, 0])
+    head, cob_id = bytes([tpdo, 0x18]), 0x1A0 + 0x100 * tpdo
     inhibit, timer = ((reader.byte() * 10).to_bytes(2, "little") for _ in range(2))
     frames = [
-        *(b"\x23" + head + b"\x01" + cob_id[:3] + b"\x80", b"\x2f" + head + b"\x02" + bytes([kind, 0, 0, 0])),
-        *(b"\x2b" + head + b"\x03" + inhibit + bytes(2), b"\x2b" + head + b"\x05" + timer + bytes(2)),
-        *(b"\x2f" + head + b"\x06" + bytes([reader.byte(), 0, 0, 0]), b"\x23" + head + b"\x01" + cob_id),
+        b"\x23" + head + b"\x01" + (cob_id | 1 << 31).to_bytes(4, "little"),
+        b"\x2f" + head + b"\x02" + bytes([kind, 0, 0, 0]),
+        b"\x2b" + head + b"\x03" + inhibit + bytes(2),
+        b"\x2b" + head + b"\x05" + timer + bytes(2),
+        b"\x2f" + head + b"\x06" + bytes([reader.byte(), 0, 0, 0]),
+        b"\x23" + head + b"\x01" + cob_id.to_bytes(4, "little"),
     ]
-    return Step(tuple(Frame(SERVER, frame) for frame in frames))
+    return Step(tuple(Frame(SERVER, one) for one in frames))
 
 
 def _storage(reader: Reader) -> Step:
     index, command = reader.choose([0, 1]), reader.choose([0, 1])
-    multiplexer = bytes([0x10 + index, 0x10, reader.byte() % 5])
-    return Step((Frame(SERVER, b"\x23" + multiplexer + (b"save", b"load")[command]),))
+    place = bytes([0x10 + index, 0x10, reader.byte() % 5])
+    return Step((Frame(SERVER, b"\x23" + place + (b"save", b"load")[command]),))
 
 
 def _lss(reader: Reader) -> Step:
     """The LSS master: state, node-ID, bit rate, store, identification, fastscan."""
     command = reader.choose(LSS_COMMANDS)
     if command == 0x11:
-        return Step((Frame(LSS, bytes([command, reader.choose(NODE_IDS)]) + bytes(6)),))
-    if command in (0x04, 0x13):
-        return Step((Frame(LSS, bytes([command, reader.byte() % 3, reader.byte() % 10]) + bytes(5)),))
-    return Step((Frame(LSS, bytes([command]) + reader.take(2).ljust(7, b"\x00")),))
+        data = bytes([command, reader.choose(NODE_IDS)])
+    elif command in (0x04, 0x13):
+        data = bytes([command, reader.byte() % 3, reader.byte() % 10])
+    else:
+        data = bytes([command]) + reader.take(2)
+    return Step((Frame(LSS, data.ljust(8, b"\x00")),))
 
 
-def _lss_node_id(reader: Reader) -> Step:
-    """Another node-ID, and what puts it in force: configuration, store, waiting, reset."""
-    frames = [b"\x04\x01", bytes([0x11, reader.choose(NODE_IDS)]), b"\x17", b"\x04\x00"]
-    reset = Frame(0x000, bytes([129 + reader.byte() % 2, 0]))
-    return Step((*(Frame(LSS, frame.ljust(8, b"\x00")) for frame in frames), reset))
-
-
-KINDS: tuple[Callable[[Reader], Step], ...] = (
-    *(_any_frame, _known_frame, _request, _second_request, _write, _write_bytes, _read, _begin, _segments),
-    *(_transfer_command, _nmt, _sync, _sample, _cycles, _remote, _pause, _second_channel, _mapping),
-    *(_sample_layout, _long_sample, _follow, _activate, _producer, _heard, _timing, _storage),
-    *(_lss, _lss_node_id),
+TRANSFER_COMMANDS = [0xA3, 0xA2, 0xA1, 0xC1, 0xD5, 0x80, 0x60, 0x70, 0x00, 0x10, 0x01, 0x0D, 0x81]
+_request = step(request(take(8)))
+_read = step(request(b"\x40", multiplexer, bytes(4)))
+_begin = step(request(pick([0x21, 0x20, 0xC6, 0xC2, 0xC0, 0xC4, 0xA0, 0xA4]), multiplexer, take(2), bytes(2)))
+_transfer_command = step(request(pick(TRANSFER_COMMANDS), take(2), bytes(5)))
+_activate = step(request(b"\x23\x20\x20\x03", pick(CHECKSUMS, 4)))
+KINDS: tuple[Kind, ...] = (
+    *(_any_frame, _known_frame, _request, step(frame(SECOND_SERVER, take(8))), _write, _write_bytes),
+    *(_read, _begin, _segments, _transfer_command),
+    step(frame(0x000, pick(NMT_COMMANDS), pick(NMT_NODES))),
+    _sync,
+    step(frame(0x190, take(4))),
+    *(_cycles, _remote, _pause),
+    step(  # makes the second SDO channel valid, as a master would
+        request(b"\x23\x01\x12\x01", SECOND_SERVER.to_bytes(4, "little")),
+        request(b"\x23\x01\x12\x02", SECOND_ANSWER.to_bytes(4, "little")),
+    ),
+    *(_mapping, _sample_layout),
+    step(frame(0x080), frame(0x190, take(8)), pause_s=0.001),
+    *(_follow, _activate),
+    step(  # SYNC, heartbeat and TIME of others watched, SYNC of its own, with times that are near
+        request(b"\x23\x06\x10\x00", number(times=100, size=4)),
+        request(b"\x23\x16\x10\x01", number(), b"\x00\x47\x00"),
+        request(b"\x23\x12\x10\x00\x00\x01\x00\x80"),
+        request(b"\x23\x05\x10\x00\x80\x00\x00\x40"),
+    ),
+    step(frame(0x747, pick([0, 4, 5, 127, 1])), frame(0x100, take(6))),
+    *(_timing, _storage, _lss),
+    step(  # another node-ID, and what puts it in force: configuration, store, waiting, reset
+        frame(LSS, b"\x04\x01", bytes(6)),
+        frame(LSS, b"\x11", pick(NODE_IDS), bytes(6)),
+        frame(LSS, b"\x17", bytes(7)),
+        frame(LSS, b"\x04\x00", bytes(6)),
+        frame(0x000, number(2, least=129), b"\x00"),
+    ),
 )
-
 TRANSFERS = (_request, _write, _write_bytes, _read, _begin, _segments, _transfer_command, _follow, _activate)
 """Kinds of step of an SDO client, good and bad."""
