@@ -18,7 +18,6 @@ OTHERS_ID = 0x3A0  # of a PDO that the module does not listen to
 ENTRIES, FEW_ENTRIES = 4096, 256  # of a table: the most there are, and of the one in force
 DEPTHS = 0.0, 0.001  # of the tables, cycles
 WRITE_U32, ABORT, END_OF_UPLOAD = 0x23, 0x80, 0xA1  # first bytes
-TPDO2_OFF = 0x80000000 | 0x280 + NODE_ID
 
 Frame = tuple[int, bytes]
 
@@ -103,13 +102,11 @@ class SdoClient(Load):
             self._requests.append(transfer.request)
 
 
-def set_up(alone: bool) -> Iterator[Transfer]:
-    """A table in force; ``alone``: TPDO2 off, which a stock node does not have."""
+def set_up() -> Iterator[Transfer]:
+    """A table in force."""
     content = encoder_table(FEW_ENTRIES, DEPTHS[0]).to_bytes()
     yield _download(*od.TABLE_STAGED, content)
     yield _write_u32(*od.TABLE_ACTIVATE, zlib.crc32(content))
-    if alone:
-        yield _write_u32(0x1801, 1, TPDO2_OFF)
 
 
 def tables(entries: int = ENTRIES, rounds: int | None = None) -> Iterator[Transfer]:

@@ -76,9 +76,9 @@ class Others:
     def warm_up(self, rate_hz: float, kind: str) -> None:
         """Play until the node answers steadily, a module with a correction table in force."""
         self.play(WARM_UP, rate_hz, Load())
-        if kind in ("floor", "stock"):
+        if kind == "floor":
             return
-        load = SdoClient(set_up(alone=kind.endswith(":alone")))
+        load = SdoClient(set_up())
         for _ in range(LONGEST_WARM_UP):
             self.play(WARM_UP, rate_hz, load)
             if load.done:
