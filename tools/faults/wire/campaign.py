@@ -10,22 +10,18 @@ docs/evidence.md says what the classes and columns mean.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from functools import partial
 
 from tools.faults.engine import Campaign, Cell, Sums, Work, by_count, chosen, parser, run
-from tools.faults.wire.classes import CLASSES
+from tools.faults.wire.classes import CLASSES, STALLS
 from tools.faults.wire.judge import EMCY_LIMIT, Verdict
-from tools.faults.wire.play import Episode, play, trace
+from tools.faults.wire.play import EVERY, Episode, play, trace
 from tools.faults.wire.setups import SETUPS
-from tools.faults.wire.stalls import IN_A_ROW, RATES_HZ, WHO, stall
 
 CONFIRMED = 3
 COUNTS = (*("episodes", "wrong", "physics", "lost", "flagged", "kept"), *("early", "accel.", "EMCY", "PDOs"))
-STALL_COUNTS = ("one motion fits", "kept", "longer", "kept of longer", "wrong")
-TIMED = [name for name, setup in SETUPS.items() if setup.fits("times !servo")]
 
 
 def play_class(work: Work) -> Sums:
@@ -59,7 +55,7 @@ def example(episode: Episode, verdict: Verdict) -> str:
 
 def class_misses(cell: Cell, sums: Sums) -> Iterator[str]:
     """Silent wrong positions, and healthy machines that were not kept."""
-    wire_class, setup = CLASSES[cell.fault], SETUPS[cell.setup]
+    wire_class, setup = EVERY[cell.fault], SETUPS[cell.setup]
     if sums["wrong"]:
         yield f"{sums['wrong']} of {sums['episodes']} silent wrong"
     if wire_class.demands_validity(setup) and sums["after start"]:
@@ -73,57 +69,30 @@ def class_misses(cell: Cell, sums: Sums) -> Iterator[str]:
 def classes(faults: Sequence[str] = tuple(CLASSES), setups: Sequence[str] = tuple(SETUPS)) -> Campaign:
 
     def runs(cell: Cell) -> bool:
-        return SETUPS[cell.setup].fits(CLASSES[cell.fault].of)
+        return SETUPS[cell.setup].fits(EVERY[cell.fault].of)
 
     return Campaign(faults, setups, play_class, class_misses, runs=runs)
-
-
-def play_stalls(work: Work) -> Sums:
-    """Machines with stalls; the fault is who stalls, and the rate."""
-    sums, (who, rate) = Sums(), work.cell.fault.removesuffix(" Hz").rsplit(" ", 1)
-    for n in work.numbers:
-        for is_short in (True, False):
-            sums.add(stall(who, int(rate), SETUPS[work.cell.setup], work.seed + n, is_short))
-    return sums
-
-
-def kept_misses(cell: Cell, sums: Sums) -> Iterator[str]:
-    """Where one motion only fits, it is kept; nothing is valid and wrong."""
-    if sums["wrong"]:
-        yield f"{sums['wrong']} valid and wrong"
-    if sums["kept"] < sums["one motion fits"]:
-        yield f"{sums['kept']} of {sums['one motion fits']} kept"
-
-
-def campaign_of(said: argparse.Namespace) -> Campaign:
-    """What is to be played; ValueError for names that there are not."""
-    if not said.stalls:
-        return classes(chosen(CLASSES, said.faults), chosen(SETUPS, said.setup))
-    faults = [f"{who} {rate} Hz" for who in WHO for rate in RATES_HZ]
-    setups = chosen(TIMED, said.setup)
-    said.episodes = -(-said.stalls // (len(faults) * len(setups) * (IN_A_ROW + 1)))
-    return Campaign(faults, setups, play_stalls, kept_misses, 4)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     options = parser("tools.faults.wire.campaign", __doc__, 30, 1997)
     options.add_argument("--by-setup", action="store_true", help="a row for each class and set-up")
-    options.add_argument("--stalls", type=int, metavar="N", help="stalls of 1 to 500 ms only")
+    options.add_argument("--stalls", action="store_true", help="stalls of 1 to 500 ms only")
     options.add_argument("--episode", metavar="CLASS:SETUP:SEED", help="one episode only")
     options.add_argument("--trace", action="store_true", help="with --episode: every frame")
     options.add_argument("--list", action="store_true", help="the names of classes and set-ups")
     said = options.parse_args(argv)
     if said.list:
-        print(*CLASSES, "", *SETUPS, sep="\n")
+        print(*EVERY, "", *SETUPS, sep="\n")
         return 0
     try:
         if said.episode:
             return trace(Episode.parse(said.episode), every=said.trace)
-        campaign = campaign_of(said)
+        faults = chosen(STALLS if said.stalls else CLASSES, said.faults)
+        campaign = classes(faults, chosen(SETUPS, said.setup))
     except ValueError as error:
         options.error(f"{error}; --list shows the names")
-    counts = STALL_COUNTS if said.stalls else COUNTS
-    return run(campaign, said, partial(by_count, counts=counts, each_setup=said.by_setup))
+    return run(campaign, said, partial(by_count, counts=COUNTS, each_setup=said.by_setup))
 
 
 if __name__ == "__main__":

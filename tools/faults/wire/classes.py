@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from tools.faults.wire import clocks
 from tools.faults.wire.line import Plan
 from tools.faults.wire.setups import Setup
+from tools.faults.wire.stalls import RATES_HZ, WHO, stalls
 
 Change = Callable[[Plan], object]
 
@@ -425,3 +426,11 @@ _TABLE = (
     aimed("stall of all", clocks.everything_stalls, "times !servo", survives=True),
 )  # fmt: skip
 CLASSES = {one.name: one for one in _TABLE}
+STALLS = {
+    name: WireClass(name, (stalls(who, rate_hz, is_short),), torque=0.0, of="times !servo", survives=is_short)
+    for who in WHO
+    for rate_hz in RATES_HZ
+    for is_short in (True, False)
+    for name in [f"{'stalls' if is_short else 'longer stall'} of {who}, {rate_hz} Hz"]
+}
+"""Played with --stalls: they take longer."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canfb import Frame, StatusBit
-from tools.faults.wire.classes import CLASSES
+from tools.faults.wire.classes import CLASSES, STALLS
 from tools.faults.wire.draw import UNKNOWN_LIMIT, draw_plan, torque
 from tools.faults.wire.host import STAMP_NOISE_S, Sent, drive
 from tools.faults.wire.judge import ACCELERATION_ID, Judge, Verdict
@@ -16,6 +16,7 @@ from tools.faults.wire.line import Line, Plan, Slot, lay
 from tools.faults.wire.physics import unseen
 from tools.faults.wire.setups import EMCY_ID, NMT_ID, NODE, SETUPS, Bench
 
+EVERY = CLASSES | STALLS
 SHOWN_BEFORE = 6  # slots
 GAUSSIAN, BLOCKED_US = 4.5, 135.0  # standard deviations: one of 150 000; a frame before a SYNC
 
@@ -32,7 +33,7 @@ class Episode(NamedTuple):
     def parse(cls, text: str) -> Episode:
         """CLASS:SETUP:SEED; ValueError if there is no such class or set-up."""
         name, setup, seed = text.rsplit(":", 2)
-        if name not in CLASSES or setup not in SETUPS:
+        if name not in EVERY or setup not in SETUPS:
             raise ValueError(f"there is no {name}:{setup}")
         return cls(name, setup, int(seed))
 
@@ -50,7 +51,7 @@ _bench = Bench()
 
 
 def plan_of(episode: Episode) -> Plan:
-    wire_class, setup = CLASSES[episode.fault], SETUPS[episode.setup]
+    wire_class, setup = EVERY[episode.fault], SETUPS[episode.setup]
     rng = np.random.default_rng([episode.seed, *episode.fault.encode(), *episode.setup.encode()])
     plan = draw_plan(setup, rng, wire_class.after, steady=wire_class.torque == 0.0)
     pushed = rng.uniform() < wire_class.torque

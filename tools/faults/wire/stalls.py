@@ -8,13 +8,13 @@ stalls that are to be kept; after a loss the rest of them would show nothing.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from tools.faults.wire.clocks import a_speed, longest_bridged, machine, producer_stalls
-from tools.faults.wire.draw import draw_plan, torque
+from tools.faults.wire.draw import torque
 from tools.faults.wire.line import Plan
-from tools.faults.wire.play import declare, play_plan
-from tools.faults.wire.setups import Setup
 
 WHO = ("module", "module, queue", "producer", "all")
 RATES_HZ = (100, 500, 1000)
@@ -26,32 +26,28 @@ LIMITS = (0.02, 0.05, 0.1)  # cycles/T^2
 SPARE = 1.1  # a torque pulse on top of a vibration, which is declared then
 
 
-def stall(who: str, rate_hz: int, setup: Setup, seed: int, is_short: bool) -> dict[str, int]:
-    """One machine, and its stalls; ``is_short``: one motion only fits behind each."""
-    rng = np.random.default_rng([seed, *who.encode(), rate_hz, *setup.name.encode(), is_short])
-    plan = draw_plan(setup, rng, steady=True)
-    plan.options.interval_s = 1.0 / rate_hz
-    limit = float(rng.choice(LIMITS))
-    bridged = longest_bridged(limit * SPARE)
-    lengths = _lengths(rng, who, rate_hz, bridged, is_short)
-    after = int(sum(lengths)) + BETWEEN * (len(lengths) + 1)
-    machine(plan, a_speed(plan, 0.0, 40.0), after, limit=limit)
-    plan.options.coast = min(int(max(lengths)) + 4, 255)
-    plan.jitter_us = float(rng.uniform(0.0, 0.05)) * plan.options.interval_s * 1e6
-    plan.gaussian, plan.busy = False, 0.0
-    begin = plan.fault + 0.7 + float(rng.uniform(0.0, 0.3))
-    for length in lengths:
-        _put(plan, who, begin, begin + length, bridged if is_short else 0)
-        begin = float(int(begin + length) + BETWEEN) + float(rng.uniform(0.0, 1.0))
-    if rng.integers(2):
-        torque(plan)
-    declare(plan)
-    verdict = play_plan(plan).verdict
-    kept = int(verdict.outcome in ("kept", "flagged") and verdict.right_at_end)
-    wrong = int(verdict.wrong > 0)
-    if is_short:
-        return {"one motion fits": len(lengths), "kept": kept * len(lengths), "wrong": wrong}
-    return {"longer": len(lengths), "kept of longer": kept * len(lengths), "wrong": wrong}
+def stalls(who: str, rate_hz: int, is_short: bool) -> Callable[[Plan], None]:
+    """Of one machine; ``is_short``: one motion only fits behind each."""
+
+    def change(plan: Plan) -> None:
+        rng = plan.rng
+        plan.options.interval_s = 1.0 / rate_hz
+        limit = float(rng.choice(LIMITS))
+        bridged = longest_bridged(limit * SPARE)
+        lengths = _lengths(rng, who, rate_hz, bridged, is_short)
+        after = int(sum(lengths)) + BETWEEN * (len(lengths) + 1)
+        machine(plan, a_speed(plan, 0.0, 40.0), after, limit=limit)
+        plan.options.coast = min(int(max(lengths)) + 4, 255)
+        plan.jitter_us = float(rng.uniform(0.0, 0.05)) * plan.options.interval_s * 1e6
+        plan.gaussian, plan.busy = False, 0.0
+        begin = plan.fault + 0.7 + float(rng.uniform(0.0, 0.3))
+        for length in lengths:
+            _put(plan, who, begin, begin + length, bridged if is_short else 0)
+            begin = float(int(begin + length) + BETWEEN) + float(rng.uniform(0.0, 1.0))
+        if rng.integers(2):
+            torque(plan)
+
+    return change
 
 
 def _lengths(rng: np.random.Generator, who: str, rate_hz: int, bridged: int, is_short: bool) -> list[float]:
