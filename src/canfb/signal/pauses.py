@@ -7,6 +7,8 @@ machine may still turn; another reset ends that if the phases before it were equ
 
 from __future__ import annotations
 
+from math import inf
+
 from canfb.signal import speeds
 from canfb.signal.speeds import STILL_CYCLES
 from canfb.signal.stages import Stages
@@ -23,8 +25,8 @@ class Pauses:
         self.forget()
 
     def forget(self) -> None:
-        self._turned = 0.0  # the speed at a reset, cycles per interval, where the position started again
-        self._waits = False  # at a reset it was lost, and the machine may have turned
+        # The speed at a reset, cycles per interval; inf: the position was lost, and the machine may turn.
+        self._turned = 0.0
 
     def slips(self, intervals: float) -> bool:
         """In so many intervals the machine goes so far that its phase could mislead."""
@@ -42,10 +44,10 @@ class Pauses:
     def reset(self) -> None:
         stages, estimator = self._stages, self._stages.estimator
         if estimator.lost:
-            self._waits, self._turned = not estimator.stands_still, 0.0
+            self._turned = 0.0 if estimator.stands_still else inf
         elif estimator.tracker.started:
             step = abs(estimator.tracker.step_cycles)
-            self._waits, self._turned = False, step if step > STILL_CYCLES else 0.0
+            self._turned = step if step > STILL_CYCLES else 0.0
         stages.restart()
 
     def resume(self, intervals: float) -> bool:
@@ -54,7 +56,7 @@ class Pauses:
         The rules are in :meth:`canfb.signal.chain.SignalChain.resume`.
         """
         stages, estimator = self._stages, self._stages.estimator
-        if estimator.lost or self._waits or self._turned:
+        if estimator.lost or self._turned:
             self._start_again(intervals)
             return False
         undecided = estimator.in_doubt and not stages.was_valid
@@ -73,8 +75,8 @@ class Pauses:
             return
         declared = estimator.declared
         acceleration = declared.doubt_acceleration if declared.acceleration is None else declared.acceleration
-        fastest = self._turned + acceleration * intervals
-        waits = self._waits or (self._turned > 0.0 and fastest >= FASTEST_STANDSTILL_CYCLES)
+        fastest = self._turned + acceleration * intervals  # NaN: of no acceleration for no known time
+        waits = self._turned > 0.0 and not fastest < FASTEST_STANDSTILL_CYCLES
         self.forget()
         stages.restart()
         if waits:
@@ -96,4 +98,4 @@ class Pauses:
         acceleration = max(abs(speeds.acceleration(places)), estimator.declared.acceleration or 0.0)
         until = intervals + 1.0
         away = max(step, abs(speed)) * until + acceleration * until * max(1.0, until / 2.0)
-        return abs(speed) * intervals > LARGEST_SLIP_CYCLES or away >= FASTEST_STANDSTILL_CYCLES
+        return abs(speed) * intervals > LARGEST_SLIP_CYCLES or not away < FASTEST_STANDSTILL_CYCLES
