@@ -19,7 +19,7 @@ from canfb.signal.tracker import Track
 from canfb.signal.witness.coarse import CoarseTrack
 from canfb.signal.witness.reference import Reference, pulse_between
 from canfb.signal.witness.witness import Pair
-from canfb.signal.witness.zero_pulse import Edge, ZeroPulse
+from canfb.signal.witness.zero_pulse import Pulse, ZeroPulse
 from folding import each
 
 N = 2500
@@ -422,7 +422,7 @@ def test_a_loss_forgets_what_pulses_have_said() -> None:
 def test_a_pulse_far_from_where_the_coarse_track_is_was_false(away: float, refuted: bool) -> None:
     made = reference(Noted(lost=False))
     made.coarse.proven = True
-    made.zero.set_place(Edge(70, 0.5))
+    made.zero.set_place(Pulse(70, 0.5))
     place = 70.5 + round(away * N)
     angle = 2 * math.pi * (place + 0.1) / N
     made.coarse.origin = Pair(*track(place + 0.1)[:2], (place + 0.1) / N % 1.0, 0.0)
@@ -435,7 +435,7 @@ def test_a_pulse_far_from_where_the_coarse_track_is_was_false(away: float, refut
 def test_lost_with_a_known_speed_the_pulse_sets_the_count_right(off: int) -> None:
     seen = Seen(lost=True, aligned=True)
     seen.made.coarse.origin = None
-    seen.made.zero.set_place(Edge(1000, 0.25))
+    seen.made.zero.set_place(Pulse(1000, 0.25))
     seen.until(lambda: seen.made.range_known)
     seen.counted += off
     angle = 2 * math.pi * seen.true / N
@@ -458,8 +458,8 @@ def test_a_pulse_without_an_angle_does_not_align_the_coarse_track(coarse: dict[s
     assert made.coarse.origin is None
     assert not made.zero.referenced
     assert pulse_at(made, 70.5 + N, VALID) == (VALID, 0)
-    assert made.zero.error_cycles(Edge(70, 0.5)) == 0
-    assert made.zero.error_cycles(Edge(72, 0.5)) == 2
+    assert made.zero.error_cycles(Pulse(70, 0.5)) == 0
+    assert made.zero.error_cycles(Pulse(72, 0.5)) == 2
 
 
 def test_a_count_that_was_lost_is_not_known_by_a_pulse_whose_place_never_was() -> None:
@@ -468,7 +468,7 @@ def test_a_count_that_was_lost_is_not_known_by_a_pulse_whose_place_never_was() -
     made.range_known = made.had_position = True
     assert [pulse_at(made, 70.5 + turn * N, LOST) for turn in range(3)] == [(LOST, 0)] * 3
     assert (recovery.told, recovery.confirmed) == ([], 0)
-    made.zero.set_place(Edge(72, 0.5))
+    made.zero.set_place(Pulse(72, 0.5))
     assert pulse_at(made, 70.5, LOST) == (LOST, 2)
     assert recovery.confirmed == 1
 

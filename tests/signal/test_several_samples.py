@@ -16,7 +16,7 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import LEAST_APART, Sample, in_order
 from canfb.signal.supervision import LOST, MISSED, REFERENCED
-from canfb.signal.witness.zero_pulse import Edge, PulseVerdict
+from canfb.signal.witness.zero_pulse import Pulse, PulseVerdict
 from folding import each
 from servo_kit import IDEAL_TABLE, RATE_HZ, cycles_of, s_curve
 
@@ -176,7 +176,7 @@ def test_a_zero_pulse_under_acceleration_is_where_it_was() -> None:
     acceleration, made, seen = 4.0, chain(4), []
     weigh = made.reference.zero.weigh
 
-    def spy(edge: Edge) -> PulseVerdict:
+    def spy(edge: Pulse) -> PulseVerdict:
         seen.append(edge.cycles + edge.phase)
         return weigh(edge)
 

@@ -13,7 +13,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.witness.zero_pulse import Edge, PulseVerdict, ZeroPulse
+from canfb.signal.witness.zero_pulse import Pulse, PulseVerdict, ZeroPulse
 from folding import each
 
 NOTHING, AGREES = PulseVerdict.NOTHING, PulseVerdict.AGREES
@@ -22,7 +22,7 @@ CONTRADICTS, WRONG = PulseVerdict.CONTRADICTS, PulseVerdict.WRONG
 
 def pulse_at(n: int, cycles: int, phase: float) -> ZeroPulse:
     zero = ZeroPulse(n)
-    zero.set_place(Edge(cycles, phase))
+    zero.set_place(Pulse(cycles, phase))
     return zero
 
 
@@ -42,7 +42,7 @@ def test_the_error_is_the_nearest_whole_number_of_cycles(
     cycles, phase = place
     whole = int(np.floor(phase + away))
     seen = cycles + turns * 2500 + whole, phase + away - whole
-    assert pulse_at(2500, cycles, phase).error_cycles(Edge(*seen)) == error
+    assert pulse_at(2500, cycles, phase).error_cycles(Pulse(*seen)) == error
 
 
 @given(st.integers(1, 100_000), st.integers(-200_000, 200_000), st.floats(-0.49, 0.49), st.integers(-9, 9))
@@ -51,10 +51,10 @@ def test_the_error_put_right_leaves_less_than_half_a_cycle(
 ) -> None:
     zero = pulse_at(n, 17, 0.5)
     cycles, phase = 17 + wrong + turns * n, 0.5 + jitter
-    error = zero.error_cycles(Edge(cycles, phase))
+    error = zero.error_cycles(Pulse(cycles, phase))
     assert -n / 2 < error <= n / 2
     assert (wrong - error) % n == 0
-    assert zero.error_cycles(Edge(cycles - error, phase)) == 0
+    assert zero.error_cycles(Pulse(cycles - error, phase)) == 0
 
 
 class Turning:
@@ -184,12 +184,12 @@ def test_a_pulse_in_a_bad_sample_or_behind_it_is_not_believed_and_the_next_two_a
 
 def test_each_direction_has_a_place_of_its_own() -> None:
     zero = ZeroPulse(100)
-    assert [zero.weigh(Edge(turn * 100, 0.5)) for turn in range(2)] == [NOTHING, AGREES]
-    assert zero.weigh(Edge(101, 0.5, False)) is NOTHING
-    assert not zero.knows(Edge(101, 0.5, False)), "a lost count is not set by it"
-    assert zero.weigh(Edge(202, 0.5, False)) is CONTRADICTS
-    assert zero.weigh(Edge(302, 0.5, False)) is CONTRADICTS, "twice, and yet it is not known by how many"
-    assert zero.weigh(Edge(300, 0.6)) is AGREES
-    assert [zero.weigh(Edge(turn * 100 + 1, 0.5, False)) for turn in (3, 2)] == [NOTHING, AGREES]
-    assert zero.weigh(Edge(102, 0.5, False)) is CONTRADICTS
-    assert zero.weigh(Edge(2, 0.5, False)) is WRONG
+    assert [zero.weigh(Pulse(turn * 100, 0.5)) for turn in range(2)] == [NOTHING, AGREES]
+    assert zero.weigh(Pulse(101, 0.5, -1)) is NOTHING
+    assert not zero.knows(Pulse(101, 0.5, -1)), "a lost count is not set by it"
+    assert zero.weigh(Pulse(202, 0.5, -1)) is CONTRADICTS
+    assert zero.weigh(Pulse(302, 0.5, -1)) is CONTRADICTS, "twice, and yet it is not known by how many"
+    assert zero.weigh(Pulse(300, 0.6)) is AGREES
+    assert [zero.weigh(Pulse(turn * 100 + 1, 0.5, -1)) for turn in (3, 2)] == [NOTHING, AGREES]
+    assert zero.weigh(Pulse(102, 0.5, -1)) is CONTRADICTS
+    assert zero.weigh(Pulse(2, 0.5, -1)) is WRONG

@@ -52,9 +52,7 @@ class FrozenInput:
         if self.repeats == 0:
             self._speed = speed_cycles
         self.repeats += 1
-        if not self.frozen_samples or abs(self._speed) < self.residual_limit_cycles:
-            return False
-        return self.repeats >= self.frozen_samples
+        return not self.stands and self.repeats >= self.frozen_samples
 
     def goes_on(self, repeated: bool) -> bool:
         if repeated:

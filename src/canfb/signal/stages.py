@@ -36,9 +36,9 @@ from canfb.signal.supervision import (
 from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
 from canfb.signal.tracking import continues, steady_run, write_places_before
 from canfb.signal.witness.coarse import CoarseTrack
-from canfb.signal.witness.reference import Pulse, Reference
+from canfb.signal.witness.reference import Reference
 from canfb.signal.witness.second import SecondPosition
-from canfb.signal.witness.zero_pulse import ZeroPulse
+from canfb.signal.witness.zero_pulse import Pulse, ZeroPulse
 
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from canfb.objects import LossCause
 from canfb.signal import speeds
@@ -19,21 +18,9 @@ from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
 from canfb.signal.witness.coarse import CoarseTrack
 from canfb.signal.witness.witness import Pair, Witness
-from canfb.signal.witness.zero_pulse import Edge, PulseVerdict, ZeroPulse
+from canfb.signal.witness.zero_pulse import Pulse, PulseVerdict, ZeroPulse
 
 MOVED_CYCLES = 0.05  # what the errors of two phases do not show: twice the largest one, and once more as much
-
-
-class Pulse(NamedTuple):
-    """A zero pulse: time in sampling intervals since the start, and the position at which it came.
-
-    ``direction`` of the machine there: 1, -1, or 0: not known.
-    """
-
-    time: float
-    cycles: int
-    phase: float
-    direction: int = 1
 
 
 class Reference:
@@ -189,20 +176,19 @@ class Reference:
             return bits, 0
         if not pulse.direction:
             return bits, 0
-        edge = Edge(pulse.cycles, pulse.phase, pulse.direction > 0)
         if bits & VALID:
-            return self._pulse_of_valid(edge, bits, pair)
+            return self._pulse_of_valid(pulse, bits, pair)
         # A count that was lost is not known again by a pulse whose place was never known.
-        if not lost or not self.zero.knows(edge) or (self.had_position and not self.zero.referenced):
+        if not lost or not self.zero.knows(pulse) or (self.had_position and not self.zero.referenced):
             return bits, 0
-        jump = -self.zero.error_cycles(edge)
+        jump = -self.zero.error_cycles(pulse)
         if self._refutes(pair, jump):
             return bits, 0
         if not self.zero.referenced:
             if self._range_from_zero:  # two pulses before were whole revolutions from this one
-                self.zero.set_place(edge)
+                self.zero.set_place(pulse)
             else:
-                self.zero.weigh(edge)
+                self.zero.weigh(pulse)
         self.set_right += jump != 0
         self.estimator.found(jump, 0)
         self.estimator.confirm_count()
@@ -211,11 +197,11 @@ class Reference:
         self.coarse.proven = True
         return bits, jump
 
-    def _pulse_of_valid(self, edge: Edge, bits: int, pair: Pair | None) -> tuple[int, int]:
-        error = self.zero.error_cycles(edge)
+    def _pulse_of_valid(self, pulse: Pulse, bits: int, pair: Pair | None) -> tuple[int, int]:
+        error = self.zero.error_cycles(pulse)
         if self._refutes(pair, -error):
             return bits, 0
-        verdict = self.zero.weigh(edge)
+        verdict = self.zero.weigh(pulse)
         if verdict is not PulseVerdict.NOTHING:
             self.in_doubt = verdict is PulseVerdict.CONTRADICTS
         if verdict is PulseVerdict.WRONG:
@@ -273,7 +259,7 @@ def pulse_between(
     turns = math.floor(position)
     turned_back = abs(way) <= abs(bend) + MOVED_CYCLES  # between the two, perhaps
     direction = 0 if turned_back else (1 if way > 0.0 else -1)
-    return Pulse(time - (1.0 - place) * elapsed, before.cycles + turns, position - turns, direction)
+    return Pulse(before.cycles + turns, position - turns, direction, time - (1.0 - place) * elapsed)
 
 
 def _creeping(places: Sequence[speeds.Place]) -> int:

@@ -13,12 +13,16 @@ REMEMBERED = 3  # pulses that nothing has confirmed
 WIDEST_CYCLES = 1  # of a pulse: the edges of the two directions are up to so many whole cycles apart, rounded
 
 
-class Edge(NamedTuple):
-    """Where a pulse came: cycle count, phase, and whether the machine moved forwards."""
+class Pulse(NamedTuple):
+    """A zero pulse: the position at which its edge came, and when, sampling intervals since the start.
+
+    ``direction`` of the machine there: 1, -1, or 0: not known.
+    """
 
     cycles: int
     phase: float
-    forwards: bool = True
+    direction: int = 1
+    time: float = 0.0
 
 
 class PulseVerdict(Enum):
@@ -40,11 +44,11 @@ class ZeroPulse:
         self.forget()
 
     def forget(self) -> None:
-        self._places: dict[bool, Edge] = {}  # by direction, once two pulses have told it
+        self._places: dict[int, Pulse] = {}  # by direction, once two pulses have told it
         self.forget_doubts()
 
     def forget_doubts(self) -> None:
-        self._seen: list[Edge] = []
+        self._seen: list[Pulse] = []
         self._has_first = True  # the first of them is still there
 
     @property
@@ -52,31 +56,31 @@ class ZeroPulse:
         """True once the place of the zero pulse is known, in a direction at least."""
         return bool(self._places)
 
-    def set_place(self, edge: Edge) -> None:
-        self._places[edge.forwards] = edge
+    def set_place(self, pulse: Pulse) -> None:
+        self._places[pulse.direction] = pulse
         self.forget_doubts()
 
-    def weigh(self, here: Edge) -> PulseVerdict:
+    def weigh(self, here: Pulse) -> PulseVerdict:
         """Take a pulse of a position that was valid up to here, seen at this count."""
-        if here.forwards in self._places and self.error_cycles(here) == 0:
+        if here.direction in self._places and self.error_cycles(here) == 0:
             self.forget_doubts()
             return PulseVerdict.AGREES
         for number, seen in enumerate(self._seen):
-            if seen.forwards == here.forwards and (
+            if seen.direction == here.direction and (
                 self._is_near(seen, here) and not self._is_again(seen, here)
             ):
                 return self._confirmed(number, here)
         others = [*self._places.values(), *self._seen]
-        agrees = here.forwards not in self._places and all(self._is_near(one, here) for one in others)
-        if not any(seen.forwards == here.forwards and self._is_again(seen, here) for seen in self._seen):
+        agrees = here.direction not in self._places and all(self._is_near(one, here) for one in others)
+        if not any(seen.direction == here.direction and self._is_again(seen, here) for seen in self._seen):
             self._seen.append(here)
             if len(self._seen) > REMEMBERED:
                 del self._seen[0]
                 self._has_first = False
         return PulseVerdict.NOTHING if agrees and self._has_first else PulseVerdict.CONTRADICTS
 
-    def _confirmed(self, number: int, here: Edge) -> PulseVerdict:
-        if here.forwards in self._places:
+    def _confirmed(self, number: int, here: Pulse) -> PulseVerdict:
+        if here.direction in self._places:
             self.forget_doubts()
             return PulseVerdict.WRONG
         if self._places:  # of the other direction: it may say how wrong the count is, this one does not
@@ -88,26 +92,26 @@ class ZeroPulse:
         self.set_place(here)
         return PulseVerdict.AGREES if agrees else PulseVerdict.SLIPPED
 
-    def knows(self, here: Edge) -> bool:
-        return not self._places or here.forwards in self._places
+    def knows(self, here: Pulse) -> bool:
+        return not self._places or here.direction in self._places
 
-    def error_cycles(self, here: Edge) -> int:
+    def error_cycles(self, here: Pulse) -> int:
         """How many cycles the count is too high at this pulse: 0 if all is well, or that is not known."""
-        if here.forwards in self._places:
-            return self._away(self._places[here.forwards], here)
+        if here.direction in self._places:
+            return self._away(self._places[here.direction], here)
         away = [self._away(place, here) for place in self._places.values()]
         return away[0] if away and abs(away[0]) > WIDEST_CYCLES else 0
 
-    def _away(self, place: Edge, here: Edge) -> int:
+    def _away(self, place: Pulse, here: Pulse) -> int:
         n = self.cycles_per_revolution
         away = (here.cycles % n + here.phase - (place.cycles % n + place.phase)) % n
         error = round(away)
         return error - n if error > n // 2 else error
 
-    def _is_near(self, place: Edge, here: Edge) -> bool:
-        widest = 0 if place.forwards == here.forwards else WIDEST_CYCLES
+    def _is_near(self, place: Pulse, here: Pulse) -> bool:
+        widest = 0 if place.direction == here.direction else WIDEST_CYCLES
         return abs(self._away(place, here)) <= widest
 
-    def _is_again(self, seen: Edge, here: Edge) -> bool:
+    def _is_again(self, seen: Pulse, here: Pulse) -> bool:
         away = (here.cycles - seen.cycles) + (here.phase - seen.phase)
         return abs(away) <= self.cycles_per_revolution / 2.0 and self._is_near(seen, here)
