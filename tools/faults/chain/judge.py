@@ -141,7 +141,7 @@ def _off(setting: Setting, episode: Episode) -> Array:
 
 
 def _is_declared(setting: Setting, episode: Episode, off: Array) -> bool:
-    """No more samples in a row are bad and not flagged than cannot do harm (docs/legal-motion.md)."""
+    """No more samples in a row are bad and not flagged than cannot do harm (docs/supervision.md)."""
     limits = setting.config.chain_limits
     good = (off <= limits.phase_error) | ~episode.samples.delivered | ((episode.status & FLAGGED) != 0)
     bad = np.flatnonzero(~good)
