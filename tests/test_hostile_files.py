@@ -44,13 +44,6 @@ def test_aliases_that_stand_for_any_number_of_values(tmp_path: Path, begin: str)
         changed_module(ModuleConfig(node_id=1), [f"residual_limit=[{', '.join(LISTS)}]"])
 
 
-def test_an_alias_is_still_a_word_of_a_configuration() -> None:
-    config = parse_config(
-        "modules:\n- {node_id: 1, coast_samples: &n 7}\n- {node_id: 2, coast_samples: *n}\n"
-    )
-    assert [module.coast_samples for module in config.modules] == [7, 7]
-
-
 def test_a_whole_number_that_is_no_float() -> None:
     with pytest.raises(ValueError, match="delay_s must be a finite number"):
         Conditioning(delay_s=int(HUGE))

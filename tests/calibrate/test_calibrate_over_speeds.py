@@ -13,7 +13,6 @@ import pytest
 from test_calibrate_on_a_bus import position_errors
 
 from canfb.calibrate.calibration_summary import delay_words
-from canfb.calibrate.choices import CalibrateOptions
 from canfb.calibration.path_fit import LowPass
 from canfb.cli.calibrate import calibrate as command
 from canfb.cli.calibrate import over_bus
@@ -27,9 +26,8 @@ from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, read_active
 from canfb.master.machine_watch import Provenance
 from canfb.master.session import read_corners
-from canfb.master.supervision_limits import SupervisionLimits
 from canfb.signal.correction import NO_CORRECTION
-from canfb.signal.harmonics import NO_LOW_PASS, Corners
+from canfb.signal.harmonics import NO_LOW_PASS
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from commissioning_kit import CYCLES, MODULE_ID, Bench
@@ -166,28 +164,6 @@ def test_a_multiplexer(capsys: pytest.CaptureFixture[str]) -> None:
     assert read_corners(made.access) == NO_LOW_PASS
 
 
-def test_what_fails_leaves_everything_as_it_was() -> None:
-    """The encoder changes between measurement and proof."""
-    made = bench(rpm=(61.0, 3001.0))
-    before = read_active(made.access)
-    changed: list[bool] = []
-
-    def change(counts: tuple[float, float]) -> tuple[float, float]:
-        if made.module.chain.correction != before or changed:
-            changed.append(True)
-            return counts[0], counts[1] * 0.97
-        return counts
-
-    made.source.change = change
-    with pytest.raises(
-        CommissioningError, match=r"predicted.*the previous table and conditioning are active"
-    ):
-        calibrate(made, speeds="61,3001")
-    assert changed
-    assert read_active(made.access) == before
-    assert read_corners(made.access) == NO_LOW_PASS
-
-
 def test_a_speed_that_does_not_come() -> None:
     made = bench(rpm=(61.0, 703.0))
     with pytest.raises(CommissioningError, match=r"steadily at 3001 rpm within 10 s; it turns at 70"):
@@ -204,23 +180,12 @@ def test_limits_that_the_true_amplitude_exceeds_are_named() -> None:
     assert read_corners(made.access) == NO_LOW_PASS
 
 
-def test_corners_are_read_as_numbers() -> None:
-    made = bench(corner_hz=125e3, cosine_corner_hz=127.5e3)
-    assert read_corners(made.access) == SupervisionLimits.read(made.access).motion.corners
-    assert read_corners(made.access) == Corners(125e3, 127.5e3)
-
-
 def test_speeds_too_close() -> None:
     made = bench(rpm=(701.0,))
     began = made.bus.now
     with pytest.raises(CalibrationError, match=r"too close to tell: .* ns, .* cycle rms"):
         calibrate(made, speeds="701,790")
     assert made.bus.now - began < 1.0, "before anything is measured"
-
-
-@each("speeds", ["61,1000", "-300,300", "61,300,1000,3000"])
-def test_speeds_that_can_be(speeds: str) -> None:
-    assert CalibrateOptions(speeds=speeds).speeds_rpm == tuple(map(float, speeds.split(",")))
 
 
 def test_files_without_speeds(tmp_path: Path) -> None:

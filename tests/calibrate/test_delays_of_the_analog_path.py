@@ -19,7 +19,7 @@ from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import put_in_force, read_active, read_conditioning
 from canfb.master.samples import TrackSamples
 from canfb.sdo.table_file import as_yaml, read_table_file
-from canfb.signal.conditioning import HARMONIC_ORDERS, Conditioning
+from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
@@ -69,26 +69,6 @@ def test_a_calibration_at_any_speed_finds_the_encoder(rpm: float) -> None:
     assert bench.module.chain.correction.conditioning.phase_error_rad == pytest.approx(PHASE_ERROR, abs=3e-3)
     errors = position_errors(bench, 400)
     assert np.sqrt(np.mean(errors**2)) < 3e-4
-
-
-@each("rpm", [61.0, 3001.0])
-def test_the_measurement_of_the_module_keeps_them(rpm: float) -> None:
-    bench = with_calculator(bench_at(rpm))
-    assert calibrate(bench, "--source", "module") == 0
-    assert delays(bench) == (DELAY_S, LAG_S, 0.0)
-    assert bench.module.chain.correction.conditioning.phase_error_rad == pytest.approx(PHASE_ERROR, abs=3e-3)
-    assert np.sqrt(np.mean(position_errors(bench, 400) ** 2)) < 3e-4
-
-
-def test_harmonics_are_those_at_low_speed() -> None:
-    """At speed their part of the error is in the table already."""
-    slow, fast = bench_at(61.0), bench_at(3001.0)
-    assert calibrate(slow) == calibrate(fast) == 0
-    used = slow.module.chain.correction.conditioning
-    assert abs(used.harmonics[HARMONIC_ORDERS.index(3)]) == pytest.approx(0.01, rel=0.1)
-    assert not any(fast.module.chain.correction.conditioning.harmonics)
-    put_in_force(fast.access, slow.module.chain.correction)
-    assert np.sqrt(np.mean(position_errors(fast, 400) ** 2)) < 3e-4, "and so they hold at any speed"
 
 
 @each("source", ["pdo", "module"])

@@ -159,21 +159,6 @@ def test_what_the_module_refuses_is_refused() -> None:
     assert bench.access.integer(0x2030, 2, "B") == 0
 
 
-def test_a_table_of_the_module_that_does_not_keep_its_promise_is_taken_back() -> None:
-    bench = with_calculator(Bench())
-    work = bench.master.on_wait
-
-    def knock(now: float) -> None:
-        work(now)
-        if bench.value(0x2020, 4):
-            bench.source.change = lambda counts: (counts[0] + 60, counts[1])
-
-    bench.master.on_wait = knock
-    with pytest.raises(CommissioningError, match=r"on fresh samples .*; the previous table and conditioning"):
-        calibrate(bench, "--source", "module")
-    assert read_active(bench.access) == NO_CORRECTION
-
-
 def test_the_module_tells_its_drift(capsys: pytest.CaptureFixture[str]) -> None:
     bench = with_calculator(Bench())
     calibrate(bench, "--source", "module")
@@ -276,11 +261,11 @@ def test_a_calibration_by_two_samples_for_each_sync(
 ) -> None:
     text = EXAMPLE.replace("    times: true", "    samples_per_sync: 2\n    times: true", 1)
     assert text != EXAMPLE
-    module, _, took_s = calibrated(text, tmp_path)
+    module, _, took_s = calibrated(text, tmp_path, "--least-samples", "3000")
     figures = json.loads(capsys.readouterr().out)
     assert figures["accepted"]
     assert figures["fresh_rms_cycles"] < 2e-4
-    assert took_s < 110.0
+    assert took_s < 50.0
     assert module.limits.samples_per_sync == 2
 
 

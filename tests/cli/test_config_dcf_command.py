@@ -38,23 +38,27 @@ ONE = "modules: [{node_id: 0x21, cycles_per_revolution: 1024, adc_bits: 16, enco
 TWO = "modules: [{node_id: 0x20}, {node_id: 0x21, coast_samples: 9}]\n"
 
 
-class Peer:
-    """A module on an embedded bus, and the master of the command."""
+class Peer(EmbeddedNetwork):
+    """A module on an embedded bus, and the master of the command and of the page's examples."""
 
     def __init__(self, config: ModuleConfig, store: Store | None = None, dictionary: Any = None) -> None:
         bus = EmbeddedBus()
-        self.network = EmbeddedNetwork(bus)
+        super().__init__(bus)
         self.module = FeedbackModule(config, store)
         eds = str(eds_path("canfb-module")) if dictionary is None else dictionary
         self.remote = canopen.RemoteNode(config.node_id, eds)
-        self.network.add_node(self.remote)
+        self.add_node(self.remote)
         bus.attach(self.module)
 
+    def connect(self, *args: Any, **words: Any) -> Any:
+        assert words == {"interface": "socketcan", "channel": "can0"}
+        return self
+
     def sdo(self, node_id: int) -> Any:
-        return SharedClient(self.network, node_id, 1.0)
+        return SharedClient(self, node_id, 1.0)
 
     def wait(self, duration_s: float) -> None:
-        """Nothing happens meanwhile."""
+        """Nothing happens meanwhile, and the bus has not failed."""
 
     def activate(self, table: CorrectionTable) -> None:
         self.remote.sdo.download(0x2020, 1, table.to_bytes())
@@ -222,40 +226,14 @@ EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 YAML = "bus: {bitrate: 500000}\nmodules: [{node_id: 0x20, adc_bits: 16, conditioning: {sine_gain: 1.07}}]\n"
 
 
-class Network(EmbeddedNetwork):
-    """In place of the bus of the examples: a module that can save is on it."""
-
-    def __init__(self) -> None:
-        bus = EmbeddedBus()
-        super().__init__(bus)
-        self.module = FeedbackModule(ModuleConfig(node_id=0x20), MemoryStore())
-        bus.attach(self.module)
-
-    def connect(self, *args: Any, **words: Any) -> Any:
-        assert words == {"interface": "socketcan", "channel": "can0"}
-        return self
-
-    def sdo(self, node_id: int) -> Any:
-        return SharedClient(self, node_id, 1.0)
-
-    def wait(self, duration_s: float) -> None:
-        """Nothing happens meanwhile, and the bus has not failed."""
-
-
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "feedback.yaml").write_text(YAML)
-    return tmp_path
-
-
 def test_commands_and_examples_make_the_module_of_the_configuration(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    yaml: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    yaml.write_text(YAML)
     assert [words[:3] for words in COMMANDS] == [["canfb", "config", "dcf"]] * 3
     for words in COMMANDS[:2]:
         assert main(words[1:]) == 0
-    network = Network()
+    network = Peer(ModuleConfig(node_id=0x20), MemoryStore())
     monkeypatch.setattr(canopen, "Network", lambda: network)
     names: dict[str, Any] = {}
     exec(compile(EXAMPLES[0], "docs/storage.md", "exec"), names)
@@ -265,7 +243,7 @@ def test_commands_and_examples_make_the_module_of_the_configuration(
     # The third command reads the module; the second example writes what it has read.
     monkeypatch.setattr(config_file, "master_of", lambda options: network)
     assert main(COMMANDS[2][1:]) == 0
-    fresh = Network()
+    fresh = Peer(ModuleConfig(node_id=0x20), MemoryStore())
     names["node"] = fresh.add_node(0x20, canopen.import_od("module-20h.dcf"))
     exec(compile(EXAMPLES[1], "docs/storage.md", "exec"), names)
     assert configuration_of(fresh.module).values() == wanted.values()
@@ -279,7 +257,7 @@ def test_the_heartbeat_of_the_page_is_in_the_concise_form() -> None:
             if (one.index, one.subindex) == (0x1017, 0)
         ]
 
-    module = Network().module
+    module = Peer(ModuleConfig(node_id=0x20)).module
     assert heartbeats(module) == [0]
     (request,) = re.findall(r"`cansend can0 620#(\w+)`", PAGE)
     module.receive(Frame(0x620, bytes.fromhex(request)), 0.0)

@@ -8,24 +8,78 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import can
 import numpy as np
 import pytest
-from first_session import Session
 
 import canfb
+from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser, main
-from canfb.configuration import parse_config
+from canfb.cli.simulate import chosen
+from canfb.configuration import Config, parse_config
+from canfb.interface.encoder_interface import EncoderInterface
+from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.limits import max_acceleration
 from canfb.signal.starts import START_SAMPLES
+from canfb.signal.supervision import VALID
 from canfb.simulation.demand import of_motion
+from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.motion import Motion
+from canfb.simulation.set_up import source_of
+from canfb.simulation.sync_producer import SyncProducer
 from judged_session import check, new_judge
+
+START_ALL = Frame(0x000, b"\x01\x00")
+POSITION = 0x1A0
+
+
+@dataclass
+class Session:
+    """``canfb run`` and ``canfb simulate --rate`` on one bus, with the options of the latter."""
+
+    rate_hz: float
+    options: Sequence[str] = ()
+    text: str = EXAMPLE
+    statuses: list[int] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+    """Of each position, cycles, against the truth."""
+
+    def __post_init__(self) -> None:
+        self.config: Config = parse_config(self.text)
+        arguments = ["simulate", "feedback.yaml", "--rate", str(self.rate_hz), *self.options]
+        self.source: Any = source_of(*chosen(build_parser().parse_args(arguments), self.config))
+        self.module = FeedbackModule(self.config.modules[0])
+        config = self.config.modules[0]
+        self.interface = EncoderInterface(config.encoder_interface, self.source, times=config.times)
+        self.bus = EmbeddedBus()
+        for device in (self.module, self.interface, SyncProducer(1.0 / self.rate_hz)):
+            self.bus.attach(device)
+        self.bus.observers.append(self._note)
+
+    def _note(self, frame: Frame, now: float) -> None:
+        if frame.can_id == POSITION:
+            self.statuses.append(int.from_bytes(frame.data[4:6], "little"))
+            feedback = self.module.feedback
+            assert feedback is not None
+            if hasattr(self.source, "position_cycles"):
+                self.errors.append(feedback.cycles + feedback.phase - self.source.position_cycles)
+
+    def run(self, duration_s: float) -> None:
+        """Start all nodes, and let time pass."""
+        self.bus.send(START_ALL)
+        self.bus.run_until(self.bus.now + duration_s)
+
+    @property
+    def valid(self) -> list[bool]:
+        """Of each position PDO."""
+        return [bool(status & VALID) for status in self.statuses]
+
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -34,7 +88,6 @@ FIRST_HOUR = (ROOT / "docs" / "first-hour.md").read_text(encoding="utf-8")
 SIMULATION = (ROOT / "docs" / "simulation.md").read_text(encoding="utf-8")
 RECORDING = "docs/recording/tracks.csv"
 LIMIT_S = 240.0  # for everything that has to happen in one test; it takes about 15 s
-POSITION = 0x1A0
 
 
 def python_blocks() -> list[str]:

@@ -150,14 +150,6 @@ def test_amplitude_limits_and_frozen_input() -> None:
         assert choices[od.SUPERVISION_FROZEN].why.startswith("off: ")
 
 
-def test_a_vibration_is_no_noise_of_the_converter() -> None:
-    """A converter without noise in a machine that vibrates."""
-    still = SimulatedMachine(duty(300, 0.5, ripples=(Ripple(0.8, 130.0),)), Encoder())
-    observed, _, choices = still.commissioned(COUNT)
-    assert observed.machine.tracks.noise_counts < 0.15
-    assert choices[od.SUPERVISION_FROZEN].value == 0
-
-
 @pytest.mark.parametrize("noise", [0.4, 0.5, 0.8, 1.5])
 def test_frozen_repeats_come_true_in_the_worst_case(noise: float) -> None:
     """Both tracks in the middle of a count: repeats as long as the formula says, scaled to a short time."""
@@ -171,12 +163,6 @@ def test_frozen_repeats_come_true_in_the_worst_case(noise: float) -> None:
     assert longest < repeats or repeats == 0
     assert repeats_of_frozen_input(noise, 1000.0, 2.0, 0) >= repeats
     assert repeats_of_frozen_input(noise, 1000.0, 2.0, 200) == 0, "more than seen, or off"
-
-
-def test_quiet_converters_have_no_frozen_check() -> None:
-    assert repeats_of_frozen_input(0.0, 1000.0, 2.0, 0) == 0
-    assert repeats_of_frozen_input(0.1, 1000.0, 2.0, 0) == 0
-    assert repeats_of_frozen_input(100.0, 1000.0, 2.0, 0) == 16
 
 
 def test_a_machine_that_never_stops_keeps_its_limits_of_motion() -> None:

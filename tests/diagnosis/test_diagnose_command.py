@@ -152,11 +152,6 @@ def test_a_command_that_is_not_there_is_a_line() -> None:
     assert self_diagnosis._said(["false"]) == []
 
 
-def test_what_is_written_first_is_checked(canfb: Commands, tmp_path: Path) -> None:
-    _, err = canfb(Bench(sync=False), "why", "--bundle", MODULE_ID, "--out", tmp_path, code=2)
-    assert err == f"canfb: {tmp_path}: cannot be written: it is a folder\n"
-
-
 def test_the_commands_of_the_page_are_those_of_the_parser() -> None:
     for block in re.findall(r"```sh\n(.*?)```", PAGE, re.S):
         build_parser().parse_args(shlex.split(block)[1:])

@@ -144,15 +144,6 @@ def test_the_end_of_a_recording_is_told_by_the_sync_after_it_and_is_silent() -> 
     assert source.taken == 2, "a source that has ended is left alone"
 
 
-def test_a_pdo_moved_by_the_master_is_silent_too_where_a_sample_is_lost() -> None:
-    interface = operational(Listed([(1, 2), None, (3, 4)]))
-    for frame in (download(0x1800, 1, 0x80000190), download(0x1800, 1, 0x1F0)):
-        (answer,) = interface.receive(frame, 0.0)
-        assert answer.data[0] == 0x60
-    sent = [interface.receive(SYNC, 0.0) for _ in range(3)]
-    assert [[frame.can_id for frame in one] for one in sent] == [[0x1F0], [], [0x1F0]]
-
-
 def test_as_its_own_sync_producer_it_is_silent_where_a_sample_is_lost() -> None:
     interface = operational(Listed([(1, 2), None, (3, 4)]))
     interface.receive(download(0x1006, 0, 10_000), 0.0)

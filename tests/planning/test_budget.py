@@ -90,26 +90,12 @@ def test_the_largest_speed_and_acceleration_use_up_the_limit(
         assert alone_too_much or found.needed_cycles == pytest.approx(found.limit_cycles, rel=1e-6)
 
 
-@given(
-    cycles=st.integers(10, 50_000),
-    rate_hz=st.floats(10.0, 4000.0),
-    jitter_us=st.floats(0.1, 50.0),
-    times=st.booleans(),
-    table=st.booleans(),
-)
+@given(st.integers(10, 50_000), st.floats(10.0, 4000.0), st.floats(0.1, 50.0), st.booleans(), st.booleans())
 def test_the_limits_fall_and_rise_as_they_must(
     cycles: int, rate_hz: float, jitter_us: float, times: bool, table: bool
 ) -> None:
-    words = {
-        "cycles_per_revolution": cycles,
-        "rate_hz": rate_hz,
-        "jitter_us": jitter_us,
-        "times": times,
-        "table": table,
-        "bit_rate": 1_000_000,
-        "acceleration_rad_s2": 0.001,
-        "rpm": 0.1,
-    }
+    words = {"cycles_per_revolution": cycles, "rate_hz": rate_hz, "jitter_us": jitter_us, "times": times}
+    words |= {"table": table, "bit_rate": 1_000_000, "acceleration_rad_s2": 0.001, "rpm": 0.1}
 
     def limits(**other: object) -> tuple[float, float]:
         one = budget(**{**words, **other})

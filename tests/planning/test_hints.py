@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -79,43 +81,26 @@ def test_after_the_limit_is_narrowed_the_rate_makes_it_sharp() -> None:
     assert Plan(then.plan_input).detection(Plan(then.plan_input).budgets[0]).is_sharp
 
 
-@examples(20)
-@given(
-    modules=st.integers(1, 3),
-    bit_rate=st.sampled_from([125_000, 250_000, 500_000, 1_000_000]),
-    rate_hz=st.sampled_from([50.0, 200.0, 1000.0, 2500.0]),
-    rpm=st.sampled_from([0.0, 10.0, 300.0, 6000.0]),
-    acceleration=st.sampled_from([0.0, 3.0, 100.0, 2000.0, 1e6]),
-    jitter_us=st.sampled_from([0.0, 5.0, 100.0]),
-    extra=st.sampled_from([0.0, 0.2, 0.9]),
-    limit=st.sampled_from([0.02, 0.06, 1.0 / 3.0, 0.5]),
-    noise=st.sampled_from([0.0, 0.5, 30.0]),
-    times=st.booleans(),
+STATED = st.fixed_dictionaries(
+    {
+        "modules": st.integers(1, 3),
+        "bit_rate": st.sampled_from([125_000, 250_000, 500_000, 1_000_000]),
+        "rate_hz": st.sampled_from([50.0, 200.0, 1000.0, 2500.0]),
+        "rpm": st.sampled_from([0.0, 10.0, 300.0, 6000.0]),
+        "acceleration_rad_s2": st.sampled_from([0.0, 3.0, 100.0, 2000.0, 1e6]),
+        "jitter_us": st.sampled_from([0.0, 5.0, 100.0]),
+        "extra_load": st.sampled_from([0.0, 0.2, 0.9]),
+        "residual_limit": st.sampled_from([0.02, 0.06, 1.0 / 3.0, 0.5]),
+        "noise_counts": st.sampled_from([0.0, 0.5, 30.0]),
+        "times": st.booleans(),
+    }
 )
-def test_each_change_is_for_the_tightest_limit_and_makes_it_hold(
-    modules: int,
-    bit_rate: int,
-    rate_hz: float,
-    rpm: float,
-    acceleration: float,
-    jitter_us: float,
-    extra: float,
-    limit: float,
-    noise: float,
-    times: bool,
-) -> None:
-    plan = planned(
-        modules,
-        bit_rate=bit_rate,
-        rate_hz=rate_hz,
-        rpm=rpm,
-        acceleration_rad_s2=acceleration,
-        jitter_us=jitter_us,
-        extra_load=extra,
-        residual_limit=limit,
-        noise_counts=noise,
-        times=times,
-    )
+
+
+@examples(20)
+@given(STATED)
+def test_each_change_is_for_the_tightest_limit_and_makes_it_hold(stated: dict[str, Any]) -> None:
+    plan = planned(**stated)
     found = changes_of(plan)
     assert len({step.for_what for step in found} - {"detection"}) == len(
         [step for step in found if step.for_what != "detection"]

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from planning_kit import (
     ADC_PDO,
-    BIT_RATE,
     POSITION_PDO,
     PRECISE_PDO,
     RATE_HZ,
@@ -77,17 +76,6 @@ def test_speed_under_jitter(part: float, table: bool) -> None:
     # Without a table the errors of the phases are a bound, which few of the phases that come by reach.
     assert found.holds is (part == HELD) or not table, max(found.residuals)
     assert found.holds or part == FLAGGED, max(found.residuals)
-
-
-@pytest.mark.parametrize("part", [HELD, FLAGGED])
-def test_jitter_at_a_speed(part: float) -> None:
-    words = {"table": True, "rpm": 60.0, "acceleration_rad_s2": GENTLE}
-    budget = planned(jitter_us=10.0, **words).budgets[0]
-    limit_us = 10.0 * budget.largest_speed_rad_s / (60.0 * RPM)
-    assert planned(jitter_us=part * limit_us, **words).holds is (part == HELD)
-    motion = up_to_speed(cycles(60.0 * RPM), cycles(GENTLE))
-    found = play(motion, 0.7, table=True, off_s=alternating(part * limit_us * 1e-6))
-    assert found.holds is (part == HELD), max(found.residuals)
 
 
 @pytest.mark.parametrize("part", [HELD, FLAGGED])
@@ -243,22 +231,6 @@ def test_acceleration_with_a_jitter_that_a_single_sample_would_not_survive(part:
         off_s=lambda k: 30e-6 if k % 2 else -30e-6,
     )
     assert found.holds is (part == HELD), max(found.residuals)
-
-
-def test_the_frames_are_those_on_the_wire() -> None:
-    for count, times in ALL:
-        plan = planned(samples_per_sync=count, times=times)
-        found = play(lambda now: 0.0, 0.1, samples_per_sync=count, times=times)
-        for message in plan.plan_input.bus.messages:
-            if not message.on_error:
-                syncs = message.rate_hz(RATE_HZ) * 0.1
-                assert found.frames[message.can_id or 0] == pytest.approx(syncs, abs=2.0)
-    assert planned(samples_per_sync=4, times=True).plan_input.bus.bit_rate == BIT_RATE
-
-
-def test_four_samples_hold_the_move_of_a_servo() -> None:
-    assert planned(acceleration_rad_s2=7850.0, table=True, samples_per_sync=4).holds
-    assert not planned(acceleration_rad_s2=7850.0, table=True, samples_per_sync=2).holds
 
 
 def test_sample_times_widen_the_limit_as_in_the_module() -> None:

@@ -17,7 +17,7 @@ from canfb.monitoring.lines import MachineUnits
 from canfb.monitoring.sdo_reading import ModuleReading
 from canfb.monitoring.snapshot import ModuleSnapshot
 from canfb.scope.live_page import LivePage
-from canfb.scope.traces import EVERY_S, LEAST_SAMPLES, LONGEST_S, SAMPLES, ModuleTraces
+from canfb.scope.traces import EVERY_S, LEAST_SAMPLES, LONGEST_S, ModuleTraces
 from canfb.signal.correction import NO_CORRECTION, Correction
 from monitored_network import NODE, MonitoredNetwork
 
@@ -125,16 +125,6 @@ def test_there_is_no_deviation_of_few_samples_nor_at_standstill() -> None:
         curve = traces.deviation(10.0 * n)
         assert curve is not None
         assert why in curve["text"]
-
-
-def test_samples_that_were_not_seen_leave_a_gap() -> None:
-    traced = Traced()
-    traced.run(1.0)
-    traced.network.run(1.5)  # a thousand more than are remembered
-    traced.run(0.2)
-    places = np.array(traced.traces._samples)[:, 0]
-    assert (np.diff(places) > 10).sum() == 1
-    assert len(places) <= SAMPLES
 
 
 def told(events: bytes | None) -> dict[str, Any]:

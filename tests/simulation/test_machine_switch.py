@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.cli.main import build_parser, main
+from canfb.cli.main import build_parser
 from canfb.cli.simulate import check_record, chosen, write_record
 from canfb.configuration import load_config, parse_config
 from canfb.errors import CanfbError, ConfigError
@@ -180,13 +180,3 @@ def test_a_folder_is_no_file_and_a_file_that_fails_is_one_line(tmp_path: Path) -
         check_record(str(tmp_path / "x.csv"))
     with pytest.raises(CanfbError, match=r"--record .*x\.csv: cannot be written: Is a directory"):
         write_record(tmp_path / "x.csv", recorded(COUNTS), RATE_HZ)
-
-
-def test_the_command_records_and_ends_by_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config, path = tmp_path / "feedback.yaml", tmp_path / "tracks.npz"
-    config.write_text("bus: {interface: virtual, channel: canfb-record}\nmodules: [{node_id: 32}]\n")
-    arguments = [str(config), "--rate", "500", "--autostart", "--seconds", "0.1", "--record", str(path)]
-    assert main(["simulate", *arguments]) == 0
-    out = capsys.readouterr().out.splitlines()
-    assert out[-2:] == ["50 samples sent", f"written  {path}"]
-    assert len(np.load(path)["sine"]) == 50

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.configuration import parse_config
-from canfb.errors import ConfigError
 from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_instants import TRUE_TIME, SampleClock
@@ -329,18 +328,6 @@ def test_the_plant_turns_one_interval_with_each_sync() -> None:
     assert axis.plant.motor.time_s == pytest.approx(0.06), "the first SYNC begins"
     assert axis.plant.motor.speed_rad_s > 1.0
     assert axis.drive.interval_s == pytest.approx(0.01)
-
-
-@pytest.mark.parametrize("interval_s", [0.0, -1.0, 10.1, math.nan, True])
-def test_an_interval_that_cannot_be(interval_s: float) -> None:
-    with pytest.raises(ValueError, match="interval_s"):
-        slow(interval_s)
-
-
-@pytest.mark.parametrize("text", ["pace: fast", "pace: 1", "sync_period_us: 1", "sync_period_us: fast"])
-def test_a_configuration_that_cannot_be(text: str) -> None:
-    with pytest.raises(ConfigError, match=text.partition(":")[0]):
-        parse_config(f"modules: [{{node_id: 32}}]\nsimulation: {{{text}}}\n")
 
 
 def test_the_interval_is_that_of_the_rate_or_of_the_configuration() -> None:

@@ -128,13 +128,6 @@ def test_a_file_that_cannot_be_used_gets_one_line(tmp_path: Path, case: str) -> 
     assert len(message) < len(str(path)) + 300
 
 
-@pytest.mark.parametrize("time", ["nan", "inf", "-inf"])
-def test_a_time_that_there_cannot_be_is_refused(tmp_path: Path, time: str) -> None:
-    path = written(tmp_path, f"t,a,b\n0,1,2\n{time},3,4\n")
-    with pytest.raises(CanfbError, match=re.escape(f"{path}:3: {time} is not a time in seconds")):
-        timed(path, 0.1, 1)
-
-
 @pytest.mark.parametrize("name", ["c", "2", "-1", "²", ""])
 def test_a_column_that_is_not_there_is_refused(tmp_path: Path, name: str) -> None:
     path = written(tmp_path, "a,b\n1,2\n")

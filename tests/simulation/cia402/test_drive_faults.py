@@ -121,21 +121,6 @@ def test_a_restart_is_a_fault_at_once_and_is_told_once(of_module: bool, command:
     assert bench.emergencies() == [error]
 
 
-def test_a_lost_heartbeat_of_the_module_is_a_fault() -> None:
-    bench = cruising(1.0)
-    bench.module_master.sdo[0x1017].raw = HEARTBEAT_MS // 2
-    bench.write(0x1016, MODULE_ID << 16 | HEARTBEAT_MS, 1)
-    bench.write(0x2110, 255, 6)
-    for _ in range(100):
-        bench.onward()
-    assert bench.state is State.OPERATION_ENABLED
-    bench.module_master.sdo[0x1017].raw = 0
-    for _ in range(HEARTBEAT_MS + 5):
-        bench.onward()
-    assert_fault(bench, 0x8130)
-    assert bench.emergencies() == [0x8130], "the node has told it; once is enough"
-
-
 @pytest.mark.parametrize(
     ("option", "state"),
     [
@@ -186,19 +171,6 @@ def test_without_sync_the_torque_goes_off_in_time_unless_it_is_switched_off(time
         assert_fault(bench, 0x8700)
     else:
         assert bench.state is State.OPERATION_ENABLED
-
-
-def test_a_drive_that_is_off_misses_neither_sync_nor_feedback() -> None:
-    bench = DriveBench()
-    bench.module_master.nmt.state = "STOPPED"
-    bench.cycle(50)
-    bench.bus.run_until(bench.bus.now + 10.0)
-    bench.control(0x06)
-    bench.cycle(5)
-    assert bench.state is State.READY_TO_SWITCH_ON
-    assert bench.emergencies() == []
-    bench.control(0x07)
-    assert_fault(bench, 0x7305)
 
 
 def test_a_preset_under_power_is_a_position_that_cannot_be() -> None:

@@ -127,14 +127,6 @@ def test_the_speed_is_that_of_true_time_however_the_syncs_jitter(jitter: list[fl
             assert one.feedback.speed == pytest.approx(30.0, abs=2e-4)
 
 
-def test_two_syncs_of_one_time_are_an_interval_apart() -> None:
-    one = Input()
-    one.take(0)
-    one.sync(0.0)
-    assert one.take(20_480, syncs=0)
-    assert one.feedback.speed == pytest.approx(1.0)
-
-
 def test_after_very_many_syncs_without_a_position_it_goes_on() -> None:
     one = Input()
     one.take(0)
@@ -211,17 +203,6 @@ def test_missing_after_as_many_syncs_as_are_tolerated(tolerated: int) -> None:
     assert DICTIONARY.entry(0x2111, 3).value == tolerated + 1
     assert one.take(0)
     assert one.wrong == Wrong(0)
-
-
-def test_a_second_one_in_the_same_cycle_is_not_used() -> None:
-    one = Input()
-    one.take(0)
-    one.take(1000)
-    speed = one.feedback.speed
-    assert not one.take(1000, syncs=0)
-    assert (one.wrong, one.feedback.speed) == (Wrong(0), speed)
-    assert not one.take(1000, 0, syncs=0)
-    assert one.wrong == Wrong.STATUS
 
 
 @each("code", [0x7300, 0x7305, 0x73FF, 0x1000, 0x7200, 0x7400, 0x8130, 0xFF00])

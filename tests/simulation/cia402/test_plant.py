@@ -98,14 +98,6 @@ def test_without_power_there_is_no_torque_and_the_brake_is_closed() -> None:
     assert (one.motor.command_nm, one.motor.torque_nm, one.motor.braked) == (0.0, 0.0, True)
 
 
-def test_the_encoder_is_on_the_shaft() -> None:
-    one = plant(speed=0.0)
-    source = PlantSource(ShaftEncoder(Encoder(amplitude_counts=1000.0), 2500), one)
-    one.motor.revolutions = 3.25 / 2500
-    assert source.next()[:2] == (1000, 0)
-    assert source.position_cycles == pytest.approx(3.25)
-
-
 def test_the_encoder_is_sampled_at_the_time_that_is_asked_for_also_at_one_that_is_over() -> None:
     one = plant()
     source = PlantSource(ShaftEncoder(Encoder(), 2500), one)
@@ -193,12 +185,6 @@ def test_coulomb_friction_brings_the_shaft_to_rest_and_holds_it(viscous: float) 
     one.command_nm = 0.0100001
     one.run(1.0)
     assert one.revolutions > rest
-
-
-def test_a_torque_beyond_friction_turns_the_motion_round_within_a_step() -> None:
-    one = motor(-0.02, 0.0005, **FREE | {"coulomb_friction_nm": 0.01})
-    one.run(1e-4)  # to rest in 16.7 us, then 83.3 us the other way at 10 rad/s^2
-    assert one.speed_rad_s == pytest.approx(-10.0 * (1e-4 - 0.0005 / 30.0), rel=1e-6)
 
 
 def test_the_load_comes_at_its_time_and_the_brake_holds_it() -> None:
@@ -311,11 +297,6 @@ def test_the_encoder_falls_behind_where_the_coupling_slips() -> None:
     assert behind[:500] == pytest.approx([0.0] * 500, abs=1e-6)
     assert behind[501 + round(SLIP_S * 1000) :] == pytest.approx([250.0] * len(behind[1001:]), abs=1e-6)
     assert all(after >= before - 1e-6 for before, after in itertools.pairwise(behind))
-
-
-def test_a_coupling_holds_unless_told_otherwise() -> None:
-    assert Coupling().slipped(1e9) == 0.0
-    assert Coupling(2.0, 10.0).slipped(10.0 + SLIP_S / 2.0) == pytest.approx(1.0)
 
 
 @each("key, value", [
