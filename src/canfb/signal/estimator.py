@@ -26,7 +26,7 @@ from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
 from canfb.signal.speeds import STILL_SAMPLES, Place, StillPhase
 from canfb.signal.starts import START_SAMPLES, SpeedVerdict, Starts
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
-from canfb.signal.tracker import NOT_USUAL, Track, Tracker, TrackResult
+from canfb.signal.tracker import Track, Tracker, TrackResult
 
 HALF_CYCLE = 0.5
 REMEMBERED_SAMPLES = 20  # r + 2 (m + r - 1): to go back behind m = 8 bad samples, r = 2
@@ -280,19 +280,15 @@ class Estimator:
         even = all(place[2] == 1.0 for place in itertools.islice(self.places, 1, None))
         return samples < (ORDER if even else START_SAMPLES)
 
-    def advance_over(self, phase: float, elapsed: float) -> float:
-        """:meth:`Tracker.advance` over an interval that is not quite one, as sample times give it.
+    def limit_over(self, elapsed: float) -> float:
+        """What the residual of a usual sample is below, over an interval that is not one after another one.
 
-        Only where nothing is in doubt. NOT_USUAL, and nothing changed, where :meth:`good` has to decide.
+        Only where nothing is in doubt. 0.0: :meth:`good` has to decide.
         """
-        tracker = self.tracker
-        if len(self.places) <= START_SAMPLES and self._start_places():
-            return NOT_USUAL
-        counted = self._in_window(phase, elapsed) if elapsed < LONG_INTERVAL else None
-        if counted is None:
-            return NOT_USUAL
-        tracker.accept(counted, elapsed)
-        return counted.residual
+        if (len(self.places) <= START_SAMPLES and self._start_places()) or elapsed >= LONG_INTERVAL:
+            return 0.0
+        radius = self._usual_radius(elapsed)
+        return radius if radius < HALF_CYCLE else 0.0
 
     def _usual_radius(self, elapsed: float) -> float:
         """Half the window of a sample in turn, cycles; 1.0 where two samples do not give it."""

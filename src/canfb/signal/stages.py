@@ -216,7 +216,9 @@ class Stages:
         residual = NOT_USUAL
         tracker, estimator = self._tracker, self.estimator
         if usual and phase == phase and not (repeated and not self._stands):
-            residual = tracker.advance(phase) if elapsed == 1.0 else estimator.advance_over(phase, elapsed)
+            steady = tracker.elapsed == elapsed == 1.0
+            limit = tracker.residual_limit if steady else estimator.limit_over(elapsed)
+            residual = tracker.advance(phase, elapsed, limit)
         if residual < 0.0:
             return self._resolve(sine, cosine, (s, c, amplitude, raw, phase), elapsed, timed, extras)
         if self._stands:

@@ -47,7 +47,6 @@ class Tracker:
     """
 
     __slots__ = (
-        "_elapsed",
         "_gap",
         "_phase",
         "_phase_before",
@@ -55,6 +54,7 @@ class Tracker:
         "_started",
         "_step",
         "cycles",
+        "elapsed",
         "residual_limit",
         "step_cycles",
     )
@@ -73,7 +73,7 @@ class Tracker:
         self._step = 0  # i(k-1) - i(k-2)
         self._phase = 0.0  # p(k-1)
         self._phase_before = 0.0  # p(k-2)
-        self._elapsed = 1.0  # intervals between samples k-2 and k-1
+        self.elapsed = 1.0  # intervals between samples k-2 and k-1
         self._gap = 0.0  # intervals since sample k-1 that brought no phase
         self._started = False
         self.step_cycles = 0.0
@@ -82,12 +82,12 @@ class Tracker:
     def halt(self) -> None:
         """Keep the position and forget the speed."""
         self._step, self._phase_before = 0, self._phase
-        self._elapsed, self._gap = 1.0, 0.0
+        self.elapsed, self._gap = 1.0, 0.0
         self._find_speed()
 
     def rescale(self, factor: float) -> None:
         """Count intervals in another unit, ``factor`` times as many."""
-        self._elapsed *= factor
+        self.elapsed *= factor
         self._gap *= factor
         self._find_speed()
 
@@ -100,17 +100,12 @@ class Tracker:
     def places(self) -> tuple[Track, Track, float]:
         """The last two samples that were taken, and the intervals between them."""
         before = Track(self.cycles - self._step, self._phase_before, 0.0, True)
-        return before, Track(self.cycles, self._phase, 0.0, True), self._elapsed
-
-    @property
-    def elapsed(self) -> float:
-        """Intervals between the last two samples."""
-        return self._elapsed
+        return before, Track(self.cycles, self._phase, 0.0, True), self.elapsed
 
     @property
     def is_steady(self) -> bool:
         """The next sample is one interval after two that were one interval apart."""
-        return self._started and self._gap == 0.0 and self._elapsed == 1.0
+        return self._started and self._gap == 0.0 and self.elapsed == 1.0
 
     def state(self) -> tuple[float, float, int, int]:
         """(p(k-2), p(k-1), i(k-1), i(k-1) - i(k-2)) of a steady tracker."""
@@ -122,20 +117,20 @@ class Tracker:
         ``phase_before``, ``phase``: of the last two samples; ``step``: cycles between them; ``cycles``: the
         count of the last.
         """
-        self._started, self._elapsed, self._gap = True, 1.0, 0.0
+        self._started, self.elapsed, self._gap = True, 1.0, 0.0
         self._phase_before, self._phase, self.cycles, self._step = phase_before, phase, cycles, step
         self._find_speed()
 
     def set_places(self, before: Track, last: Track, elapsed: float) -> None:
         """Go on from two samples, ``before`` and ``last``, ``elapsed`` intervals apart."""
         self.set_state(before.phase, last.phase, last.cycles, last.cycles - before.cycles)
-        self._elapsed = elapsed
+        self.elapsed = elapsed
         self._find_speed()
 
     def shift(self, cycles: int, step_cycles: int) -> None:
         """Add ``cycles`` to the cycle count, and ``step_cycles`` per interval to the speed."""
         self.cycles += cycles
-        self._step += round(step_cycles * self._elapsed)
+        self._step += round(step_cycles * self.elapsed)
         self._find_speed()
 
     def update(self, phase: float, elapsed: float = 1.0) -> Track:
@@ -163,7 +158,7 @@ class Tracker:
         if not self._started:
             return Track(self.cycles, phase, 0.0, True)
         elapsed += self._gap
-        if elapsed == self._elapsed:
+        if elapsed == self.elapsed:
             cycles = self.cycles + self._step
             c = 2.0 * self._phase - self._phase_before - phase
         else:
@@ -174,30 +169,31 @@ class Tracker:
         residual = abs(turns - c)
         return Track(cycles + turns, phase, residual, residual < self.residual_limit)
 
-    def advance(self, phase: float) -> float:
-        """:meth:`look` and :meth:`accept` in one, for the usual sample: one interval after a steady run.
+    def advance(self, phase: float, elapsed: float, limit: float) -> float:
+        """:meth:`look` and :meth:`accept` in one, for a sample whose residual is below ``limit``.
 
-        The result is its residual; NOT_USUAL, and nothing changed, where the tracker is not steady or it is
-        over the limit.
+        Only for a tracker that has started, and not behind a gap. The result is its residual; NOT_USUAL, and
+        nothing changed, for any other.
         """
-        if self._gap != 0.0 or self._elapsed != 1.0 or not self._started:
-            return NOT_USUAL
         before = self._phase
-        c = 2.0 * before - self._phase_before - phase
+        if elapsed == self.elapsed:
+            whole, c = self._step, 2.0 * before - self._phase_before - phase
+        else:
+            whole, c = self._carry(elapsed)
+            c = before + c - phase
         turns = round(c)
         residual = abs(turns - c)
-        if not residual < self.residual_limit:
+        if not residual < limit:
             return NOT_USUAL
-        self._step = step = self._step + turns
+        self._step = step = whole + turns
         self.cycles += step
-        self.step_cycles = step + (phase - before)
-        self._phase_before = before
-        self._phase = phase
+        self.step_cycles = (step + (phase - before)) / elapsed
+        self._phase_before, self._phase, self.elapsed = before, phase, elapsed
         return residual
 
     def follow(self, phase: float) -> Track | None:
-        """:meth:`advance` to a track; None: not a usual sample."""
-        residual = self.advance(phase)
+        """:meth:`advance` of a steady tracker to a track; None: not a usual sample."""
+        residual = self.advance(phase, 1.0, self.residual_limit) if self.is_steady else NOT_USUAL
         return None if residual < 0.0 else _new(Track, (self.cycles, phase, residual, True))
 
     def accept(self, track: Track, elapsed: float = 1.0) -> None:
@@ -205,7 +201,7 @@ class Tracker:
         if self._started:
             self._step = track.cycles - self.cycles
             self._phase_before = self._phase
-            self._elapsed = elapsed + self._gap
+            self.elapsed = elapsed + self._gap
         else:
             self._started = True
             whole, self._phase_before = split(track.phase - self._start_speed)
@@ -229,10 +225,10 @@ class Tracker:
         return Track(self.cycles + whole + turns, phase, 0.5, False)
 
     def _find_speed(self) -> None:
-        self.step_cycles = (self._step + (self._phase - self._phase_before)) / self._elapsed
+        self.step_cycles = (self._step + (self._phase - self._phase_before)) / self.elapsed
 
     def _carry(self, elapsed: float) -> tuple[int, float]:
-        ratio = elapsed / self._elapsed
+        ratio = elapsed / self.elapsed
         displacement = self._step * ratio
         whole = math.floor(displacement)
         return whole, (displacement - whole) + (self._phase - self._phase_before) * ratio
