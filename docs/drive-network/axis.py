@@ -27,7 +27,7 @@ NEXT = {
 }  # on the way to OPERATION ENABLED
 
 Until = Callable[[Callable[[], bool], float, str], None]
-"""Wait until it is true, so many seconds at most, for what: raises when something goes wrong."""
+"""Wait until it is true, with a limit in seconds, for what: raises when something goes wrong."""
 
 
 class FaultError(Exception):
@@ -187,7 +187,7 @@ class Axis:
         )
 
     def wait_syncs(self, count: int) -> None:
-        """Wait for so many SYNCs that the drive has answered."""
+        """Wait for this many SYNCs that the drive has answered."""
         end = len(self.rows) + count
         self._running(lambda: len(self.rows) >= end, PATIENCE_S + count, "the drive to answer the SYNC")
 

@@ -141,7 +141,7 @@ class Item:
         return items
 
     def keys(self) -> dict[str, Item]:
-        """Its keys, whatever they are."""
+        """All its keys."""
         if not isinstance(self.value, dict):
             raise self.error("a mapping, key: value, is required here")
         return self.value
@@ -305,7 +305,7 @@ class _Reader:
             od = canopen.import_od(str(path), node_id)
         except OSError as error:
             raise keys["eds"].error(f"{path} cannot be read: {error.strerror}") from None
-        except Exception as error:  # whatever canopen's reader stumbles over
+        except Exception as error:  # canopen's reader raises many kinds
             raise keys["eds"].error(f"{path} is not an EDS file: {error}") from None
         expect = keys["expect"].mapping("device_type", " ".join(IDENTITY))
         node = Node(

@@ -250,7 +250,7 @@ class _Reader:
                 values["source"] = source.of_module(values)
             return kind(**values)
         except (ValueError, TypeError) as error:
-            # The first key that it speaks of; sine_gain is none of cosine_gain's business.
+            # The first key that it names; sine_gain is not cosine_gain.
             guilty = (lines[word] for word in re.findall(r"\w+", str(error)) if word in lines)
             raise self._fail(next(guilty, node), f"{where}: {error}") from None
 

@@ -49,7 +49,7 @@ CLOSE_S = 1e-5  # so much later than the look before: the processor may have bee
 LOOKS = 3
 LONGEST_DELAY_S = 60.0  # a time further back is not of the wall clock
 DRIFT = 2e-4  # two crystals of 100 ppm each
-# A host that is late all the time shows nothing of another clock: of so many frames one is taken at once.
+# A host that is late all the time shows nothing of another clock: one of this many frames is taken at once.
 LEARNED_FRAMES = 64
 
 

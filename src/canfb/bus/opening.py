@@ -44,7 +44,7 @@ _MISSING = re.compile(r"missing \d+ required [a-z -]+ arguments?: (.*)")
 
 
 def open_bus(options: dict[str, Any]) -> can.BusABC:
-    """A python-can bus from its own words, environment and files; BusError if there is none."""
+    """A python-can bus from its own words, environment and files; BusError if it does not exist."""
     words = {key: value for key, value in options.items() if key != FORCE_PYTHON_CAN}
     if words.get("interface") in (None, MULTICAST):
         full = _completed(options)

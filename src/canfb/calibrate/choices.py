@@ -115,7 +115,7 @@ class CalibrateOptions:
 
     @property
     def delay_to_set(self) -> str | float | None:
-        """2002:07 in seconds, :data:`.ESTIMATE`, None: as it is. ConfigError for anything else."""
+        """2002:07 in seconds, :data:`.ESTIMATE`, None: unchanged. ConfigError for anything else."""
         if self.delay is None or self.delay == ESTIMATE:
             return self.delay
         try:

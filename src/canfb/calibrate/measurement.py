@@ -148,7 +148,7 @@ def measure_speeds(
     progress: Progress,
     delay: str | float | None = None,
 ) -> Measurement:
-    """Calibrate. ``delay`` is 2002:07 in seconds, or :data:`ESTIMATE`; None: as it is ``before``.
+    """Calibrate. ``delay`` is 2002:07 in seconds, or :data:`ESTIMATE`; None: that of ``before``.
 
     CalibrationError for samples that cannot be used, CommissioningError for wrong settings.
     """
@@ -203,7 +203,7 @@ class DriftCheck:
 
     rms, peak     of the error over the cycle, its constant part taken off
     on_samples    deviation of the samples; its ``before`` is that with the active table
-    change        None where the active conditioning is none
+    change        None without an active conditioning
     """
 
     rms: float

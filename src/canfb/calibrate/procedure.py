@@ -172,7 +172,7 @@ def check_as_predicted(found_rms: float, predicted_rms: float, uncertainty_rms: 
 
 
 def phase_error(module: NodeAccess) -> int | None:
-    """2010:0C as it is, 1/65536 cycle; None for a module without it."""
+    """2010:0C now, 1/65536 cycle; None for a module without it."""
     error = module.read_known(od.SUPERVISION_PHASE_ERROR)
     return None if error is None else int(error)
 

@@ -148,7 +148,7 @@ def measured_at_standstill(
     adc_bits: int | None = None,
     entries: int = 1024,
 ) -> Calibration:
-    """A measurement at one speed behind a path that is known, as it is at standstill.
+    """A measurement at one speed behind a known path, moved to standstill.
 
     CalibrationError where it is refused.
     """
@@ -160,7 +160,7 @@ def measured_at_standstill(
 
 
 def at_standstill(found: Calibration, hertz: float, path: PathFit, entries: int) -> Calibration:
-    """``found`` at this speed, as it is at standstill: the path taken out of the mean tracks."""
+    """``found`` at this speed, moved to standstill: the path taken out of the mean tracks."""
     waveform = standing_waveform(found.tracks, found.track_orders, hertz, path.cosine_delay_s, path.corners)
     phases = grid_phases(TRACK_POINTS)[:-1]
     conditioning = fit_ellipse(*waveform.tracks(phases))

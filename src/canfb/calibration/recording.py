@@ -235,12 +235,12 @@ def away_from(fraction: float) -> float:
 FASTEST = 512.0
 # Intervals; nearly one, so that times with some jitter are followed as by eq. 9.
 BASELINE = 0.75
-LONGEST_LAG = 64  # samples; so many within BASELINE are a flood, not a sampling
-# Speeds are given up, and those that have become one are joined, every so many samples.
+LONGEST_LAG = 64  # samples; this many within BASELINE are a flood, not a sampling
+# Speeds are given up, and those that have become one are joined, at this interval of samples.
 PRUNE_SAMPLES = 32
-# A speed whose sum of squares is worse by so many mean squares is wrong (10 standard deviations) ...
+# A speed whose sum of squares is worse by this many mean squares is wrong (10 standard deviations) ...
 WRONG = 100.0
-# ... and one that is worse by no more than so many fits as well as the best (3 standard deviations).
+# ... and one that is worse by no more than this fits as well as the best (3 standard deviations).
 ALIKE = 9.0
 # Mean squares of residuals, cycle^2, at least: 16 bits leave more; and what a poor encoder that is not
 # corrected yet may show at the first phase that it has not met before.
@@ -346,6 +346,6 @@ def _over_gaps(position: FloatArray, time: FloatArray, first: int, base: IntArra
     middle = early + (late - early) * (ahead + gap) / (ahead + 2.0 * gap + behind)
     shift = np.zeros(len(time))
     shift[end] = np.rint(middle * gap - (position[end] - position[begin]))
-    # Two long intervals in a row: the speed over the second is none to judge the first by.
+    # Two long intervals in a row: the speed over the second cannot judge the first.
     shift[end[after > np.append(end[1:], len(time))]] = 0.0
     return np.asarray(position + np.cumsum(shift), np.float64)

@@ -154,7 +154,7 @@ def _largest(values: FloatArray, noise: float, difference: FloatArray) -> float:
         averaged = averaged[np.isfinite(averaged)]
         if len(averaged) < len(bell):
             break
-        sigmas = math.sqrt(2.0 * math.log(len(averaged) + 1.0))  # the largest of so many
+        sigmas = math.sqrt(2.0 * math.log(len(averaged) + 1.0))  # the largest of this many
         by_noise = sigmas * noise * float(np.linalg.norm(np.convolve(bell, difference)))
         most = max(most, peak(averaged) - by_noise)
     return most

@@ -79,7 +79,7 @@ class Agenda:
 class Timed(ABC):
     """A service with a timer, due at `deadline`, seconds."""
 
-    agenda = Agenda()  # Where the service is listed; as long as it is nowhere, one that is never asked.
+    agenda = Agenda()  # Where the service is listed; while it is in none, one that is never asked.
     _deadline = NEVER
 
     @property

@@ -46,7 +46,7 @@ def private_bus() -> Iterator[dict[str, Any]]:
     for number in range(PRIVATE_GROUPS):
         place = zlib.crc32(f"{user} {number}".encode()) % (256 * 254)
         group = f"239.255.{place // 254}.{place % 254 + 1}"  # the local scope of RFC 2365
-        # A TCP port of the same number shows that the group is taken: it is free again whatever ends us.
+        # A TCP port of the same number shows that the group is taken: any end of the process frees it.
         with socket.socket() as lock:
             if _bound(lock, group_port(group)):
                 yield {"interface": MULTICAST, "channel": group, "hop_limit": 0}

@@ -92,7 +92,7 @@ class BusLog:
         self._stopped = True
 
     def record(self, bus: can.BusABC, seconds: float | None = None) -> None:
-        """Write what comes for so many ``seconds``; None: until :meth:`stop`.
+        """Write what comes for ``seconds``; None: until :meth:`stop`.
 
         The frames of udp_multicast, in which each sender names the channel as it likes, get one name.
         """

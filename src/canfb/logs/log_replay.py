@@ -106,7 +106,7 @@ def _check_frames(log: BusLogFile) -> None:
 
 
 def _store(module: ModuleConfig, state_dir: Path | None) -> MemoryStore | None:
-    """What was saved, in the memory: the log may hold a `save`, and the folder stays as it is."""
+    """What was saved, in the memory: the log may hold a `save`, and the folder stays unchanged."""
     if state_dir is None and module.state_dir is None:
         return None
     store = MemoryStore()
@@ -190,7 +190,7 @@ def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
 
 
 def rows_of(job: LogJob, settings: ReplayOptions) -> list[Row]:
-    """Its rows, whatever is the matter with it."""
+    """Its rows, also of a damaged log."""
     try:
         log, results = replay_log(job.path, settings)
     except Exception as error:  # one log must not cost the others

@@ -48,7 +48,7 @@ class Session:
 
     @classmethod
     def open(cls, master: Master, module_id: int, interface_id: int | None) -> Session:
-        """CommissioningError if the module is none."""
+        """CommissioningError if the node is not a feedback module."""
         module = NodeAccess(master, module_id, "module")
         active = read_active(module)
         cycles = module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I")

@@ -81,7 +81,7 @@ class DeviceConfiguration:
         return values
 
     def writes(self) -> list[Write]:
-        """SDO writes that a module in Pre-operational takes one after the other, whatever it held before.
+        """SDO writes that a module in Pre-operational takes one after the other, for any previous content.
 
         Everything is switched off; then the parameters, the table with the conditioning, the numbers of
         mapped objects, 1006h, the COB-IDs, and at last 1020h, which any other write would clear.

@@ -44,7 +44,7 @@ class FeedbackModule(NodeDevice):
 
     Time goes in as ``now`` (seconds, monotonic), frames come out; see
     :class:`canfb.device.node.Node` for start, receive, tick and deadline. A frame never
-    raises, whatever its content.
+    raises, for any content.
 
     ``store`` holds what 1010h and LSS save; without one nothing is saved. ``bit_rates_kbit_s`` are
     those that LSS may choose; see ``on_bit_rate``.

@@ -367,7 +367,7 @@ class Pairing(ProcessData):
         self._take(sample, self._elapsed if judged else self._answer(self.syncs.place), now)
 
     def _timed(self, sample: Sample, now: float) -> None:
-        """By its time a sample is the next one, whatever was received when.
+        """By its time a sample is the next one, for any time of reception.
 
         An earlier one again is not used, nor one that is too near to the last; but that one did come.
         """

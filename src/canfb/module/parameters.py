@@ -161,7 +161,7 @@ def apply_defaults(dictionary: Dictionary, defaults: Values) -> None:
 SAME_NARROWED, SAME_ANALOG = 0.002, 2e-4  # of the interval: no reason for new limits, other coefficients
 SAME_NOISE = 0.02  # of it: no reason for new limits
 
-# What each of these objects may be; those without a range of their own take whatever the EDS allows.
+# What each of these objects may be; those without a range of their own take all that the EDS allows.
 RANGES: dict[od.Multiplexer, tuple[float, float]] = {
     od.ENCODER_CORNER_FREQUENCY: (0.0, MOST_CORNER_HZ),
     od.ENCODER_COSINE_CORNER_FREQUENCY: (0.0, MOST_CORNER_HZ),

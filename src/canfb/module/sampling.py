@@ -76,7 +76,7 @@ class Sampling:
         self._publishing.withhold()
 
     def configured(self, samples_per_sync: int, timed: bool) -> None:
-        """PDO parameters or the NMT state have changed: so many samples for each SYNC, ``timed`` or not."""
+        """PDO parameters or the NMT state have changed: samples for each SYNC, ``timed`` or not."""
         limits = self._limits
         if (samples_per_sync, timed) != (self._interval.samples_per_sync, limits.timed):
             self._interval.samples_per_sync, limits.timed = samples_per_sync, timed

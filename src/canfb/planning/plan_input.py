@@ -50,13 +50,13 @@ class PlanInput:
     bit_rate        bit/s, 10000..1000000
     sync_hz         SYNC rate
     jitter_s        of the SYNC at its producer, +-
-    aperture_s      of the instant at which the tracks are held, +-, whatever the sample time says
+    aperture_s      of the instant at which the tracks are held, +-, beside the sample time
     extra_load      of frames of other nodes, 0..1
     heartbeat_s     of every node, 0.0: as each node has it
     modules         at least one
     others          further nodes, by node-ID: their objects
     speed_rad_s, acceleration_rad_s2   largest ones that the encoders have to follow; None: not given
-    is_final        no module has to follow more, whatever its 2010:02 says
+    is_final        no module has to follow more, even by its 2010:02
     where           who says so, for people
     noise_counts    rms noise of a track before the ADC, counts
     amplitude       of the tracks, relative to full scale

@@ -36,7 +36,7 @@ class Message:
     kind          what it is, for people
     node_id       who sends it; None: who produces the SYNC
     data_bytes    0..8
-    each_syncs    one for so many SYNCs; None: not by SYNC
+    each_syncs    SYNCs per frame; None: not by SYNC
     least_hz      so often without any SYNC: an event timer, a heartbeat
     most_hz       at most so often: an inhibit time
     on_error      only after a fault: it counts for the load, and never delays a SYNC of a healthy network
@@ -219,7 +219,7 @@ class BusLoad:
 
 
 def in_order(messages: Iterable[Message]) -> tuple[Message, ...]:
-    """Each CAN-ID once, as it is sent once; by priority, what is of many last."""
+    """Each CAN-ID once; by priority, what is of many last."""
     found: dict[int | None, Message] = {}
     for message in messages:
         found.setdefault(message.can_id, message)

@@ -142,7 +142,7 @@ class FieldDifference:
 
 
 def pdo_fields(dictionary: Dictionary, can_id: int) -> list[FieldDifference]:
-    """The fields of the TPDO with a CAN-ID as it is mapped now; none for other frames."""
+    """The fields of the TPDO with a CAN-ID as mapped now; none for other frames."""
 
     def read(place: od.Multiplexer) -> int | None:
         entry = dictionary.find(*place)

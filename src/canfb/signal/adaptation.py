@@ -21,7 +21,7 @@ from canfb.signal.track_sectors import NO_DEVIATION, CircleDeviation, TrackSecto
 NEVER: Final = 1 << 62  # no sample has this number
 EVERY_S = 0.02  # between two samples that are learned
 PAUSE_S = 1.0  # after a fault
-RECENT_S = 10.0  # a result of an earlier time is none of now
+RECENT_S = 10.0  # older results are not recent
 MOST_TAKEN = 4096  # samples in which the cycle must be covered
 REFERENCE_BLOCKS = 4
 GAIN = 0.5  # of the difference, each time
@@ -68,7 +68,7 @@ class AdaptConfig:
 
 
 class FollowedDrift(NamedTuple):
-    """The change of the conditioned tracks since the reference measurement, as far as it is followed.
+    """The change of the conditioned tracks since the reference measurement, as far as followed.
 
     sine_offset_counts, cosine_offset_counts  after conditioning (2002:0F, 2002:10)
     gain                                      of the sine over that of the cosine, less 1 (2002:11)

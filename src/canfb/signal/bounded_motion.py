@@ -31,7 +31,7 @@ import numpy as np
 
 from canfb.signal.phase import FloatArray
 
-ORDER = 2  # r: so many samples determine the next one, as eq. 9 has it
+ORDER = 2  # r samples determine the next one (eq. 9)
 MOST_JOINED = (
     3  # samples behind a hole in one junction: its facets grow with the power k - 1 of the generators
 )
@@ -41,7 +41,7 @@ HOLE_INTERVALS = 1.5  # from here on samples are missing between two
 # Or SYNC jitters: of 0.1 interval rms it makes one interval in 5000 longer than 1.5, one in 17 million longer
 # than this. Where the window has one count only, it is right however long the interval was.
 LONG_INTERVAL = 1.75
-BASELINES = 5  # so many samples
+BASELINES = 5  # samples
 ROUNDING_CYCLES = 1e-9  # of the arithmetic here, below any phase error
 
 

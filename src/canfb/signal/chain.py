@@ -68,7 +68,7 @@ class SignalChain:
         self._follow_unit()
 
     def activate(self, correction: Correction) -> None:
-        """Take another ``correction``, between two samples. TypeError if its table is none."""
+        """Take another ``correction``, between two samples. TypeError for a bad table."""
         self.stages.activate(correction)
 
     def adapt(self, limits: AdaptConfig | None, start_from: FollowedDrift | None = None) -> None:
@@ -85,7 +85,7 @@ class SignalChain:
         self.stages.use_second(sensor)
 
     def hear_second(self, values: int, increments: int) -> None:
-        """An interval of SYNC is over in which so many ``values`` of the other sensor came.
+        """An interval of SYNC is over in which the other sensor sent this number of ``values``.
 
         With just one, its ``increments`` (INTEGER32) are those at the sample before this call. -1: it is not
         certain which ones came.
@@ -228,7 +228,7 @@ class SignalChain:
         self._left_out = 0.0
 
     def slips(self, intervals: float) -> bool:
-        """In so many intervals of SYNC the machine goes so far that its phase could mislead."""
+        """Within these intervals of SYNC the machine moves so far that its phase could mislead."""
         return self._pauses.slips(intervals * self._per_sync)
 
     def uncertain(self, intervals: float) -> Feedback | None:
@@ -313,7 +313,7 @@ class SignalChain:
         placed: bool = True,
         next_one: bool = False,
     ) -> Feedback:
-        """:meth:`step` where it is known when the sample was taken, whatever its own time says.
+        """:meth:`step` for a sample of known time; its own time is not looked at.
 
         ``elapsed`` intervals of SYNC after the one before; ``placed``: False if that is not known, which
         makes it a bad sample; ``next_one``: by the count of SYNCs none was missed.

@@ -45,7 +45,7 @@ class Candidate(NamedTuple):
     time       of its last entry, intervals
     spots      the samples before the hole, and those of the run behind it, oldest first; the last ones
     run        samples since the last hole
-    leaves     so many samples are still to be left out
+    leaves     samples that are still to be left out
     chance     expected number of random phases that would have got so far
     joined     the same, up to the end of the junction
     residuals  of the samples behind the junction: how many, smallest, largest, cycles
@@ -216,7 +216,7 @@ class Doubt:
         return not self._followed
 
     def skip(self, elapsed: float, flagged: bool) -> None:
-        """No sample, or one that failed its checks (``flagged``), after so many intervals."""
+        """No sample, or one that failed its checks (``flagged``), ``elapsed`` intervals later."""
         self._only_missing &= not flagged
         self._enter(None, elapsed)
         self._follow(self._advance(self.candidates, len(self.log) - 1))

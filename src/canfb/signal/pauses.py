@@ -29,7 +29,7 @@ class Pauses:
         self._turned = 0.0
 
     def slips(self, intervals: float) -> bool:
-        """In so many intervals the machine goes so far that its phase could mislead."""
+        """Within these intervals the machine moves so far that its phase could mislead."""
         estimator = self._stages.estimator
         tracker = estimator.tracker
         if estimator.lost or not tracker.started:
@@ -51,7 +51,7 @@ class Pauses:
         stages.restart()
 
     def resume(self, intervals: float) -> bool:
-        """Go on after so many intervals; True if the position goes on, and was not started again.
+        """Go on after ``intervals``; True if the position goes on, and was not started again.
 
         The rules are in :meth:`canfb.signal.chain.SignalChain.resume`.
         """
@@ -83,10 +83,10 @@ class Pauses:
             stages.lose_after_pause(starts=True)
 
     def _could_move(self, intervals: float) -> bool:
-        """At the last speeds the machine leaves its cycle within so many intervals.
+        """At the last speeds the machine leaves its cycle within ``intervals``.
 
         Or it is half a cycle away, or faster than half a cycle per interval, at the sample after them:
-        eq. 9 starts again from standstill. It may accelerate as it did, and as it is declared.
+        eq. 9 starts again from standstill. It may accelerate as it did, and as declared.
         """
         estimator = self._stages.estimator
         places = estimator.places

@@ -18,7 +18,7 @@ BLOCK_SAMPLES = 64
 MEDIAN_OF_RMS = 0.6745  # of the size of a normal deviate
 # Sums of the squared weights: of the residual, and of the difference of two residuals.
 RESIDUAL_WEIGHTS, DIFFERENCE_WEIGHTS = 6.0, 20.0
-# The errors of all phases show in a block that has phases in so many eighths of the cycle, and such steps.
+# The errors of all phases show in a block that has phases in these eighths of the cycle, and such steps.
 EIGHTHS = 5
 LEAST_STEP = 0.1
 FEWEST_BLOCKS = 4  # before a limit uses the noise

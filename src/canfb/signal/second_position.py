@@ -72,7 +72,7 @@ class SecondScale:
         return self.moved_cycles(since, now, now.cycles - since.cycles) - (now.phase - since.phase)
 
     def moved_cycles(self, since: Pair, now: Pair, less_cycles: int = 0) -> float:
-        """How far the other sensor has moved, cycles, less so many: the nearest float."""
+        """How far the other sensor has moved, cycles, less ``less_cycles``: the nearest float."""
         moved = (int(now.value) - int(since.value)) * self._cycles
         return (moved - less_cycles * self._per) / self._per
 

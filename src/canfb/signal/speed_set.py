@@ -1,6 +1,6 @@
 """The speeds that a machine can have at a start, or while it is lost: uneven sample times tell them apart.
 
-The truth is y + c + s t with y as it is counted and whole numbers c and s. At uneven instants s t is no
+The truth is y + c + s t with the counted y and whole numbers c and s. At uneven instants s t is no
 whole number, and the second difference of a wrong s is off by s times that of the instants. Each s is
 followed by itself, and goes where it leaves a window of the declared motion: from two earlier samples, f
 apart, to one that is e after the later,

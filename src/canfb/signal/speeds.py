@@ -46,7 +46,7 @@ def stood_still(places: Sequence[Place], least: int = STEADY_SAMPLES) -> bool:
 
 
 def least_speed(places: Sequence[Place], steps: int) -> float:
-    """The smallest speed of so many last steps, cycles per interval; 0 without one."""
+    """The smallest speed of the last ``steps``, cycles per interval; 0 without one."""
     recent = list(places)[-steps - 1 :]
     speeds = [((new[0] - old[0]) + (new[1] - old[1])) / new[2] for old, new in itertools.pairwise(recent)]
     return min(speeds, key=abs, default=0.0)

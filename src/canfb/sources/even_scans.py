@@ -39,7 +39,7 @@ class EvenScans:
         self._last: int | None = None  # the newest sample of the SYNC before, by the number of its scan
         self._lags: deque[int] = deque(maxlen=LAGS)
         self._syncs, self._block_began = 0, 0
-        self._blocks: deque[int] = deque(maxlen=BLOCKS)  # scans that have come in so many SYNCs
+        self._blocks: deque[int] = deque(maxlen=BLOCKS)  # scans that have come in this many SYNCs
         self._usual = 0.0  # 100 ns, from scan to scan
         self._breaks: deque[int] = deque(maxlen=KNOWN_BREAKS)  # scans before which others are missing
         self._misfit = ""

@@ -201,7 +201,7 @@ class SourceWatch:
             self.ended = True
             self._report("the source has ended: no more samples")
             return None
-        except Exception as error:  # a node on a bus outlives its converter, whatever the driver raises
+        except Exception as error:  # a node on a bus outlives its converter, with any error of the driver
             first, self._failed_s = self._failed_s is None, now
             if first:
                 self._report(f"the source fails: {_one_line(error)}")
@@ -213,7 +213,7 @@ class SourceWatch:
 
 
 def _checked(sample: Sample) -> Sample:
-    """The sample in whole counts; half a coarse track is none. ValueError for what no object can hold."""
+    """The sample in whole counts; half a coarse track is not used. ValueError for what no object can hold."""
     sine, cosine = _counts("sine", sample.sine), _counts("cosine", sample.cosine)
     if not 0.0 < sample.elapsed <= TICKS:
         raise ValueError(f"elapsed {sample.elapsed} is not a number of intervals")

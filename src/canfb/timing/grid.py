@@ -130,7 +130,7 @@ class Grid:
         return places + 1, later - places * self.period
 
     def follow(self, places: int, off: float, elapsed: int = 0) -> None:
-        """An instant was taken so many ``places`` after the last, ``off`` its own.
+        """An instant was taken ``places`` after the last, ``off`` its own.
 
         ``elapsed``: the line has grown by that many places since the last call, if not by ``places``.
         """

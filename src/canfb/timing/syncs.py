@@ -4,7 +4,7 @@ With receive times a SYNC lies on the grid (:mod:`canfb.timing.grid`), or off it
 the call is only the latest time of the frame: SYNCs are counted in their order, with their counter where they
 have one, and the line follows the earliest of TOGETHER calls. One that is late by a turn of its counter,
 without one by a period, may come after others that were lost: nothing is valid until one is in time again.
-Those that stay late show that SYNCs are missing. Doubt is speed times intervals: at standstill it is none.
+Those that stay late show that SYNCs are missing. Doubt is speed times intervals: at standstill it is zero.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class SyncVerdict(NamedTuple):
     lost      SYNCs before it that were not received
     extra     no sample is to be expected for it; ``repeated``: nothing is to be done with it
     off       how far its instant is off the grid, intervals: 0.0 if it is on it
-    doubt     so many intervals may or may not have passed unnoticed; 0.0: none
+    doubt     intervals that may have passed unnoticed; 0.0: none
     """
 
     lost: int = 0

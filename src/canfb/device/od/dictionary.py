@@ -51,7 +51,7 @@ class Entry:
         "value",
     )
 
-    # A hot slot of whatever type the object has; each reader knows its own.
+    # A hot slot of the type of the object; each reader knows its own.
     value: Any
 
     def __init__(

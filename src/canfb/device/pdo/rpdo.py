@@ -29,7 +29,7 @@ ERRORS = (EmergencyCode.RPDO_LENGTH, EmergencyCode.RPDO_LENGTH_EXCEEDED, Emergen
 class Rpdo(Timed):
     """Takes data into the dictionary.
 
-    A PDO that is too short is dropped (EMCY 8210h), one that is too long is used as far as it is mapped
+    A PDO that is too short is dropped (EMCY 8210h), one that is too long is used as far as mapped
     (8220h). Sub-index 5 is the time-out in milliseconds, from the first PDO on (8250h). Each error is
     reported once; a PDO of the mapped length ends it.
     """

@@ -47,12 +47,12 @@ class KeptEntries:
             dictionary.lookup(*place).on_download = written
 
     def leave_out(self, index: int, subindex: int = 0) -> None:
-        """This entry is no parameter. KeyError when there is none."""
+        """This entry is not a parameter. KeyError without it."""
         self._places.discard((index, subindex))
         self._dictionary.entry(index, subindex).on_download = None
 
     def keep(self, index: int, subindex: int = 0, *, saved: Callable[[], Any] | None = None) -> None:
-        """Store this entry, or ``saved()`` in its place. KeyError when there is none."""
+        """Store this entry, or ``saved()`` in its place. KeyError without it."""
         entry = self._dictionary.entry(index, subindex)
         self._places.add((index, subindex))
         self._added.add((index, subindex))

@@ -89,7 +89,7 @@ class Cam:
 class Cams:
     """Objects 6300h to 6302h and 6310h to 6337h of channel 1.
 
-    A disabled cam reads 0, whatever its polarity. Without a valid position all cams keep their state, before
+    A disabled cam reads 0 with either polarity. Without a valid position all cams keep their state, before
     the first one 6300h is 0. Other parameters, another scaling, and a preset make a cam forget that it was
     on.
 

@@ -95,7 +95,7 @@ class Recorder:
         self._observers.remove(self)
 
     def take(self, sample: Sample, feedback: Feedback) -> None:
-        """Whatever the checks say of it; what the interface calls invalid is none."""
+        """Flagged ones too; not those that the interface calls invalid."""
         if sample.invalid:
             self.miss()
             return

@@ -32,7 +32,7 @@ class CoarseScale:
 
 
 class CoarseTrack(Witness):
-    """Of so many ``cycles_per_revolution``, that may differ by ``limit_revolutions``."""
+    """Of ``cycles_per_revolution``, that may differ by ``limit_revolutions``."""
 
     scale: CoarseScale
 

@@ -62,7 +62,7 @@ class SecondPosition:
         self._values.restart_standstill()
 
     def hear(self, values: int, increments: int) -> None:
-        """An interval is over in which so many ``values`` came, the last one ``increments``.
+        """An interval with this number of ``values`` is over, the last one ``increments``.
 
         With just one it belongs to the last sample. ``values`` -1: it is not certain which ones they were.
         """

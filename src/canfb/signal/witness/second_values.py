@@ -16,8 +16,8 @@ STILL_PAIRS = 8
 class SecondValues:
     """Unwraps them, and says which of them mean something.
 
-    missing       so many intervals in a row had no certain value
-    late          so many values are missing, so that those that come may be late by as many intervals
+    missing       intervals in a row without a certain value
+    late          missing values: those that come may be late by as many intervals
     is_ambiguous  the sensor may have turned by more than half of its range: where it stands is not known
     """
 
@@ -43,7 +43,7 @@ class SecondValues:
         self._still_pairs = 0
 
     def take(self, values: int, increments: int) -> int | None:
-        """The value of an interval in which so many came, unwrapped; None: not certain."""
+        """The value of an interval with this number of ``values``, unwrapped; None: not certain."""
         self.is_ambiguous = False
         if values != 1:
             if self._begun:

@@ -40,7 +40,7 @@ class WitnessScale(Protocol):
     slope             its error changes by so much of a way, until it is twice the tolerance
     noise_cycles      of a value
     steady_cycles     values that agree on a count differ by no more: if they drift, one does not follow
-    period_cycles     its value is the same after so many
+    period_cycles     period of its value
     """
 
     tolerance_cycles: float

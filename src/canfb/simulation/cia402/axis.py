@@ -65,7 +65,7 @@ class Axis:
         return self._trajectory.speed == 0.0
 
     def start(self) -> None:
-        """The power goes on: hold the position that there is, whatever 607Ah says."""
+        """The power goes on: hold the present position, not 607Ah."""
         self._loop.reset()
         self._place()
         self._new_target = self._braking = False
