@@ -36,13 +36,13 @@ def test_any_other_can_id_by_way_of_bit_31(module: Bench, index: int, subindex: 
     keep = BIT_30 if index & 0xFF00 == 0x1800 else 0
     value = module.read(index, subindex)
     assert module.write(index, subindex, value | BIT_31, 4) == OK
-    for can_id in FREE:
+    for can_id in FREE[::9]:
         assert module.write(index, subindex, can_id | keep, 4) == OK
         other = FREE[FREE.index(can_id) - 1]
         assert module.write(index, subindex, other | keep, 4) is AbortCode.INVALID_VALUE
         assert module.read(index, subindex) == can_id | keep
         assert module.write(index, subindex, can_id | keep | BIT_31, 4) == OK
-    for can_id in RESTRICTED:
+    for can_id in (edge for edges in RANGES for edge in edges):
         assert module.write(index, subindex, can_id | keep, 4) is AbortCode.INVALID_VALUE
 
 

@@ -95,13 +95,6 @@ def test_an_rpdo_on_the_can_id_of_a_tpdo_works_and_gives_no_alarm(shipped: Shipp
     assert shipped.send(0x190, "05000600") == emergency(0x190), "nobody listens there any more"
 
 
-def test_a_node_that_watches_itself_hears_both(shipped: Shipped) -> None:
-    assert shipped.write(0x1016, 1, ID << 16 | 100, 4) is OK
-    assert shipped.send(0x720, "05") == emergency(0x720)
-    shipped.now = 0.2
-    assert [text[:8] for text in shipped.tick()] == ["0A0#3081"]
-
-
 def test_without_a_node_id_nothing_is_its_own() -> None:
     node = Node(Dictionary.load(SHIPPED, 255), 255)
     node.start(0.0)

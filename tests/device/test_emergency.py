@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import pytest
-from device_kit import OK, Bench
+from device_kit import Bench
 
-from canfb.cia301.codes import AbortCode, EmergencyCode
+from canfb.cia301.codes import EmergencyCode
 
 SENSOR, DATA_SET = EmergencyCode.SENSOR, EmergencyCode.DATA_SET
 
@@ -25,26 +25,6 @@ def test_frame_register_and_history(bench: Bench) -> None:
     assert sent(bench) == ["0A0#0000000000000000"]
     assert bench.read(0x1001) == 0
     assert bench.read(0x1003) == 1
-
-
-def test_each_error_once_until_it_is_cleared(bench: Bench) -> None:
-    for _ in range(3):
-        bench.node.emergency(SENSOR, 0x20, now=0.0)
-    assert len(sent(bench)) == 1
-    bench.node.clear_emergency(SENSOR, 0.0)
-    bench.node.clear_emergency(SENSOR, 0.0)
-    bench.node.emergency(SENSOR, 0x20, now=0.0)
-    assert [text[4:8] for text in sent(bench)] == ["0000", "0073"]
-
-
-def test_the_remaining_errors_stay_in_the_register(bench: Bench) -> None:
-    bench.node.emergency(SENSOR, 0x20, now=0.0)
-    bench.node.emergency(DATA_SET, 0x80, now=0.0)
-    sent(bench)
-    assert bench.read(0x1001) == 0xA1
-    bench.node.clear_emergency(SENSOR, 0.0)
-    assert sent(bench) == ["0A0#0000810000000000"]
-    assert bench.read(0x1001) == 0x81
 
 
 def test_the_history_is_newest_first_and_bounded(bench: Bench) -> None:
@@ -75,24 +55,6 @@ def test_waiting_frames_are_bounded(bench: Bench) -> None:
     assert len(frames) == 9
     assert frames[-1].startswith("0A0#1410")
     assert bench.node.counters.lost_emergencies == 11
-
-
-def test_cob_id(bench: Bench) -> None:
-    assert bench.read(0x1014) == 0xA0
-    assert bench.write(0x1014, 0, 0x200, 4) is AbortCode.INVALID_VALUE
-    assert bench.write(0x1014, 0, 0x800000A0, 4) == OK
-    bench.node.emergency(SENSOR, 0x20, now=0.0)
-    assert bench.node.deadline() is None
-    assert bench.write(0x1014, 0, 0x200, 4) == OK
-    bench.node.clear_emergency(SENSOR, 0.0)
-    assert sent(bench) == ["200#0000000000000000"]
-
-
-def test_what_happens_in_stopped_is_sent_afterwards(bench: Bench) -> None:
-    bench.nmt(2)
-    bench.node.emergency(SENSOR, 0x20, now=0.0)
-    assert bench.node.deadline() is None
-    assert bench.nmt(1) == ["0A0#0073210000000000"]
 
 
 def test_an_error_raised_at_reset_follows_the_boot_up(bench: Bench) -> None:

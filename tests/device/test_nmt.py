@@ -107,20 +107,6 @@ def test_a_reset_has_its_order_and_one_of_communication_keeps_the_application(be
         seen.clear()
 
 
-def test_stopped_serves_only_nmt_and_heartbeat(bench: Bench) -> None:
-    bench.write(0x1800, 5, 10, 2)
-    bench.operational()
-    bench.write(0x1017, 0, 100, 2)
-    bench.run(0.0)
-    bench.nmt(2)
-    bench.node.trigger_tpdo(1, bench.now)
-    bench.node.emergency(0x7300, 0x20, now=bench.now)
-    assert bench.sdo("40001000") == bench.sync() == bench.send(0x190, "01000200") == []
-    assert bench.dictionary.entry(0x2000, 1).value == 0
-    assert [text for _, text in bench.run(0.35)] == ["720#04"] * 3
-    assert bench.nmt(128) == ["0A0#0073210000000000"]
-
-
 # What is dropped, what raises, and when the node wants to be called.
 
 

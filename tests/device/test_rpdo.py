@@ -108,16 +108,6 @@ def test_lengths_and_the_time_out(
     assert not errors.last or bench.read(0x1003, 1) == errors.last
 
 
-def test_an_error_outlives_operational(bench: Bench) -> None:
-    bench.operational()
-    assert len(bench.send(RPDO, b"")) == 1
-    assert bench.nmt(128) == []
-    assert bench.read(0x1001) == 0x11
-    bench.operational()
-    assert bench.send(RPDO, b"") == []
-    assert bench.send(RPDO, "05000600") == ["0A0#0000000000000000"]
-
-
 @pytest.mark.parametrize("kind", [0, 1, 2, 240])
 def test_the_last_one_is_taken_at_the_next_sync(bench: Bench, kind: int) -> None:
     bench.write(0x1400, 2, kind, 1)

@@ -28,17 +28,6 @@ def told_of(bench: Bench, method: str) -> list[Any]:
     return seen
 
 
-def test_sync_received_only_in_operational(bench: Bench) -> None:
-    seen = told_of(bench, "sync_received")
-    bench.sync()
-    bench.operational()
-    bench.now = 2.5
-    bench.sync()
-    bench.nmt(2)
-    bench.sync()
-    assert seen == [(None, 2.5)]
-
-
 def test_the_order_within_a_sync(bench: Bench) -> None:
     """RPDO data, the application, then the TPDO is sampled (CiA 301, 7.2.5)."""
     bench.write(0x1400, 2, 0, 1)

@@ -41,31 +41,11 @@ def test_an_event_within_a_call(bench: Bench) -> None:
     assert bench.node.deadline() is None
 
 
-@pytest.mark.parametrize("kind", [254, 255])
-def test_an_event_outside_of_a_call(bench: Bench, kind: int) -> None:
-    bench.write(0x1800, 2, kind, 1)
-    bench.operational()
-    bench.node.trigger_tpdo(1, 4.25)
-    assert bench.node.deadline() == 4.25
-    assert bench.tick() == ["1A0#0000000000000000"]
-    assert bench.node.deadline() is None
-
-
 @pytest.mark.parametrize("option", [{"start": 4}, {"inhibit": 10000}])
 def test_what_is_not_for_synchronous_ones_without_a_counter(bench: Bench, option: dict[str, int]) -> None:
     set_up(bench, kind=1, **option)
     bench.operational()
     assert bench.sync() == bench.sync() == ["2A0#00000000"]
-
-
-def test_the_event_timer_restarts_when_written(bench: Bench) -> None:
-    set_up(bench, kind=254, timer=100)
-    bench.operational()
-    bench.run(0.05)
-    assert bench.write(0x1801, 5, 200, 2) == OK
-    assert bench.run(0.3) == [(0.25, "2A0#00000000")]
-    assert bench.write(0x1801, 5, 0, 2) == OK
-    assert bench.run(10.0) == []
 
 
 @pytest.mark.parametrize("kind", [0, 1, 0xFD, 254, 255])
