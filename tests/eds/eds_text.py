@@ -6,10 +6,13 @@ import configparser
 import io
 import re
 from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 from canopen.objectdictionary import ODVariable
 from canopen.objectdictionary.eds import import_eds
+
+from canfb.eds_files import eds_path
 
 _OBJECT = re.compile(r"(?P<index>[0-9A-F]{4})(?:sub(?P<sub>[0-9A-F]{1,2}))?")
 
@@ -49,6 +52,12 @@ class EdsText:
             if whole is None or isinstance(whole, ODVariable)
             else {one.subindex: one for one in _variables(whole)}
         )
+
+
+@cache
+def eds_of(name: str, node_id: int) -> EdsText:
+    """One of our files, parsed once."""
+    return EdsText(eds_path(name).read_text(encoding="ascii"), node_id)
 
 
 def _variables(whole: Any) -> list[ODVariable]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from datetime import datetime
 
 import pytest
-from eds_text import EdsText
+from eds_text import EdsText, eds_of
 
 from canfb.eds_files import eds_path
 
@@ -212,8 +212,7 @@ RULES: tuple[Rule, ...] = (form, device_info, types, access, companions, pdos, c
 @pytest.mark.parametrize("node_id", [1, 32, 127])
 @pytest.mark.parametrize("rule", RULES)
 def test_our_files_keep_the_rule(name: str, node_id: int, rule: Rule) -> None:
-    text = eds_path(name).read_text(encoding="latin-1")
-    eds = EdsText(text, node_id)
+    eds = eds_of(name, node_id)
     assert list(rule(eds)) == []
     assert eds.sections["FileInfo"]["FileName"] == name
 
@@ -243,5 +242,4 @@ def test_each_rule_finds_its_fault(rule: Rule, section: str, key: str, value: st
 
 
 def test_a_module_must_not_share_the_node_id_of_its_encoder_interface() -> None:
-    text = eds_path(NAMES[0]).read_text(encoding="ascii")
-    assert list(cob_ids(EdsText(text, 16))) == [("1800:01", "also that of another")]
+    assert list(cob_ids(eds_of(NAMES[0], 16))) == [("1800:01", "also that of another")]

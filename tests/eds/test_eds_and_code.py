@@ -7,11 +7,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
-from eds_text import EdsText
+from eds_text import EdsText, eds_of
 
 from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import ServoDrive
@@ -117,7 +116,7 @@ def name(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def eds(name: str) -> EdsText:
-    return EdsText(eds_path(name).read_text(encoding="ascii"), NODE_ID)
+    return eds_of(name, NODE_ID)
 
 
 @pytest.fixture

@@ -4,9 +4,8 @@ import re
 import tomllib
 from pathlib import Path
 
-import canopen
 import pytest
-from eds_text import EdsText
+from eds_text import eds_of
 
 from canfb import eds_files
 from canfb.device.od.dictionary import Dictionary
@@ -17,8 +16,7 @@ from folding import each
 ROOT = Path(__file__).parents[2]
 MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 NAMES = (MODULE, INTERFACE, DRIVE)
-TEXTS = {name: eds_path(name).read_text(encoding="ascii") for name in NAMES}
-FILES = {name: EdsText(text, 32) for name, text in TEXTS.items()}
+FILES = {name: eds_of(name, 32) for name in NAMES}
 TYPES = {
     "U8": 0x05,
     "U16": 0x06,
@@ -240,8 +238,7 @@ def test_the_contract_is_kept(name: str, line: str) -> None:
 
 
 def test_the_counters_are_in_the_order_of_the_contract_and_ours_follow() -> None:
-    counters = canopen.import_od(str(eds_path(MODULE)), 32)[0x2012]
-    assert isinstance(counters, canopen.objectdictionary.ODRecord)
+    counters = FILES[MODULE].subs(0x2012)
     assert [counters[sub].name for sub in sorted(counters)[1:]] == [
         *("Missed samples", "Residual faults", "Amplitude faults", "Coasted samples"),
         *("Position lost", "Recovered by coarse track", "Zero pulses", "Bad frames"),
@@ -253,18 +250,12 @@ def test_the_counters_are_in_the_order_of_the_contract_and_ours_follow() -> None
     ]
 
 
-def default(name: str, index: int) -> object:
-    variable = canopen.import_od(str(eds_path(name)), 32)[index]
-    assert isinstance(variable, canopen.objectdictionary.ODVariable)
-    return variable.default
-
-
 def test_versions_agree_with_the_package() -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     major, minor, _ = version.split(".")
     for name in NAMES:
-        assert default(name, 0x100A) == version
-    software_and_profile = default(MODULE, 0x6507)
+        assert FILES[name].entries[0x100A, 0].default == version
+    software_and_profile = FILES[MODULE].entries[0x6507, 0].default
     assert software_and_profile == int(major) << 24 | int(minor) << 16 | 0x0302
 
 
@@ -279,8 +270,8 @@ def test_objects_are_in_order(name: str) -> None:
         assert [index for index, sub in places if sub == -1 and index in wanted] == wanted
         indices -= set(wanted)
     assert not indices
-    assert TEXTS[name].endswith("\n")
-    assert not re.search(r"[ \t]\n|\n\n\n|\r", TEXTS[name])
+    assert FILES[name].text.endswith("\n")
+    assert not re.search(r"[ \t]\n|\n\n\n|\r", FILES[name].text)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -288,7 +279,7 @@ def test_objects_are_in_order(name: str) -> None:
 def test_canopen_and_the_device_read_the_same(
     name: str, node_id: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    theirs, ours = EdsText(TEXTS[name], node_id), Dictionary.load(eds_path(name), node_id)
+    theirs, ours = eds_of(name, node_id), Dictionary.load(eds_path(name), node_id)
     assert caplog.text == ""
     assert theirs.entries.keys() == {(entry.index, entry.subindex) for entry in ours}
     for entry in ours:
