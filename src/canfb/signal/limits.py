@@ -98,8 +98,7 @@ def kept_samples(
     phase_error_cycles: float,
     most: int = MOST_IN_A_ROW,
 ) -> int:
-    """Missed or flagged samples in a row, 0..``most``, after which one motion is left, for any phases
-    are.
+    """Missed or flagged samples in a row, 0..``most``, after which one motion is left, for any phases.
 
     ``accepted_cycles`` is the largest acceleration that the estimator follows, ``motion_cycles`` that of
     the machine, cycles per interval^2 (docs/supervision.md).

@@ -10,9 +10,7 @@ from enum import Enum
 from typing import NamedTuple
 
 REMEMBERED = 3  # pulses that nothing has confirmed
-WIDEST_CYCLES = (
-    1  # of a pulse: the edges of the two directions are up to this many whole cycles apart, rounded
-)
+WIDEST_CYCLES = 1  # of a pulse: the edges of both directions are up to this many whole cycles apart, rounded
 
 
 class Pulse(NamedTuple):
