@@ -49,7 +49,7 @@ class JitterWatch:
     @property
     def max_speed_rad_s(self) -> float:
         """The largest speed for this jitter, rad/s; inf without jitter."""
-        left = self._limits.in_force.residual_limit - self._limits.in_force.motion_residual
+        left = self._limits.in_force.residual_limit - (self._limits.in_force.acceleration or 0.0)
         jitter_s = self.jitter_s
         if jitter_s <= 0.0:
             return math.inf

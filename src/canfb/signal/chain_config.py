@@ -55,11 +55,6 @@ class ChainLimits(Declared):
         known = {one.name: getattr(declared, one.name) for one in fields(Declared)}
         return cls(**{**known, **others})
 
-    @property
-    def motion_residual(self) -> float:
-        """What of ``residual_limit`` the motion may use, cycles; 0.0: not known."""
-        return self.acceleration or 0.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class ChainConfig:

@@ -200,11 +200,12 @@ class Estimator:
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
         second = self.timed and len(self.places) == 1
-        if elapsed == 1.0 and not (second or self._doubt or self.lost or self._speeds.active):
-            followed = self.tracker.follow(phase)
-            if followed is not None:
-                self.places.append((followed[0], phase, 1.0))
-                return followed, VALID
+        tracker, steady = self.tracker, elapsed == 1.0 and self.tracker.is_steady
+        if steady and not (second or self._doubt or self.lost or self._speeds.active):
+            residual = tracker.advance(phase, 1.0, tracker.residual_limit)
+            if residual >= 0.0:
+                self.places.append((tracker.cycles, phase, 1.0))
+                return Track(tracker.cycles, phase, residual, True), VALID
         if self._follows_speeds(elapsed):
             return self._by_speed(phase, elapsed)
         return self._taken(phase, elapsed)

@@ -17,7 +17,6 @@ from canfb.signal.blocks import Scratch, blocks
 FloatArray = npt.NDArray[np.float64]
 AnyArray = npt.NDArray[Any]
 
-NO_PHASE = math.nan
 SCALARS = (int, float, np.floating, np.integer, np.bool_)
 
 
@@ -68,7 +67,7 @@ def raw_phase(s: float, c: float) -> float:
         return 0.25 - 0.125 * (c / s)
     if s < 0.0:
         return 0.75 - 0.125 * (c / s)
-    return NO_PHASE
+    return math.nan
 
 
 def raw_phases(s: FloatArray, c: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ from canfb.signal.supervision import (
     Supervision,
 )
 from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
-from canfb.signal.tracking import continues, steady_run, write_places_before
+from canfb.signal.tracking import continues, steady_run
 from canfb.signal.witness.coarse import CoarseTrack
 from canfb.signal.witness.reference import Reference
 from canfb.signal.witness.second import SecondPosition
@@ -362,11 +362,6 @@ class Stages:
         self._expect(self._tracker.step_cycles if self._tracker.started else self._speed)
 
     # Runs on arrays (:mod:`canfb.signal.stream`).
-
-    def write_places_before(self, tracked: TrackResult, at: int) -> None:
-        """Write what the prediction needs into ``tracked``, two places before ``at``."""
-        if self._tracker.is_steady:
-            write_places_before(self._tracker, tracked, at)
 
     def continues(self, tracked: TrackResult, at: int) -> bool:
         """:meth:`follow_run` may begin at ``at``: what eq. 9 needs stands before, and nothing is in doubt."""

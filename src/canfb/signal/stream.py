@@ -22,6 +22,7 @@ from canfb.signal.phase import AnyArray, FloatArray, raw_phase_block, wrap_block
 from canfb.signal.stages import Stages
 from canfb.signal.supervision import LOST, RESIDUAL, TABLE_ACTIVE, VALID, SampleLimits
 from canfb.signal.tracker import TrackResult
+from canfb.signal.tracking import write_places_before
 from canfb.signal.tracks import check_counts, pair_of_tracks
 
 # The prediction needs the two or three samples before a block. Their room is one line of the cache, so that
@@ -163,7 +164,9 @@ class Stream:
         phase, residual = (aligned(BEFORE + samples, np.float64) for _ in range(2))
         amplitude, raw, status = (aligned(samples, kind) for kind in (np.float64, np.float64, np.uint16))
         result = ChainResult(cycles[BEFORE:], phase[BEFORE:], residual[BEFORE:], amplitude, raw, status)
-        self._stages.write_places_before(TrackResult(cycles, phase, residual, self._ok), BEFORE)
+        write_places_before(
+            self._stages.estimator.tracker, TrackResult(cycles, phase, residual, self._ok), BEFORE
+        )
         for start in range(0, samples, BLOCK_SAMPLES):
             part = slice(start, min(start + BLOCK_SAMPLES, samples))
             room = slice(start, BEFORE + part.stop)

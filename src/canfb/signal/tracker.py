@@ -16,7 +16,6 @@ import numpy.typing as npt
 from canfb.signal.phase import FloatArray
 
 RESIDUAL_LIMIT = 1.0 / 3.0
-_new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 NOT_USUAL = -1.0  # in place of a residual
 MOST_SPEED_CYCLES = float(1 << 31)  # at a start: beyond it a float holds too little of the phase
 
@@ -190,11 +189,6 @@ class Tracker:
         self.step_cycles = (step + (phase - before)) / elapsed
         self._phase_before, self._phase, self.elapsed = before, phase, elapsed
         return residual
-
-    def follow(self, phase: float) -> Track | None:
-        """:meth:`advance` of a steady tracker to a track; None: not a usual sample."""
-        residual = self.advance(phase, 1.0, self.residual_limit) if self.is_steady else NOT_USUAL
-        return None if residual < 0.0 else _new(Track, (self.cycles, phase, residual, True))
 
     def accept(self, track: Track, elapsed: float = 1.0) -> None:
         """Make ``track``, from :meth:`look`, the last sample of the recursion."""

@@ -87,6 +87,7 @@ def continues(tracker: Tracker, result: TrackResult, at: int) -> bool:
 
 
 def write_places_before(tracker: Tracker, result: TrackResult, at: int) -> None:
+    """What eq. 9 needs of a steady tracker, two places before ``at``; of another one, what nothing reads."""
     cycles, phase = result.cycles, result.phase
     phase[at - 2], phase[at - 1], last, step = tracker.state()
     cycles[at - 1], cycles[at - 2] = last, last - step
