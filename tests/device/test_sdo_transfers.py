@@ -202,10 +202,19 @@ def test_refusals(bench: Bench, code: AbortCode) -> None:
         assert bench.node.counters.sdo_aborts == number
 
 
-@pytest.mark.parametrize("begin", ["40081000", "A008100014", "2121200009000000", f"C2{TABLE}0E"])
-def test_a_command_out_of_turn_ends_the_transfer(bench: Bench, begin: str) -> None:
-    wrong = {"40": "00", "A0": "A1", "21": "10", "C2": "00"}[begin[:2]]
-    code = {"21": AbortCode.TOGGLE, "C2": AbortCode.SEQUENCE_NUMBER}.get(begin[:2], AbortCode.COMMAND)
+@pytest.mark.parametrize(
+    ("begin", "wrong", "code"),
+    [
+        ("40081000", "00", AbortCode.COMMAND),
+        ("A008100014", "A1", AbortCode.COMMAND),
+        ("A008100014", "A20114", AbortCode.COMMAND),
+        ("2121200009000000", "10", AbortCode.TOGGLE),
+        (f"C2{TABLE}0E", "00", AbortCode.SEQUENCE_NUMBER),
+    ],
+)
+def test_a_command_out_of_turn_ends_the_transfer(
+    bench: Bench, begin: str, wrong: str, code: AbortCode
+) -> None:
     bench.sdo(begin)
     assert bench.sdo(wrong) == abort(begin[2:8], code)
     assert bench.sdo("60")[0].endswith("01000405")
