@@ -56,20 +56,6 @@ def test_a_stored_1f80_starts_the_node(silent: Bench, command: int) -> None:
     assert silent.node.state is NmtState.OPERATIONAL
 
 
-@each("bit", sorted(set(range(32)) - {2}))
-@each("more", [0, 4])
-def test_bits_of_1f80_for_masters_are_refused(bench: Bench, bit: int, more: int) -> None:
-    assert bench.write(0x1F80, 0, 1 << bit | more, 4) is AbortCode.INVALID_VALUE
-    assert bench.read(0x1F80) == 4
-
-
-@each("subindex", [1, 2])
-@each("value", [0, 1, 2, 3, 255])
-def test_the_error_behaviour_takes_0_to_2(bench: Bench, subindex: int, value: int) -> None:
-    expected = OK if value <= 2 else AbortCode.INVALID_VALUE
-    assert bench.write(0x1029, subindex, value, 1) == expected
-
-
 @each("state", STATES)
 @each("command", COMMANDS)
 @each("addressed", [0, ID])

@@ -10,13 +10,13 @@ from device_kit import ID
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 from recording_application import RecordingApplication
-from test_properties import check_pdos
 
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
+from canfb.device.pdo.mapping import COMMUNICATION, LONGEST_BITS, MAPPING, Direction, numbers, resolve
 from drawing import examples
 
 SHIPPED = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
@@ -81,6 +81,22 @@ def may_send(node: Node) -> set[int]:
         tpdos = range(0x1800, 0x1804)
         allowed |= {value_of(node.dictionary, index, 1) & cob.CAN_ID for index in tpdos}
     return allowed
+
+
+def check_pdos(dictionary: Dictionary) -> None:
+    """COB-IDs, types and mappings are possible ones."""
+    for direction in Direction:
+        for number in numbers(dictionary, direction):
+            communication = COMMUNICATION[direction] + number - 1
+            mapping = MAPPING[direction] + number - 1
+            cob_id = dictionary.entry(communication, 1).value
+            kind = dictionary.entry(communication, 2).value
+            assert kind <= 240 or kind >= 252
+            assert not cob_id & 0x3FFFF800
+            assert not (cob.is_valid(cob_id) and cob.is_restricted(cob_id & cob.CAN_ID))
+            count = dictionary.entry(mapping, 0).value
+            mapped = [dictionary.entry(mapping, sub).value for sub in range(1, count + 1)]
+            assert sum(resolve(dictionary, value, direction).bits for value in mapped) <= LONGEST_BITS
 
 
 class NodeModel(RuleBasedStateMachine):

@@ -166,6 +166,16 @@ def test_a_download_arrives_whole(
         assert started.node.deadline() is None
 
 
+@given(st.lists(st.binary(min_size=8, max_size=8), max_size=60))
+@examples(50)
+def test_a_hostile_client_does_not_spoil_the_next_one(sample_path: Path, requests: list[bytes]) -> None:
+    bench = Bench(Dictionary.load(sample_path, ID))
+    bench.start()
+    for request in [*requests, b"\x80" + bytes(7)]:
+        bench.send(0x600 + ID, request)
+    assert bench.read(0x1000) == 0x40191
+
+
 def test_the_crc() -> None:
     assert crc16(b"123456789") == 0x31C3
     assert crc16(b"") == 0

@@ -145,13 +145,6 @@ def test_stored_values_are_checked_and_nothing_acts_on_them(power_on: Callable[.
     assert values(bench) == CHANGED
 
 
-def test_a_device_that_starts_by_itself_does_so_after_a_save(power_on: Callable[..., StoringBench]) -> None:
-    bench = power_on()
-    assert bench.write(0x1F80, 0, 0, 4) == OK
-    bench.save()
-    assert power_on().node.state == 5
-
-
 @pytest.mark.parametrize("group", [COMMUNICATION, APPLICATION, MANUFACTURER])
 def test_defaults_come_with_the_reset_after_load(power_on: Callable[..., StoringBench], group: int) -> None:
     bench = power_on()
