@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import struct
 
-import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from module_bench import Bench
 
@@ -40,31 +39,40 @@ def small_memory(bench: Bench, samples: int) -> None:
     bench.module._recorder._recording.capacity = samples
 
 
-def test_before_anything_there_is_nothing(bench: Bench) -> None:
+STATES = ["PRE-OPERATIONAL", "STOPPED", "RESET COMMUNICATION"]
+STEPS = st.sampled_from([START, STOP, "sample", "sample", "sample", *STATES])
+
+
+@given(st.lists(STEPS, max_size=30), st.integers(1, 6))
+@example([START, *["sample"] * 9, START, "sample", START, "sample"], 5)
+@example([START, "sample", STOP, "sample", STOP, START, "sample"], 5)
+@example([START, "sample", "STOPPED", "sample"], 5)
+def test_it_records_from_a_start_to_a_stop_a_full_memory_or_a_pause(
+    steps: list[object], capacity: int
+) -> None:
+    """A start begins anew; it is read at any time, while it records, too."""
+    bench = Bench()
     assert [bench.sdo[0x2050][n].raw for n in (1, 2, 5)] == [0, 0, 1_000_000]
-    assert recorded(bench) == []
-
-
-def test_start_read_stop_read_start(bench: Bench) -> None:
-    interval(bench, (1, 1500))
-    command(bench, START)
-    assert bench.sdo[0x2050][1].raw == 1
-    for n in range(2, 12):
-        interval(bench, (n, 1500))
-    assert recorded(bench) == [(n, 1500) for n in range(2, 12)], "read while it records"
-    interval(bench, (12, -1500))
-    command(bench, STOP)
-    interval(bench, (13, 1500))
-    assert bench.sdo[0x2050][1].raw == 0
-    assert recorded(bench) == [*((n, 1500) for n in range(2, 12)), (12, -1500)]
-    command(bench, STOP)
-    assert len(recorded(bench)) == 11
-    command(bench, START)
-    assert recorded(bench) == []
-    interval(bench, (14, 1500))
-    command(bench, START)
-    interval(bench, (15, 1500))
-    assert recorded(bench) == [(15, 1500)], "a second start begins anew"
+    small_memory(bench, capacity)
+    bench.start()
+    interval(bench, (0, 1500))  # so that a missing one would be seen
+    kept: list[tuple[int, int]] = []
+    records = False
+    for number, step in enumerate(steps, 1):
+        if step == "sample":
+            interval(bench, (number, 1500))
+            if records:
+                kept.append((number, 1500))
+            records = records and len(kept) < capacity
+        elif isinstance(step, int):
+            command(bench, step)
+            records, kept = step == START, [] if step == START else kept
+        else:
+            bench.remote.nmt.state = step
+            bench.start()
+            records = False
+        assert recorded(bench) == kept
+        assert bench.sdo[0x2050][1].raw == records
 
 
 @given(st.lists(st.one_of(st.none(), st.tuples(*[st.integers(-2048, 2047)] * 2)), max_size=60))
@@ -81,21 +89,6 @@ def test_every_interval_has_its_place_and_publication_is_as_without_recording(sa
     assert benches[0].module.feedback == benches[1].module.feedback
     interval(benches[1], (0, 1500))  # closes the last interval
     assert recorded(benches[1]) == [*(counts or MISSED for counts in samples), (0, 1500)]
-
-
-def test_the_memory_is_bounded_and_says_so(bench: Bench) -> None:
-    small_memory(bench, 5)
-    command(bench, START)
-    for n in range(4):
-        interval(bench, (n, 1500))
-    assert bench.sdo[0x2050][1].raw == 1
-    for n in range(4, 9):
-        interval(bench, (n, 1500))
-    assert bench.sdo[0x2050][1].raw == 0, "it has ended by itself"
-    assert recorded(bench) == [(n, 1500) for n in range(5)]
-    command(bench, START)
-    interval(bench, (7, 7))
-    assert recorded(bench) == [(7, 7)]
 
 
 def test_faulty_samples_are_recorded_as_they_came_invalid_ones_are_none(bench: Bench) -> None:
@@ -117,17 +110,6 @@ def test_started_before_it_is_operational_it_begins_with_the_first_sample() -> N
     for counts in (None, (2, 1500), (3, 1500)):
         interval(bench, counts)
     assert recorded(bench) == [(2, 1500), (3, 1500)], "nothing is missed before the first sample"
-
-
-@pytest.mark.parametrize("state", ["PRE-OPERATIONAL", "STOPPED", "RESET COMMUNICATION"])
-def test_it_ends_where_time_would_be_lost(bench: Bench, state: str) -> None:
-    command(bench, START)
-    interval(bench, (1, 1500))
-    bench.remote.nmt.state = state
-    bench.start()
-    interval(bench, (2, 1500))
-    assert bench.sdo[0x2050][1].raw == 0
-    assert recorded(bench) == [(1, 1500)]
 
 
 def test_the_rate_is_that_of_the_syncs(bench: Bench) -> None:

@@ -15,14 +15,10 @@ from hypothesis import strategies as st
 from canfb.objects import StatusBit
 from canfb.signal import blocks, stream
 from canfb.signal.batch import process
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.declared import Declared
 from canfb.signal.estimator import Estimator
 from canfb.signal.phase import phase_in_cycle
-from canfb.signal.sample import Sample
 from canfb.signal.stream import process_stream
 from canfb.signal.tracker import Tracker, TrackResult
 from canfb.signal.tracking import track
@@ -69,15 +65,6 @@ def one_by_one(sines: list[float], cosines: list[float], table: CorrectionTable 
     return columns(rows)
 
 
-def by_chain(
-    sines: list[int], cosines: list[int], config: ChainConfig, table: CorrectionTable | None, speed: float
-) -> list[bytes]:
-    chain = SignalChain(config, table)
-    chain.restart(0, speed)
-    got = [chain.step(Sample(*pair)) for pair in zip(sines, cosines, strict=True)]
-    return columns([(one.cycles, one.phase, one.residual, one.valid) for one in got])
-
-
 @pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
 @given(st.lists(st.tuples(values, values), max_size=40), st.integers(1, 9))
 @example(
@@ -91,54 +78,6 @@ def test_process_gives_the_bits_of_the_scalar_path(
     sines, cosines = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     with blocks_of(samples):
         assert bits(process(sines, cosines, table, speed_cycles=0.0)) == one_by_one(sines, cosines, table)
-
-
-speeds = st.one_of(st.just(0.0), st.floats(-2.0, 2.0), st.floats(-1e6, 1e6))
-glitches = st.lists(st.tuples(st.integers(1, 299), st.floats(-0.5, 0.5), st.booleans()), max_size=4)
-
-
-def moving(speed: float, bend: float, samples: int = 300) -> np.ndarray:
-    """Positions of a machine that starts at this speed, cycles."""
-    k = np.arange(samples)
-    return 0.1 + speed * k + bend * k * (k - 1) / 2
-
-
-def tracks_at(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    angle = 2 * np.pi * position
-    return np.rint(1500 * np.sin(angle)), np.rint(1500 * np.cos(angle))
-
-
-@given(speeds, speeds, st.floats(-0.01, 0.01), glitches, st.integers(1, 50), st.floats(0.02, 0.5))
-@example(83.46, 0.0, 0.0, [], 16, 1 / 3)  # a start in motion
-@example(83.46, 83.4, 0.0, [(100, 0.4, False)], 16, 1 / 3)
-@example(0.2, 0.0, 0.0, [(1, 0.0, True), (2, 0.0, True)], 3, 1 / 3)
-def test_process_gives_the_bits_of_the_chain(
-    speed: float,
-    known: float,
-    bend: float,
-    faults: list[tuple[int, float, bool]],
-    samples: int,
-    limit: float,
-) -> None:
-    position = moving(speed, bend)
-    for at, glitch, _ in faults:
-        position[at] += glitch
-    sines, cosines = tracks_at(position)
-    for at, _, dead in faults:
-        if dead:
-            sines[at] = cosines[at] = 0.0
-    conditioning = Conditioning(3.0, -2.0, 1.01, 0.99, 0.02)
-    config = ChainConfig(
-        adc_bits=16,
-        amplitude_low_counts=0,
-        amplitude_high_counts=65535,
-        residual_limit=limit,
-        conditioning=conditioning,
-    )
-    table = TABLES["starts above 0"]
-    want = by_chain(sines.tolist(), cosines.tolist(), config, table, known)
-    with blocks_of(samples):
-        assert bits(process(sines, cosines, table, limit, conditioning, known)) == want
 
 
 @pytest.mark.parametrize("speed", [math.nan, math.inf, 1e10, "83", None, 1j, True])

@@ -33,9 +33,10 @@ DELAYED = Conditioning(12.5, -7.0, 1.1, 0.9, 0.1, 1e-4, 1e-3, harmonic_3_forward
 
 
 def one_by_one(
-    sine: Array, cosine: Array, config: ChainConfig, table: CorrectionTable | None = None
+    sine: Array, cosine: Array, config: ChainConfig, table: CorrectionTable | None = None, speed: float = 0.0
 ) -> ChainResult:
     chain = SignalChain(config, table)
+    chain.restart(0, speed)
     result = ChainResult.empty(len(sine))
     for k, pair in enumerate(zip(sine.tolist(), cosine.tolist(), strict=True)):
         got = chain.step(Sample(*pair))
@@ -50,6 +51,7 @@ def in_blocks(
     config: ChainConfig,
     table: CorrectionTable | None = None,
     lengths: list[int] | None = None,
+    speed: float = 0.0,
 ) -> ChainResult:
     """The lengths are used again and again until the samples end."""
     lengths = lengths or [len(sine)]
@@ -57,7 +59,7 @@ def in_blocks(
     while edges[-1] < len(sine):
         edges.append(edges[-1] + lengths[(len(edges) - 1) % len(lengths)])
     blocks = [(sine[a:b], cosine[a:b]) for a, b in pairwise(edges)]
-    results = list(process_stream(blocks, config, table, 0.0))
+    results = list(process_stream(blocks, config, table, speed))
     assert [len(result.phase) for result in results] == [len(block[0]) for block in blocks]
     return ChainResult(*(np.concatenate([getattr(one, name) for one in results]) for name in FIELDS))
 
@@ -179,6 +181,7 @@ def recording(
     ),
     kind=st.sampled_from([np.float64, np.int16, np.float32]),
     part=st.sampled_from([17, 40, 300, BLOCK_SAMPLES]),
+    speed=st.sampled_from([0.0, 0.0, 0.3, -0.7, 83.4, 1e6]),
 )
 def test_a_stream_gives_the_bits_of_single_samples(
     seed: int,
@@ -191,15 +194,17 @@ def test_a_stream_gives_the_bits_of_single_samples(
     config: ChainConfig,
     kind: type[np.generic],
     part: int,
+    speed: float,
 ) -> None:
+    """From standstill, and from a speed that is said to be that of the first sample, whatever it is."""
     sine, cosine = recording(seed, samples, motion, rate, noise)
     if kind is np.int16:
         sine, cosine = (np.clip(np.nan_to_num(track), -32768, 32767) for track in (sine, cosine))
     with np.errstate(over="ignore"):
         sine, cosine = sine.astype(kind), cosine.astype(kind)
-    wanted = one_by_one(sine, cosine, config, table)
+    wanted = one_by_one(sine, cosine, config, table, speed)
     with patch.object(stream, "BLOCK_SAMPLES", part):
-        assert_same(in_blocks(sine, cosine, config, table, lengths), wanted)
+        assert_same(in_blocks(sine, cosine, config, table, lengths, speed), wanted)
 
 
 def test_the_samples_of_a_block_are_left_as_they_are_and_may_be_overwritten() -> None:
