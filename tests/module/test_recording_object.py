@@ -40,7 +40,7 @@ def small_memory(bench: Bench, samples: int) -> None:
 
 
 STATES = ["PRE-OPERATIONAL", "STOPPED", "RESET COMMUNICATION"]
-STEPS = st.sampled_from([START, STOP, "sample", "sample", "sample", *STATES])
+STEPS: st.SearchStrategy[int | str] = st.sampled_from([START, STOP, "sample", "sample", "sample", *STATES])
 
 
 @given(st.lists(STEPS, max_size=30), st.integers(1, 6))
@@ -48,7 +48,7 @@ STEPS = st.sampled_from([START, STOP, "sample", "sample", "sample", *STATES])
 @example([START, "sample", STOP, "sample", STOP, START, "sample"], 5)
 @example([START, "sample", "STOPPED", "sample"], 5)
 def test_it_records_from_a_start_to_a_stop_a_full_memory_or_a_pause(
-    steps: list[object], capacity: int
+    steps: list[int | str], capacity: int
 ) -> None:
     """A start begins anew; it is read at any time, while it records, too."""
     bench = Bench()

@@ -4,13 +4,9 @@ import math
 import random
 from typing import Any
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from canfb.objects import LossCause, StatusBit
-from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
@@ -76,15 +72,6 @@ def test_the_amplitude_is_checked_after_conditioning() -> None:
 def test_a_bad_parameter_raises_at_once_and_is_named(field: str, value: Any) -> None:
     with pytest.raises(ValueError, match=field):
         ChainConfig(**{field: value})
-
-
-def test_batch_refuses_tracks_of_different_length_and_takes_integers() -> None:
-    with pytest.raises(ValueError, match="one length"):
-        process([1, 2], [1])
-    result = process(np.array([0, 100], np.int16), np.array([100, 0], np.int16))
-    assert result.phase.tolist() == [0.0, 0.25]
-    assert process([], []).cycles.shape == (0,)
-    assert process([0] * 8, [1, 0, *[1] * 6]).ok.tolist() == [True, False, *[False] * 3, *[True] * 3]
 
 
 @pytest.mark.parametrize("bad", [{"sine_gain": 0.0}, {"cosine_gain": math.nan}, {"phase_error_rad": 1.1}])
@@ -154,45 +141,65 @@ def stopped(chain: SignalChain, position: float, speed: float) -> float:
     return position
 
 
-@pytest.mark.parametrize(
-    ("speed", "intervals", "lost"),
-    [
-        (0.0, 1e6, False),
-        (0.0005, 1e6, False),  # noise and a servo at rest show as much
-        (0.002, 50.0, False),
-        (0.002, 1e6, True),
-        (-0.002, 1e6, True),
-        (0.1, 1.0, False),
-        (0.1, 2.0, True),
-        (0.49, 0.0, False),
-        (0.51, 0.0, True),  # eq. 9 cannot start there from standstill
-        (-3.0, 0.0, True),
-    ],
-)
-def test_a_machine_that_turns_at_a_pause_loses_its_position(
-    speed: float, intervals: float, lost: bool
-) -> None:
-    chain = SignalChain(ChainConfig())
-    position = 0.0
-    now = math.copysign(0.0, speed)
-    for _ in range(60):
-        now = math.copysign(min(abs(speed), abs(now) + 0.1), speed)
+def turning(speed: float, config: ChainConfig | None = None) -> tuple[SignalChain, float]:
+    """A valid chain at this speed, and its position."""
+    chain, position, now = SignalChain(config or ChainConfig()), 0.0, 0.0
+    for _ in range(round(abs(speed) / 0.1) + 60):
+        now += max(-0.1, min(0.1, speed - now))
         position += now
         assert chain.step(sample_at(position)).valid
-    chain.resume(intervals)
-    assert chain.lost is lost
-    got = chain.step(sample_at(position))
-    assert got.valid is not lost
-    if not lost:
-        assert got.cycles == math.floor(position)
-    stand(chain, position)
-    if lost:
-        chain.resume(intervals)
-        assert chain.lost, "equal phases are those of whole cycles per interval, too"
-        stand(chain, position)
+    return chain, position
+
+
+DECLARED, NO_DOUBT = {"max_acceleration_cycles": 0.1}, {"doubt_acceleration_cycles": 0.0}
+# Cycles per interval at the pause, resets in it, its intervals, what is declared, and whether it is lost.
+PAUSES: list[tuple[float, int, float, dict[str, float], bool]] = [
+    (0.0, 0, 1e6, {}, False), (0.0, 1, 1e6, DECLARED, False),
+    (0.0005, 0, 1e6, {}, False), (0.0005, 1, 1e6, DECLARED, False),  # noise and a servo at rest show as much
+    (0.002, 0, 50.0, {}, False), (0.002, 0, 1e6, {}, True), (-0.002, 0, 1e6, {}, True),
+    (0.1, 0, 1.0, {}, False), (0.1, 0, 2.0, {}, True),
+    (0.1, 1, 3.0, DECLARED, False), (0.1, 1, 5.0, DECLARED, True),
+    # eq. 9 cannot start from standstill at more than half a cycle per interval
+    (0.49, 0, 0.0, {}, False), (0.4, 1, 0.0, DECLARED, False),
+    (0.51, 0, 0.0, {}, True), (-3.0, 0, 0.0, {}, True),
+    *((speed, resets, pause, declared, True) for speed in (0.6, 1.0, 12.7, 125.0)
+      for resets, pause in ((1, 3.0), (1, math.inf), (2, 1e6)) for declared in ({}, NO_DOUBT)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("speed", "resets", "intervals", "declared", "lost", "lost_before"),
+    [(*row, False) for row in PAUSES] + [(*row, True) for row in PAUSES if row[-1]],
+)
+def test_a_machine_that_turns_at_a_pause_loses_its_position(
+    speed: float, resets: int, intervals: float, declared: dict[str, float], lost: bool, lost_before: bool
+) -> None:
+    """For good, until a reset at standstill. Reset, it must have stayed below 0.5 by what is declared."""
+    chain, position = turning(speed, ChainConfig(**declared))  # type: ignore[arg-type]
+    if lost_before:
+        chain.lose()
+    for _ in range(resets):
         chain.reset()
+    for _ in range(3 if lost_before else 1):
+        chain.resume(intervals)
+        assert chain.lost is lost
+        got = chain.step(sample_at(position))
+        assert got.valid is not lost
+    if not lost:
+        assert got.cycles == (0 if resets else math.floor(position))
+        return
+    assert chain.loss_cause is LossCause.PAUSE
+    for step in (speed, round(speed)):  # of whole cycles per interval the phases are equal, too
+        for _ in range(2 * STILL_SAMPLES if abs(step) >= 0.1 else 0):
+            position += step
+            assert chain.step(sample_at(position)).status & StatusBit.LOST
+        chain.resume(intervals)
+        assert chain.step(sample_at(position)).status & StatusBit.LOST
+    stand(chain, position)
+    chain.reset()
     chain.resume(intervals)
-    assert not chain.lost
+    assert chain.step(sample_at(position)).valid
+    assert chain.step(sample_at(position)).cycles == 0
 
 
 @pytest.mark.parametrize("size", [0.03, 0.1])
@@ -204,32 +211,6 @@ def test_a_machine_that_swings_at_a_pause_did_not_stand_still(size: float) -> No
         assert got.valid
     chain.resume(100.0)
     assert chain.lost
-
-
-def turning(speed: float, config: ChainConfig | None = None) -> tuple[SignalChain, float]:
-    """A valid chain at this speed, above 0, and its position."""
-    chain, position, now = SignalChain(config or ChainConfig()), 0.0, 0.0
-    for _ in range(round(speed / 0.1) + 20):
-        now = min(speed, now + 0.1)
-        position += now
-        assert chain.step(sample_at(position)).valid
-    return chain, position
-
-
-@pytest.mark.parametrize("intervals", [0.0, 1.0, 1e6])
-@pytest.mark.parametrize("speed", [0.6, 3.3, 8.0])
-def test_a_position_lost_in_motion_stays_lost_over_pauses(speed: float, intervals: float) -> None:
-    chain, position = turning(speed)
-    for _ in range(10):
-        chain.miss()
-        position += speed
-    for _ in range(3):
-        chain.resume(intervals)
-        for _ in range(50):
-            position += speed
-            assert chain.step(sample_at(position)).status & StatusBit.LOST or speed % 1.0 == 0.0
-        assert chain.lost
-        assert chain.loss_cause is LossCause.PAUSE
 
 
 def test_uneven_times_do_not_bring_back_what_was_lost_before_the_pause() -> None:
@@ -244,45 +225,6 @@ def test_uneven_times_do_not_bring_back_what_was_lost_before_the_pause() -> None
         position += 12.7 * elapsed
         assert not chain.step(sample_at(position)._replace(elapsed=elapsed)).valid
     assert chain.lost
-
-
-@given(
-    speed=st.one_of(st.integers(1, 125), st.floats(0.6, 125.0)),
-    pause=st.sampled_from([3.0, 1e6, math.inf]),
-    resets=st.integers(1, 2),
-    doubt=st.sampled_from([0.0, 0.1]),
-)
-def test_equal_phases_after_resets_start_nothing(
-    speed: float, pause: float, resets: int, doubt: float
-) -> None:
-    """Those of whole cycles per interval are equal, too. A reset starts it once they have been."""
-    chain, position = turning(speed, ChainConfig(doubt_acceleration_cycles=doubt))
-    for _ in range(resets):  # a second one before the next start changes nothing
-        chain.reset()
-    chain.resume(pause)
-    for _ in range(2 * STILL_SAMPLES):
-        position += round(speed)
-        assert chain.step(sample_at(position)).status & StatusBit.LOST
-    chain.resume(pause)
-    assert chain.step(sample_at(position)).status & StatusBit.LOST
-    stand(chain, position)
-    chain.reset()
-    chain.resume(pause)
-    assert chain.step(sample_at(position)).valid
-    assert chain.step(sample_at(position)).cycles == 0
-
-
-@pytest.mark.parametrize(
-    ("speed", "intervals", "lost"),
-    [(0.0, 1e6, False), (0.0005, 1e6, False), (0.1, 3.0, False), (0.1, 5.0, True), (0.4, 0.0, False)],
-)
-def test_a_reset_at_a_speed_from_which_it_can_start(speed: float, intervals: float, lost: bool) -> None:
-    """It must have stayed below half a cycle per interval, by the declared acceleration of 0.1."""
-    chain, position = turning(speed, ChainConfig(max_acceleration_cycles=0.1))
-    chain.reset()
-    chain.resume(intervals)
-    assert chain.lost is lost
-    assert chain.step(sample_at(position)).valid is not lost
 
 
 def test_standstill_is_no_slow_motion() -> None:
