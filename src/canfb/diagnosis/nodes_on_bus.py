@@ -18,7 +18,7 @@ from canfb.cia301 import cob
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.nmt import NmtState
 from canfb.errors import CanfbError
-from canfb.master.access import CommissioningError, Master, NodeAccess, RefusedError
+from canfb.master.access import CommissioningError, Master, NodeAccess, RefusedError, subscribed
 from canfb.master.node_state import state_in
 from canfb.rows import those
 from canfb.sdo.object_description import ObjectDescriptions
@@ -75,18 +75,14 @@ def scan(master: Master, listen_s: float) -> list[FoundNode]:
         if len(data) == 1:
             states[can_id - cob.ERROR_CONTROL] = state_in(data)
 
-    for node in NODES:
-        master.subscribe(cob.SDO_RESPONSE + node, answered)
-        master.subscribe(cob.ERROR_CONTROL + node, heartbeat)
-    try:
-        end = master.now() + listen_s
-        for node in NODES:
-            master.send(cob.SDO_REQUEST + node, REQUEST)
-            if node % EVERY == 0:
-                master.wait(PAUSE_S)
-        master.wait(max(0.0, end - master.now()))
-        for node in NODES:
-            master.unsubscribe(cob.SDO_RESPONSE + node, answered)
+    with subscribed(master, [(cob.ERROR_CONTROL + node, heartbeat) for node in NODES]):
+        with subscribed(master, [(cob.SDO_RESPONSE + node, answered) for node in NODES]):
+            end = master.now() + listen_s
+            for node in NODES:
+                master.send(cob.SDO_REQUEST + node, REQUEST)
+                if node % EVERY == 0:
+                    master.wait(PAUSE_S)
+            master.wait(max(0.0, end - master.now()))
         found = []
         for node in sorted(answers | set(states)):
             access = NodeAccess(master, node, "node")
@@ -96,9 +92,6 @@ def scan(master: Master, listen_s: float) -> list[FoundNode]:
             state = states.get(node)
             found.append(_described(access, state) if node in answers else FoundNode(node, _state(state)))
         return found
-    finally:
-        for node in NODES:
-            master.unsubscribe(cob.ERROR_CONTROL + node, heartbeat)
 
 
 def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
@@ -160,11 +153,6 @@ def frame_counts(master: Master, seconds: float) -> dict[str, int]:
     def count(can_id: int, data: bytes, at: float) -> None:
         counts[can_id] += 1
 
-    for can_id in range(0x800):
-        master.subscribe(can_id, count)
-    try:
+    with subscribed(master, [(can_id, count) for can_id in range(0x800)]):
         master.wait(seconds)
-    finally:
-        for can_id in range(0x800):
-            master.unsubscribe(can_id, count)
     return {f"{can_id:03X}": number for can_id, number in sorted(counts.items())}

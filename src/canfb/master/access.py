@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Protocol
 
 import can
@@ -126,6 +127,15 @@ class Master(Protocol):
 
     def wait(self, duration_s: float) -> None:
         """Let time pass."""
+
+
+@contextlib.contextmanager
+def subscribed(master: Master, callbacks: Iterable[tuple[int, OnFrame]]) -> Iterator[None]:
+    with contextlib.ExitStack() as stack:
+        for can_id, on_frame in callbacks:
+            master.subscribe(can_id, on_frame)
+            stack.callback(master.unsubscribe, can_id, on_frame)
+        yield
 
 
 class NodeAccess:

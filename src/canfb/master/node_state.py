@@ -15,7 +15,7 @@ from typing import Any
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.master.access import CommissioningError, Master, NodeAccess, ObjectAbsentError
+from canfb.master.access import CommissioningError, Master, NodeAccess, ObjectAbsentError, subscribed
 from canfb.objects import StatusBit
 
 HEARTBEAT_TIME, GUARD_TIME = (0x1017, 0), (0x100C, 0)
@@ -72,11 +72,8 @@ def _received(node: NodeAccess) -> Iterator[list[bytes]]:
     def on_frame(can_id: int, data: bytes, at: float) -> None:
         received.append(bytes(data))
 
-    node.master.subscribe(cob.ERROR_CONTROL + node.node_id, on_frame)
-    try:
+    with subscribed(node.master, [(cob.ERROR_CONTROL + node.node_id, on_frame)]):
         yield received
-    finally:
-        node.master.unsubscribe(cob.ERROR_CONTROL + node.node_id, on_frame)
 
 
 def _wait_for(node: NodeAccess, received: list[bytes], within_s: float) -> None:
