@@ -21,6 +21,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from statistics import linear_regression
 from typing import Any, NamedTuple
 
 from tools.soak.disturbances import disturbances_of
@@ -76,21 +77,20 @@ def slope(looks: list[Resources], cycles: int) -> float:
     """Bytes of memory in a million cycles: the line through the looks, which are equally far apart."""
     if len(looks) < 2:
         return 0.0
-    middle = (len(looks) - 1) / 2.0
-    weights = [n - middle for n in range(len(looks))]
-    rise = sum(weight * look.memory_bytes for weight, look in zip(weights, looks, strict=True))
-    per_look = rise / sum(weight * weight for weight in weights)
+    per_look = linear_regression(range(len(looks)), [look.memory_bytes for look in looks]).slope
     return per_look * LOOKS / (1.0 - WARM) / cycles * 1e6
 
 
 def as_figures(setup: Setup, found: Findings, looks: Sequence[Resources]) -> dict[str, Any]:
     first, half, last = looks[0], looks[len(looks) // 2], looks[-1]
-    grown = {
-        "memory_bytes": min(half.memory_bytes - first.memory_bytes, last.memory_bytes - half.memory_bytes)
-        > MOST_GROWTH_BYTES,
-        "blocks": min(half.blocks - first.blocks, last.blocks - half.blocks) > MOST_GROWTH_BLOCKS,
-        "descriptors": last.descriptors > first.descriptors,
-    }
+    limits = {"memory_bytes": MOST_GROWTH_BYTES, "blocks": MOST_GROWTH_BLOCKS}
+    halves = [(half, first), (last, half)]
+    grown = [
+        name
+        for name, most in limits.items()
+        if min(getattr(later, name) - getattr(before, name) for later, before in halves) > most
+    ]
+    grown += ["descriptors"] if last.descriptors > first.descriptors else []
     bounded = found.log_lines <= 50 + MOST_LINES_PER_S * found.cycles * INTERVAL_S
     return {
         "setup": setup.name,
@@ -98,30 +98,9 @@ def as_figures(setup: Setup, found: Findings, looks: Sequence[Resources]) -> dic
         "disturbances": dict(sorted(found.done.items())),
         "warm": first._asdict(),
         "end": last._asdict(),
-        "grown": [name for name, is_more in grown.items() if is_more],
-        "good": not found.bad and not any(grown.values()) and bounded,
+        "grown": grown,
+        "good": not found.bad and not grown and bounded,
     }
-
-
-def lines(one: dict[str, Any]) -> list[str]:
-    warm, end = one["warm"], one["end"]
-    return [
-        f"{one['setup']}: {one['cycles']} cycles ({one['cycles'] * INTERVAL_S / 3600.0:.3g} h), "
-        f"{sum(one['disturbances'].values())} disturbances, {one['cycles_per_s']:.0f} cycles/s",
-        f"  valid {100.0 * one['valid'] / one['cycles']:.1f} %, wrong {one['wrong']}, lost samples not "
-        f"counted {one['uncounted']}, not recovered {one['not_recovered']}, longest recovery "
-        f"{one['longest_recovery_s']:.2f} s, {one['lost']} resets of a lost position",
-        f"  memory {warm['memory_bytes'] / 1e6:.1f} -> {end['memory_bytes'] / 1e6:.1f} MB "
-        f"({one['bytes_per_million_cycles'] / 1e3:+.0f} kB in 10^6 cycles), blocks "
-        f"{warm['blocks']} -> {end['blocks']}, file descriptors {warm['descriptors']} -> "
-        f"{end['descriptors']}, {one['log_lines']} lines of log",
-        *(f"  {what}: {one[what]}" for what in ("first_wrong", "first_uncounted") if one[what]),
-        *(
-            []
-            if one["good"]
-            else [f"  NOT good{': grown ' if one['grown'] else ''}{', '.join(one['grown'])}"]
-        ),
-    ]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -141,7 +120,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     for setup in chosen:
         results.append(soak(setup, options.cycles, options.seed))
         if not options.json:
-            print("\n".join(lines(results[-1])), flush=True)
+            for name, value in results[-1].items():
+                print(f"{name}: {value}", flush=True)
+            print()
     if options.json:
         print(json.dumps(results, indent=1))
     return 0 if all(one["good"] for one in results) else 1
