@@ -25,11 +25,6 @@ modules: [{node_id: 32, state_dir: state}]
 """
 
 
-commands = pytest.mark.parametrize(
-    "command", [["run"], ["simulate", "--rate", "100"]], ids=["run", "simulate"]
-)
-
-
 def wait_for(ready_file: Path) -> None:
     deadline = time.monotonic() + LIMIT_S
     while not ready_file.exists():
@@ -44,8 +39,7 @@ def read_until(descriptor: int, words: bytes) -> None:
         said += os.read(descriptor, 1 << 16).lstrip(b"\0")
 
 
-@commands
-def test_it_goes_on_and_ends(tmp_path: Path, command: list[str]) -> None:
+def test_it_goes_on_and_ends(tmp_path: Path) -> None:
     (tmp_path / "feedback.yaml").write_text(CONFIG)
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
@@ -53,7 +47,7 @@ def test_it_goes_on_and_ends(tmp_path: Path, command: list[str]) -> None:
         while True:
             os.write(writing, bytes(1 << 16))
     os.set_blocking(writing, True)  # as a command finds it
-    arguments = [sys.executable, "-m", "canfb", *command, "feedback.yaml", "--ready-file", "ready"]
+    arguments = [sys.executable, "-m", "canfb", "run", "feedback.yaml", "--ready-file", "ready"]
     process = subprocess.Popen(arguments, cwd=tmp_path, stdout=writing)
     os.close(writing)
     try:
@@ -107,7 +101,7 @@ def started(folder: Path, arguments: list[str]) -> tuple[subprocess.Popen[bytes]
     return process, ours
 
 
-@commands
+@pytest.mark.parametrize("command", [["run"], ["simulate", "--rate", "100"]], ids=["run", "simulate"])
 def test_without_its_terminal_it_ends_and_leaves_no_ready_file(tmp_path: Path, command: list[str]) -> None:
     (tmp_path / "feedback.yaml").write_text(CONFIG)
     arguments = [*command, "feedback.yaml", "--ready-file", "ready"]

@@ -103,6 +103,10 @@ def inserted(text: str) -> Callable[[Lines], Lines]:
     return lambda lines: [*lines[:5], text, *lines[5:]]
 
 
+def two_cut_off(length: int) -> Callable[[Lines], Lines]:
+    return lambda lines: [*lines[:5], lines[5][:-4] + "\n", lines[6][:length] + "\n", *lines[7:]]
+
+
 # suffix, header, what is done to the lines, frames that are missing, damaged and empty lines
 ODD: list[tuple[str, str, Callable[[Lines], Lines], int, int, int]] = [
     (".log", "# machine on\n", inserted("\n"), 0, 0, 2),
@@ -113,26 +117,12 @@ ODD: list[tuple[str, str, Callable[[Lines], Lines], int, int, int]] = [
     (".asc", ASC.replace("Nov", "M\xe4r"), inserted("// K\xfchlung 20 \xb0C\n\n"), 0, 0, 0),
     (".asc", "\ufeff// Vector\n\nbase hex\n", lambda lines: lines, 0, 0, 0),
     (".asc", ASC, inserted("   0.000000 CANFD Start of measurement\n0.1 1 Statistic: D 0 R 0\n"), 0, 0, 0),
-    (
-        ".asc",
-        ASC,
-        lambda lines: [*lines[:5], lines[5][:-4] + "\n", lines[6][:20] + "\n", *lines[7:]],
-        2,
-        2,
-        0,
-    ),
+    (".asc", ASC, two_cut_off(20), 2, 2, 0),
     (".asc", ASC, lambda lines: [*lines[:-1], lines[-1][:-2]], 1, 1, 0),
     (".asc", ASC, inserted("   0.000100 1  Speed   Rx   d 1 00\n"), 0, 1, 0),
     (".trc", TRC + "; Pr\xfcfstand\n\n", inserted("; \xb5\n"), 0, 0, 0),
     (".trc", TRC.replace("45244.9", "45244,9"), inserted("      7      5.000 ST  1 Rx 00 00\n"), 0, 0, 0),
-    (
-        ".trc",
-        TRC,
-        lambda lines: [*lines[:5], lines[5][:-4] + "\n", lines[6][:24] + "\n", *lines[7:]],
-        2,
-        2,
-        0,
-    ),
+    (".trc", TRC, two_cut_off(24), 2, 2, 0),
 ]
 
 

@@ -21,11 +21,11 @@ from canfb.module.module_config import ModuleConfig
 from canfb.planning.plan import Plan
 from canfb.planning.plan_input import PlanOptions, modules_alike, plan_input_of
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.phase import phase_in_cycle
 from canfb.signal.sample import Sample
 from canfb.signal.starts import MOST_WAITING
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
+from servo_kit import IDEAL_TABLE
 
 NODE, INTERFACE = 0x20, 0x10
 RATE_HZ = 1000.0
@@ -44,13 +44,6 @@ def planned(modules: Any = 1, adc_bits: Any = 12, **stated: Any) -> Plan:
 def delivered(modules: int, adc_bits: int) -> tuple[Config, list[DeviceConfiguration]]:
     config = modules_alike(modules, adc_bits)
     return config, [saved_configuration(one) for one in config.modules]
-
-
-def exact_table() -> CorrectionTable:
-    """The table of an encoder without errors: Table 1 alone is off by 0.011 cycle."""
-    phase = np.arange(65536) / 65536
-    raw = phase_in_cycle(np.sin(2 * np.pi * phase), np.cos(2 * np.pi * phase))
-    return CorrectionTable(np.interp(np.arange(1024) / 1024, raw, phase))
 
 
 @dataclass
@@ -138,7 +131,7 @@ def play(
     for device in (interface, module):
         bus.attach(device)
     if table:
-        store(module, exact_table())
+        store(module, IDEAL_TABLE)
     outcome = Outcome([], [], [], Counter(), config.times)
 
     def listen(frame: Frame, now: float) -> None:
