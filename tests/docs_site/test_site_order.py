@@ -27,4 +27,4 @@ def test_a_page_is_short_and_its_links_lead_somewhere(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert len(text.split()) <= MOST_WORDS or page.name == "CHANGELOG.md"
     targets = [one for one in LINK.findall(FENCED.sub("", text)) if not re.match(r"[a-z]+:", one)]
-    assert not [one for one in targets if not (page.parent / one).exists()]
+    assert not [one for one in targets if not (page.parent / one).is_file()]
