@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from supervision_kit import Drive, above, at, below, flags
+from supervision_kit import above, at, below, flags
 
 from canfb.objects import StatusBit
 from canfb.signal import supervision
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import SampleLimits, Supervision
 from folding import each
@@ -113,35 +111,6 @@ def test_a_small_converter_keeps_its_range(full_scale: int, margin: int) -> None
     assert after_fault(-full_scale + margin + 0.01) == after_fault(full_scale - 1.01 - margin) == OK
 
 
-def test_the_hysteresis_lasts_until_a_sample_keeps_it_and_no_longer() -> None:
-    checks = Supervision(LIMITS)
-    assert not checks.after_fault
-    wanted = [
-        (399.0, AMPLITUDE_BIT),
-        (405.0, AMPLITUDE_BIT),
-        (412.5, OK),
-        (405.0, OK),
-        (399.0, AMPLITUDE_BIT),
-    ]
-    for amplitude, bits in wanted:
-        assert checks.faults(0.0, 0.0, amplitude) == bits
-        assert checks.after_fault == bool(bits)
-    checks.passed()
-    assert not checks.after_fault
-    assert checks.faults(0.0, 0.0, 405.0) == OK
-
-
-def test_new_limits_are_in_force_at_once_and_remember_no_fault() -> None:
-    checks = Supervision(LIMITS)
-    assert checks.faults(0.0, 0.0, 0.0)
-    checks.set_limits(SampleLimits(512, 100, 600))
-    assert not checks.after_fault
-    assert checks.faults(0.0, 510.0, 100.0) == OK
-    assert checks.faults(0.0, 511.0, 600.0) == CLIPPED_BIT
-    assert checks.faults(0.0, 509.0, 600.0) == BOTH
-    assert checks.faults(0.0, 508.0, 581.25) == OK
-
-
 counts = st.one_of(
     st.integers(-2050, 2050),
     st.sampled_from([-2048, -2047, -2046, -2045, 2044, 2045, 2046, 2047, 400, 412, 413, math.nan, math.inf]),
@@ -178,32 +147,6 @@ def test_a_residual_of_the_limit_is_a_fault(sine: float, bits: StatusBit, coast_
     got = chain.step(Sample(sine, 1000.0))
     assert flags(got) == bits
     assert got.residual == pytest.approx(0.125)
-
-
-@pytest.mark.parametrize("speed", [0.0, 0.3, -0.3, 41.3, -41.3])
-@pytest.mark.parametrize(
-    ("make", "bits"),
-    [
-        (lambda drive: drive.spoil(), StatusBit.AMPLITUDE),
-        (lambda drive: drive.spoil(Sample(2047.0, 100.0)), StatusBit.CLIPPED),
-        (lambda drive: drive.spoil(Sample(100.0, -2048.0)), StatusBit.CLIPPED),
-        (lambda drive: drive.step(invalid=True), StatusBit(0)),
-        (lambda drive: drive.miss(), StatusBit.MISSED),
-        (lambda drive: drive.spoil(at(drive.position + drive.speed + 0.4)), StatusBit.RESIDUAL),
-        (lambda drive: drive.spoil(at(drive.position + drive.speed - 0.4)), StatusBit.RESIDUAL),
-    ],
-    ids=["amplitude", "clipped", "clipped below", "invalid", "missed", "residual", "residual below"],
-)
-def test_each_fault_alone_at_any_speed(
-    make: Callable[[Drive], Feedback], bits: StatusBit, speed: float
-) -> None:
-    drive = Drive(speed)
-    bad = make(drive)
-    assert flags(bad) == bits | StatusBit.COASTING
-    after = drive.run(30)
-    assert {flags(got) for got in after} <= {StatusBit.COASTING, StatusBit.VALID}
-    assert after[-1].valid
-    assert abs(drive.error(after[-1])) < 0.012
 
 
 samples = st.one_of(
