@@ -306,6 +306,37 @@ EMERGENCY_TEXTS: Final = {int(code): code.text for code in EncoderEmergency}
     COUNTER_LOSS_FAULTS,
 ) = record(0x2012, 22)
 
+# What 2012h counts, by name.
+COUNTERS: Final[dict[Multiplexer, str]] = {
+    COUNTER_MISSED: "missed",
+    COUNTER_RESIDUAL: "residual",
+    COUNTER_AMPLITUDE: "amplitude",
+    COUNTER_COASTED: "coasted",
+    COUNTER_LOST: "lost",
+    COUNTER_RECOVERED: "recovered",
+    COUNTER_ZERO_PULSES: "zero pulses",
+    COUNTER_BAD_FRAMES: "bad frames",
+    COUNTER_CLIPPED: "clipped",
+    COUNTER_FROZEN: "frozen",
+    COUNTER_COARSE_DISAGREEMENTS: "coarse disagreements",
+    COUNTER_SET_RIGHT: "set right",
+    COUNTER_DUPLICATE_SYNCS: "duplicate SYNCs",
+    COUNTER_SYNCS_NOT_HEARD: "SYNCs not heard",
+    COUNTER_SECOND_DISAGREEMENTS: "second position disagreements",
+}
+
+# Those that count samples with a bit of the status word; clipping is an amplitude fault, too.
+COUNTED: Final[dict[Multiplexer, int]] = {
+    COUNTER_MISSED: StatusBit.MISSED.value,
+    COUNTER_RESIDUAL: StatusBit.RESIDUAL.value,
+    COUNTER_AMPLITUDE: StatusBit.AMPLITUDE.value | StatusBit.CLIPPED.value,
+    COUNTER_COASTED: StatusBit.COASTING.value,
+    COUNTER_CLIPPED: StatusBit.CLIPPED.value,
+    COUNTER_FROZEN: StatusBit.FROZEN.value,
+    COUNTER_COARSE_DISAGREEMENTS: StatusBit.COARSE.value,
+    COUNTER_SECOND_DISAGREEMENTS: StatusBit.SECOND_POSITION.value,
+}
+
 (
     PREDICTION_POSITION,
     PREDICTION_NOMINAL_SYNC,

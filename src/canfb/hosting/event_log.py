@@ -79,14 +79,7 @@ class Throttle:
         return found
 
 
-COUNTERS = {
-    "missed": od.COUNTER_MISSED,
-    "residual": od.COUNTER_RESIDUAL,
-    "amplitude": od.COUNTER_AMPLITUDE,
-    "coasted": od.COUNTER_COASTED,
-    "lost": od.COUNTER_LOST,
-}
-"""What the closing line counts."""
+SUMMED_UP = tuple(od.COUNTERS)[:5]  # missed to lost: what the closing line counts
 
 
 def name_of(device: NodeDevice) -> str:
@@ -142,7 +135,8 @@ def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:
 
 
 def summary_of(module: FeedbackModule) -> str:
-    counts = ", ".join(f"{name} {module.dictionary.entry(*place).value}" for name, place in COUNTERS.items())
+    entry = module.dictionary.entry
+    counts = ", ".join(f"{od.COUNTERS[place]} {entry(*place).value}" for place in SUMMED_UP)
     samples = module.dictionary.entry(*od.FEEDBACK_SAMPLES).current()
     return f"{short_title_of(module)}: {samples} samples; {counts}{duplicates_of(module)}"
 

@@ -22,25 +22,6 @@ if TYPE_CHECKING:
 
 EMCY_COB_ID = Multiplexer(0x1014)
 
-COUNTERS: dict[Multiplexer, str] = {
-    od.COUNTER_MISSED: "missed",
-    od.COUNTER_RESIDUAL: "residual",
-    od.COUNTER_AMPLITUDE: "amplitude",
-    od.COUNTER_COASTED: "coasted",
-    od.COUNTER_LOST: "lost",
-    od.COUNTER_RECOVERED: "recovered",
-    od.COUNTER_ZERO_PULSES: "zero pulses",
-    od.COUNTER_BAD_FRAMES: "bad frames",
-    od.COUNTER_CLIPPED: "clipped",
-    od.COUNTER_FROZEN: "frozen",
-    od.COUNTER_COARSE_DISAGREEMENTS: "coarse disagreements",
-    od.COUNTER_SET_RIGHT: "set right",
-    od.COUNTER_DUPLICATE_SYNCS: "duplicate SYNCs",
-    od.COUNTER_SYNCS_NOT_HEARD: "SYNCs not heard",
-    od.COUNTER_SECOND_DISAGREEMENTS: "second position disagreements",
-}
-"""2012h, by name."""
-
 VALUES: dict[Multiplexer, str] = {
     od.POSITION_VALUE: "I",
     od.FEEDBACK_STATUS: "H",
@@ -51,7 +32,7 @@ VALUES: dict[Multiplexer, str] = {
     od.FEEDBACK_NOISE: "H",
     od.TABLE_ACTIVE_CRC: "I",
     od.COUNTER_LOSS_CAUSE: "I",
-    **dict.fromkeys(COUNTERS, "I"),
+    **dict.fromkeys(od.COUNTERS, "I"),
 }
 """The objects of a module that are looked at, and their types as struct has them."""
 

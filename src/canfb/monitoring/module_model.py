@@ -10,7 +10,7 @@ from collections.abc import Callable
 from itertools import pairwise
 
 from canfb import objects as od
-from canfb.monitoring.layout import COUNTERS, INPUTS, VALUES, NodeLayout, known_values
+from canfb.monitoring.layout import INPUTS, VALUES, NodeLayout, known_values
 from canfb.monitoring.snapshot import LoadSnapshot, ModuleSnapshot, SyncSnapshot
 from canfb.objects import Multiplexer, PositionState, StatusBit
 from canfb.timing.syncs import Syncs
@@ -122,18 +122,7 @@ SPEED_S = 0.25  # over which the velocity is measured
 STEP_S = 0.01  # between two positions that are remembered for it
 FRESH_S = 2.0  # a velocity that is older is out of date
 WORDS = 1 << 32
-LOST = COUNTERS[od.COUNTER_LOST]
-COUNTED = {
-    StatusBit.MISSED: COUNTERS[od.COUNTER_MISSED],
-    StatusBit.RESIDUAL: COUNTERS[od.COUNTER_RESIDUAL],
-    StatusBit.AMPLITUDE: COUNTERS[od.COUNTER_AMPLITUDE],
-    StatusBit.COASTING: COUNTERS[od.COUNTER_COASTED],
-    StatusBit.CLIPPED: COUNTERS[od.COUNTER_CLIPPED],
-    StatusBit.FROZEN: COUNTERS[od.COUNTER_FROZEN],
-    StatusBit.COARSE: COUNTERS[od.COUNTER_COARSE_DISAGREEMENTS],
-    StatusBit.SECOND_POSITION: COUNTERS[od.COUNTER_SECOND_DISAGREEMENTS],
-}
-"""Bits of the status word that are counted, under the names of 2012h."""
+LOST = od.COUNTERS[od.COUNTER_LOST]
 
 
 class ModuleModel:
@@ -147,7 +136,7 @@ class ModuleModel:
         self._tracks: deque[tuple[int, int]] = deque(maxlen=TRACKS)
         self._tracks_received = 0
         self._positions: deque[tuple[float, int]] = deque(maxlen=round(SPEED_S / STEP_S) + 1)
-        self._counted = dict.fromkeys((*COUNTED.values(), LOST), 0)
+        self._counted = dict.fromkeys((*(od.COUNTERS[place] for place in od.COUNTED), LOST), 0)
         self._state: PositionState | None = None
         self._came_s: float | None = None
         self._fault_s: float | None = None
@@ -179,8 +168,8 @@ class ModuleModel:
     def _count(self, status: int, now: float) -> None:
         self._came_s = now
         before, self._state = self._state, od.position_state(status)
-        for bit, name in COUNTED.items():
-            self._counted[name] += bool(status & bit)
+        for place, bits in od.COUNTED.items():
+            self._counted[od.COUNTERS[place]] += bool(status & bits)
         self._counted[LOST] += self._state is PositionState.LOST and before is not PositionState.LOST
         if self._state is not PositionState.VALID:
             self._fault_s = now
@@ -236,7 +225,7 @@ class ModuleModel:
             seen=dict(self._counted),
             lost_by=self._lost_by(),
             since_fault_s=_since(self._fault_s, now),
-            counters={name: int(values[place]) for place, name in COUNTERS.items() if place in values},
+            counters={name: int(values[place]) for place, name in od.COUNTERS.items() if place in values},
             assumed=sorted(assumed),
         )
 

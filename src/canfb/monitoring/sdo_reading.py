@@ -18,7 +18,7 @@ from canfb.bus.shared_bus import SharedBus, beside
 from canfb.errors import CanfbError
 from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import active_conditioning, read_active
-from canfb.monitoring.layout import COUNTERS, ModuleReading, NodeLayout, Origin, layout_of
+from canfb.monitoring.layout import ModuleReading, NodeLayout, Origin, layout_of
 from canfb.monitoring.lines import is_stale
 from canfb.monitoring.snapshot import BusSnapshot, NodeSnapshot
 from canfb.objects import Multiplexer
@@ -36,7 +36,7 @@ REPEATED = (
     od.FEEDBACK_NOISE,
     od.TABLE_ACTIVE_CRC,
     od.COUNTER_LOSS_CAUSE,
-    *COUNTERS,
+    *od.COUNTERS,
 )
 """What is read every CYCLE_S where no PDO carries it."""
 

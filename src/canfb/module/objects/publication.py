@@ -22,13 +22,10 @@ from canfb.signal.supervision import (
     AMPLITUDE,
     CALIBRATING,
     CLIPPED,
-    COARSE,
-    COASTING,
     FROZEN,
     LOST,
     MISSED,
     RESIDUAL,
-    SECOND_POSITION,
     VALID,
 )
 
@@ -36,17 +33,6 @@ U16, U32 = 0xFFFF, 0xFFFFFFFF
 SIXTEEN_BITS = 65536.0  # units of 1/65536 cycle
 LARGEST_REAL32 = 3.4e38
 LARGEST_INTEGER32 = 0x7FFFFFFF
-# Counter and the status bit that it counts; clipping counts as an amplitude fault, too.
-COUNTED = (
-    (od.COUNTER_MISSED, MISSED),
-    (od.COUNTER_RESIDUAL, RESIDUAL),
-    (od.COUNTER_AMPLITUDE, AMPLITUDE | CLIPPED),
-    (od.COUNTER_COASTED, COASTING),
-    (od.COUNTER_CLIPPED, CLIPPED),
-    (od.COUNTER_FROZEN, FROZEN),
-    (od.COUNTER_COARSE_DISAGREEMENTS, COARSE),
-    (od.COUNTER_SECOND_DISAGREEMENTS, SECOND_POSITION),
-)
 BAD = MISSED | AMPLITUDE | CLIPPED | FROZEN | RESIDUAL
 NO_SAMPLE = -1
 
@@ -169,7 +155,7 @@ class Publication:
             }
         )
         self._status, self._losses = entry(*od.FEEDBACK_STATUS), entry(*od.COUNTER_LOST)
-        self._counted = [(entry(*counter), bits) for counter, bits in COUNTED]
+        self._counted = [(entry(*counter), bits) for counter, bits in od.COUNTED.items()]
         self._cycles_per_revolution = entry(*od.ENCODER_CYCLES_PER_REVOLUTION)
         self._interval, self._latest, self._loss = interval, latest, loss
         self.work = 0
