@@ -15,7 +15,7 @@ from tools.bench.bus_load import SDO_REQUEST, SdoClient, set_up
 from tools.bench.cycle import NODE_ID
 
 ROOT = Path(__file__).parents[2]
-NODES = ["python-can", "canfb", "floor"]
+NODES = ["stock", "python-can", "canfb", "floor"]
 
 
 def test_each_node_answers_on_a_pair_of_sockets(

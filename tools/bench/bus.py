@@ -1,15 +1,16 @@
 """Measure a node on a bus: processor time of a cycle, and how long a position takes after SYNC and ADC PDO.
 
-    python -m tools.bench.bus [--nodes floor,canfb] [--loads alone,sdo,full] [--realtime no,yes,busy]
+    python -m tools.bench.bus [--nodes stock,canfb] [--loads alone,sdo,full] [--realtime no,yes,busy]
                               [--cycles N] [--rounds N] [--rate HZ]
     python3 -m tools.vcan run -- .venv/bin/python -m tools.bench.bus --channel vcan0 --rate 100
 
-Each node is a process of its own: `canfb` is `canfb run`, `python-can` the same on python-can, `floor`
-answers and does nothing else: what machine and bus take. This program plays SYNC producer, encoder interface
-and a load: nothing (alone), correction tables by SDO block transfer (sdo), or frames of other nodes up to
-1 Mbit/s (full). The bus is a pair of datagram sockets that carry struct can_frame, or with --channel a
-SocketCAN interface. Each SYNC is answered by TPDO2 (type 1), each ADC PDO by TPDO1 (type 254). Realtime:
-SCHED_FIFO, mlockall and a processor of its own, as far as the system permits; busy: the node never sleeps.
+Each node is a process of its own: `canfb` is `canfb run`, `python-can` the same on python-can, `stock` a
+canopen.LocalNode that answers with atan2, `floor` answers and does nothing else: what machine and bus take.
+This program plays SYNC producer, encoder interface and a load: nothing (alone), correction tables by SDO
+block transfer (sdo), or frames of other nodes up to 1 Mbit/s (full). The bus is a pair of datagram sockets
+that carry struct can_frame, or with --channel a SocketCAN interface. Each SYNC is answered by TPDO2 (type 1;
+not by `stock`), each ADC PDO by TPDO1 (type 254). Realtime: SCHED_FIFO, mlockall and a processor of its own,
+as far as the system permits; busy: the node never sleeps.
 
 All combinations are measured in turns, in --rounds parts. Printed are the processor time of the node for one
 cycle (user and system, of all its threads), its ratio to that of the first row, both as medians of the
@@ -41,7 +42,7 @@ from tools.bench.bus_others import Others
 from tools.site.markdown import table
 
 Combination = tuple[str, str, str]
-NODES = ("python-can", "canfb", "floor")
+NODES = ("stock", "python-can", "canfb", "floor")
 PRIORITY = 90  # of this program, above that of the node
 PATIENCE_S = 20.0
 PARTS = (0.5, 0.99, 0.999, 1.0)
@@ -176,7 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     found = {
         one: Found()
         for one in product(chosen["loads"], chosen["nodes"], chosen["realtime"])
-        if one[0] != "sdo" or one[1] != "floor"  # which has no block transfer
+        if one[0] != "sdo" or one[1] not in ("stock", "floor")  # which have no block transfer
     }
     for number, (one, figures) in product(range(options.rounds), found.items()):
         print(f"round {number + 1} of {options.rounds}: {', '.join(one)}", file=sys.stderr)

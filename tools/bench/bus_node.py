@@ -2,8 +2,9 @@
 
     python -m tools.bench.bus_node KIND (--fd N | --channel vcan0) [--realtime yes|busy]
 
-KIND: `canfb` is `canfb run`, `python-can` the same on python-can; `floor` answers SYNC and ADC PDO with an
-angle, as the module does, and does nothing else. It prints a line with READY when it is on the bus.
+KIND: `stock` is a canopen.LocalNode that answers with atan2, on python-can; `canfb` is `canfb run`,
+`python-can` the same on python-can; `floor` answers SYNC and ADC PDO as the module does, with an angle and
+without anything else: what machine and bus take. It prints a line with READY when it is on the bus.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import json
 import logging
 import math
 import os
+import signal
 import socket
 import sys
 import tempfile
@@ -21,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import can
+import canopen
 from can.interfaces.socketcan import SocketcanBus, socketcan
 
 from canfb.bus.frame_bus import FrameBus, PythonCanBus
@@ -30,9 +33,18 @@ from canfb.cli.main import main as canfb
 from canfb.configuration import RealtimeConfig
 from canfb.hosting import serving
 from canfb.hosting.realtime import apply_realtime
-from tools.bench.cycle import ADC_PDO, ENCODER_INTERFACE, NODE_ID, PAIR, POSITION_PDO, SYNC, UNITS_PER_CYCLE
+from tools.bench.cycle import (
+    ADC_PDO,
+    ENCODER_INTERFACE,
+    NODE_ID,
+    PAIR,
+    POSITION_PDO,
+    SYNC,
+    UNITS_PER_CYCLE,
+    stock_node,
+)
 
-KINDS = ("python-can", "canfb", "floor")
+KINDS = ("stock", "python-can", "canfb", "floor")
 READY = "end with Ctrl-C"
 PRIORITY = 80
 REALTIME = ("no", "yes", "busy")
@@ -58,6 +70,16 @@ def raw_bus(options: argparse.Namespace) -> RawCanBus:
     if options.fd is None:
         return RawCanBus.open(options.channel)
     return RawCanBus(socket.socket(fileno=options.fd))
+
+
+def serve_stock(bus: can.BusABC, realtime: RealtimeConfig) -> None:
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    network = canopen.Network(bus)
+    stock_node(network)
+    network.connect()
+    apply_realtime(realtime)
+    print(READY, flush=True)
+    signal.sigwait({signal.SIGTERM})
 
 
 def serve_floor(bus: RawCanBus, realtime: RealtimeConfig) -> None:
@@ -98,7 +120,9 @@ def main() -> int:
     if options.realtime == "busy":
         wishes = {"lock_memory": True, "cpu": cpu, "busy_poll": True}
     realtime = {} if options.realtime == "no" else wishes
-    if options.kind == "floor":
+    if options.kind == "stock":
+        serve_stock(python_can_bus(options), RealtimeConfig(**realtime))
+    elif options.kind == "floor":
         serve_floor(raw_bus(options), RealtimeConfig(**realtime))
     elif options.kind == "python-can":
         return serve_module(PythonCanBus(python_can_bus(options)), realtime)

@@ -76,7 +76,7 @@ class Others:
     def warm_up(self, rate_hz: float, kind: str) -> None:
         """Play until the node answers steadily, a module with a correction table in force."""
         self.play(WARM_UP, rate_hz, Load())
-        if kind == "floor":
+        if kind in ("floor", "stock"):
             return
         load = SdoClient(set_up())
         for _ in range(LONGEST_WARM_UP):
