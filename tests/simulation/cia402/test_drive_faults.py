@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS, DriveBench, cruising
-from hypothesis import event, given
+from hypothesis import event, example, given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
@@ -284,9 +284,7 @@ class Rig:
         self.drive = ServoDrive(DRIVE_ID, self.plant, FeedbackModuleLink(node_id=MODULE_ID), autostart=True)
         self.now = 1.0
         self.drive.start(self.now)
-        self.status = 1
-        self.offset = 0
-        self.silent = False
+        self.status, self.offset, self.silent = 1, 0, False
 
     def give(self, can_id: int, data: bytes) -> None:
         frame = Frame(can_id, data)
@@ -348,6 +346,7 @@ ACTION = st.one_of(
 )
 
 
+@example([("target", UNITS), ("mode", 8), ("cycle", 11), ("nmt", 2)])  # stopped in a fault reaction
 @examples(150)
 @given(st.lists(ACTION, max_size=40))
 def test_no_torque_without_a_state_that_allows_it(actions: list[tuple[str, int]]) -> None:

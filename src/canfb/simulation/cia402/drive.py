@@ -258,8 +258,13 @@ class ServoDrive(NodeDevice):
         elif old is NmtState.OPERATIONAL:
             self.feedback.lose()
             self._abort_connection(DriveError.COMMUNICATION, now)
-            if self.power in POWERED:  # no SYNC, no position: nothing may turn
-                self._switch(Command.DISABLE_VOLTAGE, now)
+            if self.power in POWERED:  # no SYNC, no position: nothing may turn, and a fault reaction ends
+                self._switch(
+                    Command.RAMP_DONE
+                    if self.power is State.FAULT_REACTION_ACTIVE
+                    else Command.DISABLE_VOLTAGE,
+                    now,
+                )
         self._show()
 
     def _abort_connection(self, error: DriveError, now: float) -> None:
