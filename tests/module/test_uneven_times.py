@@ -26,13 +26,12 @@ ACCELERATION_RAD_S2 = 0.2
 
 
 class Cycle(NamedTuple):
-    """One SYNC: since the one before, ms; from it to its sample, and from there to the PDO, ms."""
+    """One SYNC: since the one before, ms; to its sample, from there to the PDO, ms; the module hears it."""
 
     apart_ms: float
     sampled_ms: float = 0.1
     sent_ms: float = 0.2
     heard: bool = True
-    """The module hears this SYNC."""
 
 
 class Desktop:
@@ -95,23 +94,24 @@ class Desktop:
 
 EVEN = [Cycle(10.0)] * 60
 AS_RECORDED = {
-    # The interface was late with a sample, and the SYNC after it early: 11.7, 5.6, 10.1 ms.
     "late sample": [Cycle(11.3, 0.6), Cycle(7.5, 4.5), Cycle(10.0, 0.1), Cycle(10.0, 0.1)],
-    # The PDO was late, and one SYNC was not heard.
     "late PDO, SYNC unheard": [Cycle(10.0, 0.1, 6.3), Cycle(19.0, 0.3, 0.2), Cycle(10.3)],
     "crowded samples": [Cycle(9.9, 2.2), Cycle(14.4, 0.8), Cycle(6.7, 9.2), Cycle(9.7, 0.1), Cycle(9.2)],
     "stall of 20 ms": [Cycle(30.75), Cycle(0.96), Cycle(8.39)],
     "stall, burst": [Cycle(41.0), Cycle(0.3), Cycle(0.3), Cycle(8.4)],
     "stall of 60 ms": [Cycle(60.6, 0.9), Cycle(6.0)],
+    "SYNC heard late": [Cycle(19.0, -8.9, 9.2), Cycle(1.0)],
     "early SYNCs": [Cycle(18.0), Cycle(1.8), Cycle(10.2), Cycle(16.0), Cycle(7.9, 4.0), Cycle(7.9)],
 }
-STARTS = {
+UNEVEN = {
     "uneven": [14.3, 6.2, 6.7, 13.4, 11.7, 5.6, 9.4, 12.2, 9.5, 9.6, 8.7],
     "short first": [4.8, 10.8, 10.0, 9.9],
     "very short first": [0.6, 9.9, 0.3, 6.4, 10.3, 29.7, 1.7, 6.1, 8.0],
     "long first": [29.7, 1.7, 6.1, 8.0, 12.1, 14.5, 1.4],
     "producer that leaves out": [47.1, 9.9, 20.4, 9.8, 30.2, 10.1],
 }
+STARTS = {name: [Cycle(one) for one in apart] for name, apart in UNEVEN.items()}
+STARTS["first SYNC heard late"] = [Cycle(16.0, -5.9, 6.2), Cycle(4.0)]
 
 
 def turning(begin_s: float, stamped: bool = True) -> Desktop:
@@ -134,11 +134,11 @@ def test_what_sample_times_determine_is_not_lost(name: str, begin_s: float) -> N
     assert desktop.answers > 100
 
 
-@pytest.mark.parametrize("start", [[20.0], *STARTS.values()], ids=["even", *STARTS])
-def test_the_valid_bit_of_a_start_comes_once(start: list[float]) -> None:
+@pytest.mark.parametrize("start", [[Cycle(20.0)], *STARTS.values()], ids=["even", *STARTS])
+def test_the_valid_bit_of_a_start_comes_once(start: list[Cycle]) -> None:
     """From the first sample on, whose interval says in which unit 2010:02 is; a start at standstill holds."""
     desktop = Desktop()
-    statuses = desktop.play([Cycle(one) for one in start] + EVEN)
+    statuses = desktop.play([*start, *EVEN])
     valid = [bool(status & VALID) for status in statuses]
     assert valid == sorted(valid)
     assert not valid[0]

@@ -22,7 +22,7 @@ HALF_TICKS = TICKS // 2
 OLDEST = 64.0  # intervals: a time that lies no further back is that of an earlier sample
 CLOSEST = 0.25  # intervals: samples closer together would give a poor speed
 HEARD_S = 75e-6  # two receive times of 30 us, and the interface
-FAR_S = 10 * HEARD_S  # counts in their mean: so ROW wrong times do not reach HEARD_S
+FAR_S = 10 * HEARD_S  # counts in their mean, once the host has started: ROW wrong times do not reach HEARD_S
 DRIFT = 2e-4  # of two clocks, 100 ppm each
 # A time may be wrong by no more than this at the speed of the machine, without a second opinion: with the
 # residual limit of 1/3 it is less than half a cycle.
@@ -101,8 +101,7 @@ class SampleTimes:
                 if not soonest_s - least_s >= -HEARD_S:
                     return 0.0
                 if soonest_s < least_s + HEARD_S:
-                    least_s += DRIFT * passed_s
-                    self._least_s = soonest_s if soonest_s < least_s else least_s
+                    self._least_s = min(soonest_s, least_s + DRIFT * passed_s)
         elif synced_s is None or self._synced_s is None:
             return 0.0
         else:
@@ -151,14 +150,15 @@ class SampleTimes:
             places, off = grid.nearest(self._at + ticks)
         passed_s, off_s, unsure_s = ticks * TICK_S, abs(off) * TICK_S, UNDECLARED * unit
         harmless_s = min(unsure_s, SLIP_CYCLES * unit / speed_cycles) if speed_cycles else unsure_s
-        spare_s = max(HEARD_S, harmless_s)
+        spare_s, most_s = max(HEARD_S, harmless_s), 2.0 * max(grid.allowed * TICK_S, unsure_s)
         apart_s, heard_apart_s = _apart_s(self._synced_s, synced_s), _apart_s(self._received_s, received_s)
-        wrong = abs(intervals - counted)
+        wrong, error_s = abs(intervals - counted), 0.0
         if heard_apart_s is not None and apart_s is not None:
             error_s = abs(apart_s - passed_s)
             wrong = max(wrong, error_s / unit, abs(apart_s / unit - counted))
-            self._heard_s += (min(error_s, FAR_S) - self._heard_s) / SHOWN
-        if heard_apart_s is None or self._heard_s > HEARD_S:
+            self._heard_s += (min(error_s, FAR_S if grid.period else unit) - self._heard_s) / SHOWN
+        # A time at its place is wrong by most_s: beyond, SYNC was late, and the count says more.
+        if heard_apart_s is None or self._heard_s > HEARD_S or error_s >= most_s:
             right = places == round(counted)
             if synced_s is not None and received_s is None:
                 late_s = synced_s - (self._at + ticks) * TICK_S - self._least_s
@@ -170,20 +170,18 @@ class SampleTimes:
                     right = before and self._agrees
             right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
-            right = self._is_as_heard(passed_s, off_s, apart_s, heard_apart_s, spare_s)
+            error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
+            is_timer = apart_s is None or grid.deviation * TICK_S < self._heard_s
+            right = error_s <= spare_s or (is_timer and off_s <= spare_s and error_s < unsure_s)
         if not right:
             kind = REPEATED if heard_apart_s is None and places < counted - 0.5 else SUSPECT
             return self._refused(time_100ns, ticks, counted, wrong, kind, received_s, synced_s)
         grid.take(self._at + ticks)
+        if apart_s is not None and synced_s is not None:  # a late SYNC is no measure of the next times
+            by_s = HEARD_S + DRIFT * passed_s
+            synced_s += min(max(apart_s, passed_s - by_s), passed_s + by_s) - apart_s
         self._take(time_100ns, ticks, received_s, synced_s)
         return intervals
-
-    def _is_as_heard(
-        self, passed_s: float, off_s: float, apart_s: float | None, heard_apart_s: float, spare_s: float
-    ) -> bool:
-        error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
-        is_timer = apart_s is None or self.grid.deviation * TICK_S < self._heard_s
-        return error_s <= spare_s or (is_timer and off_s <= spare_s and error_s < UNDECLARED * self.unit_s)
 
     def _follow_pace(self, ticks: int, counted: float) -> bool:
         """Speeds are in intervals: they get another unit only where the interval is another one.
