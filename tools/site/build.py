@@ -4,8 +4,7 @@
 
 The pages in docs/ in the order of docs/index.md; those of docs/reference are made of the EDS files, the
 configuration classes, the command line and the docstrings. Exit status 1 for a page that is not in the order,
-a link or an anchor that leads nowhere, or anything else that Sphinx warns of. Open
-build/site/html/docs/index.html; it needs no server.
+a link or an anchor that leads nowhere, or anything else that Sphinx warns of. It needs no server.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = ["-E", "-q", "-W", "--keep-going", "-b", "html", "-c", str(Path(__file__).parent)]
     if sphinx([*options, "-d", str(to / "doctrees"), str(ROOT), str(to / "html")]):
         return 1
-    print(to / "html" / "docs" / "index.html")
+    print(to / "html" / "index.html")
     return 0
 
 

@@ -29,6 +29,7 @@ autodoc_preserve_defaults = True
 html_theme = "furo"
 html_title = f"canfb {release}"
 html_static_path = ["static"]
+html_extra_path = ["root"]  # its index.html leads to that of the pages
 html_css_files = ["canfb.css"]
 html_show_sphinx = False
 html_copy_source = False
