@@ -364,13 +364,11 @@ def module_drift_result(
 def drift_result(found: DriftCheck, where: Provenance) -> Result:
     fresh, change = found.calibration, found.change
     now_rms, new_rms = found.on_samples.before_rms, fresh.residual_rms
-    parts = {
-        name: value * (1.0 if name == "phase_rad" else PERCENT) for name, value in (change or {}).items()
-    }
-    changed = parts and (
-        "offset {sine_offset:+.2g} / {cosine_offset:+.2g} % of the amplitude, gain of the cosine "
-        "{gain:+.2g} %, phase {phase_rad:+.2g} rad"
-    ).format(**parts)
+    changed = change and (
+        f"offset {PERCENT * change['sine_offset']:+.2g} / {PERCENT * change['cosine_offset']:+.2g} % of the "
+        f"amplitude, gain of the cosine {PERCENT * change['gain']:+.2g} %, "
+        f"phase {change['phase_rad']:+.2g} rad"
+    )
     rows = [
         *_error_rows(found.rms, found.peak, found.active, where),
         Row(

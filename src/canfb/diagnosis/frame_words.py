@@ -21,7 +21,12 @@ from canfb.view.pdo_map import Pdo, Read, valid_pdos
 
 PARAMETERS = (("TPDO", od.TPDO, od.TPDO_MAPPING), ("RPDO", od.RPDO, od.RPDO_MAPPING))
 SCAN_S = 0.2
-TIME, LSS_MASTER, LSS_SLAVE = 0x100, 0x7E5, 0x7E4
+FIXED = {
+    0x100: ("time", None, "TIME"),
+    0x7E5: ("lss", None, "LSS, master"),
+    0x7E4: ("lss", None, "LSS, slave"),
+}
+SDO = {cob.SDO_REQUEST: ("SDO request", "to"), cob.SDO_RESPONSE: ("SDO response", "of")}
 EMERGENCY = struct.Struct("<HB5s")
 COMMANDS = {int(one): one.name.lower().replace("_", " ") for one in NmtCommand}
 STATES = {int(one): one.name.replace("_", "-") for one in NmtState}
@@ -115,38 +120,36 @@ def _service(frame: Frame) -> tuple[str, int | None, str]:
     can_id, data = frame.can_id, frame.data
     node = can_id & 0x7F
     function = can_id - node
-    tpdo = cob.TPDOS.index(function) + 1 if function in cob.TPDOS else 0
-    state = data[0] & 0x7F if data else 0
-    heartbeat = f"heartbeat of {node}: {STATES.get(state, f'state {state}')}"
-    is_sdo = node > 0 and function in (cob.SDO_REQUEST, cob.SDO_RESPONSE)
-    sdo, way = ("request", "to") if function == cob.SDO_REQUEST else ("response", "of")
-    command = COMMANDS.get(data[0], f"command {data[0]}") if data else ""
-    whom = data[1] if len(data) == 2 else 0
-    nmt = f"NMT {command}: {whom or 'all nodes'}" if len(data) == 2 else "NMT, wrong length"
-    known = (
-        (frame.rtr, "", node, f"remote request to {node}" if node else "remote request"),
-        (can_id == 0, "nmt", whom, nmt),
-        (can_id == cob.SYNC, "sync", 0, f"SYNC, counter {data[0]}" if data else "SYNC"),
-        (can_id == TIME, "time", 0, "TIME"),
-        (can_id == LSS_MASTER, "lss", 0, "LSS, master"),
-        (can_id == LSS_SLAVE, "lss", 0, "LSS, slave"),
-        (function == cob.EMERGENCY and len(data) == EMERGENCY.size, "emcy", node, _emergency(node, data)),
-        (
-            function == cob.ERROR_CONTROL and node and data,
-            "heartbeat",
-            node,
-            heartbeat if state else f"boot-up of {node}",
-        ),
-        (is_sdo, f"sdo {sdo}", node, f"SDO {sdo} {way} {node}{_sdo(data)}"),
-        (tpdo, "", node, f"PDO, TPDO{tpdo} of {node} by its CAN-ID"),
-        (True, "", 0, ""),
-    )
-    return next((kind, of or None, text) for holds, kind, of, text in known if holds)
+    if frame.rtr:
+        return "", node or None, f"remote request to {node}" if node else "remote request"
+    if can_id == 0:
+        return _nmt(data)
+    if can_id == cob.SYNC:
+        return "sync", None, f"SYNC, counter {data[0]}" if data else "SYNC"
+    if function == cob.EMERGENCY and len(data) == EMERGENCY.size:
+        return "emcy", node, _emergency(node, data)
+    if function == cob.ERROR_CONTROL and node and data:
+        return "heartbeat", node, _heartbeat(node, data[0] & 0x7F)
+    if function in SDO and node:
+        kind, way = SDO[function]
+        return kind.lower(), node, f"{kind} {way} {node}{_sdo(data)}"
+    if function in cob.TPDOS:
+        return "", node or None, f"PDO, TPDO{cob.TPDOS.index(function) + 1} of {node} by its CAN-ID"
+    return FIXED.get(can_id, ("", None, ""))
+
+
+def _nmt(data: bytes) -> tuple[str, int | None, str]:
+    if len(data) != 2:
+        return "nmt", None, "NMT, wrong length"
+    command, node = COMMANDS.get(data[0], f"command {data[0]}"), data[1] or None
+    return "nmt", node, f"NMT {command}: {node or 'all nodes'}"
+
+
+def _heartbeat(node: int, state: int) -> str:
+    return f"heartbeat of {node}: {STATES.get(state, f'state {state}')}" if state else f"boot-up of {node}"
 
 
 def _emergency(node: int, data: bytes) -> str:
-    if len(data) != EMERGENCY.size:
-        return ""
     code, register, detail = EMERGENCY.unpack(data)
     cause = od.loss_cause(detail[2]) if code == EmergencyCode.SENSOR else None
     lost = "" if cause is None else f"; lost: {cause.text}"

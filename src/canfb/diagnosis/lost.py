@@ -141,7 +141,7 @@ class LostPosition:
         return Result(self.figures(), self.lines())
 
     def lines(self) -> list[str]:
-        state, kept = od.position_state(self.status), self.would_have_kept()
+        state = od.position_state(self.status)
         now = those(
             (
                 not self.sample_hz,
@@ -150,14 +150,15 @@ class LostPosition:
             )
         )
         parts = {
-            ", ".join([f"{self.name}: position {state}", *od.fault_words(self.status)]): now,
             "last loss": self.happened(),
             "what brings it back": [] if state is PositionState.VALID else self.brings_back(),
-            "what would have kept it": kept,
+            "what would have kept it": self.would_have_kept(),
         }
-        first = next(iter(parts))
-        shown = {head: texts for head, texts in parts.items() if texts or head == first}
-        return [line for head, texts in shown.items() for line in (head, *(f"  {text}" for text in texts))]
+        lines = [", ".join([f"{self.name}: position {state}", *od.fault_words(self.status)])]
+        lines += [f"  {text}" for text in now]
+        for head, texts in parts.items():
+            lines += [head, *(f"  {text}" for text in texts)] if texts else []
+        return lines
 
     def happened(self) -> list[str]:
         """Cause and conditions of the last loss."""

@@ -116,18 +116,15 @@ def _number(node: NodeAccess, index: int, subindex: int, layout: str) -> int | N
         return None
 
 
-Figures = dict[str, Any]
-
-
-def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> Figures:
+def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> dict[str, Any]:
     """The readable objects of a node whose EDS is ``known``, by number; else why not."""
     node = NodeAccess(master, node_id, "node")
-    facts: Figures = {"node_id": node_id}
+    facts: dict[str, Any] = {"node_id": node_id}
     try:
         described = described_by(node, known, "1000")
     except CanfbError as error:
         return facts | {"error": str(error)}
-    objects: Figures = {}
+    objects: dict[str, Any] = {}
     facts |= {"product": described.product, "objects": objects}
     try:
         _read_all(node, described, objects)
@@ -136,7 +133,7 @@ def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> Figures:
     return facts
 
 
-def _read_all(node: NodeAccess, described: ObjectDescriptions, objects: Figures) -> None:
+def _read_all(node: NodeAccess, described: ObjectDescriptions, objects: dict[str, Any]) -> None:
     for entry in described:
         if not entry.readable or entry.data_type == DataType.DOMAIN:
             continue
