@@ -203,9 +203,7 @@ class NodeAccess:
 
     def answers(self) -> bool:
         try:
-            self.read(*od.DEVICE_TYPE, "I")
-        except ObjectAbsentError:
-            return True
+            self.read_known(od.DEVICE_TYPE)
         except CommissioningError:
             return False
         return True

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.master.access import CommissioningError, Master, NodeAccess, ObjectAbsentError, subscribed
+from canfb.master.access import CommissioningError, Master, NodeAccess, subscribed
 from canfb.objects import StatusBit
 
 HEARTBEAT_TIME, GUARD_TIME = (0x1017, 0), (0x100C, 0)
@@ -40,13 +40,13 @@ def nmt_state(node: NodeAccess) -> NmtState:
     heartbeat_s = node.integer(*HEARTBEAT_TIME, "H") / 1000
     with _received(node) as received:
         if heartbeat_s:
-            _wait_for(node, received, LATE * heartbeat_s)
+            _wait_until(node.master, LATE * heartbeat_s, lambda: received)
         else:
-            _wait_for(node, received, LATE * node.integer(*GUARD_TIME, "H") / 1000)
+            _wait_until(node.master, LATE * node.integer(*GUARD_TIME, "H") / 1000, lambda: received)
             for _ in range(ASKED):
                 if not received:
                     node.master.request(cob.ERROR_CONTROL + node.node_id)
-                    _wait_for(node, received, ANSWER_S)
+                    _wait_until(node.master, ANSWER_S, lambda: received)
     states = [state for data in received if (state := state_in(data)) is not None]
     if states:
         return states[-1]
@@ -76,14 +76,14 @@ def _received(node: NodeAccess) -> Iterator[list[bytes]]:
         yield received
 
 
-def _wait_for(node: NodeAccess, received: list[bytes], within_s: float) -> None:
-    end = node.master.now() + within_s
-    while not received and node.master.now() < end:
-        node.master.wait(STEP_S)
+def _wait_until(master: Master, within_s: float, holds: Callable[[], object]) -> bool:
+    end = master.now() + within_s
+    while not (held := bool(holds())) and master.now() < end:
+        master.wait(STEP_S)
+    return held
 
 
 WATCH_S = 0.6
-EVERY_S = 0.005
 LEAST_SAMPLES = 10  # of those in which it is watched
 LARGEST_SPREAD_CYCLES = 0.02  # of the phase at standstill: noise, and a drive that holds its position
 BOOT_UP_S = 5.0
@@ -128,7 +128,7 @@ def watch_standstill(module: NodeAccess) -> MachineLook:
             first = phase if first is None else first
             apart = (phase - first + 0.5) % 1.0 - 0.5
             low, high = min(low, apart), max(high, apart)
-        master.wait(EVERY_S)
+        master.wait(STEP_S)
     if len(seen) < LEAST_SAMPLES:
         raise CommissioningError(
             f"{module.name}: {len(seen)} samples in {WATCH_S:g} s, so it cannot be seen whether the machine "
@@ -148,7 +148,11 @@ def reset_nodes(
     A single module is started and waited for. ``force``: without a look. What was done, for programs.
     """
     found = [NodeAccess(master, node, "node") for node in nodes]
-    modules = [] if force and len(found) > 1 else [one for one in found if _is_module(one)]
+    modules = (
+        []
+        if force and len(found) > 1
+        else [one for one in found if one.read_known(od.FEEDBACK_STATUS) is not None]
+    )
     if len(found) == len(modules) == 1:
         return [reset_module(modules[0], command, force=force)]
     for module in () if force else modules:
@@ -158,14 +162,6 @@ def reset_nodes(
     return [
         {"node": node.node_id, "forced": force, "spread_cycles": None, "position": None} for node in found
     ]
-
-
-def _is_module(node: NodeAccess) -> bool:
-    try:
-        node.integer(*od.FEEDBACK_STATUS, "H")
-    except ObjectAbsentError:
-        return False
-    return True
 
 
 def _refuse_motion(module: NodeAccess) -> None:
@@ -187,7 +183,8 @@ def reset_module(
     if not force:
         _refuse_motion(module)
     _restart(module, command)
-    status = _wait_for_valid(module)
+    _wait_until(module.master, VALID_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & StatusBit.VALID)
+    status = module.integer(*od.FEEDBACK_STATUS, "H")
     if not status & StatusBit.VALID:
         words = ", ".join([str(od.position_state(status)), *od.fault_words(status)])
         raise CommissioningError(
@@ -212,19 +209,7 @@ def _restart(module: NodeAccess, command: NmtCommand) -> None:
     master, node = module.master, module.node_id
     with _received(module) as received:
         master.send(0x000, struct.pack("BB", command, node))
-        end = master.now() + BOOT_UP_S
-        while b"\0" not in received and master.now() < end:
-            master.wait(EVERY_S)
-    if b"\0" not in received:
+        started = _wait_until(master, BOOT_UP_S, lambda: b"\0" in received)
+    if not started:
         raise CommissioningError(f"{module.name}: no boot-up within {BOOT_UP_S:g} s after the reset")
     master.send(0x000, struct.pack("BB", NmtCommand.START, node))
-
-
-def _wait_for_valid(module: NodeAccess) -> int:
-    master = module.master
-    end = master.now() + VALID_S
-    while True:
-        status = module.integer(*od.FEEDBACK_STATUS, "H")
-        if status & StatusBit.VALID or master.now() >= end:
-            return status
-        master.wait(EVERY_S)
