@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
-from canfb.simulation.cia402.state_machine import Command, State, StateMachine, command_of
+from canfb.simulation.cia402.state_machine import POWERED, Command, State, StateMachine, command_of
 from drawing import examples
 from folding import each
 
@@ -50,6 +50,15 @@ def test_each_command_in_each_state(state: str, row: str) -> None:
         machine = StateMachine(LETTERS[state])
         assert machine.go(command) == (after != "."), command
         assert machine.state is LETTERS[state if after == "." else after], command
+
+
+@pytest.mark.parametrize("state", State)
+def test_the_end_of_a_ramp_then_disable_voltage_leave_no_torque(state: State) -> None:
+    machine = StateMachine(state)
+    machine.go(Command.RAMP_DONE)
+    machine.go(Command.DISABLE_VOLTAGE)
+    assert machine.state not in POWERED
+    assert (machine.state is State.FAULT) == (state in (State.FAULT, State.FAULT_REACTION_ACTIVE))
 
 
 def test_a_fault_reset_is_a_rising_edge() -> None:

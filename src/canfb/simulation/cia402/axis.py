@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.simulation.cia402.feedback_input import FeedbackInput
 from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, Trajectory, chosen_gains
 from canfb.simulation.cia402.state_machine import Status
@@ -46,10 +45,10 @@ class Axis:
         self._error_window, self._error_time = entry(0x6065), entry(0x6066)
         self._target.on_written = self._target_written
         self._supported = entry(0x6502)
-        self._mode.on_check = self._check_mode
+        self._mode.on_check = refuse_if(lambda value: not self._supports(value))
         self._mode.on_written = self._mode_written
         for gain in (*self._gains[:4], self._gains[5]):
-            gain.on_check = _check_gain
+            gain.on_check = refuse_if(lambda value: not 0.0 <= value <= 1e9)
         self.start()
 
     @property
@@ -192,9 +191,8 @@ class Axis:
         position, velocity, integral_s, forward, inertia, acceleration = (gain.value for gain in self._gains)
         return Gains(position, velocity, integral_s, forward, acceleration, inertia * KG_M2_PER_G_CM2)
 
-    def _check_mode(self, value: int) -> None:
-        if value != NO_MODE and not (0 < value <= 32 and self._supported.value >> (value - 1) & 1):
-            raise SdoAbort(AbortCode.INVALID_VALUE)
+    def _supports(self, mode: int) -> bool:
+        return mode == NO_MODE or (0 < mode <= 32 and bool(self._supported.value >> (mode - 1) & 1))
 
     def _mode_written(self) -> None:
         if self.mode != self._display.value:
@@ -205,11 +203,6 @@ class Axis:
 
     def _target_written(self) -> None:
         self._new_target = True
-
-
-def _check_gain(value: float) -> None:
-    if not 0.0 <= value <= 1e9:
-        raise SdoAbort(AbortCode.INVALID_VALUE)
 
 
 _HALF, _FULL = 1 << 31, 1 << 32

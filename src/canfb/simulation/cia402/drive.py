@@ -8,11 +8,11 @@ from enum import IntEnum
 from canfb import objects as od
 from canfb.checks import integer_in, within
 from canfb.cia301 import cob
-from canfb.cia301.codes import AbortCode, ErrorRegister, SdoAbort
+from canfb.cia301.codes import ErrorRegister
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.device_protocol import NodeDevice
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
@@ -77,7 +77,7 @@ class ServoDrive(NodeDevice):
         self._emergency_id, self._sync_timeout = entry(0x2110, 7), entry(0x2110, 8)
         self._controlword = entry(0x6040)
         self._controlword.on_written = self._controlled
-        self._fault_option.on_check = _check_fault_option
+        self._fault_option.on_check = refuse_if(lambda value: value not in (COAST, QUICK_STOP_RAMP))
         self.axis.on_mode = self._show
         for index, subindex in LIVE:
             self.storage.entries.leave_out(index, subindex)
@@ -258,13 +258,9 @@ class ServoDrive(NodeDevice):
         elif old is NmtState.OPERATIONAL:
             self.feedback.lose()
             self._abort_connection(DriveError.COMMUNICATION, now)
-            if self.power in POWERED:  # no SYNC, no position: nothing may turn, and a fault reaction ends
-                self._switch(
-                    Command.RAMP_DONE
-                    if self.power is State.FAULT_REACTION_ACTIVE
-                    else Command.DISABLE_VOLTAGE,
-                    now,
-                )
+            if self.power in POWERED:  # no SYNC, no position: nothing may turn
+                self._switch(Command.RAMP_DONE, now)  # a fault reaction takes no other command
+                self._switch(Command.DISABLE_VOLTAGE, now)
         self._show()
 
     def _abort_connection(self, error: DriveError, now: float) -> None:
@@ -319,11 +315,6 @@ class ServoDrive(NodeDevice):
         if mode_changed or before != (self._statusword.value, self.error):
             for number in self._events:
                 self.trigger_tpdo(number, self._now)
-
-
-def _check_fault_option(value: int) -> None:
-    if value not in (COAST, QUICK_STOP_RAMP):
-        raise SdoAbort(AbortCode.INVALID_VALUE)
 
 
 class DriveError(IntEnum):
