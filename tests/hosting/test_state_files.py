@@ -14,6 +14,7 @@ import pytest
 from crashing_disk import FakeDisk, PowerFailure, Trouble
 
 from canfb.device.storage.image import ParameterGroup as Group
+from canfb.device.storage.storage import Changes
 from canfb.errors import CanfbError
 from canfb.hosting import state_files
 from canfb.hosting.state_files import PENDING, SavedParameters, StateDirError, StateFiles
@@ -56,16 +57,6 @@ def test_what_is_saved_is_there_in_the_next_process(folder: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == [
         *("application.bin", "communication.bin", "lock", "lss.bin", "manufacturer.bin"),
     ]
-
-
-def test_an_unfinished_file_is_harmless(folder: Path) -> None:
-    with StateFiles(folder) as store:
-        store.save(OLD)
-        for name in ("communication.bin.new", f"{PENDING}.new"):
-            (folder / name).write_bytes(b"half of it")
-        assert store.load() == OLD
-        store.save(NEW)
-        assert store.load() == NEW
 
 
 # One folder, one process.
@@ -169,15 +160,16 @@ def pending(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert (folder / PENDING).exists()
 
 
+@pytest.mark.parametrize("changes", [LSS, {}])
 def test_what_is_pending_holds_and_is_finished_by_the_next_save(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch, changes: Changes
 ) -> None:
     pending(folder, monkeypatch)
     with StateFiles(folder) as store:
         assert store.load() == NEW
-        store.save(LSS)
+        store.save(changes)
         assert not (folder / PENDING).exists()
-        assert store.load() == NEW | LSS
+        assert store.load() == NEW | dict(changes)
 
 
 def test_a_damaged_pending_change_is_an_error_of_all_parameters(

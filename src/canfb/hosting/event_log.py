@@ -79,7 +79,13 @@ class Throttle:
         return found
 
 
-SUMMED_UP = tuple(od.COUNTERS)[:5]  # missed to lost: what the closing line counts
+SUMMED_UP = (  # in the closing line
+    od.COUNTER_MISSED,
+    od.COUNTER_RESIDUAL,
+    od.COUNTER_AMPLITUDE,
+    od.COUNTER_COASTED,
+    od.COUNTER_LOST,
+)
 
 
 def name_of(device: NodeDevice) -> str:

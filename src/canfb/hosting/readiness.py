@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from canfb.errors import CanfbError, ConfigError
+from canfb.files import replacing
 
 log = logging.getLogger(__name__)
 
@@ -50,12 +51,10 @@ class Readiness:
     def ready(self) -> None:
         """On the bus. CanfbError if the file cannot be written."""
         if self._path is not None:
-            unfinished = self._path.with_name(f"{self._path.name}.{os.getpid()}")
             try:
-                unfinished.write_text(f"{os.getpid()}\n")
-                unfinished.replace(self._path)  # whole as soon as it is found
+                with replacing(self._path) as unfinished:  # whole as soon as it is found
+                    unfinished.write_text(f"{os.getpid()}\n")
             except OSError as error:
-                unfinished.unlink(missing_ok=True)
                 raise CanfbError(f"--ready-file {self._path}: {error.strerror}") from error
         self._notify(READY)
 

@@ -114,7 +114,7 @@ class StateFiles(Closing):
                 raise
             # What was pending is lost, and the files may be partly older: they are refused for good.
             changes = dict.fromkeys(PARAMETERS) | dict(changes)
-        if len(changes) == 1:
+        if len(changes) < 2:
             self._copy(changes)
             return
         self._write(PENDING, _pack(changes))

@@ -86,8 +86,7 @@ def test_a_master_that_we_did_not_make_reads_the_same_state(state: State) -> Non
     name = state.name.replace("_", " ")
     mask, bits = State402.SW_MASK[name]
     assert state.value & mask == bits
-    others = [other for other, (mask, bits) in State402.SW_MASK.items() if state.value & mask == bits]
-    assert others == [name]
+    assert [one for one, (mask, bits) in State402.SW_MASK.items() if state.value & mask == bits] == [name]
     assert state.value & ~0x6F == 0, "bits of the statusword"
 
 
