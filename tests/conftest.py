@@ -97,9 +97,17 @@ _import_od_once()
 
 
 @pytest.fixture
+def command(capsys: pytest.CaptureFixture[str]) -> Any:
+    """Runs `canfb ...`: command("plan --rpm 3000", path, code=1).lines."""
+    from commands import Command  # loads the commands: most tests need none
+
+    return Command(capsys)
+
+
+@pytest.fixture
 def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Any:
     """Runs `canfb ...` against a bench."""
-    from node_commands import Commands  # loads the commands: most tests need none
+    from node_commands import Commands
 
     return Commands(monkeypatch, capsys)
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
+
+import can
 
 import canfb
 from canfb.cia301.frame import Frame
@@ -19,6 +22,7 @@ from canfb.simulation.encoder import ShaftEncoder, demo_encoder
 from canfb.simulation.motion import Motion, MotionSource, Ramp
 from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.sync_producer import SyncProducer
+from fake_bus import message
 
 BIT_RATE = 1_000_000
 NODE, INTERFACE = 0x20, 0x10
@@ -81,6 +85,13 @@ class MonitoredNetwork:
 
     def run(self, seconds: float) -> None:
         self.bus.run_until(self.bus.now + seconds)
+
+    def log(self, path: Path) -> Path:
+        """All frames so far in a log of python-can."""
+        with can.Logger(path) as writer:
+            for frame, now in self.frames:
+                writer(message(frame.can_id, frame.data, timestamp=1e6 + now))
+        return path
 
     def module(self, node_id: int = NODE) -> ModuleSnapshot:
         found = [one for node, one in self.model.snapshot(self.bus.now).modules if node.node_id == node_id]

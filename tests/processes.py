@@ -8,6 +8,7 @@ import re
 import select
 import signal
 import subprocess
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -24,6 +25,13 @@ def executed(arguments: tuple[str, ...]) -> subprocess.Popen[bytes]:
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
         start_new_session=True,
     )
+
+
+def python(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """A Python process to its end, and what it has said."""
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
+    words = {"text": True, "timeout": 300.0, "check": False, **streams, **options}
+    return subprocess.run([sys.executable, *arguments], **words)
 
 
 class Process:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import subprocess
-import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import pytest
 
 import canfb
 from folding import each
+from processes import python
 
 # Section 3 of the design: names that users rely on.
 CONTRACT = """
@@ -67,12 +66,6 @@ def signature_of(name: str) -> inspect.Signature:
     return inspect.signature(thing)  # type: ignore[arg-type]
 
 
-def python(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-W", "error", *arguments], capture_output=True, text=True, timeout=60, check=False
-    )
-
-
 def test_the_exports_are_the_contract_and_what_is_stated_here() -> None:
     assert set(canfb.__all__) == {*CONTRACT.split(), *ADDITIONS.split()}
     assert len(canfb.__all__) == len(set(canfb.__all__))
@@ -126,12 +119,13 @@ def test_a_refused_measurement_says_why() -> None:
 def test_import_is_clean_and_brings_in_no_bus_and_no_pictures() -> None:
     """Importing the package must not warn, open anything, or load what only single commands need."""
     unwanted = "canfb.bus", "canfb.hosting", "canfb.cli", "canfb.demo", "canfb.report"
-    done = python("-c", f"import canfb, sys; print(*(name for name in {unwanted} if name in sys.modules))")
+    code = f"import canfb, sys; print(*(name for name in {unwanted} if name in sys.modules))"
+    done = python("-W", "error", "-c", code)
     assert (done.returncode, done.stdout, done.stderr) == (0, "\n", "")
 
 
 def test_python_m_canfb_tells_its_version() -> None:
-    done = python("-m", "canfb", "--version")
+    done = python("-W", "error", "-m", "canfb", "--version")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"canfb {version('canfb')}\n", "")
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import ast
 import inspect
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import canfb
+from processes import python
 
 # Slow to import: together many times the rest of a start.
 HEAVY = ("numpy", "can", "canopen", "yaml", "msgpack", "canfb.simulation")
@@ -32,9 +31,7 @@ USES: dict[str, set[str]] = {
 
 def loaded_by(statement: str) -> set[str]:
     code = f"{statement}\nimport sys\nprint('loaded', *({{*{HEAVY}}} & set(sys.modules)))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
-    )
+    done = python("-c", code)
     return set(done.stdout.splitlines()[-1].split()[1:])
 
 
@@ -66,7 +63,7 @@ def test_each_public_name_is_where_the_type_checker_finds_it() -> None:
 
 def test_names_are_listed_before_they_are_loaded() -> None:
     code = "import canfb; print(*dir(canfb)); from canfb import *; print(FeedbackModule.__name__, track)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = python("-c", code)
     assert set(done.stdout.splitlines()[0].split()) >= {*canfb.__all__, "__version__"}
     assert done.stdout.splitlines()[1].startswith("FeedbackModule ")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import signal
 from datetime import datetime
 from importlib.metadata import version
@@ -15,11 +14,11 @@ import pytest
 
 from canfb.bus import opening
 from canfb.cli import calibrate as calibrate_command
-from canfb.cli.main import main
 from canfb.cli.progress import CLEAR, Progress
 from canfb.errors import BusError
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.encoder import Encoder, Harmonic
+from commands import Command
 
 ENCODER = Encoder(
     amplitude_counts=1400.0,
@@ -46,7 +45,7 @@ def npz(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(path)
 
 
-def test_who_produces_the_sync_has_to_hear_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_produces_the_sync_has_to_hear_it(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
     opened: list[dict[str, object]] = []
 
     def refuse(words: dict[str, object]) -> None:
@@ -54,28 +53,23 @@ def test_who_produces_the_sync_has_to_hear_it(monkeypatch: pytest.MonkeyPatch) -
         raise BusError("no")
 
     monkeypatch.setattr(opening, "open_bus", refuse)
-    bus = ["calibrate", "-i", "virtual", "-c", "x"]
-    assert main([*bus, "--rate", "100"]) == main(bus) == 1
+    for line in ("calibrate -i virtual -c x --rate 100", "calibrate -i virtual -c x"):
+        command(line, code=1)
     plain = {"interface": "virtual", "channel": "x"}
     assert opened == [plain | {"receive_own_messages": True}, plain, plain]
 
 
-def test_ctrl_c_is_exit_code_130_and_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ctrl_c_is_exit_code_130_and_one_line(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
     monkeypatch.setattr(calibrate_command, "over_bus", lambda *rest: signal.raise_signal(signal.SIGINT))
-    assert main(["calibrate", "-i", "virtual", "-c", "interrupted"]) == 130
-    assert capsys.readouterr().err.splitlines() == ["canfb: interrupted; the module is unchanged"]
+    said = command("calibrate -i virtual -c interrupted", code=130)
+    assert said.err == "canfb: interrupted; the module is unchanged\n"
 
 
-def test_samples_of_a_file_give_table_and_report(
-    npz: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_samples_of_a_file_give_table_and_report(npz: str, tmp_path: Path, command: Command) -> None:
     out = tmp_path / "out"
-    assert main(["calibrate", "--samples", npz, "--out", str(out), "--json", "--entries", "128"]) == 0
-    said = capsys.readouterr()
+    said = command(f"calibrate --samples {npz} --out {out} --json --entries 128")
     assert said.err == ""
-    figures = json.loads(said.out)
+    figures = said.json
     assert figures["accepted"]
     assert not figures["active"]
     assert figures["module"] is None
@@ -86,59 +80,48 @@ def test_samples_of_a_file_give_table_and_report(
     assert figures["before_rms_cycles"] > 30 * figures["residual_rms_cycles"]
     table = CorrectionTable.from_bytes((out / "table.bin").read_bytes())
     assert len(table) == figures["entries"] == 128
-    assert figures["files"] == [
-        str(out / n) for n in ("table.yaml", "table.bin", "samples.npz", "report.html")
-    ]
-    again = ["--samples", str(out / "samples.npz"), "--entries", "128", "--json"]
-    assert main(["calibrate", *again]) == 0
-    assert json.loads(capsys.readouterr().out)["crc32"] == figures["crc32"], (
-        "the samples are kept as they were"
-    )
+    names = ("table.yaml", "table.bin", "samples.npz", "report.html")
+    assert figures["files"] == [str(out / name) for name in names]
+    again = command(f"calibrate --samples {out}/samples.npz --entries 128 --json").json
+    assert again["crc32"] == figures["crc32"], "the samples are kept as they were"
 
 
-def test_a_csv_file_with_gaps_and_an_offset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_csv_file_with_gaps_and_an_offset(tmp_path: Path, command: Command) -> None:
     sine, cosine = tracks()
     times = np.arange(2400) * 0.001
     times[1200:] += 5.0
     rows = [f"{t:.4f},{c + 2048},{s + 2048}" for t, s, c in zip(times, sine, cosine, strict=True)]
     path = tmp_path / "scope.csv"
     path.write_text("t,b,a\n" + "\n".join(rows) + "\n")
-    options = ["--columns", "a,b", "--mid-scale", "2048", "--time-column", "t", "--sample-rate", "1000"]
-    assert main(["calibrate", "--samples", str(path), *options, "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
+    options = "--columns a,b --mid-scale 2048 --time-column t --sample-rate 1000 --json"
+    figures = command(f"calibrate {options} --samples", path).json
     assert figures["samples_missed"] == 20
     assert figures["uncertainty_peak_cycles"] < 1e-4
 
 
-def test_drift_of_a_file_against_a_table_of_a_file(
-    npz: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    main(["calibrate", "--samples", npz, "--out", str(tmp_path)])
-    assert "dry run" not in capsys.readouterr().out, "there is no module to be spared"
-    check = ["calibrate", "--check", "--samples"]
-    assert main([*check, npz, "--table", str(tmp_path / "table.yaml"), "--json"]) == 0
-    same = json.loads(capsys.readouterr().out)
+def test_drift_of_a_file_against_a_table_of_a_file(npz: str, tmp_path: Path, command: Command) -> None:
+    made = command(f"calibrate --samples {npz} --out", tmp_path)
+    assert "dry run" not in made.out, "there is no module to be spared"
+    check = f"calibrate --check --table {tmp_path}/table.yaml --json --samples"
+    same = command(check, npz).json
     assert same["drift_rms_cycles"] < 1e-5
     assert not same["drift_seen"]
     sine, cosine = tracks(seed=3)
     moved = tmp_path / "moved.npz"
     np.savez(moved, sine=sine + 10, cosine=cosine)
     out = tmp_path / "today"
-    table = str(tmp_path / "table.yaml")
-    assert main([*check, str(moved), "--table", table, "--json", "--out", str(out)]) == 0
+    found = command(check, moved, "--out", out).json
     assert [path.name for path in out.iterdir()] == ["samples.npz"]
-    found = json.loads(capsys.readouterr().out)
     assert found["drift_rms_cycles"] == pytest.approx(10 / 1400 / (2 * np.pi * np.sqrt(2)), rel=0.1)
     assert found["drift_seen"]
 
 
-def test_a_refused_file_for_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_refused_file_for_programs(tmp_path: Path, command: Command) -> None:
     path = tmp_path / "still.npz"
     np.savez(path, sine=np.full(1000, 700), cosine=np.full(1000, -1200))
-    assert main(["calibrate", "--samples", str(path), "--json"]) == 1
-    said = capsys.readouterr()
-    assert json.loads(said.out)["reason"] == "coverage"
-    assert len(said.err.splitlines()) == 1
+    said = command("calibrate --json --samples", path, code=1)
+    assert said.json["reason"] == "coverage"
+    assert said.err.count("\n") == 1
 
 
 class Terminal(io.StringIO):

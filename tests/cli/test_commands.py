@@ -6,8 +6,6 @@ import argparse
 import json
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,9 @@ from canfb.cli import commands as table
 from canfb.cli import examples
 from canfb.cli.aliases import current
 from canfb.cli.commands import COMMANDS, SUMMARIES, named_command
-from canfb.cli.main import build_parser, main
+from canfb.cli.main import build_parser
+from commands import Command
+from processes import python
 
 NAMES = [entry.name for entry in COMMANDS]
 
@@ -63,12 +63,8 @@ print(json.dumps(found))
 
 
 def test_the_file_of_a_command_imports_that_of_no_other() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", IMPORTING, *NAMES], capture_output=True, text=True, timeout=60, check=True
-    )
-    loaded = {
-        name: {entry.file for entry in COMMANDS} & {*files} for name, files in json.loads(done.stdout).items()
-    }
+    found = json.loads(python("-c", IMPORTING, *NAMES).stdout)
+    loaded = {name: {entry.file for entry in COMMANDS} & {*files} for name, files in found.items()}
     assert loaded == {entry.name: {entry.file} for entry in COMMANDS}
 
 
@@ -87,14 +83,13 @@ def test_the_command_of_a_line(line: str, name: str) -> None:
     assert named_command(line.split()) == name
 
 
-@pytest.mark.parametrize("command", examples._EXAMPLES)
-def test_the_examples_of_a_help_are_good(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*command.split()[1:], "--help"]) == 0
-    _, _, text = capsys.readouterr().out.partition("examples:\n")
+@pytest.mark.parametrize("name", examples._EXAMPLES)
+def test_the_examples_of_a_help_are_good(name: str, command: Command) -> None:
+    _, _, text = command(f"{name.removeprefix('canfb')} --help").out.partition("examples:\n")
     lines = re.findall(r"^  (canfb .*?)(?:   .*| > .*)?$", text, re.MULTILINE)
     assert lines
     for line in lines:
-        assert line.startswith(command) or line == "canfb demo"
+        assert line.startswith(name) or line == "canfb demo"
         if line != "canfb demo":
             assert build_parser().parse_args(shlex.split(line)[1:]).command
 
@@ -142,6 +137,5 @@ def test_an_old_line_is_a_new_one(old: str) -> None:
     assert current(words) == (words, "")
 
 
-def test_the_line_goes_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["nmt", "fly"]) == 2
-    assert capsys.readouterr().err.startswith("canfb: 'canfb nmt' is now 'canfb node'\n")
+def test_the_line_goes_to_stderr(command: Command) -> None:
+    assert command("nmt fly", code=2).err.startswith("canfb: 'canfb nmt' is now 'canfb node'\n")

@@ -15,6 +15,7 @@ from canfb.cli import completion
 from canfb.cli.commands import COMMANDS
 from canfb.cli.completion import asked_words, can_interfaces
 from canfb.cli.main import main
+from processes import python
 from tools.site.commands_page import INTRODUCTION
 
 CONFIG = "bus: {interface: virtual, channel: x}\nmodules: [{node_id: 33, encoder_interface: 17}]\n"
@@ -53,15 +54,7 @@ def completed(folder: Path, *lines: str) -> list[set[str]]:
         "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
         "COMP_TYPE": "9",
     }
-    done = subprocess.run(
-        [sys.executable, "-c", EACH_LINE, *lines],
-        cwd=folder,
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
+    done = python("-c", EACH_LINE, *lines, cwd=folder, env=os.environ | environment, timeout=600)
     assert (done.returncode, done.stderr) == (0, "")
     return [set(line.split()) for line in done.stdout.splitlines()]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -10,27 +11,21 @@ import pytest
 
 import canfb
 from canfb.bus.opening import check_words
-from canfb.cli.main import main
 from canfb.errors import ConfigError
+from commands import Command
 
 
 @pytest.fixture
-def example(capsys: pytest.CaptureFixture[str]) -> str:
-    assert main(["config", "example"]) == 0
-    said = capsys.readouterr()
-    assert said.err == ""
-    return said.out
+def example(command: Command) -> str:
+    out, err = command("config example")
+    assert err == ""
+    return out
 
 
-def test_the_example_is_itself_valid(
-    example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_example_is_itself_valid(example: str, tmp_path: Path, command: Command) -> None:
     path = tmp_path / "example.yaml"
     path.write_text(example)
-    assert main(["config", "check", str(path)]) == 0
-    said = capsys.readouterr()
-    assert said.out == f"{path}: valid; modules: 20h\n"
-    assert said.err == ""
+    assert command("config check", path) == (f"{path}: valid; modules: 20h\n", "")
     config = canfb.load_config(path)
     assert config.bus["interface"] == "socketcan"
     assert config.modules == [
@@ -72,12 +67,17 @@ def test_what_the_example_has_in_comments_is_valid_too(example: str, tmp_path: P
 MODULES = "modules:\n  - node_id: 32\n"
 
 
-def checked(path: Path, text: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    path.write_text(text)
-    code = main(["config", "check", str(path)])
-    said = capsys.readouterr()
-    (line,) = (said.out + said.err).splitlines()
-    return code, line.removeprefix("canfb: ").removeprefix(str(path))
+@pytest.fixture
+def checked(tmp_path: Path, command: Command) -> Callable[..., str]:
+    """What is said of a configuration, behind the name of its file."""
+
+    def check(text: str, code: int = 2) -> str:
+        path = tmp_path / "feedback.yaml"
+        path.write_text(text)
+        (line,) = "".join(command("config check", path, code=code)).splitlines()
+        return line.removeprefix("canfb: ").removeprefix(str(path))
+
+    return check
 
 
 WRONG = {
@@ -106,10 +106,8 @@ WRONG = {
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_what_cannot_be_on_this_machine(
-    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert checked(tmp_path / "feedback.yaml", text, capsys) == (2, WRONG[text])
+def test_what_cannot_be_on_this_machine(text: str, checked: Callable[..., str]) -> None:
+    assert checked(text) == WRONG[text]
 
 
 @pytest.mark.parametrize(
@@ -128,27 +126,26 @@ def test_what_cannot_be_on_this_machine(
         "{interface: udp_multicast, channel: 239.74.163.2, hop_limit: 1}",
     ],
 )
-def test_what_may_be(bus: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_may_be(bus: str, tmp_path: Path, checked: Callable[..., str]) -> None:
     folder = tmp_path / "new" / "state"
     text = f"bus: {bus}\n{MODULES}    state_dir: {folder}\n  - node_id: 127\nrealtime: {{cpu: 0}}\n"
-    assert checked(tmp_path / "feedback.yaml", text, capsys) == (0, ": valid; modules: 20h, 7Fh")
+    assert checked(text, 0) == ": valid; modules: 20h, 7Fh"
     assert not folder.exists()
 
 
 def test_a_processor_that_all_share_is_not_polled_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, checked: Callable[..., str]
 ) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     text = f"{MODULES}realtime: {{cpu: 0, busy_poll: true}}\n"
     want = ":3: busy_poll in realtime: this machine has one processor, which all programs share"
-    assert checked(tmp_path / "feedback.yaml", text, capsys) == (2, want)
+    assert checked(text) == want
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_may_not_be_written_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_may_not_be_written_to(tmp_path: Path, checked: Callable[..., str]) -> None:
     tmp_path.joinpath("closed").mkdir(mode=0o500)
-    code, line = checked(tmp_path / "feedback.yaml", f"{MODULES}    state_dir: {tmp_path}/closed/x\n", capsys)
-    assert (code, line.endswith("closed is not writable")) == (2, True)
+    assert checked(f"{MODULES}    state_dir: {tmp_path}/closed/x\n").endswith("closed is not writable")
 
 
 @pytest.mark.parametrize("interface", sorted(can.VALID_INTERFACES))

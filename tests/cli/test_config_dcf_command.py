@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from pathlib import Path
@@ -31,6 +30,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
+from commands import Command
 
 PHASES = np.arange(64) / 64
 TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
@@ -74,17 +74,10 @@ def yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> tuple[str, str]:
-    """Both outputs of the command."""
-    assert main(["config", "dcf", *arguments]) == code
-    heard = capsys.readouterr()
-    return heard.out, heard.err
-
-
 def test_a_dcf_that_makes_a_module_as_delivered_the_one_of_the_configuration(
-    yaml: Path, capsys: pytest.CaptureFixture[str]
+    yaml: Path, command: Command
 ) -> None:
-    out, err = said(capsys, str(yaml), "--concise", "module.bin")
+    out, err = command("config dcf --concise module.bin", yaml)
     assert err == ""
     assert out.splitlines()[0].startswith("module-21h.dcf: node 33 (21h), ")
     assert "; not at factory defaults: 1400:01, 2001:01, 2001:02, 2001:03, 2001:04, 6001:00, 6002:00" in out
@@ -100,14 +93,14 @@ def test_a_dcf_that_makes_a_module_as_delivered_the_one_of_the_configuration(
     assert "FileName=module-21h.dcf\n" in text
 
 
-def test_bus_options_of_the_command_come_first(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said(capsys, str(yaml), "-b", "500000", "--out", "a.dcf", "--name", "left_drive")
+def test_bus_options_of_the_command_come_first(yaml: Path, command: Command) -> None:
+    command("config dcf -b 500000 --out a.dcf --name left_drive", yaml)
     text = Path("a.dcf").read_text()
     assert "Baudrate=500\n" in text
     assert "NodeName=left_drive\n" in text
 
 
-def test_table_and_parameters_that_were_saved(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_and_parameters_that_were_saved(yaml: Path, command: Command) -> None:
     config = ModuleConfig(node_id=0x20, conditioning=Conditioning(sine_gain=1.25))
     with StateFiles("state") as store:
         peer = Peer(config, store)
@@ -115,7 +108,7 @@ def test_table_and_parameters_that_were_saved(yaml: Path, capsys: pytest.Capture
         peer.activate(TABLE)
         peer.remote.sdo.download(0x1010, 1, b"save")
         yaml.write_text("modules: [{node_id: 0x20, state_dir: state, coast_samples: 5}]\n")
-        out, err = said(capsys, str(yaml), "--out", "m.dcf")  # while the module is running
+        out, err = command("config dcf --out m.dcf", yaml)  # while the module is running
     assert err == ""
     assert f"m.table.bin: correction table, 64 entries, {TABLE.crc32:08X}" in out
     assert Path("m.table.bin").read_bytes() == TABLE.to_bytes()
@@ -126,14 +119,14 @@ def test_table_and_parameters_that_were_saved(yaml: Path, capsys: pytest.Capture
     assert fresh.module.dictionary.entry(0x2010, 3).value == 7
 
 
-def test_the_table_in_a_file_alone(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_in_a_file_alone(yaml: Path, command: Command) -> None:
     """No line is longer than the 255 characters of CiA 306; a master that does not know the file says so."""
     with StateFiles("state") as store:
         peer = Peer(ModuleConfig(node_id=0x20), store)
         peer.activate(TABLE)
         peer.remote.sdo.download(0x1010, 1, b"save")
     yaml.write_text("modules: [{node_id: 0x20, state_dir: state}]\n")
-    said(capsys, str(yaml), "--out", "m.dcf", "--table", "file")
+    command("config dcf --out m.dcf --table file", yaml)
     text = Path("m.dcf").read_text()
     assert max(len(line) for line in text.splitlines()) <= 255
     assert "DownloadFile=m.table.bin\n" in text
@@ -142,55 +135,46 @@ def test_the_table_in_a_file_alone(yaml: Path, capsys: pytest.CaptureFixture[str
         fresh.remote.load_configuration()
 
 
-def test_what_is_saved_and_damaged_makes_no_dcf(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_saved_and_damaged_makes_no_dcf(yaml: Path, command: Command) -> None:
     Path("state").mkdir()
     Path("state/manufacturer.bin").write_bytes(b"nonsense")
     yaml.write_text("modules: [{node_id: 0x20, state_dir: state}]\n")
-    out, err = said(capsys, str(yaml), code=1)
-    assert out == ""
-    assert (
-        err == "canfb: stored manufacturer parameters in state refused: no stored parameters, or truncated\n"
-    )
+    refused = "canfb: stored manufacturer parameters in state refused: no stored parameters, or truncated\n"
+    assert command("config dcf", yaml, code=1) == ("", refused)
     assert list(Path().glob("*.dcf")) == []
 
 
-def test_a_module_that_samples_itself(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_module_that_samples_itself(yaml: Path, command: Command) -> None:
     """Its source is not opened, and its RPDO1 is off."""
     yaml.write_text("modules: [{node_id: 0x20, source: {kind: recording, file: not-there.csv}}]\n")
-    said(capsys, str(yaml))
+    command("config dcf", yaml)
     assert canopen.import_od("module-20h.dcf")[0x1400][1].value == 0x80000190  # type: ignore[index]
 
 
-def test_for_programs(yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, err = said(capsys, str(yaml), "--json")
-    assert err == ""
-    summary = json.loads(out)
-    assert summary["dcf"] == "module-21h.dcf"
-    assert summary["node_id"] == 0x21
-    assert summary["changed"]["2001:01"] == 1024
-    assert summary["table"] is None
-    assert summary["table_crc32"] == "00000000"
-    assert summary["refused_in_index_order"] == []
+def test_for_programs(yaml: Path, command: Command) -> None:
+    said = command("config dcf --json", yaml)
+    assert said.err == ""
+    assert said.json["changed"]["2001:01"] == 1024
+    wanted = {"dcf": "module-21h.dcf", "node_id": 0x21, "table": None, "table_crc32": "00000000"}
+    assert said.json == said.json | wanted | {"refused_in_index_order": []}
 
 
 @pytest.mark.parametrize("name", ["0x21", "33"])
-def test_one_of_several(name: str, yaml: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_of_several(name: str, yaml: Path, command: Command) -> None:
     yaml.write_text(TWO)
-    out, _ = said(capsys, str(yaml), name)
+    out, _ = command("config dcf", yaml, name)
     assert "node 33 (21h)" in out
     assert "2010:03" in out
 
 
-def test_what_a_master_in_the_order_of_the_indices_cannot_write_is_told(
-    yaml: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_master_in_the_order_of_the_indices_cannot_write_is_told(yaml: Path, command: Command) -> None:
     with StateFiles("state") as store:
         peer = Peer(ModuleConfig(node_id=0x20), store)
         for value in (1 << 31, 0x90):
             peer.remote.sdo.download(0x1014, 0, value.to_bytes(4, "little"))
         peer.remote.sdo.download(0x1010, 1, b"save")
     yaml.write_text("modules: [{node_id: 0x20, state_dir: state}]\n")
-    _, err = said(capsys, str(yaml))
+    _, err = command("config dcf", yaml)
     assert "in the order of the indices, is refused at 1014:00; give it the concise form" in err
 
 

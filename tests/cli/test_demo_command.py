@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,9 +11,10 @@ from xml.etree import ElementTree
 
 import pytest
 
-from canfb.cli.main import main
 from canfb.demo.story import Story
+from commands import Command
 from html_page import Page
+from processes import python
 
 PICTURES = ["tracks.svg", "error-over-phase.svg", "residual-over-time.svg", "servo-move.svg"]
 
@@ -34,14 +33,8 @@ class Run(NamedTuple):
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """One run in a process of its own, as users do it, with pictures into a folder that is not there yet."""
     folder = tmp_path_factory.mktemp("demo") / "new" / "pictures"
-    done = subprocess.run(
-        [sys.executable, "-m", "canfb", "demo", "--json", "--out", str(folder)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-        env={**os.environ, "SOURCE_DATE_EPOCH": EPOCH},
-    )
+    dated = {**os.environ, "SOURCE_DATE_EPOCH": EPOCH}
+    done = python("-m", "canfb", "demo", "--json", "--out", str(folder), env=dated)
     return Run(done.returncode, json.loads(done.stdout), done.stderr, folder)
 
 
@@ -55,31 +48,28 @@ def test_all_checks_held(run: Run) -> None:
 
 
 def test_it_tells_the_same_each_time(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    run: Run, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The figures, and the files byte for byte."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", EPOCH)
-    assert main(["demo", "--json", "--out", str(tmp_path)]) == 0
-    said = capsys.readouterr()
+    said = command("demo --json --out", tmp_path)
     assert said.err == ""
     places = ("figures", "report")
-    again = {key: value for key, value in json.loads(said.out).items() if key not in places}
+    again = {key: value for key, value in said.json.items() if key not in places}
     assert again == {key: value for key, value in run.figures.items() if key not in places}
     for path in tmp_path.iterdir():
         assert path.read_bytes() == (run.folder / path.name).read_bytes(), path.name
-    assert f"canfb {version('canfb')}, 2023-11-14 22:13:20+00:00" in (tmp_path / "report.html").read_text(
-        "utf-8"
-    )
+    report = (tmp_path / "report.html").read_text("utf-8")
+    assert f"canfb {version('canfb')}, 2023-11-14 22:13:20+00:00" in report
 
 
 @pytest.mark.usefixtures("no_work")
 def test_a_wrong_date_is_found_before_the_work(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for wrong in ("today", "", "9" * 30):
         monkeypatch.setenv("SOURCE_DATE_EPOCH", wrong)
-        assert main(["demo", "--out", str(tmp_path)]) == 2
-        assert "seconds since 1970 are required" in capsys.readouterr().err
+        assert "seconds since 1970 are required" in command("demo --out", tmp_path, code=2).err
 
 
 def test_four_pictures_and_a_page_are_written(run: Run) -> None:
@@ -119,25 +109,18 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_work")
-def test_a_folder_that_cannot_be_made_is_found_before_the_work(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "a file"
-    path.write_text("")
-    assert main(["demo", "--out", str(path)]) == 1
-    assert capsys.readouterr().err == f"canfb: {path}: cannot be written: File exists\n"
-    assert main(["demo", "--out", str(path / "below")]) == 1
-    assert capsys.readouterr().err == f"canfb: {path / 'below'}: cannot be written: Not a directory\n"
+def test_a_folder_that_cannot_be_made_is_found_before_the_work(tmp_path: Path, command: Command) -> None:
+    file = tmp_path / "a file"
+    file.write_text("")
+    for path, why in ((file, "File exists"), (file / "below", "Not a directory")):
+        assert command("demo --out", path, code=1).err == f"canfb: {path}: cannot be written: {why}\n"
 
 
-def test_a_story_that_does_not_hold_is_exit_code_1(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    told = Story(checks={"it flies": False, "it floats": True})
+def test_a_story_that_does_not_hold_is_exit_code_1(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
+    checks = {"it flies": False, "it floats": True}
+    told = Story(checks=checks)
     monkeypatch.setattr("canfb.demo.story.run_story", lambda network: told)
     monkeypatch.setattr(
         "canfb.demo.demo_page.figures", lambda told: {"held": told.held, "checks": told.checks}
     )
-    assert main(["demo", "--json"]) == 1
-    said = json.loads(capsys.readouterr().out)
-    assert said == {"held": False, "checks": {"it flies": False, "it floats": True}, "figures": []}
+    assert command("demo --json", code=1).json == {"held": False, "checks": checks, "figures": []}

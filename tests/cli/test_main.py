@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -12,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from canfb.cli import run as run_command
-from canfb.cli.main import main
 from canfb.errors import BusError
 from canfb.hosting import serving
-from processes import Process
+from commands import Command
+from processes import Process, python
 
 GOOD = "bus: {interface: virtual, channel: canfb-cli}\nmodules: [{node_id: 32}]\n"
 
@@ -33,40 +32,31 @@ def one_line(text: str) -> str:
     return line
 
 
-def canfb(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-W", "error", "-m", "canfb", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-        stdin=subprocess.DEVNULL,
-    )
+CANFB = ("-W", "error", "-m", "canfb")
 
 
-def test_version_and_help_are_done(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"canfb {version('canfb')}\n"
-    assert main([]) == main(["--help"]) == 0
-    out, err = capsys.readouterr()
-    assert all(out.count(f"\n    {command}") == 2 for command in ("try", "run", "simulate", "config"))
-    assert err == ""
+def test_version_and_help_are_done(command: Command) -> None:
+    assert command("--version").out == f"canfb {version('canfb')}\n"
+    for line in ("", "--help"):
+        out, err = command(line)
+        assert all(f"\n    {name}" in out for name in ("try", "run", "simulate", "config"))
+        assert err == ""
 
 
 def test_in_a_process_of_its_own_an_error_is_the_only_line(config: str) -> None:
     """Nothing that python-can logs or that Python warns of stands beside it."""
-    done = canfb("run", config, "-i", "udp_multicast", "-c", "127.0.0.1")
+    done = python(*CANFB, "run", config, "-i", "udp_multicast", "-c", "127.0.0.1")
     assert (done.returncode, done.stdout) == (1, "")
     assert one_line(done.stderr).startswith("canfb: cannot open the bus udp_multicast 127.0.0.1: ")
 
 
 def test_debug_shows_the_traceback_wherever_it_stands_and_keeps_the_exit_code(
-    config: str, capsys: pytest.CaptureFixture[str]
+    config: str, command: Command
 ) -> None:
-    for arguments in (["--debug", "run", config], ["run", "--debug", config]):
-        assert main([*arguments, "-i", "socketcan", "-c", "nothing77"]) == 1
-        assert "canfb.errors.BusError: cannot open the bus socketcan nothing77" in capsys.readouterr().err
-    done = canfb("--debug", "config", "check", "nothing.yaml")
+    for line in ("--debug run -i socketcan -c nothing77", "run --debug -i socketcan -c nothing77"):
+        err = command(line, config, code=1).err
+        assert "canfb.errors.BusError: cannot open the bus socketcan nothing77" in err
+    done = python(*CANFB, "--debug", "config", "check", "nothing.yaml")
     assert done.returncode == 2
     assert "Traceback (most recent call last):" in done.stderr
     *_, error, line = done.stderr.splitlines()
@@ -82,14 +72,7 @@ def test_debug_shows_the_traceback_wherever_it_stands_and_keeps_the_exit_code(
 )
 def test_an_output_that_is_full_is_one_line(arguments: list[str]) -> None:
     with Path("/dev/full").open("wb") as full:
-        done = subprocess.run(
-            [sys.executable, "-W", "error", "-m", "canfb", *arguments],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        done = python(*CANFB, *arguments, stdout=full)
     assert done.returncode == 1
     want = "canfb: cannot write the output: No space left on device"
     assert done.stderr.splitlines()[-1] == want
@@ -97,7 +80,7 @@ def test_an_output_that_is_full_is_one_line(arguments: list[str]) -> None:
 
 
 def test_the_bus_options_replace_the_words_of_the_configuration(
-    monkeypatch: pytest.MonkeyPatch, config: str
+    monkeypatch: pytest.MonkeyPatch, config: str, command: Command
 ) -> None:
     opened: list[dict[str, object]] = []
 
@@ -106,9 +89,8 @@ def test_the_bus_options_replace_the_words_of_the_configuration(
         raise BusError("no")
 
     monkeypatch.setattr(serving, "open_device_bus", refuse)
-    assert main(["run", config]) == 1
-    assert main(["run", config, "-c", "can3", "-b", "500000"]) == 1
-    assert main(["run", config, "-i", "socketcan", "--bus-kwargs", "local_loopback=False", "port=7"]) == 1
+    for more in ("", "-c can3 -b 500000", "-i socketcan --bus-kwargs local_loopback=False port=7"):
+        command(f"run {config} {more}", code=1)
     assert opened == [
         {"interface": "virtual", "channel": "canfb-cli"},
         {"interface": "virtual", "channel": "can3", "bitrate": 500000},
@@ -117,14 +99,13 @@ def test_the_bus_options_replace_the_words_of_the_configuration(
 
 
 def test_ctrl_c_before_the_bus_is_open_is_exit_code_130_without_a_traceback(
-    monkeypatch: pytest.MonkeyPatch, config: str, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, config: str, command: Command
 ) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(run_command, "load_config", interrupted)
-    assert main(["run", config]) == 130
-    assert capsys.readouterr().err == ""
+    assert command("run", config, code=130).err == ""
 
 
 def test_a_reader_that_goes_away_is_no_traceback() -> None:
@@ -132,30 +113,19 @@ def test_a_reader_that_goes_away_is_no_traceback() -> None:
     read_end, write_end = os.pipe()
     os.close(read_end)
     with os.fdopen(write_end, "wb") as pipe:
-        done = subprocess.run(
-            [sys.executable, "-u", "-m", "canfb", "config", "example"],
-            stdout=pipe,
-            stderr=subprocess.PIPE,
-            timeout=60,
-            check=False,
-        )
-    assert (done.returncode, done.stderr) == (1, b"")
+        done = python("-u", "-m", "canfb", "config", "example", stdout=pipe)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+BEGINS = {"run": "running node 32 (20h)", "simulate": "encoder interface: node 16 (10h)"}
 
 
 @pytest.mark.parametrize(
-    ("command", "number", "first", "last"),
-    [
-        ("run", signal.SIGINT, "running node 32 (20h) on virtual canfb-cli", "node 32: 0 samples; "),
-        (
-            "simulate",
-            signal.SIGTERM,
-            "encoder interface: node 16 (10h) on virtual canfb-cli",
-            "0 samples sent",
-        ),
-    ],
+    ("command", "number", "last"),
+    [("run", signal.SIGINT, "node 32: 0 samples; "), ("simulate", signal.SIGTERM, "0 samples sent")],
 )
 def test_a_signal_ends_it_with_exit_code_0(
-    command: str, number: signal.Signals, first: str, last: str, config: str
+    command: str, number: signal.Signals, last: str, config: str
 ) -> None:
     """SIGHUP: test_reader_that_stops.py."""
     process = Process((sys.executable, "-W", "error", "-m", "canfb", command, config))
@@ -165,5 +135,5 @@ def test_a_signal_ends_it_with_exit_code_0(
         assert process.wait() == 0
     finally:
         process.stop()
-    assert process.lines[0] == f"{first}; end with Ctrl-C"
+    assert process.lines[0] == f"{BEGINS[command]} on virtual canfb-cli; end with Ctrl-C"
     assert process.lines[-1].startswith(last)

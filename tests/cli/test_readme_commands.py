@@ -20,7 +20,7 @@ import pytest
 import canfb
 from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
-from canfb.cli.main import build_parser, main
+from canfb.cli.main import build_parser
 from canfb.cli.simulate import chosen
 from canfb.configuration import Config, parse_config
 from canfb.interface.encoder_interface import EncoderInterface
@@ -33,7 +33,9 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.motion import Motion
 from canfb.simulation.set_up import source_of
 from canfb.simulation.sync_producer import SyncProducer
+from commands import Command
 from judged_session import check, new_judge
+from processes import python
 
 START_ALL = Frame(0x000, b"\x01\x00")
 POSITION = 0x1A0
@@ -110,14 +112,7 @@ def test_every_python_snippet_is_one_that_a_test_runs() -> None:
 
 def test_the_library_snippet_runs_as_pasted_from_the_repository() -> None:
     (snippet,) = [block for block in python_blocks() if RECORDING in block]
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", snippet],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
+    done = python("-W", "error", "-c", snippet, cwd=ROOT)
     assert (done.returncode, done.stderr) == (0, "")
     verdict, *parts = done.stdout.splitlines()
     assert verdict.startswith("accepted"), verdict
@@ -140,14 +135,11 @@ def test_the_recording_is_small_and_plays_for_ten_seconds_without_a_fault() -> N
 
 
 def test_the_recording_calibrates_as_the_page_has_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, command: Command
 ) -> None:
-    (words,) = [
-        words for words in command_lines(SIMULATION) if words[0] == "calibrate" and RECORDING in words
-    ]
+    lines = [words for words in command_lines(SIMULATION) if words[0] == "calibrate" and RECORDING in words]
     monkeypatch.chdir(ROOT)
-    assert main(words) == 0
-    assert "Accepted. The error within a cycle falls from " in capsys.readouterr().out
+    assert "Accepted. The error within a cycle falls from " in command("", *lines[0]).out
 
 
 @pytest.fixture
@@ -186,10 +178,7 @@ def test_the_first_session_holds_for_ten_seconds_with_real_processes(
     start: Callable[..., Any], multicast_bus: can.BusABC, multicast_words: dict[str, Any], tmp_path: Path
 ) -> None:
     """The lines of docs/vcan.md on a multicast bus; then its master in Python, on the same bus."""
-    example = subprocess.run(
-        [sys.executable, "-m", "canfb", "config", "example"], capture_output=True, check=True, timeout=LIMIT_S
-    )
-    (tmp_path / "feedback.yaml").write_bytes(example.stdout)
+    (tmp_path / "feedback.yaml").write_text(python("-m", "canfb", "config", "example").stdout)
     session = [words for words in command_lines(SESSION) if words[0] in ("run", "simulate", "node")]
     module, interface, nmt = session
     running = start(*module), start(*interface)
@@ -217,9 +206,7 @@ def test_the_first_session_holds_for_ten_seconds_with_real_processes(
     (snippet,) = [block for block in python_blocks() if "import canopen" in block]
     here = ", ".join(f"{key}={value!r}" for key, value in multicast_words.items())
     snippet = snippet.replace('interface="socketcan", channel="vcan0"', here)
-    done = subprocess.run(
-        [sys.executable, "-c", snippet], capture_output=True, text=True, timeout=LIMIT_S, check=False
-    )
+    done = python("-c", snippet)
     assert (done.returncode, done.stderr) == (0, "")
     cycles, unit = done.stdout.split()
     assert unit == "cycles"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -16,12 +15,9 @@ import canopen
 import pytest
 
 from canfb.eds_files import eds_path
-from processes import Process
+from processes import Process, python
 
 LIMIT_S = 30.0
-
-
-# In processes of their own.
 
 
 class Run(Process):
@@ -70,13 +66,7 @@ def test_what_was_saved_is_there_after_a_kill(
         first.master.sdo[0x2010][3].raw = 9
         first.master.sdo.download(0x1010, 1, b"save")
         first.master.sdo[0x2010][3].raw = 10
-        second = subprocess.run(
-            [sys.executable, "-m", "canfb", "run", str(config)],
-            capture_output=True,
-            text=True,
-            timeout=LIMIT_S,
-            check=False,
-        )
+        second = python("-m", "canfb", "run", str(config))
         assert second.returncode == 1
         assert second.stderr.startswith(f"canfb: state_dir {tmp_path}/state cannot be used: another process")
     finally:

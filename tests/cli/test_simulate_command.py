@@ -14,7 +14,7 @@ import pytest
 
 from canfb.bus.frame_bus import PythonCanBus
 from canfb.bus.runner import Runner
-from canfb.cli.main import build_parser, main
+from canfb.cli.main import build_parser
 from canfb.cli.simulate import chosen
 from canfb.configuration import Config, load_config, parse_config
 from canfb.device.device_protocol import Device
@@ -29,6 +29,7 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.motion import MotionSource
 from canfb.simulation.set_up import Play, SimulatedAxis, SimulatedNetwork, set_up, simulated_axis, source_of
 from canfb.sources.recording_source import RecordingSource
+from commands import Command
 from fake_bus import FakeBus, FakeClock, message
 
 CHANNEL = "canfb-simulate"
@@ -88,50 +89,34 @@ def test_gaps_and_mid_scale_of_a_recording(config: str, samples: str) -> None:
 
 
 def test_a_recording_is_played_onto_the_bus_and_ends_by_itself(
-    config: str, samples: str, capsys: pytest.CaptureFixture[str]
+    config: str, samples: str, command: Command
 ) -> None:
+    options = "--columns a,b --mid-scale 2048 --rate 500 --autostart 33 --samples"
     with can.Bus(interface="virtual", channel=CHANNEL) as bus:
-        options = ["--samples", samples, "--columns", "a,b", "--mid-scale", "2048", "--rate", "500"]
-        assert main(["simulate", config, *options, "--autostart", "33"]) == 0
-        heard = []
-        while (message := bus.recv(0.0)) is not None:
-            heard.append((message.arbitration_id, bytes(message.data).hex()))
-    said = capsys.readouterr()
+        said = command(f"simulate {config} {options}", samples)
+        heard = [(one.arbitration_id, bytes(one.data).hex()) for one in iter(lambda: bus.recv(0.0), None)]
     assert said.err == ""
-    assert said.out.splitlines() == [
+    assert said.lines == [
         f"encoder interface: node 17 (11h) on virtual {CHANNEL}; end with Ctrl-C",
         f"recording {samples}, with the errors of its tracks: up to 0 cycles per sample, acceleration up to "
         "0 rad/s^2, the module follows 5.24e+03 at 500 Hz (eq. 10)",
         "4 samples sent; end of the recording",
     ]
     assert heard[:2] == [(0x611, "4000100000000000"), (0x711, "00")], "is the node-ID free?"
-    sync = (0x80, "")
-    want = [
-        sync,
-        (0x191, "64009cff"),
-        sync,
-        (0x191, "c80038ff"),
-        sync,
-        (0x191, "2c01d4fe"),
-        sync,
-        (0x191, "900170fe"),
-    ]
+    sync, sent = (0x80, ""), ("64009cff", "c80038ff", "2c01d4fe", "900170fe")
+    want = [frame for data in sent for frame in (sync, (0x191, data))]
     assert heard[2:] == [*want, sync], "the SYNC after the last sample ends it"
 
 
 @pytest.mark.parametrize("how", ["option", "key"])
 def test_in_slow_motion_the_samples_are_equidistant_however_late_the_sync_is(
-    how: str, config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    how: str, config: str, tmp_path: Path, command: Command
 ) -> None:
     """61.2 rpm of 2500 cycles at 1 kHz: 2.55 cycles per sample; 0.1 ms more would be a quarter of a cycle."""
-    path, options = tmp_path / "tracks.npz", ["--rpm", "61.2"]
-    if how == "option":
-        options += ["--pace", "sync"]
-    else:
+    path, pace = tmp_path / "tracks.npz", "--pace sync" if how == "option" else ""
+    if how == "key":
         Path(config).write_text(CONFIG.replace("simulation: {", "simulation: {pace: sync, "))
-    said = ["--rate", "1000", "--autostart", "--seconds", "0.1", "--record", str(path)]
-    assert main(["simulate", config, *options, *said]) == 0
-    capsys.readouterr()
+    command(f"simulate {config} --rpm 61.2 {pace} --rate 1000 --autostart --seconds 0.1 --record", path)
     tracks = np.load(path)
     phases = np.arctan2(tracks["sine"], tracks["cosine"]) / (2.0 * np.pi)
     assert len(phases) >= 100

@@ -23,8 +23,8 @@ import pytest
 from canfb.bus.opening import open_bus
 from canfb.cia301 import cob
 from canfb.cli.config_file import EXAMPLE, EXAMPLE_BUS
-from canfb.cli.main import main
 from canfb.signal.correction import CorrectionTable
+from commands import Command
 from processes import Process
 
 PATIENCE_S = 120.0
@@ -53,13 +53,11 @@ def begun(trying: list[Process], *options: str) -> Process:
     return trying[-1]
 
 
-def samples_of(read: list[str], capsys: pytest.CaptureFixture[str]) -> int:
+def samples_of(read: list[str], command: Command) -> int:
     """How many samples it has processed, read as its page has a user read the status word."""
-    shown = [word.replace("status word", "2011:08") for word in read[1:]]
-    assert main(shown) == 0
-    found = re.fullmatch(r"2011:08 .*: ([0-9]+).*\n", capsys.readouterr().out)
-    assert found
-    return int(found[1])
+    said = command("", *(word.replace("status word", "2011:08") for word in read[1:])).out
+    (count,) = re.findall(r"2011:08 .*: ([0-9]+)", said)
+    return int(count)
 
 
 def test_its_bus_replaces_that_of_the_example() -> None:
@@ -67,7 +65,7 @@ def test_its_bus_replaces_that_of_the_example() -> None:
 
 
 def test_another_terminal_reads_it_and_ctrl_c_leaves_nothing(
-    trying: list[Process], own_folder: Path, capsys: pytest.CaptureFixture[str]
+    trying: list[Process], own_folder: Path, command: Command
 ) -> None:
     file = own_folder / "try.ready"
     process = begun(trying, "--no-page", "--json", "--ready-file", str(file))
@@ -80,11 +78,9 @@ def test_another_terminal_reads_it_and_ctrl_c_leaves_nothing(
     shown = re.findall(r"^  (canfb .*)$", PAGE, re.M)
     assert [re.sub(r"239\.255\.\S+", ready["channel"], line) for line in shown] == ready["commands"]
     monitor, read, calibrate = (shlex.split(line) for line in ready["commands"])
-    while samples_of(read, capsys) < A_START:
+    while samples_of(read, command) < A_START:
         pass
-    assert main(read[1:]) == 0
-    said = capsys.readouterr().out
-    assert said == "2011:01 Feedback: Status word: 1 (valid)\n"
+    assert command("", *read[1:]).out == "2011:01 Feedback: Status word: 1 (valid)\n"
     assert (monitor[1], calibrate[1]) == ("monitor", "calibrate")
     bus = ["-i", ready["interface"], "-c", ready["channel"]]
     assert monitor[-4:] == calibrate[-4:] == bus
@@ -153,9 +149,7 @@ def asked(network: dict[str, Any], syncs: int) -> bool:
     return False
 
 
-def test_commands_beside_an_open_page(
-    network: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_beside_an_open_page(network: dict[str, Any], tmp_path: Path, command: Command) -> None:
     file = tmp_path / "table.bin"
     file.write_bytes(TABLE.to_bytes())
     node, bus = network["node_id"], f"-i {network['interface']} -c {network['channel']} --timeout 60"
@@ -170,9 +164,9 @@ def test_commands_beside_an_open_page(
             f"table write {node} {shlex.quote(str(file))} --activate",
             f"sdo read {node} 2012",
         ) * 3:
-            assert main([*shlex.split(line), *bus.split()]) == 0, capsys.readouterr().err
+            command(f"{line} {bus}")
         while f"with the active table {TABLE.crc32:08X}h" not in deviation(stream):
             pass
-        assert main(["table", "clear", str(node), *bus.split()]) == 0
+        command(f"table clear {node} {bus}")
         while not deviation(stream).startswith("no table is active"):
             pass

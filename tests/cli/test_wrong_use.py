@@ -132,7 +132,7 @@ WRONG_USE = {
     "commission 0x20 --save": "--save: only with --write, without which nothing is written",
     "commission 0x20 --encoder-interface 0x20": "must differ from the node-ID of the module",
     "commission 0x20 --encoder-interface 16 --source recording": "not with --source recording",
-    # node, why, sdo
+    # node, why, sdo, table
     **{f"node reset -- {node}": NOT_A_NODE for node in ("0", "128", "-1", "x", "0x80", "ALL", "1.5")},
     "node": "required: PART",
     "node start": "required: NODE",
@@ -142,6 +142,12 @@ WRONG_USE = {
     "sdo read 1 residual limit": "unrecognized arguments: limit",
     "why 5 --status 6": "NODE: not with --status",
     "why 5 --out x.json": "--out: only with --bundle",
+    "table": "the following arguments are required: PART",
+    "table show nothing.yaml": "nothing.yaml: neither a node-ID (1 to 127) nor a file",
+    "table show 128": "128: neither a node-ID",
+    "table write 0x20 t.yaml --save": "--save: only with --activate",
+    "table write 0 t.yaml": "'0' is not a node-ID (1 to 127, or 0x01 to 0x7F); see",
+    "table clear 0x20 --timeout 0": "--timeout 0: must be 0.01 to 60",
     # monitor
     "monitor 0": "'0' is not a node-ID",
     "monitor 128": "'128' is not a node-ID",

@@ -2,35 +2,23 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from canfb.eds_files import eds_path
+from processes import python
 
 NAMES = ("canfb-module.eds", "encoder-interface.eds", "drive.eds")
 
 DCFCHK = ("-W", "always", "-c", "import sys; from dcf.cli import main; sys.exit(main())", "-n", "32")
 EDS_VALIDATE = ("-c", "import sys; from eds_utils.eds_validate import eds_validate; sys.exit(eds_validate())")
 
+NOT_FOR_A_DOWNLOAD = ("2020sub3 2030sub1 2040sub2 2040sub3 2050sub1 6003 6009", "2050sub1 2060")
 KNOWN: dict[tuple[str, str], str] = {
-    (
-        NAMES[number],
-        f'AUTO-FIXED: Unknown entry "ObjFlags" in [{section}]',
-    ): "CiA 306 has it: not for a download"
-    for number, section in (
-        (0, "2020sub3"),
-        (0, "2030sub1"),
-        (0, "2040sub2"),
-        (0, "2040sub3"),
-        (0, "2050sub1"),
-        (0, "6003"),
-        (0, "6009"),
-        (1, "2050sub1"),
-        (1, "2060"),
-    )
+    (name, f'AUTO-FIXED: Unknown entry "ObjFlags" in [{section}]'): "CiA 306 has it: not for a download"
+    for name, sections in zip(NAMES, NOT_FOR_A_DOWNLOAD, strict=False)
+    for section in sections.split()
 }
 """File and message of a checker that is wrong, and why it is; empty is best."""
 
@@ -44,9 +32,7 @@ with a string in place of each."""
 
 def complaints(command: tuple[str, ...], path: Path) -> set[tuple[str, str]]:
     """File and message of all that a checker prints."""
-    done = subprocess.run(
-        [sys.executable, *command, str(path)], capture_output=True, text=True, check=False, timeout=60
-    )
+    done = python(*command, str(path))
     lines = [line.strip() for line in (done.stdout + done.stderr).splitlines() if line.strip()]
     assert bool(done.returncode) <= bool(lines), "it failed without a word"
     return {(path.name, line) for line in lines}

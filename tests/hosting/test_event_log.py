@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import canfb
-from canfb.cli.main import main
 from canfb.hosting.event_log import BURST, LONGEST_WINDOW_S, WINDOW_S, EventLog, Throttle
 from canfb.hosting.hosting import Hosting
 from canfb.module.events import DETAILS, Event, EventKind
+from commands import Command
 
 WALL = datetime(2026, 5, 4, 12, 30, 1, 250000, UTC)
 
@@ -109,20 +109,18 @@ def test_after_a_quiet_time_the_next_one_passes_at_once() -> None:
 
 
 def test_run_prints_json_for_programs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "one.yaml"
     path.write_text("bus: {interface: virtual, channel: json}\nmodules: [{node_id: 32, autostart: true}]\n")
     run = Hosting.run
     monkeypatch.setattr(Hosting, "run", lambda hosting, *_: run(hosting, hosting.stop))
-    assert main(["run", str(path), "--json"]) == 0
-    out, err = capsys.readouterr()
-    objects = [json.loads(line) for line in out.splitlines()]
+    said = command("run --json", path)
+    objects = said.objects
     assert [one["state"] for one in objects if one["event"] == "nmt"] == ["PRE-OPERATIONAL", "OPERATIONAL"]
     assert any(one["event"] == "message" and one["text"].startswith("running node 32") for one in objects)
-    assert err == ""
-    assert main(["run", str(path)]) == 0
-    assert "node 32 (20h): OPERATIONAL\n" in capsys.readouterr()[0], "lines again"
+    assert said.err == ""
+    assert "node 32 (20h): OPERATIONAL\n" in command("run", path).out, "lines again"
 
 
 def test_the_page_has_a_row_for_every_kind() -> None:

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.errors import BusError, ConfigError
 from canfb.hosting import serving
 from canfb.hosting.hosting import Hosting
 from canfb.hosting.readiness import Readiness
+from commands import Command
 
 
 @pytest.fixture
@@ -35,25 +35,21 @@ def config(tmp_path: Path) -> Path:
 
 
 def test_the_log_has_the_lines_of_the_command(
-    config: Path,
-    caplog: pytest.LogCaptureFixture,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    config: Path, caplog: pytest.LogCaptureFixture, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caplog.set_level(logging.INFO, "canfb")
     hosting = Hosting(load_config(config))
     with hosting:
         hosting.run(ready=hosting.stop)
     records = list(caplog.records)
-    assert capsys.readouterr() == ("", ""), "nothing but the log"
+    assert command.read() == ("", ""), "nothing but the log"
     events = [record for record in records if record.name == "canfb.hosting.event_log"]
     assert [record.event["event"] for record in events] == ["nmt", "nmt"]  # type: ignore[attr-defined]
     records = [record for record in records if record not in events]
     assert {record.name for record in records} == {"canfb.hosting.hosting"}
     caplog.clear()
     monkeypatch.setattr(Readiness, "ready", lambda readiness: signal.raise_signal(signal.SIGTERM))
-    assert main(["run", str(config)]) == 0
-    out, err = capsys.readouterr()
+    out, err = command("run", config)
     told = [record.getMessage() for record in records if record.levelno == logging.INFO]
     warned = [record.getMessage() for record in records if record.levelno == logging.WARNING]
     boots = [f"node {node}: boot-up, PRE-OPERATIONAL" for node in ("32 (20h)", "33 (21h)")]
@@ -115,22 +111,17 @@ def running(config: Path) -> Iterator[Path]:
         thread.join()
 
 
-@pytest.mark.parametrize("command", ["run", "simulate"])
+@pytest.mark.parametrize("name", ["run", "simulate"])
 def test_a_second_node_with_the_node_id_leaves_before_its_boot_up(
-    running: Path,
-    command: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    running: Path, name: str, tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serving, "ANSWER_S", 60.0)  # the first has a thread of this process
     ready = tmp_path / "run.ready"
     ready.write_text(f"{os.getppid()}\n")
     second = tmp_path / "second.yaml"
-    module = "{node_id: 33}" if command == "run" else "{node_id: 40, encoder_interface: 33}"
+    module = "{node_id: 33}" if name == "run" else "{node_id: 40, encoder_interface: 33}"
     second.write_text(f"bus: {{interface: virtual, channel: hosting}}\nmodules: [{module}]\n")
-    assert main([command, str(second), "--ready-file", str(ready)]) == 1
-    assert capsys.readouterr() == (
+    assert command(f"{name} --ready-file {ready}", second, code=1) == (
         "",
         "canfb: node 33 (21h): another node on virtual hosting has this node-ID (5A1h received); "
         "stop it, or set another node_id\n",

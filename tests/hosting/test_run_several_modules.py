@@ -19,6 +19,7 @@ from canfb.hosting import serving
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
+from commands import Command
 from fake_bus import FakeBus, FakeClock, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 NODES = (33, 34, 35, 36, 37, 38, 39)
@@ -241,12 +242,9 @@ def test_a_program_error_in_one_ends_all_and_says_which(
     assert len([text for text in out.splitlines() if " samples; missed " in text]) == len(NODES) + 1
 
 
-def test_a_device_that_would_hear_itself_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_device_that_would_hear_itself_is_refused(tmp_path: Path, command: Command) -> None:
     config = tmp_path / "echo.yaml"
     config.write_text(
         "bus: {interface: virtual, channel: echo, receive_own_messages: true}\nmodules: [{node_id: 32}]\n"
     )
-    assert main(["run", str(config)]) == 2
-    assert capsys.readouterr().err.startswith("canfb: receive_own_messages: omit it")
+    assert command("run", config, code=2).err.startswith("canfb: receive_own_messages: omit it")

@@ -7,7 +7,6 @@ import errno
 import gc
 import os
 import signal
-import subprocess
 import sys
 import threading
 from typing import Any
@@ -16,12 +15,8 @@ import pytest
 
 from canfb.bus.runner import ending_on_signals, outside_collections
 from canfb.configuration import RealtimeConfig
-from canfb.hosting.realtime import (
-    MCL_CURRENT,
-    MCL_FUTURE,
-    RealtimeThread,
-    apply_realtime,
-)
+from canfb.hosting.realtime import MCL_CURRENT, MCL_FUTURE, RealtimeThread, apply_realtime
+from processes import python
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -100,23 +95,23 @@ def test_what_is_granted_is_not_spoken_of_and_what_is_not_asked_for_left_alone(
         assert system.calls == calls
 
 
+PYTHON = os.path.realpath(sys.executable)
+SETCAP = f"; sudo setcap {{}}+ep {PYTHON}, or {{}} in the systemd unit; see docs/service.md"
+REMEDIES = (
+    SETCAP.format("cap_sys_nice", "LimitRTPRIO=99"),
+    SETCAP.format("cap_ipc_lock", "LimitMEMLOCK=infinity"),
+)
+
+
 def test_what_is_refused_is_reported_each_in_one_line_and_the_rest_is_still_asked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     system, lines = System(monkeypatch, errno.EPERM), list[str]()
     apply_realtime(ALL, lines.append)
     assert system.calls == ALL_CALLS
-    reason = os.strerror(errno.EPERM)
-    python = os.path.realpath(sys.executable)
-    remedies = (
-        f"; sudo setcap cap_sys_nice+ep {python}, or LimitRTPRIO=99 in the systemd unit; see docs/service.md",
-        f"; sudo setcap cap_ipc_lock+ep {python}, or LimitMEMLOCK=infinity in the systemd unit; "
-        "see docs/service.md",
-        "",
-    )
     assert lines == [
-        f"realtime: {name} could not be set: {reason}{remedy}"
-        for name, remedy in zip(("priority", "lock_memory", "cpu"), remedies, strict=True)
+        f"realtime: {name} could not be set: {os.strerror(errno.EPERM)}{remedy}"
+        for name, remedy in zip(("priority", "lock_memory", "cpu"), (*REMEDIES, ""), strict=True)
     ]
 
 
@@ -135,19 +130,10 @@ apply_realtime(RealtimeConfig(priority=80, lock_memory=True), print)
 
 @pytest.mark.parametrize("lockable_bytes", [0, 1 << 16])
 def test_the_real_system_refuses_and_the_remedy_is_named(lockable_bytes: int) -> None:
-    command = [sys.executable, "-c", WITHOUT_RIGHTS, str(lockable_bytes)]
-    lines = subprocess.run(
-        command, capture_output=True, text=True, timeout=60, check=True
-    ).stdout.splitlines()
-    reasons = os.strerror(errno.EPERM), os.strerror(errno.ENOMEM if lockable_bytes else errno.EPERM)
-    rights = ("cap_sys_nice", "LimitRTPRIO=99"), ("cap_ipc_lock", "LimitMEMLOCK=infinity")
-    python = os.path.realpath(sys.executable)
-    assert lines == [
-        f"realtime: {name} could not be set: {reason}; sudo setcap {capability}+ep {python}, "
-        f"or {limit} in the systemd unit; see docs/service.md"
-        for name, reason, (capability, limit) in zip(
-            ("priority", "lock_memory"), reasons, rights, strict=True
-        )
+    refused = os.strerror(errno.ENOMEM if lockable_bytes else errno.EPERM)
+    assert python("-c", WITHOUT_RIGHTS, str(lockable_bytes)).stdout.splitlines() == [
+        f"realtime: priority could not be set: {os.strerror(errno.EPERM)}{REMEDIES[0]}",
+        f"realtime: lock_memory could not be set: {refused}{REMEDIES[1]}",
     ]
 
 

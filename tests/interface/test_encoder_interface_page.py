@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 from pathlib import Path
 
 import pytest
 
-from canfb.cli.main import main
 from canfb.configuration import parse_config
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults
 from canfb.planning import plan_rows
+from commands import Command
 
 DOCS = Path(__file__).parents[2] / "docs"
 INTERFACE = (DOCS / "encoder-interface.md").read_text(encoding="utf-8")
@@ -91,34 +90,25 @@ def test_the_keys_are_read_and_go_where_they_belong() -> None:
 PAGE = (DOCS / "local-adc.md").read_text(encoding="utf-8")
 
 
-PLAN = re.findall(r"^    canfb (plan .*)$", PAGE, re.M)[0].split()
+PLAN = re.findall(r"^    canfb (plan .*)$", PAGE, re.M)[0]
 
 
-def holds(rpm: float, cycles: int, phase_error: float, capsys: pytest.CaptureFixture[str]) -> bool:
-    words = PLAN[: PLAN.index("--rpm")]
-    code = main([*words, f"--rpm={rpm}", f"--cycles={cycles}", f"--phase-error={phase_error}", "--json"])
-    result = json.loads(capsys.readouterr().out)
-    assert code == (0 if result["holds"] else 1)
-    assert result["holds"] or result["tightest"]["limit"] in ("residual", "acceleration", "speed")
-    return bool(result["holds"])
-
-
-def test_the_speeds_are_those_of_the_plan(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_speeds_are_those_of_the_plan(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     """0.0125 + v (e + d / 2) cycles: each speed holds, and one a tenth higher does not."""
-    assert main(PLAN) == 0
+    command(PLAN)
     # The faults that are simulated have no part in whether it holds, and take nearly all of the time.
     monkeypatch.setattr(plan_rows, "fault_coverage", lambda window: [])
-    capsys.readouterr()
     rows = re.findall(r"^\| (\d+) µs \| (\d+) µs \| (\d+) \| (\d+) \|", PAGE, re.M)
     assert len(rows) == 6
     for jitter_us, delay_us, *speeds in rows:
         for rpm, cycles in zip(speeds, (2500, 512), strict=True):
             for times, allowed in ((1.0, True), (1.1, False)):
                 speed = times * float(rpm)
-                sampled = speed / 60 * cycles * (float(jitter_us) + float(delay_us) / 2) * 1e-6
-                assert holds(speed, cycles, 0.0125 + sampled, capsys) is allowed, (rpm, cycles, times)
+                error = 0.0125 + speed / 60 * cycles * (float(jitter_us) + float(delay_us) / 2) * 1e-6
+                words = f"--rpm={speed} --cycles={cycles} --phase-error={error} --json"
+                found = command(f"{PLAN.partition('--rpm')[0]} {words}", code=0 if allowed else 1).json
+                assert found["holds"] is allowed
+                assert allowed or found["tightest"]["limit"] in ("residual", "acceleration", "speed")
 
 
 def test_the_noise_of_the_residual_tells_the_jitter() -> None:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from canfb.cli.main import main
 from canfb.configuration import ANY_NODES, INTERFACES, parse_config
 from canfb.errors import ConfigError
 from canfb.interface.interface_config import InterfaceConfig
 from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.motion_source import MotionSourceConfig
+from commands import Command
 
 ADC = "source: {kind: iio, device: ads7950}"
 BOTH = f"""\
@@ -99,19 +99,11 @@ def test_a_command_for_any_node_names_both_lists() -> None:
         parse_config("bus: {}", needs=ANY_NODES)
 
 
-def test_the_check_takes_a_file_of_an_interface(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_commands_take_one_or_both_lists(tmp_path: Path, command: Command) -> None:
     path = tmp_path / "interface.yaml"
-    path.write_text(f"interfaces: [{{node_id: 16, {ADC}}}]")
-    assert main(["config", "check", str(path)]) == 0
-    path.write_text(BOTH)
-    assert main(["config", "check", str(path)]) == 0
-    assert capsys.readouterr().out == (
-        f"{path}: valid; interfaces: 10h\n{path}: valid; modules: 20h; interfaces: 10h\n"
-    )
-
-
-def test_run_wants_one_of_both_lists(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "one.yaml"
+    one = f"interfaces: [{{node_id: 16, {ADC}}}]"
+    for text, nodes in ((one, "interfaces: 10h"), (BOTH, "modules: 20h; interfaces: 10h")):
+        path.write_text(text)
+        assert command("config check", path).out == f"{path}: valid; {nodes}\n"
     path.write_text("bus: {interface: virtual, channel: none}\n")
-    assert main(["run", str(path)]) == 2
-    assert "'modules' or 'interfaces' is missing" in capsys.readouterr().err
+    assert "'modules' or 'interfaces' is missing" in command("run", path, code=2).err

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
-import shlex
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -15,7 +13,6 @@ import pytest
 from planning_kit import planned
 
 from canfb.cia301.frame import frame_bits
-from canfb.cli.main import main
 from canfb.planning.coverage import (
     KINDS,
     FaultCoverage,
@@ -27,6 +24,7 @@ from canfb.planning.coverage import (
 )
 from canfb.planning.plan_rows import coverage_rows
 from canfb.rows import as_figures
+from commands import Command
 
 DEFAULT = SampleWindow(
     full_scale_counts=2048,
@@ -102,30 +100,26 @@ def test_the_window_of_a_plan() -> None:
     assert list(figures["faults"]) == list(KINDS)
 
 
-def test_a_second_position_that_is_mapped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_second_position_that_is_mapped(tmp_path: Path, command: Command) -> None:
     config = tmp_path / "second.yaml"
     config.write_text(
         "bus: {interface: virtual, channel: test}\n"
         "modules:\n  - node_id: 0x20\n    cycles_per_revolution: 1000\n"
         "    second_position: {cob_id: 0x381, increments: 4096, tolerance_revolutions: 0.05}\n"
     )
-    main(["plan", str(config), "--json"])
-    (module,) = json.loads(capsys.readouterr().out)["modules"]
+    (module,) = command("plan --json", config).json["modules"]
     assert module["coverage"]["second_position_mapped"] is True
     assert module["coverage"]["second_position_cycles"] == pytest.approx(50.0)
 
 
-def test_the_table_is_printed_on_request(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["plan", "--coverage", "--acceleration", "25"])
-    lines = capsys.readouterr().out.splitlines()
+def test_the_table_is_printed_on_request(command: Command) -> None:
+    lines = command("plan --coverage --acceleration 25").lines
     (area,) = (line for line in lines if "1 - allowed area / whole area" in line)
     assert "no certificate" in "".join(lines)
     begin = next(n for n, line in enumerate(lines) if line.split()[:2] == ["fault", "amplitude"])
     assert [line[4:30].strip() for line in lines[begin + 1 : begin + 1 + len(KINDS)]] == list(KINDS)
-    main(["plan", "--acceleration", "25"])
-    assert [line for line in lines if line not in lines[begin - 2 : begin + 1 + len(KINDS)]] == (
-        capsys.readouterr().out.splitlines()
-    )
+    table = lines[begin - 2 : begin + 1 + len(KINDS)]
+    assert [line for line in lines if line not in table] == command("plan --acceleration 25").lines
     assert "by the amplitude" in area
 
 
@@ -155,36 +149,21 @@ PLAN_PAGE = PLAN_PAGE.partition("\n## The SYNC rate")[0]
 BLOCKS = [block.splitlines() for block in re.findall(r"```sh\n(.*?)```", PLAN_PAGE, re.S)]
 
 
-def test_the_output_of_the_first_command(capsys: pytest.CaptureFixture[str]) -> None:
-    ((line,), *_) = BLOCKS
-    (shown, *_) = re.findall(r"```text\n(.*?)```", PLAN_PAGE, re.S)
-    assert main(shlex.split(line)[1:]) == 1
-    assert capsys.readouterr().out == shown
-
-
-def test_sample_times_remove_the_limit(capsys: pytest.CaptureFixture[str]) -> None:
-    (line,) = BLOCKS[1]
-    assert main(shlex.split(line)[1:]) == 0
-    assert "the plan holds" in capsys.readouterr().out
-
-
-def test_several_samples(capsys: pytest.CaptureFixture[str]) -> None:
-    shown = re.findall(r"```text\n(.*?)```", PLAN_PAGE, re.S)[1:]
-    for (line,), part, code in zip(BLOCKS[3:], shown, (1, 0), strict=True):
-        assert main(shlex.split(line)[1:]) == code
-        assert part in capsys.readouterr().out
-
-
-def test_the_commands_with_a_configuration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_commands_have_the_output_of_the_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command
 ) -> None:
+    """With and without sample times, with a configuration, and with several samples for each SYNC."""
     monkeypatch.chdir(tmp_path)
-    example, *plans = BLOCKS[2]
-    assert example.endswith("> feedback.yaml")
-    assert main(["config", "example"]) == 0
-    Path("feedback.yaml").write_text(capsys.readouterr().out)
+    (first,), (times,), (example, *plans), *several = BLOCKS
+    shown, *parts = re.findall(r"```text\n(.*?)```", PLAN_PAGE, re.S)
+    assert command(first.removeprefix("canfb"), code=1).out == shown
+    assert "the plan holds" in command(times.removeprefix("canfb")).out
+    for (line,), part, code in zip(several, parts, (1, 0), strict=True):
+        assert part in command(line.removeprefix("canfb"), code=code).out
+    assert example == "canfb config example > feedback.yaml"
+    Path("feedback.yaml").write_text(command("config example").out)
     for line in plans:
-        assert main(shlex.split(line)[1:]) == 0, line
+        command(line.removeprefix("canfb"))
 
 
 def test_the_length_of_a_frame() -> None:

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.cli.main import main
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.all_or_nothing import put_in_force, read_active
 from canfb.sdo.table_file import as_yaml, difference, read_table_file
@@ -225,26 +224,6 @@ def test_a_disk_that_is_full_leaves_the_old_file(
     assert [one.name for one in tmp_path.iterdir()] == ["table.yaml"]
     _, err = canfb(bench, "table", "read", NODE, tmp_path / "no" / "table.yaml", code=2)
     assert "there is no folder" in err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("show", "nothing.yaml"), "nothing.yaml: neither a node-ID (1 to 127) nor a file"),
-        (("show", "128"), "128: neither a node-ID"),
-        (("write", "0x20", "t.yaml", "--save"), "--save: only with --activate"),
-        (("write", "0", "t.yaml"), "'0' is not a node-ID (1 to 127, or 0x01 to 0x7F); see"),
-        (("clear", "0x20", "--timeout", "0"), "--timeout 0: must be 0.01 to 60"),
-        ((), "the following arguments are required: PART"),
-    ],
-)
-def test_wrong_use_is_one_line(
-    arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["table", *arguments]) == 2
-    err = capsys.readouterr().err
-    assert words in err
-    assert err.count("\n") == 1
 
 
 def test_an_interruption_puts_back_what_was(canfb: Commands, file: Path) -> None:

@@ -11,13 +11,13 @@ import pytest
 
 import canfb.sources
 from canfb.cia301.frame import Frame
-from canfb.cli.main import main
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
 from canfb.hosting.hosting import open_source
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import VALID
 from canfb.sources.protocol import source_kinds
+from commands import Command
 
 FILE = """
 import math
@@ -134,8 +134,8 @@ def test_a_module_runs_on_it() -> None:
     assert source.closed  # type: ignore[attr-defined]
 
 
-def test_the_machine_is_asked_by_the_check(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_machine_is_asked_by_the_check(tmp_path: Path, command: Command) -> None:
     path = tmp_path / "steady.yaml"
     path.write_text(configuration("      steps: [1]\n      absent: true\n"))
-    assert main(["config", "check", str(path)]) == 2
-    assert capsys.readouterr().err == f"canfb: {path}:7: absent: there is none here\n"
+    said = command("config check", path, code=2)
+    assert said.err == f"canfb: {path}:7: absent: there is none here\n"

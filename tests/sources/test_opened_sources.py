@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import subprocess
 import sys
 import types
 from pathlib import Path
@@ -22,6 +21,7 @@ from canfb.signal.sample import Sample
 from canfb.signal.supervision import VALID
 from canfb.sources.iio_source import ChannelScaling, IioCapture, IioSourceConfig
 from canfb.sources.protocol import Source, SourceEnded
+from processes import python
 
 
 def opened(source: str, more: str = "") -> Source:
@@ -119,14 +119,7 @@ def test_a_library_of_another_generation_is_refused(monkeypatch: pytest.MonkeyPa
 
 
 def test_nothing_loads_the_binding_before_it_is_used() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", "import sys, canfb.cli.run; print('iio' in sys.modules)"],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    )
-    assert done.stdout == "False\n"
+    assert python("-c", "import sys, canfb.cli.run; print('iio' in sys.modules)").stdout == "False\n"
 
 
 @pytest.mark.parametrize("bits", [4, 8, 12, 16, 18, 24, 32])
