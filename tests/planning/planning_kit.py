@@ -19,7 +19,7 @@ from canfb.module.device_configuration import DeviceConfiguration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.planning.plan import Plan
-from canfb.planning.plan_input import PlanOptions, modules_alike, plan_input_of
+from canfb.planning.plan_input import PlanOptions, modules_alike, plan_of
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.signal.starts import MOST_WAITING
@@ -37,7 +37,7 @@ Placed = Callable[[float], float]
 
 def planned(modules: Any = 1, adc_bits: Any = 12, **stated: Any) -> Plan:
     """A plan of modules as delivered."""
-    return Plan(plan_input_of(*delivered(modules, adc_bits), PlanOptions(**{"rate_hz": RATE_HZ, **stated})))
+    return plan_of(*delivered(modules, adc_bits), PlanOptions(**{"rate_hz": RATE_HZ, **stated}))
 
 
 @functools.cache

@@ -16,8 +16,7 @@ import canfb
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults
-from canfb.planning.budget import PEAK, RAW_PHASE_ERROR_CYCLES, ResidualBudget
-from canfb.planning.plan import Limited, Plan
+from canfb.planning.plan import PEAK, RAW_PHASE_ERROR_CYCLES, Limited, Plan, ResidualBudget
 from canfb.planning.plan_rows import analog_row
 from canfb.planning.planned_module import PlannedModule
 from canfb.signal.conditioning import Conditioning
@@ -35,8 +34,8 @@ def budget(**stated: object) -> ResidualBudget:
 
 
 def known(plan: Plan, value: float, subindex: int = 2) -> ResidualBudget:
-    module = plan.plan_input.modules[0].with_values({(0x2010, subindex): value})
-    return ResidualBudget(plan.plan_input, module)
+    module = plan.modules[0].with_values({(0x2010, subindex): value})
+    return ResidualBudget(plan, module)
 
 
 def test_without_errors_it_is_the_public_formula() -> None:

@@ -83,7 +83,7 @@ def test_heartbeats_emcy_and_what_is_not_valid() -> None:
 
 
 def test_the_frames_of_a_module_as_delivered() -> None:
-    bus = planned().plan_input.bus
+    bus = planned().bus
     found = {message.can_id: (message.data_bytes, message.rate_hz(1000.0)) for message in bus.messages}
     assert found == {
         0x80: (0, 1000.0),
@@ -96,7 +96,7 @@ def test_the_frames_of_a_module_as_delivered() -> None:
     bits = 1000 * (frame_bits(0) + frame_bits(4) + 2 * frame_bits(8)) + 40 * frame_bits(8)
     assert bus.load == pytest.approx(bits / 1e6)
     assert bus.load_at(bus.largest_sync_hz) == pytest.approx(1.0)
-    assert planned(times=True).plan_input.bus.load > bus.load
+    assert planned(times=True).bus.load > bus.load
 
 
 @examples(12)
@@ -110,13 +110,13 @@ def test_the_load_grows_with_all_that_is_added(
     modules: int, rate_hz: float, extra: float, faster: float
 ) -> None:
     words = {"rate_hz": rate_hz, "extra_load": extra, "heartbeat_ms": 100.0}
-    bus = planned(modules, **words).plan_input.bus
-    assert planned(modules + 1, **words).plan_input.bus.load > bus.load
-    assert planned(modules + 1, **words).plan_input.bus.largest_sync_hz <= bus.largest_sync_hz
+    bus = planned(modules, **words).bus
+    assert planned(modules + 1, **words).bus.load > bus.load
+    assert planned(modules + 1, **words).bus.largest_sync_hz <= bus.largest_sync_hz
     assert bus.load_at(rate_hz * faster) > bus.load
-    assert planned(modules, **{**words, "extra_load": extra + 0.05}).plan_input.bus.load > bus.load
-    assert planned(modules, **{**words, "heartbeat_ms": 50.0}).plan_input.bus.load > bus.load
-    slower = planned(modules, **words, bit_rate=500_000).plan_input.bus
+    assert planned(modules, **{**words, "extra_load": extra + 0.05}).bus.load > bus.load
+    assert planned(modules, **{**words, "heartbeat_ms": 50.0}).bus.load > bus.load
+    slower = planned(modules, **words, bit_rate=500_000).bus
     assert slower.load > bus.load
     assert slower.largest_sync_hz <= bus.largest_sync_hz
     if bus.largest_sync_hz:
@@ -124,12 +124,12 @@ def test_the_load_grows_with_all_that_is_added(
 
 
 def test_a_bus_that_others_fill_carries_no_sync() -> None:
-    assert planned(extra_load=1.0).plan_input.bus.largest_sync_hz == 0.0
+    assert planned(extra_load=1.0).bus.largest_sync_hz == 0.0
 
 
 def test_what_delays_a_sync() -> None:
     def delay_us(**words: float) -> float:
-        return planned(**words).plan_input.bus.sync_delay_s * 1e6
+        return planned(**words).bus.sync_delay_s * 1e6
 
     assert delay_us() == 0.0, "all frames follow a SYNC, and are through before the next one"
     assert delay_us(heartbeat_ms=100.0) == frame_bits(1)

@@ -89,13 +89,13 @@ def test_each_means_adds_to_the_one_before() -> None:
 def test_the_window_of_a_plan() -> None:
     plan = planned(acceleration_rad_s2=25.0, residual_limit=0.06)
     (budget,) = plan.budgets
-    window = window_of(plan, budget)
+    window = window_of(budget)
     assert (window.low_counts, window.high_counts) == (410, 2560)
     assert window.limit_cycles == pytest.approx(0.06, abs=2e-5)
     assert window.motion_cycles == pytest.approx(25.0 * 2500 / (2 * math.pi) * 1e-6)
     assert window.tolerance_cycles == 25.0
     assert second_tolerance(budget) is None
-    figures = as_figures(coverage_rows(plan, budget))["coverage"]
+    figures = as_figures(coverage_rows(budget))["coverage"]
     assert figures["second_position_mapped"] is False
     assert list(figures["faults"]) == list(KINDS)
 

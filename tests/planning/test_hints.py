@@ -78,7 +78,7 @@ def test_after_the_limit_is_narrowed_the_rate_makes_it_sharp() -> None:
     first, then = changes_of(planned(acceleration_rad_s2=200.0))
     assert first.for_what == then.for_what == "detection"
     assert then.text == "raise the SYNC rate to 1200 Hz"
-    assert Plan(then.plan_input).detection(Plan(then.plan_input).budgets[0]).is_sharp
+    assert then.plan.budgets[0].detection().is_sharp
 
 
 STATED = st.fixed_dictionaries(
@@ -106,7 +106,7 @@ def test_each_change_is_for_the_tightest_limit_and_makes_it_hold(stated: dict[st
         [step for step in found if step.for_what != "detection"]
     )
     for step in found:
-        after = Plan(step.plan_input)
+        after = step.plan
         if step.for_what == "detection":
             assert plan.holds
             assert after.holds

@@ -25,7 +25,7 @@ from canfb.cia301.frame import Frame
 from canfb.hosting.hosting import saved_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.planning.budget import ResidualBudget
+from canfb.planning.plan import ResidualBudget
 from canfb.planning.planned_module import PlannedModule
 
 HELD, FLAGGED = 0.95, 1.05
@@ -121,7 +121,7 @@ def test_the_limit_that_the_known_acceleration_gives() -> None:
 @pytest.mark.parametrize("part", [HELD, FLAGGED])
 def test_the_sync_rate_that_the_wire_carries(part: float, times: bool) -> None:
     plan = planned(times=times, acceleration_rad_s2=GENTLE)
-    rate_hz = part * plan.plan_input.bus.largest_sync_hz
+    rate_hz = part * plan.bus.largest_sync_hz
     assert planned(times=times, rate_hz=rate_hz).holds is (part == HELD)
     seconds = 0.4
     found = play(up_to_speed(cycles(5.0), cycles(GENTLE)), seconds, rate_hz=rate_hz, times=times)
@@ -140,11 +140,9 @@ def test_what_goes_over_the_wire_is_what_the_table_says() -> None:
     plan = planned(acceleration_rad_s2=GENTLE)
     seconds = 0.5
     found = play(up_to_speed(cycles(5.0), cycles(GENTLE)), seconds)
-    for message in plan.plan_input.bus.messages:
+    for message in plan.bus.messages:
         if not message.on_error:
-            assert found.frames[message.can_id or 0] == pytest.approx(
-                message.rate_hz(RATE_HZ) * seconds, abs=1.0
-            )
+            assert found.frames[message.can_id] == pytest.approx(message.rate_hz(RATE_HZ) * seconds, abs=1.0)
 
 
 ALL = [(count, times) for count in (1, 2, 3, 4, 7) for times in (False, True)]
@@ -246,14 +244,14 @@ def test_sample_times_widen_the_limit_as_in_the_module() -> None:
     limits = module.limits
     widened = limits.residual_limit + 4.0 * speed * limits.instant_error
     assert widened > 1.2 * limits.residual_limit
-    assert ResidualBudget(plan.plan_input, known).limit_cycles == pytest.approx(widened, rel=1e-6)
+    assert ResidualBudget(plan, known).limit_cycles == pytest.approx(widened, rel=1e-6)
 
 
 def test_the_noise_margin_is_sharper_and_never_wider() -> None:
     def limit(**stated: Any) -> float:
         plan = planned(**stated)
-        module = plan.plan_input.modules[0].with_values({od.SUPERVISION_ACCELERATION: 25.0})
-        return ResidualBudget(plan.plan_input, module).limit_cycles
+        module = plan.modules[0].with_values({od.SUPERVISION_ACCELERATION: 25.0})
+        return ResidualBudget(plan, module).limit_cycles
 
     assert limit(table=True, phase_error_cycles=0.0, noise_margin=6) == pytest.approx(0.0107, abs=5e-4)
     assert limit(table=True) == pytest.approx(0.06, abs=5e-4)

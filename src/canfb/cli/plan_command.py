@@ -12,8 +12,7 @@ from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.hosting.hosting import saved_configuration
 from canfb.planning.hints import changes_of
-from canfb.planning.plan import Plan
-from canfb.planning.plan_input import PlanOptions, modules_alike, numbered, plan_input_of
+from canfb.planning.plan_input import PlanOptions, modules_alike, numbered, plan_of
 from canfb.planning.plan_rows import plan_figures, plan_lines
 
 HOLDS, EXCEEDED = 0, 1
@@ -91,7 +90,7 @@ def plan(options: argparse.Namespace) -> int:
         config = _config(options)
         options.jitter_us = options.jitter and jitter_s(options, options.rate_hz) * 1e6
         overrides = PlanOptions(**{field.name: getattr(options, field.name) for field in fields(PlanOptions)})
-        found = Plan(plan_input_of(config, [saved_configuration(one) for one in config.modules], overrides))
+        found = plan_of(config, [saved_configuration(one) for one in config.modules], overrides)
     except ValueError as error:
         raise ConfigError(_named(str(error))) from None
     changes = changes_of(found)

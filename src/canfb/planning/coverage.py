@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb import objects as od
-from canfb.planning.budget import ResidualBudget
-from canfb.planning.plan import Plan
+from canfb.planning.plan import ResidualBudget
 from canfb.signal.bounded_motion import ORDER
 from canfb.simulation import faults
 from canfb.simulation.faults import Fault, Samples, Signal
@@ -81,7 +80,7 @@ class FaultCoverage:
     within: int | None
 
 
-def window_of(plan: Plan, budget: ResidualBudget) -> SampleWindow:
+def window_of(budget: ResidualBudget) -> SampleWindow:
     """What the samples of a module are held against; a second position of 0.01 revolution if it has none."""
     module = budget.module
     low, high = module.amplitude_limits_counts
@@ -90,7 +89,7 @@ def window_of(plan: Plan, budget: ResidualBudget) -> SampleWindow:
         full_scale_counts=module.full_scale_counts,
         low_counts=low,
         high_counts=high,
-        nominal_counts=plan.plan_input.amplitude * module.full_scale_counts,
+        nominal_counts=budget.plan.amplitude * module.full_scale_counts,
         limit_cycles=budget.limit_cycles,
         motion_cycles=min(budget.motion_cycles or LEAST_MOTION_CYCLES, budget.limit_cycles),
         tolerance_cycles=tolerance * module.cycles_per_revolution,

@@ -7,9 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from canfb import objects as od
-from canfb.planning.budget import RPM, WEIGHTS
-from canfb.planning.plan import WELL, Limited, Margin, Plan
-from canfb.planning.plan_input import PlanInput
+from canfb.planning.plan import RPM, WEIGHTS, WELL, Limited, Margin, Plan
 from canfb.planning.traffic import BIT_RATES
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.tracker import RESIDUAL_LIMIT
@@ -25,17 +23,17 @@ NOISE_MARGIN = 6  # docs/supervision.md
 NARROWED = 0.95  # of the residual limit: a gain
 DETECTION = "detection"
 NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}
-Ways = Iterator[tuple[str, PlanInput]]
-"""What to do in one line, and the input of the plan then."""
+Ways = Iterator[tuple[str, Plan]]
+"""What to do in one line, and the plan then."""
 
 
 @dataclass(frozen=True)
 class PlanChange:
-    """One change: what it widens, what to do in one line, and the input of the plan then."""
+    """One change: what it widens, what to do in one line, and the plan then."""
 
     for_what: str
     text: str
-    plan_input: PlanInput
+    plan: Plan
 
 
 def changes_of(plan: Plan) -> list[PlanChange]:
@@ -47,14 +45,14 @@ def changes_of(plan: Plan) -> list[PlanChange]:
         if found is None or found.for_what in (step.for_what for step in steps):
             return steps
         steps.append(found)
-        plan = Plan(found.plan_input)
+        plan = found.plan
     limit = widest_limit(plan)
     for ways, gains in ((_narrower, lambda one: widest_limit(one) < NARROWED * limit), (_sharper, is_sharp)):
         if asked_acceleration(plan) and not (ways is _sharper and is_sharp(plan)):
-            good = (step for step in ways(plan) if Plan(step[1]).holds and gains(Plan(step[1])))
+            good = (step for step in ways(plan) if step[1].holds and gains(step[1]))
             for text, after in list(good)[:1]:
                 steps.append(PlanChange(DETECTION, text, after))
-                plan = Plan(after)
+                plan = after
     return steps
 
 
@@ -63,30 +61,29 @@ def _for(plan: Plan, margin: Margin) -> PlanChange | None:
     was = {one.limited: one.factor for one in reversed(plan.margins)}
     ways = {Limited.BUS: _of_the_bus, Limited.SPEED: _of_the_speed}.get(margin.limited, _of_the_motion)
     helping: list[PlanChange] = []
-    for text, given in ways(plan):
-        becomes = {one.limited: one.factor for one in reversed(Plan(given).margins)}
+    for text, after in ways(plan):
+        becomes = {one.limited: one.factor for one in reversed(after.margins)}
         if becomes.get(margin.limited, math.inf) >= 1.0:
-            helping.append(PlanChange(margin.limited.value, text, given))
+            helping.append(PlanChange(margin.limited.value, text, after))
             if all(factor >= min(1.0, was.get(one, 1.0)) for one, factor in becomes.items()):
                 return helping[-1]
     return helping[0] if helping else None
 
 
 def _of_the_bus(plan: Plan) -> Ways:
-    given = plan.plan_input
     for bit_rate in BIT_RATES:
-        if bit_rate > given.bit_rate:
-            yield f"raise the bit rate to {bit_rate} bit/s", _at(given, bit_rate)
-    rate_hz = LEAVES * given.bus.largest_sync_hz
+        if bit_rate > plan.bit_rate:
+            yield f"raise the bit rate to {bit_rate} bit/s", _at(plan, bit_rate)
+    rate_hz = LEAVES * plan.bus.largest_sync_hz
     if rate_hz > 0.0:
         unit = 10.0 ** (math.floor(math.log10(rate_hz)) - 1)
         rate_hz = math.floor(rate_hz / unit + 1e-9) * unit
-        yield f"lower the SYNC rate to {rate_hz:g} Hz", replace(given, sync_hz=rate_hz)
-    all_of_them = len(given.modules)
+        yield f"lower the SYNC rate to {rate_hz:g} Hz", replace(plan, sync_hz=rate_hz)
+    all_of_them = len(plan.modules)
     for count in range(all_of_them - 1, 0, -1):
         text = f"{count} of the {all_of_them} modules fit on this bus: give the others a second one"
-        yield text, replace(given, modules=given.modules[:count])
-    yield "other nodes leave no room: move them to another bus", replace(given, extra_load=0.0)
+        yield text, replace(plan, modules=plan.modules[:count])
+    yield "other nodes leave no room: move them to another bus", replace(plan, extra_load=0.0)
 
 
 def _of_the_speed(plan: Plan) -> Ways:
@@ -94,55 +91,52 @@ def _of_the_speed(plan: Plan) -> Ways:
     yield from _table(plan)
     rpm = min(one.largest_speed_rad_s for one in plan.budgets) * RPM * JUST_BELOW
     if rpm > 0.0:
-        yield f"turn at {rpm:.4g} rpm at most", replace(plan.plan_input, speed_rad_s=rpm / RPM)
+        yield f"turn at {rpm:.4g} rpm at most", replace(plan, speed_rad_s=rpm / RPM)
 
 
 def _of_the_motion(plan: Plan) -> Ways:
-    given, asked = plan.plan_input, asked_acceleration(plan)
+    asked = asked_acceleration(plan)
     yield from _times(plan)
-    if any(0.0 < one.known_acceleration_rad_s2 < asked for one in given.modules):
+    if any(0.0 < one.known_acceleration_rad_s2 < asked for one in plan.modules):
         text = f"set max_acceleration_rad_s2 (2010:02) to {asked:.4g}, which is what the motion needs"
-        yield text, _with(given, od.SUPERVISION_ACCELERATION, asked)
+        yield text, _with(plan, od.SUPERVISION_ACCELERATION, asked)
     limit = _needed_limit(plan)
-    if min(one.widest_limit_cycles for one in given.modules) < limit <= RESIDUAL_LIMIT:
-        yield f"raise residual_limit (2010:01) to {limit:.3f} cycle", _limited(given, limit)
+    if min(one.widest_limit_cycles for one in plan.modules) < limit <= RESIDUAL_LIMIT:
+        yield f"raise residual_limit (2010:01) to {limit:.3f} cycle", _limited(plan, limit)
     yield from _table(plan)
     yield from _faster(plan)
     yield from _more_samples(plan)
     most = min(one.largest_acceleration_rad_s2 for one in plan.budgets) * JUST_BELOW
     if 0.0 < most < asked:
-        gentler = replace(given, acceleration_rad_s2=most, is_final=True)
+        gentler = replace(plan, acceleration_rad_s2=most, is_final=True)
         yield f"accelerate by {most:.4g} rad/s^2 at most", gentler
-    quiet = replace(given, noise_counts=0.0)
+    quiet = replace(plan, noise_counts=0.0)
     yield "average the tracks, or raise their amplitude: their noise alone exceeds the limit", quiet
 
 
 def _times(plan: Plan) -> Ways:
-    given = plan.plan_input
-    if not all(module.times for module in given.modules):
+    if not all(module.times for module in plan.modules):
         try:
-            after = replace(given, modules=tuple(module.with_times() for module in given.modules))
+            after = replace(plan, modules=tuple(module.with_times() for module in plan.modules))
         except ValueError:  # no RPDO has room for them
             return
         yield "send sample times with the ADC PDO (times: true)", after
 
 
 def _table(plan: Plan) -> Ways:
-    given = plan.plan_input
-    if given.phase_cycles is None and not all(module.has_table for module in given.modules):
-        modules = tuple(replace(module, has_table=True) for module in given.modules)
-        yield "measure the correction table (canfb calibrate)", replace(given, modules=modules)
+    if plan.phase_cycles is None and not all(module.has_table for module in plan.modules):
+        modules = tuple(replace(module, has_table=True) for module in plan.modules)
+        yield "measure the correction table (canfb calibrate)", replace(plan, modules=modules)
 
 
 def _faster(plan: Plan) -> Ways:
-    given = plan.plan_input
-    rate_hz = max(max(budget.least_sync_hz for budget in plan.budgets), given.sync_hz * 1.01)
+    rate_hz = max(max(budget.least_sync_hz for budget in plan.budgets), plan.sync_hz * 1.01)
     for _ in range(MOST_FASTER if math.isfinite(rate_hz) else 0):
-        after = replace(given, sync_hz=float(rounded_up(rate_hz)))
-        if all(margin.holds for margin in Plan(after).margins if margin.limited is not Limited.BUS):
+        after = replace(plan, sync_hz=float(rounded_up(rate_hz)))
+        if all(margin.holds for margin in after.margins if margin.limited is not Limited.BUS):
             yield f"raise the SYNC rate to {after.sync_hz:g} Hz", after
             for bit_rate in BIT_RATES:
-                if bit_rate > given.bit_rate:
+                if bit_rate > plan.bit_rate:
                     text = (
                         f"raise the SYNC rate to {after.sync_hz:g} Hz, and the bit rate to {bit_rate} bit/s"
                     )
@@ -152,61 +146,59 @@ def _faster(plan: Plan) -> Ways:
 
 
 def _more_samples(plan: Plan) -> Ways:
-    given = plan.plan_input
-    if all(module.samples_itself for module in given.modules):
+    if all(module.samples_itself for module in plan.modules):
         return
-    for count in range(min(one.samples_per_sync for one in given.modules) + 1, MOST_PER_SYNC + 1):
+    for count in range(min(one.samples_per_sync for one in plan.modules) + 1, MOST_PER_SYNC + 1):
         try:
-            modules = tuple(one.with_samples(max(count, one.samples_per_sync)) for one in given.modules)
-            after = replace(given, modules=modules)
+            modules = tuple(one.with_samples(max(count, one.samples_per_sync)) for one in plan.modules)
+            after = replace(plan, modules=modules)
         except ValueError:  # no RPDO is left
             return
-        if all(one.holds for one in Plan(after).margins if one.limited not in (Limited.BUS, Limited.SPEED)):
-            more = sum(one.sample_bytes for one in modules) - sum(one.sample_bytes for one in given.modules)
-            load = 100.0 * (after.bus.load - given.bus.load)
+        if all(one.holds for one in after.margins if one.limited not in (Limited.BUS, Limited.SPEED)):
+            more = sum(one.sample_bytes for one in modules) - sum(one.sample_bytes for one in plan.modules)
+            load = 100.0 * (after.bus.load - plan.bus.load)
             cost = f"{more} bytes more for each SYNC, bus load +{load:.1f} %"
             text = f"send {NUMBERS[count]} samples for each SYNC (samples_per_sync: {count}; {cost})"
             yield f"{text}: that holds this move", after
 
 
 def _narrower(plan: Plan) -> Ways:
-    given, asked, limit = plan.plan_input, asked_acceleration(plan), _needed_limit(plan)
-    if not all(0.0 < one.known_acceleration_rad_s2 <= KNOWN_ENOUGH * asked for one in given.modules):
-        after = _with(given, od.SUPERVISION_ACCELERATION, asked)
-        becomes = widest_limit(Plan(after))
+    asked, limit = asked_acceleration(plan), _needed_limit(plan)
+    if not all(0.0 < one.known_acceleration_rad_s2 <= KNOWN_ENOUGH * asked for one in plan.modules):
+        after = _with(plan, od.SUPERVISION_ACCELERATION, asked)
+        becomes = widest_limit(after)
         text = (
             f"set max_acceleration_rad_s2 (2010:02) to {asked:.6g}: the residual limit becomes {becomes:.3f}"
         )
         yield text, after
-    if limit <= RESIDUAL_LIMIT and not any(one.known_acceleration_rad_s2 for one in given.modules):
-        yield f"lower residual_limit (2010:01) to {limit:.3f} cycle", _limited(given, limit)
+    if limit <= RESIDUAL_LIMIT and not any(one.known_acceleration_rad_s2 for one in plan.modules):
+        yield f"lower residual_limit (2010:01) to {limit:.3f} cycle", _limited(plan, limit)
 
 
 def _sharper(plan: Plan) -> Ways:
-    given = plan.plan_input
-    if not all(one.known_acceleration_rad_s2 for one in given.modules):
+    if not all(one.known_acceleration_rad_s2 for one in plan.modules):
         return
-    after = _with(given, od.SUPERVISION_NOISE_MARGIN, NOISE_MARGIN)
-    becomes = widest_limit(Plan(after))
+    after = _with(plan, od.SUPERVISION_NOISE_MARGIN, NOISE_MARGIN)
+    becomes = widest_limit(after)
     yield f"set noise_margin (2010:09) to {NOISE_MARGIN}: the residual limit becomes {becomes:.3f}", after
-    declared = max(one.settings.phase_error_cycles for one in given.modules)
+    declared = max(one.settings.phase_error_cycles for one in plan.modules)
     least = (WELL - WEIGHTS * declared) / 2.0 * LEAVES
     taken = max(budget.motion_cycles for budget in plan.budgets)
     if taken > least:
-        rate_hz = float(rounded_up(given.sync_hz * math.sqrt(taken / least)))
-        yield f"raise the SYNC rate to {rate_hz:g} Hz", replace(given, sync_hz=rate_hz)
+        rate_hz = float(rounded_up(plan.sync_hz * math.sqrt(taken / least)))
+        yield f"raise the SYNC rate to {rate_hz:g} Hz", replace(plan, sync_hz=rate_hz)
 
 
-def _with(given: PlanInput, place: od.Multiplexer, value: float) -> PlanInput:
-    return replace(given, modules=tuple(one.with_values({place: value}) for one in given.modules))
+def _with(plan: Plan, place: od.Multiplexer, value: float) -> Plan:
+    return replace(plan, modules=tuple(one.with_values({place: value}) for one in plan.modules))
 
 
-def _limited(given: PlanInput, limit_cycles: float) -> PlanInput:
-    return _with(given, od.SUPERVISION_RESIDUAL_LIMIT, int(limit_cycles * LIMIT_UNITS))
+def _limited(plan: Plan, limit_cycles: float) -> Plan:
+    return _with(plan, od.SUPERVISION_RESIDUAL_LIMIT, int(limit_cycles * LIMIT_UNITS))
 
 
-def _at(given: PlanInput, bit_rate: int) -> PlanInput:
-    return replace(given, bit_rate=bit_rate, extra_load=given.extra_load * given.bit_rate / bit_rate)
+def _at(plan: Plan, bit_rate: int) -> Plan:
+    return replace(plan, bit_rate=bit_rate, extra_load=plan.extra_load * plan.bit_rate / bit_rate)
 
 
 def _needed_limit(plan: Plan) -> float:
@@ -220,7 +212,7 @@ def asked_acceleration(plan: Plan) -> float:
 
 
 def is_sharp(plan: Plan) -> bool:
-    return all(plan.detection(budget).is_sharp for budget in plan.budgets)
+    return all(budget.detection().is_sharp for budget in plan.budgets)
 
 
 def widest_limit(plan: Plan) -> float:

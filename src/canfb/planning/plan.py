@@ -1,4 +1,12 @@
-"""A plan: the limits of its input, each with its margin, and which errors of the count cannot pass.
+"""A plan: bus, SYNC, modules, motion; the limits that follow with their margins; what cannot pass unseen.
+
+The residual of a healthy machine is at most
+
+    a N/(2 pi) T^2  +  4 v u  +  4 e  +  noise
+
+with acceleration a, speed v, error e of a phase, interval T from sample to sample, and the uncertainty u of
+the sampling instant: without sample times half the range of the SYNC, with them half a unit of the sample
+time. Errors of a phase add up to the largest, their squares to the rms.
 
 n samples in a row are without harm while (n + 2) (L + a) <= 1 and floor((n + 2)^2 / 4) (L + a) <= 1, L the
 residual limit, a the acceleration in cycles per interval squared (docs/supervision.md).
@@ -6,18 +14,44 @@ residual limit, a the acceleration in cycles per interval squared (docs/supervis
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
-from canfb.planning.budget import ResidualBudget, over
-from canfb.planning.plan_input import PlanInput
 from canfb.planning.planned_module import PlannedModule
+from canfb.planning.traffic import (
+    HEARTBEAT,
+    BusLoad,
+    Message,
+    Values,
+    adc_messages,
+    heartbeat_message,
+    in_order,
+    node_messages,
+    sync_message,
+)
 from canfb.signal.declared import Declared
-from canfb.signal.limits import ROUNDING, samples_without_harm
+from canfb.signal.limits import (
+    ROUNDING,
+    cycles_per_interval_squared,
+    max_acceleration,
+    max_speed,
+    samples_without_harm,
+)
+from canfb.signal.sample import TICK_S
 
+ROUNDED_AMPLITUDE = 0.75  # of full scale, as the simulated encoder has it
+RAW_PHASE_ERROR_CYCLES = 0.0113  # of Table 1, without a correction table
+TABLE_PHASE_ERROR_CYCLES = 0.001  # of what a reference measurement leaves
+PEAK = 6.0  # standard deviations of the noise: one healthy sample in 5e8 is further off
+ROUNDING_VARIANCE = 1.0 / 12.0  # counts^2
+RPM = 60.0 / (2.0 * math.pi)  # of a speed in rad/s
+WEIGHTS, SQUARES = 4.0, 6.0  # sums of the sizes and of the squares of 1, 2, 1 (eq. 9)
+HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
+SUM_ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # of sums: a limit that is narrowed to the motion holds
 WELL = 1.0 / 6.0  # docs/supervision.md: keep the limit below 1/6
 
 
@@ -25,7 +59,7 @@ WELL = 1.0 / 6.0  # docs/supervision.md: keep the limit below 1/6
 class CountDetection:
     """What a supervision by eq. 12 detects.
 
-    limit_cycles       the residual limit, L
+    limit_cycles       the residual limit, L: a jump of the phase below it may pass
     motion_cycles      what the motion uses of it: the largest acceleration, cycles per interval squared
     declared           what is declared of machine and encoder: the motions that are followed after a gap
     """
@@ -49,11 +83,6 @@ class CountDetection:
     @property
     def is_declared(self) -> bool:
         return self.motion_cycles <= self.declared.followed + ROUNDING
-
-    @property
-    def unseen_jump_cycles(self) -> float:
-        """A jump of the phase below this one may pass."""
-        return self.limit_cycles
 
     @property
     def half_cycle(self) -> bool:
@@ -92,15 +121,56 @@ class Margin:
         return self.factor >= 1.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What :class:`canfb.planning.plan_input.PlanInput` allows."""
+    """Its input, and what that allows.
 
-    plan_input: PlanInput
+    bit_rate        bit/s, 10000..1000000
+    sync_hz         SYNC rate
+    jitter_s        of the SYNC at its producer, +-
+    aperture_s      of the instant at which the tracks are held, +-, beside the sample time
+    extra_load      of frames of other nodes, 0..1
+    heartbeat_s     of every node, 0.0: as each node has it
+    modules         at least one
+    others          further nodes, by node-ID: their objects
+    speed_rad_s, acceleration_rad_s2   largest ones that the encoders have to follow; None: not given
+    is_final        no module has to follow more, even by its 2010:02
+    where           who says so, for people
+    noise_counts    rms noise of a track before the ADC, counts
+    amplitude       of the tracks, relative to full scale
+    phase_cycles    largest error of a phase that enters eq. 9; None: that of the module with its table,
+                    or without
+    """
+
+    bit_rate: int
+    sync_hz: float
+    modules: tuple[PlannedModule, ...]
+    speed_rad_s: float | None = None
+    acceleration_rad_s2: float | None = None
+    is_final: bool = False
+    where: str = ""
+    noise_counts: float = 0.5
+    amplitude: float = ROUNDED_AMPLITUDE
+    phase_cycles: float | None = None
+    jitter_s: float = 0.0
+    aperture_s: float = 0.0
+    extra_load: float = 0.0
+    heartbeat_s: float = 0.0
+    others: tuple[tuple[int, Values], ...] = ()
+
+    @cached_property
+    def bus(self) -> BusLoad:
+        messages: list[Message] = [sync_message(self.modules[0].values)]
+        for module in self.modules:
+            messages += self._beating(module.node_id, module.values, sampled=True)
+            messages += [] if module.samples_itself else adc_messages(module.values)
+        for node_id, values in self.others:
+            messages += self._beating(node_id, values, sampled=False)
+        return BusLoad(self.bit_rate, self.sync_hz, in_order(messages), self.extra_load)
 
     @cached_property
     def budgets(self) -> tuple[ResidualBudget, ...]:
-        return tuple(ResidualBudget(self.plan_input, module) for module in self.plan_input.modules)
+        return tuple(ResidualBudget(self, module) for module in self.modules)
 
     @cached_property
     def margins(self) -> tuple[Margin, ...]:
@@ -115,15 +185,21 @@ class Plan:
     def holds(self) -> bool:
         return all(margin.holds for margin in self.margins)
 
-    def detection(self, budget: ResidualBudget, limit_cycles: float | None = None) -> CountDetection:
-        limit = budget.limit_cycles if limit_cycles is None else limit_cycles
-        declared = budget.declared
-        if limit != budget.limit_cycles:
-            declared = replace(declared, residual_limit=limit)
-        return CountDetection(limit, budget.motion_cycles, declared)
+    def acceleration_of(self, module: PlannedModule) -> float | None:
+        """What this module has to follow: the largest acceleration of its machine counts, too."""
+        known = module.known_acceleration_rad_s2
+        if self.is_final or not known:
+            return self.acceleration_rad_s2
+        return max(known, self.acceleration_rad_s2 or 0.0)
+
+    def _beating(self, node_id: int, values: Values, *, sampled: bool) -> list[Message]:
+        found = node_messages(values, node_id, sampled=sampled)
+        if self.heartbeat_s and not values.get(HEARTBEAT):
+            found.append(heartbeat_message(node_id, self.heartbeat_s))
+        return found
 
     def _margins(self) -> Iterator[Margin]:
-        load, speed = self.plan_input.bus.load, self.plan_input.speed_rad_s
+        load, speed = self.bus.load, self.speed_rad_s
         yield Margin(Limited.BUS, None, over(1.0, load))
         for budget in self.budgets:
             module = budget.module
@@ -133,3 +209,246 @@ class Plan:
                 limit = budget.largest_acceleration_rad_s2
                 yield Margin(Limited.ACCELERATION, module, over(limit, budget.asked_rad_s2))
             yield Margin(Limited.RESIDUAL, module, budget.margin)
+
+
+@dataclass(frozen=True)
+class ResidualBudget:
+    """One module under the motion of the plan. What is not given counts as 0."""
+
+    plan: Plan
+    module: PlannedModule
+
+    @property
+    def interval_s(self) -> float:
+        return 1.0 / self.sample_hz
+
+    @property
+    def sample_hz(self) -> float:
+        return self.plan.sync_hz * self.module.samples_per_sync
+
+    @cached_property
+    def limit_cycles(self) -> float:
+        """In force at the given speed: uncertain sample times widen a narrowed one."""
+        uncertain = WEIGHTS * self._cycles_per_s * self.known_uncertainty_s
+        return min(self.slow_limit_cycles + uncertain, self.module.widest_limit_cycles)
+
+    @cached_property
+    def slow_limit_cycles(self) -> float:
+        return self.bounds.residual_limit
+
+    @cached_property
+    def bounds(self) -> Declared:
+        return self.module.bounds(self.interval_s, self.measured_noise_cycles)
+
+    @cached_property
+    def declared(self) -> Declared:
+        return replace(self.bounds, coast_samples=self.module.coast_samples)
+
+    def detection(self, limit_cycles: float | None = None) -> CountDetection:
+        """With the limit in force, or another one."""
+        limit = self.limit_cycles if limit_cycles is None else limit_cycles
+        declared = self.declared
+        if limit != self.limit_cycles:
+            declared = replace(declared, residual_limit=limit)
+        return CountDetection(limit, self.motion_cycles, declared)
+
+    @property
+    def is_narrowed(self) -> bool:
+        return self.slow_limit_cycles < self.module.widest_limit_cycles
+
+    @cached_property
+    def measured_noise_cycles(self) -> float:
+        """Rms of the residual without motion (2011:0B)."""
+        return math.sqrt(SQUARES) * math.hypot(
+            self.phase_noise_cycles, self.phase_error_cycles / math.sqrt(3.0)
+        )
+
+    @cached_property
+    def noise_margin_cycles(self) -> float:
+        return self.module.settings.noise_margin * self.measured_noise_cycles or math.inf
+
+    @property
+    def has_noise_margin(self) -> bool:
+        return self.is_narrowed and self.noise_margin_cycles < self._declared_cycles
+
+    @property
+    def asked_rad_s2(self) -> float | None:
+        return self.plan.acceleration_of(self.module)
+
+    @cached_property
+    def sync_jitter_s(self) -> float:
+        """Half its range: of the producer and of frames before it; or 2010:0D."""
+        return max(self.plan.jitter_s + self.plan.bus.sync_delay_s / 2.0, self.module.declared_jitter_s)
+
+    @cached_property
+    def uncertainty_s(self) -> float:
+        """Of the sampling instant, half its range; 0.0 for a module that samples itself."""
+        if self.module.samples_itself:
+            return 0.0
+        jitter_s = 0.0 if self.module.samples_per_sync > 1 else self.sync_jitter_s
+        return (self.known_uncertainty_s if self.module.times else jitter_s) + self.plan.aperture_s
+
+    @property
+    def known_uncertainty_s(self) -> float:
+        """Resolution of sample times, which the module adds to its limit."""
+        return HALF_TICK_S if self.module.times and not self.module.samples_itself else 0.0
+
+    @property
+    def parts_cycles(self) -> dict[str, float]:
+        instants = self.instants_cycles
+        return {
+            "acceleration": self.motion_cycles,
+            "sampling instants": instants,
+            "errors of the encoder": self.rest_cycles(instants) - instants,
+        }
+
+    @cached_property
+    def motion_cycles(self) -> float:
+        return self.acceleration_cycles(self.asked_rad_s2 or 0.0)
+
+    @cached_property
+    def needed_cycles(self) -> float:
+        return sum(self.parts_cycles.values())
+
+    @property
+    def margin(self) -> float:
+        return over(self.limit_cycles, self.needed_cycles)
+
+    @property
+    def equation_rad_s2(self) -> float:
+        """Eq. 12 without any errors."""
+        return self._acceleration(self.limit_cycles, self.sample_hz)
+
+    @property
+    def paper_rad_s2(self) -> float:
+        """Eq. 10."""
+        return max_acceleration(self.module.cycles_per_revolution, self.sample_hz)
+
+    @property
+    def largest_acceleration_rad_s2(self) -> float:
+        """With the speed as given, unless that alone is too much; 0.0 if the errors need the whole limit."""
+        return self._acceleration(self.left_in_force_cycles, 1.0 / self.worst_interval_s)
+
+    @property
+    def equation_speed_rad_s(self) -> float:
+        """w v u < L without any errors; inf without an uncertainty."""
+        return self._speed_beside(0.0)
+
+    @property
+    def largest_speed_rad_s(self) -> float:
+        """With the acceleration as given, unless that alone is too much.
+
+        0.0 if the errors need the whole limit, inf if the sampling instants are known.
+        """
+        motion = self.motion_cycles
+        if self.slow_limit_cycles - motion < self.rest_cycles(0.0) - ROUNDING_CYCLES:
+            motion = 0.0
+        return self._speed_beside(motion + self.phase_cycles)
+
+    def _speed_beside(self, needed_cycles: float) -> float:
+        own_s = self.uncertainty_s - self.known_uncertainty_s
+        return min(
+            self.speed_rad_s(self.slow_limit_cycles - needed_cycles, own_s),
+            self.speed_rad_s(self.module.widest_limit_cycles - needed_cycles, self.uncertainty_s),
+        )
+
+    @property
+    def least_sync_hz(self) -> float:
+        """The SYNC rate below which the motion takes too much; inf if no rate is enough.
+
+        With 2010:01: a limit that is narrowed follows the rate. A speed that is too high alone does not
+        count.
+        """
+        widest = self.module.widest_limit_cycles
+        taken, left = self.motion_cycles, self.left_cycles(widest, widest)
+        if not taken:
+            return 0.0
+        return self.plan.sync_hz * math.sqrt(taken / left) if left > 0.0 else math.inf
+
+    @cached_property
+    def off_s(self) -> float:
+        """How far samples may be from equal intervals, +-, if their times are known.
+
+        0.0 without sample times: they count as equal then, and as an error of the position.
+        """
+        by_sync = self.module.samples_per_sync == 1 and not self.module.samples_itself
+        return self.sync_jitter_s if self.module.times and by_sync else 0.0
+
+    @property
+    def worst_interval_s(self) -> float:
+        """Equal intervals that leave as much of eq. 9 as unequal ones at worst: a h (g + h)/2."""
+        return math.sqrt((self.interval_s + 2.0 * self.off_s) * (self.interval_s + self.off_s))
+
+    def acceleration_cycles(self, acceleration_rad_s2: float) -> float:
+        return cycles_per_interval_squared(
+            acceleration_rad_s2, self.module.cycles_per_revolution, self.worst_interval_s
+        )
+
+    @cached_property
+    def phase_noise_cycles(self) -> float:
+        """The rms noise of a phase; inf without an amplitude."""
+        counts = math.sqrt(self.plan.noise_counts**2 + ROUNDING_VARIANCE)
+        amplitude = self.plan.amplitude * self.module.full_scale_counts
+        return counts / (2.0 * math.pi * amplitude) if amplitude else math.inf
+
+    @property
+    def phase_error_cycles(self) -> float:
+        """Without noise, given or usual."""
+        if self.plan.phase_cycles is not None:
+            return self.plan.phase_cycles
+        return TABLE_PHASE_ERROR_CYCLES if self.module.has_table else RAW_PHASE_ERROR_CYCLES
+
+    @property
+    def phase_cycles(self) -> float:
+        """Errors of the phases in a residual: all at the same time, or six deviations of the noise."""
+        largest = WEIGHTS * self.phase_error_cycles + PEAK * math.sqrt(SQUARES) * self.phase_noise_cycles
+        return min(largest, PEAK * self.measured_noise_cycles) if self.has_noise_margin else largest
+
+    @property
+    def _cycles_per_s(self) -> float:
+        cycles = self.module.cycles_per_revolution
+        return (self.plan.speed_rad_s or 0.0) * cycles / (2 * math.pi)
+
+    @property
+    def instants_cycles(self) -> float:
+        """Of the sampling instants in a residual."""
+        return WEIGHTS * self._cycles_per_s * self.uncertainty_s
+
+    def rest_cycles(self, instants_cycles: float) -> float:
+        """All but the motion; without a table 4 x 2010:0C at least."""
+        uncorrected = self.plan.phase_cycles is None and not self.module.has_table
+        rest = self.phase_cycles + instants_cycles
+        return max(rest, self._declared_cycles) if uncorrected else rest
+
+    @property
+    def _declared_cycles(self) -> float:
+        return WEIGHTS * self.module.settings.phase_error_cycles
+
+    @property
+    def left_in_force_cycles(self) -> float:
+        return self.left_cycles(self.limit_cycles, self.slow_limit_cycles)
+
+    def left_cycles(self, limit_cycles: float, slow_limit_cycles: float) -> float:
+        """What a limit, and that of a slow machine, leave; without the speed if that is too much."""
+        left = limit_cycles - self.rest_cycles(self.instants_cycles)
+        return left if left > 0.0 else slow_limit_cycles - self.rest_cycles(0.0)
+
+    def speed_rad_s(self, left_cycles: float, uncertainty_s: float) -> float:
+        """At which the instants need so much; inf if they are known."""
+        if left_cycles <= 0.0:
+            return 0.0
+        if uncertainty_s <= 0.0:
+            return math.inf
+        return max_speed(self.module.cycles_per_revolution, uncertainty_s, min(left_cycles, 0.5))
+
+    def _acceleration(self, left_cycles: float, rate_hz: float) -> float:
+        cycles = self.module.cycles_per_revolution
+        return max_acceleration(cycles, rate_hz, min(left_cycles, 0.5)) if left_cycles > 0.0 else 0.0
+
+
+def over(limit: float, value: float) -> float:
+    """The margin of a limit as a factor; inf if nothing is asked, or nothing limits."""
+    if value == 0.0 or math.isinf(limit):
+        return math.inf
+    factor = limit / value
+    return 1.0 if math.isclose(factor, 1.0, rel_tol=SUM_ROUNDING) else factor

@@ -1,6 +1,6 @@
 """The input of a plan: a bus, its SYNC, its modules, and the motion of their encoders.
 
-:func:`plan_input` takes it from a configuration, as far as :class:`PlanOptions` do not override it;
+:func:`plan_of` takes it from a configuration, as far as :class:`PlanOptions` do not override it;
 :func:`modules_alike` and :func:`numbered` make the configuration.
 """
 
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 from canfb import objects as od
@@ -19,18 +18,9 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration
 from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, UNCONFIGURED, ModuleConfig
+from canfb.planning.plan import Plan
 from canfb.planning.planned_module import PlannedModule
-from canfb.planning.traffic import (
-    HEARTBEAT,
-    BusLoad,
-    Message,
-    Values,
-    adc_messages,
-    heartbeat_message,
-    in_order,
-    node_messages,
-    sync_message,
-)
+from canfb.planning.traffic import Values
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.tracker import check_residual_limit
 from canfb.simulation.cia402.plant import DriveConfig
@@ -39,70 +29,6 @@ from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.set_up import drive_demand, sync_rate
 from canfb.simulation.sync_producer import CUT_OFF
 from canfb.view.limits_in_force import LIMIT_UNITS
-
-ROUNDED_AMPLITUDE = 0.75  # of full scale, as the simulated encoder has it
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlanInput:
-    """All that a plan depends on.
-
-    bit_rate        bit/s, 10000..1000000
-    sync_hz         SYNC rate
-    jitter_s        of the SYNC at its producer, +-
-    aperture_s      of the instant at which the tracks are held, +-, beside the sample time
-    extra_load      of frames of other nodes, 0..1
-    heartbeat_s     of every node, 0.0: as each node has it
-    modules         at least one
-    others          further nodes, by node-ID: their objects
-    speed_rad_s, acceleration_rad_s2   largest ones that the encoders have to follow; None: not given
-    is_final        no module has to follow more, even by its 2010:02
-    where           who says so, for people
-    noise_counts    rms noise of a track before the ADC, counts
-    amplitude       of the tracks, relative to full scale
-    phase_cycles    largest error of a phase that enters eq. 9; None: that of the module with its table,
-                    or without
-    """
-
-    bit_rate: int
-    sync_hz: float
-    modules: tuple[PlannedModule, ...]
-    speed_rad_s: float | None = None
-    acceleration_rad_s2: float | None = None
-    is_final: bool = False
-    where: str = ""
-    noise_counts: float = 0.5
-    amplitude: float = ROUNDED_AMPLITUDE
-    phase_cycles: float | None = None
-    jitter_s: float = 0.0
-    aperture_s: float = 0.0
-    extra_load: float = 0.0
-    heartbeat_s: float = 0.0
-    others: tuple[tuple[int, Values], ...] = ()
-
-    @cached_property
-    def bus(self) -> BusLoad:
-        messages: list[Message] = [sync_message(self.modules[0].values)]
-        for module in self.modules:
-            messages += self._beating(module.node_id, module.values, sampled=True)
-            messages += [] if module.samples_itself else adc_messages(module.values)
-        for node_id, values in self.others:
-            messages += self._beating(node_id, values, sampled=False)
-        return BusLoad(self.bit_rate, self.sync_hz, in_order(messages), self.extra_load)
-
-    def acceleration_of(self, module: PlannedModule) -> float | None:
-        """What this module has to follow: the largest acceleration of its machine counts, too."""
-        known = module.known_acceleration_rad_s2
-        if self.is_final or not known:
-            return self.acceleration_rad_s2
-        return max(known, self.acceleration_rad_s2 or 0.0)
-
-    def _beating(self, node_id: int, values: Values, *, sampled: bool) -> list[Message]:
-        found = node_messages(values, node_id, sampled=sampled)
-        if self.heartbeat_s and not values.get(HEARTBEAT):
-            found.append(heartbeat_message(node_id, self.heartbeat_s))
-        return found
-
 
 RAD_S = 2.0 * math.pi / 60.0  # of a speed in rpm
 
@@ -166,7 +92,7 @@ class PlanOptions:
             check_residual_limit(self.residual_limit)
 
 
-def plan_input_of(config: Config, modules: Iterable[DeviceConfiguration], options: PlanOptions) -> PlanInput:
+def plan_of(config: Config, modules: Iterable[DeviceConfiguration], options: PlanOptions) -> Plan:
     """What is planned: ``modules`` are those of ``config`` as they come up, in its order.
 
     ValueError for a bit rate of the configuration that no classic CAN has.
@@ -179,7 +105,7 @@ def plan_input_of(config: Config, modules: Iterable[DeviceConfiguration], option
     jitter_us = simulation.sync_jitter_us + CUT_OFF * simulation.sync_jitter_rms_us
     bit_rate = options.bit_rate or config.bus.get("bitrate") or simulation.bus_bit_rate
     integer_in("bitrate", bit_rate, 10_000, 1_000_000)
-    return PlanInput(
+    return Plan(
         bit_rate=bit_rate,
         sync_hz=rate_hz,
         modules=planned,

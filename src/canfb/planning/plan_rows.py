@@ -12,7 +12,6 @@ from itertools import groupby
 from typing import Any
 
 from canfb import objects as od
-from canfb.planning.budget import RPM, ResidualBudget, over
 from canfb.planning.coverage import (
     CASES,
     FAULTY_SAMPLES,
@@ -24,7 +23,7 @@ from canfb.planning.coverage import (
     window_of,
 )
 from canfb.planning.hints import PlanChange
-from canfb.planning.plan import CountDetection, Plan
+from canfb.planning.plan import RPM, CountDetection, Plan, ResidualBudget, over
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.traffic import BusLoad, Message
 from canfb.rows import Row, as_figures, those
@@ -45,19 +44,17 @@ def plan_figures(plan: Plan, changes: list[PlanChange]) -> dict[str, Any]:
             "node_id": None if tight.module is None else tight.module.node_id,
             "margin": _finite(tight.factor),
         },
-        "bus": as_figures(_bus_rows(plan.plan_input.bus)),
-        "modules": [
-            as_figures(_module_rows(plan, budget), coverage_rows(plan, budget)) for budget in plan.budgets
-        ],
+        "bus": as_figures(_bus_rows(plan.bus)),
+        "modules": [as_figures(_module_rows(budget), coverage_rows(budget)) for budget in plan.budgets],
         "changes": [{"for": one.for_what, "change": one.text} for one in changes],
     }
 
 
 def plan_lines(plan: Plan, changes: list[PlanChange], *, coverage: bool = False) -> list[str]:
-    bus = plan.plan_input.bus
+    bus = plan.bus
     lines = [*_frame_lines(bus), *_as_lines(_bus_rows(bus)), ""]
     for names, budget in _alike(plan):
-        rows = _module_rows(plan, budget) + (coverage_rows(plan, budget) if coverage else [])
+        rows = _module_rows(budget) + (coverage_rows(budget) if coverage else [])
         lines += [*_heading(names, budget), *_as_lines(rows), ""]
     return [*lines, *_verdict(plan, changes)]
 
@@ -168,7 +165,7 @@ def _alike(plan: Plan) -> list[tuple[str, ResidualBudget]]:
 
 
 def _heading(names: str, budget: ResidualBudget) -> list[str]:
-    module, where = budget.module, budget.plan_input.where
+    module, where = budget.module, budget.plan.where
     several = f"{module.samples_per_sync} samples per SYNC, " if module.samples_per_sync > 1 else ""
     narrowed = ""
     if budget.is_narrowed:
@@ -180,8 +177,8 @@ def _heading(names: str, budget: ResidualBudget) -> list[str]:
     ]
 
 
-def _module_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
-    module, speed = budget.module, plan.plan_input.speed_rad_s
+def _module_rows(budget: ResidualBudget) -> list[Row]:
+    module, speed = budget.module, budget.plan.speed_rad_s
     return [
         Row(
             node_id=module.node_id,
@@ -210,7 +207,7 @@ def _module_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
             },
         ),
         Row("", " + ".join(f"{what} {cycles:.3f}" for what, cycles in budget.parts_cycles.items())),
-        *_detection_rows(plan, budget),
+        *_detection_rows(budget),
     ]
 
 
@@ -262,7 +259,7 @@ def _instants(budget: ResidualBudget) -> str:
         return "sample times: the jitter of SYNC does not limit the speed"
     if budget.module.samples_per_sync > 1:
         return "the interface samples by its own timer: the jitter of SYNC does not limit the speed"
-    bus_us, own_us = budget.plan_input.bus.sync_delay_s / 2.0 * 1e6, budget.plan_input.jitter_s * 1e6
+    bus_us, own_us = budget.plan.bus.sync_delay_s / 2.0 * 1e6, budget.plan.jitter_s * 1e6
     parts = f"producer {own_us:.3g}, frames before it {bus_us:.3g}"
     said = f"no sample times; SYNC ±{own_us + bus_us:.3g} µs: {parts}"
     declared_us = budget.module.declared_jitter_s * 1e6
@@ -290,17 +287,17 @@ def _motion_rows(budget: ResidualBudget) -> list[Row]:
 # What is detected.
 
 
-def _detection_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
-    found, module = plan.detection(budget), budget.module
-    needed = plan.detection(budget, min(budget.needed_cycles, 0.5))
+def _detection_rows(budget: ResidualBudget) -> list[Row]:
+    found, module = budget.detection(), budget.module
+    needed = budget.detection(min(budget.needed_cycles, 0.5))
     frozen = f"after {module.frozen_samples} equal samples" if module.frozen_samples else "not looked for"
     half = "always" if found.half_cycle else "not always"
     low, high = module.amplitude_limits_counts
-    nominal = budget.plan_input.amplitude * module.full_scale_counts
+    nominal = budget.plan.amplitude * module.full_scale_counts
     amplitude = f"{low} to {high} counts"
     if nominal:
         amplitude = f"{low / nominal:.2g} to {high / nominal:.2g} of nominal"
-    area = area_coverage(window_of(plan, budget))
+    area = area_coverage(window_of(budget))
     return [
         Row(
             "detection (docs/supervision.md)",
@@ -313,7 +310,7 @@ def _detection_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
         *(Row("", words) for words in _kept_words(found, budget)),
         Row(
             "",
-            f"a jump of half a cycle is seen {half}; one below {found.unseen_jump_cycles:.3f} cycle may pass",
+            f"a jump of half a cycle is seen {half}; one below {found.limit_cycles:.3f} cycle may pass",
         ),
         Row("", f"amplitude limits {amplitude}; frozen input: {frozen}"),
         Row(
@@ -338,7 +335,7 @@ def _detection(found: CountDetection) -> dict[str, Any]:
             "holds": found.is_declared,
         },
         "half_cycle": found.half_cycle,
-        "unseen_jump_cycles": found.unseen_jump_cycles,
+        "unseen_jump_cycles": found.limit_cycles,
         "sharp": found.is_sharp,
     }
 
@@ -375,8 +372,8 @@ def _kept_words(found: CountDetection, budget: ResidualBudget) -> list[str]:
     ]
 
 
-def coverage_rows(plan: Plan, budget: ResidualBudget) -> list[Row]:
-    window, tolerance = window_of(plan, budget), second_tolerance(budget)
+def coverage_rows(budget: ResidualBudget) -> list[Row]:
+    window, tolerance = window_of(budget), second_tolerance(budget)
     within, mapped = (USUAL_TOLERANCE, "none is mapped") if tolerance is None else (tolerance, "2014:04")
     found, of_samples = fault_coverage(window), f"{CASES} faults each of {FAULTY_SAMPLES} samples"
     return [
@@ -434,7 +431,7 @@ def _verdict(plan: Plan, changes: list[PlanChange]) -> list[str]:
     tight = plan.tightest
     which = "" if tight.module is None or len(plan.budgets) == 1 else f" of node {tight.module.node_id:02X}h"
     said = "the plan holds" if plan.holds else "the plan does NOT hold"
-    last = Plan(changes[-1].plan_input) if changes else plan
+    last = changes[-1].plan if changes else plan
     nothing = "nothing to change" if plan.holds else "no single change helps"
     left = f"{last.tightest.limited}, margin {_factor(last.tightest.factor)}"
     return [

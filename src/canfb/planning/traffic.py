@@ -32,7 +32,6 @@ INHIBIT_S, TIMER_S = 1e-4, 1e-3  # units of sub-indices 3 and 5 of a TPDO, and o
 class Message:
     """The frames of one COB-ID.
 
-    can_id        None for traffic of many
     kind          what it is, for people
     node_id       who sends it; None: who produces the SYNC
     data_bytes    0..8
@@ -42,7 +41,7 @@ class Message:
     on_error      only after a fault: it counts for the load, and never delays a SYNC of a healthy network
     """
 
-    can_id: int | None
+    can_id: int
     kind: str
     data_bytes: int
     node_id: int | None = None
@@ -219,8 +218,8 @@ class BusLoad:
 
 
 def in_order(messages: Iterable[Message]) -> tuple[Message, ...]:
-    """Each CAN-ID once; by priority, what is of many last."""
-    found: dict[int | None, Message] = {}
+    """Each CAN-ID once, by priority."""
+    found: dict[int, Message] = {}
     for message in messages:
         found.setdefault(message.can_id, message)
-    return tuple(sorted(found.values(), key=lambda one: 0x800 if one.can_id is None else one.can_id))
+    return tuple(sorted(found.values(), key=lambda one: one.can_id))
