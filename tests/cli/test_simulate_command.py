@@ -136,10 +136,8 @@ def parsed(drive: str, modules: str = MODULES) -> Config:
     return parse_config(f"{modules}simulation:\n  drive: {drive}\n", "drive.yaml")
 
 
-def axis_of(config: Config, rate_hz: float | None = None, module: int = 0) -> SimulatedAxis | None:
-    return simulated_axis(
-        config.simulation, fed_module(config.modules[module]), autostart=True, rate_hz=rate_hz
-    )
+def axis_of(config: Config, module: int = 0) -> SimulatedAxis | None:
+    return simulated_axis(config.simulation, fed_module(config.modules[module]), autostart=True)
 
 
 def test_without_the_section_there_is_no_drive() -> None:
@@ -151,10 +149,9 @@ def test_the_yaml_of_the_page_is_a_drive() -> None:
     page = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
     (drive,) = [config for config in map(parse_config, blocks) if config.simulation.drive is not None]
-    axis = axis_of(drive, 1000.0)
-    assert axis is not None
-    assert axis.demand is not None
-    assert axis.demand.warning() is None
+    demand = network_of(drive).demand
+    assert demand is not None
+    assert demand.warning() is None
 
 
 def test_each_key_is_read_and_has_a_default() -> None:

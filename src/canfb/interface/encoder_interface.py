@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 
 from canfb import objects as od
+from canfb.checks import integer_in
 from canfb.cia301 import cob
 from canfb.cia301.cob import CAN_ID
-from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister
 from canfb.cia301.frame import Frame, mapping_values
-from canfb.device.device_protocol import NodeDevice
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.device.pdo.mapping import COMMUNICATION, Direction, numbers
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.interface.fast_recording import FastRecorder
-from canfb.interface.sample_instants import TRUE_TIME, SampleClock, SeveralSamples, TimeBase
+from canfb.interface.machine_node import MachineNode
+from canfb.interface.sample_instants import SampleClock, SeveralSamples
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import Grouped, Machine, Source, SourceWatch
 
@@ -23,7 +24,7 @@ EDS = "encoder-interface"
 PLACES = 65536  # 2000:03 counts the sample interval in 1/65536
 
 
-class EncoderInterface(NodeDevice):
+class EncoderInterface(MachineNode):
     """A CANopen node, sans-I/O, with the ADC channels in 6401h and TPDO1 at each SYNC.
 
     A :class:`Machine` is sampled at the time of ``time_base`` at which the SYNC was received, another source
@@ -46,8 +47,7 @@ class EncoderInterface(NodeDevice):
         clock: SampleClock | None = None,
         bit_rates_kbit_s: Collection[int] = (),
     ) -> None:
-        if not 0 <= serial_number <= 0xFFFFFFFF:
-            raise ValueError(f"serial_number must be 0..4294967295, not {serial_number}")
+        integer_in("serial_number", serial_number, 0, 0xFFFFFFFF)
         dictionary = Dictionary.load(eds_path(EDS), node_id)
         serial = dictionary.entry(*od.IDENTITY_SERIAL_NUMBER)
         serial.default = serial.value = serial_number
@@ -60,13 +60,12 @@ class EncoderInterface(NodeDevice):
         self.on_source: Callable[[str], None] | None = None
         for place in (od.RECORDING_COMMAND, od.RECORDING_RATE, od.INTERFACE_MACHINE):  # nothing to keep
             self.storage.entries.leave_out(*place)
-        self.time_base: TimeBase = TRUE_TIME
-        self._now = 0.0
-        self._received_s = 0.0  # when the frame was received, in the time of the machine
         self._clock = SampleClock() if clock is None else clock
         self.recorder = FastRecorder(self.dictionary, source, self.machine_now)
         self.source = source
-        self.dictionary.entry(*od.INTERFACE_MACHINE).on_check = _refuse
+        self.dictionary.entry(*od.INTERFACE_MACHINE).on_check = refuse_if(
+            lambda value: True, AbortCode.DEVICE_STATE
+        )
         self._machine = source if isinstance(source, Machine) else None
         grouped = isinstance(source, Grouped) and source.samples_per_sync == samples_per_sync
         several = samples_per_sync > 1 and not grouped
@@ -94,23 +93,12 @@ class EncoderInterface(NodeDevice):
     def ended(self) -> bool:
         return self._watch.ended
 
-    def machine_now(self) -> float:
-        return self.time_base.at(self._now)
-
-    def start(self, now: float) -> list[Frame]:
-        self._now = now
-        return super().start(now)
-
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         self._silent = False
-        self._now = now
-        self._received_s = self.time_base.received_at(frame, now)
         return self._audible(super().receive(frame, now))
 
     def tick(self, now: float) -> list[Frame]:
         self._silent = False
-        self._now = now
-        self._received_s = self.time_base.at(now)
         return self._audible(super().tick(now))
 
     def sync_received(self, counter: int | None, now: float) -> None:
@@ -136,8 +124,8 @@ class EncoderInterface(NodeDevice):
 
     def _ask(self) -> Sample | None:
         if self._several is not None:
-            return self._several.at_sync(self._received_s)
-        return self.source.next() if self._machine is None else self._machine.sample_at(self._received_s)
+            return self._several.at_sync(self.received_s)
+        return self.source.next() if self._machine is None else self._machine.sample_at(self.received_s)
 
     def _source_message(self, text: str) -> None:
         if self.on_source is not None:
@@ -151,7 +139,7 @@ class EncoderInterface(NodeDevice):
         for entries, pair in zip(self._earlier, pairs, strict=False):
             for channel, counts in zip(entries, pair, strict=True):
                 channel.value = counts
-        taken_s = self._received_s if self._several is None else self._several.newest_s
+        taken_s = self.received_s if self._several is None else self._several.newest_s
         self._time.value = self._clock.ticks(taken_s) if time_100ns is None else time_100ns
         flags = od.SampleFlag.INVALID if invalid else 0
         if pulse is not None:
@@ -169,10 +157,6 @@ class EncoderInterface(NodeDevice):
             return frames
         samples = {cob_id.value & CAN_ID for cob_id in self._cob_ids}
         return [frame for frame in frames if frame.can_id not in samples]
-
-
-def _refuse(value: int) -> None:
-    raise SdoAbort(AbortCode.DEVICE_STATE)
 
 
 def _adc_pdos(node_id: int, times: bool, samples_per_sync: int) -> dict[tuple[int, int], int]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary, refuse_if
 
 BLOCK_SAMPLES = 1 << 16
 COMMANDS = frozenset(od.RecordingCommand)
@@ -41,7 +41,7 @@ class FastRecorder:
         self._source = source if isinstance(source, Continuous) else None
         self._now = now
         self._command = command = dictionary.entry(*od.RECORDING_COMMAND)
-        command.on_check = _check_command
+        command.on_check = refuse_if(lambda value: value not in COMMANDS)
         command.on_written = self._obey
         command.on_read = lambda: int(self.is_recording)
         dictionary.entry(*od.RECORDING_RECORDED).on_read = lambda: self.count
@@ -49,7 +49,7 @@ class FastRecorder:
         self._rate, self._capacity = (
             dictionary.entry(*place) for place in (od.RECORDING_RATE, od.RECORDING_CAPACITY)
         )
-        self._rate.on_check = self._refuse_while_recording
+        self._rate.on_check = refuse_if(lambda value: self.is_recording, AbortCode.DEVICE_STATE)
         self._number = 0
         self.reset()
 
@@ -102,12 +102,3 @@ class FastRecorder:
         self._rate_hz = float(self._rate.value)
         self._began_s = self._now()
         self._first_s = self._source.machine_time(self._began_s)
-
-    def _refuse_while_recording(self, value: int) -> None:
-        if self.is_recording:
-            raise SdoAbort(AbortCode.DEVICE_STATE)
-
-
-def _check_command(value: int) -> None:
-    if value not in COMMANDS:
-        raise SdoAbort(AbortCode.INVALID_VALUE)

@@ -14,11 +14,11 @@ import numpy as np
 from canfb import objects as od
 from canfb.checks import number_in
 from canfb.cia301 import cob
-from canfb.cia301.codes import AbortCode, SdoAbort
+from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
 from canfb.device.device_protocol import Device
 from canfb.device.lss import UNCONFIGURED
-from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.errors import ConfigError
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.chain_config import ChainConfig
@@ -80,8 +80,6 @@ class SimulatedAxis:
     source: PlantSource
     drive: ServoDrive
     module_id: int
-    demand: MotionDemand | None = None
-    """What it asks of the module, None without a known SYNC rate."""
 
     def describe(self) -> str:
         node, module = self.drive.node_id, self.module_id
@@ -94,11 +92,7 @@ class SimulatedAxis:
 
 
 def simulated_axis(
-    simulation: SimulationConfig,
-    module: FedModule,
-    *,
-    autostart: bool = False,
-    rate_hz: float | None = None,
+    simulation: SimulationConfig, module: FedModule, *, autostart: bool = False
 ) -> SimulatedAxis | None:
     settings = simulation.drive
     if settings is None:
@@ -118,12 +112,7 @@ def simulated_axis(
     drive = ServoDrive(
         settings.node_id, plant, link, autostart=autostart, motor_increments=settings.motor_increments
     )
-    demand = None
-    if rate_hz is not None:
-        per_sync = module.samples_per_sync
-        demand = drive_demand(settings, drive.dictionary, chain, rate_hz * per_sync)
-        demand = replace(demand, per_sync=per_sync)
-    return SimulatedAxis(plant, source, drive, module.node_id, demand)
+    return SimulatedAxis(plant, source, drive, module.node_id)
 
 
 def drive_demand(
@@ -200,13 +189,9 @@ class MachineSwitch:
         motion = getattr(source, "motion", None)
         self._motion = motion if isinstance(motion, StoppableMotion) else None
         self._entry, self._now = entry, interface.machine_now
-        entry.on_check = self._check
+        entry.on_check = refuse_if(lambda value: self._motion is None, AbortCode.DEVICE_STATE)
         entry.on_written = self._obey
         entry.on_read = lambda: int(self._motion is None or self._motion.running)
-
-    def _check(self, value: int) -> None:
-        if self._motion is None:
-            raise SdoAbort(AbortCode.DEVICE_STATE)
 
     def _obey(self) -> None:
         if self._motion is not None and self._source is not None:
@@ -256,11 +241,8 @@ def set_up(
     CanfbError for a recording that cannot be used, ConfigError for a drive that cannot be.
     """
     rate_hz = sync_rate(simulation, play.rate_hz)
-    axis = simulated_axis(
-        simulation, module, autostart=play.autostart or module.autostart, rate_hz=play.rate_hz
-    )
+    axis = simulated_axis(simulation, module, autostart=play.autostart or module.autostart)
     source = source_of(simulation, module, play) if axis is None else axis.source
-    demand = _demand(simulation, module, play, source) if axis is None else axis.demand
     interface = EncoderInterface(
         module.encoder_interface,
         source,
@@ -284,6 +266,7 @@ def set_up(
         devices.append(recorder)
     if play.rate_hz is not None:
         devices.append(WatchedSyncProducer(1.0 / play.rate_hz, report, advice, simulation, simulation.seed))
+    demand = _demand(simulation, module, play, interface, axis)
     return SimulatedNetwork(interface, devices, axis, demand, recorder, rate_hz)
 
 
@@ -306,10 +289,20 @@ def source_of(simulation: SimulationConfig, module: FedModule, play: Play) -> So
     return simulation.source(module.chain.adc_bits, module.chain.cycles_per_revolution, interval_s)
 
 
-def _demand(simulation: SimulationConfig, module: FedModule, play: Play, source: Source) -> MotionDemand:
-    per_sync = module.samples_per_sync
+def _demand(
+    simulation: SimulationConfig,
+    module: FedModule,
+    play: Play,
+    interface: EncoderInterface,
+    axis: SimulatedAxis | None,
+) -> MotionDemand | None:
+    per_sync, source = module.samples_per_sync, interface.source
     rate_hz = sync_rate(simulation, play.rate_hz) * per_sync
-    if isinstance(source, RecordingSource):
+    if axis is not None:
+        if play.rate_hz is None:
+            return None
+        demand = drive_demand(axis.plant.motor.config, axis.drive.dictionary, module.chain, rate_hz)
+    elif isinstance(source, RecordingSource):
         demand = of_recording(*source.tracks(), module.chain, rate_hz, str(play.file))
     else:
         demand = of_motion(simulation.motion, module.chain, rate_hz)

@@ -11,12 +11,11 @@ from canfb.cia301 import cob
 from canfb.cia301.codes import ErrorRegister
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.device_protocol import NodeDevice
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
-from canfb.interface.sample_instants import TRUE_TIME, TimeBase
+from canfb.interface.machine_node import MachineNode
 from canfb.simulation.cia402.axis import Axis, saturated
 from canfb.simulation.cia402.feedback_input import FeedbackInput, SyncInterval, Wrong
 from canfb.simulation.cia402.plant import MotorConfig, Plant
@@ -33,7 +32,7 @@ STOP_TIMEOUT_S = 0.5
 """After a ramp the shaft has this time to come to rest; then the power goes off."""
 
 
-class ServoDrive(NodeDevice):
+class ServoDrive(MachineNode):
     """A drive, sans-I/O, that turns the motor of ``plant`` by the positions of a feedback module.
 
     Attach the plant to the bus first. ``feedback`` and the motor set defaults (:func:`apply_defaults`). With
@@ -61,9 +60,6 @@ class ServoDrive(NodeDevice):
         self.axis.motor_increments = motor_increments
         self._machine = StateMachine()
         self._interval = SyncInterval()
-        self.time_base: TimeBase = TRUE_TIME
-        self._now = 0.0
-        self._received_s = 0.0  # when the frame was received that is handled now, in the time of the machine
         self._watched_from_s = 0.0
         self._stop_by_s: float | None = None
         self._shown_error = 0
@@ -95,34 +91,19 @@ class ServoDrive(NodeDevice):
         """Seconds from SYNC to SYNC: 1006h, else measured; 0.0 while it is not known."""
         return float(self._period.value / 1e6) or self._interval.seconds
 
-    def start(self, now: float) -> list[Frame]:
-        self._now = now
-        self._received_s = self.time_base.at(now)
-        return super().start(now)
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        self._now = now
-        self._received_s = self.time_base.received_at(frame, now)
-        if not frame.rtr:
-            self._overhear(frame, now)
-        return super().receive(frame, now)
-
-    def tick(self, now: float) -> list[Frame]:
-        self._now = now
-        self._received_s = self.time_base.at(now)
+    def time_passed(self) -> None:
         due = self._sync_due()
-        if due is not None and now >= due:
-            self._fail(DriveError.SYNC_CONTROLLER, now)
-            self._switch(Command.RAMP_DONE, now)  # a ramp needs the SYNC as well
-        return super().tick(now)
+        if due is not None and self.now >= due:
+            self._fail(DriveError.SYNC_CONTROLLER)
+            self._switch(Command.RAMP_DONE)  # a ramp needs the SYNC as well
 
     def deadline(self) -> float | None:
         times = [time for time in (super().deadline(), self._sync_due()) if time is not None]
         return min(times, default=None)
 
-    def _overhear(self, frame: Frame, now: float) -> None:
+    def overhear(self, frame: Frame) -> None:
         cob_id = self._emergency_id.value
-        if not cob.is_valid(cob_id) or self.state is NmtState.STOPPED:
+        if frame.rtr or not cob.is_valid(cob_id) or self.state is NmtState.STOPPED:
             return
         if frame.can_id == cob_id & cob.CAN_ID and len(frame.data) == 8:
             self.feedback.emergency(int.from_bytes(frame.data[:2], "little"))
@@ -130,123 +111,120 @@ class ServoDrive(NodeDevice):
             self.feedback.boot_up()
         else:
             return
-        self._supervise(now)
+        self._supervise()
 
     def sync_received(self, counter: int | None, now: float) -> None:
-        """The trajectory goes on by one interval, and the statusword is that of this SYNC."""
-        self._interval.event(self._received_s)
+        self._interval.event(self.received_s)
         self._watched_from_s = now
-        self.feedback.sync(self._received_s)
+        self.feedback.sync(self.received_s)
         plant = self.plant
-        self.axis.measure_motor(plant.motor.revolutions_before(plant.ahead_s(self._received_s)))
-        self._supervise(now)
+        self.axis.measure_motor(plant.motor.revolutions_before(plant.ahead_s(self.received_s)))
+        self._supervise()
         period_s = self.interval_s
         self._cycle.value = period_s
         if period_s > 0.0 and self.power in POWERED:
             self.axis.advance(period_s)
-            self._end_stop(now)
+            self._end_stop()
         self._show()
 
     def rpdo_received(self, number: int, now: float) -> None:
-        """The position of the module: the control loop takes its step."""
         if number != self._rpdo:
             return
         period_s = self.interval_s
         used = self.feedback.take(
             self.axis.scaling.largest_speed, period_s, supervised=self.power in SWITCHED_ON | POWERED
         )
-        self._supervise(now)
+        self._supervise()
         if used:
             self.axis.measure()
         if used and period_s > 0.0 and self.power in POWERED:
-            self.plant.drive(self.axis.control(period_s), True, self._received_s)
-            since_sync_s = self._received_s - (self._interval.last_s or self._received_s)
+            self.plant.drive(self.axis.control(period_s), True, self.received_s)
+            since_sync_s = self.received_s - (self._interval.last_s or self.received_s)
             self._dead.value = saturated(since_sync_s * 1e6, 32)
-            if self.axis.follows_badly(self._received_s):
-                self._fail(DriveError.FOLLOWING_ERROR, now)
+            if self.axis.follows_badly(self.received_s):
+                self._fail(DriveError.FOLLOWING_ERROR)
         self._show()
 
-    def _supervise(self, now: float) -> None:
+    def _supervise(self) -> None:
         wrong = self.feedback.wrong
         if not wrong:
             return
         if self.power in SWITCHED_ON:
             position = wrong & (Wrong.RANGE | Wrong.STEP)
-            self._fail(DriveError.POSITION_SENSOR if position else DriveError.INCREMENTAL_SENSOR, now)
+            self._fail(DriveError.POSITION_SENSOR if position else DriveError.INCREMENTAL_SENSOR)
         elif self.power is State.FAULT_REACTION_ACTIVE:  # no ramp without a position
-            self._switch(Command.RAMP_DONE, now)
+            self._switch(Command.RAMP_DONE)
 
-    def _fail(self, error: DriveError, now: float, *, announced: bool = False) -> None:
+    def _fail(self, error: DriveError, *, announced: bool = False) -> None:
         ramp = self._fault_option.value if error is DriveError.FOLLOWING_ERROR else 0
         powered = self.power in POWERED
         if not self._machine.go(Command.FAIL):
             return
         self._error.value = int(error)
         if not announced:
-            self._announce(error, now)
+            self._announce(error)
         self._show()
         if ramp and powered:
             self.axis.ramp_down(from_actual=True)
             self._stop_by_s = None
         else:
-            self._switch(Command.RAMP_DONE, now)
+            self._switch(Command.RAMP_DONE)
 
-    def _announce(self, error: DriveError, now: float) -> None:
+    def _announce(self, error: DriveError) -> None:
         detail = int(self.feedback.wrong).to_bytes(2, "little") + self.feedback.status.to_bytes(2, "little")
         register = ErrorRegister.DEVICE_PROFILE
         if error in (DriveError.SYNC_CONTROLLER, DriveError.COMMUNICATION, DriveError.HEARTBEAT):
             register |= ErrorRegister.COMMUNICATION
-        self.emergency(error, register, detail, now)
+        self.emergency(error, register, detail)
 
-    def _end_stop(self, now: float) -> None:
+    def _end_stop(self) -> None:
         if self.power is State.OPERATION_ENABLED or not self.axis.ramp_is_over:
             return
         if self._stop_by_s is None:
-            self._stop_by_s = self._received_s + STOP_TIMEOUT_S
-        if not self.axis.stands_still and self._received_s < self._stop_by_s:
+            self._stop_by_s = self.received_s + STOP_TIMEOUT_S
+        if not self.axis.stands_still and self.received_s < self._stop_by_s:
             return
-        self._switch(Command.RAMP_DONE, now)
+        self._switch(Command.RAMP_DONE)
 
     def _controlled(self) -> None:
-        controlword, now = self._controlword.value, self._now
         before = self.power
-        command = self._machine.command(controlword)
+        command = self._machine.command(self._controlword.value)
         if command is not Command.FAULT_RESET or not self.feedback.wrong:
-            self._switch(command, now)
+            self._switch(command)
         if before is State.FAULT and self.power is not State.FAULT:
-            self._clear_error(now)
-        self._supervise(now)
+            self._clear_error()
+        self._supervise()
         self._show()
 
-    def _switch(self, command: Command, now: float) -> None:
+    def _switch(self, command: Command) -> None:
         before = self.power
         if not self._machine.go(command):
             return
         after = self.power
         if after in SWITCHED_ON and before not in SWITCHED_ON:
-            self._watched_from_s = now
+            self._watched_from_s = self.now
         if after is State.QUICK_STOP_ACTIVE:
             self._stop_by_s = None
             self.axis.ramp_down()
         elif after is State.OPERATION_ENABLED:
             self.axis.start()
-            self.plant.drive(0.0, True, self._received_s)
+            self.plant.drive(0.0, True, self.received_s)
         elif after not in POWERED:
-            self._power_off(now)
+            self._power_off()
         self._show()
 
-    def _power_off(self, now: float) -> None:
-        self.plant.drive(0.0, False, self._received_s)
+    def _power_off(self) -> None:
+        self.plant.drive(0.0, False, self.received_s)
         self.axis.power_off()
 
-    def _clear_error(self, now: float) -> None:
+    def _clear_error(self) -> None:
         for error in DriveError:
             if error is not DriveError.NONE:
-                self.clear_emergency(error, now)
+                self.clear_emergency(error)
         self._error.value = int(DriveError.NONE)
 
     def communication_failed(self, now: float) -> None:
-        self._abort_connection(DriveError.HEARTBEAT, now)
+        self._abort_connection(DriveError.HEARTBEAT)
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:
         """The feedback is lost with a change; the power goes off with the end of OPERATIONAL."""
@@ -257,22 +235,22 @@ class ServoDrive(NodeDevice):
                 self.trigger_tpdo(number, now)
         elif old is NmtState.OPERATIONAL:
             self.feedback.lose()
-            self._abort_connection(DriveError.COMMUNICATION, now)
+            self._abort_connection(DriveError.COMMUNICATION)
             if self.power in POWERED:  # no SYNC, no position: nothing may turn
-                self._switch(Command.RAMP_DONE, now)  # a fault reaction takes no other command
-                self._switch(Command.DISABLE_VOLTAGE, now)
+                self._switch(Command.RAMP_DONE)  # a fault reaction takes no other command
+                self._switch(Command.DISABLE_VOLTAGE)
         self._show()
 
-    def _abort_connection(self, error: DriveError, now: float) -> None:
+    def _abort_connection(self, error: DriveError) -> None:
         option = self._abort_option.value
         if self.power not in SWITCHED_ON:
             return
         if option == 1:
-            self._fail(error, now, announced=error is DriveError.HEARTBEAT)
+            self._fail(error, announced=error is DriveError.HEARTBEAT)
         elif option == 2:
-            self._switch(Command.DISABLE_VOLTAGE, now)
+            self._switch(Command.DISABLE_VOLTAGE)
         elif option == 3:
-            self._switch(Command.QUICK_STOP, now)
+            self._switch(Command.QUICK_STOP)
 
     def reset_done(self, communication_only: bool, now: float) -> None:
         """Power-on of the drive; after a reset of the communication a fault is announced again."""
@@ -281,9 +259,9 @@ class ServoDrive(NodeDevice):
         if not communication_only:
             self._machine = StateMachine(State.SWITCH_ON_DISABLED)
             self._error.value = int(DriveError.NONE)
-            self._power_off(now)
+            self._power_off()
         elif self.power is State.FAULT:
-            self._announce(DriveError(self.error), now)
+            self._announce(DriveError(self.error))
         self._show()
 
     def configuration_changed(self) -> None:
@@ -314,7 +292,7 @@ class ServoDrive(NodeDevice):
         self._shown_error = self.error
         if mode_changed or before != (self._statusword.value, self.error):
             for number in self._events:
-                self.trigger_tpdo(number, self._now)
+                self.trigger_tpdo(number, self.now)
 
 
 class DriveError(IntEnum):
