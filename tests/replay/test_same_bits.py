@@ -147,7 +147,7 @@ def test_a_log_that_starts_in_the_middle() -> None:
     middle = next(n for n, frame in enumerate(log) if frame.can_id == SYNC_ID and n > 600)
     replay, _ = replayed(log[middle:])
     assert replay.samples.rows == replay.compared[POSITION_ID].equal + replay.compared[POSITION_ID].different
-    position = replay.differences(POSITION_ID)[0]
+    position = replay.compared[POSITION_ID].differences[0]
     assert position.name == "6004h:00"
     assert position.least == position.most, "cycles of before are not in the log"
     assert position.least < 0

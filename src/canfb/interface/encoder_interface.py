@@ -57,7 +57,7 @@ class EncoderInterface(MachineNode):
         super().__init__(
             dictionary, node_id, autostart=autostart, store=store, bit_rates_kbit_s=bit_rates_kbit_s
         )
-        self.on_source: Callable[[str], None] | None = None
+        self.on_source: Callable[[str], None] = lambda text: None
         for place in (od.RECORDING_COMMAND, od.RECORDING_RATE, od.INTERFACE_MACHINE):  # nothing to keep
             self.storage.entries.leave_out(*place)
         self._clock = SampleClock() if clock is None else clock
@@ -70,7 +70,7 @@ class EncoderInterface(MachineNode):
         grouped = isinstance(source, Grouped) and source.samples_per_sync == samples_per_sync
         several = samples_per_sync > 1 and not grouped
         self._several = SeveralSamples(source, samples_per_sync) if several else None
-        self._watch = SourceWatch(self._ask, self._source_message)
+        self._watch = SourceWatch(self._ask, lambda text: self.on_source(text))
         self._reported = False  # EMCY of the source is active
         self.samples = 0
         """Samples sent."""
@@ -126,10 +126,6 @@ class EncoderInterface(MachineNode):
         if self._several is not None:
             return self._several.at_sync(self.received_s)
         return self.source.next() if self._machine is None else self._machine.sample_at(self.received_s)
-
-    def _source_message(self, text: str) -> None:
-        if self.on_source is not None:
-            self.on_source(text)
 
     def _keep(self, sample: Sample) -> None:
         sine, cosine, _, invalid, coarse_sine, coarse_cosine, pulse, time_100ns, pairs = sample

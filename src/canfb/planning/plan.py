@@ -263,13 +263,10 @@ class ResidualBudget:
             self.phase_noise_cycles, self.phase_error_cycles / math.sqrt(3.0)
         )
 
-    @cached_property
-    def noise_margin_cycles(self) -> float:
-        return self.module.settings.noise_margin * self.measured_noise_cycles or math.inf
-
     @property
     def has_noise_margin(self) -> bool:
-        return self.is_narrowed and self.noise_margin_cycles < self._declared_cycles
+        margin = self.module.settings.noise_margin * self.measured_noise_cycles or math.inf
+        return self.is_narrowed and margin < self._declared_cycles
 
     @property
     def asked_rad_s2(self) -> float | None:
@@ -327,7 +324,8 @@ class ResidualBudget:
     @property
     def largest_acceleration_rad_s2(self) -> float:
         """With the speed as given, unless that alone is too much; 0.0 if the errors need the whole limit."""
-        return self._acceleration(self.left_in_force_cycles, 1.0 / self.worst_interval_s)
+        left = self.left_cycles(self.limit_cycles, self.slow_limit_cycles)
+        return self._acceleration(left, 1.0 / self.worst_interval_s)
 
     @property
     def equation_speed_rad_s(self) -> float:
@@ -423,10 +421,6 @@ class ResidualBudget:
     @property
     def _declared_cycles(self) -> float:
         return WEIGHTS * self.module.settings.phase_error_cycles
-
-    @property
-    def left_in_force_cycles(self) -> float:
-        return self.left_cycles(self.limit_cycles, self.slow_limit_cycles)
 
     def left_cycles(self, limit_cycles: float, slow_limit_cycles: float) -> float:
         """What a limit, and that of a slow machine, leave; without the speed if that is too much."""

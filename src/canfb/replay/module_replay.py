@@ -23,7 +23,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import Outcome
 from canfb.replay.findings import FaultList, Margins
-from canfb.replay.own_frames import Compared, FieldDifference, OwnFrames, pdo_fields
+from canfb.replay.own_frames import OwnFrames, pdo_fields
 from canfb.replay.sample_columns import Block, SampleColumns
 from canfb.signal.correction import Correction
 
@@ -113,20 +113,17 @@ class ModuleReplay:
         self._emergency = self.module.dictionary.entry(*od.EMCY_COB_ID)
 
     @property
-    def compared(self) -> dict[int, Compared]:
+    def compared(self) -> dict[int, OwnFrames]:
         """By CAN-ID; empty if the log has no frame of the module."""
         if not self.recorded_own:
             return {}
-        return {can_id: one.compared for can_id, one in sorted(self._own_frames.items())}
+        return dict(sorted(self._own_frames.items()))
 
     @property
     def own_can_ids(self) -> frozenset[int]:
         node = self.module.node
         sync = self.module.dictionary.entry(*od.SYNC_COB_ID).value & cob.CAN_ID
         return (node.own_can_ids | node.can_ids().any_state) - EVERYBODY - {sync}
-
-    def differences(self, can_id: int) -> list[FieldDifference]:
-        return self._own_frames[can_id].differences
 
     def feed(self, frames: list[Frame]) -> None:
         """The next frames of the log: ``timestamp`` in seconds, of any clock. No frame raises."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
@@ -17,34 +17,21 @@ LONGEST_DELAY_S = 1.0
 """Longest time between a frame and its counterpart, s."""
 
 
-@dataclass
-class Compared:
-    """The frames of one CAN-ID.
+class OwnFrames:
+    """Pairs the frames of one CAN-ID, in their order; an equal frame among those that wait is preferred.
 
     equal, different   pairs
     only_recorded      frames of the log that the replay did not send
     only_replayed      the other way round
     first              of the different ones: when (stamp of the log, seconds), recorded and replayed data
     uploads            objects that were read, by expedited SDO transfers, with another value
-    """
-
-    equal: int = 0
-    different: int = 0
-    only_recorded: int = 0
-    only_replayed: int = 0
-    first: tuple[float, bytes, bytes] | None = None
-    uploads: set[str] = field(default_factory=set)
-
-
-class OwnFrames:
-    """Pairs the frames of one CAN-ID, in their order.
-
-    An equal frame among those that wait is preferred. ``fields`` gives what the frame is made of, for the
-    first pair that is not equal.
+    differences        what ``fields`` gave for the first pair that is not equal: what the frame is made of
     """
 
     def __init__(self, fields: Callable[[], list[FieldDifference]]) -> None:
-        self.compared = Compared()
+        self.equal = self.different = self.only_recorded = self.only_replayed = 0
+        self.first: tuple[float, bytes, bytes] | None = None
+        self.uploads = set[str]()
         self.differences: list[FieldDifference] = []
         self._fields = fields
         self._replayed: deque[tuple[float, bytes]] = deque()
@@ -52,45 +39,45 @@ class OwnFrames:
 
     def replayed(self, data: bytes, now: float) -> None:
         if self._recorded:
-            self.compared.only_recorded += _drop_late(self._recorded, now)
+            self.only_recorded += _drop_late(self._recorded, now)
             before = _taken(self._recorded, data)
             if before is not None:
-                self.compared.only_recorded += before
-                self.compared.equal += 1
+                self.only_recorded += before
+                self.equal += 1
                 return
         waiting = self._replayed
         if waiting and now - waiting[0][0] > LONGEST_DELAY_S:
-            self.compared.only_replayed += _drop_late(waiting, now)
+            self.only_replayed += _drop_late(waiting, now)
         waiting.append((now, data))
 
     def recorded(self, data: bytes, now: float, stamp_s: float) -> None:
-        waiting, compared = self._replayed, self.compared
+        waiting = self._replayed
         if waiting and waiting[0][1] == data:
             waiting.popleft()
-            compared.equal += 1
+            self.equal += 1
             return
-        compared.only_replayed += _drop_late(waiting, now)
+        self.only_replayed += _drop_late(waiting, now)
         before = _taken(waiting, data)
         if before is not None:
-            compared.only_replayed += before
-            compared.equal += 1
+            self.only_replayed += before
+            self.equal += 1
         elif waiting:
             _, replayed = waiting.popleft()
-            compared.different += 1
-            if compared.first is None:
-                compared.first = (stamp_s, data, replayed)
+            self.different += 1
+            if self.first is None:
+                self.first = (stamp_s, data, replayed)
                 self.differences = self._fields()
             if data[:1] in UPLOADED and data[:4] == replayed[:4]:
-                compared.uploads.add(f"{data[2]:02X}{data[1]:02X}h:{data[3]:02X}")
+                self.uploads.add(f"{data[2]:02X}{data[1]:02X}h:{data[3]:02X}")
             for one in self.differences:
                 one.note(int.from_bytes(data, "little"), int.from_bytes(replayed, "little"))
         else:
-            compared.only_recorded += _drop_late(self._recorded, now)
+            self.only_recorded += _drop_late(self._recorded, now)
             self._recorded.append((now, data))
 
     def close(self, now: float) -> None:
-        self.compared.only_replayed += _drop_late(self._replayed, now)
-        self.compared.only_recorded += len(self._recorded)
+        self.only_replayed += _drop_late(self._replayed, now)
+        self.only_recorded += len(self._recorded)
         self._replayed.clear()
         self._recorded.clear()
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from canfb.replay.findings import KINDS, Extreme, LogDrift
 from canfb.replay.module_replay import Begin, ModuleReplay
-from canfb.replay.own_frames import Compared
+from canfb.replay.own_frames import OwnFrames
 from canfb.rows import Row, as_figures, as_lines, those
 
 RPM = 60.0 / (2.0 * math.pi)
@@ -109,9 +109,7 @@ class ReplayResult:
             faults={kind: {"times": faults.times[kind], "samples": faults.samples[kind]} for kind in KINDS},
             table_crc32=f"{replay.module.chain.correction.crc32:08X}",
             sent=replay.sent,
-            compared={
-                f"{can_id:03X}h": self._compared(can_id, one) for can_id, one in replay.compared.items()
-            },
+            compared={f"{can_id:03X}h": _compared(one) for can_id, one in replay.compared.items()},
             acceleration_rad_s2=replay.margins.acceleration_rad_s2,
             notes=self.notes(),
             margins={
@@ -166,23 +164,6 @@ class ReplayResult:
             return f"{value} {unit} {when}"
         return f"{value} of {found.limit * factor:{form}} {unit} {when}; margin {100.0 * found.margin:.0f} %"
 
-    def _compared(self, can_id: int, found: Compared) -> dict[str, Any]:
-        words: dict[str, Any] = {name: getattr(found, name) for name in COUNTED}
-        if found.first is not None:
-            time_s, recorded, replayed = found.first
-            words["first_different"] = {
-                "time_s": time_s,
-                "recorded": recorded.hex(),
-                "replayed": replayed.hex(),
-            }
-        differences = self.replay.differences(can_id)
-        if differences:
-            words["objects"] = {
-                one.name: {"pairs": one.pairs, "least": _known(one.least), "most": _known(one.most)}
-                for one in differences
-            }
-        return words
-
     def comparison(self) -> list[Row]:
         rows: list[Row] = []
         for can_id, found in self.replay.compared.items():
@@ -193,11 +174,28 @@ class ReplayResult:
                 time_s, recorded, replayed = found.first
                 at = f"first at {time_s - self.replay.first_s:.6f} s"
                 rows.append(Row("", f"{at}: {recorded.hex()} recorded, {replayed.hex()} replayed"))
-            for one in self.replay.differences(can_id):
+            for one in found.differences:
                 if one.pairs:
                     how = f"{one.least:g}" if one.least == one.most else f"{one.least:g} to {one.most:g}"
                     rows.append(Row("", f"{one.name} differs by {how}"))
         return rows
+
+
+def _compared(found: OwnFrames) -> dict[str, Any]:
+    words: dict[str, Any] = {name: getattr(found, name) for name in COUNTED}
+    if found.first is not None:
+        time_s, recorded, replayed = found.first
+        words["first_different"] = {
+            "time_s": time_s,
+            "recorded": recorded.hex(),
+            "replayed": replayed.hex(),
+        }
+    if found.differences:
+        words["objects"] = {
+            one.name: {"pairs": one.pairs, "least": _known(one.least), "most": _known(one.most)}
+            for one in found.differences
+        }
+    return words
 
 
 def _known(value: float) -> float | None:

@@ -67,10 +67,6 @@ class FedModule:
     increments_per_revolution: int
     total_range: int
 
-    @property
-    def has_node_id(self) -> bool:
-        return self.node_id != UNCONFIGURED
-
 
 @dataclass(frozen=True)
 class SimulatedAxis:
@@ -97,7 +93,7 @@ def simulated_axis(
     settings = simulation.drive
     if settings is None:
         return None
-    if not module.has_node_id:
+    if module.node_id == UNCONFIGURED:
         raise ConfigError("drive: the module whose position the drive uses has no node_id (255)")
     plant = Plant(Motor(settings, settings.start_revolutions))
     chain = module.chain

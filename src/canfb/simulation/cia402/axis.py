@@ -30,7 +30,7 @@ class Axis:
         self._loop = PositionLoop()
         self.motor_increments = 0
         """Of an encoder on the motor in a revolution, which 6063h is of then; 0: there is none."""
-        self.on_mode: Callable[[], None] | None = None
+        self.on_mode: Callable[[], None] = lambda: None
         """Called when 6060h was written."""
         self._trajectory = Trajectory()
         self._too_far_since_s: float | None = None
@@ -198,8 +198,7 @@ class Axis:
         if self.mode != self._display.value:
             self._trajectory.drop_target()
             self._new_target = False
-        if self.on_mode is not None:
-            self.on_mode()
+        self.on_mode()
 
     def _target_written(self) -> None:
         self._new_target = True
