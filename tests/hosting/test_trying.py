@@ -19,7 +19,6 @@ from canfb.cia301 import cob
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import Config, parse_config
 from canfb.errors import BusError
-from canfb.hosting.event_log import EventLog
 from canfb.hosting.trying import PRIVATE_GROUPS, START_ALL, NetworkOnBus, private_bus
 from canfb.objects import StatusBit
 
@@ -87,7 +86,7 @@ def test_a_master_has_started_it_and_others_talk_to_it(multicast_bus: can.BusABC
 
 def test_what_it_saves_is_gone_at_the_end() -> None:
     config = example({"interface": "virtual", "channel": "canfb try saved"})
-    with NetworkOnBus(config, 100.0, events=EventLog()) as network:
+    with NetworkOnBus(config, 100.0) as network:
         folder = Path(str(network.config.modules[0].state_dir))
         assert folder.is_dir()
     assert not folder.exists()

@@ -22,7 +22,7 @@ from canfb.cli.subjects import JITTER, jittered
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
 from canfb.files import prepare_folder, write_whole
-from canfb.hosting.event_log import EventLog, summary_of
+from canfb.hosting.event_log import summary_of
 from canfb.hosting.readiness import Readiness
 from canfb.hosting.trying import START_ALL, NetworkOnBus, end_main, private_bus
 
@@ -78,7 +78,7 @@ def try_it(options: argparse.Namespace) -> int:
         if options.write_config is not None:
             write_whole(options.write_config, path.read_bytes())
         config = jittered(load_config(path), options)
-        with NetworkOnBus(config, options.rate, first=[START_ALL], events=EventLog()) as network:
+        with NetworkOnBus(config, options.rate, first=[START_ALL]) as network:
             _serve(options, network, path)
     summary = summary_of(network.module)
     say(json.dumps({"event": "end", "text": summary}) if options.json else summary)

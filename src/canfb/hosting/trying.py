@@ -74,12 +74,10 @@ class NetworkOnBus:
     fails.
     """
 
-    def __init__(
-        self, config: Config, rate_hz: float, *, first: Sequence[Frame] = (), events: EventLog | None = None
-    ) -> None:
+    def __init__(self, config: Config, rate_hz: float, *, first: Sequence[Frame] = ()) -> None:
         self.config = config
         self.on_end: Callable[[], None] = lambda: None
-        self._first, self._events = first, events
+        self._first, self._events = first, EventLog()
         self._rate_hz = rate_hz
         self._network = EmbeddedBus()
         self._received: Frame | None = None
@@ -99,16 +97,14 @@ class NetworkOnBus:
             self._bus = held.enter_context(open_device_bus(self.words))
             play = Play(rate_hz=self._rate_hz, autostart=module.autostart)
             simulated = set_up(self.config.simulation, fed_module(module), play, log.warning)
-            if events is not None:
-                events.watch(self.module, self.module.events)
-                held.callback(lambda: events.close(network.now))
+            events.watch(self.module, self.module.events)
+            held.callback(lambda: events.close(network.now))
             network.observers.append(self._send)
             for device in (*simulated.devices, self.module):
                 network.attach(device)
             for frame in self._first:
                 network.send(frame)
-            if events is not None:
-                events.begin()
+            events.begin()
             held.enter_context(beside(self._run, self.stop, self._failed))
             self._held = held.pop_all()
         return self
@@ -140,8 +136,7 @@ class NetworkOnBus:
             if now >= due:
                 network.run_until(network.now + step_s)
                 due = max(due + step_s, now - LONGEST_LAG_S)
-                if self._events is not None:
-                    self._events.tick(network.now)
+                self._events.tick(network.now)
 
     def _receive(self, wait_s: float) -> None:
         received = self._bus.receive(wait_s)

@@ -37,9 +37,9 @@ COMMANDED = {
 class NodeModel:
     """Node 1..127; ``module``: None, or a feedback module."""
 
-    def __init__(self, node_id: int, module: ModuleModel | None = None) -> None:
+    def __init__(self, node_id: int) -> None:
         self.node_id = node_id
-        self.module = module
+        self.module: ModuleModel | None = None
         self.received_s: float | None = None
         self._state: NmtState | None = None
         self._source: str | None = None

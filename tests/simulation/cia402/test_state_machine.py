@@ -190,9 +190,8 @@ def test_a_reset_of_the_node_switches_off_and_brings_the_defaults_back() -> None
 def test_the_parameters_of_a_motor_and_a_module_are_defaults() -> None:
     plant = Plant(Motor(MotorConfig(inertia_kg_m2=2e-4, rated_torque_nm=1.5)))
     link = FeedbackModuleLink(node_id=0x21, increments_per_revolution=4096, total_range=0, synchronous=True)
-    drive = ServoDrive(DRIVE_ID, plant, link, serial_number=77)
+    drive = ServoDrive(DRIVE_ID, plant, link)
     places = {
-        (0x1018, 4): 77,
         (0x1403, 1): 0x1A1,
         (0x1403, 2): 1,
         (0x2100, 5): 2000,
@@ -214,7 +213,6 @@ def test_the_parameters_of_a_motor_and_a_module_are_defaults() -> None:
         (lambda: FeedbackModuleLink(node_id=128), "node_id"),
         (lambda: FeedbackModuleLink(node_id=32, increments_per_revolution=0), "increments_per_revolution"),
         (lambda: FeedbackModuleLink(node_id=32, total_range=1 << 32), "total_range"),
-        (lambda: ServoDrive(48, Plant(Motor(MotorConfig())), serial_number=1 << 32), "serial_number"),
     ],
 )
 def test_a_module_or_a_number_that_cannot_be_is_refused(build: Callable[[], object], field: str) -> None:

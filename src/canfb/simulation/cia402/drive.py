@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from canfb import objects as od
-from canfb.checks import integer_in, within
+from canfb.checks import within
 from canfb.cia301 import cob
 from canfb.cia301.codes import ErrorRegister
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.device.pdo.mapping import EVENT_DRIVEN
-from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.interface.machine_node import MachineNode
 from canfb.simulation.cia402.axis import Axis, saturated
@@ -23,8 +21,6 @@ from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, Command,
 
 EDS = "drive"
 POSITION = (0x60E4, 1)
-LIVE = ((0x6040, 0), (0x607A, 0), POSITION, (0x2110, 1), (0x2110, 4))
-"""Writable entries that are not parameters: `save` does not keep them."""
 COAST, QUICK_STOP_RAMP = 0, 2  # 605Eh
 U32 = 0xFFFFFFFF
 G_CM2_PER_KG_M2 = 1e7
@@ -46,14 +42,11 @@ class ServoDrive(MachineNode):
         feedback: FeedbackModuleLink | None = None,
         *,
         autostart: bool = False,
-        store: Store | None = None,
-        serial_number: int = 0,
         motor_increments: int = 0,
     ) -> None:
-        integer_in("serial_number", serial_number, 0, U32)
         dictionary = Dictionary.load(eds_path(EDS), node_id)
-        apply_defaults(dictionary, plant.motor.config, feedback, serial_number)
-        super().__init__(dictionary, node_id, autostart=autostart, store=store, bit_rates_kbit_s=())
+        apply_defaults(dictionary, plant.motor.config, feedback)
+        super().__init__(dictionary, node_id, autostart=autostart, store=None, bit_rates_kbit_s=())
         self.plant = plant
         self.feedback = FeedbackInput(self.dictionary)
         self.axis = Axis(self.dictionary, self.feedback)
@@ -75,8 +68,6 @@ class ServoDrive(MachineNode):
         self._controlword.on_written = self._controlled
         self._fault_option.on_check = refuse_if(lambda value: value not in (COAST, QUICK_STOP_RAMP))
         self.axis.on_mode = self._show
-        for index, subindex in LIVE:
-            self.storage.entries.leave_out(index, subindex)
 
     @property
     def power(self) -> State:
@@ -330,12 +321,9 @@ class FeedbackModuleLink:
         )
 
 
-def apply_defaults(
-    dictionary: Dictionary, motor: MotorConfig, link: FeedbackModuleLink | None, serial_number: int
-) -> None:
+def apply_defaults(dictionary: Dictionary, motor: MotorConfig, link: FeedbackModuleLink | None) -> None:
     """Replace defaults and values of the dictionary: a reset comes back to these."""
     defaults = {
-        od.IDENTITY_SERIAL_NUMBER: serial_number,
         (0x6076, 0): max(1, min(U32, round(motor.rated_torque_nm * 1000))),
         (0x2100, 5): max(1, min(U32, round(motor.inertia_kg_m2 * G_CM2_PER_KG_M2))),
     }
