@@ -1,6 +1,6 @@
 """Windows and junctions hold every legal sample, and no more: against a linear program.
 
-The linear program (tools/faults/estimator/legal.py) shares nothing with the estimator.
+The linear program (tools/faults/samples/legal.py) shares nothing with the estimator.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from canfb.signal.bounded_motion import BoundedMotion, Spot, Window
-from tools.faults.estimator.legal import least_bound
+from tools.faults.samples.legal import least_bound
 from tools.faults.machine import positions
 
 TRIALS = 30

@@ -1,6 +1,6 @@
 """What holds of the position while the machine and the faults keep what is declared.
 
-Through the public interface of the chain only: episodes of tools/faults/estimator with fixed seeds, and every
+Through the public interface of the chain only: episodes of tools/faults/samples with fixed seeds, and every
 motion of a small grid.
 """
 
@@ -20,9 +20,9 @@ from canfb.signal.estimator import Estimator
 from canfb.signal.limits import kept_samples
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, VALID
-from tools.faults.estimator.episodes import Episode, chain_for, draw, play
-from tools.faults.estimator.judge import judge
-from tools.faults.estimator.kinds import KINDS, Declared, Kind, State, limits_of, make_chain
+from tools.faults.samples.episodes import Episode, chain_for, draw, play
+from tools.faults.samples.judge import judge
+from tools.faults.samples.kinds import KINDS, Declared, Kind, State, limits_of, make_chain
 from tools.faults.machine import AMPLITUDE_COUNTS, positions, table_of
 
 EPISODES = 10

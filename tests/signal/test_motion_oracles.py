@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from motion_oracles import all_motions, ends_through
 
-from tools.faults.estimator.episodes import draw
-from tools.faults.estimator.kinds import KINDS, Declared, State
-from tools.faults.estimator.legal import LegalMotions, is_legal, least_bound, window
+from tools.faults.samples.episodes import draw
+from tools.faults.samples.kinds import KINDS, Declared, State
+from tools.faults.samples.legal import LegalMotions, is_legal, least_bound, window
 
 Q = 24  # grid steps per cycle
 

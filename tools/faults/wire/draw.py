@@ -18,7 +18,7 @@ from tools.faults.wire.setups import Options, Setup
 LONGEST_RAMP = 420
 REST, STEADY, AFTER = 12, 24, 70  # slots before the ramp, before and after the fault
 # cycles/T^2 that a machine does when 2010:02 is not set: what 2010:0B assumes. One above it can be wrong
-# after a gap (docs/supervision.md); tools.faults.estimator.campaign --exceed measures that.
+# after a gap (docs/supervision.md); tools.faults.samples.campaign --exceed measures that.
 UNKNOWN_LIMIT = 0.1
 SERVO_REST, LEARNED = 110, 420  # slots
 TOP_ACCELERATION, TOP_JERK = 0.8, 0.08

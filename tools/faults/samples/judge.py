@@ -1,8 +1,8 @@
 """What became of an episode: silent errors, with the proof, and availability.
 
-A position is wrong if it is valid and half a cycle or more from the true one. It is *excused* if there is a
-legal motion through all samples so far that nothing flagged (:class:`LegalMotions`), and all of these are at
-that position: then the samples are those of a healthy machine that moved so (docs/supervision.md). Every
+A position is wrong if it is valid and ``wrong_cycles`` or more from the true one. It is *excused* if there is
+a legal motion through all samples so far that nothing flagged (:class:`LegalMotions`), and all of these are
+at that position: then the samples are those of a healthy machine that moved so (docs/supervision.md). Every
 other wrong position is *silent*: where legal motions to different positions fit, it was guessed.
 """
 
@@ -13,11 +13,10 @@ from enum import Enum
 
 import numpy as np
 
-from tools.faults.estimator.episodes import LOST, Episode, Published
-from tools.faults.estimator.kinds import State
-from tools.faults.estimator.legal import LegalMotions, least_bound
+from tools.faults.samples.episodes import LOST, Episode, Published
+from tools.faults.samples.kinds import State
+from tools.faults.samples.legal import LegalMotions, least_bound
 
-WRONG_CYCLES = 0.5
 LEAD = 4  # good samples before the fault, from which the motions are followed
 
 
@@ -60,7 +59,7 @@ class Verdict:
 def judge(episode: Episode, published: Published) -> Verdict:
     per_sync, fault = episode.declared.samples_per_sync, episode.fault
     valid = published.valid
-    wrong = valid & (np.abs(published.position - episode.truth) >= WRONG_CYCLES)
+    wrong = valid & (np.abs(published.position - episode.truth) >= episode.declared.wrong_cycles)
     newest = slice(per_sync - 1 + (fault // per_sync) * per_sync, None, per_sync)
     first = per_sync - 1
     early = not valid[first:fault].all() or bool(wrong[:fault].any())
@@ -76,13 +75,13 @@ def judge(episode: Episode, published: Published) -> Verdict:
 def motions_before(episode: Episode) -> LegalMotions:
     declared, begin = episode.declared, slice(episode.fault - LEAD, episode.fault)
     right = episode.phase + np.rint(episode.truth - episode.phase)
-    motions = LegalMotions(declared.phase_error, 2, declared.acceleration)
+    motions = LegalMotions(declared.phase_error, 2, declared.bound)
     motions.begin(episode.instants[begin].tolist(), right[begin].tolist())
     return motions
 
 
 def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[int, Cause]:
-    motions, truth = motions_before(episode), motions_before(episode)
+    motions, truth, near = motions_before(episode), motions_before(episode), episode.declared.wrong_cycles
     received = ~np.isin(episode.state, (State.MISSING, State.FLAGGED))
     said = dict.fromkeys(wrong.tolist(), Cause.ILLEGAL)
     for k in range(episode.fault, int(wrong[-1]) + 1):
@@ -92,9 +91,9 @@ def causes(episode: Episode, published: Published, wrong: np.ndarray) -> dict[in
             if truth.paths:
                 truth.add(instant, phase)
                 here = float(episode.truth[k])
-                truth.paths = [path for path in truth.paths if abs(path[-1] - here) < WRONG_CYCLES]
+                truth.paths = [path for path in truth.paths if abs(path[-1] - here) < near]
         if k in said and received[k]:
-            fits = [abs(path[-1] - published.position[k]) < WRONG_CYCLES for path in motions.paths]
+            fits = [abs(path[-1] - published.position[k]) < near for path in motions.paths]
             if any(fits):
                 said[k] = Cause.EXCUSED if all(fits) and not truth.paths else Cause.GUESSED
             elif motions.overflow:

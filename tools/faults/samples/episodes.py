@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from canfb import CorrectionTable, SignalChain
+from canfb import SignalChain
 from canfb.signal.sample import Sample
-from tools.faults.estimator.kinds import Declared, Kind, State, make_chain
 from tools.faults.machine import (
     Array,
     Counts,
@@ -22,10 +22,27 @@ from tools.faults.machine import (
     start_speeds,
     table_of,
 )
+from tools.faults.samples.kinds import Declared, Kind, State
 
 BEFORE = (14, 31)  # good samples before the fault
 AFTER = 48  # good ones after its begin: more than the 32 intervals of doubt, and a fault
 VALID, LOST = 1, 4
+
+
+class Setup(Protocol):
+    """What is declared of a machine; samples within ``phase_error`` of a motion of ``bound`` are legal."""
+
+    @property
+    def acceleration(self) -> float: ...
+    @property
+    def phase_error(self) -> float: ...
+    @property
+    def bound(self) -> float: ...
+    @property
+    def wrong_cycles(self) -> float: ...
+    @property
+    def samples_per_sync(self) -> int: ...
+    def chain(self) -> SignalChain: ...
 
 
 @dataclass(frozen=True)
@@ -37,8 +54,7 @@ class Episode:
     phase     of the counts, as the chain computes it (of missing samples as well: not used)
     """
 
-    declared: Declared
-    kind: Kind
+    declared: Setup
     fault: int
     instants: Array
     truth: Array
@@ -87,7 +103,7 @@ def draw(kind: Kind, declared: Declared, episodes: int, rng: Rng) -> list[Episod
     phase = phases(sine, cosine, table_of(declared.phase_error))
     start = speed.tolist()
     return [
-        Episode(declared, kind, one, instants[n], truth[n], sine[n], cosine[n], phase[n], state[n], start[n])
+        Episode(declared, one, instants[n], truth[n], sine[n], cosine[n], phase[n], state[n], start[n])
         for n, one in enumerate(at.tolist())
     ]
 
@@ -116,9 +132,9 @@ def _faulty(state: npt.NDArray[np.int8], sine: Counts, cosine: Counts, rng: Rng)
     return sine, cosine
 
 
-def chain_for(episode: Episode, table: CorrectionTable | None = None) -> SignalChain:
+def chain_for(episode: Episode, declared: Setup | None = None) -> SignalChain:
     """A chain that knows the speed of the first sample of this episode."""
-    chain = make_chain(episode.declared, table_of(episode.declared.phase_error) if table is None else table)
+    chain = (declared or episode.declared).chain()
     apart = float(episode.instants[1] - episode.instants[0])
     chain.restart(0, float(episode.truth[1] - episode.truth[0]) / apart)
     return chain

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from canfb import CorrectionTable, SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.limits import PHASE_ERROR_CYCLES, samples_without_harm
-from tools.faults.machine import Rng
+from tools.faults.machine import Rng, table_of
 
 COAST_SAMPLES = 8
 MOST_BAD = 3
@@ -36,6 +37,15 @@ class Declared:
     phase_error: float = PHASE_ERROR_CYCLES
     bad_samples: int | None = None
     samples_per_sync: int = 1
+    wrong_cycles: ClassVar[float] = 0.5  # a valid position that is off by that much is wrong
+
+    @property
+    def bound(self) -> float:
+        """Of a legal motion, cycles per interval^2."""
+        return self.acceleration
+
+    def chain(self) -> SignalChain:
+        return make_chain(self, table_of(self.phase_error))
 
     @property
     def bad(self) -> int:

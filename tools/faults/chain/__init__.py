@@ -1,1 +1,0 @@
-"""Faults of the samples: through the signal chain."""

@@ -1,1 +1,0 @@
-"""The cycle count after a fault: every kind of fault on random motions, held against exact feasibility."""

@@ -1,0 +1,253 @@
+"""Faults of the tracks: an encoder with every error of a mediocre one, its table, and what breaks.
+
+Each kind draws its sizes at random. A fault counts (``matters``) if it moves the phase by more than a quarter
+of a cycle, takes it away, or a wrong position was called valid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from canfb import AdaptConfig, CorrectionTable, SignalChain, phase_in_cycle
+from canfb.calibration.ellipse import with_track_harmonics
+from canfb.planning.coverage import KINDS as COMPUTED
+from canfb.signal.adaptation import FollowedDrift
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.declared import DOUBT_ACCELERATION
+from canfb.simulation import faults
+from canfb.simulation.encoder import Encoder, demo_encoder
+from canfb.simulation.faults import Fault, Samples, Signal
+from tools.faults.machine import Array, Counts, Rng, accelerations, exact_table, positions, start_speeds
+from tools.faults.samples.episodes import VALID, Episode, Published
+from tools.faults.samples.judge import Verdict, judge
+from tools.faults.samples.kinds import State
+
+ENCODER: Encoder = demo_encoder()
+A = ENCODER.amplitude_counts
+BEFORE, CLEAN_AFTER, TO_THE_END = (100, 301), 100, 200  # samples
+LONGEST_SHORT = 60
+CREEPING = (0.0, 0.0, 0.002, 0.02, 0.15, 0.3)  # cycles per sample, of one machine in four
+FLAGGED = 1 << 4 | 1 << 5 | 1 << 6 | 1 << 11  # amplitude, clipped, missed, frozen
+SOON_SAMPLES = 3
+# As fast as an adaptation can be: the interval is taken for a longer one, so that it learns from each sample.
+ADAPT, ADAPT_INTERVAL_S = AdaptConfig(rate_per_hour=10.0), 0.01
+ADAPT_SLACK = 0.004  # of a residual: 0.001 cycle of each phase
+# Before an episode it has followed half of what it may.
+FOLLOWED = FollowedDrift(0.075 * A, -0.075 * A, 0.12, 0.025)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Limits of the chain, and what the machine does.
+
+    residual_limit           cycles
+    amplitude                lowest and highest, as parts of the nominal one; None: the defaults
+    frozen_samples           repeats in a row that are taken for a dead converter; 0: none
+    conditioned              offsets, gains and phase error of the tracks are known to the chain
+    acceleration             largest of the machine, cycles per interval squared
+    adapt                    drift is followed, and half of what is allowed was already
+    """
+
+    residual_limit: float
+    amplitude: tuple[float, float] | None
+    frozen_samples: int
+    conditioned: bool
+    acceleration: float
+    adapt: bool = False
+    phase_error: ClassVar[float] = 0.0  # a motion is legal by its phases alone
+    wrong_cycles: ClassVar[float] = 0.25
+    samples_per_sync: ClassVar[int] = 1
+
+    @property
+    def bound(self) -> float:
+        """The phases of an adaptation are those of what it has learned, the judge's those of the truth."""
+        return self.residual_limit + (ADAPT_SLACK if self.adapt else 0.0)
+
+    @cached_property
+    def conditioning(self) -> Conditioning:
+        if not self.conditioned:
+            return IDENTITY
+        e = ENCODER
+        gains = 1.0 / e.sine_amplitude, 1.0 / e.cosine_amplitude
+        return Conditioning(A * e.sine_offset, A * e.cosine_offset, *gains, e.phase_error_rad)
+
+    @cached_property
+    def calibrated(self) -> Conditioning:
+        """That of a reference measurement before the drift: with :data:`FOLLOWED` it is that of now."""
+        used = now = self.config.conditioning
+        for _ in range(20):
+            pairs = zip(used.values, now.values, FOLLOWED.removed_by(used).values, strict=True)
+            used = Conditioning(*(one + wanted - got for one, wanted, got in pairs))
+        return used
+
+    @cached_property
+    def table(self) -> CorrectionTable:
+        """The table that a reference measurement without error would give."""
+        return exact_table(lambda truth: self.conditioning.apply(*ENCODER.tracks(truth)))
+
+    @cached_property
+    def config(self) -> ChainConfig:
+        low, high = (None, None) if self.amplitude is None else (round(part * A) for part in self.amplitude)
+        tracks = np.array(ENCODER.tracks(np.arange(4096) / 4096))
+        return ChainConfig(
+            amplitude_low_counts=low,
+            amplitude_high_counts=high,
+            residual_limit=self.residual_limit,
+            frozen_samples=self.frozen_samples,
+            conditioning=with_track_harmonics(self.conditioning, tracks) if self.adapt else self.conditioning,
+            adapt=ADAPT if self.adapt else False,
+            interval_s=ADAPT_INTERVAL_S if self.adapt else 0.0,
+            bad_samples=3,
+            # It is not known, but what is assumed while in doubt has to hold for the machine.
+            doubt_acceleration_cycles=max(DOUBT_ACCELERATION, min(self.acceleration, 0.5)),
+        )
+
+    def chain(self) -> SignalChain:
+        if not self.adapt:
+            return SignalChain(self.config, self.table)
+        config = ChainConfig(conditioning=self.calibrated, interval_s=ADAPT_INTERVAL_S)
+        chain = SignalChain(config, self.table)
+        chain.adapt(ADAPT, FOLLOWED)
+        chain.set_limits(self.config.chain_limits)
+        return chain
+
+    def phases(self, sine: Counts, cosine: Counts) -> tuple[Array, Array]:
+        """Corrected phase and amplitude of these counts, as the chain computes them."""
+        s, c = self.conditioning.apply(sine.astype(np.float64), cosine.astype(np.float64))
+        return self.table(phase_in_cycle(s, c)), np.sqrt(s * s + c * c)
+
+    def is_legal(self, episode: Episode) -> bool:
+        """All samples are those of a healthy machine: no supervision can flag them (README.md)."""
+        limits, inside = self.config.limits, episode.state == State.GOOD
+        for track in (episode.sine, episode.cosine):
+            inside &= (track > -limits.full_scale_counts) & (track < limits.full_scale_counts - 1)
+        _, amplitude = self.phases(episode.sine, episode.cosine)
+        inside &= (amplitude >= limits.amplitude_low_counts) & (amplitude <= limits.amplitude_high_counts)
+        c = np.diff(episode.phase, 2)
+        inside[2:] &= np.abs(np.rint(c) - c) < self.bound
+        return bool(inside[episode.fault :].all())
+
+
+SETTINGS = {
+    "default": Setting(1.0 / 3.0, None, 0, False, 0.01),
+    "accelerating": Setting(1.0 / 3.0, None, 0, False, 0.2),
+    "commissioned": Setting(0.06, (0.8, 1.2), 16, True, 0.01),
+}
+
+
+@dataclass(frozen=True)
+class TrackFault:
+    """``samples`` that it lasts; None: 1..60 samples or to the end of the episode, half and half."""
+
+    draw: Callable[[Rng], Fault]
+    samples: int | None = None
+
+    def length(self, rng: Rng) -> int | None:
+        if self.samples is not None:
+            return self.samples
+        return int(rng.integers(1, LONGEST_SHORT + 1)) if rng.uniform() < 0.5 else None
+
+
+def draw(kind: TrackFault, setting: Setting, episodes: int, rng: Rng) -> Iterator[Episode]:
+    """A clean lead, a fault, and clean samples again if the fault is a short one."""
+    at = rng.integers(*BEFORE, episodes)
+    samples = BEFORE[1] + TO_THE_END
+    u = accelerations(setting.acceleration, rng, at, samples)
+    u *= rng.uniform(size=(episodes, 1)) >= 1.0 / 3.0
+    speed = start_speeds(rng, episodes, setting.acceleration * samples)
+    creeping = rng.choice(CREEPING, episodes) * rng.choice((-1.0, 1.0), episodes)
+    speed = np.where(rng.uniform(size=episodes) < 0.25, creeping, speed)
+    motions = positions(u, speed, rng)
+    for start, motion, first_speed in zip(at.tolist(), motions, speed.tolist(), strict=True):
+        yield _episode(kind, setting, start, motion, first_speed, rng)
+
+
+def _episode(
+    kind: TrackFault, setting: Setting, start: int, motion: Array, speed: float, rng: Rng
+) -> Episode:
+    length = kind.length(rng)
+    stop = start + (TO_THE_END if length is None else length)
+    truth = motion[: stop if length is None else stop + CLEAN_AFTER]
+    clean = Samples.of(*ENCODER.sample(truth, rng), adc_bits=ENCODER.adc_bits)
+    bad = kind.draw(rng).inject(clean, start, stop, rng)
+    state = np.where(bad.delivered, State.GOOD, State.MISSING).astype(np.int8)
+    phase, _ = setting.phases(bad.sine, bad.cosine)
+    return Episode(
+        setting, start, np.arange(float(len(truth))), truth, bad.sine, bad.cosine, phase, state, speed
+    )
+
+
+def judge_tracks(setting: Setting, episode: Episode, published: Published) -> tuple[Verdict, dict[str, int]]:
+    """What became of it, and
+
+    declared        no more samples in a row were bad and not flagged than cannot do harm, and no missing or
+                    flagged ones are beside them (docs/supervision.md)
+    seen, soon      the fault was flagged, and after at most three samples
+    legal           not flagged, and the samples are those of a healthy machine
+    """
+    start, status = episode.fault, published.status
+    flagged = (status & FLAGGED) != 0
+    verdict = judge(replace(episode, state=np.where(flagged, State.FLAGGED, episode.state)), published)
+    away = np.abs(episode.phase - episode.truth - np.rint(episode.phase - episode.truth))
+    off = np.where(episode.state == State.MISSING, np.nan, away)
+    limits = setting.config.chain_limits
+    bad = np.flatnonzero((off > limits.phase_error) & ~flagged)
+    most = replace(limits, bad=0).bad_samples
+    unseen = np.flatnonzero((status[start:] & VALID) == 0)
+    matters = not (off[start:] <= setting.wrong_cycles).all() or bool(verdict.wrong)
+    seen, declared = len(unseen) > 0, True
+    if len(bad):
+        beside = (flagged | np.isnan(off))[bad[0] - most - 1 : bad[-1] + most + 2]
+        declared = int(bad[-1] - bad[0]) < most and not beside.any()
+    return verdict, {
+        "declared": declared,
+        "matters": matters,
+        "seen": matters and seen,
+        "soon": seen and int(unseen[0]) <= SOON_SAMPLES,
+        "legal": matters and not seen and setting.is_legal(episode),
+    }
+
+
+def _any_track(rng: Rng) -> Signal:
+    return (Signal.SINE, Signal.COSINE, Signal.BOTH)[int(rng.integers(3))]
+
+
+def _computed(name: str) -> TrackFault:
+    """One of those that `canfb plan --coverage` computes, drawn in the same way."""
+    draw_one = COMPUTED[name]
+    assert draw_one is not None
+    return TrackFault(lambda rng: draw_one(rng, A))
+
+
+def _short(rng: Rng) -> Fault:
+    return faults.shorted_track(_any_track(rng), bool(rng.uniform() < 0.5))
+
+
+def _noise(rng: Rng) -> Fault:
+    return faults.excess_noise(_any_track(rng), float(rng.uniform(0.03, 1.0)) * A)
+
+
+def _phase_glitch(rng: Rng) -> Fault:
+    return faults.phase_glitch(A, common=bool(rng.uniform() < 0.5))
+
+
+TRACK_FAULTS: dict[str, TrackFault] = {
+    **{name: _computed(name) for name, drawn in COMPUTED.items() if drawn is not None},
+    "short to a supply": TrackFault(_short),
+    "excess noise": TrackFault(_noise),
+    **{f"phase glitch, {n}": TrackFault(_phase_glitch, n) for n in (1, 2, 3)},
+    **{f"random counts, {n}": TrackFault(lambda _: faults.count_glitch(), n) for n in (1, 2, 3)},
+    "random counts": TrackFault(lambda _: faults.count_glitch()),
+    **{f"lost, {n}": TrackFault(lambda _: faults.lost_samples(), n) for n in (1, 2, 3)},
+    "lost": TrackFault(lambda _: faults.lost_samples()),
+    **{f"repeated, {n}": TrackFault(lambda _: faults.frozen_samples(), n) for n in (1, 2, 3)},
+    "repeated every other": TrackFault(lambda _: faults.repeated_samples()),
+    **{f"late, {n}": TrackFault(lambda _: faults.late_samples(), n) for n in (1, 2, 3)},
+    "late": TrackFault(lambda _: faults.late_samples()),
+}
