@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from canfb.signal.bounded_motion import BoundedMotion, Spot, Window
-from tools.faults.samples.legal import least_bound
 from tools.faults.machine import positions
+from tools.faults.samples.legal import least_bound
 
 TRIALS = 30
 START_ERROR = 0.05

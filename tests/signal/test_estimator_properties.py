@@ -20,10 +20,10 @@ from canfb.signal.estimator import Estimator
 from canfb.signal.limits import kept_samples
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, VALID
+from tools.faults.machine import AMPLITUDE_COUNTS, positions, table_of
 from tools.faults.samples.episodes import Episode, chain_for, draw, play
 from tools.faults.samples.judge import judge
 from tools.faults.samples.kinds import KINDS, Declared, Kind, State, limits_of, make_chain
-from tools.faults.machine import AMPLITUDE_COUNTS, positions, table_of
 
 EPISODES = 10
 MACHINES = {
