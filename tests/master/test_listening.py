@@ -206,8 +206,6 @@ def test_a_silent_interface_is_taken_as_the_module_expects_it() -> None:
     bench = Bench(sync=False)
     bench.bus._participants.remove(bench.interface)
     assert agreed_layout(bench.access, bench.interface_access) == LAYOUT
-    other = NodeAccess(bench.master, 0x11, "encoder interface")
-    assert agreed_layout(None, other) == PdoLayout(0x191)
 
 
 def test_a_silent_interface_is_not_taken_for_another_node() -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 from canfb import objects as od
 from canfb.calibration.over_speeds import counts_at
-from canfb.cia301 import cob
 from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
 from canfb.master.all_or_nothing import read_active
 from canfb.master.listening import Listener, listen, record
@@ -152,31 +151,31 @@ def _interface_of(module: NodeAccess) -> int | None:
     return None if layout is None else layout.sender or DEFAULT_INTERFACE
 
 
-def agreed_layout(module: NodeAccess | None, interface: NodeAccess) -> PdoLayout:
+def agreed_layout(module: NodeAccess, interface: NodeAccess) -> PdoLayout:
     """The PDO that the interface sends and the module takes; CommissioningError if they differ.
 
     An interface that does not answer is taken to send what the module expects.
     """
-    taken = module_layout(module.read_known) if module is not None else None
-    if module is not None and taken is None:
+    taken = module_layout(module.read_known)
+    if taken is None:
         raise CommissioningError(
             f"{module.name} has no valid RPDO with both tracks (2000:01, 2000:02): map and enable one; for a "
             "module with its own ADC: --source recording --recorder module"
         )
     if not interface.answers():
-        if module is not None and taken is not None and taken.sender not in (None, interface.node_id):
+        if taken.sender not in (None, interface.node_id):
             raise CommissioningError(
                 f"{interface.name} does not answer, and {module.name} receives its samples from node "
                 f"{taken.sender} ({taken.sender:02X}h, PDO {taken.can_id:03X}h): set the right "
                 "--encoder-interface, or link the PDOs (1400:01)"
             )
-        return taken or PdoLayout(cob.TPDO1 + interface.node_id)
+        return taken
     sent = interface_layout(interface.read_known)
     if sent is None:
         raise CommissioningError(
             f"{interface.name} has no valid TPDO with both tracks (6401:01, 6401:02): map and enable one"
         )
-    if module is not None and taken is not None and taken.can_id != sent.can_id:
+    if taken.can_id != sent.can_id:
         raise CommissioningError(
             f"{module.name} receives its samples in PDO {taken.can_id:03X}h, but {interface.name} sends "
             f"them in {sent.can_id:03X}h: set the right --encoder-interface, or link the PDOs (1400:01)"

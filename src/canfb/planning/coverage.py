@@ -45,7 +45,7 @@ class SampleWindow:
     nominal_counts              amplitude of the healthy tracks
     limit_cycles                residual limit L
     motion_cycles               largest acceleration, cycles per interval^2
-    tolerance_cycles            of the second position, None: there is none
+    tolerance_cycles            of the second position
     """
 
     full_scale_counts: int
@@ -54,7 +54,7 @@ class SampleWindow:
     nominal_counts: float
     limit_cycles: float
     motion_cycles: float
-    tolerance_cycles: float | None
+    tolerance_cycles: float
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Shares:
 
     amplitude: float
     residual: float
-    second: float | None
+    second: float
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,8 @@ def area_coverage(window: SampleWindow) -> Shares:
     whole = 4.0 * full * full
     ring = (_disc(window.high_counts, full) - _disc(window.low_counts, full)) / whole
     left = min(1.0, 2.0 * window.limit_cycles)
-    tolerance = window.tolerance_cycles
-    seen = None if tolerance is None else 1.0 - ring * min(left, 2.0 * tolerance)
-    return Shares(1.0 - ring, 1.0 - ring * left, seen)
+    near = min(left, 2.0 * window.tolerance_cycles)
+    return Shares(1.0 - ring, 1.0 - ring * left, 1.0 - ring * near)
 
 
 def _disc(radius: float, half_side: float) -> float:
@@ -180,13 +179,8 @@ def _judged(window: SampleWindow, name: str, truth: Floats, sine: Floats, cosine
     moved = phase - truth
     moved -= np.rint(moved)
     harmful: Any = ((np.abs(moved[:, ORDER:]) > HARM_CYCLES) | (np.abs(error) > HARM_CYCLES)).any(axis=1)
-    tolerance = window.tolerance_cycles
-    second = None if tolerance is None else by_residual | (np.abs(error) > tolerance)
-    shares = Shares(
-        _share(by_amplitude, harmful),
-        _share(by_residual, harmful),
-        None if second is None else _share(second, harmful),
-    )
+    second = by_residual | (np.abs(error) > window.tolerance_cycles)
+    shares = Shares(*(_share(seen, harmful) for seen in (by_amplitude, by_residual, second)))
     return FaultCoverage(name, int(harmful.sum()), shares, _within(by_residual[harmful]))
 
 

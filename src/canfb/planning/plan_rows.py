@@ -409,7 +409,7 @@ def coverage_rows(budget: ResidualBudget) -> list[Row]:
     ]
 
 
-def _shares(shares: Shares) -> dict[str, float | None]:
+def _shares(shares: Shares) -> dict[str, float]:
     return {"amplitude": shares.amplitude, "residual": shares.residual, "second_position": shares.second}
 
 
@@ -420,8 +420,8 @@ def _time(within: int | None, budget: ResidualBudget) -> str:
     return f"{within} {samples}, {within * budget.interval_s * 1e3:.3g} ms"
 
 
-def _percent(part: float | None) -> str:
-    return "-" if part is None else f"{int(1000.0 * part + 1e-9) / 10.0:.1f} %"
+def _percent(part: float) -> str:
+    return f"{int(1000.0 * part + 1e-9) / 10.0:.1f} %"
 
 
 # The verdict.

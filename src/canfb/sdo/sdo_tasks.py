@@ -194,13 +194,13 @@ def words_of(product: str, place: Place) -> Mapping[str, int]:
     return {_spoken(str(one.name)): int(one.value) for one in kind} if kind else {}
 
 
-def abort_words(code: int, entry: ObjectDescription | None, product: str = "") -> str:
+def abort_words(code: int, entry: ObjectDescription, product: str) -> str:
     meaning = next((one.text for one in AbortCode if one == code), "a code of the manufacturer")
     advice = _TO_DO.get(code, "")
-    if code == AbortCode.DEVICE_STATE and entry is not None:
+    if code == AbortCode.DEVICE_STATE:
         advice = _OF_PLACE.get(product, {}).get(entry.place, advice)
     is_range = code in (AbortCode.VALUE_TOO_HIGH, AbortCode.VALUE_TOO_LOW, AbortCode.INVALID_VALUE)
-    if is_range and entry is not None and (entry.low is not None or entry.high is not None):
+    if is_range and (entry.low is not None or entry.high is not None):
         low, high = ("" if limit is None else f"{limit:g}" for limit in (entry.low, entry.high))
         advice = f"the EDS allows {low}..{high}"
     return f"{meaning} ({code:08X}h){'; ' * bool(advice)}{advice}"

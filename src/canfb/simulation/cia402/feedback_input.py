@@ -128,10 +128,8 @@ class FeedbackInput:
             step = (raw - self._last + full // 2) % full - full // 2
         bound = self._bound(largest_speed, interval_s) * max(1, self._open)
         too_far = known and bound > 0 and abs(step) > bound
-        if (
-            known and self._open == 0
-        ):  # one more than there were SYNCs, or the one before was taken for a later
-            if not too_far:
+        if known and self._open == 0:
+            if not too_far:  # one more than there were SYNCs, or the one before was taken for a later
                 self.position += step
                 self._last = raw
             return False
