@@ -10,8 +10,15 @@ from measurements import random_encoder, table_error, wandering
 
 from canfb.calibration.deviation import best_deviation
 from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.motion_blocks import cut
-from canfb.calibration.recording import BASELINE, LONGEST_LAG, positions, recorded_tracks, recording
+from canfb.calibration.motion_blocks import CUBIC, Blocks
+from canfb.calibration.recording import (
+    BASELINE,
+    LONGEST_LAG,
+    Recording,
+    positions,
+    recorded_tracks,
+    recording,
+)
 from canfb.calibration.result import Reason
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.phase import FloatArray, raw_phases
@@ -102,9 +109,14 @@ def test_missing_samples_are_stepped_over_and_breaks_start_afresh():
             assert abs(found[part][seen][0]) < 1.0
 
 
+def cut(time, length, terms=CUBIC, valid=True, breaks=NO_BREAKS) -> Blocks:
+    none = np.zeros(len(time))
+    return Recording(none, none, none + valid > 0.0, none > 0.0, time, True, breaks).cut(length, terms)
+
+
 @pytest.mark.parametrize(("n", "length"), [(100, 16), (97, 16), (16, 16), (1000, 64), (7, 32)])
 def test_every_sample_is_in_one_block(n, length):
-    blocks = cut(np.arange(n, dtype=float), np.ones(n, np.bool_), NO_BREAKS, length)
+    blocks = cut(np.arange(float(n)), length)
     assert sorted(blocks.index[blocks.used]) == list(range(n))
     assert blocks.samples == n
     assert blocks.freedom == n - 4 * len(blocks)
@@ -112,7 +124,7 @@ def test_every_sample_is_in_one_block(n, length):
 
 def test_no_block_reaches_over_a_break():
     breaks = np.array([33, 40, 42])
-    blocks = cut(np.arange(100.0), np.ones(100, np.bool_), breaks, 16)
+    blocks = cut(np.arange(100.0), 16, breaks=breaks)
     for index, used in zip(blocks.index, blocks.used, strict=True):
         assert not any(index[used].min() < at <= index[used].max() for at in breaks)
     # Two samples between 40 and 42 are too few for a block.
@@ -122,7 +134,7 @@ def test_no_block_reaches_over_a_break():
 def test_invalid_samples_and_blocks_without_enough_are_left_out():
     valid = np.ones(64, np.bool_)
     valid[3], valid[16:28] = False, False
-    blocks = cut(np.arange(64.0), valid, NO_BREAKS, 16)
+    blocks = cut(np.arange(64.0), 16, valid=valid)
     assert len(blocks) == 3
     assert 3 not in blocks.index[blocks.used]
     assert blocks.samples == 47
@@ -132,7 +144,7 @@ def test_invalid_samples_and_blocks_without_enough_are_left_out():
 def test_polynomials_of_uneven_times_are_followed(terms):
     rng = np.random.default_rng(1)
     time = np.cumsum(rng.uniform(0.5, 2.0, 640))
-    blocks = cut(time, np.ones(640, np.bool_), NO_BREAKS, 32, terms)
+    blocks = cut(time, 32, terms)
     curve = np.polynomial.Polynomial(rng.normal(0.0, 1.0, terms))
     inside = np.array([2.0 * (t - t[0]) / (t[-1] - t[0]) - 1.0 for t in time[blocks.index]])
     values = curve(inside)
@@ -146,7 +158,7 @@ def test_polynomials_of_uneven_times_are_followed(terms):
 def test_informative_blocks_meet_half_of_the_eighths():
     at = np.arange(16.0)
     position = np.array([0.0 * at, at / 2.0, at / 4.0, at / 40.0 + 5.2, at / 16.0])
-    blocks = cut(np.arange(80.0), np.ones(80, np.bool_), NO_BREAKS, 16)
+    blocks = cut(np.arange(80.0), 16)
     assert blocks.informative(position).tolist() == [False, False, True, True, True]
 
 

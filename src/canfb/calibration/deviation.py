@@ -8,7 +8,7 @@ too. N samples with n coefficients: the rms is that of the deviations times sqrt
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,6 @@ from canfb.calibration.motion_blocks import (
     IntArray,
     about_mean,
     coverage,
-    cut,
     mean_in_bins,
     peak,
     root_mean,
@@ -113,7 +112,7 @@ def deviation_of_phases(
     speed = float(np.nanmedian(np.abs(np.diff(position))))
     slow = CYCLES_OF_BLOCK / max(speed, CYCLES_OF_BLOCK / LONGEST_BLOCK)
     length = min(max(block_samples, LEAST_BLOCK, math.ceil(slow)), LONGEST_BLOCK)
-    blocks = cut(record.time, valid, record.breaks, length)
+    blocks = replace(record, valid=valid).cut(length)
     blocks = blocks.take(blocks.informative(position[blocks.index])) if len(blocks) else blocks
     if len(blocks) < MIN_BLOCKS or coverage(position[blocks.index][blocks.used]) < MIN_COVERAGE:
         raise CalibrationError(

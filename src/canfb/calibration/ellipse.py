@@ -118,6 +118,9 @@ def _places(x: FloatArray, y: FloatArray) -> npt.NDArray[np.int64]:
     return np.asarray(32 * row + column, np.int64)
 
 
+_Ellipse = tuple[FloatArray, FloatArray]  # centre, and Q^-1
+
+
 @dataclass(frozen=True, eq=False)
 class _Box:
     middle: FloatArray
@@ -132,7 +135,7 @@ class _Box:
     def scaled(self, s: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
         return (s - self.middle[0]) / self.half[0], (c - self.middle[1]) / self.half[1]
 
-    def fit(self, s: FloatArray, c: FloatArray) -> tuple[FloatArray | None, float]:
+    def fit(self, s: FloatArray, c: FloatArray) -> tuple[_Ellipse | None, float]:
         x, y = self.scaled(s, c)
         radius = np.hypot(x, y)
         keep = (radius > 0.3) & (radius < 1.7)
@@ -141,21 +144,22 @@ class _Box:
             fit = _conic(x[keep], y[keep])
             if fit is None:
                 return None, 0.0
-            off = np.abs(_radius(fit, x, y) - 1.0)
+            off = np.abs(_radius(*fit, x, y) - 1.0)
             limit = max(REJECT_SIGMAS * 1.4826 * float(np.median(off)), MIN_SCATTER)
             before, keep = keep, off < limit
             if np.array_equal(before, keep):
                 break
         assert fit is not None
-        off = _radius(fit, x, y) - 1.0
+        off = _radius(*fit, x, y) - 1.0
         if np.mean(keep) < 0.5 or float(np.std(off[keep])) > LARGEST_SCATTER:
             return None, 0.0
         return fit, float(np.mean(np.abs(off) < NEAR))
 
-    def conditioning(self, fit: FloatArray) -> Conditioning:
-        amplitude = np.sqrt(fit[[2, 4]]) * self.half
+    def conditioning(self, fit: _Ellipse) -> Conditioning:
+        centre, q = fit[0], np.linalg.inv(fit[1])
+        amplitude = np.sqrt(np.diag(q)) * self.half
         mean = np.sqrt(amplitude[0] * amplitude[1])
-        offset = self.middle + fit[:2] * self.half
+        offset = self.middle + centre * self.half
         try:
             return as_real32(
                 Conditioning(
@@ -163,7 +167,7 @@ class _Box:
                     cosine_offset_counts=float(offset[1]),
                     sine_gain=float(mean / amplitude[0]),
                     cosine_gain=float(mean / amplitude[1]),
-                    phase_error_rad=float(np.arcsin(fit[3] / np.sqrt(fit[2] * fit[4]))),
+                    phase_error_rad=float(np.arcsin(q[0, 1] / np.sqrt(q[0, 0] * q[1, 1]))),
                 )
             )
         except ValueError as error:
@@ -172,7 +176,7 @@ class _Box:
             ) from None
 
 
-def _conic(x: FloatArray, y: FloatArray) -> FloatArray | None:
+def _conic(x: FloatArray, y: FloatArray) -> _Ellipse | None:
     if len(x) < 8:
         return None
     columns = np.column_stack([x * x, x * y, y * y, x, y])
@@ -182,14 +186,11 @@ def _conic(x: FloatArray, y: FloatArray) -> FloatArray | None:
     if rank < 5 or np.linalg.eigvalsh(shape).min() <= 0.0:
         return None
     centre = np.linalg.solve(shape, [-d / 2.0, -e / 2.0])
-    size = 1.0 + float(centre @ shape @ centre)
-    inverse = np.linalg.inv(shape) * size
-    return np.array([centre[0], centre[1], inverse[0, 0], inverse[0, 1], inverse[1, 1]])
+    return centre, shape / (1.0 + float(centre @ shape @ centre))
 
 
-def _radius(fit: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    shape = np.linalg.inv(np.array([[fit[2], fit[3]], [fit[3], fit[4]]]))
-    dx, dy = x - fit[0], y - fit[1]
+def _radius(centre: FloatArray, shape: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    dx, dy = x - centre[0], y - centre[1]
     radius: FloatArray = np.sqrt(shape[0, 0] * dx * dx + 2.0 * shape[0, 1] * dx * dy + shape[1, 1] * dy * dy)
     return radius
 

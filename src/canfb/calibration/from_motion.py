@@ -38,7 +38,6 @@ from canfb.calibration.motion_blocks import (
     about_mean,
     coverage,
     error_curve,
-    error_harmonics,
     peak,
     root_mean,
     samples_in_bins,
@@ -94,27 +93,25 @@ def calibrate_from_motion(
 PARTS = 8
 SCATTER, SCATTER_OF_TWO = 0.15, 0.3
 MIN_BLOCKS_OF_PART = 24
+HIGHEST_HARMONIC = 64  # of the error
 
 
 def finish(record: Recording, solution: Solution, conditioning: Conditioning, entries: int) -> Calibration:
-    fit, blocks, whole, loss, undetermined = solution
-    use = blocks.used
-    position = blocks.evaluate(fit.motion)
+    fit, whole, loss, undetermined = solution
+    blocks, use, position = fit.blocks, fit.blocks.used, fit.position
     cycles = float(np.abs(np.diff(position, axis=1))[use[:, 1:] & use[:, :-1]].sum())
     curve = raw_phase_curve(fit.waveform, conditioning)
     sensitivity = table_sensitivity(fit.waveform, conditioning)
     spread = np.sqrt(_variance(sensitivity, fit.covariance))
     expected = root_mean(spread)
-    parts = [
-        table_of(raw_phase_curve(part, conditioning), entries).entries for part in _parts(record, blocks, fit)
-    ]
+    each = [_fit_of_part(blocks, fit, rows) for rows in independent_parts(len(blocks))]
+    parts = [table_of(raw_phase_curve(one.waveform, conditioning), entries).entries for one in each]
     measured = measured_error(parts)
     tables = [CorrectionTable(np.mean(parts[odd::2], axis=0)) for odd in (0, 1)]
-    change = _change(record, blocks, whole, fit, sensitivity, max(1.0, measured / expected))
-    covariance = bound_covariance(blocks, record.sine, record.cosine, fit, fit.noise_counts)
-    bound = float(np.sqrt(_variance(sensitivity, covariance).mean()))
-    before, after = _deviations(record, blocks, position, conditioning, tables)
-    moving = use & blocks.informative(position)[:, None]
+    change = _change(whole, fit, sensitivity, max(1.0, measured / expected))
+    bound = float(np.sqrt(_variance(sensitivity, bound_covariance(fit)).mean()))
+    before, after = _deviations(blocks, position, conditioning, tables)
+    moving = use & fit.informative[:, None]
     phase = position - origin_of(curve)
     curve_of_errors = error_curve(phase[moving], before[moving], after[moving])
     systematic = _systematic(curve_of_errors, phase[moving], root_mean(after[moving]))
@@ -175,51 +172,29 @@ def mean_tracks_of(waveform: Waveform, curve: FloatArray) -> FloatArray:
     return np.array(waveform.tracks(grid_phases(TRACK_POINTS)[:-1] + origin_of(curve)))
 
 
-def _parts(record: Recording, blocks: Blocks, fit: JointFit) -> list[Waveform]:
-    waveforms = []
-    for part in independent_parts(len(blocks)):
-        one = fit_jointly(
-            blocks.take(part),
-            record.sine,
-            record.cosine,
-            fit.waveform,
-            fit.motion[part],
-            rounds=6,
-            noise=fit.noise,
-        )
-        waveforms.append(one.waveform)
-    return waveforms
-
-
-def _change(
-    record: Recording, blocks: Blocks, whole: Blocks, fit: JointFit, sensitivity: FloatArray, doubt: float
-) -> Drift:
+def _change(whole: Blocks, fit: JointFit, sensitivity: FloatArray, doubt: float) -> Drift:
     """Of the tracks in the course of the measurement; ``doubt``: noise over what the covariance expects."""
     largest = Drift()
-    left_out = lasting(2 * blocks.used.sum(axis=1) < whole.used.sum(axis=1))
-    moving = np.flatnonzero(
-        blocks.informative(blocks.evaluate(fit.motion))
-    )  # at standstill nobody sees a table
+    left_out = lasting(2 * fit.blocks.used.sum(axis=1) < whole.used.sum(axis=1))
+    moving = np.flatnonzero(fit.informative)  # at standstill nobody sees a table
     for count in (THIRDS, FINE):
         if len(moving) < count * MIN_BLOCKS:
             break
         divided = np.array_split(moving, count) + left_out
-        parts = [_fit_of_part(record, blocks.take(rows), whole.take(rows), fit, rows) for rows in divided]
-        tables = np.array([sensitivity @ np.append(p.waveform.sine, p.waveform.cosine) for p in parts])
+        parts = [_fit_of_part(whole, fit, rows) for rows in divided]
+        tables = np.array([sensitivity @ p.waveform.coefficients.ravel() for p in parts])
         noise = np.array([doubt * root_mean(np.sqrt(_variance(sensitivity, p.covariance))) for p in parts])
         largest = max(largest, largest_change(tables, noise))
     return largest
 
 
-def _fit_of_part(
-    record: Recording, kept: Blocks, whole: Blocks, fit: JointFit, rows: npt.NDArray[np.int64]
-) -> JointFit:
+def _fit_of_part(whole: Blocks, fit: JointFit, rows: IntArray) -> JointFit:
     """The fit to these blocks alone. Where most samples had been left out, it is they that count here."""
-    noise, motion = fit.noise, fit.motion[rows]
+    kept, whole, noise, motion = fit.blocks.take(rows), whole.take(rows), fit.noise, fit.motion[rows]
     if 2 * kept.samples < whole.samples:
-        coarse = fit_jointly(whole, record.sine, record.cosine, fit.waveform, motion, noise=noise)
+        coarse = fit_jointly(whole, fit.waveform, motion, noise=noise)
         kept, noise, motion = reject(whole, coarse), coarse.noise, coarse.motion
-    return fit_jointly(kept, record.sine, record.cosine, fit.waveform, motion, rounds=6, noise=noise)
+    return fit_jointly(kept, fit.waveform, motion, rounds=6, noise=noise)
 
 
 def measured_error(tables: list[FloatArray]) -> float:
@@ -229,14 +204,12 @@ def measured_error(tables: list[FloatArray]) -> float:
 
 
 def _deviations(
-    record: Recording,
     blocks: Blocks,
     position: FloatArray,
     conditioning: Conditioning,
     tables: list[CorrectionTable],
 ) -> tuple[FloatArray, FloatArray]:
-    raw = raw_phases(*conditioning.apply(record.sine, record.cosine))[blocks.index]
-    raw = np.where(blocks.used, raw, 0.0)
+    raw = np.where(blocks.used, raw_phases(*conditioning.apply(*blocks.tracks)), 0.0)
     after = np.empty_like(raw)
     for odd in (0, 1):
         after[odd::2] = tables[1 - odd].correct_array(raw[odd::2])
@@ -253,7 +226,13 @@ def harmonics_of(
     waveform: Waveform, conditioning: Conditioning, origin: float, expected: float
 ) -> tuple[ErrorHarmonic, ...]:
     """Of the error of the conditioned arc tangent, beyond three times the ``expected`` one, cycles."""
-    phase = grid_phases(1024)[:-1]
+    phase = grid_phases(TRACK_POINTS)[:-1]
     s, c = conditioning.apply(*waveform.tracks(phase + origin))
     angle = np.unwrap(np.arctan2(s, c) / (2.0 * np.pi), period=1.0)
-    return error_harmonics(phase, angle, 3.0 * expected)
+    spectrum = np.fft.rfft(angle - phase) / TRACK_POINTS
+    found = [
+        ErrorHarmonic(order, 2.0 * float(abs(spectrum[order])), float(np.angle(spectrum[order])))
+        for order in range(1, HIGHEST_HARMONIC + 1)
+    ]
+    shown = (one for one in found if one.amplitude_cycles > 3.0 * expected)
+    return tuple(sorted(shown, key=lambda one: -one.amplitude_cycles))

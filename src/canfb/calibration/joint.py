@@ -49,12 +49,14 @@ class Noise:
 class JointFit:
     """Result of :func:`fit_jointly`.
 
+    blocks            what was fitted
     waveform, motion  both tracks; coefficients of the polynomials, (blocks, terms), cycles
     along, across     residuals in counts, (blocks, length); noise: estimated from those used
     speed             length of the curve's tangent, counts per cycle, (blocks, length)
     covariance        of the coefficients (sine, then cosine), counts^2
     """
 
+    blocks: Blocks
     waveform: Waveform
     motion: FloatArray
     along: FloatArray
@@ -62,6 +64,14 @@ class JointFit:
     speed: FloatArray
     noise: Noise
     covariance: FloatArray
+
+    @property
+    def position(self) -> FloatArray:
+        return self.blocks.evaluate(self.motion)
+
+    @property
+    def informative(self) -> BoolArray:
+        return self.blocks.informative(self.position)
 
     @property
     def noise_counts(self) -> float:
@@ -72,20 +82,14 @@ class JointFit:
         return self.noise.along / float(np.sqrt(np.mean(self.speed**2)))
 
 
-def initial_waveform(
-    blocks: Blocks, sine: FloatArray, cosine: FloatArray, motion: FloatArray, orders: tuple[int, ...]
-) -> Waveform:
-    use = blocks.used
-    columns = basis(blocks.evaluate(motion)[use], orders)
-    both = np.column_stack([sine[blocks.index][use], cosine[blocks.index][use]])
-    solution = np.asarray(np.linalg.lstsq(columns, both, rcond=None)[0], np.float64)
-    return Waveform(orders, solution[:, 0], solution[:, 1])
+def initial_waveform(blocks: Blocks, motion: FloatArray, orders: tuple[int, ...]) -> Waveform:
+    columns = basis(blocks.evaluate(motion)[blocks.used], orders)
+    solution = np.linalg.lstsq(columns, blocks.tracks[:, blocks.used].T, rcond=None)[0]
+    return Waveform(orders, np.asarray(solution.T, np.float64))
 
 
 def fit_jointly(
     blocks: Blocks,
-    sine: FloatArray,
-    cosine: FloatArray,
     waveform: Waveform,
     motion: FloatArray,
     rounds: int = 8,
@@ -94,23 +98,20 @@ def fit_jointly(
     """Least squares from these first values; ``noise`` weighs the two kinds of equation (None: equal)."""
     weigh = noise or Noise(1.0, 1.0)
     for _ in range(rounds):
-        system = _System(blocks, sine, cosine, waveform, motion, weigh)
+        system = _System(blocks, waveform, motion, weigh)
         waveform, motion, step = system.step()
         if step < CONVERGED * root_mean((system.along / system.speed)[blocks.used]):
             # The residuals before a step so small serve as those after it.
             return system.result(waveform, motion)
-    return _System(blocks, sine, cosine, waveform, motion, weigh).result(waveform, motion)
+    return _System(blocks, waveform, motion, weigh).result(waveform, motion)
 
 
-def bound_covariance(
-    blocks: Blocks, sine: FloatArray, cosine: FloatArray, fit: JointFit, noise_counts: float
-) -> FloatArray:
+def bound_covariance(fit: JointFit) -> FloatArray:
     """Cramer-Rao bound: least covariance that any estimate can have if noise were white.
 
-    For noise of ``noise_counts`` rms on each track, these samples, this motion and the orders of ``fit``.
+    For its noise on each track, its samples, motion and orders.
     """
-    noise = Noise(noise_counts, noise_counts)
-    system = _System(blocks, sine, cosine, fit.waveform, fit.motion, noise)
+    system = _System(fit.blocks, fit.waveform, fit.motion, Noise(fit.noise_counts, fit.noise_counts))
     return system.inverse(system.reduced)
 
 
@@ -120,8 +121,7 @@ def information_loss(blocks: Blocks, waveform: Waveform, motion: FloatArray) -> 
     A little over 1 where every block meets all phases, large where the motion could explain
     what the tracks do.
     """
-    none = np.zeros(int(blocks.index.max()) + 1)
-    system = _System(blocks, none, none, waveform, motion, Noise(1.0, 1.0))
+    system = _System(blocks, waveform, motion, Noise(1.0, 1.0))
     sensitivity = table_sensitivity(waveform, IDENTITY)
     with_motion = np.einsum("pi,pi->", sensitivity @ system.inverse(system.reduced), sensitivity)
     without = np.einsum("pi,pi->", sensitivity @ system.inverse(system.normal), sensitivity)
@@ -129,18 +129,10 @@ def information_loss(blocks: Blocks, waveform: Waveform, motion: FloatArray) -> 
 
 
 class _System:
-    def __init__(
-        self,
-        blocks: Blocks,
-        sine: FloatArray,
-        cosine: FloatArray,
-        waveform: Waveform,
-        motion: FloatArray,
-        noise: Noise,
-    ) -> None:
+    def __init__(self, blocks: Blocks, waveform: Waveform, motion: FloatArray, noise: Noise) -> None:
         self.blocks, self.waveform, self.motion, self.noise = blocks, waveform, motion, noise
         self.slope = waveform.slope()
-        size = 2 * len(waveform.sine)
+        size = waveform.coefficients.size
         self.normal, self.right = np.zeros((size, size)), np.zeros(size)
         shape = blocks.index.shape
         self.along, self.across, self.speed = np.zeros(shape), np.zeros(shape), np.zeros(shape)
@@ -149,7 +141,7 @@ class _System:
         self.inner_right = np.zeros((len(blocks), blocks.coefficients))
         rows = max(1, CHUNK_SAMPLES // shape[1])
         for start in range(0, len(blocks), rows):
-            self._add(slice(start, start + rows), sine, cosine)
+            self._add(slice(start, start + rows))
         # Blocks eliminated: what remains says how well the tracks themselves are known.
         solved = solve_blocks(self.inner, np.concatenate([self.cross, self.inner_right[..., None]], axis=2))
         self.solved_cross, self.solved_right = solved[..., :-1], solved[..., -1]
@@ -157,14 +149,13 @@ class _System:
         self.reduced = self.normal - flat.T @ self.solved_cross.reshape(-1, size)
         self.reduced_right = self.right - flat.T @ self.solved_right.reshape(-1)
 
-    def _add(self, part: slice, sine: FloatArray, cosine: FloatArray) -> None:
+    def _add(self, part: slice) -> None:
         blocks = self.blocks
-        index, used, terms = blocks.index[part], blocks.used[part], blocks.terms[part]
+        used, terms = blocks.used[part], blocks.terms[part]
         position = np.matmul(terms, self.motion[part][..., None])[..., 0]
-        columns, slope = basis(position, self.waveform.orders), self.slope
-        slope_s, slope_c = columns @ slope.sine, columns @ slope.cosine
-        off_s = sine[index] - columns @ self.waveform.sine
-        off_c = cosine[index] - columns @ self.waveform.cosine
+        columns = basis(position, self.waveform.orders)
+        slope_s, slope_c = self.slope.over(columns)
+        off_s, off_c = blocks.tracks[:, part] - self.waveform.over(columns)
         speed = np.hypot(slope_s, slope_c)
         turn_s, turn_c = slope_s / speed, slope_c / speed
         along, across = off_s * turn_s + off_c * turn_c, off_c * turn_s - off_s * turn_c
@@ -211,8 +202,7 @@ class _System:
 
     def _held(self, matrix: FloatArray) -> FloatArray:
         # The data does not determine phase 0: a shift of it moves the coefficients by their slope.
-        origin = np.concatenate([self.slope.sine, self.slope.cosine])
-        origin = origin / np.linalg.norm(origin)
+        origin = self.slope.coefficients.ravel() / np.linalg.norm(self.slope.coefficients)
         size = float(np.trace(matrix)) / len(matrix)
         return np.asarray(matrix + size * np.outer(origin, origin), np.float64)
 
@@ -223,11 +213,8 @@ class _System:
         step = float(np.quantile(moved, 0.9)) if len(moved) else 0.0
         # A block that the start left far off must not throw the others about.
         motion *= np.minimum(1.0, LARGEST_STEP_CYCLES / np.maximum(moved, 1e-30))[:, None]
-        half = len(self.waveform.sine)
-        waveform = Waveform(
-            self.waveform.orders, self.waveform.sine + change[:half], self.waveform.cosine + change[half:]
-        )
-        return waveform, self.motion + motion, step
+        old = self.waveform.coefficients
+        return Waveform(self.waveform.orders, old + change.reshape(old.shape)), self.motion + motion, step
 
     def result(self, waveform: Waveform, motion: FloatArray) -> JointFit:
         blocks, size = self.blocks, len(self.right)
@@ -238,6 +225,7 @@ class _System:
         # Weights were relative: scale them to the noise found.
         scale = max((noise.along / self.noise.along) ** 2, (noise.across / self.noise.across) ** 2)
         return JointFit(
+            blocks,
             waveform,
             motion,
             self.along,
@@ -279,40 +267,35 @@ def basis(position: FloatArray, orders: tuple[int, ...]) -> FloatArray:
 class Waveform:
     """Mean tracks in ADC counts over the phase.
 
-    orders      harmonics kept, ascending, 1 first
-    sine        coefficients of the sine track: mean, then cosine and sine part of each order
-    cosine      the same of the cosine track
+    orders         harmonics kept, ascending, 1 first
+    coefficients   mean, then cosine and sine part of each order; sine track above that of the cosine
     """
 
     orders: tuple[int, ...]
-    sine: FloatArray
-    cosine: FloatArray
+    coefficients: FloatArray
 
-    def tracks(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-        columns = basis(position, self.orders)
-        return columns @ self.sine, columns @ self.cosine
+    def over(self, columns: FloatArray) -> FloatArray:
+        """Both tracks where :func:`basis` has these columns."""
+        return np.array([columns @ track for track in self.coefficients])
+
+    def tracks(self, position: FloatArray) -> FloatArray:
+        return self.over(basis(position, self.orders))
 
     def slope(self) -> Waveform:
-        parts = []
-        for track in (self.sine, self.cosine):
-            turned = np.zeros_like(track)
-            for place, order in enumerate(self.orders):
-                turned[1 + 2 * place] = 2.0 * np.pi * order * track[2 + 2 * place]
-                turned[2 + 2 * place] = -2.0 * np.pi * order * track[1 + 2 * place]
-            parts.append(turned)
-        return Waveform(self.orders, parts[0], parts[1])
+        per_cycle, slope = 2.0 * np.pi * np.array(self.orders), np.zeros_like(self.coefficients)
+        slope[:, 1::2] = per_cycle * self.coefficients[:, 2::2]
+        slope[:, 2::2] = -per_cycle * self.coefficients[:, 1::2]
+        return Waveform(self.orders, slope)
 
     def with_orders(self, orders: tuple[int, ...]) -> Waveform:
-        parts = []
-        for track in (self.sine, self.cosine):
-            moved = np.zeros(1 + 2 * len(orders))
-            moved[0] = track[0]
-            for place, order in enumerate(orders):
-                if order in self.orders:
-                    old = self.orders.index(order)
-                    moved[1 + 2 * place : 3 + 2 * place] = track[1 + 2 * old : 3 + 2 * old]
-            parts.append(moved)
-        return Waveform(orders, parts[0], parts[1])
+        every = np.zeros((2, 2 + 2 * max(*self.orders, *orders)))
+        every[:, _places(self.orders)] = self.coefficients
+        return Waveform(orders, every[:, _places(orders)])
+
+
+def _places(orders: tuple[int, ...]) -> list[int]:
+    """Where the coefficients of these orders are among those of all, the mean first."""
+    return [0, *(place for order in orders for place in (2 * order - 1, 2 * order))]
 
 
 def series_of(spectrum: npt.NDArray[np.complex128], orders: tuple[int, ...]) -> Waveform:
@@ -320,7 +303,7 @@ def series_of(spectrum: npt.NDArray[np.complex128], orders: tuple[int, ...]) -> 
     parts = np.empty((2, 1 + 2 * len(orders)))
     parts[:, 0] = spectrum[:, 0].real
     parts[:, 1::2], parts[:, 2::2] = 2.0 * spectrum[:, 1:].real, -2.0 * spectrum[:, 1:].imag
-    return Waveform(orders, parts[0], parts[1])
+    return Waveform(orders, parts)
 
 
 def grid_phases(points: int = GRID) -> FloatArray:
@@ -391,11 +374,12 @@ def table_sensitivity(waveform: Waveform, conditioning: Conditioning, points: in
     it moves the place where the curve crosses that ray.
     """
     position = np.arange(points) / points
-    columns, slope = basis(position, waveform.orders), waveform.slope()
-    s, c = conditioning.apply(columns @ waveform.sine, columns @ waveform.cosine)
+    columns = basis(position, waveform.orders)
+    s, c = conditioning.apply(*waveform.over(columns))
+    slope_s, slope_c = waveform.slope().over(columns)
     _, gain_s, _, factor_c, skew = conditioning.coefficients()
-    slope_s = gain_s * (columns @ slope.sine)
-    slope_c = factor_c * (columns @ slope.cosine) - skew * slope_s
+    slope_s = gain_s * slope_s
+    slope_c = factor_c * slope_c - skew * slope_s
     across = slope_s * c - slope_c * s
     by_sine = gain_s * (c + skew * s) / across
     by_cosine = -factor_c * s / across

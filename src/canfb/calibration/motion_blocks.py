@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -26,17 +25,19 @@ class Blocks:
     index   sample numbers, shape (blocks, length), filled up where a block is shorter
     used    False for filling and for samples left out
     terms   Legendre polynomials of time -1..1 over the block, shape (blocks, length, coefficients)
+    tracks  counts, shape (2, blocks, length), sine first
     """
 
     index: IntArray
     used: BoolArray
     terms: FloatArray
+    tracks: FloatArray
 
     def __len__(self) -> int:
         return len(self.index)
 
     def take(self, rows: IntArray | BoolArray) -> Blocks:
-        return Blocks(self.index[rows], self.used[rows], self.terms[rows])
+        return Blocks(self.index[rows], self.used[rows], self.terms[rows], self.tracks[:, rows])
 
     def using(self, used: BoolArray) -> Blocks:
         """The same blocks with other samples left out; blocks with too few samples give none."""
@@ -88,36 +89,6 @@ def solve_blocks(matrices: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(
         np.linalg.solve(matrices + ridge[:, None, None] * np.eye(matrices.shape[1]), right), np.float64
     )
-
-
-def cut(time: FloatArray, valid: BoolArray, breaks: IntArray, length: int, terms: int = CUBIC) -> Blocks:
-    """Cut samples into blocks of about ``length``; none reaches across a break.
-
-    In each block the motion is a polynomial of ``terms`` coefficients.
-    ``time`` in any unit, rising; ``breaks`` are the first samples of the segments after the first.
-    """
-    edges = [0, *(int(b) for b in breaks), len(time)]
-    starts: list[int] = []
-    stops: list[int] = []
-    for first, last in itertools.pairwise(edges):
-        if last - first < terms + SPARE:
-            continue
-        count = max(1, round((last - first) / length))
-        at = np.linspace(first, last, count + 1).round().astype(np.int64).tolist()
-        starts += at[:-1]
-        stops += at[1:]
-    start, stop = np.array(starts, np.int64), np.array(stops, np.int64)
-    if not len(start):
-        return Blocks(np.zeros((0, 1), np.int64), np.zeros((0, 1), np.bool_), np.zeros((0, 1, terms)))
-    place = start[:, None] + np.arange(int((stop - start).max()))
-    inside = place < stop[:, None]
-    index = np.minimum(place, stop[:, None] - 1)
-    begin, end = time[start][:, None], time[stop - 1][:, None]
-    x = 2.0 * (time[index] - begin) / (end - begin) - 1.0
-    legendre = np.asarray(np.polynomial.legendre.legvander(x, terms - 1), np.float64)
-    used = inside & valid[index]
-    blocks = Blocks(index, inside, legendre).using(used)
-    return blocks.take(np.flatnonzero(blocks.used.any(axis=1)))
 
 
 BINS = 64  # of the cycle
@@ -196,20 +167,3 @@ class ErrorCurve:
 def error_curve(position: FloatArray, before: FloatArray, after: FloatArray) -> ErrorCurve:
     middle = (np.arange(BINS) + 0.5) / BINS
     return ErrorCurve(middle, mean_in_bins(position, before), mean_in_bins(position, after))
-
-
-def error_harmonics(
-    phase: FloatArray, angle: FloatArray, smallest_cycles: float, highest: int = 64
-) -> tuple[ErrorHarmonic, ...]:
-    """Harmonics of ``angle - phase`` at equidistant ``phase`` (cycles), those above ``smallest_cycles``."""
-    spectrum = np.fft.rfft(angle - phase) / len(phase)
-    found = [
-        ErrorHarmonic(order, 2.0 * float(abs(spectrum[order])), float(np.angle(spectrum[order])))
-        for order in range(1, min(highest, len(spectrum) - 1) + 1)
-    ]
-    return tuple(
-        sorted(
-            (h for h in found if h.amplitude_cycles > smallest_cycles),
-            key=lambda h: -h.amplitude_cycles,
-        )
-    )

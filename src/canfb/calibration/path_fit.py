@@ -136,14 +136,12 @@ class PathFit:
 
     cosine_delay_s        the cosine is sampled this much after the sine (2002:06), 0.0: none is detected
     corners, low_pass     2001:05 and 2001:06; that of the sine, which the position is late by
-    off_cycles            rms error of the phase that is not explained, at each speed
     """
 
     cosine_delay_s: float
     cosine_delay_sigma_s: float
     corners: Corners
     low_pass: LowPass
-    off_cycles: tuple[float, ...]
 
     def turned_rad(self, hertz: npt.ArrayLike) -> FloatArray:
         f = np.asarray(hertz, np.float64)
@@ -155,7 +153,7 @@ class PathFit:
         )
 
 
-NO_PATH = PathFit(0.0, 0.0, Corners(), LowPass(0.0, 0.0, 0.0, 1.0, 0.0, False), ())
+NO_PATH = PathFit(0.0, 0.0, Corners(), LowPass(0.0, 0.0, 0.0, 1.0, 0.0, False))
 
 
 def response(hertz: npt.ArrayLike, corner_hz: float) -> npt.NDArray[np.complex128]:
@@ -210,7 +208,6 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
         delay_sigma_s,
         Corners(corner, 0.0 if cosine == corner else cosine),
         low_pass,
-        tuple(off.tolist()),
     )
 
 

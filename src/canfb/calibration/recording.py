@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
-from canfb.calibration.motion_blocks import BoolArray, IntArray, samples_in_bins
+from canfb.calibration.motion_blocks import CUBIC, SPARE, Blocks, BoolArray, IntArray, samples_in_bins
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.objects import MISSED_COUNTS
@@ -61,6 +61,30 @@ class Recording:
     def positions(self, phase: FloatArray) -> FloatArray:
         """Positions in cycles at these phases (cycles, NaN where there is none)."""
         return positions(phase, self.time, self.uneven, self.breaks)
+
+    def cut(self, length: int, terms: int = CUBIC) -> Blocks:
+        """Blocks of about ``length`` samples; none reaches across a break.
+
+        In each block the motion is a polynomial of ``terms`` coefficients.
+        """
+        starts: list[int] = []
+        stops: list[int] = []
+        for first, last in itertools.pairwise([0, *self.breaks.tolist(), len(self.time)]):
+            if last - first < terms + SPARE:
+                continue
+            count = max(1, round((last - first) / length))
+            at = np.linspace(first, last, count + 1).round().astype(np.int64).tolist()
+            starts += at[:-1]
+            stops += at[1:]
+        start, stop = np.array(starts, np.int64)[:, None], np.array(stops, np.int64)[:, None]
+        place = start + np.arange(np.max(stop - start, initial=1))
+        inside, index = place < stop, np.minimum(place, stop - 1)
+        begin, end = self.time[start], self.time[stop - 1]
+        x = 2.0 * (self.time[index] - begin) / (end - begin) - 1.0
+        legendre = np.asarray(np.polynomial.legendre.legvander(x, terms - 1), np.float64)
+        tracks = np.array([self.sine[index], self.cosine[index]])
+        blocks = Blocks(index, inside, legendre, tracks).using(inside & self.valid[index])
+        return blocks.take(np.flatnonzero(blocks.used.any(axis=1)))
 
 
 def recording(

@@ -24,7 +24,7 @@ from canfb.calibration.joint import (
     initial_waveform,
     table_sensitivity,
 )
-from canfb.calibration.motion_blocks import CUBIC, Blocks, BoolArray, coverage, cut
+from canfb.calibration.motion_blocks import CUBIC, Blocks, BoolArray, coverage
 from canfb.calibration.recording import MIN_SAMPLES, Recording
 from canfb.calibration.result import LOCKED_LOSS, MAX_OFF_CYCLES, Reason, check_distance, no_fit
 from canfb.errors import CalibrationError
@@ -66,13 +66,12 @@ class Start(NamedTuple):
 class Solution(NamedTuple):
     """What was found.
 
-    whole         the same blocks with the samples that were left out
+    whole         the blocks with the samples that were left out
     loss          how many times the unknown motion made the uncertainty larger
     undetermined  uncertainty of the table, cycles, from orders that do not show and are not ruled out; else 0
     """
 
     fit: JointFit
-    blocks: Blocks
     whole: Blocks
     loss: float
     undetermined: float
@@ -102,32 +101,32 @@ class Solver:
         check_distance(coverage(angle[self.record.valid]), self._distance(first.position))
         shape, lively = self._choose_shape(first, STIFF)
         self.report(0.3)
-        fit, blocks = self._fit(self._cut(shape), first)
-        loss = self._loss(blocks, first.position)
+        fit = self._fit(self._cut(shape), first)
+        loss = self._loss(fit.blocks, first.position)
         if (off := self._off_cycles(fit)) > MAX_OFF_CYCLES:
             raise no_fit(f"the positions are {off:.2f} cycle rms away from any smooth motion", loss)
-        fit, blocks = self._more_orders(fit, blocks)
+        fit = self._more_orders(fit)
         self.report(0.5)
         many = significant_orders(fit)[-1] > FIRST_ORDERS[-1]
-        if many or lively or self.record.uneven or blocks.samples < int(self.record.valid.sum()):
+        if many or lively or self.record.uneven or fit.blocks.samples < int(self.record.valid.sum()):
             # Better phases determine the speed better and follow the motion where the first ones lost
             # it; what the first orders left looked like motion.
             better = self._start(angle, fit.waveform)
             if many or lively:
                 shape = self._choose_again(better, shape)
-            fit, blocks = self._more_orders(*self._fit(self._cut(shape), better))
+            fit = self._more_orders(self._fit(self._cut(shape), better))
         self.report(0.7)
         all_orders = uncertainty(fit, self.ellipse)
-        mixed = fit.noise_cycles * float(np.sqrt(len(fit.covariance) / blocks.samples))
+        mixed = fit.noise_cycles * float(np.sqrt(len(fit.covariance) / fit.blocks.samples))
         if all_orders > INSEPARABLE * mixed:
             raise no_fit("the samples have too few different phases to separate the harmonics", np.inf)
-        fit, blocks = self._only_significant(fit, blocks)
+        fit = self._only_significant(fit)
         undetermined = all_orders if all_orders > MOST_UNDETERMINED * uncertainty(fit, self.ellipse) else 0.0
         off = max(self._off_cycles(fit), fit.noise.across / (2.0 * np.pi * self.amplitude_counts))
-        telling = blocks.used[blocks.informative(blocks.evaluate(fit.motion))].sum()
+        telling = fit.blocks.used[fit.informative].sum()
         if self._curve(fit.waveform) is None or off > MAX_OFF_CYCLES or telling < MIN_SAMPLES:
             raise no_fit("tracks and motion cannot be separated", loss)
-        return Solution(fit, blocks, self._cut(shape), loss, undetermined)
+        return Solution(fit, self._cut(shape), loss, undetermined)
 
     def _off_cycles(self, fit: JointFit) -> float:
         return fit.noise.along / (2.0 * np.pi * self.amplitude_counts)
@@ -143,7 +142,7 @@ class Solver:
     def _circle(self) -> Waveform:
         track = np.zeros((2, 1 + 2 * len(FIRST_ORDERS)))
         track[0, 2] = track[1, 1] = self.amplitude_counts
-        return Waveform(FIRST_ORDERS, track[0], track[1])
+        return Waveform(FIRST_ORDERS, track)
 
     def _positions(self, phase: FloatArray) -> FloatArray:
         return self.record.positions(np.where(self.record.valid, phase, np.nan))
@@ -163,8 +162,7 @@ class Solver:
         return curve if rises else None
 
     def _cut(self, shape: Shape) -> Blocks:
-        record = self.record
-        return cut(record.time, record.valid, record.breaks, shape.length, shape.terms)
+        return self.record.cut(*shape)
 
     def _choose_shape(self, start: Start, shapes: tuple[Shape, ...]) -> tuple[Shape, bool]:
         """Blocks that promise the least error: long and stiff ones know more, others follow the motion.
@@ -195,57 +193,53 @@ class Solver:
             blocks = blocks.take(few)
         if len(blocks) < MIN_BLOCKS or self._loss(blocks, start.position) > LOCKED_LOSS:
             return float("inf"), False
-        fit, coarse = self._fit(blocks, start)
-        strict = reject(coarse, fit)
+        fit = self._fit(blocks, start)
+        strict = reject(fit.blocks, fit)
         # A block too long for the motion is rejected: what it does not show counts as well.
         if 2 * strict.samples <= blocks.samples:
             return float("inf"), False
-        fit = self._again(fit, strict, TRIAL_ROUNDS)
+        fit = _again(fit, strict, TRIAL_ROUNDS)
         if self._off_cycles(fit) > MAX_OFF_CYCLES:
             return float("inf"), False
         return uncertainty(fit, self.ellipse), fit.noise.along > LIVELY_NOISE * fit.noise.across
 
-    def _fit(self, blocks: Blocks, start: Start) -> tuple[JointFit, Blocks]:
-        record = self.record
+    def _fit(self, blocks: Blocks, start: Start) -> JointFit:
         if len(blocks) < MIN_BLOCKS:
             raise CalibrationError("too few contiguous samples", Reason.SAMPLES)
         motion, waveform = blocks.smooth(start.position[blocks.index]), start.waveform
         if waveform is None:
-            waveform = initial_waveform(blocks, record.sine, record.cosine, motion, FIRST_ORDERS)
-        fit = fit_jointly(blocks, record.sine, record.cosine, waveform, motion, rounds=TRIAL_ROUNDS)
+            waveform = initial_waveform(blocks, motion, FIRST_ORDERS)
+        fit = fit_jointly(blocks, waveform, motion, rounds=TRIAL_ROUNDS)
         cleaned = reject(blocks, fit, coarse=True)
-        fit = self._again(fit, cleaned, TRIAL_ROUNDS)
+        fit = _again(fit, cleaned, TRIAL_ROUNDS)
         if cleaned.samples == blocks.samples:
-            return fit, cleaned
+            return fit
         cleaned = reject(blocks.using(blocks.used & rows_used(cleaned)), fit, coarse=True)
-        return self._again(fit, cleaned, TRIAL_ROUNDS), cleaned
+        return _again(fit, cleaned, TRIAL_ROUNDS)
 
-    def _again(self, fit: JointFit, blocks: Blocks, rounds: int = 10) -> JointFit:
-        record = self.record
-        return fit_jointly(
-            blocks, record.sine, record.cosine, fit.waveform, fit.motion, rounds=rounds, noise=fit.noise
-        )
-
-    def _more_orders(self, fit: JointFit, blocks: Blocks) -> tuple[JointFit, Blocks]:
-        cleaned = blocks
+    def _more_orders(self, fit: JointFit) -> JointFit:
+        blocks = fit.blocks
         for step in ORDER_STEPS:
-            highest = max(FIRST_ORDERS[-1], min(step, cleaned.samples // SAMPLES_PER_ORDER))
+            highest = max(FIRST_ORDERS[-1], min(step, fit.blocks.samples // SAMPLES_PER_ORDER))
             if highest > fit.waveform.orders[-1]:
-                fit = self._with_orders(fit, cleaned, tuple(range(1, highest + 1)))
-            cleaned = reject(blocks, fit)
-            fit = self._again(fit, cleaned)
+                fit = _with_orders(fit, tuple(range(1, highest + 1)))
+            fit = _again(fit, reject(blocks, fit))
             if significant_orders(fit)[-1] <= highest * 3 // 4:
                 break
-        return fit, cleaned
+        return fit
 
-    def _only_significant(self, fit: JointFit, blocks: Blocks) -> tuple[JointFit, Blocks]:
-        fit = self._with_orders(fit, blocks, significant_orders(fit))
-        cleaned = reject(blocks, fit)
-        return self._again(fit, cleaned), cleaned
+    def _only_significant(self, fit: JointFit) -> JointFit:
+        blocks = fit.blocks
+        fit = _with_orders(fit, significant_orders(fit))
+        return _again(fit, reject(blocks, fit))
 
-    def _with_orders(self, fit: JointFit, blocks: Blocks, orders: tuple[int, ...]) -> JointFit:
-        record, start = self.record, fit.waveform.with_orders(orders)
-        return fit_jointly(blocks, record.sine, record.cosine, start, fit.motion, noise=fit.noise)
+
+def _again(fit: JointFit, blocks: Blocks, rounds: int = 10) -> JointFit:
+    return fit_jointly(blocks, fit.waveform, fit.motion, rounds=rounds, noise=fit.noise)
+
+
+def _with_orders(fit: JointFit, orders: tuple[int, ...]) -> JointFit:
+    return fit_jointly(fit.blocks, fit.waveform.with_orders(orders), fit.motion, noise=fit.noise)
 
 
 def _more_lively(shape: Shape) -> tuple[Shape, ...]:
@@ -275,12 +269,12 @@ def significant_orders(fit: JointFit) -> tuple[int, ...]:
     The least significant one goes first and the others are corrected for it: two that the
     samples can hardly separate would otherwise drop each other.
     """
-    half, orders = len(fit.waveform.sine), fit.waveform.orders
+    orders, values = fit.waveform.orders, fit.waveform.coefficients.ravel()
+    half = len(values) // 2
     places = {
         order: [1 + 2 * at, 2 + 2 * at, half + 1 + 2 * at, half + 2 + 2 * at]
         for at, order in enumerate(orders)
     }
-    values = np.concatenate([fit.waveform.sine, fit.waveform.cosine])
     covariance = fit.covariance.copy()
     kept = list(orders)
     while len(kept) > 1:
@@ -309,7 +303,7 @@ def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:
     """
     use = blocks.used
     floor = COARSE_CYCLES * float(np.median(fit.speed[use])) if coarse else 0.0
-    telling = blocks.informative(blocks.evaluate(fit.motion))
+    telling = fit.informative
     if telling.sum() < MIN_BLOCKS:
         telling = rows_used(blocks)[:, 0]
     judges = use & telling[:, None]
