@@ -297,7 +297,7 @@ class Counting:
 
     def can_ids(self) -> CanIds:
         here = frozenset({self.can_id})
-        return CanIds(here, frozenset(), here, frozenset())
+        return CanIds(here, frozenset())
 
     def follow_can_ids(self, moved: Callable[[], None]) -> None:
         """It stays what it is."""

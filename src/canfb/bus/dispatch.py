@@ -18,7 +18,7 @@ from canfb.device.core import NEVER, CanIds
 from canfb.device.device_protocol import Device, Inhibited, Selective
 
 Ports = tuple["Port", ...]
-_NOTHING = CanIds(frozenset(), frozenset(), frozenset(), frozenset())
+_NOTHING = CanIds(frozenset(), frozenset())
 _NEVER_INHIBITED: Mapping[int | None, Any] = {}
 
 
@@ -111,10 +111,8 @@ class Dispatch:
     def _set_filters(self) -> None:
         if self._accepts_all:
             self._bus.accept(None, ())
-            return
-        data = frozenset[int]().union(*(port.can_ids.any_state for port in self.ports))
-        remote = frozenset[int]().union(*(port.can_ids.any_state_remote for port in self.ports))
-        self._bus.accept(data, remote)
+        else:
+            self._bus.accept(self.data, self.remote)
 
     def _table(self, can_ids: Callable[[Port], Iterable[int]]) -> dict[int, Ports]:
         listening = defaultdict[int, list[Port]](lambda: list(self.everyone))

@@ -142,15 +142,13 @@ RemoteHandler = Callable[[float], None]  # Takes a remote frame: the time.
 
 
 class CanIds(NamedTuple):
-    """CAN-IDs that a node listens to, of data and remote frames, now and in any NMT state.
+    """CAN-IDs that a node listens to in any NMT state, of data and remote frames.
 
-    A filter of the bus has to pass those of any state: a master need not wait before it sends PDOs.
+    In any: a master need not wait before it sends PDOs.
     """
 
     data: frozenset[int]
     remote: frozenset[int]
-    any_state: frozenset[int]
-    any_state_remote: frozenset[int]
 
 
 class Routes:

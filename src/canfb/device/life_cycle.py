@@ -196,12 +196,12 @@ class Services:
         }
         return _without_none(sent - self._received_in_any_state() | {self._error_control_id})
 
-    def can_ids_in_any_state(self) -> frozenset[int]:
-        return _without_none(self._received_in_any_state()) | self.own_can_ids()
-
-    def remote_can_ids_in_any_state(self) -> frozenset[int]:
+    def can_ids(self) -> CanIds:
         asked = {tpdo.configured_can_id for tpdo in self.pdos.tpdos.values()}
-        return _without_none(asked | {self.guarding.can_id})
+        return CanIds(
+            _without_none(self._received_in_any_state() | {REQUEST_ID}) | self.own_can_ids(),
+            _without_none(asked | {self.guarding.can_id}),
+        )
 
     def _received_in_any_state(self) -> set[int | None]:
         return {
@@ -261,17 +261,9 @@ class LifeCycle(Reactions):
         return self.lss.pending_node_id
 
     def can_ids(self) -> CanIds:
-        data, remote = frozenset(self.core.routes.data), frozenset(self.core.routes.remote)
-        always = frozenset({REQUEST_ID})
         if self.core.node_id == UNCONFIGURED:
-            return CanIds(data, remote, data | always, remote)
-        services = self.services
-        return CanIds(
-            data,
-            remote,
-            services.can_ids_in_any_state() | always,
-            services.remote_can_ids_in_any_state(),
-        )
+            return CanIds(frozenset({REQUEST_ID}), frozenset())
+        return self.services.can_ids()
 
     def enter(self, state: NmtState, now: float) -> None:
         self.services.nmt.enter(state, now)

@@ -123,7 +123,7 @@ class ModuleReplay:
     def own_can_ids(self) -> frozenset[int]:
         node = self.module.node
         sync = self.module.dictionary.entry(*od.SYNC_COB_ID).value & cob.CAN_ID
-        return (node.own_can_ids | node.can_ids().any_state) - EVERYBODY - {sync}
+        return (node.own_can_ids | node.can_ids().data) - EVERYBODY - {sync}
 
     def feed(self, frames: list[Frame]) -> None:
         """The next frames of the log: ``timestamp`` in seconds, of any clock. No frame raises."""
