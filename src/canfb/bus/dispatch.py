@@ -6,6 +6,7 @@ import errno
 import os
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import can
@@ -137,6 +138,17 @@ BOOT_UP = b"\0"  # of ERROR_CONTROL: no NMT state of a heartbeat is 0
 LONGEST_DELAY_S = 0.1  # a position that is older helps nobody
 
 
+@dataclass
+class BusCounters:
+    """What went over the bus."""
+
+    received: int = 0
+    sent: int = 0
+    send_failures: int = 0
+    error_frames: int = 0
+    bus_failures: int = 0
+
+
 class FrameSender:
     """Sends the frames of devices, and notifies those with inhibit times.
 
@@ -144,12 +156,13 @@ class FrameSender:
     first.
     """
 
-    def __init__(self, bus: FrameBus, clock: Callable[[], float], bus_state: BusState) -> None:
+    def __init__(
+        self, bus: FrameBus, clock: Callable[[], float], bus_state: BusState, counters: BusCounters
+    ) -> None:
         self._bus_send = bus.send
         self._clock = clock
         self._bus_state = bus_state
-        self.sent = 0
-        self.failures = 0
+        self._counters = counters
         self.waiting: deque[tuple[Port, Frame, float]] = deque()
         """Frames that the bus did not take yet, and since when."""
         self.owed: dict[int, tuple[Port, Frame]] = {}
@@ -172,7 +185,7 @@ class FrameSender:
         except (can.CanError, OSError) as error:
             self._failed(port, frame, error)
         else:
-            self.sent += 1
+            self._counters.sent += 1
             if self._bus_state.troubled or can_id in port.inhibited:
                 self._left(port, can_id)
         return True
@@ -195,7 +208,7 @@ class FrameSender:
             if not gone:
                 return
             del self.owed[can_id]
-            self.sent += 1
+            self._counters.sent += 1
             self._left(port, can_id)
 
     def _left(self, port: Port, can_id: int) -> None:
@@ -205,7 +218,7 @@ class FrameSender:
             port.sent(can_id, self._clock())
 
     def _failed(self, port: Port, frame: Frame, error: Exception) -> None:
-        self.failures += 1
+        self._counters.send_failures += 1
         now = self._clock()
         self._bus_state.sending_failed(error, now)
         if frame.data == BOOT_UP and frame.can_id & ~NODE_ID == ERROR_CONTROL:

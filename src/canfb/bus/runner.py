@@ -15,7 +15,6 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -26,7 +25,7 @@ from canfb.bus.bus_state import RETRY_S as BUS_RETRY_S
 from canfb.bus.bus_state import BusState
 from canfb.bus.clocks import ReceiveTimes
 from canfb.bus.computing import Computation
-from canfb.bus.dispatch import RETRY_S, Dispatch, FrameSender, Port
+from canfb.bus.dispatch import RETRY_S, BusCounters, Dispatch, FrameSender, Port
 from canfb.bus.frame_bus import ERROR, EXTENDED, FrameBus, Received
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.device.core import NEVER
@@ -52,17 +51,6 @@ class DeviceFailure(CanfbError):
     def __init__(self, device: object, error: Exception) -> None:
         self.device = device
         super().__init__(f"program error: {_in_one_line(error)}")
-
-
-@dataclass
-class BusCounters:
-    """What went over the bus."""
-
-    received: int = 0
-    sent: int = 0
-    send_failures: int = 0
-    error_frames: int = 0
-    bus_failures: int = 0
 
 
 class Runner:
@@ -91,7 +79,7 @@ class Runner:
         self._sleep = sleep
         self._dispatch = Dispatch(devices, bus)
         self._times = ReceiveTimes(clock, wall)
-        self._received = self._error_frames = self._bus_failures = 0
+        self.counters = BusCounters()
         self._received_s: float | None = None  # when the last frame came, if frames may wait behind it
         self._empty_s = -NEVER  # when no frame waited, as far as it is known
         self._longest_drain_s = LONGEST_DRAIN_S
@@ -100,7 +88,7 @@ class Runner:
         self._compute_s = -NEVER  # when to look for computations next
         self._stopped = False
         self._bus_state = BusState(report)
-        self._sender = FrameSender(bus, clock, self._bus_state)
+        self._sender = FrameSender(bus, clock, self._bus_state, self.counters)
         self._owed_s = -NEVER  # when to try boot-ups that failed again
         self._off: set[Port] = set()  # whose devices know that the bus is gone
         self._computations = [
@@ -108,13 +96,6 @@ class Runner:
             for port in self._dispatch.ports
             if isinstance(port.device, Computing)
         ]
-
-    @property
-    def counters(self) -> BusCounters:
-        sender = self._sender
-        return BusCounters(
-            self._received, sender.sent, sender.failures, self._error_frames, self._bus_failures
-        )
 
     def stop(self) -> None:
         self._stopped = True
@@ -178,7 +159,7 @@ class Runner:
         try:
             received = self._bus.receive(wait)
         except (can.CanError, OSError) as error:
-            self._bus_failures += 1
+            self.counters.bus_failures += 1
             self._now = self._clock()
             if self._bus_state.reading_failed(error, self._now):
                 self._sleep(BUS_RETRY_S)
@@ -209,13 +190,13 @@ class Runner:
         remote = False
         if can_id > HIGHEST_ID:
             if can_id & ERROR:
-                self._error_frames += 1
+                self.counters.error_frames += 1
                 self._bus_state.error_frame(can_id & ~ERROR, self._now)
                 return
             if can_id & EXTENDED:
                 return  # others may share the bus
             can_id, data, remote = can_id & HIGHEST_ID, b"", True
-        self._received += 1
+        self.counters.received += 1
         received_s = self._times.received(stamp_s, self._now)
         if received_s is None:
             self._received_s, self._longest_drain_s = -NEVER, LONGEST_BLIND_DRAIN_S

@@ -12,8 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from canfb.bus.dispatch import BusCounters
 from canfb.bus.opening import check_device_bus, check_words, describe
-from canfb.bus.runner import BusCounters, DeviceFailure
+from canfb.bus.runner import DeviceFailure
 from canfb.configuration import Config, NodeConfig, RealtimeConfig, line_of
 from canfb.device.device_protocol import Device
 from canfb.device.storage.image import ParameterGroup
