@@ -49,7 +49,7 @@ from canfb.master.machine_watch import (
     lost_words,
 )
 from canfb.master.samples import TrackSamples
-from canfb.master.session import Session, Source
+from canfb.master.session import Session
 from canfb.rows import Result
 from canfb.sdo.table_file import read_table
 from canfb.signal.correction import NO_CORRECTION, Correction
@@ -118,20 +118,18 @@ class CalibrationRun:
             return self._check_at_speed(session)
         before = self._look(session, None)
         settings = choices.settings(session.limits)
-        source = session.source(choices.samples_from, choices.recorder, choices.sample_rate)
-        source = self._together(session, source)
+        kind, recorder, rate_hz = choices.samples_from, choices.recorder, choices.sample_rate
+        source = session.source(kind, recorder, rate_hz)
 
         def prove(found: Measurement, seconds: float, least: int) -> Deviation:
-            return verify(source(seconds, least, self._steps.part), found, settings)
+            return verify(session.together(source(seconds, least, self._steps.part)), found, settings)
 
         if choices.samples_from == MODULE:
             return self._by_module(session, prove, settings, guard, before)
         self._steps.step(f"collecting {choices.collecting}")
         watch = LockWatch(session.cycles_per_revolution, session.speed_rad_s)
-        first = self._together(
-            session, session.source(choices.samples_from, choices.recorder, choices.sample_rate, watch)
-        )
-        samples = first(choices.collect_s, choices.least_samples, self._steps.part)
+        watched = session.source(kind, recorder, rate_hz, watch)
+        samples = session.together(watched(choices.collect_s, choices.least_samples, self._steps.part))
         self._look(session, before)
         if watch.found is not None:
             self._judged(samples, watch.raise_found)
@@ -151,10 +149,6 @@ class CalibrationRun:
         if not (self._choices.check or self._choices.dry_run):
             check_unlocked(session.module)
         return session
-
-    @staticmethod
-    def _together(session: Session, source: Source) -> Source:
-        return lambda seconds, least, progress: session.together(source(seconds, least, progress))
 
     def _look(self, session: Session, before: Look | None) -> Look | None:
         look = look_at(session.module)
@@ -177,8 +171,7 @@ class CalibrationRun:
             session.check_interface()
             drift = let_check(session.module, self._steps.part)
             return module_drift_result(drift, session.active, self._where)
-        samples = let_measure(session.module, session.layout(), self._steps.part)
-        samples = session.together(samples)
+        samples = session.together(let_measure(session.module, session.layout(), self._steps.part))
         self._look(session, before)
         accepted = False
 

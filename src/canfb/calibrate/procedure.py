@@ -27,7 +27,6 @@ from canfb.master.session import CORNERS, read_corners
 from canfb.master.supervision_limits import as_real32
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
-from canfb.signal.correction import Correction
 from canfb.signal.harmonics import Corners
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES
 from canfb.view.limits_in_force import LIMIT_UNITS
@@ -71,7 +70,7 @@ def install(
     error is raised.
     """
     done, before, over = Installation(), measured.before, measured.over_speeds
-    declared: int | None = None  # 2010:0C before, once it is written
+    declared: float | None = None  # 2010:0C before; None: not read yet, or a module without it
     as_before = f"the previous table and conditioning are active in {module.name}"
 
     def say(text: str) -> None:
@@ -90,9 +89,8 @@ def install(
         done.active = True
         step("verifying on fresh samples")
         done.fresh = prove(measured)
-        before_error = phase_error(module)
-        if before_error is not None:
-            declared = before_error
+        declared = module.read_known(od.SUPERVISION_PHASE_ERROR)
+        if declared is not None:
             peak = done.fresh.peak if over is None else max(done.fresh.peak, over.peak_cycles)
             done.phase_error_cycles = declare_phase_error(module, peak)
 
@@ -171,12 +169,6 @@ def check_as_predicted(found_rms: float, predicted_rms: float, uncertainty_rms: 
         )
 
 
-def phase_error(module: NodeAccess) -> int | None:
-    """2010:0C now, 1/65536 cycle; None for a module without it."""
-    error = module.read_known(od.SUPERVISION_PHASE_ERROR)
-    return None if error is None else int(error)
-
-
 def declare_phase_error(module: NodeAccess, peak_cycles: float) -> float:
     """Write 2010:0C for a largest error of the fresh samples; what stands there then, cycles."""
     largest = min(
@@ -240,10 +232,7 @@ def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Mea
     state = module.integer(*od.MEASUREMENT_STATE, "B")
     if state != State.ACCEPTED:
         raise CommissioningError(f"{module.name} has not accepted its measurement (2030:02 is {state})")
-    return with_table(measured, read_active(module), settings)
-
-
-def with_table(measured: Measurement, found: Correction, settings: Settings) -> Measurement:
+    found = read_active(module)
     if found.table is None:
         raise CommissioningError("the module reports an active table, but has none")
     ours = measured.calibration
