@@ -201,8 +201,8 @@ class Reactions(ABC):
     """What follows from what a service notices; `now` in seconds."""
 
     @abstractmethod
-    def state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
-        """Another NMT state."""
+    def enter(self, state: NmtState, now: float) -> None:
+        """NMT commands this state."""
 
     @abstractmethod
     def reset(self, communication_only: bool, now: float) -> None:

@@ -265,9 +265,6 @@ class LifeCycle(Reactions):
             return CanIds(frozenset({REQUEST_ID}), frozenset())
         return self.services.can_ids()
 
-    def enter(self, state: NmtState, now: float) -> None:
-        self.services.nmt.enter(state, now)
-
     def _power_up(self, now: float) -> None:
         self.enter(NmtState.INITIALISING, now)
         if self.core.node_id == UNCONFIGURED:
@@ -304,10 +301,13 @@ class LifeCycle(Reactions):
 
     # Reactions
 
-    def state_changed(self, old: NmtState, new: NmtState, now: float) -> None:
-        self.services.enter(old, new, now)
-        self.pdo_changed()
-        self._application.state_changed(old, new, now, self._reason)
+    def enter(self, state: NmtState, now: float) -> None:
+        old = self.core.state
+        if state is not old:
+            self.core.state = state
+            self.services.enter(old, state, now)
+            self.pdo_changed()
+            self._application.state_changed(old, state, now, self._reason)
 
     def reset(self, communication_only: bool, now: float) -> None:
         last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF

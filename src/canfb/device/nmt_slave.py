@@ -42,18 +42,11 @@ class Nmt:
         if node_id not in (0, self._core.node_id):
             return
         if command in NEXT_STATE:
-            self.enter(NEXT_STATE[NmtCommand(command)], now)
+            self._core.reactions.enter(NEXT_STATE[NmtCommand(command)], now)
         elif command in COMMUNICATION_ONLY:
             self._core.reactions.reset(COMMUNICATION_ONLY[NmtCommand(command)], now)
         else:
             self._core.counters.malformed_frames += 1
-
-    def enter(self, state: NmtState, now: float) -> None:
-        core = self._core
-        old = core.state
-        if state is not old:
-            core.state = state
-            core.reactions.state_changed(old, state, now)
 
 
 class Startup:

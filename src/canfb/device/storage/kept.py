@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from canfb.cia301 import datatypes
@@ -38,48 +38,38 @@ class KeptEntries:
         self._written = written
         self._saved_value: dict[tuple[int, int], Callable[[], Any]] = {}
         self._added: set[tuple[int, int]] = set()
-        self._places = {
-            (entry.index, entry.subindex)
+        self._entries = {
+            (entry.index, entry.subindex): entry
             for entry in dictionary
             if entry.access == "rw" and entry.index not in NO_PARAMETERS and entry.index in PARAMETER_INDICES
         }
-        for place in self._places:
-            dictionary.lookup(*place).on_download = written
+        for entry in self._entries.values():
+            entry.on_download = written
 
     def leave_out(self, index: int, subindex: int = 0) -> None:
         """This entry is not a parameter. KeyError without it."""
-        self._places.discard((index, subindex))
+        self._entries.pop((index, subindex), None)
         self._dictionary.entry(index, subindex).on_download = None
 
     def keep(self, index: int, subindex: int = 0, *, saved: Callable[[], Any] | None = None) -> None:
         """Store this entry, or ``saved()`` in its place. KeyError without it."""
-        entry = self._dictionary.entry(index, subindex)
-        self._places.add((index, subindex))
-        self._added.add((index, subindex))
+        place = index, subindex
+        self._entries[place] = entry = self._dictionary.entry(*place)
+        self._added.add(place)
         if saved is not None:
-            self._saved_value[index, subindex] = saved
+            self._saved_value[place] = saved
         if entry.access == "rw":
             entry.on_download = self._written
 
     def save_as(self, index: int, subindex: int, saved: Callable[[], Any]) -> None:
         """Save ``saved()`` in place of the value of this parameter."""
-        self._dictionary.entry(index, subindex)
         self._saved_value[index, subindex] = saved
 
-    def of(self, group: ParameterGroup) -> Iterator[Entry]:
-        indices = RANGES[group]
-        for index, subindex in sorted(self._places):
-            if index in indices:
-                yield self._dictionary.lookup(index, subindex)
+    def of(self, group: ParameterGroup) -> list[Entry]:
+        return [entry for place, entry in sorted(self._entries.items()) if place[0] in RANGES[group]]
 
-    def settings(self) -> Iterator[Entry]:
-        for index, subindex in sorted(self._places - self._added):
-            yield self._dictionary.lookup(index, subindex)
-
-    def find(self, group: ParameterGroup, index: int, subindex: int) -> Entry | None:
-        if (index, subindex) not in self._places or index not in RANGES[group]:
-            return None
-        return self._dictionary.lookup(index, subindex)
+    def settings(self) -> list[Entry]:
+        return [entry for place, entry in sorted(self._entries.items()) if place not in self._added]
 
     def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
         saved = {place: value() for place, value in self._saved_value.items()}
@@ -142,9 +132,10 @@ def restore(entries: KeptEntries, group: ParameterGroup, records: list[Record], 
 
 def _values(entries: KeptEntries, group: ParameterGroup, records: list[Record], node_id: int) -> list[Value]:
     values: list[Value] = []
+    known = {(entry.index, entry.subindex): entry for entry in entries.of(group)}
     for record in records:
         where = f"{record.index:04X}h:{record.subindex:02X}"
-        entry = entries.find(group, record.index, record.subindex)
+        entry = known.get((record.index, record.subindex))
         if entry is None:
             raise ImageError(f"{where} is not a parameter of this device")
         try:
