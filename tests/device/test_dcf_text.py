@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from configparser import RawConfigParser
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +54,7 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def written(path: Path, values: dict[Place, Any], **more: Any) -> RawConfigParser:
+def written(path: Path, values: dict[Place, Any], **more: Any) -> eds.Contents:
     """The DCF, read again as an EDS is."""
     dcf = path.with_suffix(".dcf")
     dcf.write_bytes(dcf_text(path, INFO, PLACE, values, **more).encode("ascii"))
@@ -64,7 +63,7 @@ def written(path: Path, values: dict[Place, Any], **more: Any) -> RawConfigParse
 
 def test_file_info_and_commissioning(path: Path) -> None:
     dcf = written(path, {})
-    assert dict(dcf.items("DeviceComissioning")) == {
+    assert dcf["DeviceComissioning"] == {
         "NodeID": "0x05",
         "NodeName": "node",
         "Baudrate": "250",
@@ -73,12 +72,12 @@ def test_file_info_and_commissioning(path: Path) -> None:
         "CANopenManager": "0",
         "LSS_SerialNumber": "4711",
     }
-    info = dict(dcf.items("FileInfo"))
+    info = dcf["FileInfo"]
     assert info["FileName"] == "node.dcf"
     assert info["LastEDS"] == "sample.eds"
     assert (info["CreationDate"], info["CreationTime"]) == ("11-21-2026", "08:15PM")
     assert (info["ModificationDate"], info["ModificationTime"]) == ("11-21-2026", "08:15PM")
-    assert dcf.sections().index("DeviceComissioning") == dcf.sections().index("DeviceInfo") + 1
+    assert list(dcf).index("DeviceComissioning") == list(dcf).index("DeviceInfo") + 1
 
 
 def test_a_bit_rate_that_is_not_known_is_left_out(path: Path) -> None:
@@ -92,37 +91,35 @@ def test_a_bit_rate_that_is_not_known_is_left_out(path: Path) -> None:
 
 def test_values_are_written_as_the_eds_writes_its_defaults(path: Path) -> None:
     dcf = written(path, {(0x1005, 0): 0x90, (0x2A00, 2): -2, (0x2A00, 3): 255, (0x2A01, 0): 7})
-    assert dcf.get("1005", "ParameterValue") == "0x00000090"
-    assert dcf.get("2A00sub2", "ParameterValue") == "-2"
-    assert dcf.get("2A00sub3", "ParameterValue") == "0x00FF"
-    assert dcf.get("2A01", "ParameterValue") == "7"
-    assert not dcf.has_option("2A00sub1", "ParameterValue")
-    assert dcf.get("2A00sub2", "DefaultValue") == "0x0010"
+    assert dcf["1005"]["ParameterValue"] == "0x00000090"
+    assert dcf["2A00sub2"]["ParameterValue"] == "-2"
+    assert dcf["2A00sub3"]["ParameterValue"] == "0x00FF"
+    assert dcf["2A01"]["ParameterValue"] == "7"
+    assert "ParameterValue" not in dcf["2A00sub1"]
+    assert dcf["2A00sub2"]["DefaultValue"] == "0x0010"
 
 
 def test_bytes_texts_and_flags(path: Path) -> None:
     dcf = written(path, {(0x2A02, 0): b"\x01\xab", (0x2A03, 0): "left", (0x2A04, 0): True})
-    assert dcf.get("2A02", "ParameterValue") == "01AB"
-    assert dcf.get("2A03", "ParameterValue") == "left"
-    assert dcf.get("2A04", "ParameterValue") == "1"
+    assert dcf["2A02"]["ParameterValue"] == "01AB"
+    assert dcf["2A03"]["ParameterValue"] == "left"
+    assert dcf["2A04"]["ParameterValue"] == "1"
 
 
 def test_what_has_a_value_or_a_file_may_be_loaded(path: Path) -> None:
     dcf = written(path, {(0x2A01, 0): 1}, files={(0x2A02, 0): "content.bin"})
-    assert dcf.get("2A01", "ObjFlags") == "0x2"
-    assert dcf.get("2A02", "ObjFlags") == "0x0"
-    assert dcf.get("2A02", "DownloadFile") == "content.bin"
-    assert not dcf.has_option("2A02", "ParameterValue")
-    assert written(path, {}).get("2A01", "ObjFlags") == "0x3"
+    assert dcf["2A01"]["ObjFlags"] == "0x2"
+    assert dcf["2A02"]["ObjFlags"] == "0x0"
+    assert dcf["2A02"]["DownloadFile"] == "content.bin"
+    assert "ParameterValue" not in dcf["2A02"]
+    assert written(path, {})["2A01"]["ObjFlags"] == "0x3"
 
 
 def test_the_rest_is_the_eds(path: Path) -> None:
     """And so it can be loaded as one."""
     before, after = eds.read(path), written(path, {(0x1005, 0): 0x90})
-    kept = [name for name in before.sections() if name not in ("FileInfo", "1005")]
-    assert {name: dict(before.items(name)) for name in kept} == {
-        name: dict(after.items(name)) for name in kept
-    }
+    kept = [name for name in before if name not in ("FileInfo", "1005")]
+    assert {name: before[name] for name in kept} == {name: after[name] for name in kept}
     loaded = Dictionary.load(path.with_suffix(".dcf"), 5)
     assert [(one.index, one.subindex) for one in loaded] == [
         (one.index, one.subindex) for one in Dictionary.load(path, 5)

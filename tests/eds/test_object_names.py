@@ -30,9 +30,8 @@ class Said(NamedTuple):
 
 def entries_of(eds: str) -> dict[Multiplexer, Said]:
     """What an EDS calls its entries."""
-    parser = read(eds_path(eds))
-    sections = filter(ENTRY.match, parser.sections())
-    names = {section: parser.get(section, "ParameterName") for section in sections}
+    contents = read(eds_path(eds))
+    names = {section: contents[section]["ParameterName"] for section in filter(ENTRY.match, contents)}
     found = {}
     for section, name in names.items():
         index, _, subindex = section.partition("sub")

@@ -70,13 +70,12 @@ class _Details:
     """What the file says and the descriptions do not hold: default, mapping, comments."""
 
     def __init__(self, path: Path) -> None:
-        self._parser = eds.read(path)
-        self._sections = eds.sections(self._parser)
-        lines = dict(self._parser["Comments"]) if self._parser.has_section("Comments") else {}
-        self.notes = [lines[key] for key in lines if key != "Lines"]
+        self._contents = eds.read(path)
+        self._sections = eds.sections(self._contents)
+        self.notes = [line for key, line in self._contents.get("Comments", {}).items() if key != "Lines"]
 
     def row(self, entry: ObjectDescription) -> tuple[str, ...]:
-        section = self._parser[self._sections[entry.place]]
+        section = self._contents[self._sections[entry.place]]
         default = section.get("DefaultValue", "").strip()
         limits = (section.get("LowLimit", "").strip(), section.get("HighLimit", "").strip())
         mapped = section.get("PDOMapping", "0").strip() == "1"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from configparser import RawConfigParser
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -63,18 +62,18 @@ def dcf_text(
     Values are numbers, without $NODEID, in the notation of the EDS. `files` are names of files for
     DownloadFile. ValueError for an entry that the EDS does not have.
     """
-    parser = eds.read(path)
-    sections = eds.sections(parser)
+    contents = eds.read(path)
+    sections = eds.sections(contents)
     for place, value in values.items():
-        section = _section(sections, place)
-        parser.set(section, "ParameterValue", _written(parser, section, value, reals))
-        _allow_download(parser, section)
+        options = contents[_section(sections, place)]
+        options["ParameterValue"] = _written(options, value, reals)
+        _allow_download(options)
     for place, name in (files or {}).items():
-        section = _section(sections, place)
-        parser.set(section, "DownloadFile", name)
-        _allow_download(parser, section)
-    _set_file_info(parser, path.name, info)
-    return _as_text(parser, _commissioning(commissioning))
+        options = contents[_section(sections, place)]
+        options["DownloadFile"] = name
+        _allow_download(options)
+    _set_file_info(contents.setdefault("FileInfo", {}), path.name, info)
+    return _as_text(contents, _commissioning(commissioning))
 
 
 def real_as_text(data_type: int, value: float, reals: Reals) -> str:
@@ -101,34 +100,32 @@ def _section(sections: Mapping[Place, str], place: Place) -> str:
     return found
 
 
-def _written(parser: RawConfigParser, section: str, value: Any, reals: Reals) -> str:
-    data_type = int(parser.get(section, "DataType"), 0)
+def _written(options: Mapping[str, str], value: Any, reals: Reals) -> str:
+    data_type = int(options["DataType"], 0)
     if data_type in datatypes.FLOATS:
         return real_as_text(data_type, value, reals)
     if data_type in datatypes.STRINGS:
         return str(value)
     if data_type in (DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.FIXED_BYTES):
         return bytes(value).hex().upper()
-    default = parser.get(section, "DefaultValue", fallback="").lower()
+    default = options.get("DefaultValue", "").lower()
     if "0x" not in default or value < 0:
         return str(int(value))
     return f"0x{int(value):0{2 * datatypes.byte_length(data_type)}X}"
 
 
-def _allow_download(parser: RawConfigParser, section: str) -> None:
-    flags = int(parser.get(section, "ObjFlags", fallback="") or "0", 0)
+def _allow_download(options: dict[str, str]) -> None:
+    flags = int(options.get("ObjFlags") or "0", 0)
     if flags & REFUSE_ON_DOWNLOAD:
-        parser.set(section, "ObjFlags", f"0x{flags & ~REFUSE_ON_DOWNLOAD:X}")
+        options["ObjFlags"] = f"0x{flags & ~REFUSE_ON_DOWNLOAD:X}"
 
 
-def _set_file_info(parser: RawConfigParser, eds_name: str, info: FileInfo) -> None:
-    if not parser.has_section("FileInfo"):
-        parser.add_section("FileInfo")
-    for option, text in {
+def _set_file_info(options: dict[str, str], eds_name: str, info: FileInfo) -> None:
+    options |= {
         "FileName": info.file_name,
         "FileVersion": "1",
         "FileRevision": "1",
-        "EDSVersion": parser.get("FileInfo", "EDSVersion", fallback="4.0"),
+        "EDSVersion": options.get("EDSVersion", "4.0"),
         "Description": info.description,
         "CreationTime": info.time,
         "CreationDate": info.date,
@@ -137,8 +134,7 @@ def _set_file_info(parser: RawConfigParser, eds_name: str, info: FileInfo) -> No
         "ModificationDate": info.date,
         "ModifiedBy": "canfb",
         "LastEDS": eds_name,
-    }.items():
-        parser.set("FileInfo", option, text)
+    }
 
 
 def _commissioning(commissioning: Commissioning) -> dict[str, str]:
@@ -154,10 +150,10 @@ def _commissioning(commissioning: Commissioning) -> dict[str, str]:
     }
 
 
-def _as_text(parser: RawConfigParser, commissioning: Mapping[str, str]) -> str:
+def _as_text(contents: eds.Contents, commissioning: Mapping[str, str]) -> str:
     blocks = []
-    for section in parser.sections():
-        blocks.append(_block(section, dict(parser.items(section))))
+    for section, options in contents.items():
+        blocks.append(_block(section, options))
         if section == "DeviceInfo":
             blocks.append(_block(COMMISSIONING, commissioning))
     return LINE_END.join(blocks)

@@ -22,6 +22,9 @@ from typing import Any
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
 
+Contents = dict[str, dict[str, str]]
+"""The keys of a file and their texts, by section."""
+
 
 class ObjectKind(IntEnum):
     """Object code (CiA 301, 7.4.3)."""
@@ -113,6 +116,8 @@ _DUMMY = re.compile(r"^Dummy([0-9A-Fa-f]{4})$", re.IGNORECASE)
 _HEADER = re.compile(r"^\[([^\]\n]*)\]", re.MULTILINE)
 _UNIT = re.compile(r"^; *Unit *=(.*)\n\[([^\]\n]*)\]", re.MULTILINE)
 _OCTAL = re.compile(r"[+-]?0[0-9]+")
+# What the sub-indices of CompactSubObj have of their object.
+_SHARED = frozenset({"DataType", "AccessType", "PDOMapping", "LowLimit", "HighLimit", "DefaultValue"})
 # Sections and keys as CiA 306 spells them; case has no meaning in a file.
 _SPELLING = {
     name.lower(): name
@@ -125,7 +130,7 @@ _SPELLING = {
 }
 
 
-def read(path: Path) -> RawConfigParser:
+def read(path: Path) -> Contents:
     """The sections of the file, completed. OSError, ValueError when it is not an EDS."""
     try:
         return parse(path.read_bytes())
@@ -133,7 +138,7 @@ def read(path: Path) -> RawConfigParser:
         raise ValueError(f"{path}: {error}") from error
 
 
-def parse(content: bytes) -> RawConfigParser:
+def parse(content: bytes) -> Contents:
     """The sections of a file with this content: usual spelling, CompactSubObj written out, a type for DOMAIN.
 
     ValueError when it is not an EDS.
@@ -146,13 +151,14 @@ def parse(content: bytes) -> RawConfigParser:
     except ParserError as error:
         said = " ".join(str(error).split())[:LONGEST_MESSAGE]  # it tells of every line
         raise ValueError(f"not an EDS: {said}") from error
-    for section in [name for name in parser.sections() if _INDEX.match(name)]:
-        _expand_compact(parser, section)
-    for section in parser.sections():
-        if _kind(parser, section) is ObjectKind.DOMAIN:
-            _default_option(parser, section, "DataType", f"0x{DataType.DOMAIN:04X}")
-            _default_option(parser, section, "AccessType", "rw")
-    return parser
+    contents = {name: dict(parser.items(name)) for name in parser.sections()}
+    for section in filter(_INDEX.match, parser.sections()):
+        _expand_compact(contents, section)
+    for section, options in contents.items():
+        if _kind(contents, section) is ObjectKind.DOMAIN:
+            for option, text in (("DataType", f"0x{DataType.DOMAIN:04X}"), ("AccessType", "rw")):
+                options[option] = options.get(option) or text
+    return contents
 
 
 def _text(content: bytes) -> str:
@@ -182,13 +188,13 @@ def _section_name(name: str) -> str:
     return name
 
 
-def sections(parser: RawConfigParser) -> dict[tuple[int, int], str]:
+def sections(contents: Contents) -> dict[tuple[int, int], str]:
     """Name of the section that describes each entry, by index and sub-index.
 
     An object with sub-indices has a section of its own too, hidden here by that of sub-index 0.
     """
     found: dict[tuple[int, int], str] = {}
-    for name in parser.sections():
+    for name in contents:
         if _INDEX.match(name):
             found.setdefault((int(name, 16), 0), name)
         elif match := _SUBINDEX.match(name):
@@ -199,44 +205,44 @@ def sections(parser: RawConfigParser) -> dict[tuple[int, int], str]:
 @lru_cache(maxsize=8)
 def content_described(content: bytes) -> Described:
     """What a file with this content describes. ValueError with section and key for the impossible."""
-    parser = parse(content)
+    contents = parse(content)
     units = {_section_name(match[2]): match[1].strip() for match in _UNIT.finditer(_text(content))}
-    places = sections(parser)
+    places = sections(contents)
     subindices: dict[int, list[int]] = {}
-    for name in parser.sections():
+    for name in contents:
         if match := _SUBINDEX.match(name):
             subindices.setdefault(int(match[1], 16), []).append(int(match[2], 16))
     objects, entries = [], []
     for index in sorted({index for index, _ in places if index >= FIRST_OBJECT}):
         head = f"{index:04X}"
-        kind = _kind(parser, head) if parser.has_section(head) else ObjectKind.RECORD
+        kind = _kind(contents, head) if head in contents else ObjectKind.RECORD
         if kind is ObjectKind.NULL:
             continue
         has_subs = index in subindices or kind in (ObjectKind.ARRAY, ObjectKind.RECORD, ObjectKind.DEFSTRUCT)
         subs = tuple(sorted(subindices.get(index, ()))) if has_subs else (0,)
-        name = parser.get(head, "ParameterName", fallback=head).strip()
+        name = contents.get(head, {}).get("ParameterName", head).strip()
         objects.append(ObjectInfo(index, name, kind, subs))
         for sub in subs:
             section = places[index, sub]
             unit = units.get(section, "")
-            entries.append(_description(parser, section, (index, sub), name if has_subs else "", unit))
+            entries.append(_description(contents, section, (index, sub), name if has_subs else "", unit))
     return Described(
-        parser.get("DeviceInfo", "ProductName", fallback="").strip(),
-        _option_number(parser, "DeviceInfo", "VendorNumber"),
-        _option_number(parser, "DeviceInfo", "ProductNumber"),
+        contents.get("DeviceInfo", {}).get("ProductName", "").strip(),
+        _option_number(contents, "DeviceInfo", "VendorNumber"),
+        _option_number(contents, "DeviceInfo", "ProductNumber"),
         tuple(objects),
         tuple(entries),
-        _dummy_types(parser),
+        _dummy_types(contents),
     )
 
 
 def _description(
-    parser: RawConfigParser, section: str, place: tuple[int, int], parent: str, unit: str
+    contents: Contents, section: str, place: tuple[int, int], parent: str, unit: str
 ) -> Description:
     def text(key: str) -> str:
-        return str(parser.get(section, key, fallback="")).strip()
+        return contents[section].get(key, "").strip()
 
-    data_type = _option_number(parser, section, "DataType")
+    data_type = _option_number(contents, section, "DataType")
     if data_type is None:
         raise ValueError(f"[{section}] DataType is missing")
     if data_type not in datatypes.KNOWN and not _FIRST_OWN_TYPE <= data_type <= _LAST_OWN_TYPE:
@@ -251,7 +257,7 @@ def _description(
         parent,
         data_type,
         access,
-        bool(_option_number(parser, section, "PDOMapping")),
+        bool(_option_number(contents, section, "PDOMapping")),
         text("Unit") or unit,
         section,
         text("DefaultValue"),
@@ -308,72 +314,50 @@ def _real(text: str, data_type: int) -> float:
     return value
 
 
-def _dummy_types(parser: RawConfigParser) -> frozenset[int]:
-    if not parser.has_section("DummyUsage"):
-        return frozenset()
+def _dummy_types(contents: Contents) -> frozenset[int]:
     return frozenset(
         int(match[1], 16)
-        for match in map(_DUMMY.match, parser.options("DummyUsage"))
-        if match and _option_number(parser, "DummyUsage", match[0])
+        for match in map(_DUMMY.match, contents.get("DummyUsage", ()))
+        if match and _option_number(contents, "DummyUsage", match[0])
     )
 
 
-def _option_number(parser: RawConfigParser, section: str, option: str) -> int | None:
-    text = parser.get(section, option, fallback="").strip()
+def _option_number(contents: Contents, section: str, option: str) -> int | None:
+    text = contents.get(section, {}).get(option, "").strip()
     try:
         return whole(text) if text else None
     except ValueError as error:
         raise ValueError(f"[{section}] {option}: {error}") from None
 
 
-def _kind(parser: RawConfigParser, section: str) -> ObjectKind:
-    code = _option_number(parser, section, "ObjectType")
+def _kind(contents: Contents, section: str) -> ObjectKind:
+    code = _option_number(contents, section, "ObjectType")
     try:
         return ObjectKind.VAR if code is None else ObjectKind(code)
     except ValueError:
         raise ValueError(f"[{section}] ObjectType: {code} is no object type of CiA 301") from None
 
 
-def _default_option(parser: RawConfigParser, section: str, option: str, value: str) -> None:
-    if not parser.get(section, option, fallback=""):
-        parser.set(section, option, value)
-
-
-def _expand_compact(parser: RawConfigParser, section: str) -> None:
-    count = _option_number(parser, section, "CompactSubObj")
-    parser.remove_option(section, "CompactSubObj")
+def _expand_compact(contents: Contents, section: str) -> None:
+    count = _option_number(contents, section, "CompactSubObj")
+    options = contents[section]
+    options.pop("CompactSubObj", None)
     if not count:
         return
     if not 0 < count <= 254:
         raise ValueError(f"[{section}] CompactSubObj is {count}; an object has 1 to 254 sub-indices")
-    shared = {
-        option: text
-        for option, text in parser.items(section)
-        if option in ("DataType", "AccessType", "PDOMapping", "LowLimit", "HighLimit", "DefaultValue")
-    }
-    name = parser.get(section, "ParameterName", fallback="")
-    names = _listed(parser, f"{section}Name")
-    values = _listed(parser, f"{section}Value")
+    shared = {option: text for option, text in options.items() if option in _SHARED}
+    name = options.get("ParameterName", "")
+    names, values = (_listed(contents, f"{section}{what}") for what in ("Name", "Value"))
+    var = {"ObjectType": f"0x{ObjectKind.VAR:X}"}
     head = {"ParameterName": "Highest sub-index supported", "DataType": f"0x{DataType.UNSIGNED8:04X}"}
-    _add_section(parser, f"{section}sub0", {**head, "AccessType": "ro", "DefaultValue": str(count)})
+    contents.setdefault(f"{section}sub0", {**var, **head, "AccessType": "ro", "DefaultValue": str(count)})
     for subindex in range(1, count + 1):
         own = {"ParameterName": names.get(subindex, f"{name} {subindex}")}
         if subindex in values:
             own["DefaultValue"] = values[subindex]
-        _add_section(parser, f"{section}sub{subindex:X}", {**shared, **own})
+        contents.setdefault(f"{section}sub{subindex:X}", {**var, **shared, **own})
 
 
-def _listed(parser: RawConfigParser, section: str) -> dict[int, str]:
-    if not parser.has_section(section):
-        return {}
-    items = {int(option): text for option, text in parser.items(section) if option.isdigit()}
-    parser.remove_section(section)
-    return items
-
-
-def _add_section(parser: RawConfigParser, section: str, options: dict[str, str]) -> None:
-    if parser.has_section(section):
-        return
-    parser.add_section(section)
-    for option, text in {"ObjectType": f"0x{ObjectKind.VAR:X}", **options}.items():
-        parser.set(section, option, text)
+def _listed(contents: Contents, section: str) -> dict[int, str]:
+    return {int(option): text for option, text in contents.pop(section, {}).items() if option.isdigit()}
