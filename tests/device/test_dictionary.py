@@ -6,7 +6,8 @@ import pytest
 import sample_eds
 
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.device.od.dictionary import Dictionary, Entry, ObjectKind
+from canfb.device.od.dictionary import Dictionary
+from canfb.device.od.eds import ObjectKind
 
 
 @pytest.fixture
@@ -212,13 +213,6 @@ def test_limits_of_every_number_type(tmp_path: Path) -> None:
     dictionary = load_text(tmp_path, variable("2100", 0x10, LowLimit="0x800000", HighLimit="-1"))
     entry = dictionary.entry(0x2100)
     assert (entry.low, entry.high) == (-(1 << 23), -1)
-
-
-def test_a_dictionary_of_entries_alone() -> None:
-    dictionary = Dictionary([Entry(0x2001, 1, 5), Entry(0x2001, 0, 5), Entry(0x2000, 0, 7)])
-    assert [entry.index for entry in dictionary] == [0x2000, 0x2001, 0x2001]
-    assert [info.kind for info in dictionary.objects()] == [ObjectKind.VAR, ObjectKind.RECORD]
-    assert len(dictionary) == 3
 
 
 def test_text_time_and_bytes(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def values_of(code: DataType) -> st.SearchStrategy[object]:
         return st.booleans()
     if code in datatypes.FLOATS:
         return st.floats(width=32, allow_nan=False)
-    if code in datatypes.FIXED_BYTES:
+    if code in datatypes.BYTES:
         return st.binary(min_size=6, max_size=6)
     bits = datatypes.bit_length(code)
     if code in datatypes.SIGNED_BITS:

@@ -180,7 +180,7 @@ def test_wrong_arguments(silent: Bench, words: dict[str, float], message: str) -
 @pytest.mark.parametrize("register", [True, False])
 def test_without_optional_objects(register: bool) -> None:
     entries = [Entry(0x1000, 0, 7, access="ro"), Entry(0x1201, 1, 7, default=0x680)]
-    bench = Bench(Dictionary([*entries, *[Entry(0x1001, 0, 5, access="ro")] * register]))
+    bench = Bench(Dictionary([*entries, *[Entry(0x1001, 0, 5, access="ro")] * register], ()))
     bench.start()
     bench.node.emergency(EmergencyCode.SENSOR, 0x20, now=0.0)
     assert bench.tick() == [f"{0x80 + ID:03X}#0073210000000000"]

@@ -45,7 +45,7 @@ def of_type(code: int) -> st.SearchStrategy[Any]:
         return st.booleans()
     if code in datatypes.STRINGS:
         return LATIN if code == DataType.VISIBLE_STRING else st.text(st.characters(exclude_categories=["Cs"]))
-    if code in (DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.FIXED_BYTES):
+    if code in datatypes.BYTES:
         return st.binary(max_size=40)
     return st.integers(*value_range(code))
 

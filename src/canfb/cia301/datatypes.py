@@ -64,7 +64,7 @@ _ODD_UNSIGNED: dict[int, int] = {
     DataType.UNSIGNED48: 48,
     DataType.UNSIGNED56: 56,
 }
-FIXED_BYTES: dict[int, int] = {DataType.TIME_OF_DAY: 48, DataType.TIME_DIFFERENCE: 48}
+_FIXED_BYTES: dict[int, int] = {DataType.TIME_OF_DAY: 48, DataType.TIME_DIFFERENCE: 48}
 _STRUCTS = {code: struct.Struct("<" + letter) for code, letter in FORMATS.items()}
 
 SIGNED_BITS: dict[int, int] = {
@@ -78,19 +78,22 @@ SIGNED_BITS: dict[int, int] = {
 
 FLOATS = frozenset({DataType.REAL32, DataType.REAL64})
 STRINGS = frozenset({DataType.VISIBLE_STRING, DataType.UNICODE_STRING})
+BYTES = frozenset({DataType.OCTET_STRING, DataType.DOMAIN, *_FIXED_BYTES})
 KNOWN = frozenset(int(code) for code in DataType)
+
+
+_BITS: dict[int, int] = {
+    **{code: 8 * packer.size for code, packer in _STRUCTS.items()},
+    **_ODD_SIGNED,
+    **_ODD_UNSIGNED,
+    **_FIXED_BYTES,
+    DataType.BOOLEAN: 1,
+}
 
 
 def bit_length(data_type: int) -> int:
     """Length of a value in a PDO, bits; 0 for a type without a fixed length (strings, DOMAIN)."""
-    if data_type == DataType.BOOLEAN:
-        return 1
-    if data_type in _STRUCTS:
-        return _STRUCTS[data_type].size * 8
-    for table in (_ODD_SIGNED, _ODD_UNSIGNED, FIXED_BYTES):
-        if data_type in table:
-            return table[data_type]
-    return 0
+    return _BITS.get(data_type, 0)
 
 
 def byte_length(data_type: int) -> int:
@@ -99,17 +102,7 @@ def byte_length(data_type: int) -> int:
 
 def zero(data_type: int) -> Any:
     """The value of an object that has no default: 0, 0.0, False or empty."""
-    if data_type == DataType.BOOLEAN:
-        return False
-    if data_type in FLOATS:
-        return 0.0
-    if data_type in STRINGS:
-        return ""
-    if data_type in (DataType.OCTET_STRING, DataType.DOMAIN):
-        return b""
-    if data_type in FIXED_BYTES:
-        return bytes(6)
-    return 0
+    return decode(data_type, bytes(byte_length(data_type)))
 
 
 def encode(data_type: int, value: Any) -> bytes:

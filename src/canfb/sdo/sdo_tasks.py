@@ -22,7 +22,6 @@ from canfb.master.all_or_nothing import SAVE_WITHIN_S
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, numbered
 from canfb.view.limits_in_force import limit_settings
 
-OCTETS = frozenset({DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.FIXED_BYTES})
 """Types whose values are bytes, written in hexadecimal."""
 _TRUE, _FALSE = ("1", "true", "on"), ("0", "false", "off")
 
@@ -50,7 +49,7 @@ def check_value(data_type: int, value: Any, low: float | None = None, high: floa
         checked = value
         if not isinstance(value, str):
             raise ValueError(f"must be a text, not {value!r}")
-    elif data_type in OCTETS or data_type not in datatypes.KNOWN:
+    elif data_type in datatypes.BYTES or data_type not in datatypes.KNOWN:
         checked = value
         if not isinstance(value, bytes):
             raise ValueError(f"must be bytes, not {value!r}")
@@ -83,7 +82,7 @@ def _real(data_type: int, value: Any) -> float:
 def parse_value(data_type: int, text: str, low: float | None = None, high: float | None = None) -> Any:
     """Of a text (12, 0x1F, -3.5, on, DE AD BE EF), or ValueError."""
     value: Any = text
-    if data_type in OCTETS or data_type not in datatypes.KNOWN:
+    if data_type in datatypes.BYTES or data_type not in datatypes.KNOWN:
         value = _parsed(bytes.fromhex, text, "bytes in hexadecimal such as 01FF")
     elif data_type == DataType.BOOLEAN:
         value = _parsed((_FALSE + _TRUE).index, text.lower(), "1 or 0") >= len(_FALSE)

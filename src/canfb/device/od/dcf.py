@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from canfb.cia301 import datatypes
-from canfb.cia301.datatypes import DataType
 from canfb.device.od import eds
 
 COMMISSIONING = "DeviceComissioning"  # The section as CiA 306 spells it.
@@ -106,7 +105,7 @@ def _written(options: Mapping[str, str], value: Any, reals: Reals) -> str:
         return real_as_text(data_type, value, reals)
     if data_type in datatypes.STRINGS:
         return str(value)
-    if data_type in (DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.FIXED_BYTES):
+    if data_type in datatypes.BYTES:
         return bytes(value).hex().upper()
     default = options.get("DefaultValue", "").lower()
     if "0x" not in default or value < 0:

@@ -13,7 +13,7 @@ from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.device.od import eds
-from canfb.device.od.eds import ACCESS, Description, ObjectInfo, ObjectKind
+from canfb.device.od.eds import ACCESS, Description, ObjectInfo
 
 READABLE = frozenset({"ro", "rw", "rwr", "rww", "const"})
 WRITABLE = frozenset({"wo", "rw", "rwr", "rww"})
@@ -194,15 +194,14 @@ class Dictionary:
     def __init__(
         self,
         entries: Iterable[Entry],
-        objects: Iterable[ObjectInfo] | None = None,
+        objects: Iterable[ObjectInfo],
         dummies: Iterable[int] = (),
     ) -> None:
         self._entries = {
             (entry.index, entry.subindex): entry
             for entry in sorted(entries, key=lambda entry: (entry.index, entry.subindex))
         }
-        described = _guess_objects(self._entries) if objects is None else objects
-        self._objects = {info.index: info for info in described}
+        self._objects = {info.index: info for info in objects}
         self._indices = sorted(self._objects)
         self.dummies = frozenset(dummies)
 
@@ -311,13 +310,3 @@ def _entry(described: Description, node_id: int) -> Entry:
     except (ValueError, SdoAbort) as error:
         raise ValueError(f"[{described.section}]: {error}") from error
     return entry
-
-
-def _guess_objects(entries: Iterable[tuple[int, int]]) -> list[ObjectInfo]:
-    subindices: dict[int, list[int]] = {}
-    for index, subindex in entries:
-        subindices.setdefault(index, []).append(subindex)
-    return [
-        ObjectInfo(index, "", ObjectKind.VAR if subs == [0] else ObjectKind.RECORD, tuple(subs))
-        for index, subs in subindices.items()
-    ]

@@ -106,9 +106,7 @@ FIRST_OBJECT = 0x1000  # Below are data types (CiA 301, 7.4.1), which are no obj
 LONGEST_MESSAGE = 200
 # Data types that a profile or a manufacturer defines: their values are bytes here.
 _FIRST_OWN_TYPE, _LAST_OWN_TYPE = 0x20, 0x025F
-_WITHOUT_LIMITS = frozenset(
-    {DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.STRINGS, *datatypes.FIXED_BYTES}
-)
+_WITHOUT_LIMITS = datatypes.STRINGS | datatypes.BYTES
 _INDEX = re.compile(r"^[0-9A-Fa-f]{4}$")
 _SUBINDEX = re.compile(r"^([0-9A-Fa-f]{4})sub([0-9A-Fa-f]+)$", re.IGNORECASE)
 _LIST = re.compile(r"^([0-9A-Fa-f]{4})(Name|Value)$", re.IGNORECASE)
@@ -278,7 +276,7 @@ def number(text: str, data_type: int, node_id: int) -> Any:
         return None
     if data_type in datatypes.STRINGS:
         return text
-    if data_type in (DataType.OCTET_STRING, DataType.DOMAIN, *datatypes.FIXED_BYTES):
+    if data_type in datatypes.BYTES:
         return bytes.fromhex(text)
     if data_type in datatypes.FLOATS:
         return _real(text, data_type)
