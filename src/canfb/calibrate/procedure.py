@@ -21,7 +21,7 @@ from canfb.master.all_or_nothing import (
     put_in_force_again,
     read_active,
 )
-from canfb.master.listening import Listener
+from canfb.master.listening import listening
 from canfb.master.samples import TrackSamples
 from canfb.master.session import CORNERS, read_corners
 from canfb.master.supervision_limits import as_real32
@@ -197,7 +197,7 @@ def let_measure(module: NodeAccess, layout: PdoLayout, progress: Progress) -> Tr
     """
     _start(module, Command.START)
     try:
-        with Listener(module.master, layout) as listener:
+        with listening(module.master, layout) as listener:
             _wait(module, State.READY, progress, listener.look)
         return listener.result()
     except BaseException:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from enum import IntEnum, IntFlag
 from typing import Self
+
+EMERGENCY = struct.Struct("<HB5s")  # code, 1001h and the field of the manufacturer (CiA 301, 7.2.7.3.1)
 
 
 class CodeWithText(IntEnum):

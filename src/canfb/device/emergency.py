@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import struct
 from collections import deque
 from collections.abc import Hashable
 
 from canfb.cia301 import cob
-from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
+from canfb.cia301.codes import EMERGENCY, AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER, Core, Timed
 from canfb.device.od.dictionary import Entry, refuse_if
 
-_EMERGENCY = struct.Struct("<HB5s")
 _WAITING = 8
 
 APPLICATION = None  # Source of the errors that the program reports.
@@ -92,7 +90,7 @@ class Emergency(Timed):
         while self._waiting and self._allowed and now >= self._not_before:
             data = self._waiting.popleft()
             self._emit(Frame(self._can_id(), data))
-            code, register, detail = _EMERGENCY.unpack(data)
+            code, register, detail = EMERGENCY.unpack(data)
             self._application.emergency_sent(code, register, detail, now)
             inhibit = self._inhibit_s()
             self._not_before = now + inhibit if inhibit else -NEVER
@@ -109,7 +107,7 @@ class Emergency(Timed):
         if len(self._waiting) == _WAITING:
             self._waiting.popleft()
             self._counters.lost_emergencies += 1
-        self._waiting.append(_EMERGENCY.pack(code, self._bits(), manufacturer))
+        self._waiting.append(EMERGENCY.pack(code, self._bits(), manufacturer))
         self.tick(now)
 
     def _bits(self) -> int:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.cia301.codes import EmergencyCode, emergency_text
+from canfb.cia301.codes import EMERGENCY, EmergencyCode, emergency_text
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand, NmtState
@@ -27,7 +27,6 @@ FIXED = {
     0x7E4: ("lss", None, "LSS, slave"),
 }
 SDO = {cob.SDO_REQUEST: ("SDO request", "to"), cob.SDO_RESPONSE: ("SDO response", "of")}
-EMERGENCY = struct.Struct("<HB5s")
 COMMANDS = {int(one): one.name.lower().replace("_", " ") for one in NmtCommand}
 STATES = {int(one): one.name.replace("_", "-") for one in NmtState}
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
 from canfb import objects as od
-from canfb.master.access import CommissioningError, Master, NodeAccess, ObjectAbsentError, OnFrame, Progress
+from canfb.master.access import (
+    CommissioningError,
+    Master,
+    NodeAccess,
+    ObjectAbsentError,
+    OnFrame,
+    Progress,
+    subscribed,
+)
 from canfb.master.samples import TrackSamples
 from canfb.objects import MISSED_COUNTS
 from canfb.objects import RecordingCommand as Command
@@ -121,31 +129,22 @@ class Listener:
     def __init__(self, master: Master, layout: PdoLayout) -> None:
         self._master = master
         self._layout = layout
-        self._recorder = PdoRecorder(layout)
+        self.recorder = PdoRecorder(layout)
         self._syncs = self._samples = 0
         self._began_s: float | None = None
-
-    def __enter__(self) -> Self:
-        self._last_sync_s = self._last_sample_s = self._master.now()
-        for can_id, take in self._recorder.callbacks():
-            self._master.subscribe(can_id, take)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        for can_id, take in reversed(self._recorder.callbacks()):
-            self._master.unsubscribe(can_id, take)
+        self._last_sync_s = self._last_sample_s = master.now()
 
     @property
     def intervals(self) -> int:
         """From SYNC to SYNC: those of :meth:`result`."""
-        return max(self._recorder.syncs - 1, 0)
+        return max(self.recorder.syncs - 1, 0)
 
     @property
     def elapsed_s(self) -> float:
         return 0.0 if self._began_s is None else self._master.now() - self._began_s
 
     def look(self) -> None:
-        now, recorder, layout = self._master.now(), self._recorder, self._layout
+        now, recorder, layout = self._master.now(), self.recorder, self._layout
         if recorder.syncs > self._syncs:
             self._syncs, self._last_sync_s = recorder.syncs, now
             if self._began_s is None:
@@ -162,9 +161,9 @@ class Listener:
 
     def result(self) -> TrackSamples:
         can_id = self._layout.can_id
-        if not self._recorder.samples:
+        if not self.recorder.samples:
             raise self._no_samples()
-        samples = self._recorder.result(f"PDO {can_id:03X}h at each SYNC")
+        samples = self.recorder.result(f"PDO {can_id:03X}h at each SYNC")
         if samples.missed > PART_MISSED * len(samples):
             raise CommissioningError(
                 f"{samples.missed} of {len(samples)} SYNCs were not followed by PDO {can_id:03X}h: "
@@ -177,6 +176,13 @@ class Listener:
             f"SYNC is received, but not PDO {self._layout.can_id:03X}h with the samples: is the encoder "
             "interface OPERATIONAL (NMT start), and is its node-ID right?"
         )
+
+
+@contextlib.contextmanager
+def listening(master: Master, layout: PdoLayout) -> Iterator[Listener]:
+    listener = Listener(master, layout)
+    with subscribed(master, listener.recorder.callbacks()):
+        yield listener
 
 
 def listen(
@@ -192,7 +198,7 @@ def listen(
     ``progress`` gets 0..1. Ends after LONGEST times that, or when ``enough``. CommissioningError without
     SYNC or samples.
     """
-    with Listener(master, layout) as listener:
+    with listening(master, layout) as listener:
         while True:
             master.wait(LOOK_S)
             listener.look()

@@ -5,14 +5,13 @@ The NMT state is that of heartbeat or boot-up, else of the last NMT command, or 
 
 from __future__ import annotations
 
-import struct
 from collections import deque
 from collections.abc import Callable, Iterable
 from functools import partial
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.cia301.codes import EmergencyCode, emergency_text
+from canfb.cia301.codes import EMERGENCY, EmergencyCode, emergency_text
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame, frame_bits
 from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.monitoring.layout import NodeLayout, Recognition
@@ -22,7 +21,6 @@ from canfb.objects import Multiplexer
 from canfb.view.pdo_map import Number, Pdo
 
 EMERGENCIES = 8  # that are remembered
-EMERGENCY = struct.Struct("<HB5s")
 CAUSE_BYTE = 2  # of the five of EMCY 7300h: as 2012:10, 0 while it is not lost
 HEARD_STATES = {int(state): state for state in NmtState}
 COMMANDED = {

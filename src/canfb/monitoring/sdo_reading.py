@@ -11,6 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import cache
 
 from canfb import objects as od
 from canfb.bus.bus_master import BusMaster
@@ -21,7 +22,6 @@ from canfb.master.all_or_nothing import active_conditioning, read_active
 from canfb.monitoring.layout import ModuleReading, NodeLayout, Origin, layout_of
 from canfb.monitoring.lines import is_stale
 from canfb.monitoring.snapshot import BusSnapshot, NodeSnapshot
-from canfb.objects import Multiplexer
 from canfb.signal.correction import Correction
 from canfb.view.pdo_map import Number
 
@@ -61,14 +61,7 @@ class ModuleReader:
         seen = _changes(node)
         self._not_before_s = now + QUIET_S
         if self._layout is None or seen != self._seen or now >= self._layout_due_s:
-            known: dict[Multiplexer, Number | None] = {}
-
-            def read(place: Multiplexer) -> Number | None:
-                if place not in known:
-                    known[place] = module.read_known(place)
-                return known[place]
-
-            self._layout = layout_of(self.node_id, read, Origin.MODULE)
+            self._layout = layout_of(self.node_id, cache(module.read_known), Origin.MODULE)
             self._layout_due_s = now + LAYOUT_S
         heard = node is not None and node.module is not None and not is_stale(node.module)
         pdos = self._layout.tpdos if heard else ()

@@ -17,7 +17,7 @@ from canfb.master.all_or_nothing import Guard, change, check_can_save
 from canfb.master.node_state import nmt_state
 from canfb.rows import Result, those
 from canfb.sdo.backup_file import Backup, NodeIdentity
-from canfb.sdo.object_description import ObjectDescriptions, Place
+from canfb.sdo.object_description import ObjectDescriptions, Place, listed
 from canfb.sdo.sdo_tasks import short_real
 
 STORES = (od.STORE_ALL_PARAMETERS,)
@@ -160,8 +160,7 @@ def shown(changes: dict[Place, tuple[Any, Any]]) -> str:
     texts = [
         f"{od.place_text(place)} is {there!r}, not {after!r}" for place, (there, after) in changes.items()
     ]
-    more = f" and {len(texts) - MOST_SHOWN} more" if len(texts) > MOST_SHOWN else ""
-    return ", ".join(texts[:MOST_SHOWN]) + more
+    return listed(texts, MOST_SHOWN)
 
 
 def backup_result(backup: Backup, path: Path) -> Result:

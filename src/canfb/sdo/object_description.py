@@ -127,12 +127,12 @@ class ObjectDescriptions:
             if own or whole:
                 several = [f"{one.number} {one.title}" for one in outside]
                 several += [f"{index:04X} {self.of_object(index)[0].parent}" for index in whole]
-                raise ConfigError(f"{text!r} means several objects: {_listed(sorted(several))}")
+                raise ConfigError(f"{text!r} means several objects: {listed(sorted(several))}")
         names = {_words(name): f"{one.number} {one.title}" for one in self for name in (one.title, one.name)}
         near = [names[name] for name in get_close_matches(query, names, n=3, cutoff=0.8)]
         near = near or [names[name] for name in names if set(query.split()) & set(name.split())]
-        listed = _listed(list(dict.fromkeys(near)))
-        hint = f"; did you mean {listed}?" if near else f"; {self.path.name} has the names"
+        meant = listed(list(dict.fromkeys(near)))
+        hint = f"; did you mean {meant}?" if near else f"; {self.path.name} has the names"
         raise ConfigError(f"{text!r}: {self.product} has no object of this name{hint}")
 
 
@@ -148,9 +148,9 @@ def _words(text: str) -> str:
     return " ".join(re.findall(r"[a-z0-9]+", text.lower()))
 
 
-def _listed(names: list[str]) -> str:
-    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
-    return ", ".join(names[:MOST_LISTED]) + more
+def listed(names: list[str], most: int = MOST_LISTED) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 @lru_cache(maxsize=8)
