@@ -17,7 +17,6 @@ import can
 import numpy as np
 import pytest
 
-import canfb
 from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
@@ -30,7 +29,6 @@ from canfb.signal.starts import START_SAMPLES
 from canfb.signal.supervision import VALID
 from canfb.simulation.demand import of_motion
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.motion import Motion
 from canfb.simulation.set_up import source_of
 from canfb.simulation.sync_producer import SyncProducer
 from commands import Command
@@ -47,13 +45,12 @@ class Session:
 
     rate_hz: float
     options: Sequence[str] = ()
-    text: str = EXAMPLE
     statuses: list[int] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
     """Of each position, cycles, against the truth."""
 
     def __post_init__(self) -> None:
-        self.config: Config = parse_config(self.text)
+        self.config: Config = parse_config(EXAMPLE)
         arguments = ["simulate", "feedback.yaml", "--rate", str(self.rate_hz), *self.options]
         self.source: Any = source_of(*chosen(build_parser().parse_args(arguments), self.config))
         self.module = FeedbackModule(self.config.modules[0])
@@ -249,29 +246,3 @@ def test_every_position_of_ten_seconds_is_valid_and_right(rate_hz: float) -> Non
     assert np.abs(session.errors).max() < 0.05, "no cycle is lost; the rest is the error of the tracks"
     assert session.source.position_cycles > 2500 * 1.5, "it has turned by more than a revolution"
     assert session.module.dictionary.entry(0x2012, 2).value == 0
-
-
-def test_what_the_example_was_before_would_be_warned_of() -> None:
-    """A ramp of 31.4 rad/s^2 at 100 Hz: the position is lost, and the warning has said so."""
-    text = EXAMPLE.replace("ramp_s: 30, rpm: 61", "ramp_s: 2, rpm: 600")
-    assert text != EXAMPLE
-    session = Session(100.0, text=text)
-    demand = of_motion(session.config.simulation.motion, session.config.modules[0], 100.0)
-    assert "will lose the position" in (demand.warning() or "")
-    session.run(3.0)
-    assert not session.valid[-1]
-
-
-@pytest.mark.parametrize(("rate_hz", "rpm"), [(100.0, None), (1000.0, None), (500.0, 600.0)])
-def test_its_ripple_shows_every_phase_to_a_reference_measurement(rate_hz: float, rpm: float | None) -> None:
-    """600 rpm of 2500 cycles are a whole number of cycles per sample at 500 Hz."""
-    config = parse_config(EXAMPLE)
-    motion = config.simulation.motion
-    settled = Motion((), motion.motion().ripples, motion.rpm if rpm is None else rpm)
-    position = settled.revolutions_at(np.arange(5000) / rate_hz) * 2500
-    encoder = config.simulation.encoder.encoder(12)
-    sine, cosine = encoder.sample(position, np.random.default_rng(1))
-    found = canfb.calibrate_from_motion(sine, cosine, "fit", adc_bits=12)
-    assert found.accepted
-    assert found.coverage == 1.0
-    assert found.uncertainty_rms < 5e-5

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -12,25 +11,19 @@ import can
 import numpy as np
 import pytest
 
-from canfb.bus.frame_bus import PythonCanBus
-from canfb.bus.runner import Runner
 from canfb.cli.main import build_parser
 from canfb.cli.simulate import chosen
 from canfb.configuration import Config, load_config, parse_config
-from canfb.device.device_protocol import Device
 from canfb.errors import ConfigError
 from canfb.hosting.simulating import fed_module
-from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.plant import DriveConfig
-from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.motion import MotionSource
 from canfb.simulation.set_up import Play, SimulatedAxis, SimulatedNetwork, set_up, simulated_axis, source_of
 from canfb.sources.recording_source import RecordingSource
 from commands import Command
-from fake_bus import FakeBus, FakeClock, message
 
 CHANNEL = "canfb-simulate"
 CONFIG = f"""\
@@ -201,28 +194,6 @@ def test_a_module_that_samples_itself_has_no_encoder_interface() -> None:
 def test_a_module_without_a_node_id_has_no_position_to_take() -> None:
     with pytest.raises(ConfigError, match="no node_id"):
         axis_of(parsed("{}", "modules: [{node_id: 255, encoder_interface: 0x10}]\n"))
-
-
-def test_all_in_one_process_on_a_runner_move_the_shaft() -> None:
-    """The order of the devices, and frames between them, are those of the command."""
-    config = parsed("{}")
-    axis = axis_of(config)
-    assert axis is not None
-    plan = [(1e-3 * n, message(0x080)) for n in range(1, 601)]
-    plan += [(2e-3, message(0x000, b"\x01\x20"))]
-    plan += [
-        (1e-3 * at, message(0x230, struct.pack("<Hb", controlword, 8)))
-        for at, controlword in ((20, 0x06), (21, 0x07), (22, 0x0F))
-    ]
-    plan += [(1e-3 * n, message(0x330, struct.pack("<i", 1000))) for n in range(30, 601)]
-    clock = FakeClock()
-    bus = FakeBus(clock, sorted(plan, key=lambda one: one[0]))
-    interface = EncoderInterface(0x10, axis.source, autostart=True)
-    devices: list[Device] = [axis.plant, interface, axis.drive, FeedbackModule(config.modules[0])]
-    Runner(PythonCanBus(bus), devices, clock=clock, sleep=clock.sleep).run(lambda: not bus.plan)  # type: ignore[arg-type]
-    assert axis.drive.power is State.OPERATION_ENABLED, axis.summary()
-    assert axis.plant.motor.revolutions * 2**20 == pytest.approx(1000, abs=20)
-    assert axis.summary() == "drive: Operation enabled; the shaft is at 0.001 revolutions"
 
 
 RATE_HZ = 1000.0

@@ -16,7 +16,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.sample import Sample
+from played import Still
 
 MODULE, INTERFACE = "module", "interface"
 DEVICES = (MODULE, INTERFACE)
@@ -70,16 +70,6 @@ def crc(data: bytes) -> int:
 def only(frames: Iterable[Heard], can_id: int) -> list[str]:
     """Data of the frames with this CAN-ID."""
     return [frame.data for frame in frames if frame.can_id == can_id]
-
-
-@dataclass
-class StillSource:
-    """An encoder at a standstill, for the interface."""
-
-    counts: tuple[int, int] = (300, 1400)
-
-    def next(self) -> Sample:
-        return Sample(*self.counts)
 
 
 @dataclass
@@ -296,7 +286,7 @@ def make_tester(kind: str, **fields: Any) -> Tester:
         config = ModuleConfig(node_id=MODULE_ID, encoder_interface=INTERFACE_ID, **fields)
         device = FeedbackModule(config, MemoryStore())
     else:
-        device = EncoderInterface(INTERFACE_ID, StillSource(), store=MemoryStore())
+        device = EncoderInterface(INTERFACE_ID, Still(300, 1400), store=MemoryStore())
     tester = Tester(kind, device, EDS[kind])
     assert only(tester.power_on(), 0x700 + tester.id) == ["00"]
     return tester

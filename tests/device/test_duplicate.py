@@ -7,7 +7,7 @@ from copy import deepcopy
 from pathlib import Path
 
 import pytest
-from device_kit import ID, OK, Bench
+from device_kit import ID, OK, Bench, hexes
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -47,29 +47,6 @@ def shipped() -> Shipped:
 
 def emergency(can_id: int, at: int = 0x0A0) -> list[str]:
     return [f"{at:03X}#508111{can_id & 0xFF:02X}{can_id >> 8:02X}000000"]
-
-
-@pytest.mark.parametrize("command", [1, 128])
-@pytest.mark.parametrize("can_id", sorted(OWN))
-def test_a_frame_that_only_this_node_may_send(shipped: Shipped, can_id: int, command: int) -> None:
-    shipped.nmt(command)
-    shipped.now = 7.0
-    assert shipped.send(can_id, "05") == emergency(can_id)
-    assert shipped.noticed == [(can_id, 7.0)]
-    assert shipped.read(0x1001) == 0x11
-    assert shipped.read(0x1003, 1) == can_id << 16 | 0x8150
-    assert shipped.node.state is STATES[command], "one stray frame stops nothing"
-    assert shipped.count == 1
-
-
-@pytest.mark.parametrize("command", [129, 130])
-def test_a_reset_forgets_it_and_the_next_frame_tells_it_again(shipped: Shipped, command: int) -> None:
-    shipped.send(0x720, "05")
-    assert shipped.nmt(command) == ["720#00"]
-    assert shipped.read(0x1001) == 0
-    assert shipped.send(0x5A0, bytes(8)) == emergency(0x5A0)
-    assert [can_id for can_id, _ in shipped.noticed] == [0x720, 0x5A0]
-    assert shipped.count == 2
 
 
 def set_cob_id(bench: Bench, index: int, subindex: int, value: int) -> None:
@@ -166,25 +143,33 @@ def expected_own(dictionary: Dictionary) -> set[int]:
     changes=st.lists(cob_ids, max_size=8),
     command=st.sampled_from([1, 2, 128]),
     frames=st.lists(any_frame, max_size=30),
+    reset=st.sampled_from([129, 130]),
 )
-def test_whatever_comes_own_can_ids_are_counted_and_the_state_stays(
-    changes: list[tuple[tuple[int, int], int]], command: int, frames: list[Frame]
+def test_whatever_comes_own_can_ids_are_counted_and_the_first_is_told(
+    changes: list[tuple[tuple[int, int], int]], command: int, frames: list[Frame], reset: int
 ) -> None:
+    """The state stays, and a reset forgets it."""
     bench = Shipped()
     for (index, subindex), value in changes:
         bench.write(index, subindex, value, 4)
     bench.nmt(command)
     own = expected_own(bench.dictionary)
     assert bench.node.own_can_ids == own
-    first = None
-    counted = 0
+    first, counted, told = None, 0, list[Frame]()
     for frame in frames:
         if frame.can_id in (0x000, 0x620, 0x7E5, 0x6C0, 0x190):
             continue  # commands, and what may be a request of the second SDO client, change things
         if frame.can_id in own and not frame.rtr:
             counted += 1
             first = frame.can_id if first is None else first
-        bench.node.receive(frame, 0.0)
+        told += [one for one in bench.node.receive(frame, 0.0) if one.data[:2] == b"\x50\x81"]
         assert bench.node.state is STATES[command]
     assert bench.count == counted
     assert bench.noticed == ([] if first is None else [(first, 0.0)])
+    emcy = bench.dictionary.entry(0x1014).value
+    heard = first is not None and command != 2 and not emcy >> 31
+    assert hexes(told) == (emergency(first or 0, emcy) if heard else [])
+    assert bench.nmt(reset) == ["720#00"]
+    assert bench.read(0x1001) == 0
+    assert bench.send(0x5A0, bytes(8)) == emergency(0x5A0)
+    assert bench.read(0x1003, 1) == 0x5A0 << 16 | 0x8150

@@ -12,8 +12,8 @@ from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
+from played import Still
 
 INTERFACE_ID, MODULE_ID = 0x11, 0x21
 EDS_FOLDER = eds_path("canfb-module").parent
@@ -54,13 +54,6 @@ start: [interface, module]
 """
 
 
-class Silence:
-    """A source of equal samples."""
-
-    def next(self) -> Sample:
-        return Sample(0, 1500)
-
-
 class Network:
     """The two nodes, powered on; everything that the master sends is in ``sent``."""
 
@@ -69,7 +62,7 @@ class Network:
         self.sent: list[Frame] = []
         self.network = _Recording(self.bus, self.sent)
         self.module = FeedbackModule(ModuleConfig(node_id=MODULE_ID, encoder_interface=INTERFACE_ID), store)
-        self.interface = EncoderInterface(INTERFACE_ID, Silence())
+        self.interface = EncoderInterface(INTERFACE_ID, Still(0, 1500))
         for device in (self.interface, self.module):
             self.bus.attach(device)
 

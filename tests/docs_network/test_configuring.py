@@ -35,14 +35,6 @@ def test_everything_is_as_the_file_says(tmp_path: Path) -> None:
     assert made.compare() == []
 
 
-def test_a_second_run_writes_nothing(tmp_path: Path) -> None:
-    network = Network()
-    configuration(network, tmp_path).apply()
-    network.sent.clear()
-    assert configuration(network, tmp_path).apply() == 0
-    assert network.downloads(MODULE_ID) == network.downloads(INTERFACE_ID) == []
-
-
 def test_identity_and_compare_write_nothing(tmp_path: Path) -> None:
     network = Network()
     before = network.values()
@@ -54,19 +46,6 @@ def test_identity_and_compare_write_nothing(tmp_path: Path) -> None:
     assert network.values() == before
     assert network.downloads(MODULE_ID) == network.downloads(INTERFACE_ID) == []
     assert not [frame for frame in network.sent if frame.can_id == 0]
-
-
-def test_a_pdo_is_written_in_the_order_of_the_standard(tmp_path: Path) -> None:
-    network = Network()
-    configuration(network, tmp_path).apply()
-    written = [one for one in network.downloads(MODULE_ID) if one[0] in (0x1800, 0x1A00)]
-    assert written == [
-        (0x1800, 1, 0xC00001A1),
-        (0x1A00, 0, 0),
-        (0x1A00, 0, 2),
-        (0x1800, 3, 5),
-        (0x1800, 1, 0x400001A1),
-    ]
 
 
 def test_new_entries_and_another_cob_id(tmp_path: Path) -> None:

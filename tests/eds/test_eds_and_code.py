@@ -12,9 +12,9 @@ from eds_text import EdsText, eds_of
 from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
+from played import Still
 
 MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 NODE_ID = 32
@@ -53,29 +53,10 @@ GENERIC = {("mapping.py", "resolve")}
 Device = FeedbackModule | EncoderInterface | ServoDrive
 
 
-class Still:
-    """A source of samples at standstill."""
-
-    def next(self) -> Sample:
-        return Sample(1000, 0)
-
-
-def make_module() -> Device:
-    return FeedbackModule(ModuleConfig(node_id=NODE_ID, autostart=True))
-
-
-def make_interface() -> Device:
-    return EncoderInterface(NODE_ID, Still(), autostart=True)
-
-
-def make_drive() -> Device:
-    return ServoDrive(NODE_ID, Plant(Motor(MotorConfig())), autostart=True)
-
-
 DEVICES: dict[str, Callable[[], Device]] = {
-    MODULE: make_module,
-    INTERFACE: make_interface,
-    DRIVE: make_drive,
+    MODULE: lambda: FeedbackModule(ModuleConfig(node_id=NODE_ID, autostart=True)),
+    INTERFACE: lambda: EncoderInterface(NODE_ID, Still(), autostart=True),
+    DRIVE: lambda: ServoDrive(NODE_ID, Plant(Motor(MotorConfig())), autostart=True),
 }
 
 

@@ -17,19 +17,8 @@ ROOT = Path(__file__).parents[2]
 MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 NAMES = (MODULE, INTERFACE, DRIVE)
 FILES = {name: eds_of(name, 32) for name in NAMES}
-TYPES = {
-    "U8": 0x05,
-    "U16": 0x06,
-    "U32": 0x07,
-    "U64": 0x1B,
-    "I8": 0x02,
-    "I16": 0x03,
-    "I32": 0x04,
-    "I64": 0x15,
-    "REAL32": 0x08,
-    "STRING": 0x09,
-    "DOMAIN": 0x0F,
-}
+TYPES = {"U8": 0x05, "U16": 0x06, "U32": 0x07, "U64": 0x1B, "I8": 0x02, "I16": 0x03, "I32": 0x04, "I64": 0x15}
+TYPES |= {"REAL32": 0x08, "STRING": 0x09, "DOMAIN": 0x0F}
 
 # The contract with users, restated: a change here breaks their masters.
 MODULE_CONTRACT = """

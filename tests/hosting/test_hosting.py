@@ -69,6 +69,20 @@ def test_the_log_has_the_lines_of_the_command(
     assert logging.getLogger("canfb").propagate, "as it was"
 
 
+def test_what_was_saved_is_there_and_is_said(config: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "canfb")
+    coast = (0x2010, 3)
+    for found, said in ((3, False), (9, True)):
+        with Hosting(load_config(config)) as hosting:
+            hosting.run(ready=hosting.stop)
+            module = hosting.modules[0]
+            assert module.dictionary.entry(*coast).value == found
+            module.dictionary.lookup(*coast).download(b"\x09")
+            module.dictionary.lookup(0x1010, 1).download(b"save")
+        line = "node 32 (20h): saved values take precedence over the configuration: 2010h:03"
+        assert any(line in text for text in caplog.messages) is said
+
+
 def test_it_is_used_as_a_context_manager(config: Path) -> None:
     with pytest.raises(RuntimeError, match="context manager"):
         Hosting(load_config(config)).run()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
-from collections.abc import Iterable
 
 import pytest
 from hypothesis import given
@@ -15,9 +15,9 @@ from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource
-from canfb.sources.protocol import SourceEnded
 from drawing import examples
 from folding import each
+from played import Listed
 
 NODE, TPDO1 = 16, 0x190
 SYNC = Frame(0x80, b"")
@@ -25,33 +25,6 @@ START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 
 
 
 Counts = tuple[int, int]
-
-
-class Listed:
-    """A source with a list of samples."""
-
-    def __init__(self, samples: Iterable[Counts | None]) -> None:
-        self._samples = iter(samples)
-        self.taken = 0
-
-    def next(self) -> Sample | None:
-        self.taken += 1
-        try:
-            counts = next(self._samples)
-        except StopIteration:
-            raise SourceEnded from None
-        return None if counts is None else Sample(*counts)
-
-
-class Endless:
-    """A source that counts."""
-
-    def __init__(self) -> None:
-        self.taken = 0
-
-    def next(self) -> Sample:
-        self.taken += 1
-        return Sample(self.taken, -self.taken)
 
 
 def nmt(command: int, node: int = NODE) -> Frame:
@@ -67,7 +40,7 @@ def download(index: int, subindex: int, value: int, size: int = 4) -> Frame:
     return Frame(0x600 + NODE, head + value.to_bytes(size, "little").ljust(4, b"\0"))
 
 
-def operational(source: Listed | Endless | MotionSource) -> EncoderInterface:
+def operational(source: Listed | MotionSource) -> EncoderInterface:
     interface = EncoderInterface(NODE, source)
     interface.start(0.0)
     interface.receive(nmt(START), 0.0)
@@ -75,7 +48,7 @@ def operational(source: Listed | Endless | MotionSource) -> EncoderInterface:
 
 
 def test_it_boots_up_and_waits_for_a_master() -> None:
-    source = Endless()
+    source = Listed((n, -n) for n in itertools.count(1))
     interface = EncoderInterface(NODE, source)
     assert interface.start(0.0) == [Frame(0x700 + NODE, b"\0")]
     assert interface.receive(SYNC, 0.0) == []
@@ -103,7 +76,7 @@ steps = st.one_of(
 @examples(60)
 @given(st.lists(steps, max_size=40))
 def test_exactly_one_pdo_for_each_sync_in_operational_and_none_otherwise(frames: list[Frame]) -> None:
-    source = Endless()
+    source = Listed((n, -n) for n in itertools.count(1))
     interface = EncoderInterface(NODE, source)
     interface.start(0.0)
     running = False
@@ -180,7 +153,7 @@ def test_each_sample_is_an_event_for_a_pdo_of_type_0() -> None:
 
 
 def test_an_event_driven_pdo_keeps_to_its_timer() -> None:
-    interface = operational(Endless())
+    interface = operational(Listed((n, -n) for n in itertools.count(1)))
     for frame in (download(0x1800, 2, 0xFE, size=1), download(0x1800, 5, 100, size=2)):
         (answer,) = interface.receive(frame, 0.0)
         assert answer.data[0] == 0x60

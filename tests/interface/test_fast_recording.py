@@ -13,13 +13,13 @@ import canfb
 from canfb.demo.demo_network import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource
 from canfb.simulation.sync_producer import SyncProducer
 from canfb.sources.protocol import Source
 from folding import each
+from played import Still
 
 NODE = 16
 START, STOP = 1, 2
@@ -131,18 +131,11 @@ def test_the_rate_can_be_set_but_not_while_it_records() -> None:
         assert error.value.code == code
 
 
-class Played:
-    """A source that is no motion."""
-
-    def next(self) -> Sample:
-        return Sample(0, 0)
-
-
 @each(
     "source, value, code",
     [
         *((turning(), value, 0x06090030) for value in (0, 3, 255)),
-        (Played(), START, 0x08000022),
+        (Still(), START, 0x08000022),
     ],
 )
 def test_other_commands_and_recording_what_is_played_from_a_file_are_refused(

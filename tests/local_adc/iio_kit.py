@@ -7,10 +7,13 @@ import time
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
 from emulated_iiod import EmulatedIiod
 
 from canfb.hosting.captured_source import REOPEN_S, CapturedSource
 from canfb.signal.sample import Sample
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.scenario import SimulationConfig
 from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.protocol import Surroundings
@@ -45,6 +48,30 @@ def deliver(server: EmulatedIiod, source: CapturedSource, *scans: dict[str, int]
     wanted = source.scans + len(scans)
     server.deliver(*scans)
     until(lambda: source.scans == wanted, "delivered")
+
+
+class Machine:
+    """An encoder on a machine that is scanned at even times; where it was at each scan, in cycles."""
+
+    def __init__(self, scan_s: float, *ramps: Ramp) -> None:
+        self.scan_s = scan_s
+        self.truth_cycles: list[float] = []
+        self._motion, self._encoder = Motion(ramps), Encoder(noise_lsb=0.5)
+        self._rng = np.random.default_rng(11)
+
+    def scan(self) -> dict[str, int]:
+        """The next one."""
+        time_s = len(self.truth_cycles) * self.scan_s
+        self.truth_cycles.append(self._motion.revolutions(time_s) * 2500)
+        sine, cosine = self._encoder.sample(self.truth_cycles[-1], self._rng)
+        return reading(int(sine) + 2048, int(cosine) + 2048, round(time_s * 1e9))
+
+    def scans_until(self, until_s: float) -> list[dict[str, int]]:
+        """Those that are due."""
+        found = []
+        while len(self.truth_cycles) * self.scan_s <= until_s:
+            found.append(self.scan())
+        return found
 
 
 def sample(sine: int, cosine: int, time_100ns: int | None) -> Sample:

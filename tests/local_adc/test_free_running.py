@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
 from emulated_iiod import EmulatedIiod
-from iio_kit import deliver, reading
+from iio_kit import Machine, deliver
 
 from canfb.cia301.frame import Frame
 from canfb.hosting.captured_source import CapturedSource
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import MISSED, VALID
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.motion import Ramp
 
 SYNC_S, ADC_S = 1e-3, 2.6e-4  # no multiple of one another: a scan is up to a quarter of an interval old
 SYNCS = 1200
@@ -23,25 +21,18 @@ RPM = 60.0  # 2.5 cycles in each interval: 0.65 between two scans
 
 def run(server: EmulatedIiod, source: CapturedSource) -> tuple[list[int], list[float]]:
     """Status words, and errors of the position against the truth at the instant of the scan, cycles."""
-    encoder, rng = Encoder(noise_lsb=0.5), np.random.default_rng(11)
-    motion = Motion((Ramp(0.1, 0.0), Ramp(0.8, RPM)))
+    machine = Machine(ADC_S, Ramp(0.1, 0.0), Ramp(0.8, RPM))
     module = FeedbackModule(ModuleConfig(node_id=32, adc_bits=source.adc_bits, autostart=True), source=source)
     module.start(0.0)
-    scan, status, errors = 0, [], []
+    status, errors = [], []
     for number in range(1, SYNCS + 1):
-        new = []
-        while scan * ADC_S <= number * SYNC_S:
-            position = motion.revolutions(scan * ADC_S) * 2500
-            sine, cosine = encoder.sample(position, rng)
-            new.append(reading(int(sine) + 2048, int(cosine) + 2048, round(scan * ADC_S * 1e9)))
-            scan += 1
-        deliver(server, source, *new)
+        deliver(server, source, *machine.scans_until(number * SYNC_S))
         module.receive(Frame(0x80, b""), number * SYNC_S)
         feedback = module.feedback
         assert feedback is not None
         status.append(feedback.status)
-        errors.append(feedback.cycles + feedback.phase - position)
-    assert position > 1500
+        errors.append(feedback.cycles + feedback.phase - machine.truth_cycles[-1])
+    assert machine.truth_cycles[-1] > 1500
     return status, errors
 
 

@@ -9,14 +9,12 @@ from collections.abc import Callable
 from typing import Any
 
 import can
-import numpy as np
 import pytest
 from emulated_iiod import EmulatedAdc, EmulatedIiod
-from iio_kit import LIMIT_S, fired_by_sync, reading
+from iio_kit import LIMIT_S, Machine, fired_by_sync
 
 from canfb.signal.supervision import VALID
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.motion import Ramp
 
 Iiod = Callable[..., EmulatedIiod]
 UNITS_PER_CYCLE = 8192
@@ -47,24 +45,11 @@ class Producer:
         self._sent_s = time.monotonic()
 
 
-class Machine:
-    """An encoder on a machine; the ADC samples it when it is fired, a period after the last time."""
-
-    def __init__(self, server: EmulatedIiod) -> None:
-        self._server = server
-        self._encoder = Encoder(noise_lsb=0.5)
-        # A quarter of a cycle for each sample, at most: the time stamps are regular, the SYNC is not.
-        self._motion = Motion((Ramp(20 * PERIOD_S, 0.0), Ramp(50 * PERIOD_S, 6.0 * 1e-3 / PERIOD_S)))
-        self._rng = np.random.default_rng(5)
-        self.truth_cycles: list[float] = []
-        server.adc.on_fire = self._sample
-
-    def _sample(self) -> None:
-        time_s = len(self.truth_cycles) * PERIOD_S
-        position = self._motion.revolutions(time_s) * 2500
-        self.truth_cycles.append(position)
-        sine, cosine = self._encoder.sample(position, self._rng)
-        self._server.deliver(reading(int(sine) + 2048, int(cosine) + 2048, round(time_s * 1e9)))
+def turning(server: EmulatedIiod) -> Machine:
+    """The ADC samples it when it is fired: a quarter of a cycle further at most, by regular time stamps."""
+    machine = Machine(PERIOD_S, Ramp(20 * PERIOD_S, 0.0), Ramp(50 * PERIOD_S, 6.0 * 1e-3 / PERIOD_S))
+    server.adc.on_fire = lambda: server.deliver(machine.scan())
+    return machine
 
 
 def module_with(source: str) -> str:
@@ -73,7 +58,7 @@ def module_with(source: str) -> str:
 
 def test_positions_of_a_fired_adc_are_right(command: Any, iiod: Iiod) -> None:
     server = iiod(EmulatedAdc())
-    machine = Machine(server)
+    machine = turning(server)
     running = command(module_with(fired_by_sync(server)))
     running.heard(0x720)
     valid, producer = 0, Producer(running.bus)
@@ -98,7 +83,7 @@ def test_positions_of_a_fired_adc_are_right(command: Any, iiod: Iiod) -> None:
 
 def test_an_adc_that_is_lost_is_told_and_found_again(command: Any, iiod: Iiod) -> None:
     server = iiod(EmulatedAdc())
-    Machine(server)
+    turning(server)
     running = command(module_with(fired_by_sync(server)))
     running.heard(0x720)
     producer = Producer(running.bus)
@@ -111,7 +96,7 @@ def test_an_adc_that_is_lost_is_told_and_found_again(command: Any, iiod: Iiod) -
         producer.send()
         status = struct.unpack_from("<H", running.heard(0x1A0), 4)[0]
     again = iiod(EmulatedAdc(), server.port)
-    Machine(again)
+    turning(again)
     assert again.opened.wait(LIMIT_S)
     returncode, _, errors = running.ended()
     assert returncode == 0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from emulated_iiod import EmulatedIiod
-from iio_kit import LIMIT_S, deliver, reading
+from iio_kit import LIMIT_S, Machine, deliver, reading
 
 from canfb.cia301.frame import Frame
 from canfb.configuration import ANY_NODES, Config, parse_config
@@ -20,8 +20,7 @@ from canfb.hosting.hosting import make_interface, open_source
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import MISSED, VALID
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.motion import Ramp
 
 Iiod = Callable[..., EmulatedIiod]
 SYNC = Frame(0x80, b"")
@@ -30,30 +29,6 @@ SYNCS = 700
 RPM = 600.0  # 25 cycles in each interval of SYNC
 SOURCE = f"source: {{kind: iio, device: ads7950, scans_per_sync: {SCANS}, uri: "
 KEYS = f"samples_per_sync: 2, autostart: true, {SOURCE}"
-
-
-class Machine:
-    """An encoder on a machine, sampled by the converter; ``truth_cycles`` is where it was at each scan."""
-
-    def __init__(self, server: EmulatedIiod) -> None:
-        self._server = server
-        self._encoder, self._rng = Encoder(noise_lsb=0.5), np.random.default_rng(11)
-        self._motion = Motion((Ramp(0.1, 0.0), Ramp(0.5, RPM)))
-        self._scan_s = SYNC_S / SCANS * (1.0 + 20e-6)
-        self._scan = 0
-        self.truth_cycles: dict[int, float] = {}
-        """By the time of the scan, 100 ns."""
-
-    def turn(self, source: CapturedSource, until_s: float) -> None:
-        new = []
-        while self._scan * self._scan_s <= until_s:
-            time_s = self._scan * self._scan_s
-            position = self._motion.revolutions(time_s) * 2500
-            sine, cosine = self._encoder.sample(position, self._rng)
-            new.append(reading(int(sine) + 2048, int(cosine) + 2048, round(time_s * 1e9)))
-            self.truth_cycles[round(time_s * 1e9) // 100] = position
-            self._scan += 1
-        deliver(self._server, source, *new)
 
 
 @pytest.fixture
@@ -67,19 +42,21 @@ def configured(server: EmulatedIiod, text: str) -> Any:
 
 
 def follow(
-    machine: Machine, source: CapturedSource, module: FeedbackModule, sync: Callable[[float], None]
+    server: EmulatedIiod, source: CapturedSource, module: FeedbackModule, sync: Callable[[float], None]
 ) -> None:
     """SYNC after SYNC, heard up to 0.2 ms late; the position is right at each of them that is valid."""
+    machine = Machine(SYNC_S / SCANS * (1.0 + 20e-6), Ramp(0.1, 0.0), Ramp(0.5, RPM))
     rng, valid = np.random.default_rng(5), 0
     for number in range(1, SYNCS + 1):
         heard_s = number * SYNC_S + float(rng.uniform(0.0, 2e-4))
-        machine.turn(source, heard_s)
+        deliver(server, source, *machine.scans_until(heard_s))
         sync(heard_s)
         feedback = module.feedback
         if feedback is None or not feedback.status & VALID:
             continue
         valid += 1
-        truth = machine.truth_cycles[int(module.dictionary.entry(0x2000, 5).value)]
+        scan = round(1e-7 * int(module.dictionary.entry(0x2000, 5).value) / machine.scan_s)
+        truth = machine.truth_cycles[scan]
         assert abs(feedback.cycles + feedback.phase - truth) < 0.02, number
         assert number < 20 or not feedback.status & MISSED
     assert valid > 0.95 * SYNCS
@@ -99,7 +76,7 @@ def test_a_module_with_an_adc_of_its_own_takes_two(iiod: Iiod, resources: contex
     def sync(now: float) -> None:
         module.receive(SYNC, now)
 
-    follow(Machine(server), source, module, sync)
+    follow(server, source, module, sync)
     assert module.dictionary.entry(0x2011, 8).current() > 1.9 * 0.95 * SYNCS, "all pairs are processed"
     newest, earlier = (
         (module.dictionary.entry(0x2000, sine).value, module.dictionary.entry(0x2000, sine + 1).value)
@@ -125,7 +102,7 @@ def test_an_interface_sends_two_and_the_module_follows(iiod: Iiod, resources: co
             module.receive(frame, now + 1e-4)
 
     assert isinstance(interface.source, CapturedSource)
-    follow(Machine(server), interface.source, module, sync)
+    follow(server, interface.source, module, sync)
     assert interface.missed < 5
 
 

@@ -25,6 +25,7 @@ from canfb.signal.sample import Sample
 from canfb.signal.starts import MOST_WAITING
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder
+from played import Sender
 from servo_kit import IDEAL_TABLE
 
 NODE, INTERFACE = 0x20, 0x10
@@ -63,27 +64,6 @@ class Turning:
 
     def next(self) -> Sample | None:
         raise AssertionError("a machine is sampled at a time")
-
-
-class Pulsing:
-    """Sends frames at given times; hears nothing."""
-
-    def __init__(self, frames: list[tuple[float, Frame]]) -> None:
-        self._frames = sorted(frames, key=lambda pair: pair[0])
-
-    def start(self, now: float) -> list[Frame]:
-        return []
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        return []
-
-    def deadline(self) -> float | None:
-        return self._frames[0][0] if self._frames else None
-
-    def tick(self, now: float) -> list[Frame]:
-        due = [frame for at, frame in self._frames if at <= now]
-        del self._frames[: len(due)]
-        return due
 
 
 @dataclass
@@ -148,7 +128,7 @@ def play(
     due = [0.05 + k / rate_hz for k in range(int(seconds * rate_hz))]
     frames = [(at + off_s(k), Frame(SYNC, b"")) for k, at in enumerate(due)]
     frames += [(at + later, frame) for k, at in enumerate(due) for later, frame in between(k)]
-    bus.attach(Pulsing(frames))
+    bus.attach(Sender(*frames))
     bus.run_until(0.05 + seconds)
     return outcome
 

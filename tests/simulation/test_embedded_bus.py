@@ -14,6 +14,7 @@ from canfb.cia301.frame import Frame, frame_bits
 from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus, Wire
 from canfb.simulation.sync_producer import LONGEST_FRAME_BITS, SyncProducer
 from folding import each
+from played import Sender
 
 
 class Station:
@@ -216,30 +217,6 @@ def test_what_a_participant_wants_computed_is_computed_after_the_frames_of_this_
 
 BIT_S = 1e-6
 SYNC_BITS = frame_bits(0) - 3  # its end: the interframe space comes behind
-
-
-class Sender:
-    """Sends frames at given times; notes what it hears."""
-
-    def __init__(self, *frames: tuple[float, Frame]) -> None:
-        self._frames = sorted(frames, key=lambda pair: pair[0])
-        self.heard: list[tuple[int, float]] = []
-
-    def start(self, now: float) -> list[Frame]:
-        return []
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        assert frame.timestamp == now
-        self.heard.append((frame.can_id, now))
-        return []
-
-    def deadline(self) -> float | None:
-        return self._frames[0][0] if self._frames else None
-
-    def tick(self, now: float) -> list[Frame]:
-        frames = [frame for at, frame in self._frames if at <= now]
-        del self._frames[: len(frames)]
-        return frames
 
 
 def heard_on(bit_rate: int, *frames: tuple[float, Frame]) -> list[tuple[int, float]]:

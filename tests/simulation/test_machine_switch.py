@@ -22,6 +22,7 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.motion import Motion, Ramp, StoppableMotion
 from canfb.simulation.set_up import Play, SampleRecorder, set_up, source_of
 from canfb.sources.protocol import SourceEnded
+from played import Listed, Still
 
 NODE, RAMP_S = 0x10, 2.0
 CONFIG = """
@@ -96,11 +97,7 @@ def test_it_brakes_no_harder_than_its_own_ramp() -> None:
 
 
 def test_a_recording_cannot_be_stopped() -> None:
-    class Recording:
-        def next(self) -> Sample:
-            return Sample(1000, 0)
-
-    interface = EncoderInterface(NODE, Recording(), autostart=True)
+    interface = EncoderInterface(NODE, Still(), autostart=True)
     interface.start(0.0)
     assert read(interface, 0.0) == MachineCommand.START
     (answer,) = interface.receive(write(MachineCommand.STOP), 0.0)
@@ -110,18 +107,6 @@ def test_a_recording_cannot_be_stopped() -> None:
 SYNC, START = Frame(0x080, b""), Frame(0x000, b"\x01\x00")
 COUNTS: list[Sample | None] = [Sample(1, -2), Sample(300, 400), None, Sample(-2048, 2047), None, Sample(7, 8)]
 RATE_HZ = 500.0
-
-
-class Listed:
-    """Plays a list."""
-
-    def __init__(self, counts: list[Sample | None]) -> None:
-        self.counts = list(counts)
-
-    def next(self) -> Sample | None:
-        if not self.counts:
-            raise SourceEnded
-        return self.counts.pop(0)
 
 
 def recorded(counts: list[Sample | None]) -> SampleRecorder:

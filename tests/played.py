@@ -1,0 +1,59 @@
+"""Sources of samples, and senders of frames, as a test lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from canfb.cia301.frame import Frame
+from canfb.signal.sample import Sample
+from canfb.sources.protocol import SourceEnded
+
+
+class Listed:
+    """A source of samples or pairs of counts, None for a lost one; ``taken`` is how often it was asked."""
+
+    def __init__(self, samples: Iterable[Sample | tuple[int, int] | None]) -> None:
+        self._samples = iter(samples)
+        self.taken = 0
+
+    def next(self) -> Sample | None:
+        self.taken += 1
+        try:
+            sample = next(self._samples)
+        except StopIteration:
+            raise SourceEnded from None
+        return sample if sample is None or isinstance(sample, Sample) else Sample(*sample)
+
+
+class Still:
+    """A source of equal samples."""
+
+    def __init__(self, sine: int = 1000, cosine: int = 0) -> None:
+        self._sample = Sample(sine, cosine)
+
+    def next(self) -> Sample:
+        return self._sample
+
+
+class Sender:
+    """A node that sends frames at given times, and notes what it hears, with the time."""
+
+    def __init__(self, *frames: tuple[float, Frame]) -> None:
+        self._frames = sorted(frames, key=lambda pair: pair[0])
+        self.heard: list[tuple[int, float]] = []
+
+    def start(self, now: float) -> list[Frame]:
+        return []
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        assert frame.timestamp == now
+        self.heard.append((frame.can_id, now))
+        return []
+
+    def deadline(self) -> float | None:
+        return self._frames[0][0] if self._frames else None
+
+    def tick(self, now: float) -> list[Frame]:
+        frames = [frame for at, frame in self._frames if at <= now]
+        del self._frames[: len(frames)]
+        return frames
