@@ -95,9 +95,8 @@ def classic(frames: Iterable[tuple[float, Frame | None]]) -> Iterator[tuple[floa
 
 
 def recognised(log: Path) -> dict[int, Read]:
-    recognition, found = Recognition(), set()
-    for _, frame in classic(itertools.islice(MessageReader().log(log), RECOGNISED_IN)):
-        found.add(recognition.found(frame.can_id, frame.data))
+    recognition, frames = Recognition(), classic(itertools.islice(MessageReader().log(log), RECOGNISED_IN))
+    found = {recognition.found(frame.can_id, frame.data) for _, frame in frames}
     return {node: assumed_objects(node) for node in found if node is not None}
 
 

@@ -238,7 +238,8 @@ class ResidualBudget:
 
     @cached_property
     def bounds(self) -> Declared:
-        return self.module.bounds(self.interval_s, self.measured_noise_cycles)
+        cycles = self.module.cycles_per_revolution
+        return self.module.settings.bounds(cycles, self.interval_s, self.measured_noise_cycles)
 
     @cached_property
     def declared(self) -> Declared:

@@ -15,7 +15,6 @@ from canfb.cia301 import cob
 from canfb.cia301.frame import mapping_values
 from canfb.device.od.dcf import Place
 from canfb.planning.traffic import Values
-from canfb.signal.declared import Declared
 from canfb.view.limits_in_force import LimitSettings, limit_settings
 from canfb.view.pdo_map import Pdo, valid_pdos
 
@@ -27,10 +26,6 @@ NODE_ID = 0x7F
 def _of_samples(values: Values) -> list[Pdo]:
     pdos = valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)
     return [pdo for pdo in pdos if pdo.carries(od.SAMPLE_SINE.object_index)]
-
-
-def sample_bytes(values: Values) -> int:
-    return sum(pdo.length_bytes for pdo in _of_samples(values))
 
 
 def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
@@ -121,9 +116,6 @@ class PlannedModule:
     def settings(self) -> LimitSettings:
         return limit_settings(self.values.get)
 
-    def bounds(self, interval_s: float, noise_cycles: float) -> Declared:
-        return self.settings.bounds(self.cycles_per_revolution, interval_s, noise_cycles)
-
     @property
     def coast_samples(self) -> int:
         """2010:03, in intervals from sample to sample."""
@@ -144,7 +136,7 @@ class PlannedModule:
 
     @property
     def sample_bytes(self) -> int:
-        return 0 if self.samples_itself else sample_bytes(self.values)
+        return 0 if self.samples_itself else sum(pdo.length_bytes for pdo in _of_samples(self.values))
 
     def with_values(self, values: Mapping[Place, Any]) -> PlannedModule:
         return replace(self, values={**self.values, **values})

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import yaml
 
 from canfb import objects as od
-from canfb.cia301.datatypes import DataType
 from canfb.files import read_bytes
 from canfb.marked_yaml import MarkedYaml
 from canfb.master.access import CommissioningError
@@ -20,7 +19,6 @@ from canfb.sdo.sdo_tasks import check_value, short_real
 from canfb.signal.correction import CorrectionTable
 
 FORMAT = 1
-_COMMUNICATION = range(0x1000, 0x2000)
 _COLUMN = 34
 
 
@@ -208,8 +206,8 @@ def _scalar(entry: ObjectDescription, value: Any) -> str:
         return _dumped(value, default_style='"', allow_unicode=False, width=float("inf")).strip()
     if isinstance(value, float):
         return _dumped(short_real(value, entry.data_type)).splitlines()[0]
-    if entry.data_type == DataType.UNSIGNED32 and entry.index in _COMMUNICATION and not entry.unit:
-        return f"0x{value:08X}"  # COB-IDs and what is mapped
+    if entry.holds_bits:
+        return f"0x{value:08X}"
     return _dumped(value).splitlines()[0]
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
+from canfb.cia301.datatypes import DataType
 from canfb.device.od import eds
 from canfb.errors import ConfigError
 from canfb.files import read_bytes
@@ -22,6 +23,7 @@ MOST_LISTED = 12
 LONGEST_NAME = 80  # in a message
 EXPEDITED = 4
 """Bytes of an SDO answer in one frame (CiA 301, 7.2.4.3.3)."""
+_COMMUNICATION = range(0x1000, 0x2000)
 _NUMBERED = re.compile(r"(?:0x)?([0-9a-f]{4})h?(?:[:.](?:0x)?([0-9a-f]{1,2})h?)?", re.IGNORECASE)
 
 
@@ -58,6 +60,12 @@ class ObjectDescription:
     @property
     def writable(self) -> bool:
         return self.access in ("wo", "rw", "rwr", "rww")
+
+    @property
+    def holds_bits(self) -> bool:
+        # A COB-ID, what is mapped, or a CRC.
+        is_plain = self.data_type == DataType.UNSIGNED32 and not self.unit
+        return is_plain and (self.index in _COMMUNICATION or "CRC" in self.name)
 
     def decode(self, data: bytes) -> Any:
         """The value of bytes from the bus; ValueError for too few.

@@ -215,7 +215,6 @@ def _spoken(name: str) -> str:
 
 MOST_BYTES = 32
 _PART = re.compile(r"1/(\d+|2\^\d+) (\D.*)")
-_COMMUNICATION = range(0x1000, 0x2000)
 _SLOW = (0x1010, 0x1011)
 SUPERVISION = (0x2001, 0x2010)
 WATCH_S = 0.3  # some samples, also at 50 Hz
@@ -250,7 +249,7 @@ class Reading:
         if isinstance(value, str):
             return value
         shown = f"{short_real(value, entry.data_type)}" if isinstance(value, float) else str(value)
-        if self._is_number_of_bits:
+        if entry.holds_bits:
             shown = f"0x{value:08X}"
         if self.words:
             return f"{shown} ({self.words})"
@@ -258,12 +257,6 @@ class Reading:
         if part is not None:
             return f"{shown} ({value / part[0]:.6g} {part[1]})"
         return f"{shown} {_times(entry.unit)}".rstrip()
-
-    @property
-    def _is_number_of_bits(self) -> bool:
-        entry = self.entry
-        is_plain = entry.data_type == DataType.UNSIGNED32 and not entry.unit
-        return is_plain and (entry.index in _COMMUNICATION or "CRC" in entry.name)
 
     def line(self) -> str:
         return f"{self.entry.number} {self.entry.title}: {self.text()}"
