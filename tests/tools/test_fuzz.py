@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
@@ -19,27 +15,29 @@ from canfb.cia301.nmt import NmtState
 from canfb.device.sdo.server import SdoServer
 from drawing import examples
 from tools.fuzz import body
+from tools.fuzz.__main__ import main
 from tools.fuzz.body import Play
-from tools.fuzz.inputs import NODE_ID, SERVER
+from tools.fuzz.inputs import INPUTS, NODE_ID, SERVER, Input
 from tools.fuzz.watch import Broken, SdoWatcher
 
 CORPUS = [
-    line.split(maxsplit=1)
+    line.rpartition(": ")
     for line in (Path(__file__).parent / "fuzz_corpus.txt").read_text(encoding="ascii").splitlines()
-    if line and not line.startswith("#")
+    if not line.startswith("#")
 ]
 MODULE, INTERFACE = 0, 2
 
 
-@pytest.mark.parametrize("data", [text for text, _ in CORPUS], ids=[why for _, why in CORPUS])
-def test_a_kept_input(data: str) -> None:
-    body.play(bytes.fromhex(data))
+@pytest.mark.parametrize("text", [text for *_, text in CORPUS], ids=[why for why, *_ in CORPUS])
+def test_a_kept_input(text: str) -> None:
+    body.play(Input.parse(text))
 
 
 @examples(200)
-@given(data=st.binary(max_size=300), transfers_only=st.booleans())
-def test_any_input(data: bytes, transfers_only: bool) -> None:
-    body.play(data, transfers_only=transfers_only)
+@given(one=INPUTS["frames"] | INPUTS["sdo"])
+def test_any_input(one: Input) -> None:
+    assert Input.parse(str(one)) == one
+    body.play(one)
 
 
 @pytest.mark.parametrize(
@@ -173,30 +171,14 @@ def test_a_wrong_answer_is_found(request_: str, answer: str, text: str) -> None:
         watcher.answer(bytes.fromhex(answer))
 
 
-# The command.
-
-
-def fuzz(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "tools.fuzz", *arguments]
-    return subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-        cwd=cwd,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
-    )
-
-
-def test_an_input_is_shown_as_frames(tmp_path: Path) -> None:
-    (tmp_path / "crash-1").write_bytes(bytes([0, 10, 0, 0, 15, 130, 11]))
-    done = fuzz("frames", "--play", "crash-1", cwd=tmp_path)
-    assert done.stderr == ""
-    assert done.stdout.splitlines() == [
-        "device 0",
-        "  000#0120",
-        "  100.0 s with ticks when they are due",
-        "  080#",
-        "crash-1: accepted",
-    ]
+def test_an_input_is_shown_and_what_it_finds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "crash-1"
+    path.write_bytes(bytes(range(200)))
+    assert main(["frames", "--play", str(path)]) == 0
+    shown = capsys.readouterr().out.removeprefix(f"{path}: ").strip()
+    assert body.play(Input.parse(shown)) >= 0
+    monkeypatch.setattr(SdoServer, "handle", lambda server, data, now: None)
+    assert main(["sdo", "--play", str(path)]) == 1
+    assert "1000h is answered by" in capsys.readouterr().err

@@ -16,15 +16,20 @@ import argparse
 import contextlib
 import hashlib
 import logging
+import random
 import sys
 import tempfile
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 
+from hypothesis import given, settings
+
 TARGETS = ("frames", "sdo", "files")
-LONGEST = {"frames": 400, "sdo": 400, "files": 1 << 15}
+LONGEST = {"frames": 2000, "sdo": 2000, "files": 1 << 15}
 """Bytes of an input."""
-CORPUS_OF_FRAMES = Path(__file__).parents[2] / "tests" / "tools" / "fuzz_corpus.txt"
+SEEDS = 100
+"""Of frames: strategies make an input of any bytes."""
 MEGABYTES = 1024
 """Of the whole process; bounds.py limits what one file takes."""
 SECONDS = 60
@@ -34,19 +39,23 @@ UNTRACED = ["canfb.signal.*", "canfb.calibration.*"]
 """Read nothing from outside: an input runs faster when they are not traced."""
 
 
-def kept_frames() -> list[bytes]:
-    lines = CORPUS_OF_FRAMES.read_text(encoding="ascii").splitlines()
-    return [bytes.fromhex(line.split()[0]) for line in lines if line and not line.startswith("#")]
-
-
-def play(target: str, data: bytes, folder: Path) -> bool:
-    """One input; False for a file that is refused. Raises what is found."""
-    from tools.fuzz import body, files  # what it fuzzes, traced by then
+def player(
+    target: str, folder: Path, show: Callable[[str], None] = lambda line: None
+) -> Callable[[bytes], object]:
+    """Plays the bytes of an input. Raises what is found; `show` gets what the input is."""
+    from tools.fuzz import body, files, inputs  # what it fuzzes, traced by then
 
     if target == "files":
-        return files.play(data, folder)
-    body.play(data, transfers_only=target == "sdo")
-    return True
+        return lambda data: show("accepted" if files.play(data, folder) else "refused")
+
+    @settings(database=None, deadline=None)
+    @given(inputs.INPUTS[target])
+    def played(one: inputs.Input) -> None:
+        show(str(one))
+        body.play(one)
+
+    fuzz_one_input: Callable[[bytes], object] = played.hypothesis.fuzz_one_input  # type: ignore[attr-defined]
+    return fuzz_one_input
 
 
 def fuzz(target: str, arguments: list[str], *, blind: bool) -> None:
@@ -62,18 +71,19 @@ def fuzz(target: str, arguments: list[str], *, blind: bool) -> None:
         from tools.fuzz import files
     corpus = BUILD / "fuzz" / target
     corpus.mkdir(parents=True, exist_ok=True)
-    seeds = files.seeds() if target == "files" else kept_frames()
-    for seed in seeds:
+    long = (random.Random(n).randbytes(LONGEST[target]) for n in range(SEEDS))
+    for seed in files.seeds() if target == "files" else long:
         (corpus / hashlib.sha1(seed).hexdigest()).write_bytes(seed)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for seed in seeds:  # what is loaded with the first input is none of its doing
-            play(target, seed, folder)
-
-        def one(data: bytes) -> None:
-            play(target, data, folder)
-
-        limits = [f"-rss_limit_mb={MEGABYTES}", f"-timeout={SECONDS}", f"-max_len={LONGEST[target]}"]
+    with tempfile.TemporaryDirectory() as folder:
+        one = player(target, Path(folder))
+        for path in corpus.iterdir():  # what is loaded with the first input is none of its doing
+            one(path.read_bytes())
+        limits = [
+            "-len_control=0",
+            f"-rss_limit_mb={MEGABYTES}",
+            f"-timeout={SECONDS}",
+            f"-max_len={LONGEST[target]}",
+        ]
         finds = f"-artifact_prefix={BUILD}/fuzz-{target}-"
         atheris.Setup([sys.argv[0], *limits, finds, *arguments, str(corpus)], one)
         atheris.Fuzz()
@@ -81,18 +91,12 @@ def fuzz(target: str, arguments: list[str], *, blind: bool) -> None:
 
 def again(target: str, path: Path) -> int:
     """Play an input again; exit code 1 for a find, whose traceback is printed."""
-    from tools.fuzz import body
-
-    data = path.read_bytes()
-    if target != "files":
-        print("\n".join(body.story(data, transfers_only=target == "sdo")))
     with tempfile.TemporaryDirectory() as folder:
         try:
-            accepted = play(target, data, Path(folder))
+            player(target, Path(folder), lambda line: print(f"{path}: {line}"))(path.read_bytes())
         except BaseException:
             traceback.print_exc()
             return 1
-    print(f"{path}: {'accepted' if accepted else 'refused'}")
     return 0
 
 

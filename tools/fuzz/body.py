@@ -9,7 +9,6 @@ serves the next client.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from typing import NamedTuple
@@ -29,7 +28,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from tools.fuzz.client import Follower
-from tools.fuzz.inputs import LSS, NODE_ID, SERVER, Reader, Step, steps
+from tools.fuzz.inputs import CONTENTS, LSS, NODE_ID, SERVER, Input, Step
 from tools.fuzz.watch import Broken, SdoWatcher, demand
 
 Device = FeedbackModule | EncoderInterface
@@ -39,7 +38,7 @@ ERROR_CONTROL, LSS_ANSWER, FIRST_ANSWER = 0x700, 0x7E4, 0x580
 TPDOS, EMERGENCY, SYNC = tuple((index, 1) for index in range(0x1800, 0x1804)), (0x1014, 0), (0x1005, 0)
 SECOND_CHANNEL = (0x1201, 1), (0x1201, 2)
 UNSTARTED, SAVING, DAMAGED = 0x80, 0x40, 0x20
-"""In the first byte of an input: the frames come before the power is on; the device has a store, and is
+"""Bits of the device of an input: the frames come before the power is on; the device has a store, and is
 switched off and on at the end; what it saved is damaged meanwhile."""
 NEVER: frozenset[NmtState] = frozenset()
 _ABSENT = Entry(0, 0, DataType.UNSIGNED32, default=cob.NOT_VALID)
@@ -161,7 +160,7 @@ class Play:
         for frame in step.frames:
             self.receive(self._addressed(frame))
         self.wait(step.pause_s, punctual=step.punctual)
-        self._client.content, self._client.spoil = step.content, step.spoil
+        self._client.content, self._client.spoil = CONTENTS[step.content], step.spoil
         for _ in range(step.follow):
             requests = self._client.requests()
             for request in requests:
@@ -256,28 +255,14 @@ class Play:
         demand(answers == [b"\x43\x00\x10\x00"], f"1000h is answered by {answers}")
 
 
-def story(data: bytes, *, transfers_only: bool = False) -> Iterator[str]:
-    reader = Reader(data)
-    yield f"device {reader.byte()}"
-    for step in steps(reader, transfers_only=transfers_only):
-        for frame in step.frames:
-            remote = " remote" if frame.rtr else ""
-            yield f"  {frame.can_id:03X}#{frame.data.hex().upper()}{remote}"
-        if step.follow:
-            yield f"  a client goes on, {step.follow} rounds, and writes {len(step.content)} bytes"
-        if step.pause_s:
-            yield f"  {step.pause_s} s{' with ticks when they are due' if step.punctual else ''}"
-
-
-def play(data: bytes, *, transfers_only: bool = False) -> int:
+def play(given: Input) -> int:
     """One input, from power-on to the last check: how many frames came. Raises when something is wrong."""
-    reader = Reader(data)
-    choice = reader.byte()
+    choice = given.device
     store = MemoryStore() if choice & SAVING else None
     run = Play(make(choice, store))
     if not choice & UNSTARTED:
         run.start()
-    for step in steps(reader, transfers_only=transfers_only):
+    for step in given.steps:
         run.do(step)
     if choice & UNSTARTED:
         run.start()
@@ -287,7 +272,7 @@ def play(data: bytes, *, transfers_only: bool = False) -> int:
         return run.received
     received = run.received
     if choice & DAMAGED:
-        damage(store, data)
+        damage(store, given.place, given.change)
     run = Play(make(choice, store))
     run.start()
     run.check_values()
@@ -295,8 +280,7 @@ def play(data: bytes, *, transfers_only: bool = False) -> int:
     return received + run.received
 
 
-def damage(store: MemoryStore, data: bytes) -> None:
-    place, change = data[-1], data[-2] if len(data) > 1 else 1
+def damage(store: MemoryStore, place: int, change: int) -> None:
     for group, image in store.images.items():
         at = place % (len(image) + 1)
         store.images[group] = image[:at] + bytes([change]) + image[at + (change & 1) :]
