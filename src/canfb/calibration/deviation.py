@@ -22,7 +22,9 @@ from canfb.calibration.motion_blocks import (
     coverage,
     mean_in_bins,
     peak,
+    robust_rms,
     root_mean,
+    runs,
     samples_in_bins,
 )
 from canfb.calibration.recording import Recording, check_clipped
@@ -152,9 +154,7 @@ def _phases(record: Recording, used: Correction) -> FloatArray:
 
 
 def _faulty(blocks: Blocks, error: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    size = np.abs(error)
-    limit = FAULTY_SIGMAS * 1.4826 * float(np.median(size[blocks.used]))
-    far = blocks.used & (size > limit)
+    far = blocks.used & (np.abs(error) > FAULTY_SIGMAS * robust_rms(error[blocks.used]))
     return far if far.sum() <= FAULTY_PART * blocks.samples else np.zeros_like(far)
 
 
@@ -222,8 +222,7 @@ MIN_RUN = 3
 
 def lasting(out: BoolArray) -> list[IntArray]:
     """Runs of blocks or cycles that were left out: faults do not last, changed tracks do."""
-    edges = np.flatnonzero(np.diff(out, prepend=False, append=False)).reshape(-1, 2)
-    return [np.arange(first, last) for first, last in edges if last - first >= MIN_RUN]
+    return [np.arange(first, last) for first, last in runs(out) if last - first >= MIN_RUN]
 
 
 def largest_change(tables: FloatArray, noise: FloatArray) -> Drift:

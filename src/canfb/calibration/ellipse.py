@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from canfb.calibration.motion_blocks import robust_rms
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import HARMONIC_ORDERS, LARGEST_HARMONIC, Conditioning
@@ -145,8 +146,7 @@ class _Box:
             if fit is None:
                 return None, 0.0
             off = np.abs(_radius(*fit, x, y) - 1.0)
-            limit = max(REJECT_SIGMAS * 1.4826 * float(np.median(off)), MIN_SCATTER)
-            before, keep = keep, off < limit
+            before, keep = keep, off < max(REJECT_SIGMAS * robust_rms(off), MIN_SCATTER)
             if np.array_equal(before, keep):
                 break
         assert fit is not None

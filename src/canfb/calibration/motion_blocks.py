@@ -137,6 +137,16 @@ def root_mean(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
+def robust_rms(values: FloatArray) -> float:
+    """Standard deviation, by the median."""
+    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
+
+
+def runs(marked: BoolArray) -> IntArray:
+    """First and end of runs of True, shape (n, 2)."""
+    return np.flatnonzero(np.diff(marked, prepend=False, append=False)).reshape(-1, 2)
+
+
 def peak(values: FloatArray) -> float:
     return float(np.abs(values).max()) if len(values) else 0.0
 

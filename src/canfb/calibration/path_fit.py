@@ -166,14 +166,15 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
     or where no such path gives these tracks.
     """
     f = np.array([one.hertz for one in found])
-    check_apart(f, np.array([one.noise for one in found]))
-    size = np.array([math.sqrt(one.sine * one.cosine) for one in found])
     noise = np.array([one.noise for one in found])
+    check_apart(f, noise)
+    size = np.array([math.sqrt(one.sine * one.cosine) for one in found])
     sigma = np.hypot(noise, AMPLITUDE_REPEATS)
     both = fit_low_pass(f, size, sigma)
     per_hz = np.array([both.per_hz, both.per_hz])
+    gain = np.log([one.cosine / one.sine for one in found])
     for _ in range(ROUNDS if both.is_detected else 0):
-        pair, apart_sigma = _corners(found, both.per_hz)
+        pair, apart_sigma = _corners(f, gain, noise, both.per_hz)
         if abs(pair[1] - pair[0]) < APART_SIGMAS * apart_sigma:
             per_hz[:] = both.per_hz
             break
@@ -190,7 +191,6 @@ def fit_path(found: Sequence[Fundamental]) -> PathFit:
     (at_rest, delay_s), covariance = _line(columns, angle, weight)
     delay_sigma_s = math.sqrt(covariance[1, 1])
     left_angle = angle - at_rest - 2.0 * math.pi * f * delay_s
-    gain = np.log([one.cosine / one.sine for one in found])
     gain = gain - 0.5 * np.log1p(ratio[0] ** 2) + 0.5 * np.log1p(ratio[1] ** 2)
     off = ERROR_OF_ANGLE * np.hypot(left_angle, gain - np.average(gain, weights=weight))
     worst = int(np.argmax(off))
@@ -270,14 +270,12 @@ def _poles(
     return rise / at_rest, spread * math.sqrt(covariance[1, 1]) / at_rest, float(np.abs(off).max())
 
 
-def _corners(found: Sequence[Fundamental], per_hz: float) -> tuple[FloatArray, float]:
+def _corners(f: FloatArray, gain: FloatArray, noise: FloatArray, per_hz: float) -> tuple[FloatArray, float]:
     """1 / corner of sine and cosine, and the uncertainty of their difference.
 
     Their mean is that of both; the amplitudes of the tracks, one to the other, give the difference.
     """
-    f = np.array([one.hertz for one in found])
-    gain = np.log([one.cosine / one.sine for one in found])
-    weight = 1.0 / np.hypot(RATIO_REPEATS, [one.noise for one in found])
+    weight = 1.0 / np.hypot(RATIO_REPEATS, noise)
     pair = np.array([per_hz, per_hz])
     sigma = math.inf
     for _ in range(ROUNDS):

@@ -59,7 +59,7 @@ class Recording:
     breaks: IntArray
 
     def positions(self, phase: FloatArray) -> FloatArray:
-        """Positions in cycles at these phases (cycles, NaN where there is none)."""
+        """:func:`positions` at these phases."""
         return positions(phase, self.time, self.uneven, self.breaks)
 
     def cut(self, length: int, terms: int = CUBIC) -> Blocks:

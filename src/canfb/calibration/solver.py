@@ -22,9 +22,10 @@ from canfb.calibration.joint import (
     grid_phases,
     information_loss,
     initial_waveform,
+    phase_at_raw,
     table_sensitivity,
 )
-from canfb.calibration.motion_blocks import CUBIC, Blocks, BoolArray, coverage
+from canfb.calibration.motion_blocks import CUBIC, Blocks, BoolArray, coverage, robust_rms
 from canfb.calibration.recording import MIN_SAMPLES, Recording
 from canfb.calibration.result import LOCKED_LOSS, MAX_OFF_CYCLES, Reason, check_distance, no_fit
 from canfb.errors import CalibrationError
@@ -151,9 +152,7 @@ class Solver:
         curve = self._curve(waveform)
         if curve is None:
             return Start(self._positions(angle), None)
-        ahead = curve[0] + (angle - curve[0]) % 1.0
-        phase: FloatArray = np.interp(ahead, curve, grid_phases()) % 1.0 % 1.0
-        return Start(self._positions(phase), waveform)
+        return Start(self._positions(phase_at_raw(curve, angle) % 1.0 % 1.0), waveform)
 
     def _curve(self, waveform: Waveform) -> FloatArray | None:
         s, c = self.ellipse.apply(*waveform.tracks(grid_phases()))
@@ -309,16 +308,11 @@ def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:
     judges = use & telling[:, None]
     good: BoolArray = np.ones_like(use)
     for off in (fit.along, fit.across):
-        good &= np.abs(off) < max(REJECT_SIGMAS * _sigma(off[judges]), floor)
+        sigma = max(robust_rms(off[judges]), QUANTISATION_COUNTS)
+        good &= np.abs(off) < max(REJECT_SIGMAS * sigma, floor)
     size = np.sqrt(np.sum(np.where(use, fit.along**2, 0.0), axis=1) / np.maximum(1, use.sum(axis=1)))
     usual = max(float(np.median(size[telling])), QUANTISATION_COUNTS)
     return blocks.using(use & good & (size < max(REJECT_BLOCK * usual, floor))[:, None])
-
-
-def _sigma(values: FloatArray) -> float:
-    """Robust standard deviation, not below what quantisation leaves."""
-    usual = float(np.median(np.abs(values))) if len(values) else 0.0
-    return max(1.4826 * usual, QUANTISATION_COUNTS)
 
 
 def rows_used(blocks: Blocks) -> BoolArray:

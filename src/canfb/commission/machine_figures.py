@@ -14,7 +14,15 @@ import numpy as np
 
 from canfb.calibrate.samples_through_chain import SupervisedSamples
 from canfb.calibration.deviation import THIRDS, largest_change
-from canfb.calibration.motion_blocks import BINS, bins_of, mean_in_bins, peak, root_mean
+from canfb.calibration.motion_blocks import (
+    BINS,
+    bins_of,
+    mean_in_bins,
+    peak,
+    robust_rms,
+    root_mean,
+    runs,
+)
 from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass
 from canfb.master.samples import TrackSamples
 from canfb.signal.harmonics import Corners
@@ -23,7 +31,6 @@ from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 
 HALVES = (1, 2, 4, 8, 16, 32, 64)  # of the windows of the parabolas, samples to each side
 MOVING_CYCLES = 0.02  # per interval: slower, the counts of neighbours hardly differ and noise hides
-SIGMA_OF_MEDIAN = 1.4826
 FOURTH = math.sqrt(70.0)  # times the noise of a sample: that of the fourth difference
 SECOND = math.sqrt(6.0)
 GROUPS, LEAST_OF_GROUP = 5, 400
@@ -143,7 +150,7 @@ def _noise(acceleration: FloatArray, speed: FloatArray) -> float:
     known = np.isfinite(fourth) & np.isfinite(speed[1:-1])
     fourth = fourth[known][np.argsort(speed[1:-1][known])]
     groups = np.array_split(fourth, max(1, min(GROUPS, len(fourth) // LEAST_OF_GROUP)))
-    return max(SIGMA_OF_MEDIAN * float(np.median(one)) / FOURTH if len(one) else 0.0 for one in groups)
+    return max(robust_rms(one) / FOURTH for one in groups)
 
 
 def _largest(values: FloatArray, noise: float, difference: FloatArray) -> float:
@@ -293,8 +300,7 @@ def _radial_noise(
     )
     fourth = np.diff(rest, 4)
     moves = np.abs(supervised.speed[1:-2]) >= MOVING_CYCLES
-    fourth = fourth[np.isfinite(fourth) & moves]
-    return SIGMA_OF_MEDIAN * float(np.median(np.abs(fourth))) / FOURTH if len(fourth) else 0.0
+    return robust_rms(fourth[np.isfinite(fourth) & moves]) / FOURTH
 
 
 def _waves(phase: FloatArray) -> FloatArray:
@@ -314,8 +320,7 @@ def _over_phase(amplitude: FloatArray, phase: FloatArray) -> FloatArray:
 
 def _longest_repeat(samples: TrackSamples) -> int:
     same = (np.diff(samples.sine) == 0.0) & (np.diff(samples.cosine) == 0.0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
-    return int(np.max(edges[1::2] - edges[::2])) if len(edges) else 0
+    return int(np.max(np.diff(runs(same)), initial=0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.samples_through_chain import SupervisedSamples, supervise
-from canfb.calibration.motion_blocks import about_mean
+from canfb.calibration.motion_blocks import about_mean, robust_rms
 from canfb.calibration.recording import positions
 from canfb.calibration.result import MOST_CHANGE_CYCLES, changed
 from canfb.commission.limit_choice import corner_choice
 from canfb.commission.machine_figures import (
-    SIGMA_OF_MEDIAN,
     MachineFigures,
     change_in_time,
     low_pass_of,
@@ -190,7 +189,7 @@ def _grid(samples: TrackSamples, interval_s: float) -> tuple[float | None, float
         if times is None or len(times) < GRID_SAMPLES:
             continue
         steps = np.diff(times, prepend=times[:1])
-        rms = SIGMA_OF_MEDIAN * float(np.median(np.abs(steps[1:] - interval_s)))
+        rms = robust_rms(steps[1:] - interval_s)
         place = np.cumsum(np.rint(steps / interval_s))
         for part in np.array_split(np.arange(len(times)), len(times) // GRID_SAMPLES):
             line = np.polynomial.Polynomial.fit(place[part], times[part], 1)
