@@ -31,7 +31,7 @@ from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
 from canfb.files import check_writable
 from canfb.hosting.readiness import Readiness
-from canfb.logfile.bus_log import BusLog, SentLog
+from canfb.logfile.bus_log import BusLog
 from canfb.logs.folder_replay import check_table, do_work, work_of
 from canfb.logs.log_replay import ReplayOptions, replay_log
 from canfb.logs.published_files import published
@@ -162,7 +162,11 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
         overview = Overview()
         takers: list[Callable[[Block], None]] = [] if options.report is None else [overview.take]
         takers += [] if options.out is None else [files.enter_context(published(options.out))]
-        sent = None if options.frames is None else files.enter_context(SentLog(options.frames)).take
+        sent = (
+            None
+            if options.frames is None
+            else files.enter_context(BusLog(options.frames, overwrite=True)).take
+        )
         progress.step(f"replaying {options.log}")
         log, results = replay_log(options.log, settings, takers, sent, progress.part)
         if options.report is not None:

@@ -116,13 +116,7 @@ class BusLog:
         self.frames += 1
         self.error_frames += message.is_error_frame
 
-
-class SentLog(BusLog):
-    """The log of a replay: give it frames with stamps by :meth:`take`."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, overwrite=True)
-
     def take(self, frame: Frame) -> None:
+        """A frame with its stamp."""
         can_id, data, rtr, stamp = frame
         self.write(can.Message(stamp or 0.0, can_id, False, rtr, channel=0, data=data))
