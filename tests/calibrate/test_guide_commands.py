@@ -21,6 +21,7 @@ from canfb.cli.main import build_parser, main
 from canfb.hosting import hosting, serving
 from canfb.simulation.embedded_bus import EmbeddedBus
 from commissioning_kit import EmbeddedMaster
+from documentation import blocks, page
 
 FEWER = ("--least-samples", "2000")  # a measurement of 20 s in place of 80
 
@@ -218,19 +219,19 @@ SAYS = {
 }
 
 
-def text_of(page: str) -> str:
+def text_of(name: str) -> str:
     """A page, or a part of one: "service#Real time"."""
-    name, _, part = page.partition("#")
-    text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    name, _, part = name.partition("#")
+    text = page(name)
     if not part:
         return text.partition("\n## Your first encoder\n")[0]
     return text.partition(f"\n## {part}\n")[2].partition("\n## ")[0]
 
 
-def lines_of(page: str) -> list[str]:
+def lines_of(name: str) -> list[str]:
     """The lines of the indented and the `sh` blocks of a page."""
     lines, fence = [], None
-    for line in text_of(page).splitlines():
+    for line in text_of(name).splitlines():
         if line.startswith("```"):
             fence = line[3:] if fence is None else None
         elif fence == "sh" or (fence is None and re.match(r" {4}( {4})?\S", line)):
@@ -256,15 +257,15 @@ def play(network: GuideNetwork, *pages: str) -> None:
     for line in BEFORE.get(pages[0], ()):
         network(line)
     network.wait(5.0)  # standstill and ramp are over
-    for page in pages:
-        for number, line in enumerate(filter(runs, lines_of(page))):
-            if (page, number) == ("first-hour", 9):
+    for name in pages:
+        for number, line in enumerate(filter(runs, lines_of(name))):
+            if (name, number) == ("first-hour", 9):
                 network.end_of_the_last_command()
                 network.wait(2.0)
             if "today.npz" in line:
                 shutil.copy("measured/samples.npz", "today.npz")
             said = network(line)
-            assert SAYS.get((page, number), "") in said, (page, number, line)
+            assert SAYS.get((name, number), "") in said, (name, number, line)
             network.wait(0.5)
 
 
@@ -274,7 +275,7 @@ def test_a_page_from_its_first_to_its_last_command(network: GuideNetwork, page: 
 
 
 def test_an_encoder_that_is_simulated_in_place_of_the_first_one(network: GuideNetwork) -> None:
-    (block,) = re.findall(r"```yaml\n(.*?)```", text_of(FIRST_ENCODER), re.DOTALL)
+    (block,) = blocks(text_of(FIRST_ENCODER), "yaml")
     Path("feedback.yaml").write_text(block)
     motion = "{standstill_s: 2, ramp_s: 3, rpm: 61, ripple_rpm: 0.5, ripple_hz: 0.3}"
     Path("machine.yaml").write_text(
@@ -295,7 +296,7 @@ def test_homing_with_a_folder_for_what_is_saved(network: GuideNetwork) -> None:
 
 
 def test_the_simulated_machines_of_the_page(network: GuideNetwork) -> None:
-    text = (ROOT / "docs" / "simulation.md").read_text(encoding="utf-8")
+    text = page("simulation")
     slow, drive = re.findall(r"```yaml\n(modules:.*?|bus:.*?)```", text, re.DOTALL)[:2]
     Path("slow.yaml").write_text(slow.replace("modules:", "bus: {interface: virtual}\nmodules:"))
     Path("drive.yaml").write_text(drive)

@@ -18,8 +18,9 @@ from canfb.eds_files import eds_path
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from commands import Command
+from documentation import blocks, page
 
-PAGE = (Path(__file__).parents[2] / "docs" / "wiring.md").read_text(encoding="utf-8")
+PAGE = page("wiring")
 CHANNEL = "canfb-bus-of"
 VARIABLES = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
 
@@ -71,7 +72,7 @@ def test_the_environment_names_a_bus(monkeypatch: pytest.MonkeyPatch, sent: Sent
 
 
 def test_so_does_the_file_of_python_can_on_the_page(tmp_path: Path, sent: Sent) -> None:
-    (shown,) = re.findall(r"```ini\n(.*?)```", PAGE, re.S)
+    (shown,) = blocks(PAGE, "ini")
     assert all(f"`{name}`" in PAGE for name in can.util.CONFIG_FILES)
     text = shown.replace("pcan", "virtual").replace("PCAN_USBBUS1", CHANNEL)
     (tmp_path / "can.conf").write_text(text, encoding="utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
 from commands import Command
+from documentation import blocks, commands, page
 
 PHASES = np.arange(64) / 64
 TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
@@ -199,14 +199,9 @@ def test_another_node_and_another_version_are_refused() -> None:
         read_configuration(access)
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "storage.md").read_text(encoding="utf-8")
-PAGE = PAGE.partition("\n## A file for the PLC")[2]
-COMMANDS = [
-    shlex.split(line, comments=True)
-    for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
-    for line in block.splitlines()
-]
-EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+PAGE = page("storage").partition("\n## A file for the PLC")[2]
+COMMANDS = commands(PAGE)
+EXAMPLES = blocks(PAGE, "python")
 YAML = "bus: {bitrate: 500000}\nmodules: [{node_id: 0x20, adc_bits: 16, conditioning: {sine_gain: 1.07}}]\n"
 
 
@@ -214,9 +209,9 @@ def test_commands_and_examples_make_the_module_of_the_configuration(
     yaml: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     yaml.write_text(YAML)
-    assert [words[:3] for words in COMMANDS] == [["canfb", "config", "dcf"]] * 3
+    assert [words[:2] for words in COMMANDS] == [["config", "dcf"]] * 3
     for words in COMMANDS[:2]:
-        assert main(words[1:]) == 0
+        assert main(words) == 0
     network = Peer(ModuleConfig(node_id=0x20), MemoryStore())
     monkeypatch.setattr(canopen, "Network", lambda: network)
     names: dict[str, Any] = {}
@@ -226,7 +221,7 @@ def test_commands_and_examples_make_the_module_of_the_configuration(
 
     # The third command reads the module; the second example writes what it has read.
     monkeypatch.setattr(config_file, "master_of", lambda options: network)
-    assert main(COMMANDS[2][1:]) == 0
+    assert main(COMMANDS[2]) == 0
     fresh = Peer(ModuleConfig(node_id=0x20), MemoryStore())
     names["node"] = fresh.add_node(0x20, canopen.import_od("module-20h.dcf"))
     exec(compile(EXAMPLES[1], "docs/storage.md", "exec"), names)

@@ -32,6 +32,7 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.set_up import source_of
 from canfb.simulation.sync_producer import SyncProducer
 from commands import Command
+from documentation import blocks, commands, page
 from judged_session import check, new_judge
 from processes import python
 
@@ -82,22 +83,15 @@ class Session:
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-SESSION = (ROOT / "docs" / "vcan.md").read_text().partition("## Node by node")[2].partition("\n## ")[0]
-FIRST_HOUR = (ROOT / "docs" / "first-hour.md").read_text(encoding="utf-8")
-SIMULATION = (ROOT / "docs" / "simulation.md").read_text(encoding="utf-8")
+SESSION = page("vcan").partition("## Node by node")[2].partition("\n## ")[0]
+FIRST_HOUR = page("first-hour")
+SIMULATION = page("simulation")
 RECORDING = "docs/recording/tracks.csv"
 LIMIT_S = 240.0  # for everything that has to happen in one test; it takes about 15 s
 
 
 def python_blocks() -> list[str]:
-    return re.findall(r"```python\n(.*?)```", README + FIRST_HOUR, flags=re.S)
-
-
-def command_lines(page: str) -> list[list[str]]:
-    """The canfb commands of a page, each in words."""
-    blocks = re.findall(r"```sh\n(.*?)```", page, flags=re.S)
-    lines = [line.partition("#")[0].strip(" &") for block in blocks for line in block.splitlines()]
-    return [line.split()[1:] for line in lines if line.startswith("canfb ") and ">" not in line]
+    return blocks(README + FIRST_HOUR, "python")
 
 
 def test_every_python_snippet_is_one_that_a_test_runs() -> None:
@@ -122,7 +116,7 @@ def test_the_library_snippet_runs_as_pasted_from_the_repository() -> None:
 
 def test_the_recording_is_small_and_plays_for_ten_seconds_without_a_fault() -> None:
     assert (ROOT / RECORDING).stat().st_size < 300_000
-    (words,) = [words for words in command_lines(SIMULATION) if words[0] == "simulate" and RECORDING in words]
+    (words,) = [words for words in commands(SIMULATION) if words[0] == "simulate" and RECORDING in words]
     options = build_parser().parse_args(words)
     play = [str(ROOT / word) if word == RECORDING else word for word in words[2:]]
     session = Session(options.rate, play)
@@ -134,7 +128,7 @@ def test_the_recording_is_small_and_plays_for_ten_seconds_without_a_fault() -> N
 def test_the_recording_calibrates_as_the_page_has_it(
     monkeypatch: pytest.MonkeyPatch, command: Command
 ) -> None:
-    lines = [words for words in command_lines(SIMULATION) if words[0] == "calibrate" and RECORDING in words]
+    lines = [words for words in commands(SIMULATION) if words[0] == "calibrate" and RECORDING in words]
     monkeypatch.chdir(ROOT)
     assert "Accepted. The error within a cycle falls from " in command("", *lines[0]).out
 
@@ -176,7 +170,7 @@ def test_the_first_session_holds_for_ten_seconds_with_real_processes(
 ) -> None:
     """The lines of docs/vcan.md on a multicast bus; then its master in Python, on the same bus."""
     (tmp_path / "feedback.yaml").write_text(python("-m", "canfb", "config", "example").stdout)
-    session = [words for words in command_lines(SESSION) if words[0] in ("run", "simulate", "node")]
+    session = [words for words in commands(SESSION) if words[0] in ("run", "simulate", "node")]
     module, interface, nmt = session
     running = start(*module), start(*interface)
     files = tmp_path / "module.ready", tmp_path / "interface.ready"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from canfb.simulation.motion import MotionSource
 from canfb.simulation.set_up import Play, SimulatedAxis, SimulatedNetwork, set_up, simulated_axis, source_of
 from canfb.sources.recording_source import RecordingSource
 from commands import Command
+from documentation import blocks, page
 
 CHANNEL = "canfb-simulate"
 CONFIG = f"""\
@@ -139,9 +139,8 @@ def test_without_the_section_there_is_no_drive() -> None:
 
 
 def test_the_yaml_of_the_page_is_a_drive() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
-    (drive,) = [config for config in map(parse_config, blocks) if config.simulation.drive is not None]
+    configurations = blocks(page("simulation"), "yaml")
+    (drive,) = [config for config in map(parse_config, configurations) if config.simulation.drive is not None]
     demand = network_of(drive).demand
     assert demand is not None
     assert demand.warning() is None

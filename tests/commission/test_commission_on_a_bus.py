@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
-import shlex
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -32,6 +30,7 @@ from canfb.signal.harmonics import Corners
 from canfb.simulation.encoder import IDEAL_PATH, AnalogPath, Encoder
 from canfb.simulation.motion import Motion, Ramp
 from commissioning_kit import Bench
+from documentation import commands, page
 from folding import each
 from html_page import Page
 from machine_kit import BEFORE, correction_of, duty
@@ -258,9 +257,7 @@ def test_the_recording_of_the_module_serves_as_well(capsys: pytest.CaptureFixtur
 
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8").partition("\n## Measured on")[2]
-(BLOCK,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
-COMMANDS = [shlex.split(line)[1:] for line in BLOCK.splitlines()]
+PAGE = page("plan").partition("\n## Measured on")[2]
 CONFIG = "bus: {interface: virtual}\nmodules: [{node_id: 0x20, encoder_interface: 0x10}]\n"
 
 
@@ -270,7 +267,7 @@ def test_the_commands_of_the_page_run(
     monkeypatch.chdir(tmp_path)
     Path("feedback.yaml").write_text(CONFIG)
     bench = bench_of(store=MemoryStore())
-    for words in COMMANDS:
+    for words in commands(PAGE):
         options = build_parser().parse_args([*words, *SHORT])
         options.line = ""
         config = named_config(options)

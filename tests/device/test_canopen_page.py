@@ -11,9 +11,10 @@ from canfb.cia301.codes import AbortCode, EmergencyCode
 from canfb.cia301.frame import Frame
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
+from documentation import page
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "canopen.md").read_text(encoding="utf-8")
+PAGE = page("canopen")
 
 
 def test_the_codes_are_those_of_the_program() -> None:

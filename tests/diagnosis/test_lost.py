@@ -6,7 +6,6 @@ import json
 import re
 import shlex
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,11 +15,12 @@ from canfb.cli.main import build_parser
 from canfb.diagnosis.lost import Loss, LostPosition, age_words, read_lost_position
 from canfb.objects import LossCause, StatusBit
 from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench
+from documentation import blocks, page
 from folding import each
 from node_commands import Commands, abort, between, place_of
 
 NODE = hex(MODULE_ID)
-PAGE = (Path(__file__).parents[2] / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+PAGE = page("troubleshooting")
 
 
 def turning(**fields: Any) -> Bench:
@@ -189,7 +189,7 @@ def test_ages() -> None:
 
 
 def test_the_page_shows_what_the_command_prints() -> None:
-    (shown,) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
+    (shown,) = blocks(PAGE, "text")
     loss = Loss(LossCause.COASTED, 12.4, 4, 0.5, 1 / 3, 1.2, int(StatusBit.MISSED))
     lost = replace(LOST, loss=loss, missed=4, missed_syncs=3, acceleration_rad_s2=0.0, coast_samples=3)
     assert "\n".join(lost.lines()).startswith(shown.rstrip())

@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 import re
 import struct
-from pathlib import Path
 from typing import Any
 
 import canopen
@@ -20,9 +19,10 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.simulation.embedded_bus import EmbeddedBus
+from documentation import blocks, page
 from ideal_tracks import counts_at
 
-PAGE = (Path(__file__).parents[2] / "docs/attach.md").read_text("utf-8").partition("\n## Several")[0]
+PAGE = page("attach").partition("\n## Several")[0]
 NODE, INTERFACE = 0x20, 0x10
 SYNC, OFF, NO_REMOTE = Frame(0x80, b""), 1 << 31, 1 << 30
 TRACKS = 0x190
@@ -206,7 +206,7 @@ def test_all_frames_of_cansend_are_taken() -> None:
 
 
 def test_the_configuration_is_one() -> None:
-    (text,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.S)
+    (text,) = blocks(PAGE, "yaml")
     assert parse_config(text).modules[0].node_id == NODE
 
 
@@ -233,7 +233,7 @@ def bus_of_the_page(monkeypatch: pytest.MonkeyPatch) -> FeedbackModule:
 
 
 def test_the_python_example_runs(bus_of_the_page: FeedbackModule) -> None:
-    (links,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    (links,) = blocks(PAGE, "python")
     exec(links, {})
     entry = bus_of_the_page.dictionary.entry
     assert entry(0x1800, 1).value == NO_REMOTE | 0x2B5

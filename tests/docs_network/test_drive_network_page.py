@@ -11,6 +11,7 @@ from story_bench import FOLDER, DriveNetwork, assert_all_quiet
 
 import canfb
 from canfb.configuration import load_config
+from documentation import blocks
 
 PAGE = (FOLDER / "README.md").read_text(encoding="utf-8")
 NETWORK = network_file.load(FOLDER / "network.yaml")
@@ -21,7 +22,7 @@ def without_numbers(text: str) -> list[str]:
 
 
 def test_the_output(capsys: pytest.CaptureFixture[str]) -> None:
-    (shown,) = re.findall(r"```text\n(.*?)```", PAGE, re.S)
+    (shown,) = blocks(PAGE, "text")
     network = DriveNetwork()
     assert network.run("--provoke-alarm") == 0
     said = capsys.readouterr().out

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import re
-import shlex
 import struct
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,35 +21,18 @@ from canfb.cia301.frame import frame_bits
 from canfb.cli.aliases import current
 from canfb.cli.commands import build_parser
 from canfb.configuration import ANY_NODES, parse_config
+from documentation import ROOT, blocks, commands, page
 
-ROOT = Path(__file__).parents[2]
 PAGES = [*(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")), "README.md"]
-ENDS = {">", ">>", "2>", "|", "&", "&&", ";"}
-"""What a shell takes for itself, and not for an argument."""
-FENCE = r"^```{}\n(.*?)^```"
 parser = cache(build_parser)
 
 
-def text_of(page: str) -> str:
-    return (ROOT / page).read_text(encoding="utf-8")
-
-
-def commands_of(page: str) -> Iterator[list[str]]:
-    """The arguments of each line of a shell that runs canfb."""
-    text = text_of(page)
-    blocks = [*re.findall(FENCE.format("sh"), text, re.M | re.S), *re.findall(r"(?:^    .*\n)+", text, re.M)]
-    for line in "\n".join(blocks).replace("\\\n", " ").splitlines():
-        found = re.match(r"\s*(?:sudo )?canfb (.*)", line)
-        if found:
-            words = shlex.split(found[1], comments=True)
-            yield words[: min([words.index(one) for one in ENDS & {*words}], default=len(words))]
-
-
-COMMANDS = [(page, words) for page in PAGES for words in commands_of(page)]
+TEXTS = {one: (ROOT / one).read_text(encoding="utf-8") for one in PAGES}
+COMMANDS = [(one, words) for one, text in TEXTS.items() for words in commands(text)]
 CONFIGURATIONS = [
-    (page, block)
-    for page in PAGES
-    for block in re.findall(FENCE.format("yaml"), text_of(page), re.M | re.S)
+    (one, block)
+    for one, text in TEXTS.items()
+    for block in blocks(text, "yaml")
     if re.search(r"^(modules|interfaces):", block, re.M)
 ]
 
@@ -126,8 +107,7 @@ async def session(names: dict[str, Any]) -> tuple[int, bytes]:
 
 
 def test_the_asyncio_program() -> None:
-    page = (Path(__file__).parents[2] / "docs/service.md").read_text("utf-8")
-    (block,) = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
+    (block,) = blocks(page("service"), "python")
     names: dict[str, Any] = {"__name__": "program"}
     exec(block, names)
     assert asyncio.run(session(names)) == (5, b"\x20\x00")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 import signal
 import threading
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from canfb.hosting import serving
 from canfb.hosting.hosting import Hosting
 from canfb.hosting.readiness import Readiness
 from commands import Command
+from documentation import blocks, page
 
 
 @pytest.fixture
@@ -100,8 +100,7 @@ def test_what_it_opened_is_closed_when_something_is_wrong(config: Path) -> None:
 def test_the_program_of_the_page_runs(
     config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "attach.md").read_text(encoding="utf-8")
-    program = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[-1]
+    program = blocks(page("attach"), "python")[-1]
     run = Hosting.run
     monkeypatch.setattr(Hosting, "run", lambda hosting: run(hosting, hosting.stop))
     monkeypatch.setattr(logging, "basicConfig", lambda **keys: None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -12,9 +11,10 @@ from canfb.configuration import parse_config
 from canfb.errors import ConfigError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from documentation import blocks, page
 
-PAGE = (Path(__file__).parents[2] / "docs/attach.md").read_text("utf-8").partition("\n## Several")[2]
-(CONFIG,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.S)
+PAGE = page("attach").partition("\n## Several")[2]
+(CONFIG,) = blocks(PAGE, "yaml")
 
 
 def modules() -> list[FeedbackModule]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import re
 import struct
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -18,6 +17,7 @@ from canfb.monitoring.layout import NEEDED, assumed_layout
 from canfb.monitoring.lines import MachineUnits, plain_lines
 from canfb.monitoring.panels import Page, bar, dots, history
 from canfb.monitoring.snapshot import BusSnapshot
+from documentation import blocks, page
 from monitored_network import MonitoredNetwork
 
 SIZES = [(80, 24), (120, 40), (50, 24), (200, 60)]
@@ -189,7 +189,7 @@ def test_units(text: str, units: tuple[float, str]) -> None:
             MachineUnits.parse(wrong)
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "monitor.md").read_text(encoding="utf-8")
+PAGE = page("monitor")
 
 
 def without_figures(text: str) -> str:
@@ -206,12 +206,12 @@ def test_the_page_is_that_of_the_program() -> None:
     network.run(0.0035)
     network.source.lost = False
     network.run(1.0)
-    shown = re.findall(r"```text\n(.*?)```", PAGE, re.S)[0]
+    shown = blocks(PAGE, "text")[0]
     real = "\n".join(printed(network.model.snapshot(network.bus.now), (80, 24)))
     assert re.sub(r" +", " ", without_figures(shown)) == re.sub(r" +", " ", without_figures(real))
 
 
 def test_the_program_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    program = re.findall(r"```python\n(.*?)```", PAGE, re.S)[0]
+    program = blocks(PAGE, "python")[0]
     exec(compile(program, "monitor.md", "exec"), {})
     assert capsys.readouterr().out == "OPERATIONAL valid 0.008636474609375\n"

@@ -25,6 +25,7 @@ from canfb.planning.coverage import (
 from canfb.planning.plan_rows import coverage_rows
 from canfb.rows import as_figures
 from commands import Command
+from documentation import blocks, page
 
 DEFAULT = SampleWindow(
     full_scale_counts=2048,
@@ -36,7 +37,7 @@ DEFAULT = SampleWindow(
     tolerance_cycles=25.0,
 )
 COMMISSIONED = replace(DEFAULT, low_counts=1200, high_counts=1800, limit_cycles=0.06)
-PAGE = (Path(__file__).parents[2] / "docs" / "evidence.md").read_text(encoding="utf-8")
+PAGE = page("evidence")
 
 
 @cache
@@ -137,9 +138,9 @@ def test_the_page_has_these_figures() -> None:
     assert rows == {name: row(name) for name in KINDS}, "\n".join(f"{n}: {row(n)}" for n in KINDS)
 
 
-PLAN_PAGE = (Path(__file__).parents[2] / "docs" / "plan.md").read_text(encoding="utf-8")
+PLAN_PAGE = page("plan")
 PLAN_PAGE = PLAN_PAGE.partition("\n## The SYNC rate")[0]
-BLOCKS = [block.splitlines() for block in re.findall(r"```sh\n(.*?)```", PLAN_PAGE, re.S)]
+BLOCKS = [block.splitlines() for block in blocks(PLAN_PAGE, "sh")]
 
 
 def test_the_commands_have_the_output_of_the_page(
@@ -148,7 +149,7 @@ def test_the_commands_have_the_output_of_the_page(
     """With and without sample times, with a configuration, and with several samples for each SYNC."""
     monkeypatch.chdir(tmp_path)
     (first,), (times,), (example, *plans), *several = BLOCKS
-    shown, *parts = re.findall(r"```text\n(.*?)```", PLAN_PAGE, re.S)
+    shown, *parts = blocks(PLAN_PAGE, "text")
     assert command(first.removeprefix("canfb"), code=1).out == shown
     assert "the plan holds" in command(times.removeprefix("canfb")).out
     for (line,), part, code in zip(several, parts, (1, 0), strict=True):

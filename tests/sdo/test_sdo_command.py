@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import shlex
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -25,11 +24,12 @@ from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, 
 from canfb.sdo.sdo_tasks import MODULE, abort_words, in_words, parse_value, short_real, value_range
 from canfb.signal.correction import CorrectionTable
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
+from documentation import blocks, commands, page
 from node_commands import Commands, abort, between, drop_answer, is_write
 
 NODE = hex(MODULE_ID)
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "monitor.md").read_text(encoding="utf-8")
+PAGE = page("monitor")
 PAGE = PAGE.partition("\n## One object of a node")[2].partition("\n## Who is there")[0]
 OF_MODULE = ObjectDescriptions(eds_path("canfb-module"), MODULE_ID)
 
@@ -255,12 +255,12 @@ def test_the_commands_of_the_page_run(
     bench = Bench(store=MemoryStore())
     bench.bus.run_until(0.2)
     Path("drive.eds").write_bytes(eds_path("drive").read_bytes())
-    blocks = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
-    said = [canfb(bench, *shlex.split(line)[1:])[0] for line in blocks[0].splitlines()]
-    shown = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)[0].splitlines()
+    *good, bad = (words for words in commands(PAGE) if words[0] == "sdo")
+    said = [canfb(bench, *words)[0] for words in good]
+    shown = blocks(PAGE, "text")[0].splitlines()
     assert [said[0], said[3]] == [f"{shown[0]}\n", f"{shown[2]}\n"]
     assert said[2].startswith(shown[1].partition("129")[0])
-    _, err = canfb(bench, *shlex.split(blocks[1])[1:], code=1)
+    _, err = canfb(bench, *bad, code=1)
     assert "no answer" in err
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +17,12 @@ from canfb.sdo.table_file import as_yaml
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import Bench
+from documentation import blocks, commands, page
 from node_commands import Commands
 
-PAGE = (Path(__file__).parents[2] / "docs" / "storage.md").read_text(encoding="utf-8")
+PAGE = page("storage")
 TABLES, _, BACKUPS = PAGE.partition("\n## A file for")[0].partition("\n## Tables")[2].partition("\n## Backup")
 USED = Correction(CorrectionTable.identity(64), Conditioning(sine_gain=1.5))
-
-
-def commands(page: str) -> list[list[str]]:
-    blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
-    return [shlex.split(line)[1:] for block in blocks for line in block.splitlines()]
 
 
 @pytest.fixture
@@ -45,7 +39,7 @@ def test_the_commands_for_tables(canfb: Commands) -> None:
     assert bench.module.chain.correction == USED
     assert "saved (1010:04)" in said[-1]
     shown = canfb(bench, "table", "show", "0x20")[0]
-    (example,) = re.findall(r"```text\n(.*?)```", TABLES, re.DOTALL)
+    (example,) = blocks(TABLES, "text")
     assert [line[:17] for line in example.splitlines()[1:]] == [line[:17] for line in shown.splitlines()[1:]]
 
 
@@ -79,7 +73,7 @@ def test_the_commands_for_backups(canfb: Commands, monkeypatch: pytest.MonkeyPat
 
 
 def test_the_file_of_the_page_is_one(tmp_path: Path) -> None:
-    (example,) = re.findall(r"```yaml\n(.*?)```", BACKUPS, re.DOTALL)
+    (example,) = blocks(BACKUPS, "yaml")
     path = tmp_path / "backup.yaml"
     path.write_text(example)
     backup = read_backup(path, ObjectDescriptions(eds_path("canfb-module"), 1))

@@ -12,19 +12,18 @@ from pathlib import Path
 import can
 import pytest
 
+from documentation import blocks, page
 from judged_session import check, new_judge
 
 ROOT = Path(__file__).parents[2]
 
 
 def shell_blocks() -> list[str]:
-    return re.findall(r"```sh\n(.*?)```", (ROOT / "docs" / "vcan.md").read_text(), flags=re.S)
+    return re.findall(r"```sh\n(.*?)```", page("vcan"), flags=re.S)
 
 
 def python_block(word: str) -> str:
-    page = (ROOT / "docs" / "first-hour.md").read_text()
-    blocks = re.findall(r"```python\n(.*?)```", page, flags=re.S)
-    (found,) = [block for block in blocks if word in block]
+    (found,) = [block for block in blocks(page("first-hour"), "python") if word in block]
     return found
 
 

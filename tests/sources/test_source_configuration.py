@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from pathlib import Path
 
 import pytest
 import yaml
@@ -18,6 +17,7 @@ from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import SourceConfig, source_kinds
 from canfb.sources.recording_source import RecordingSourceConfig
+from documentation import blocks, page
 
 
 def source_of(text: str, module: str = "") -> SourceConfig | None:
@@ -144,9 +144,9 @@ def test_any_value_of_a_key_loads_or_is_refused(kind: str, keys: dict[str, objec
     assert not message or re.fullmatch(r"configuration:\d+: \S.*", message)
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "local-adc.md").read_text(encoding="utf-8")
+PAGE = page("local-adc")
 PAGE = PAGE.partition("\n## An encoder interface")[0]
-CONFIGURATIONS = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+CONFIGURATIONS = blocks(PAGE, "yaml")
 
 
 def test_it_shows_every_kind() -> None:

@@ -12,10 +12,11 @@ import pytest
 
 from canfb.cli.commands import WRONG_USE
 from canfb.cli.main import FAILED
+from documentation import blocks, page
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "tools" / "systemd"
-PAGE = (ROOT / "docs" / "service.md").read_text(encoding="utf-8").partition("\n## Events")[0]
+PAGE = page("service").partition("\n## Events")[0]
 UNIT = (FOLDER / "canfb@.service").read_text(encoding="utf-8")
 INTERFACE = (FOLDER / "canfb-interface@.service").read_text(encoding="utf-8")
 ANALYZE = shutil.which("systemd-analyze")
@@ -56,7 +57,7 @@ def test_a_wrong_unit_is_noticed(tmp_path: Path) -> None:
 
 @needs_systemd
 def test_systemd_accepts_the_drop_ins_of_the_page(tmp_path: Path) -> None:
-    drop_ins = re.findall(r"^```ini\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    drop_ins = blocks(PAGE, "ini")
     assert len(drop_ins) == 2
     done = analyze("verify", str(units(tmp_path, *drop_ins)))
     assert (done.returncode, done.stderr) == (0, "")
