@@ -19,6 +19,7 @@ def refused(text: str) -> str:
 
 MODULE = "modules:\n- node_id: 3\n"
 BRIEF = "modules: [{node_id: 3}]\n"
+DRIVE = "simulation:\n  drive: "
 # Text: the line, and words of the message.
 WRONG = {
     "": "1: the configuration is empty; 'canfb config example' prints one",
@@ -92,6 +93,18 @@ WRONG = {
     BRIEF + "simulation: {seed: true}\n": "2: seed must be a whole number",
     "simulation:\n  encoder: {harmonics: [{order: 1}]}\n": "2: order must be a whole number 2..50",
     "simulation:\n  motion:\n    ripple_rpm: 1\n    rpm: fast\n": "4: rpm must be a number",
+    DRIVE + "{inertia_kg_m2: 0}": "2: inertia_kg_m2 must be a number 1e-09..1e+06, not 0",
+    DRIVE + "\n    coulomb_friction_nm: -1": "3: coulomb_friction_nm must be a number 0..1e+06, not -1",
+    DRIVE + "{rated_torque_nm: yes}": "2: rated_torque_nm must be a number",
+    DRIVE + "{node_id: 128}": "2: node_id must be",
+    DRIVE + "{synchronous_feedback: 1}": "2: synchronous_feedback must be true or false",
+    DRIVE + "{inertia: 1}": "2: unknown key 'inertia' in drive",
+    DRIVE + "{brake_torque_nm: .nan}": "2: brake_torque_nm must be a number",
+    DRIVE + "{start_revolutions: 1e7}": "2: start_revolutions must be a number",
+    DRIVE + "7": "2: drive must be a mapping",
+    BRIEF + DRIVE + "\n    load_at_s: 1\n    node_id: 3": "5: node_id 3 is the node_id of modules[0]",
+    BRIEF + DRIVE + "{node_id: 16}": "3: node_id 16 is the encoder_interface of modules[0]",
+    f"modules: [{{node_id: 48}}]\n{DRIVE}{{}}": "3: drive: node_id 48 is the node_id of modules[0]",
     "modules: [{node_id: 3}\nbus: {}\n": "2: this is not YAML",
     "modules:\n\t- node_id: 3\n": "2: this is not YAML: while scanning for the next token",
     "a: b: c\n": "1: this is not YAML: mapping values are not allowed here",

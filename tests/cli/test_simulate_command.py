@@ -157,34 +157,6 @@ def test_each_key_is_read_and_has_a_default() -> None:
     assert parsed(json.dumps(keys)).simulation.drive == DriveConfig(**keys)
 
 
-@pytest.mark.parametrize(
-    ("drive", "line", "words"),
-    [
-        ("{inertia_kg_m2: 0}", 3, "inertia_kg_m2 must be a number 1e-09..1e+06, not 0"),
-        ("\n    coulomb_friction_nm: -1", 4, "coulomb_friction_nm must be a number 0..1e+06, not -1"),
-        ("{rated_torque_nm: yes}", 3, "rated_torque_nm must be a number"),
-        ("{node_id: 128}", 3, "node_id must be"),
-        ("{synchronous_feedback: 1}", 3, "synchronous_feedback must be true or false"),
-        ("{inertia: 1}", 3, "unknown key 'inertia' in drive"),
-        ("{brake_torque_nm: .nan}", 3, "brake_torque_nm must be a number"),
-        ("{start_revolutions: 1e7}", 3, "start_revolutions must be a number"),
-        ("7", 3, "drive must be a mapping"),
-        ("\n    load_at_s: 1\n    node_id: 0x20", 5, "node_id 32 is the node_id of modules[0]"),
-        ("{node_id: 16}", 3, "node_id 16 is the encoder_interface of modules[0]"),
-    ],
-)
-def test_a_wrong_value_is_refused_with_its_line(drive: str, line: int, words: str) -> None:
-    with pytest.raises(ConfigError) as refused:
-        parsed(drive)
-    assert str(refused.value).startswith(f"drive.yaml:{line}: ")
-    assert words in str(refused.value)
-
-
-def test_the_node_of_the_default_is_looked_at_as_well() -> None:
-    with pytest.raises(ConfigError, match=r"drive\.yaml:3: drive: node_id 48 is the node_id of modules\[0\]"):
-        parsed("{}", "modules: [{node_id: 48}]\n")
-
-
 def test_a_module_that_samples_itself_has_no_encoder_interface() -> None:
     module = "modules: [{node_id: 32, encoder_interface: 48, source: {kind: motion}}]\n"
     assert parsed("{}", module).simulation.drive is not None

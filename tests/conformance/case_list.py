@@ -21,10 +21,16 @@ GROUPS = {
 }
 CASES = [f"{group.lower()}_{number:02}" for group, count in GROUPS.items() for number in range(1, count + 1)]
 
-_NAME = re.compile(rf"^test_((?:{'|'.join(group.lower() for group in GROUPS)})_\d\d)(?:_|$)")
+_NAME = re.compile(
+    rf"^test_({'|'.join(group.lower() for group in GROUPS)})_(\d\d)(?:_(to|and)_(\d\d))?(?:_|$)"
+)
 
 
-def case_of(test_name: str) -> str | None:
-    """The case that a test is named after, None for a test of something else."""
+def cases_of(test_name: str) -> list[str]:
+    """The cases that a test is named after (pdo_09_to_20, sdo_14_and_15); none: it tests something else."""
     match = _NAME.match(test_name)
-    return match[1] if match else None
+    if match is None:
+        return []
+    group, first, joined, last = match.groups(default="")
+    numbers = range(int(first), int(last) + 1) if joined == "to" else map(int, filter(None, (first, last)))
+    return [f"{group}_{number:02}" for number in numbers]

@@ -220,12 +220,17 @@ class Tester:
         """An NMT command to this node; a reset is waited for."""
         heard = self.send(0x000, f"{command} {self.nn}")
         if command in ("81", "82"):
-            heard += [] if self.booted(heard) else self.wait(5.0)
-            assert only(heard, 0x700 + self.id) == ["00"], "one boot-up message within 5 s"
+            heard += [] if "00" in self.beats(heard) else self.wait(5.0)
+            assert self.beats(heard) == ["00"], "one boot-up message within 5 s"
         return heard
 
-    def booted(self, heard: list[Heard]) -> bool:
-        return "00" in only(heard, 0x700 + self.id)
+    def beats(self, heard: list[Heard]) -> list[str]:
+        """Boot-ups, heartbeats and answers to guarding."""
+        return only(heard, 0x700 + self.id)
+
+    def emergencies(self, heard: list[Heard]) -> list[str]:
+        """Codes of the EMCY frames."""
+        return [data[3:5] + data[:2] for data in only(heard, 0x80 + self.id)]
 
     def prepare(self) -> None:
         """What the list calls preparation: reset, defaults restored, reset."""

@@ -11,18 +11,14 @@ RPDO1, SYNC = 0x180 + INTERFACE_ID, 0x080
 INVALID = 0x80000000
 
 
-def emergencies(tester: Tester, frames: list[Heard]) -> list[str]:
-    return [data[3:5] + data[:2] for data in only(frames, 0x80 + tester.id)]
-
-
 def test_beyond_11_a_short_rpdo(module: Tester) -> None:
     module.operational()
     good = module.send(RPDO1, "2C 01 78 05")
-    assert emergencies(module, good) == []
+    assert module.emergencies(good) == []
     heard = module.send(RPDO1, "FF 00 FF") + module.send(RPDO1, "FF") + module.send(RPDO1)
-    assert emergencies(module, heard) == ["8210"]
+    assert module.emergencies(heard) == ["8210"]
     assert module.ask("40 00 20 01") == filled("4B 00 20 01 2C 01")
-    assert emergencies(module, module.send(RPDO1, "2D 01 78 05")) == ["0000"]
+    assert module.emergencies(module.send(RPDO1, "2D 01 78 05")) == ["0000"]
     assert module.ask("40 00 20 01") == filled("4B 00 20 01 2D 01")
     assert module.read(0x1001) == 0
 
@@ -30,7 +26,7 @@ def test_beyond_11_a_short_rpdo(module: Tester) -> None:
 def test_beyond_11_a_long_rpdo(module: Tester) -> None:
     module.operational()
     heard = module.send(RPDO1, "2C 01 78 05 AA BB CC DD")
-    assert emergencies(module, heard) in ([], ["8220"])
+    assert module.emergencies(heard) in ([], ["8220"])
     assert module.ask("40 00 20 01") == filled("4B 00 20 01 2C 01")
     assert module.ask("40 00 20 02") == filled("4B 00 20 02 78 05")
     assert module.ask("40 00 20 03") == filled("4B 00 20 03")
@@ -211,10 +207,10 @@ def test_beyond_17_a_counter_not_expected(tester: Tester) -> None:
     can_id = synchronous(tester)
     first = tester.send(SYNC, "01")
     second = tester.send(SYNC, "02")
-    assert emergencies(tester, first + second) == ["8240"]
+    assert tester.emergencies(first + second) == ["8240"]
     assert [len(only(frames, can_id)) for frames in (first, second)] == [0, 0]  # no SYNC, always
     good = tester.send(SYNC)
-    assert emergencies(tester, good) == ["0000"]
+    assert tester.emergencies(good) == ["0000"]
     assert len(only(good, can_id)) == 1
 
 
@@ -223,10 +219,10 @@ def test_beyond_17_a_counter_that_is_missing(tester: Tester) -> None:
     can_id = synchronous(tester)
     first = tester.send(SYNC)
     second = tester.send(SYNC, "01 02")
-    assert emergencies(tester, first + second) == ["8240"]
+    assert tester.emergencies(first + second) == ["8240"]
     assert [len(only(frames, can_id)) for frames in (first, second)] == [0, 0]
     good = tester.send(SYNC, "05")
-    assert emergencies(tester, good) == ["0000"]
+    assert tester.emergencies(good) == ["0000"]
     assert len(only(good, can_id)) == 1
 
 
@@ -256,7 +252,7 @@ def test_beyond_19_heartbeat_consumer_values(module: Tester) -> None:
     assert module.read(0x1016, 1) == 0x000507D0
     for unused in ("00 00 05 00", "E8 03 00 00", "E8 03 80 00", "E8 03 FF 00"):
         module.accept(f"23 16 10 03 {unused}")
-        assert emergencies(module, module.send(0x705, "05") + module.wait(1.5)) == []
+        assert module.emergencies(module.send(0x705, "05") + module.wait(1.5)) == []
         module.send(0x705, "05")
 
 

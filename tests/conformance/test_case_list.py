@@ -6,7 +6,7 @@ import ast
 from pathlib import Path
 
 import pytest
-from case_list import CASES, GROUPS, case_of
+from case_list import CASES, GROUPS, cases_of
 from conformance_kit import DEVICES, EDS, MODULE
 from not_applicable import NOT_APPLICABLE
 
@@ -18,16 +18,14 @@ def cases_with_a_test() -> dict[str, set[str]]:
     found: dict[str, set[str]] = {device: set() for device in DEVICES}
     for path in sorted(HERE.glob("test_*.py")):
         for node in ast.parse(path.read_text()).body:
-            case = case_of(node.name) if isinstance(node, ast.FunctionDef) else None
-            if case is None or not isinstance(node, ast.FunctionDef):
+            if not isinstance(node, ast.FunctionDef):
                 continue
-            arguments = {argument.arg for argument in node.args.args}
+            cases, arguments = {*cases_of(node.name)}, {argument.arg for argument in node.args.args}
             if "module" in arguments:
-                found[MODULE].add(case)
+                found[MODULE] |= cases
             elif "tester" in arguments:
                 for device in DEVICES:
-                    if case not in NOT_APPLICABLE[device]:
-                        found[device].add(case)
+                    found[device] |= set() if cases & NOT_APPLICABLE[device].keys() else cases
     return found
 
 

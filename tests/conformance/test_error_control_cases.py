@@ -20,15 +20,6 @@ def guarded(tester: Tester, guard_ms: int = 100, factor: int = 3) -> None:
     tester.write(0x100D, 0, factor, 1)
 
 
-def beats(tester: Tester, frames: list[Heard]) -> list[str]:
-    return only(frames, 0x700 + tester.id)
-
-
-def emergencies(tester: Tester, frames: list[Heard]) -> list[str]:
-    """Codes of the EMCY frames."""
-    return [data[3:5] + data[:2] for data in only(frames, 0x80 + tester.id)]
-
-
 # -- guarding ---------------------------------------------------------------------------------------
 
 
@@ -74,17 +65,17 @@ def test_guard_06_life_guarding(tester: Tester, behaviour: str | None, state: st
     if behaviour is not None:
         tester.accept(f"2F 29 10 01 {behaviour}")
     tester.operational()
-    assert emergencies(tester, tester.wait(5.0)) == []  # not armed before the first remote frame
+    assert tester.emergencies(tester.wait(5.0)) == []  # not armed before the first remote frame
     regular = tester.repeat(20, 0.25, lambda: tester.remote(0x700 + tester.id))
-    assert emergencies(tester, regular) == []
-    assert {int(data, 16) & 0x7F for data in beats(tester, regular)} == {0x05}
+    assert tester.emergencies(regular) == []
+    assert {int(data, 16) & 0x7F for data in tester.beats(regular)} == {0x05}
     silence = tester.wait(0.2)
-    codes = emergencies(tester, silence)
+    codes = tester.emergencies(silence)
     after = guard(tester)
     assert codes == ["8130"]
     assert f"{int(after[0], 16) & 0x7F:02X}" == state
     if state != "04":  # nothing but NMT and error control in Stopped
-        assert emergencies(tester, tester.repeat(1, 0.1, lambda: tester.remote(0x700 + tester.id))) == []
+        assert tester.emergencies(tester.repeat(1, 0.1, lambda: tester.remote(0x700 + tester.id))) == []
 
 
 # -- heartbeat --------------------------------------------------------------------------------------
@@ -96,8 +87,8 @@ def test_hb_01_no_heartbeat(tester: Tester) -> None:
 
 def test_hb_02_heartbeat_every_100_ms(tester: Tester) -> None:
     heard = tester.send(0x600 + tester.id, filled("2B 17 10 00 64 00")) + tester.wait(10.0)
-    assert 99 <= len(beats(tester, heard)) <= 102
-    assert set(beats(tester, heard)) == {"7F"}
+    assert 99 <= len(tester.beats(heard)) <= 102
+    assert set(tester.beats(heard)) == {"7F"}
     times = [frame.time for frame in heard if frame.can_id == 0x700 + tester.id]
     assert all(b - a == pytest.approx(0.1) for a, b in pairwise(times))
 
@@ -106,7 +97,7 @@ def test_hb_03_heartbeat_off(tester: Tester) -> None:
     tester.accept("2B 17 10 00 64 00")
     tester.wait(0.55)
     tester.accept("2B 17 10 00 00 00")
-    assert beats(tester, tester.wait(5.0)) == []
+    assert tester.beats(tester.wait(5.0)) == []
 
 
 def test_hb_04_one_node_twice(tester: Tester) -> None:
@@ -139,21 +130,21 @@ def test_hb_05_good_heartbeats(tester: Tester) -> None:
         consume(tester, sub)
         tester.operational()
         heard = tester.repeat(11, 0.95, lambda: beat(tester))
-        assert emergencies(tester, heard) == []
-        assert set(beats(tester, heard)) == {"05"}
-        assert len(beats(tester, heard)) >= 10
+        assert tester.emergencies(heard) == []
+        assert set(tester.beats(heard)) == {"05"}
+        assert len(tester.beats(heard)) >= 10
 
 
 def test_hb_06_no_heartbeat_at_all_and_slow_ones(tester: Tester) -> None:
     for sub in subs(tester):
         clear_consumers(tester)
         consume(tester, sub)
-        assert emergencies(tester, tester.wait(10.0)) == []
+        assert tester.emergencies(tester.wait(10.0)) == []
         first = beat(tester) + tester.wait(1.2)
-        assert emergencies(tester, first) == ["8130"]
+        assert tester.emergencies(first) == ["8130"]
         second = beat(tester)
-        assert emergencies(tester, second) == ["0000"]
-        assert emergencies(tester, tester.wait(1.2)) == ["8130"]
+        assert tester.emergencies(second) == ["0000"]
+        assert tester.emergencies(tester.wait(1.2)) == ["8130"]
         clear_consumers(tester)
 
 
@@ -164,13 +155,13 @@ def test_hb_07_the_error_leads_to_pre_operational(tester: Tester) -> None:
         tester.accept(f"23 {m(0x1016, sub)} {little(WATCHED << 16 | 1000, 4)}")
         tester.operational()
         silence = tester.wait(10.0)
-        assert set(beats(tester, silence)) == {"05"}
+        assert set(tester.beats(silence)) == {"05"}
         good = tester.repeat(11, 0.95, lambda: beat(tester))
-        assert set(beats(tester, good)) == {"05"}
-        assert emergencies(tester, silence + good) == []
+        assert set(tester.beats(good)) == {"05"}
+        assert tester.emergencies(silence + good) == []
         slow = beat(tester) + tester.wait(2.1)
-        assert emergencies(tester, slow) == ["8130"]
-        assert beats(tester, slow)[-1] == "7F"
+        assert tester.emergencies(slow) == ["8130"]
+        assert tester.beats(slow)[-1] == "7F"
 
 
 # -- one of both ------------------------------------------------------------------------------------
@@ -183,7 +174,7 @@ def test_hvg_01_one_of_both_is_there(tester: Tester) -> None:
 
 def test_hvg_02_no_heartbeat_with_time_0(tester: Tester) -> None:
     tester.accept("2B 17 10 00 00 00")
-    assert beats(tester, tester.wait(10.0)) == []
+    assert tester.beats(tester.wait(10.0)) == []
 
 
 def test_hvg_03_guarding_without_heartbeat(tester: Tester) -> None:
@@ -195,7 +186,7 @@ def test_hvg_03_guarding_without_heartbeat(tester: Tester) -> None:
 def test_hvg_04_heartbeat_without_guarding(tester: Tester) -> None:
     guarded(tester, 0, 0)
     tester.accept("2B 17 10 00 64 00")
-    assert len(beats(tester, tester.wait(1.05))) >= 10
+    assert len(tester.beats(tester.wait(1.05))) >= 10
 
 
 def test_hvg_05_a_remote_frame_does_not_disturb_the_heartbeat(tester: Tester) -> None:
@@ -203,16 +194,16 @@ def test_hvg_05_a_remote_frame_does_not_disturb_the_heartbeat(tester: Tester) ->
     tester.accept("2B 17 10 00 64 00")
     tester.wait(0.05)
     heard = tester.repeat(10, 0.1, lambda: tester.remote(0x700 + tester.id))
-    assert beats(tester, heard) == ["7F"] * 10
+    assert tester.beats(heard) == ["7F"] * 10
 
 
 def test_hvg_06_with_both_there_is_the_heartbeat(tester: Tester) -> None:
     guarded(tester)
     tester.accept("2B 17 10 00 64 00")
     heard = tester.wait(5.05)
-    assert beats(tester, heard) == ["7F"] * len(beats(tester, heard))  # toggle bit 0
-    assert len(beats(tester, heard)) >= 50
-    assert emergencies(tester, heard) == []
+    assert tester.beats(heard) == ["7F"] * len(tester.beats(heard))  # toggle bit 0
+    assert len(tester.beats(heard)) >= 50
+    assert tester.emergencies(heard) == []
 
 
 def test_hvg_07_with_both_no_guarding(tester: Tester) -> None:
@@ -220,5 +211,5 @@ def test_hvg_07_with_both_no_guarding(tester: Tester) -> None:
     tester.accept("2B 17 10 00 64 00")
     tester.wait(0.05)
     heard = tester.repeat(10, 0.1, lambda: tester.remote(0x700 + tester.id))
-    assert beats(tester, heard) == ["7F"] * 10
-    assert emergencies(tester, heard + tester.wait(2.0)) == []
+    assert tester.beats(heard) == ["7F"] * 10
+    assert tester.emergencies(heard + tester.wait(2.0)) == []

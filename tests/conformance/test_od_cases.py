@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from conformance_eds import DOMAIN, FOLDER, VISIBLE_STRING, EdsEntry
 from conformance_kit import NO_READ, NO_WRITE, G, Tester, filled, hexes, little, m
+
+from processes import python
 
 COMMUNICATION, DEVICE = range(0x1000, 0x2000), range(0x2000, 0x10000)
 ERROR_HISTORY = 0x1003
@@ -91,10 +90,11 @@ def check_defaults(tester: Tester, where: range) -> None:
     assert differing == {}
 
 
+DCFCHK = "import sys; from dcf.cli import main; sys.exit(main())"
+
+
 def test_eds_01_static_check(tester: Tester) -> None:
-    path = FOLDER / f"{tester.eds.name}.eds"
-    command = [str(Path(sys.executable).with_name("dcfchk")), "-n", str(tester.id), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = python("-c", DCFCHK, "-n", str(tester.id), str(FOLDER / f"{tester.eds.name}.eds"))
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     for index in tester.eds.objects:
         subs = [entry.sub for entry in tester.eds.entries.values() if entry.index == index]
@@ -108,12 +108,14 @@ def test_eds_01_static_check(tester: Tester) -> None:
         assert not entry.mappable or entry.size
 
 
-def test_od_01_read_and_write_back(tester: Tester) -> None:
-    check_read_and_write_back(tester, COMMUNICATION)
+@pytest.mark.parametrize("where", [COMMUNICATION, DEVICE])
+def test_od_01_and_07_read_and_write_back(tester: Tester, where: range) -> None:
+    check_read_and_write_back(tester, where)
 
 
-def test_od_02_defaults(tester: Tester) -> None:
-    check_defaults(tester, COMMUNICATION)
+@pytest.mark.parametrize("where", [COMMUNICATION, DEVICE])
+def test_od_02_and_08_defaults(tester: Tester, where: range) -> None:
+    check_defaults(tester, where)
 
 
 def test_od_03_write_what_is_read_only(tester: Tester) -> None:
@@ -169,14 +171,6 @@ def test_od_06_limits(tester: Tester, side: str) -> None:
         assert tester.upload(entry.m) == before
         limited += 1
     assert limited or (side == "low" and tester.kind == "interface")
-
-
-def test_od_07_read_and_write_back_of_the_device(tester: Tester) -> None:
-    check_read_and_write_back(tester, DEVICE)
-
-
-def test_od_08_defaults_of_the_device(tester: Tester) -> None:
-    check_defaults(tester, DEVICE)
 
 
 def test_od_09_write_back_of_the_device(tester: Tester) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
@@ -74,7 +75,7 @@ def times_of(frames: list[Heard], can_id: int) -> list[float]:
     return [frame.time for frame in frames if frame.can_id == can_id]
 
 
-def check_event_timer(tester: Tester) -> None:
+def test_pdo_04_and_05_event_timer(tester: Tester) -> None:
     can_ids = set_up(tester, "FE", "01", timer_ms=100)
     begin = tester.now
     heard = tester.wait(10.0)
@@ -83,14 +84,6 @@ def check_event_timer(tester: Tester) -> None:
         assert 99 <= len(times) <= 101
         assert times[0] - begin <= 0.11
         assert all(0.09 < b - a < 0.11 for a, b in pairwise(times))
-
-
-def test_pdo_04_event_driven_with_event_timer(tester: Tester) -> None:
-    check_event_timer(tester)
-
-
-def test_pdo_05_event_timer(tester: Tester) -> None:
-    check_event_timer(tester)
 
 
 def test_pdo_06_every_sync(tester: Tester) -> None:
@@ -146,11 +139,14 @@ def check_no_timer(tester: Tester, state: str) -> None:
     no_pdo(tester, can_ids, tester.cause_event() + tester.wait(1.0))
 
 
-def check_no_sync(tester: Tester, kind: str, state: str) -> None:
-    can_ids = set_up(tester, kind, state)
-    for _ in range(3):
-        heard = tester.cause_event() + tester.send(SYNC) + tester.wait(0.1)
-        no_pdo(tester, can_ids, heard)
+def check_no_sync(tester: Tester, state: str) -> None:
+    """Every SYNC, and SYNCs after an event."""
+    for kind in ("01", "00"):
+        can_ids = set_up(tester, kind, state)
+        for _ in range(3):
+            heard = tester.cause_event() + tester.send(SYNC) + tester.wait(0.1)
+            no_pdo(tester, can_ids, heard)
+        tester.nmt(PRE_OPERATIONAL)
 
 
 def check_no_start(tester: Tester, state: str) -> None:
@@ -159,52 +155,12 @@ def check_no_start(tester: Tester, state: str) -> None:
         no_pdo(tester, can_ids, tester.send(SYNC, f"{counter:02X}") + tester.wait(0.1))
 
 
-def test_pdo_09_no_remote_frame_in_stopped(tester: Tester) -> None:
-    check_no_remote(tester, STOPPED)
-
-
-def test_pdo_10_no_event_in_stopped(tester: Tester) -> None:
-    check_no_timer(tester, STOPPED)
-
-
-def test_pdo_11_no_event_timer_in_stopped(tester: Tester) -> None:
-    check_no_timer(tester, STOPPED)
-
-
-def test_pdo_12_no_sync_in_stopped(tester: Tester) -> None:
-    check_no_sync(tester, "01", STOPPED)
-
-
-def test_pdo_13_no_sync_after_an_event_in_stopped(tester: Tester) -> None:
-    check_no_sync(tester, "00", STOPPED)
-
-
-def test_pdo_14_no_sync_start_value_in_stopped(tester: Tester) -> None:
-    check_no_start(tester, STOPPED)
-
-
-def test_pdo_15_no_remote_frame_in_pre_operational(tester: Tester) -> None:
-    check_no_remote(tester, PRE_OPERATIONAL)
-
-
-def test_pdo_16_no_event_in_pre_operational(tester: Tester) -> None:
-    check_no_timer(tester, PRE_OPERATIONAL)
-
-
-def test_pdo_17_no_event_timer_in_pre_operational(tester: Tester) -> None:
-    check_no_timer(tester, PRE_OPERATIONAL)
-
-
-def test_pdo_18_no_sync_in_pre_operational(tester: Tester) -> None:
-    check_no_sync(tester, "01", PRE_OPERATIONAL)
-
-
-def test_pdo_19_no_sync_after_an_event_in_pre_operational(tester: Tester) -> None:
-    check_no_sync(tester, "00", PRE_OPERATIONAL)
-
-
-def test_pdo_20_no_sync_start_value_in_pre_operational(tester: Tester) -> None:
-    check_no_start(tester, PRE_OPERATIONAL)
+@pytest.mark.parametrize("state", [STOPPED, PRE_OPERATIONAL])
+@pytest.mark.parametrize("check", [check_no_remote, check_no_timer, check_no_sync, check_no_start])
+def test_pdo_09_to_20_no_pdo_in_these_states(
+    tester: Tester, check: Callable[[Tester, str], None], state: str
+) -> None:
+    check(tester, state)
 
 
 def test_a_tpdo_has_the_length_of_its_mapping(tester: Tester) -> None:

@@ -135,56 +135,49 @@ def test_pdo_26_more_bits_than_a_frame_has(tester: Tester) -> None:
         tester.accept(f"2F {m(pdo.mapping)} 02")
 
 
-def test_pdo_27_rpdo_of_a_writable_object(tester: Tester) -> None:
-    for pdo in rpdos(tester):
-        for entry in tester.eds.mappable("rww", "wo"):
-            empty(tester, pdo)
-            tester.accept(mapping(pdo, entry.mapping))
-            tester.accept(f"2F {m(pdo.mapping)} 01")
-
-
-def test_pdo_28_rpdo_of_a_read_only_object(tester: Tester) -> None:
-    for pdo in rpdos(tester):
+def takes(tester: Tester, pdo: Pdo, *values: int) -> None:
+    """Each object, mapped alone."""
+    for value in values:
         empty(tester, pdo)
-        tester.refuse(mapping(pdo, 0x10010008), *NOT_MAPPABLE)
-
-
-def test_pdo_29_rpdo_of_an_object_not_mappable(tester: Tester) -> None:
-    for pdo in rpdos(tester):
-        empty(tester, pdo)
-        tester.refuse(mapping(pdo, 0x10170010), *NOT_MAPPABLE)
-
-
-def test_pdo_30_tpdo_of_a_read_only_object(tester: Tester) -> None:
-    for pdo in tpdos(tester):
-        empty(tester, pdo)
-        tester.accept(mapping(pdo, 0x10010008))
+        tester.accept(mapping(pdo, value))
         tester.accept(f"2F {m(pdo.mapping)} 01")
 
 
-def test_pdo_31_tpdo_of_an_object_to_be_written(tester: Tester) -> None:
+def refuses(tester: Tester, pdo: Pdo, *values: int) -> None:
+    empty(tester, pdo)
+    for value in values:
+        tester.refuse(mapping(pdo, value), *NOT_MAPPABLE)
+
+
+def written(tester: Tester) -> list[int]:
+    """The objects that an RPDO may carry."""
     entries = tester.eds.mappable("rww", "wo")
     assert entries
-    for pdo in tpdos(tester):
-        empty(tester, pdo)
-        for entry in entries:
-            tester.refuse(mapping(pdo, entry.mapping), *NOT_MAPPABLE)
+    return [entry.mapping for entry in entries]
 
 
-def test_pdo_32_tpdo_of_an_object_not_mappable(tester: Tester) -> None:
+def test_pdo_27_to_29_rpdo_of_what_is_written_read_only_or_not_mappable(tester: Tester) -> None:
+    for pdo in rpdos(tester):
+        takes(tester, pdo, *written(tester))
+        refuses(tester, pdo, 0x10010008, 0x10170010)
+
+
+def test_pdo_30_and_32_tpdo_of_what_is_read_only_or_not_mappable(tester: Tester) -> None:
     for pdo in tpdos(tester):
-        empty(tester, pdo)
-        tester.refuse(mapping(pdo, 0x10000020), *NOT_MAPPABLE)
+        takes(tester, pdo, 0x10010008)
+        refuses(tester, pdo, 0x10000020)
+
+
+def test_pdo_31_tpdo_of_an_object_to_be_written(tester: Tester) -> None:
+    for pdo in tpdos(tester):
+        refuses(tester, pdo, *written(tester))
 
 
 def test_pdo_33_rpdo_with_a_dummy(tester: Tester) -> None:
+    bits = {2: 8, 3: 16, 4: 32, 5: 8, 6: 16, 7: 32}
     assert tester.eds.dummies
     for pdo in rpdos(tester):
-        for data_type in sorted(tester.eds.dummies):
-            bits = {2: 8, 3: 16, 4: 32, 5: 8, 6: 16, 7: 32}[data_type]
-            empty(tester, pdo)
-            tester.accept(mapping(pdo, data_type << 16 | bits))
-            tester.accept(f"2F {m(pdo.mapping)} 01")
+        takes(tester, pdo, *(kind << 16 | bits[kind] for kind in sorted(tester.eds.dummies)))
 
 
 @pytest.mark.parametrize("value", ["08 00 02 00", "10 00 03 00", "20 00 07 00"])

@@ -106,18 +106,16 @@ def test_sdo_13_upload_with_a_client_ready_for_segments(tester: Tester) -> None:
     assert tester.upload("00 10 00") == entry.raw(entry.default)
 
 
-def segmented_download(tester: Tester, multiplexer: str, value: str) -> None:
+GUARD_TIME_AND_HEARTBEAT = pytest.mark.parametrize(
+    ("multiplexer", "value"), [(GUARD_TIME, "E8 03"), (HEARTBEAT, "10 27")]
+)
+
+
+@GUARD_TIME_AND_HEARTBEAT
+def test_sdo_14_and_15_segmented_download(tester: Tester, multiplexer: str, value: str) -> None:
     tester.accept(f"21 {multiplexer} 02")
     assert tester.ask(f"0B {value}") == filled("20")
     assert tester.ask(f"40 {multiplexer}") == filled(f"4B {multiplexer} {value}")
-
-
-def test_sdo_14_segmented_download_of_the_guard_time(tester: Tester) -> None:
-    segmented_download(tester, GUARD_TIME, "E8 03")
-
-
-def test_sdo_15_segmented_download(tester: Tester) -> None:
-    segmented_download(tester, HEARTBEAT, "10 27")
 
 
 def test_sdo_16_segmented_upload(tester: Tester) -> None:
@@ -169,12 +167,14 @@ def block_download_of_two(tester: Tester, multiplexer: str, value: str, *, with_
     assert tester.ask(f"40 {multiplexer}") == filled(f"4B {multiplexer} {value}")
 
 
-def test_sdo_20_block_download_of_the_guard_time(tester: Tester) -> None:
-    block_download_of_two(tester, GUARD_TIME, "E8 03", with_crc=False)
+@GUARD_TIME_AND_HEARTBEAT
+def test_sdo_20_and_21_block_download(tester: Tester, multiplexer: str, value: str) -> None:
+    block_download_of_two(tester, multiplexer, value, with_crc=False)
 
 
-def test_sdo_21_block_download(tester: Tester) -> None:
-    block_download_of_two(tester, HEARTBEAT, "10 27", with_crc=False)
+@GUARD_TIME_AND_HEARTBEAT
+def test_sdo_24_and_25_block_download_with_crc(tester: Tester, multiplexer: str, value: str) -> None:
+    block_download_of_two(tester, multiplexer, value, with_crc=True)
 
 
 def test_sdo_22_block_upload(tester: Tester) -> None:
@@ -187,14 +187,6 @@ def test_sdo_23_block_upload_with_crc(tester: Tester) -> None:
     data, end = block_upload(tester, NAME, with_crc=True)
     assert data == the_name(tester)
     assert end[3:8] == little(crc(data), 2)
-
-
-def test_sdo_24_block_download_of_the_guard_time_with_crc(tester: Tester) -> None:
-    block_download_of_two(tester, GUARD_TIME, "E8 03", with_crc=True)
-
-
-def test_sdo_25_block_download_with_crc(tester: Tester) -> None:
-    block_download_of_two(tester, HEARTBEAT, "10 27", with_crc=True)
 
 
 @pytest.mark.parametrize("size", ["80", "FF", "00"])

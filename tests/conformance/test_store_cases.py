@@ -35,13 +35,6 @@ def changed(tester: Tester) -> list[int]:
     return [value for index, (value, _) in SET_UP.items() if tester.eds.has(index)]
 
 
-def refuses(tester: Tester, index: int, sub: int) -> None:
-    set_up(tester)
-    tester.refuse(f"23 {m(index, sub)} {WRONG}", *REFUSED)
-    tester.nmt("81")
-    assert values(tester) != changed(tester)
-
-
 def saves(tester: Tester, sub: int) -> None:
     set_up(tester)
     save(tester, sub)
@@ -49,51 +42,38 @@ def saves(tester: Tester, sub: int) -> None:
     assert values(tester) == changed(tester)
 
 
-def restores(tester: Tester, sub: int) -> None:
+EACH = pytest.mark.parametrize("sub", [ALL, COMMUNICATION])
+
+
+@EACH
+def test_other_01_and_05_a_wrong_signature_saves_nothing(tester: Tester, sub: int) -> None:
+    set_up(tester)
+    tester.refuse(f"23 {m(0x1010, sub)} {WRONG}", *REFUSED)
+    tester.nmt("81")
+    assert values(tester) != changed(tester)
+
+
+@EACH
+def test_other_02_and_06_what_is_saved_comes_back(tester: Tester, sub: int) -> None:
+    saves(tester, sub)
+
+
+@EACH
+def test_other_03_and_07_a_wrong_signature_restores_nothing(tester: Tester, sub: int) -> None:
+    saves(tester, sub)
+    tester.refuse(f"23 {m(0x1011, sub)} {WRONG}", *REFUSED)
+    tester.nmt("81")
+    assert values(tester) == changed(tester)
+
+
+@EACH
+def test_other_04_and_08_defaults_come_with_the_reset(tester: Tester, sub: int) -> None:
     defaults = values(tester)
     saves(tester, ALL)
     command(tester, 0x1011, sub, LOAD)
     assert values(tester) == changed(tester)
     tester.nmt("81")
     assert values(tester) == defaults
-
-
-def test_other_01_a_wrong_signature_saves_nothing(tester: Tester) -> None:
-    refuses(tester, 0x1010, ALL)
-
-
-def test_other_02_what_is_saved_comes_back(tester: Tester) -> None:
-    saves(tester, ALL)
-
-
-def test_other_03_a_wrong_signature_restores_nothing(tester: Tester) -> None:
-    saves(tester, ALL)
-    tester.refuse(f"23 {m(0x1011, ALL)} {WRONG}", *REFUSED)
-    tester.nmt("81")
-    assert values(tester) == changed(tester)
-
-
-def test_other_04_defaults_come_with_the_reset(tester: Tester) -> None:
-    restores(tester, ALL)
-
-
-def test_other_05_a_wrong_signature_saves_no_communication_parameter(tester: Tester) -> None:
-    refuses(tester, 0x1010, COMMUNICATION)
-
-
-def test_other_06_communication_parameters_come_back(tester: Tester) -> None:
-    saves(tester, COMMUNICATION)
-
-
-def test_other_07_a_wrong_signature_restores_no_communication_parameter(tester: Tester) -> None:
-    saves(tester, COMMUNICATION)
-    tester.refuse(f"23 {m(0x1011, COMMUNICATION)} {WRONG}", *REFUSED)
-    tester.nmt("81")
-    assert values(tester) == changed(tester)
-
-
-def test_other_08_defaults_of_communication_parameters_come_with_the_reset(tester: Tester) -> None:
-    restores(tester, COMMUNICATION)
 
 
 def test_other_09_the_date_is_kept_until_a_parameter_changes(tester: Tester) -> None:
