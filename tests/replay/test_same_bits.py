@@ -167,6 +167,14 @@ def test_other_limits_than_those_of_the_log_are_noted() -> None:
         assert note in ReplayResult(replay, None, 0).notes()[0]
 
 
+@pytest.mark.parametrize("times", [False, True])
+def test_sample_times_that_only_the_log_or_the_configuration_has_are_noted(times: bool) -> None:
+    log, _ = live(session(300, speed=0.02))
+    longer = [one._replace(data=one.data + bytes(4)) if one.can_id == ADC_ID else one for one in log]
+    replay, _ = replayed(log if times else longer, times=times)
+    assert f"--set times={str(not times).lower()}" in ReplayResult(replay, None, 0).notes()[0]
+
+
 def test_another_table_is_tried() -> None:
     x = np.arange(64) / 64
     table = CorrectionTable(x + 0.01 * np.sin(2 * np.pi * x))

@@ -62,7 +62,7 @@ class ReplayResult:
 
     def notes(self) -> list[str]:
         """Why the replay may be another one than the recorded module, not for a fault of either."""
-        replay, compared = self.replay, self.replay.compared
+        replay, compared, module = self.replay, self.replay.compared, self.replay.module
         changed = ", ".join(sorted({name for one in compared.values() for name in one.uploads}))
         more = replay.emergencies - sum(
             one.equal + one.different + one.only_recorded
@@ -71,6 +71,14 @@ class ReplayResult:
         )
         moves = replay.begin is not Begin.BOOT_UP and replay.margins.begin_cycles > MOVES_CYCLES
         return those(
+            (
+                module.node.counters.long_rpdos and not module.config.times,
+                "the ADC PDOs are longer than their mapping: have they sample times (--set times=true)?",
+            ),
+            (
+                module.node.counters.short_rpdos and module.config.times,
+                "the ADC PDOs are shorter than their mapping: have they no sample times (--set times=false)?",
+            ),
             (
                 moves,
                 "the log begins in motion, behind the start of the module: --begin, docs/monitor.md",
