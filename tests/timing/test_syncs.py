@@ -62,6 +62,16 @@ def test_a_late_host_loses_nothing_that_waited(overflow: int, stall: int) -> Non
     assert (producer.syncs.late_s, producer.syncs.grid.period) == (0.0, pytest.approx(T, rel=1e-3))
 
 
+@given(seed=st.integers(0, 10_000), mean=st.floats(0.5, 4.0))
+def test_calls_that_waited_together_from_the_start_are_no_other_rate(seed: int, mean: float) -> None:
+    late, syncs, now = random.Random(seed), Syncs(), 0.0
+    syncs.expected_s = lambda: T
+    for n in range(300):
+        now = now + 0.05 if now > n else n + min(late.expovariate(1.0 / mean), 12.0)
+        syncs.sync(BEGIN + now * T, False, None)
+        assert not 0.0 < syncs.grid.period < 0.5 * T
+
+
 @given(stall=st.integers(70, 1000))
 def test_a_host_that_is_late_for_longer_than_its_syncs_were_known_is_doubt(stall: int) -> None:
     assert Producer(stamped=False).sync(60 + stall).doubt >= 1.0

@@ -27,6 +27,7 @@ class SamplingInterval:
         self.samples_per_sync = 1
         # The unit of the speeds of samples that bring their time; 0.0: they bring none.
         self.speed_unit_s = 0.0
+        syncs.expected_s = lambda: self.speed_unit_s * self.samples_per_sync or self.nominal_s
 
     @property
     def nominal_s(self) -> float:

@@ -23,8 +23,7 @@ RPM = 60.0 / (2.0 * math.pi)
 class JitterWatch:
     """Compares the speed with what 4 v j < L - a allows for the measured jitter j (docs/time.md).
 
-    Only receive times that the bus gives measure the SYNC; without them nothing is said. ``warn`` gets
-    one line.
+    Without receive times nothing is said. ``warn`` gets one line.
     """
 
     def __init__(
@@ -50,10 +49,9 @@ class JitterWatch:
     def max_speed_rad_s(self) -> float:
         """The largest speed for this jitter, rad/s; inf without jitter."""
         left = self._limits.in_force.residual_limit - (self._limits.in_force.acceleration or 0.0)
-        jitter_s = self.jitter_s
-        if jitter_s <= 0.0:
+        if self.jitter_s <= 0.0:
             return math.inf
-        return self._max_speed(jitter_s, left) if left > 0.0 else 0.0
+        return self._max_speed(self.jitter_s, left) if left > 0.0 else 0.0
 
     def _max_speed(self, jitter_s: float, left: float) -> float:
         return max_speed(self._cycles_per_revolution.value, jitter_s, left)

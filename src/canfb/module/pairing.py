@@ -86,7 +86,7 @@ class Pairing(ProcessData):
 
     @property
     def timed(self) -> bool:
-        """Each sample brings its time, which says better than any reception how long an interval was."""
+        """Each sample brings its time, better than any reception."""
         source = self._source
         return self._input.timed if source is None else source.source_time_s is not None
 

@@ -279,8 +279,9 @@ class SignalChain:
             if passed != SUSPECT:
                 return self._restarted(sample)
             times.waited += elapsed
-            still = self.begun and not self.lost and not self.slips(times.off)
-            return self.after(sample, elapsed, placed=still)
+            return self.after(
+                sample, elapsed, placed=self.begun and not self.lost and not self.slips(times.off)
+            )
         if passed < times.waited + CLOSEST and times.waited:  # what was waited for did not pass
             return self._restarted(sample, least=float("inf"))
         next_one = elapsed + times.waited < HOLE_INTERVALS

@@ -114,14 +114,17 @@ class Grid:
         elif len(first) >= FIRST and is_regular(first[-FIRST:], 2):
             self.set_again(first[-FIRST:])
 
-    def learn_earliest(self, instant: float) -> None:
-        """The same for instants any of which may be late: the line below them."""
+    def learn_earliest(self, instant: float, expected: float = 0.0) -> None:
+        """The same for instants that may be late: the line below them; not far below ``expected``."""
         first = self._first
         first.append(instant)
-        if len(first) >= CALLS and (len(first) == MOST_CALLS or _is_straight(first)):
-            self.set_again(_lowest(first))
-            self.seen = 2  # the two that it lies on: one of eight calls follows
-            self._find_gains()
+        del first[:-MOST_CALLS]
+        if len(first) == MOST_CALLS or (len(first) >= CALLS and _is_straight(first)):
+            line = _lowest(first)
+            if not _waited(line, first, expected, True):
+                self.set_again(line)
+                self.seen = 2  # the two that it lies on: one of eight calls follows
+                self._find_gains()
 
     def nearest(self, instant: float) -> tuple[int, float]:
         """Places from the last one to the nearest, and how much later than that the instant is."""
@@ -173,23 +176,23 @@ class Grid:
         self._keep(instant, False, ROW)
         return len(self.row) == ROW and is_regular(self.row) and self._is_another
 
-    def refuse_call(self, instant: float, early: bool) -> bool:
+    def refuse_call(self, instant: float, early: bool, expected: float = 0.0) -> bool:
         """The same for one that may be late, but not ``early`` on this grid.
 
         FIRST with early ones are another grid if they lie on a line, and CALLS that are all late; MOST_CALLS
-        of them are it as they are, unless they waited for the host together.
+        are it as they are. None that waited for the host together are.
         """
         self.early += early
         self._keep(instant, False, MOST_CALLS)
         row, enough = self.row, FIRST if self.early > 1 else CALLS
-        if not self.early and row[-1] - row[0] < TOGETHER * self.period * (len(row) - 1):
+        line = _lowest(row) if self.early < 2 and len(row) == MOST_CALLS else row[-enough:]
+        if (
+            len(row) < enough
+            or not _is_straight(line)
+            or _waited(line, row, expected if self.early else self.period, self.early > 1)
+        ):
             return False
-        if self.early < 2 and len(row) == MOST_CALLS:
-            self.row = _lowest(row)
-        elif len(row) >= enough and _is_straight(row[-enough:]):
-            del row[:-enough], self._in_turn[:-enough]
-        else:
-            return False
+        self.row, self._in_turn = line, self._in_turn[-len(line) :]
         return self._is_another
 
     @property
@@ -246,16 +249,22 @@ def _lowest(instants: list[float]) -> list[float]:
         while len(hull) > 1 and _is_above(hull[-2], hull[-1], c):
             hull.pop()
         hull.append(c)
-    middle = (len(instants) - 1) / 2.0
-    (a, left), (b, right) = next(pair for pair in pairwise(hull) if pair[1][0] >= middle)
+    (a, left), (b, right) = next(pair for pair in pairwise(hull) if 2 * pair[1][0] >= len(instants) - 1)
     period = (right - left) / (b - a)
     return [left + (n - a) * period for n in range(len(instants))] if period > 0.0 else instants
 
 
+def _waited(line: list[float], calls: list[float], period: float, early: bool) -> bool:
+    """So fast another grid is only if all MOST_CALLS are, some of them ``early``."""
+    apart, all_apart = ((one[-1] - one[0]) / (len(one) - 1) for one in (line, calls))
+    return apart < TOGETHER * period and (
+        not early or len(calls) < MOST_CALLS or all_apart >= TOGETHER * period
+    )
+
+
 def _is_straight(instants: list[float]) -> bool:
     low = _lowest(instants)
-    most = STRAIGHT * (low[1] - low[0])
-    return all(one - below <= most for one, below in zip(instants, low, strict=True))
+    return all(one - below <= STRAIGHT * (low[1] - low[0]) for one, below in zip(instants, low, strict=True))
 
 
 def _is_above(a: tuple[int, float], b: tuple[int, float], c: tuple[int, float]) -> bool:

@@ -69,6 +69,7 @@ class Syncs:
         "_received_s",
         "_valid_s",
         "begun",
+        "expected_s",
         "extra_after",
         "extra_came",
         "grid",
@@ -87,6 +88,8 @@ class Syncs:
         self._periods = 2
         # Called as (time_s, stamped) with every TOGETHER-th usual SYNC.
         self.on_followed: Callable[[float, bool], None] | None = None
+        # The period that others say, while none is known; 0.0: nobody does.
+        self.expected_s: Callable[[], float] = lambda: 0.0
         self.place = 0
         self.pause()
 
@@ -186,7 +189,7 @@ class Syncs:
             grid.begin(time_s)
             return self._taken(stamped, missing or 0, doubt=1.0)
         if not grid.period:
-            (grid.learn if stamped else grid.learn_earliest)(time_s)
+            grid.learn(time_s) if stamped else grid.learn_earliest(time_s, self.expected_s())
             return self._taken(stamped, missing or 0)
         return (self._by_time if stamped else self._by_order)(time_s, missing)
 
@@ -250,7 +253,6 @@ class Syncs:
         grid, lost = self.grid, missing or 0
         turn = self.overflow if missing is not None else 1
         late_s = time_s - grid.due - lost * grid.period
-        apart_s = time_s - self._received_s
         most = turn - 1 + (HALF if self.late_s or self.extra_came else LATE)
         early, late = late_s < self._early_s(missing is not None), late_s > most * grid.period
         if early and missing:
@@ -262,16 +264,15 @@ class Syncs:
         in_time = not early and not late and not self.extra_came
         if in_time and not doubt:
             grid.is_in_turn(time_s, may_be_late=True)
-        elif grid.refuse_call(time_s, early):
+        elif grid.refuse_call(time_s, early, self.expected_s()):
             return self._relocked(late_s, turn, missing)
-        if early and missing is None and apart_s < FASTER * grid.period:
+        if early and missing is None and time_s - self._received_s < FASTER * grid.period:
             return self._extra(time_s)
         if not late and self.late_s and late_s < HALF * grid.period:
             self.late_s = 0.0  # all came
         elif late or self.late_s:
             self.late_s = max(late_s, grid.period * 1e-9)
-        off = -late_s / grid.period if early else 0.0
-        verdict, _, _ = self._taken(False, lost, off, doubt)
+        verdict, _, _ = self._taken(False, lost, -late_s / grid.period if early else 0.0, doubt)
         if in_time and late_s < LATE * grid.period:  # a host that is late says nothing of the grid
             return verdict, 1 + lost, late_s
         grid.skip(1 + lost)
