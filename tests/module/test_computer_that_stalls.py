@@ -6,7 +6,7 @@ import math
 import random
 import struct
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
@@ -41,6 +41,7 @@ def frames(draw: random.Random, load: float) -> list[tuple[float, float | None]]
 
 
 @examples(25)
+@example(seed=1_413_611_192_142, load=0.1, stamped=False, lost=True)
 @given(
     seed=st.integers(0), load=st.sampled_from([0.01, 0.03, 0.1]), stamped=st.booleans(), lost=st.booleans()
 )
