@@ -1,8 +1,7 @@
 """What every episode begins with: a machine that gets to its speed within its limits, on a healthy wire.
 
-The motions of a servo are moves limited in jerk, reversals and vibration, at a SYNC of 1 kHz: two pairs for
-each SYNC, sample times, a known acceleration and a margin by the measured noise. 2000 rad/s^2 is 0.8
-cycle/T^2 at 2500 cycles, which is 0.2 from pair to pair.
+The motions of a servo are moves limited in jerk, reversals and vibration at a SYNC of 1 kHz, with two pairs,
+sample times and a known acceleration: 2000 rad/s^2 is 0.8 cycle/T^2 at 2500 cycles, 0.2 from pair to pair.
 """
 
 from __future__ import annotations
@@ -62,8 +61,7 @@ def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER, steady
 
 
 def _fastest(plan: Plan) -> float:
-    x = plan.motion.at(np.arange(plan.end))
-    return float(np.abs(np.diff(x)).max(initial=0.0))
+    return float(np.abs(np.diff(plan.motion.at(np.arange(plan.end)))).max(initial=0.0))
 
 
 def _speed(rng: np.random.Generator, limit: float) -> float:
@@ -86,14 +84,16 @@ def _draw_wire(plan: Plan, speed: float, limit: float) -> None:
     plan.jitter_us = float(rng.uniform(0.0, 100.0))
     if plan.options.interval_s < 1e-3:  # such a bus has room for nothing else
         plan.jitter_us, plan.gaussian, plan.busy = plan.jitter_us * 0.25, False, 0.0
-    if setup.times:
-        return
-    # Without sample times the sampling instants must be regular (docs/evidence.md): a locked timer, or
-    # no jitter at all, but for slow machines.
-    plan.locked = bool(rng.uniform() < 0.7)
-    if not plan.locked:
-        room = (0.05 if plan.options.limit is None else 0.02) / 4.0
-        most_us = room / max(abs(speed), limit) / plan.us / 4.0
+    if not setup.times:
+        plan.locked = bool(rng.uniform() < 0.7)
+        _keep_regular(plan, speed, limit)
+
+
+def _keep_regular(plan: Plan, speed: float, limit: float) -> None:
+    """Without sample times only a locked timer may jitter, or a slow machine (docs/evidence.md)."""
+    if not (plan.setup.times or plan.locked):
+        room = 0.05 if plan.options.limit is None else 0.02
+        most_us = room / 16.0 / max(speed, limit) / plan.us
         plan.jitter_us = 0.0 if most_us < 0.5 else min(plan.jitter_us, most_us)
         plan.busy = plan.busy if most_us > 135.0 else 0.0
 
@@ -112,9 +112,9 @@ def torque(plan: Plan, share: float = 0.7) -> None:
     elif kind == 3:  # a step: constant from here on
         plan.motion.push(begin, plan.end, size)
     else:
-        hz = float(rng.uniform(10.0, 200.0))
-        frequency = min(hz * plan.options.interval_s, 0.2)
+        frequency = min(float(rng.uniform(10.0, 200.0)) * plan.options.interval_s, 0.2)
         plan.motion.vibrations.append((begin - 20.0, size, frequency, plan.end))
+    _keep_regular(plan, _fastest(plan), limit)
 
 
 def draw_servo(setup: Setup, rng: np.random.Generator, after: int) -> Plan:
