@@ -15,8 +15,6 @@ import pytest
 from documentation import blocks, page
 from judged_session import check, new_judge
 
-ROOT = Path(__file__).parents[2]
-
 
 def shell_blocks() -> list[str]:
     return re.findall(r"```sh\n(.*?)```", page("vcan"), flags=re.S)
@@ -30,7 +28,8 @@ def python_block(word: str) -> str:
 @pytest.mark.usefixtures("can_utils")
 def test_the_first_session_can_be_pasted(can_bus: can.BusABC, tmp_path: Path) -> None:
     (session,) = [block for block in shell_blocks() if "candump" in block]
-    (tmp_path / "master.py").write_text(python_block("import canopen"))
+    patient = "import canopen\ncanopen.sdo.SdoClient.RESPONSE_TIMEOUT = 30.0\n"
+    (tmp_path / "master.py").write_text(patient + python_block("import canopen"))
     # Both commands are background jobs with the same ends as in a terminal.
     script = "set -m\n" + "\n".join([session, "python master.py", "kill %1 %2", "wait"])
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
