@@ -229,14 +229,17 @@ class Syncs:
         if not on:
             grid.skip(places)
             return self._taken(True, places - 1, abs(off_s) / grid.period)
-        verdict, _, _ = self._taken(True, places - 1)
+        # A line through a few instants that jitter may be off by a place.
+        verdict, _, _ = self._taken(
+            True, places - 1, doubt=float(places > 1 and missing is None and not grid.locked)
+        )
         return verdict, places, off_s
 
     def _extra(self, time_s: float) -> Judged:
         self._received_s, self.extra_came = time_s, True
         self.extra_after = abs(time_s - self.synced_s) / self.grid.period
         # Its answer came before it.
-        return SyncVerdict(extra=True, doubt=1.0) if self._assumed else EXTRA, 0, 0.0
+        return EXTRA._replace(doubt=float(self._assumed or (self.stamped and not self.grid.locked))), 0, 0.0
 
     def _set_again(self, places: int, off_s: float, missing: int | None) -> Judged:
         grid, before_s = self.grid, self.grid.period
