@@ -122,7 +122,7 @@ def test_the_default_bus_is_remembered_and_said(
     assert command.said.err == f"canfb: bus: virtual {CHANNEL} (canfb use)\n"
     other = tmp_path / "other.yaml"
     other.write_text("bus: {interface: virtual, channel: other}\nmodules: [{node_id: 32}]\n")
-    assert sent("node start all --config", other) == [], "a configuration goes before it"
+    assert sent("node start all --config", other) == [], "the configuration takes precedence"
     assert sent("node start all -c other") == [], "and so do options"
     monkeypatch.setenv("CAN_CHANNEL", "other")
     assert sent("node start all") == [], "and so does the environment"
