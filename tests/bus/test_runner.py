@@ -94,7 +94,12 @@ def test_boot_ups_and_answers_to_answers_come_in_order_and_nobody_hears_himself(
     other = bench.device(
         answer=lambda frame: [Frame(0x201, b"")] if frame.can_id == 0x101 else [], boot=(Frame(0x702, b"\0"),)
     )
+    bench.bus.refuse = lambda at: bench.clock.sleep(0.003)  # sending wakes others, who go first
     bench.run([one, other], 0.05)
+    left_s = {message.arbitration_id: 999.997 + at for at, message in bench.bus.sent}
+    assert [at for at, frame in one.heard + other.heard if frame.can_id != 0x100] == pytest.approx(
+        [left_s[can_id] for can_id in (0x702, 0x201, 0x701, 0x101, 0x102)]
+    )
     assert bench.bus.sent_ids() == [0x701, 0x702, 0x101, 0x102, 0x201]
     assert one.heard_ids() == [0x702, 0x100, 0x201]
     assert other.heard_ids() == [0x701, 0x101, 0x102, 0x100]

@@ -254,10 +254,10 @@ class Runner:
         while queue:
             origin, frames = queue.popleft()
             for frame in frames:
+                self._now = now = self._clock()  # who hears it of us hears it as it leaves, not behind others
                 send(origin, frame)
                 for other in dispatch.listeners(frame):
                     if other is not origin:
-                        self._now = now = self._clock()
                         answers = self._called(other, other.receive, frame, now)
                         if answers:
                             queue.append((other, answers))
