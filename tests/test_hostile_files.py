@@ -15,9 +15,9 @@ from canfb.eds_files import eds_path
 from canfb.errors import CanfbError, ConfigError
 from canfb.master.samples import read_npz, read_speed
 from canfb.module.module_config import ModuleConfig
-from canfb.sdo.backup_file import read_backup
+from canfb.sdo.backups import read_backup
 from canfb.sdo.object_description import ObjectDescriptions
-from canfb.sdo.table_file import as_yaml, read_table
+from canfb.sdo.tables import as_yaml, read_table
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.sources import tracks_file

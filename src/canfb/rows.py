@@ -10,6 +10,7 @@ with what is said of them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,10 @@ class Result:
 
     figures: Any
     lines: list[str]
+
+
+def finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def those(*said: tuple[object, str]) -> list[str]:

@@ -22,7 +22,7 @@ from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import Provenance
 from canfb.master.samples import TrackSamples, read_npz
-from canfb.sdo.table_file import read_table
+from canfb.sdo.tables import read_table
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.supervision import SampleLimits

@@ -18,7 +18,7 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import put_in_force, read_active, read_conditioning
 from canfb.master.samples import TrackSamples
-from canfb.sdo.table_file import as_yaml, read_table_file
+from canfb.sdo.tables import as_yaml, read_table_file
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic

@@ -31,10 +31,8 @@ from canfb.master.samples import TrackSamples
 from canfb.module.device_configuration import configuration_of, read_configuration, restored_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.objects import Multiplexer
-from canfb.sdo.backup_file import Backup
-from canfb.sdo.backup_tasks import Restored, RestoreOptions, Restoring
-from canfb.sdo.table_file import TableFile
-from canfb.sdo.table_tasks import TableTasks
+from canfb.sdo.backups import Backup, Restored, RestoreOptions, Restoring
+from canfb.sdo.tables import TableFile, TableTasks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, Bench

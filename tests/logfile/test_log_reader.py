@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
-from canfb.logfile import candump
-from canfb.logfile.in_order import WINDOW_S, InOrder
-from canfb.logfile.log_files import LogError
+from canfb.logfile import log_reader
+from canfb.logfile.in_order import WINDOW_S, in_order
+from canfb.logfile.log_files import LogCounters, LogError
 from canfb.logfile.log_reader import BusLogFile
 from drawing import examples
 from fake_bus import message
@@ -217,12 +217,12 @@ def test_an_object_without_a_length_ends_a_blf(tmp_path: Path) -> None:
 
 
 def test_a_line_that_does_not_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(candump, "BLOCK_BYTES", 1000)
+    monkeypatch.setattr(log_reader, "BLOCK_BYTES", 1000)
     path = tmp_path / "a.log.gz"
     path.write_bytes(gzip.compress(b"(1.0) can0 080#\n" + bytes(100_000) + b"\n(2.0) can0 081#\n"))
     log = BusLogFile(path)
     with gzip.open(path) as file:
-        assert max(len(block) for _, block in candump.blocks_of(file, log.counters)) <= 2002
+        assert max(len(block) for _, block in log_reader.blocks_of(file, log.counters)) <= 2002
     assert [frame.can_id for frame in log] == [0x80, 0x81]
     assert log.counters.damaged_lines > 50
 
@@ -257,9 +257,9 @@ def cyclic(number: int, begin_s: float = 100.0) -> list[Frame]:
     ]
 
 
-def in_order(frames: list[Frame], size: int) -> list[Frame]:
+def put_in_order(frames: list[Frame], size: int) -> list[Frame]:
     batches = [frames[n : n + size] for n in range(0, len(frames), size)]
-    return [frame for batch in InOrder().sorted(batches) for frame in batch]
+    return [frame for batch in in_order(batches, LogCounters()) for frame in batch]
 
 
 def stamps(frames: list[Frame]) -> list[float]:
@@ -283,7 +283,7 @@ def test_frames_that_were_written_late_get_their_places(
         if n % every == every - 1:
             at = (frame.timestamp or 0.0) - late_s
             written_down += [Frame(0x705, b"", False, at + k * 1e-5) for k in range(burst)]
-    found = in_order(written_down, size)
+    found = put_in_order(written_down, size)
     assert stamps(found) == sorted(stamps(written_down))
     assert [frame for frame in found if frame.can_id != 0x705] == own
 
@@ -294,10 +294,10 @@ def test_a_clock_that_was_set_back_keeps_the_order(back_s: float, size: int) -> 
     frames = cyclic(500)
     at = 100.5 - back_s
     both = [*frames, *cyclic(500, at)]
-    assert in_order(both, size) == both
+    assert put_in_order(both, size) == both
 
 
 def test_stamps_that_are_no_numbers_stay_where_they_are() -> None:
     for bad in (None, float("nan"), float("inf")):
         frames = [*cyclic(5), Frame(1, b"", False, bad), *cyclic(5, 101.0)]
-        assert [frame.can_id for frame in in_order(frames, 3)] == [frame.can_id for frame in frames]
+        assert [frame.can_id for frame in put_in_order(frames, 3)] == [frame.can_id for frame in frames]

@@ -17,7 +17,7 @@ from canfb.errors import CanfbError
 from canfb.logs import folder_replay
 from canfb.logs.folder_replay import do_work, work_of
 from canfb.logs.log_replay import COLUMNS, LogJob, ReplayOptions, Row, rows_of
-from canfb.logs.published_files import read_rows
+from canfb.logs.replay_files import read_rows
 from replay_kit import Planned, adc, config, live, session, write_log
 
 pytest.importorskip("pyarrow")

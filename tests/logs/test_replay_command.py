@@ -18,12 +18,12 @@ from canfb.cli.main import main
 from canfb.device.storage.storage import MemoryStore
 from canfb.hosting.state_files import StateFiles
 from canfb.objects import StatusBit
-from canfb.replay.sample_columns import COLUMNS
-from canfb.sdo.table_file import as_yaml
+from canfb.replay.findings import COLUMNS
+from canfb.sdo.tables import as_yaml
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
 from html_page import Page
-from replay_kit import NODE_ID, adc, contents, live, session, write_log
+from replay_kit import NODE_ID, adc, contents, live, sdo_write, session, write_log
 
 SAMPLES = 300
 
@@ -101,8 +101,6 @@ def test_a_table_and_other_settings_are_tried(
 
 
 def test_saved_parameters_are_read_and_stay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from replay_kit import sdo_write
-
     store = MemoryStore()
     plan = [(0.01, sdo_write(0x2001, 4, b"\xa0\x0f")), (0.02, sdo_write(0x1010, 1, b"save"))]
     live(plan, store)
@@ -114,21 +112,8 @@ def test_saved_parameters_are_read_and_stay(tmp_path: Path, capsys: pytest.Captu
     plan[400] = (plan[400][0], adc(0.1, 3000.0))
     frames, sent = live(plan, store)
     log = write_log(tmp_path / "bus.log", frames)
-    assert (
-        main(
-            [
-                "log",
-                "replay",
-                str(log),
-                "--json",
-                "--state",
-                str(state),
-                "--frames",
-                str(tmp_path / "sent.log"),
-            ]
-        )
-        == 0
-    )
+    words = ["--json", "--state", str(state), "--frames", str(tmp_path / "sent.log")]
+    assert main(["log", "replay", str(log), *words]) == 0
     (module,) = figures(capsys)["modules"]
     assert module["margins"]["amplitude_high"]["limit"] == 4000.0
     again = list(can.LogReader(tmp_path / "sent.log"))
@@ -270,9 +255,7 @@ def test_what_cannot_be_is_one_line(
     monkeypatch.chdir(tmp_path)
     write_log(Path("bus.log"), live(session(20))[0])
     Path("empty.log").touch()
-    for name in ("words.log", "words.blf", "words.asc"):
-        Path(name).write_text("no log\nat all\n")
-    Path("words.log.gz").write_bytes(b"no gzip")
+    Path("words.asc").write_text("no log\nat all\n")
     Path("source.yaml").write_text("modules: [{node_id: 32, source: {kind: motion}}]\n")
     before = sorted(Path().iterdir())
     assert main(["log", "replay", *words]) == code

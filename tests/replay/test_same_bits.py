@@ -15,9 +15,9 @@ from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.logs.log_replay import ReplayOptions, replay_log
 from canfb.objects import StatusBit
+from canfb.replay.findings import Block
 from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.replay_result import ReplayResult
-from canfb.replay.sample_columns import Block
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
 from drawing import examples

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
 from canfb.master.access import CommissioningError
-from canfb.sdo.backup_file import Backup, NodeIdentity, backup_text, read_backup
+from canfb.sdo.backups import Backup, NodeIdentity, backup_text, read_backup
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import value_range
 from canfb.signal.correction import CorrectionTable

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.all_or_nothing import put_in_force, read_active
-from canfb.sdo.table_file import as_yaml, difference, read_table_file
+from canfb.sdo.tables import as_yaml, difference, read_table_file
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, Bench

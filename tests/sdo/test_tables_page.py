@@ -11,9 +11,9 @@ from canfb.cia301.nmt import NmtState
 from canfb.cli import node_command
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
-from canfb.sdo.backup_file import read_backup
+from canfb.sdo.backups import read_backup
 from canfb.sdo.object_description import ObjectDescriptions
-from canfb.sdo.table_file import as_yaml
+from canfb.sdo.tables import as_yaml
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import Bench

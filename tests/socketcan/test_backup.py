@@ -10,7 +10,7 @@ import numpy as np
 from network import NODE_ID, Master, wait_for_boot_up, write_config
 from pace import Pace
 
-from canfb.sdo.table_file import as_yaml
+from canfb.sdo.tables import as_yaml
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from processes import Process

@@ -33,9 +33,9 @@ from canfb.master.samples import read_npz, read_speed
 from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.sdo.backup_file import Backup, NodeIdentity, backup_text, read_backup
+from canfb.sdo.backups import Backup, NodeIdentity, backup_text, read_backup
 from canfb.sdo.object_description import ObjectDescriptions
-from canfb.sdo.table_file import as_yaml, read_table_file
+from canfb.sdo.tables import as_yaml, read_table_file
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.sources.recording_source import RecordingLayout, open_recording

@@ -20,7 +20,7 @@ from canfb.report import pictures
 from canfb.report.page import beside, figure, gallery, page, section, sentence, table
 from canfb.report.pictures import is_dense, lissajous
 from canfb.rows import Row
-from canfb.sdo.table_file import as_yaml
+from canfb.sdo.tables import as_yaml
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits
 

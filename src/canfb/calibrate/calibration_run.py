@@ -51,7 +51,7 @@ from canfb.master.machine_watch import (
 from canfb.master.samples import TrackSamples
 from canfb.master.session import Session
 from canfb.rows import Result
-from canfb.sdo.table_file import read_table
+from canfb.sdo.tables import read_table
 from canfb.signal.correction import NO_CORRECTION, Correction
 from canfb.signal.supervision import SampleLimits
 

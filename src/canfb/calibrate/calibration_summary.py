@@ -14,7 +14,7 @@ from canfb.calibration.result import Calibration
 from canfb.master.machine_watch import PERCENT, Provenance, percent, where_words
 from canfb.master.samples import TrackSamples
 from canfb.rows import Findings, Result, Row, Section, as_figures, as_lines
-from canfb.sdo.table_file import conditioning_in_words, conditioning_words, table_words
+from canfb.sdo.tables import conditioning_in_words, conditioning_words, table_words
 from canfb.signal.correction import Correction
 
 SAME_DELAY = 1e-3  # relative: REAL32

@@ -21,8 +21,16 @@ from canfb.module.device_configuration import (
     restored_configuration,
 )
 from canfb.module.parameters import EDS
-from canfb.sdo.backup_file import Backup, NodeIdentity, backup_text, read_backup
-from canfb.sdo.backup_tasks import RestoreOptions, Restoring, backup_result, restored_result
+from canfb.sdo.backups import (
+    Backup,
+    NodeIdentity,
+    RestoreOptions,
+    Restoring,
+    backup_result,
+    backup_text,
+    read_backup,
+    restored_result,
+)
 from canfb.sdo.object_description import ObjectDescriptions
 
 

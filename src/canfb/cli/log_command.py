@@ -34,14 +34,12 @@ from canfb.hosting.readiness import Readiness
 from canfb.logfile.bus_log import BusLog
 from canfb.logs.folder_replay import check_table, do_work, work_of
 from canfb.logs.log_replay import ReplayOptions, replay_log
-from canfb.logs.published_files import published
-from canfb.logs.replay_page import write_page
+from canfb.logs.replay_files import published, write_page
 from canfb.module.module_config import ModuleConfig
-from canfb.replay.findings import KINDS, Overview
+from canfb.replay.findings import KINDS, Block, Overview
 from canfb.replay.module_replay import Begin
-from canfb.replay.sample_columns import Block
 from canfb.rows import Result, as_figures, as_lines
-from canfb.sdo.table_file import read_table
+from canfb.sdo.tables import read_table
 
 DEFAULT_MODULE = 0x20
 OF_A_FILE = ("frames", "report", "json"), "is for one log, not for a folder"

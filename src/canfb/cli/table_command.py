@@ -14,8 +14,7 @@ from canfb.errors import ConfigError
 from canfb.files import check_writable
 from canfb.master.access import NodeAccess
 from canfb.rows import Result
-from canfb.sdo.table_file import TableState, read_table_file
-from canfb.sdo.table_tasks import TableTasks
+from canfb.sdo.tables import TableState, TableTasks, read_table_file
 
 FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
 

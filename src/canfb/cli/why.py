@@ -23,9 +23,8 @@ from canfb.cli.options import (
 )
 from canfb.cli.subjects import nodes, positive, whole_number
 from canfb.configuration import ANY_NODES, Config, load_config
-from canfb.diagnosis.lost import read_lost_position
+from canfb.diagnosis.lost import decoded, read_lost_position
 from canfb.diagnosis.nodes_on_bus import frame_counts, node_facts, scan
-from canfb.diagnosis.status_word import decoded
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import CanfbError, ConfigError
 from canfb.files import check_writable, write_whole

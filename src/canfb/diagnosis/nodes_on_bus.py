@@ -19,7 +19,7 @@ from canfb.cia301.datatypes import DataType
 from canfb.cia301.nmt import NmtState
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, Master, NodeAccess, RefusedError, subscribed
-from canfb.master.node_state import state_in
+from canfb.master.node_state import GUARD_TIME, state_in
 from canfb.rows import those
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import Reading, described_by
@@ -27,7 +27,6 @@ from canfb.sdo.sdo_tasks import Reading, described_by
 NODES = range(1, 128)
 EVERY = 16  # requests at once: adapters have short queues
 PAUSE_S = 0.005
-GUARD_TIME = (0x100C, 0)
 DEVICE_NAME = (0x1008, 0)
 STATE_S = 0.05  # for the answer to a remote frame
 REQUEST = struct.pack("<BHB4x", 0x40, *od.DEVICE_TYPE)
@@ -86,7 +85,7 @@ def scan(master: Master, listen_s: float) -> list[FoundNode]:
         found = []
         for node in sorted(answers | set(states)):
             access = NodeAccess(master, node, "node")
-            if node in answers and node not in states and not _number(access, *GUARD_TIME, "H"):
+            if node in answers and node not in states and not access.integer_if_there(GUARD_TIME, "H"):
                 master.request(cob.ERROR_CONTROL + node)
                 master.wait(STATE_S)
             state = states.get(node)
@@ -95,8 +94,8 @@ def scan(master: Master, listen_s: float) -> list[FoundNode]:
 
 
 def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
-    vendor, product, revision, serial = (_number(node, *place, "I") for place in od.IDENTITY)
-    device_type = _number(node, *od.DEVICE_TYPE, "I") or 0
+    vendor, product, revision, serial = (node.integer_if_there(place, "I") for place in od.IDENTITY)
+    device_type = node.integer_if_there(od.DEVICE_TYPE, "I") or 0
     try:
         name = node.read_bytes(*DEVICE_NAME).decode("latin-1").rstrip("\0").strip()
     except CommissioningError:
@@ -107,13 +106,6 @@ def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
 
 def _state(state: NmtState | None) -> str | None:
     return None if state is None else state.name.replace("_", "-")
-
-
-def _number(node: NodeAccess, index: int, subindex: int, layout: str) -> int | None:
-    try:
-        return node.integer(index, subindex, layout)
-    except CommissioningError:
-        return None
 
 
 def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> dict[str, Any]:

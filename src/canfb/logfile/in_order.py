@@ -14,6 +14,7 @@ from itertools import accumulate, chain, repeat
 from operator import itemgetter, le
 
 from canfb.cia301.frame import Frame
+from canfb.logfile.log_files import LogCounters
 
 WINDOW_S = 1.0
 """A frame later than this does not get its place; it is taken as if it had come when it was written."""
@@ -22,56 +23,52 @@ LOOK_BEHIND = 8  # older frames: late ones stand among those before a step
 MOST_HELD = 1 << 16  # frames: stamps that stand still come to an end as well
 
 
-class InOrder:
-    """``late`` counts the frames that got another place."""
+def in_order(batches: Iterable[list[Frame]], counters: LogCounters) -> Iterator[list[Frame]]:
+    """The same frames; their stamps (seconds, of any clock) go back where the clock was set, and nowhere
+    else. Frames with the same stamp keep their order, and those whose stamp is no number their place.
+    """
+    held: list[Frame] = []
+    for batch, end in chain(zip(batches, repeat(False)), [([], True)]):
+        held += batch
+        again = True
+        while held and again:
+            ready, held, again = _ready(held, end, counters)
+            yield ready
 
-    def __init__(self) -> None:
-        self.late = 0
 
-    def sorted(self, batches: Iterable[list[Frame]]) -> Iterator[list[Frame]]:
-        """The same frames; their stamps (seconds, of any clock) go back where the clock was set, and nowhere
-        else. Frames with the same stamp keep their order, and those whose stamp is no number their place.
-        """
-        held: list[Frame] = []
-        for batch, end in chain(zip(batches, repeat(False)), [([], True)]):
-            held += batch
-            again = True
-            while held and again:
-                ready, held, again = self._ready(held, end)
-                yield ready
+def _ready(frames: list[Frame], end: bool, counters: LogCounters) -> tuple[list[Frame], list[Frame], bool]:
+    """Frames that are in order, those held back, and whether the first of these begins a set clock."""
+    stamps = _stamps(frames)
+    if all(map(le, stamps, stamps[1:])):
+        cut = len(frames) if end else bisect_left(stamps, stamps[-1] - WINDOW_S)
+        return frames[:cut], frames[cut:], False
+    newest, looked_to = -math.inf, 0
+    for n, stamp in enumerate(stamps):
+        if stamp < newest and n >= looked_to:
+            was_set, looked_to = _clock_was_set(frames, stamps, n, newest)
+            if looked_to == len(frames) and not end and len(frames) - n < MOST_HELD:  # undecided
+                ready, held = _sorted(frames[:n], stamps[:n], newest - WINDOW_S, counters)
+                return ready, held + frames[n:], False
+            if was_set:
+                return _sorted(frames[:n], stamps[:n], math.inf, counters)[0], frames[n:], True
+        newest = max(newest, stamp)
+    ready, held = _sorted(frames, stamps, math.inf if end else newest - WINDOW_S, counters)
+    return ready, held, False
 
-    def _ready(self, frames: list[Frame], end: bool) -> tuple[list[Frame], list[Frame], bool]:
-        """Frames that are in order, those held back, and whether the first of these begins a set clock."""
-        stamps = _stamps(frames)
-        if all(map(le, stamps, stamps[1:])):
-            cut = len(frames) if end else bisect_left(stamps, stamps[-1] - WINDOW_S)
-            return frames[:cut], frames[cut:], False
-        newest, looked_to = -math.inf, 0
-        for n, stamp in enumerate(stamps):
-            if stamp < newest and n >= looked_to:
-                was_set, looked_to = _clock_was_set(frames, stamps, n, newest)
-                if looked_to == len(frames) and not end and len(frames) - n < MOST_HELD:  # undecided
-                    ready, held = self._sort(frames[:n], stamps[:n], newest - WINDOW_S)
-                    return ready, held + frames[n:], False
-                if was_set:
-                    return self._sort(frames[:n], stamps[:n], math.inf)[0], frames[n:], True
-            newest = max(newest, stamp)
-        ready, held = self._sort(frames, stamps, math.inf if end else newest - WINDOW_S)
-        return ready, held, False
 
-    def _sort(
-        self, frames: list[Frame], stamps: list[float], limit_s: float
-    ) -> tuple[list[Frame], list[Frame]]:
-        ready, held = [], []
-        for frame, stamp, newest in zip(frames, stamps, accumulate(stamps, max), strict=True):
-            if newest - stamp > WINDOW_S:
-                frame, stamp = frame._replace(timestamp=newest), newest
-            if stamp < limit_s:
-                self.late += stamp < newest
-                ready.append((stamp, frame))
-            else:
-                held.append(frame)
-        return [frame for _, frame in sorted(ready, key=itemgetter(0))], held
+def _sorted(
+    frames: list[Frame], stamps: list[float], limit_s: float, counters: LogCounters
+) -> tuple[list[Frame], list[Frame]]:
+    ready, held = [], []
+    for frame, stamp, newest in zip(frames, stamps, accumulate(stamps, max), strict=True):
+        if newest - stamp > WINDOW_S:
+            frame, stamp = frame._replace(timestamp=newest), newest
+        if stamp < limit_s:
+            counters.late += stamp < newest
+            ready.append((stamp, frame))
+        else:
+            held.append(frame)
+    return [frame for _, frame in sorted(ready, key=itemgetter(0))], held
 
 
 def _stamps(frames: list[Frame]) -> list[float]:

@@ -18,7 +18,7 @@ from canfb.errors import CanfbError, ConfigError, reason
 from canfb.files import check_writable, replacing, writing
 from canfb.logfile.log_files import is_log
 from canfb.logs.log_replay import COLUMNS, LogJob, ReplayOptions, Row, failed_rows, job_of, rows_of
-from canfb.logs.published_files import read_rows, write_rows
+from canfb.logs.replay_files import read_rows, write_rows
 
 
 def check_table(out: Path) -> Path:

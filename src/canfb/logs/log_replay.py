@@ -17,10 +17,9 @@ from canfb.hosting.state_files import SavedParameters
 from canfb.logfile.log_files import LogError
 from canfb.logfile.log_reader import BusLogFile
 from canfb.module.module_config import ModuleConfig
-from canfb.replay.findings import KINDS, DriftTracks
+from canfb.replay.findings import KINDS, Block, DriftTracks
 from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.replay_result import ReplayResult
-from canfb.replay.sample_columns import Block
 from canfb.signal.correction import Correction
 
 

@@ -160,6 +160,13 @@ class NodeAccess:
     def integer(self, index: int, subindex: int, layout: str) -> int:
         return int(self.read(index, subindex, layout))
 
+    def integer_if_there(self, place: od.Multiplexer, layout: str) -> int | None:
+        """None also where the node does not answer."""
+        try:
+            return self.integer(*place, layout)
+        except CommissioningError:
+            return None
+
     def read_known(self, place: od.Multiplexer) -> int | float | None:
         """A number, or None where it is refused."""
         try:

@@ -235,7 +235,8 @@ def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress:
     data = node.upload_domain(
         *od.RECORDING_SAMPLES, lambda part: progress(UPLOAD_PART + (1.0 - UPLOAD_PART) * part)
     )
-    return TrackSamples.from_bytes(data, _rate(node) or rate_hz, f"recording 2050h of {node.name}")
+    known_hz = float(node.integer_if_there(od.RECORDING_RATE, "I") or 0.0)
+    return TrackSamples.from_bytes(data, known_hz or rate_hz, f"recording 2050h of {node.name}")
 
 
 def _wait(node: NodeAccess, duration_s: float, progress: Progress) -> None:
@@ -250,10 +251,3 @@ def _wait(node: NodeAccess, duration_s: float, progress: Progress) -> None:
             count, grown = now_there, master.now()
         elif master.now() - grown > (STANDING_S if count else EMPTY_S):
             return  # the memory is full, or nothing samples
-
-
-def _rate(node: NodeAccess) -> float | None:
-    try:
-        return float(node.integer(*od.RECORDING_RATE, "I")) or None
-    except CommissioningError:
-        return None

@@ -18,7 +18,7 @@ from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.master.access import CommissioningError, Master, NodeAccess, subscribed
 from canfb.objects import StatusBit
 
-HEARTBEAT_TIME, GUARD_TIME = (0x1017, 0), (0x100C, 0)
+HEARTBEAT_TIME, GUARD_TIME = od.Multiplexer(0x1017), od.Multiplexer(0x100C)
 LATE = 1.5  # periods within which a heartbeat, or a response to another master, is heard
 ANSWER_S = 0.1
 ASKED = 3  # times, as a remote frame may be lost

@@ -28,6 +28,7 @@ from canfb.signal.chain_config import MOST_CORNER_HZ, ChainConfig, ChainLimits
 from canfb.signal.residual_noise import ResidualNoise
 from canfb.signal.supervision import SampleLimits
 from canfb.view.limits_in_force import LIMIT_UNITS, limit_settings
+from canfb.view.pdo_map import values_of
 
 EDS = "canfb-module"
 Values = dict[tuple[int, int], Any]  # of objects, by index and sub-index
@@ -260,12 +261,9 @@ class Limits:
         if self._margin.value and not abs(usable - applied) <= SAME_NOISE * applied:
             self.apply()
 
-    def _read(self, place: tuple[int, int]) -> Any:
-        entry = self._dictionary.find(*place)
-        return None if entry is None else entry.value
-
     def apply(self) -> None:
-        read, per_sync = self._read, self.interval.samples_per_sync
+        read: Any = values_of(self._dictionary.find)
+        per_sync = self.interval.samples_per_sync
         self._applied_s = known_s = self.interval.known_s
         self._applied_noise = usable = self.noise.usable_cycles
         cycles_per_revolution = read(od.ENCODER_CYCLES_PER_REVOLUTION)

@@ -15,12 +15,10 @@ from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.module.parameters import factory_dictionary
 from canfb.objects import Multiplexer
 from canfb.view.limits_in_force import NOTHING_NARROWS, LimitSettings, limit_settings
-from canfb.view.pdo_map import Number, Pdo, Read, valid_pdos
+from canfb.view.pdo_map import Number, Pdo, Read, valid_pdos, values_of
 
 if TYPE_CHECKING:
     from canfb.signal.correction import Correction
-
-EMCY_COB_ID = Multiplexer(0x1014)
 
 VALUES: dict[Multiplexer, str] = {
     od.POSITION_VALUE: "I",
@@ -118,7 +116,7 @@ def layout_of(node_id: int, read: Read, origin: Origin) -> NodeLayout:
         tpdos=_pdos(read, od.TPDO, od.TPDO_MAPPING, VALUES),
         inputs=_pdos(read, od.RPDO, od.RPDO_MAPPING, INPUTS),
         sync_id=integer(od.SYNC_COB_ID, cob.SYNC) & cob.CAN_ID,
-        emcy_id=integer(EMCY_COB_ID, cob.EMERGENCY + node_id) & cob.CAN_ID,
+        emcy_id=integer(od.EMCY_COB_ID, cob.EMERGENCY + node_id) & cob.CAN_ID,
         cycles_per_revolution=integer(od.ENCODER_CYCLES_PER_REVOLUTION, 2500),
         units_per_revolution=integer(od.UNITS_PER_REVOLUTION, 0),
         total_range=integer(od.TOTAL_RANGE, 0),
@@ -194,10 +192,4 @@ class Recognition:
 
 
 def _reader(config: ModuleConfig) -> Read:
-    dictionary = factory_dictionary(config, samples_itself=config.source is not None)
-
-    def read(place: Multiplexer) -> Number | None:
-        entry = dictionary.find(*place)
-        return None if entry is None else entry.value
-
-    return read
+    return values_of(factory_dictionary(config, samples_itself=config.source is not None).find)

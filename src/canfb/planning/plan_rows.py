@@ -26,7 +26,7 @@ from canfb.planning.hints import PlanChange
 from canfb.planning.plan import RPM, CountDetection, Plan, ResidualBudget, over
 from canfb.planning.planned_module import PlannedModule
 from canfb.planning.traffic import BusLoad, Message
-from canfb.rows import Row, as_figures, those
+from canfb.rows import Row, as_figures, finite, those
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.front_end import LARGEST_RAD, FrontEnd
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES
@@ -42,7 +42,7 @@ def plan_figures(plan: Plan, changes: list[PlanChange]) -> dict[str, Any]:
         "tightest": {
             "limit": tight.limited.value,
             "node_id": None if tight.module is None else tight.module.node_id,
-            "margin": _finite(tight.factor),
+            "margin": finite(tight.factor),
         },
         "bus": as_figures(_bus_rows(plan.bus)),
         "modules": [as_figures(_module_rows(budget), coverage_rows(budget)) for budget in plan.budgets],
@@ -75,12 +75,8 @@ def _factor(factor: float) -> str:
     return f"{math.floor(factor * 10**digits + 1e-6) / 10**digits:.{digits}f}"
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def _margin(limit: float, value: float | None) -> float | None:
-    return None if value is None else _finite(over(limit, value))
+    return None if value is None else finite(over(limit, value))
 
 
 # The bus.
@@ -117,7 +113,7 @@ def _bus_rows(bus: BusLoad) -> list[Row]:
             f"{100.0 * bus.load:.1f} of 100 %",
             margin,
             load=bus.load,
-            margin=_finite(margin),
+            margin=finite(margin),
         ),
         Row(
             "SYNC rate",
@@ -189,7 +185,7 @@ def _module_rows(budget: ResidualBudget) -> list[Row]:
             table=module.has_table,
             residual_limit_cycles=budget.limit_cycles,
             noise_margin=module.settings.noise_margin,
-            measured_noise_cycles=_finite(budget.measured_noise_cycles),
+            measured_noise_cycles=finite(budget.measured_noise_cycles),
             sync_jitter_s=budget.sync_jitter_s,
         ),
         _speed_row(budget, speed),
@@ -201,8 +197,8 @@ def _module_rows(budget: ResidualBudget) -> list[Row]:
             f"{budget.needed_cycles:.3f} of {budget.limit_cycles:.3f} cycle",
             budget.margin,
             residual={
-                "needed_cycles": _finite(budget.needed_cycles),
-                "parts_cycles": {what: _finite(cycles) for what, cycles in budget.parts_cycles.items()},
+                "needed_cycles": finite(budget.needed_cycles),
+                "parts_cycles": {what: finite(cycles) for what, cycles in budget.parts_cycles.items()},
                 "margin": budget.margin,
             },
         ),
@@ -214,9 +210,9 @@ def _module_rows(budget: ResidualBudget) -> list[Row]:
 def _speed_row(budget: ResidualBudget, given: float | None) -> Row:
     largest = budget.largest_speed_rad_s
     figures = {
-        "stated_rpm": None if given is None else _finite(given * RPM),
-        "largest_rpm": _finite(largest * RPM),
-        "equation_rpm": _finite(budget.equation_speed_rad_s * RPM),
+        "stated_rpm": None if given is None else finite(given * RPM),
+        "largest_rpm": finite(largest * RPM),
+        "equation_rpm": finite(budget.equation_speed_rad_s * RPM),
         "margin": _margin(largest, given),
     }
     return _limited_row("speed", "rpm", given and given * RPM, largest * RPM, speed=figures)
@@ -271,10 +267,10 @@ def _motion_rows(budget: ResidualBudget) -> list[Row]:
     needs = "no SYNC rate is enough" if math.isinf(least) else f"a SYNC of {least:.4g} Hz or more is needed"
     acceleration = {
         "stated_rad_s2": asked,
-        "largest_rad_s2": _finite(largest),
+        "largest_rad_s2": finite(largest),
         "equation_12_rad_s2": budget.equation_rad_s2,
         "equation_10_rad_s2": budget.paper_rad_s2,
-        "least_sync_hz": _finite(least),
+        "least_sync_hz": finite(least),
         "margin": _margin(largest, asked),
     }
     equations = f"eq. 12 alone allows {budget.equation_rad_s2:.4g}, eq. 10 {budget.paper_rad_s2:.4g}"

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from canfb.replay.findings import KINDS, Extreme, LogDrift
-from canfb.replay.module_replay import Begin, ModuleReplay
-from canfb.replay.own_frames import OwnFrames
-from canfb.rows import Row, as_figures, as_lines, those
+from canfb.replay.module_replay import Begin, ModuleReplay, OwnFrames
+from canfb.rows import Row, as_figures, as_lines, finite, those
 
 RPM = 60.0 / (2.0 * math.pi)
 SHOWN_FAULTS = 10
@@ -121,7 +120,7 @@ class ReplayResult:
             acceleration_rad_s2=replay.margins.acceleration_rad_s2,
             notes=self.notes(),
             margins={
-                name: {key: _known(value) for key, value in one._asdict().items()}
+                name: {key: finite(value) for key, value in one._asdict().items()}
                 for name, one in replay.margins.nearest.items()
             },
         )
@@ -140,7 +139,7 @@ class ReplayResult:
             for name, one in self.replay.margins.nearest.items()
         ]
         known = (
-            {f"{key}_cycles": _known(getattr(drift, key)) for key in ("rms", "peak", "uncertainty_rms")}
+            {f"{key}_cycles": finite(getattr(drift, key)) for key in ("rms", "peak", "uncertainty_rms")}
             if drift
             else {}
         )
@@ -200,14 +199,10 @@ def _compared(found: OwnFrames) -> dict[str, Any]:
         }
     if found.differences:
         words["objects"] = {
-            one.name: {"pairs": one.pairs, "least": _known(one.least), "most": _known(one.most)}
+            one.name: {"pairs": one.pairs, "least": finite(one.least), "most": finite(one.most)}
             for one in found.differences
         }
     return words
-
-
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _drift_words(drift: LogDrift) -> str:

@@ -22,7 +22,6 @@ from canfb.master.all_or_nothing import SAVE_WITHIN_S
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, numbered
 from canfb.view.limits_in_force import limit_settings
 
-"""Types whose values are bytes, written in hexadecimal."""
 _TRUE, _FALSE = ("1", "true", "on"), ("0", "false", "off")
 
 

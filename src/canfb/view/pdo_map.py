@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from canfb import objects as od
 from canfb.cia301 import cob
@@ -14,6 +14,17 @@ from canfb.objects import Multiplexer
 Number = int | float
 Read = Callable[[Multiplexer], Number | None]
 """Gives the value of an object, None where it is not known."""
+
+
+def values_of(find: Callable[[int, int], Any]) -> Read:
+    """By the entries of a dictionary."""
+
+    def read(place: Multiplexer) -> Number | None:
+        entry = find(*place)
+        return None if entry is None else entry.value
+
+    return read
+
 
 PDOS = 4
 MOST_ENTRIES = 64  # above, sub-index 0 of a mapping stands for a multiplexed PDO
@@ -69,7 +80,6 @@ def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
 
 Pair = tuple[int, int]  # mapping entries of a sine and its cosine
 INTERFACE_TRACKS = (od.INTERFACE_SINE.mapped(16), od.INTERFACE_COSINE.mapped(16))
-PREDEFINED = (cob.TPDO1, cob.TPDO2, cob.TPDO3, cob.TPDO4)
 MODULE_TRACKS = (od.SAMPLE_SINE.mapped(16), od.SAMPLE_COSINE.mapped(16))
 MODULE_COARSE_TRACKS = (od.SAMPLE_COARSE_SINE.mapped(16), od.SAMPLE_COARSE_COSINE.mapped(16))
 INTERFACE_EARLIER = tuple((sine.mapped(16), cosine.mapped(16)) for sine, cosine in od.INTERFACE_EARLIER)
@@ -106,7 +116,7 @@ class PdoLayout:
     @property
     def sender(self) -> int | None:
         """By the predefined connection set, or None."""
-        return (self.can_id & 0x7F or None) if self.can_id & 0x780 in PREDEFINED else None
+        return (self.can_id & 0x7F or None) if self.can_id & 0x780 in cob.TPDOS else None
 
     def unpack(self, data: bytes) -> tuple[int, int] | None:
         """Sine and cosine, counts, or None."""
