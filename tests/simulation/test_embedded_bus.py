@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -13,95 +14,52 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus, Wire
 from canfb.simulation.sync_producer import LONGEST_FRAME_BITS, SyncProducer
+from fake_bus import FakeClock, FakeDevice
 from folding import each
 from played import Sender
 
 
-class Station:
-    """Notes what it hears; answers and ticks as it is told."""
-
-    def __init__(
-        self,
-        name: str,
-        journal: list[tuple[float, str, int]],
-        period_s: float | None = None,
-        answer: Callable[[Frame], list[Frame]] = lambda frame: [],
-        first_id: int = 0x700,
-    ) -> None:
-        self.name, self.journal, self.period_s, self.answer = name, journal, period_s, answer
-        self.next_s: float | None = None
-        self.first_id = first_id
-
-    def start(self, now: float) -> list[Frame]:
-        self.next_s = None if self.period_s is None else now + self.period_s
-        return [Frame(self.first_id, self.name.encode())]
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        self.journal.append((now, self.name, frame.can_id))
-        return self.answer(frame)
-
-    def tick(self, now: float) -> list[Frame]:
-        assert self.next_s is not None
-        assert now == self.next_s, "neither early nor late"
-        assert self.period_s is not None
-        self.next_s += self.period_s
-        return [Frame(0x80, b"")]
-
-    def deadline(self) -> float | None:
-        return self.next_s
-
-
-Journal = list[tuple[float, str, int]]
+def station(bus: EmbeddedBus, **options: Any) -> FakeDevice:
+    """A device on the bus."""
+    clock: Any = bus
+    made = FakeDevice(clock, **options)
+    bus.attach(made)
+    return made
 
 
 def test_everybody_hears_everything_but_himself_in_the_order_of_sending() -> None:
-    journal: Journal = []
     bus = EmbeddedBus()
-    for name in "abc":
-        bus.attach(Station(name, journal, first_id=0x700 + ord(name)))
-    # c is attached last: a and b hear its first frame, nobody else was there before.
-    assert journal == [
-        (0.0, "a", 0x700 + ord("b")),
-        (0.0, "a", 0x700 + ord("c")),
-        (0.0, "b", 0x700 + ord("c")),
-    ]
-    journal.clear()
+    stations = [station(bus, boot=(Frame(can_id, b""),)) for can_id in (0x701, 0x702, 0x703)]
+    # The third is attached last: both others hear its first frame, nobody else was there before.
+    assert [one.heard_ids() for one in stations] == [[0x702, 0x703], [0x703], []]
     bus.send(Frame(0x123, b"\x01"))
-    assert journal == [(0.0, name, 0x123) for name in "abc"]
+    assert [one.heard[-1] for one in stations] == [(0.0, Frame(0x123, b"\x01"))] * 3
 
 
 def test_answers_come_after_what_was_already_sent() -> None:
     """A queue, not a recursion: both answers to the first frame go before the answer to an answer."""
-    journal: Journal = []
     order: list[int] = []
     bus = EmbeddedBus()
-    answers = {0x100: [Frame(0x101, b""), Frame(0x102, b"")], 0x101: [], 0x102: []}
-    bus.attach(Station("a", journal, answer=lambda frame: answers.get(frame.can_id, [])))
-    bus.attach(
-        Station("b", journal, answer=lambda frame: [Frame(0x200, b"")] if frame.can_id == 0x101 else [])
-    )
+    answers = {0x100: [Frame(0x101, b""), Frame(0x102, b"")]}
+    first = station(bus, answer=lambda frame: answers.get(frame.can_id, []))
+    station(bus, answer=lambda frame: [Frame(0x200, b"")] if frame.can_id == 0x101 else [])
     bus.observers.append(lambda frame, now: order.append(frame.can_id))
     bus.send(Frame(0x100, b""))
     assert order == [0x100, 0x101, 0x102, 0x200]
-    assert [can_id for _, name, can_id in journal if name == "a"][-2:] == [0x100, 0x200]
+    assert first.heard_ids() == [0x100, 0x200]
 
 
 def test_time_goes_from_deadline_to_deadline() -> None:
-    journal: Journal = []
+    sent: list[tuple[float, int]] = []
     bus = EmbeddedBus()
-    bus.attach(Station("slow", journal, period_s=0.25))
-    bus.attach(Station("fast", journal, period_s=0.125))
-    journal.clear()
+    slow, fast = station(bus, period_s=0.25, tick_id=0x201), station(bus, period_s=0.125, tick_id=0x202)
+    bus.observers.append(lambda frame, now: sent.append((now, frame.can_id)))
     bus.run_until(0.6)
     assert bus.now == 0.6
-    assert [(time, name) for time, name, _ in journal] == [
-        (0.125, "slow"),
-        (0.25, "fast"),
-        (0.25, "slow"),
-        (0.375, "slow"),
-        (0.5, "fast"),
-        (0.5, "slow"),
-    ]
+    assert sent == [
+        (0.125, 0x202), (0.25, 0x201), (0.25, 0x202), (0.375, 0x202), (0.5, 0x201), (0.5, 0x202)
+    ]  # fmt: skip
+    assert {*slow.ticked, *fast.ticked} == {0.0}, "neither early nor late"
     bus.run_until(0.5)
     assert bus.now == 0.6, "time does not go back"
 
@@ -110,8 +68,8 @@ def test_frames_bits_and_taps_count_every_frame_once() -> None:
     bus = EmbeddedBus()
     heard: list[tuple[Frame, float]] = []
     bus.observers.append(lambda frame, now: heard.append((frame, now)))
-    for name in "abc":
-        bus.attach(Station(name, [], first_id=0x700))
+    for _ in range(3):
+        station(bus, boot=(Frame(0x700, b"\0"),))
     frames = [Frame(0x181, bytes(n)) for n in range(9)]
     bus.run_until(1.5)
     for frame in frames:
@@ -171,24 +129,14 @@ def test_the_most_stuff_bits_are_counted_and_no_more(size: int) -> None:
     assert frame_bits(size) >= max(wire_bits(can_id, bytes(size)) for can_id in (0, 0x3C, 0x7FF))
 
 
-class Computer:
+class Computer(FakeDevice):
     """A participant that wants something computed when it hears a frame, and tells what came out."""
 
-    def __init__(self) -> None:
-        self.job: Callable[[], int] | None = None
-
-    def start(self, now: float) -> list[Frame]:
-        return []
+    job: Callable[[], int] | None = None
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         self.job = lambda: frame.can_id + 1
         return [Frame(0x200, b"")]
-
-    def tick(self, now: float) -> list[Frame]:
-        return []
-
-    def deadline(self) -> float | None:
-        return None
 
     def pending_job(self) -> Callable[[], int] | None:
         return self.job
@@ -204,7 +152,7 @@ class Computer:
 
 def test_what_a_participant_wants_computed_is_computed_after_the_frames_of_this_instant() -> None:
     bus, heard = EmbeddedBus(), list[int]()
-    computer = Computer()
+    computer = Computer(FakeClock())
     bus.attach(computer)
     bus.observers.append(lambda frame, now: heard.append(frame.can_id))
     bus.send(Frame(0x100, b""))
@@ -266,13 +214,9 @@ def test_what_is_in_flight_at_the_end_arrives_later() -> None:
 
 
 def test_a_frame_from_outside_and_its_answer_are_over_at_the_return() -> None:
-    class Answering(Sender):
-        def receive(self, frame: Frame, now: float) -> list[Frame]:
-            return [Frame(0x581, bytes(8))] if frame.can_id == 0x601 else []
-
     bus, heard = EmbeddedBus(1_000_000), list[int]()
     bus.observers.append(lambda frame, now: heard.append(frame.can_id))
-    bus.attach(Answering())
+    station(bus, answer=lambda frame: [Frame(0x581, bytes(8))] if frame.can_id == 0x601 else [])
     bus.send(Frame(0x601, bytes(8)))
     assert heard == [0x601, 0x581]
     assert bus.now == pytest.approx(267e-6)
