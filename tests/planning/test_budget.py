@@ -18,7 +18,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults
 from canfb.planning.plan import PEAK, RAW_PHASE_ERROR_CYCLES, Limited, Plan, ResidualBudget
 from canfb.planning.plan_rows import analog_row
-from canfb.planning.planned_module import PlannedModule
+from canfb.planning.planned_bus import PlannedModule
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.limits import narrowed_residual_limit, safe_deviation, samples_without_harm
 from canfb.simulation.demand import of_motion

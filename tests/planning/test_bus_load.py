@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from planning_kit import planned
 
 from canfb.cia301.frame import frame_bits
-from canfb.planning.traffic import (
+from canfb.planning.planned_bus import (
     BIT_RATES,
     BusLoad,
     Message,

@@ -26,7 +26,7 @@ from canfb.hosting.hosting import saved_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.planning.plan import ResidualBudget
-from canfb.planning.planned_module import PlannedModule
+from canfb.planning.planned_bus import PlannedModule
 
 HELD, FLAGGED = 0.95, 1.05
 RPM = 2.0 * math.pi / 60.0

@@ -205,18 +205,10 @@ def _ramp(rng: Rng) -> int:
     return int(rng.integers(20, LONGEST_RAMP + 1))
 
 
-def _offset(rng: Rng, nominal: float) -> Fault:
-    size, ramp = float(rng.uniform(0.3, 1.5)) * nominal * _sign(rng), _ramp(rng)
-    if _one(rng) is Signal.SINE:
-        return faults.track_drift(sine_offset=size, ramp_samples=ramp)
-    return faults.track_drift(cosine_offset=size, ramp_samples=ramp)
-
-
-def _gain(rng: Rng, nominal: float) -> Fault:
-    gain, ramp = float(rng.uniform(-0.2, 1.4)), _ramp(rng)
-    if _one(rng) is Signal.SINE:
-        return faults.track_drift(sine_gain=gain, ramp_samples=ramp)
-    return faults.track_drift(cosine_gain=gain, ramp_samples=ramp)
+def _drift(rng: Rng, what: str, size: float) -> Fault:
+    ramp = _ramp(rng)
+    track = "sine" if _one(rng) is Signal.SINE else "cosine"
+    return faults.track_drift(**{f"{track}_{what}": size}, ramp_samples=ramp)
 
 
 def _phase(rng: Rng, nominal: float) -> Fault:
@@ -240,8 +232,10 @@ KINDS: dict[str, Callable[[Rng, float], Fault] | None] = {
     ),
     "stuck at the last value": lambda rng, nominal: faults.stuck_track(_one(rng)),
     "frozen": lambda rng, nominal: faults.frozen_samples(),
-    "offset drift": _offset,
-    "gain drift": _gain,
+    "offset drift": lambda rng, nominal: _drift(
+        rng, "offset", float(rng.uniform(0.3, 1.5)) * nominal * _sign(rng)
+    ),
+    "gain drift": lambda rng, nominal: _drift(rng, "gain", float(rng.uniform(-0.2, 1.4))),
     "phase drift": _phase,
     "oscillation": _oscillation,
     "tracks swapped": lambda rng, nominal: faults.swapped_tracks(),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from canfb import objects as od
 from canfb.planning.plan import RPM, WEIGHTS, WELL, Limited, Margin, Plan
-from canfb.planning.traffic import BIT_RATES
+from canfb.planning.planned_bus import BIT_RATES
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.simulation.demand import rounded_up
@@ -97,11 +97,11 @@ def _of_the_speed(plan: Plan) -> Ways:
 def _of_the_motion(plan: Plan) -> Ways:
     asked = asked_acceleration(plan)
     yield from _times(plan)
-    if any(0.0 < one.known_acceleration_rad_s2 < asked for one in plan.modules):
+    if any(0.0 < one.settings.acceleration_rad_s2 < asked for one in plan.modules):
         text = f"set max_acceleration_rad_s2 (2010:02) to {asked:.4g}, which is what the motion needs"
         yield text, _with(plan, od.SUPERVISION_ACCELERATION, asked)
     limit = _needed_limit(plan)
-    if min(one.widest_limit_cycles for one in plan.modules) < limit <= RESIDUAL_LIMIT:
+    if min(one.settings.widest_cycles for one in plan.modules) < limit <= RESIDUAL_LIMIT:
         yield f"raise residual_limit (2010:01) to {limit:.3f} cycle", _limited(plan, limit)
     yield from _table(plan)
     yield from _faster(plan)
@@ -164,19 +164,19 @@ def _more_samples(plan: Plan) -> Ways:
 
 def _narrower(plan: Plan) -> Ways:
     asked, limit = asked_acceleration(plan), _needed_limit(plan)
-    if not all(0.0 < one.known_acceleration_rad_s2 <= KNOWN_ENOUGH * asked for one in plan.modules):
+    if not all(0.0 < one.settings.acceleration_rad_s2 <= KNOWN_ENOUGH * asked for one in plan.modules):
         after = _with(plan, od.SUPERVISION_ACCELERATION, asked)
         becomes = widest_limit(after)
         text = (
             f"set max_acceleration_rad_s2 (2010:02) to {asked:.6g}: the residual limit becomes {becomes:.3f}"
         )
         yield text, after
-    if limit <= RESIDUAL_LIMIT and not any(one.known_acceleration_rad_s2 for one in plan.modules):
+    if limit <= RESIDUAL_LIMIT and not any(one.settings.acceleration_rad_s2 for one in plan.modules):
         yield f"lower residual_limit (2010:01) to {limit:.3f} cycle", _limited(plan, limit)
 
 
 def _sharper(plan: Plan) -> Ways:
-    if not all(one.known_acceleration_rad_s2 for one in plan.modules):
+    if not all(one.settings.acceleration_rad_s2 for one in plan.modules):
         return
     after = _with(plan, od.SUPERVISION_NOISE_MARGIN, NOISE_MARGIN)
     becomes = widest_limit(after)

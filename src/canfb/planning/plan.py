@@ -21,11 +21,11 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
-from canfb.planning.planned_module import PlannedModule
-from canfb.planning.traffic import (
+from canfb.planning.planned_bus import (
     HEARTBEAT,
     BusLoad,
     Message,
+    PlannedModule,
     Values,
     adc_messages,
     heartbeat_message,
@@ -187,7 +187,7 @@ class Plan:
 
     def acceleration_of(self, module: PlannedModule) -> float | None:
         """What this module has to follow: the largest acceleration of its machine counts, too."""
-        known = module.known_acceleration_rad_s2
+        known = module.settings.acceleration_rad_s2
         if self.is_final or not known:
             return self.acceleration_rad_s2
         return max(known, self.acceleration_rad_s2 or 0.0)
@@ -230,7 +230,7 @@ class ResidualBudget:
     def limit_cycles(self) -> float:
         """In force at the given speed: uncertain sample times widen a narrowed one."""
         uncertain = WEIGHTS * self._cycles_per_s * self.known_uncertainty_s
-        return min(self.slow_limit_cycles + uncertain, self.module.widest_limit_cycles)
+        return min(self.slow_limit_cycles + uncertain, self.module.settings.widest_cycles)
 
     @cached_property
     def slow_limit_cycles(self) -> float:
@@ -255,7 +255,7 @@ class ResidualBudget:
 
     @property
     def is_narrowed(self) -> bool:
-        return self.slow_limit_cycles < self.module.widest_limit_cycles
+        return self.slow_limit_cycles < self.module.settings.widest_cycles
 
     @cached_property
     def measured_noise_cycles(self) -> float:
@@ -348,7 +348,7 @@ class ResidualBudget:
         own_s = self.uncertainty_s - self.known_uncertainty_s
         return min(
             self.speed_rad_s(self.slow_limit_cycles - needed_cycles, own_s),
-            self.speed_rad_s(self.module.widest_limit_cycles - needed_cycles, self.uncertainty_s),
+            self.speed_rad_s(self.module.settings.widest_cycles - needed_cycles, self.uncertainty_s),
         )
 
     @property
@@ -358,7 +358,7 @@ class ResidualBudget:
         With 2010:01: a limit that is narrowed follows the rate. A speed that is too high alone does not
         count.
         """
-        widest = self.module.widest_limit_cycles
+        widest = self.module.settings.widest_cycles
         taken, left = self.motion_cycles, self.left_cycles(widest, widest)
         if not taken:
             return 0.0

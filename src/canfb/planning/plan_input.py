@@ -18,9 +18,8 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration
 from canfb.module.module_config import MOST_ACCELERATION_RAD_S2, UNCONFIGURED, ModuleConfig
-from canfb.planning.plan import Plan
-from canfb.planning.planned_module import PlannedModule
-from canfb.planning.traffic import Values
+from canfb.planning.plan import RPM, Plan
+from canfb.planning.planned_bus import PlannedModule, Values
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.tracker import check_residual_limit
 from canfb.simulation.cia402.plant import DriveConfig
@@ -29,8 +28,6 @@ from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.set_up import drive_demand, sync_rate
 from canfb.simulation.sync_producer import CUT_OFF
 from canfb.view.limits_in_force import LIMIT_UNITS
-
-RAD_S = 2.0 * math.pi / 60.0  # of a speed in rpm
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +148,7 @@ def _motion(
         speed = (demand.speed_cycles or 0.0) * rate_hz / config.cycles_per_revolution * 2.0 * math.pi
         acceleration, where = demand.acceleration_rad_s2, demand.what
     if options.rpm is not None:
-        speed = options.rpm * RAD_S
+        speed = options.rpm / RPM
     is_final = options.acceleration_rad_s2 is not None
     return {
         "speed_rad_s": speed,

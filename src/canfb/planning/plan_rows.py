@@ -24,8 +24,7 @@ from canfb.planning.coverage import (
 )
 from canfb.planning.hints import PlanChange
 from canfb.planning.plan import RPM, CountDetection, Plan, ResidualBudget, over
-from canfb.planning.planned_module import PlannedModule
-from canfb.planning.traffic import BusLoad, Message
+from canfb.planning.planned_bus import BusLoad, Message, PlannedModule
 from canfb.rows import Row, as_figures, finite, those
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.front_end import LARGEST_RAD, FrontEnd
