@@ -3,20 +3,11 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
-from configuration_kit import (
-    NODE_ID,
-    PROGRAMS,
-    played,
-    put,
-    reset,
-    run,
-    state,
-    table,
-    write,
-)
+from configuration_kit import NODE_ID, PROGRAMS, played, put, reset, run, state, table, write
 from hypothesis import example, given
 from module_bench import Bench
 
@@ -42,6 +33,13 @@ def modules() -> tuple[FeedbackModule, FeedbackModule]:
     return FeedbackModule(ModuleConfig(node_id=NODE_ID)), FeedbackModule(ModuleConfig(node_id=NODE_ID))
 
 
+def begun(modules: tuple[FeedbackModule, FeedbackModule], *programs: list[Write]) -> Iterator[FeedbackModule]:
+    for module, program in zip(modules, programs, strict=True):
+        reset(module)
+        run(module, program)
+        yield module
+
+
 @given(PROGRAMS, PROGRAMS)
 @example(SIXTEEN_BITS, [])
 @example([], SIXTEEN_BITS)
@@ -56,11 +54,7 @@ def modules() -> tuple[FeedbackModule, FeedbackModule]:
 def test_the_writes_are_taken_whatever_the_module_held_and_make_it_the_same(
     modules: tuple[FeedbackModule, FeedbackModule], wanted: list[Write], before: list[Write]
 ) -> None:
-    source, target = modules
-    reset(source)
-    reset(target)
-    run(source, wanted)
-    run(target, before)
+    source, target = begun(modules, wanted, before)
     configuration = configuration_of(source)
     refused = [(one, code) for one in configuration.writes() if (code := put(target, one))]
     assert refused == []
@@ -73,10 +67,7 @@ def test_the_writes_are_taken_whatever_the_module_held_and_make_it_the_same(
 def test_a_module_that_was_loaded_answers_the_same_frames_with_the_same_frames(
     modules: tuple[FeedbackModule, FeedbackModule], wanted: list[Write]
 ) -> None:
-    source, target = modules
-    reset(source)
-    reset(target)
-    run(source, wanted)
+    source, target = begun(modules, wanted, [])
     for one in configuration_of(source).writes():
         assert put(target, one) == 0
     # Both begin here: what was sent and cleared while they were written is another matter.

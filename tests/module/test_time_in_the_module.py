@@ -107,6 +107,11 @@ class Machine:
         self.sync(k)
         self.sample(k)
 
+    def give_all(self, frames: list[tuple[float, bool, float]]) -> None:
+        """When each comes, whether it is a SYNC, and of an ADC PDO the SYNC that it answers."""
+        for at, is_sync, k in sorted(frames):
+            self.sync(at) if is_sync else self.sample(k, at)
+
     def run(self, first: int, after: int) -> list[Position]:
         before = len(self.positions)
         for k in range(first, after):
@@ -228,25 +233,24 @@ def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool, 
     assert machine.right()
 
 
-@BOTH
-@pytest.mark.parametrize("speed", [0.01, -0.3])
-def test_a_pause_while_the_machine_turns_loses_the_position(speed: float, stamped: bool) -> None:
-    machine = Machine(stamped, ramped(speed))
+def paused(machine: Machine) -> list[Position]:
+    """Those after a pause of 300 SYNCs in PRE-OPERATIONAL."""
     machine.run(1, 60)
     machine.nmt(0x80, 59.9)
     machine.nmt(1, 360.4)
-    assert machine.counter(5) == 0
-    after = machine.run(361, 400)
-    assert all(one.status & LOST and not one.valid for one in after)
+    return machine.run(361, 400)
+
+
+@BOTH
+@pytest.mark.parametrize("speed", [0.01, -0.3])
+def test_a_pause_while_the_machine_turns_loses_the_position(speed: float, stamped: bool) -> None:
+    assert all(one.status & LOST and not one.valid for one in paused(Machine(stamped, ramped(speed))))
 
 
 @BOTH
 def test_after_a_pause_at_standstill_four_samples_confirm_the_position(stamped: bool) -> None:
     machine = Machine(stamped, lambda at: 3.7)
-    machine.run(1, 60)
-    machine.nmt(0x80, 59.9)
-    machine.nmt(1, 360.4)
-    after = machine.run(361, 400)
+    after = paused(machine)
     assert [one.status for one in after[:4]] == [COASTING] * 4
     assert all(one.valid for one in after[4:])
     assert machine.right()
@@ -307,13 +311,9 @@ def test_the_same_counts_after_the_next_sync_was_due_may_be_another_sample(stamp
 def test_an_interface_faster_than_sync_loses_the_position(faster: float) -> None:
     """More samples come than SYNCs: one of them is counted too little when the delay passes zero."""
     machine = Machine(motion=lambda at: 0.3 + 1e-3 * max(0.0, at - 50.0) ** 2)
-    frames = [(float(k), k, True) for k in range(1, 2000)]
-    frames += [(at, k, False) for k in range(1, 2010) if (at := k / (1.0 + faster) + 0.6) < 2000.0]
-    for at, _number, is_sync in sorted(frames):
-        if is_sync:
-            machine.sync(at)
-        else:
-            machine.sample(at, at)
+    frames = [(float(k), True, 0.0) for k in range(1, 2000)]
+    frames += [(at, False, at) for k in range(1, 2010) if (at := k / (1.0 + faster) + 0.6) < 2000.0]
+    machine.give_all(frames)
     assert machine.positions[-1].status & LOST
     assert not [one for one in machine.positions if one.valid and abs(one.cycles - one.truth) > 0.5]
 
@@ -329,11 +329,7 @@ def test_samples_go_on_at_another_rate(times: bool, rate: float, late: bool, sta
             at = first + k * apart
             delay = draw.uniform(0.3, 1.1) if late else ADC
             frames += [(at, True, at), (at + delay * min(apart, 1.0), False, at)]
-    for at, is_sync, sampled in sorted(frames):
-        if is_sync:
-            machine.sync(at)
-        else:
-            machine.sample(sampled, at)
+    machine.give_all(frames)
     before = len(machine.positions)
     for k in range(300, 350):
         machine.sync(401 + k * rate)

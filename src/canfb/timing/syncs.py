@@ -226,14 +226,12 @@ class Syncs:
             places = max(1, nearest + 1)
             grid.skip(places)
             return self._taken(True, places - 1, abs(off_s) / grid.period, doubt)
+        # A line through a few instants that jitter may be off by a place.
+        doubt = float(missing is None and not grid.locked and (places > 1 or not on))
+        verdict, _, _ = self._taken(True, places - 1, 0.0 if on else abs(off_s) / grid.period, doubt)
         if not on:
             grid.skip(places)
-            return self._taken(True, places - 1, abs(off_s) / grid.period)
-        # A line through a few instants that jitter may be off by a place.
-        verdict, _, _ = self._taken(
-            True, places - 1, doubt=float(places > 1 and missing is None and not grid.locked)
-        )
-        return verdict, places, off_s
+        return verdict, places if on else 0, off_s
 
     def _extra(self, time_s: float) -> Judged:
         self._received_s, self.extra_came = time_s, True
