@@ -14,7 +14,7 @@ from canfb.cia301.frame import Frame
 from canfb.cli.calibrate import over_bus
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
-from canfb.cli.progress import Progress
+from canfb.cli.printing import Progress
 from canfb.cli.simulate import chosen
 from canfb.configuration import Config, parse_config
 from canfb.device.storage.storage import MemoryStore

@@ -17,7 +17,7 @@ from canfb.calibration.path_fit import LowPass
 from canfb.cli.calibrate import calibrate as command
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
-from canfb.cli.progress import Progress
+from canfb.cli.printing import Progress
 from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError, ConfigError

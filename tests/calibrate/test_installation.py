@@ -18,7 +18,7 @@ from canfb.calibrate.procedure import Installation, install, verify
 from canfb.cia301.frame import Frame
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
-from canfb.cli.progress import Progress
+from canfb.cli.printing import Progress
 from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError

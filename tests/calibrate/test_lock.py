@@ -12,7 +12,7 @@ import canfb
 from canfb.calibration.recording import LARGEST_DENOMINATOR, Lock, away_from, find_lock
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
-from canfb.cli.progress import Progress
+from canfb.cli.printing import Progress
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
 from canfb.master.all_or_nothing import Guard, read_active

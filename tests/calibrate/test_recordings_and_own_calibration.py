@@ -15,7 +15,7 @@ from canfb.cli.calibrate import choices_of, over_bus
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.node_options import nodes_of
-from canfb.cli.progress import Progress
+from canfb.cli.printing import Progress
 from canfb.configuration import Config, parse_config
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError

@@ -14,7 +14,7 @@ import pytest
 
 from canfb.bus import opening
 from canfb.cli import calibrate as calibrate_command
-from canfb.cli.progress import CLEAR, Progress
+from canfb.cli.printing import CLEAR, Progress
 from canfb.errors import BusError
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.encoder import Encoder, Harmonic

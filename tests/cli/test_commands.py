@@ -12,14 +12,11 @@ from typing import Any
 import pytest
 
 from canfb.cli import commands as table
-from canfb.cli import examples
 from canfb.cli.aliases import current
-from canfb.cli.commands import COMMANDS, SUMMARIES, named_command
+from canfb.cli.commands import COMMANDS, EXAMPLES, SUMMARIES, named_command
 from canfb.cli.main import build_parser
 from commands import Command
 from processes import python
-
-NAMES = [entry.name for entry in COMMANDS]
 
 
 def subparsers(parser: argparse.ArgumentParser) -> Any:
@@ -32,17 +29,16 @@ def summaries(parser: argparse.ArgumentParser) -> dict[str, str | None]:
 
 
 def test_names_and_summaries_are_those_that_the_files_register() -> None:
-    assert summaries(build_parser()) == {entry.name: entry.summary for entry in COMMANDS}
+    assert summaries(build_parser()) == SUMMARIES
 
 
 def test_every_command_is_in_the_table() -> None:
     folder = Path(table.__file__).parent
     registering = {file.stem for file in folder.glob("*.py") if "\ndef register(" in file.read_text()}
-    assert {entry.file for entry in COMMANDS} == registering
-    assert len(set(NAMES)) == len(NAMES)
+    assert {file for file, _ in COMMANDS.values()} == registering
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_one_command_alone_has_its_options_and_the_help_of_all(name: str) -> None:
     whole, part = build_parser(), build_parser(name)
     assert part.format_help() == whole.format_help()
@@ -63,9 +59,9 @@ print(json.dumps(found))
 
 
 def test_the_file_of_a_command_imports_that_of_no_other() -> None:
-    found = json.loads(python("-c", IMPORTING, *NAMES).stdout)
-    loaded = {name: {entry.file for entry in COMMANDS} & {*files} for name, files in found.items()}
-    assert loaded == {entry.name: {entry.file} for entry in COMMANDS}
+    found = json.loads(python("-c", IMPORTING, *COMMANDS).stdout)
+    loaded = {name: {file for file, _ in COMMANDS.values()} & {*files} for name, files in found.items()}
+    assert loaded == {name: {file} for name, (file, _) in COMMANDS.items()}
 
 
 @pytest.mark.parametrize(
@@ -83,7 +79,7 @@ def test_the_command_of_a_line(line: str, name: str) -> None:
     assert named_command(line.split()) == name
 
 
-@pytest.mark.parametrize("name", examples._EXAMPLES)
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_the_examples_of_a_help_are_good(name: str, command: Command) -> None:
     _, _, text = command(f"{name.removeprefix('canfb')} --help").out.partition("examples:\n")
     lines = re.findall(r"^  (canfb .*?)(?:   .*| > .*)?$", text, re.MULTILINE)
@@ -95,7 +91,7 @@ def test_the_examples_of_a_help_are_good(name: str, command: Command) -> None:
 
 
 def test_every_command_has_examples() -> None:
-    assert {name.split()[1] for name in examples._EXAMPLES if " " in name} == {one.name for one in COMMANDS}
+    assert {name.split()[1] for name in EXAMPLES if " " in name} == {*COMMANDS}
 
 
 LINES = {

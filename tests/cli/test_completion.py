@@ -61,7 +61,7 @@ def completed(folder: Path, *lines: str) -> list[set[str]]:
 
 # A line: all answers, or (with "...") some of them; then what is no answer.
 ANSWERS = {
-    "canfb ": (f"... {' '.join(entry.name for entry in COMMANDS)}", ""),
+    "canfb ": (f"... {' '.join(COMMANDS)}", ""),
     "canfb si": ("simulate", ""),
     "canfb config check --": ("--debug --help", ""),
     "canfb config e": ("example", ""),

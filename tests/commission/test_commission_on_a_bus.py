@@ -16,7 +16,7 @@ from canfb.calibration.path_fit import LowPass
 from canfb.cia301.frame import Frame
 from canfb.cli.commission import named_config, over_bus
 from canfb.cli.main import build_parser
-from canfb.cli.progress import Progress
+from canfb.cli.printing import Progress
 from canfb.commission.limit_choice import corner_choice
 from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore

@@ -23,22 +23,20 @@ from canfb.demo.demo_network import (
 )
 from canfb.demo.demo_page import account, error_after, error_before, residual, servo, servo_facts, tracks
 from canfb.demo.demo_page import figures as figures_of
-from canfb.demo.servo_act import (
-    ACCELERATION_RAD_S2,
-    JERK_RAD_S3,
-    MOST_RESIDUAL_CYCLES,
-    RPM,
-    ServoRun,
-    servo_move,
-)
 from canfb.demo.story import (
+    ACCELERATION_RAD_S2,
     FAULT_SAMPLES,
     FAULTS,
+    JERK_RAD_S3,
     LOST_SAMPLE,
+    MOST_RESIDUAL_CYCLES,
     REFERENCE_HZ,
+    RPM,
     RUN_UP_SAMPLES,
+    ServoRun,
     Story,
     run_story,
+    servo_move,
 )
 from canfb.objects import StatusBit
 from canfb.report.plot import Plot

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
-from canfb.cli.progress import Progress
+from canfb.cli.printing import Progress
 from canfb.configuration import Config
 from canfb.master.all_or_nothing import Guard
 from canfb.master.listening import PdoRecorder, listen

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 
-from canfb.cli.commands import build_parser
-from canfb.cli.examples import examples_of
+from canfb.cli.commands import build_parser, examples_of
 from tools.site.markdown import plain, table
 
 INTRODUCTION = """# Commands

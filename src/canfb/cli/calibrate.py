@@ -27,13 +27,12 @@ from canfb.cli.options import (
     Commands,
     add_bus_options,
     add_command,
-    bus_options,
     group,
     named_config,
     option,
     refuse_idle,
 )
-from canfb.cli.progress import Progress, shown_progress
+from canfb.cli.printing import Progress, shown_progress
 from canfb.cli.subjects import COLUMNS, MEASURED_NODES
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
@@ -162,9 +161,7 @@ def calibrate(options: argparse.Namespace) -> int:
             run = _run(choices, options, progress, date_and_time())
             return _say(run.from_file(choices.samples), options, progress)
         choices.nodes(nodes_of(config))  # says what cannot be before there is a bus
-        words = bus_options(options, config.bus)
-        guard = Guard()
-        with sync_master(words, choices.rate, choices.timeout, guard) as master:
+        with sync_master(options, config) as (master, guard):
             return over_bus(master, options, config, progress, guard, date_and_time())
 
 

@@ -14,11 +14,10 @@ from canfb.cli.options import (
     Commands,
     add_bus_options,
     add_command,
-    bus_options,
     named_config,
     option,
 )
-from canfb.cli.progress import Progress, shown_progress
+from canfb.cli.printing import Progress, shown_progress
 from canfb.cli.subjects import MEASURED_NODES
 from canfb.commission.commission_run import CommissionOptions
 from canfb.commission.commission_run import commission as run
@@ -78,11 +77,10 @@ def commission(options: argparse.Namespace) -> int:
     if wishes.out:
         prepare_folder(wishes.out)
     nodes_of_choices(options, config)  # says what cannot be before there is a bus
-    words = bus_options(options, config.bus)
-    guard, as_before = Guard(), "the limits of the module are as they were"
+    as_before = "the limits of the module are as they were"
     with (
         shown_progress(quiet=options.json, interrupted=as_before) as progress,
-        sync_master(words, options.rate, options.timeout, guard) as master,
+        sync_master(options, config) as (master, guard),
     ):
         return over_bus(master, options, config, progress, guard, date_and_time())
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 from canfb.bus.clocks import file_date_and_time
-from canfb.cli.node_options import master_of
+from canfb.cli.node_options import master_of, say_result
 from canfb.cli.options import (
     JSON,
     TIMEOUT,
@@ -30,6 +29,7 @@ from canfb.hosting.hosting import check_machine, saved_configuration
 from canfb.master.access import NodeAccess
 from canfb.module.device_configuration import ConfigurationFiles, place_names, read_configuration
 from canfb.module.module_config import ModuleConfig
+from canfb.rows import Result
 
 EXAMPLE = """\
 # canfb run CONFIG.yaml, canfb simulate CONFIG.yaml
@@ -138,12 +138,9 @@ def write_dcf(options: argparse.Namespace) -> int:
         configuration, options.out, options.concise, inline, reals, options.name, words
     )
     files.write(*file_date_and_time())
-    if options.json:
-        print(json.dumps(files.summary(), indent=2))
-        return 0
-    print("\n".join(files.lines()))
+    say_result(options, Result(files.summary(), files.lines()))
     refused = configuration.refused_in_index_order()
-    if refused:
+    if refused and not options.json:
         report(
             f"note: a master that writes each object once, in the order of the indices, is refused at "
             f"{place_names(refused)}; give it the concise form (--concise)"

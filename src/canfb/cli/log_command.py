@@ -24,8 +24,7 @@ from canfb.cli.options import (
     option,
     refuse_idle,
 )
-from canfb.cli.printing import say
-from canfb.cli.progress import Progress, shown_progress
+from canfb.cli.printing import Progress, say, shown_progress
 from canfb.cli.subjects import node_or_file, nodes, positive, required_file, size, whole_number
 from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError

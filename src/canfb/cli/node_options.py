@@ -6,12 +6,11 @@ import argparse
 import contextlib
 import json
 from collections.abc import Iterator
-from typing import Any
 
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import JSON, TIMEOUT, add_bus_options, chosen_bus, option
+from canfb.cli.options import JSON, TIMEOUT, add_bus_options, bus_options, chosen_bus, option
 from canfb.cli.printing import report
 from canfb.cli.subjects import node_number
 from canfb.configuration import Config
@@ -35,15 +34,14 @@ def master_of(options: argparse.Namespace) -> Iterator[Master]:
 
 
 @contextlib.contextmanager
-def sync_master(
-    words: dict[str, Any], sync_hz: float | None, answer_within_s: float, guard: Guard
-) -> Iterator[BusMaster]:
-    """A master that gets the SYNCs, or produces them at ``sync_hz``; signals go to ``guard``."""
-    bus = open_sync_bus(words, receives_own=sync_hz is not None)
-    with BusMaster(bus, answer_within_s) as master, ending_on_signals(guard.interrupt):
-        if sync_hz is not None:
-            master.produce_sync(sync_hz)
-        yield master
+def sync_master(options: argparse.Namespace, config: Config) -> Iterator[tuple[BusMaster, Guard]]:
+    """A master that gets the SYNCs, or produces them (``--rate``); signals go to the guard."""
+    bus = open_sync_bus(bus_options(options, config.bus), receives_own=options.rate is not None)
+    guard = Guard()
+    with BusMaster(bus, options.timeout) as master, ending_on_signals(guard.interrupt):
+        if options.rate is not None:
+            master.produce_sync(options.rate)
+        yield master, guard
 
 
 @contextlib.contextmanager

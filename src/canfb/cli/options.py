@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from canfb.cli.commands import SUMMARIES
-from canfb.cli.examples import examples_of
+from canfb.cli.commands import SUMMARIES, examples_of
 from canfb.cli.printing import report
 from canfb.errors import ConfigError
 

@@ -15,7 +15,6 @@ from canfb.planning.hints import changes_of
 from canfb.planning.plan_input import PlanOptions, modules_alike, numbered, plan_of
 from canfb.planning.plan_rows import plan_figures, plan_lines
 
-HOLDS, EXCEEDED = 0, 1
 # Option, field of PlanOptions, word for its value, help.
 NUMBERS = (
     ("--rate", "rate_hz", "HZ", "SYNC rate (that of sync_period_us, 1000)"),
@@ -98,7 +97,7 @@ def plan(options: argparse.Namespace) -> int:
         print(json.dumps(plan_figures(found, changes), indent=2))
     else:
         print("\n".join(plan_lines(found, changes, coverage=options.coverage)))
-    return HOLDS if found.holds else EXCEEDED
+    return int(not found.holds)
 
 
 def _config(options: argparse.Namespace) -> Config:
@@ -109,8 +108,13 @@ def _config(options: argparse.Namespace) -> Config:
 
 def _named(message: str) -> str:
     first = message.split()[0]
-    options = {field: name for name, field, _, _ in NUMBERS}
-    options |= {"bit_rate": "--bitrate", "cycles_per_revolution": "--cycles", "adc_bits": "--adc-bits"}
-    options |= {"jitter_us": "--jitter", "modules": "--modules"}
-    options |= {"samples_per_sync": "--samples-per-sync", "noise_margin": "--noise-margin"}
+    options = {field: name for name, field, _, _ in NUMBERS} | {
+        "bit_rate": "--bitrate",
+        "cycles_per_revolution": "--cycles",
+        "adc_bits": "--adc-bits",
+        "jitter_us": "--jitter",
+        "modules": "--modules",
+        "samples_per_sync": "--samples-per-sync",
+        "noise_margin": "--noise-margin",
+    }
     return message.replace(first, options.get(first, first), 1)

@@ -89,13 +89,12 @@ def read(options: argparse.Namespace) -> int:
         check_writable(options.out)
     with node_options.master_of(options) as master:
         readings = _tasks(master, options).read(options.object)
+    hint = [LOST.format(options.node)] if any(map(is_lost, readings)) else []
+    lines = [*(reading.line() for reading in readings), *hint]
     if options.out is not None:
         if len(readings) > 1:
             raise ConfigError(f"--out: {options.object!r} has several entries; give one of them, index:sub")
         write_whole(options.out, readings[0].data)
-    hint = [LOST.format(options.node)] if any(map(is_lost, readings)) else []
-    lines = [*(reading.line() for reading in readings), *hint]
-    if options.out is not None:
         lines = [f"{options.out}: {readings[0].entry.title}, {len(readings[0].data)} bytes"]
     return node_options.say_result(options, Result([reading.figures() for reading in readings], lines))
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from canfb.cli.options import Row, option
 from canfb.errors import ConfigError
@@ -15,6 +16,9 @@ from canfb.errors import ConfigError
 if TYPE_CHECKING:
     from canfb.configuration import Config
     from canfb.monitoring.lines import MachineUnits
+
+
+T = TypeVar("T")
 
 
 class _Subjects(argparse.Action):
@@ -58,31 +62,25 @@ def nodes(
     return add
 
 
-def whole_number(text: str) -> int:
-    try:
-        return int(text, 0)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+def _number(kind: Callable[[str], T], holds: Callable[[T], bool], what: str) -> Callable[[str], T]:
+    """A type for argparse."""
+
+    def parsed(text: str) -> T:
+        with contextlib.suppress(ValueError):
+            if holds(value := kind(text)):
+                return value
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what}")
+
+    return parsed
 
 
-def node_number(text: str) -> int:
-    try:
-        node = int(text, 0)
-    except ValueError:
-        node = -1
-    if not 1 <= node <= 127:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a node-ID (1 to 127, or 0x01 to 0x7F)")
-    return node
+def _integer(text: str) -> int:
+    return int(text, 0)
 
 
-def positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
-    return value
+whole_number = _number(_integer, lambda number: True, "a whole number")
+node_number = _number(_integer, lambda node: 1 <= node <= 127, "a node-ID (1 to 127, or 0x01 to 0x7F)")
+positive = _number(float, lambda value: 0.0 < value < 1e6, "a number above 0")
 
 
 def size(text: str) -> int:

@@ -9,15 +9,13 @@ import sys
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from canfb.bus.clocks import page_date
 from canfb.bus.opening import describe, group_port
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.commands import build_parser
 from canfb.cli.options import READY_FILE, Commands, add_command, group, option
-from canfb.cli.printing import print_as_json, say
-from canfb.cli.progress import Progress
+from canfb.cli.printing import Progress, print_as_json, say
 from canfb.cli.subjects import JITTER, jittered
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
@@ -113,14 +111,18 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
         f"canfb calibrate 0x{module.node_id:02X} --out measured {bus}",
     ]
     if options.json:
-        said: dict[str, Any] = {
+        said = {
             "event": "ready",
             "page": address,
             "interface": network.words["interface"],
+            "channel": group,
+            "port": group_port(group),
+            "rate_hz": options.rate,
+            "node_id": module.node_id,
+            "encoder_interface": module.encoder_interface,
+            "commands": following,
         }
-        said |= {"channel": group, "port": group_port(group), "rate_hz": options.rate}
-        said |= {"node_id": module.node_id, "encoder_interface": module.encoder_interface}
-        say(json.dumps(said | {"commands": following}))
+        say(json.dumps(said))
         return
     nodes = f"node {module.node_id} ({module.node_id:02X}h), its encoder interface and SYNC"
     say(f"running {nodes} at {options.rate:g} Hz on {describe(network.words)}; end with Ctrl-C")

@@ -7,19 +7,21 @@ from typing import Any
 
 import numpy as np
 
+from canfb.calibration.motion_blocks import peak, root_mean
 from canfb.demo.demo_network import CLOCK_DRIFT_PPM, TIMING, DemoNetwork
-from canfb.demo.servo_act import ACCELERATION_RAD_S2, JERK_RAD_S3, RPM, ServoRun
 from canfb.demo.story import (
+    ACCELERATION_RAD_S2,
     FAULT_SAMPLES,
     FAULTS,
+    JERK_RAD_S3,
     LOST_SAMPLE,
     REFERENCE_HZ,
     REFERENCE_SAMPLES,
+    RPM,
+    ServoRun,
     Story,
-    peak,
-    rms,
 )
-from canfb.files import prepare_folder, writing
+from canfb.files import writing
 from canfb.report.page import beside, figure, gallery, page, svg_file, table
 from canfb.report.pictures import SHOWN_SAMPLES, circle, cloud, square_plot
 from canfb.report.plot import Plot, nice_limit
@@ -58,7 +60,7 @@ def error_facts(story: Story) -> list[Row]:
     errors = story.error_before, story.error_after
     return [
         Row(name, *(f"{100.0 * size(error):.4f}" for error in errors))
-        for name, size in (("peak", peak), ("rms", rms))
+        for name, size in (("peak", peak), ("rms", root_mean))
     ]
 
 
@@ -69,8 +71,8 @@ def figures(story: Story) -> dict[str, Any]:
         checks=story.checks,
         error_peak_before_cycles=peak(story.error_before),
         error_peak_after_cycles=peak(story.error_after),
-        error_rms_before_cycles=rms(story.error_before),
-        error_rms_after_cycles=rms(story.error_after),
+        error_rms_before_cycles=root_mean(story.error_before),
+        error_rms_after_cycles=root_mean(story.error_after),
     )
     return as_figures([errors], run_facts(story), fault_facts(story), servo_facts(story))
 
@@ -246,11 +248,10 @@ BEFORE, AFTER = "Position error before the table", "Position error with the tabl
 def write_files(
     network: DemoNetwork, story: Story, folder: Path, version: str, date: str
 ) -> tuple[list[Path], Path]:
-    """Write the pictures and the page into ``folder``; their paths. CanfbError as :func:`prepare`.
+    """Write the pictures and the page into ``folder``; their paths. CanfbError.
 
     ``version`` of canfb and ``date`` are for the page: the same arguments give the same bytes.
     """
-    prepare_folder(folder)
     shown, before, after, faults = (
         tracks(network, story),
         error_before(story),
@@ -307,7 +308,7 @@ def _said(story: Story) -> list[str]:
     failed = [name for name, held in story.checks.items() if not held]
     if failed:
         return [f"Failed: {', '.join(failed)}."]
-    before, after = 100 * rms(story.error_before), 100 * rms(story.error_after)
+    before, after = 100 * root_mean(story.error_before), 100 * root_mean(story.error_after)
     return [
         f"All checks passed. The position error falls from {before:.2g} % to {after:.2g} % of a cycle rms.",
         f"{story.samples} samples at {story.cycles_per_sample:.1f} cycles per sample, no wrong cycle count.",
