@@ -20,7 +20,7 @@ from canfb.configuration import Config, parse_config
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, read_active
-from canfb.master.listening import listen, record
+from canfb.master.samples import listen, record
 from canfb.master.session import agreed_layout
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -14,6 +14,7 @@ from canfb import objects as od
 from canfb.cli.main import build_parser
 from canfb.diagnosis.lost import Loss, LostPosition, age_words, read_lost_position
 from canfb.objects import LossCause, StatusBit
+from canfb.view.limits_in_force import LimitSettings
 from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench
 from documentation import blocks, page
 from folding import each
@@ -81,7 +82,7 @@ def test_what_the_module_has_mapped_is_what_brings_it_back() -> None:
     entry(0x1601, 3).value = od.SAMPLE_FLAGS.mapped(8)
     entry(0x1601, 0).value = 3
     found = read_lost_position(bench.access)
-    assert (found.coarse, found.zero_pulse, found.second, found.timed) == (True, True, False, False)
+    assert (found.coarse, found.zero_pulse, found.second, found.limits.timed) == (True, True, False, False)
     said = found.brings_back()
     assert "not mapped" not in said[1] + said[2]
     assert "not in use" in said[3]
@@ -126,25 +127,25 @@ LOST = LostPosition(
     missed_syncs=0,
     sample_hz=100.0,
     cycles_per_revolution=2500,
-    acceleration_rad_s2=0.25,
     coast_samples=8,
-    residual_limit_cycles=1 / 3,
-    limit_now_cycles=1 / 3,
-    needed_cycles=0.05,
+    limits=LimitSettings(widest_cycles=1 / 3, acceleration_rad_s2=0.25),
     coarse=False,
     zero_pulse=False,
     second=False,
-    timed=False,
 )
+
+
+def with_limits(**limits: Any) -> LostPosition:
+    return replace(LOST, limits=replace(LOST.limits, **limits))
 
 
 def test_the_longest_gap_is_that_of_the_page_on_missed_samples() -> None:
     """The table of docs/supervision.md, A = a: 1/6, 1/8 and 1/12 cycle per interval squared."""
     for missed, largest in ((1, 1 / 6), (2, 1 / 8), (3, 1 / 12)):
         rad_s2 = largest * 100.0**2 / 2500 * 6.283185307
-        assert replace(LOST, acceleration_rad_s2=0.999 * rad_s2).longest_gap() == missed
-        assert replace(LOST, acceleration_rad_s2=1.01 * rad_s2).longest_gap() == missed - 1
-    assert replace(LOST, acceleration_rad_s2=0.0).longest_gap() is None
+        assert with_limits(acceleration_rad_s2=0.999 * rad_s2).longest_gap() == missed
+        assert with_limits(acceleration_rad_s2=1.01 * rad_s2).longest_gap() == missed - 1
+    assert with_limits(acceleration_rad_s2=0.0).longest_gap() is None
 
 
 @each("back", [True, False])
@@ -165,7 +166,7 @@ def test_a_limit_that_was_too_narrow_is_named_also_after_it_was_set_back(canfb: 
 
 def test_2010_03_counts_intervals_of_sync() -> None:
     loss = Loss(LossCause.COASTED, 3.0, 3, 0.2, 0.333, 1.2, 0)
-    several = replace(LOST, loss=loss, samples_per_sync=3, sample_hz=300.0)
+    several = replace(with_limits(samples_per_sync=3), loss=loss, sample_hz=300.0)
     assert several.would_have_kept()[0].startswith("2010:03 bridges 24 samples, 80 ms")
 
 
@@ -191,7 +192,8 @@ def test_ages() -> None:
 def test_the_page_shows_what_the_command_prints() -> None:
     (shown,) = blocks(PAGE, "text")
     loss = Loss(LossCause.COASTED, 12.4, 4, 0.5, 1 / 3, 1.2, int(StatusBit.MISSED))
-    lost = replace(LOST, loss=loss, missed=4, missed_syncs=3, acceleration_rad_s2=0.0, coast_samples=3)
+    undeclared = with_limits(acceleration_rad_s2=0.0)
+    lost = replace(undeclared, loss=loss, missed=4, missed_syncs=3, coast_samples=3)
     assert "\n".join(lost.lines()).startswith(shown.rstrip())
 
 

@@ -11,7 +11,7 @@ import pytest
 from canfb import objects as od
 from canfb.commission.limit_choice import choose
 from canfb.commission.observation import observe
-from canfb.master.listening import PdoRecorder
+from canfb.master.samples import PdoRecorder
 from canfb.simulation.encoder import Encoder
 from canfb.view.pdo_map import PdoLayout, coarse_layout
 from commissioning_kit import Bench

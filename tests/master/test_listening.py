@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.master.access import CommissioningError, NodeAccess
-from canfb.master.listening import PdoRecorder, listen
+from canfb.master.samples import PdoRecorder, listen
 from canfb.master.session import agreed_layout
 from canfb.view.pdo_map import PdoLayout
 from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder

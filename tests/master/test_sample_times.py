@@ -16,8 +16,7 @@ from canfb.cli.main import build_parser
 from canfb.cli.printing import Progress
 from canfb.configuration import Config
 from canfb.master.all_or_nothing import Guard
-from canfb.master.listening import PdoRecorder, listen
-from canfb.master.samples import TrackSamples, read_npz, write_npz
+from canfb.master.samples import PdoRecorder, TrackSamples, listen, read_npz, write_npz
 from canfb.master.session import agreed_layout
 from canfb.simulation.sync_producer import SyncTiming
 from canfb.view.pdo_map import PdoLayout

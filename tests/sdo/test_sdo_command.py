@@ -20,7 +20,7 @@ from canfb.cia301.datatypes import DataType
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.objects import StatusBit
-from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, numbered
+from canfb.sdo.object_description import ObjectDescriptions, numbered
 from canfb.sdo.sdo_tasks import MODULE, abort_words, in_words, parse_value, short_real, value_range
 from canfb.signal.correction import CorrectionTable
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
@@ -308,13 +308,11 @@ def test_the_short_form_of_a_real32_is_the_same_number(value: float) -> None:
     assert math.copysign(1, short) == math.copysign(1, value)
 
 
-STATUS = ObjectDescription(0x2011, 1, "status word", "feedback", DataType.UNSIGNED16, "ro")
-
-
 @given(st.integers(0, 0xFFFFFFFF))
 def test_every_abort_code_has_words(code: int) -> None:
+    (status,) = OF_MODULE.meant("2011:01")
     for one in (code, *AbortCode):
-        words: Any = abort_words(int(one), STATUS, "")
+        words: Any = abort_words(int(one), status, "")
         assert f"({int(one):08X}h)" in words
         assert "\n" not in words
 

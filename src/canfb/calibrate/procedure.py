@@ -21,8 +21,7 @@ from canfb.master.all_or_nothing import (
     put_in_force_again,
     read_active,
 )
-from canfb.master.listening import listening
-from canfb.master.samples import TrackSamples
+from canfb.master.samples import TrackSamples, listening
 from canfb.master.session import CORNERS, read_corners
 from canfb.master.supervision_limits import as_real32
 from canfb.objects import MeasurementCommand as Command

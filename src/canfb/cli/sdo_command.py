@@ -104,5 +104,5 @@ def write(options: argparse.Namespace) -> int:
         raise ConfigError("a VALUE or --file FILE is required, one of them")
     value = options.value if options.file is None else read_bytes(options.file, CommissioningError)
     with node_options.master_of(options) as master:
-        written = _tasks(master, options).write(options.object, value, raw=options.raw)
-    return node_options.say_result(options, Result(written.figures(), written.lines()))
+        result = _tasks(master, options).write(options.object, value, raw=options.raw)
+    return node_options.say_result(options, result)

@@ -20,7 +20,6 @@ from canfb.commission.observation import LEAST_SAMPLES, Observation, observe
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, Master, NodeAccess
 from canfb.master.all_or_nothing import Guard, change, check_can_save, check_unlocked
-from canfb.master.listening import UPLOAD_PART, listen, record
 from canfb.master.machine_watch import (
     Provenance,
     SpeedReading,
@@ -31,7 +30,7 @@ from canfb.master.machine_watch import (
     read_counters,
     watch,
 )
-from canfb.master.samples import TrackSamples
+from canfb.master.samples import UPLOAD_PART, TrackSamples, listen, record
 from canfb.master.session import Session
 from canfb.master.supervision_limits import SupervisionLimits, write_limits
 from canfb.objects import Multiplexer, StatusBit

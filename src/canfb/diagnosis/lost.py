@@ -11,7 +11,7 @@ from canfb.master.access import NodeAccess
 from canfb.objects import LossCause, PositionState, StatusBit, fault_words, position_state
 from canfb.rows import Result, Row, as_figures, as_lines, those
 from canfb.signal.limits import cycles_per_interval_squared, kept_samples, max_acceleration
-from canfb.view.limits_in_force import limit_settings
+from canfb.view.limits_in_force import LimitSettings, limit_settings
 from canfb.view.pdo_map import mapped_objects
 
 MEANINGS = {
@@ -58,7 +58,6 @@ def decoded(word: int) -> Result:
 
 CYCLE_UNITS = 65536.0  # of a cycle, in 2012:13..15
 RATE_S = 0.25  # over which the rate of the samples is measured
-MISSED = StatusBit.MISSED
 BAD_SIGNAL = StatusBit.AMPLITUDE | StatusBit.CLIPPED
 MOTION = (LossCause.CONTRADICTED, LossCause.JUMP, LossCause.UNDECIDED)
 MOST_MISSED = 255
@@ -116,8 +115,7 @@ class LostPosition:
     keeps_cause             the module has 2012:10
     losses, missed, missed_syncs  2012:05, :01 and :0E
     sample_hz               now; 0.0: none
-    limit_now_cycles, needed_cycles   2010:01 in force, and for good samples
-    coarse, zero_pulse, second, timed   mapped in its RPDOs
+    coarse, zero_pulse, second   mapped in its RPDOs
     """
 
     node_id: int
@@ -129,16 +127,11 @@ class LostPosition:
     missed_syncs: int
     sample_hz: float
     cycles_per_revolution: int
-    acceleration_rad_s2: float
     coast_samples: int
-    residual_limit_cycles: float
-    limit_now_cycles: float
-    needed_cycles: float
+    limits: LimitSettings
     coarse: bool
     zero_pulse: bool
     second: bool
-    timed: bool
-    samples_per_sync: int = 1
 
     @property
     def name(self) -> str:
@@ -166,15 +159,15 @@ class LostPosition:
             },
             "counters": {"losses": self.losses, "missed": self.missed, "syncs_not_heard": self.missed_syncs},
             "limits": {
-                "acceleration_rad_s2": self.acceleration_rad_s2,
+                "acceleration_rad_s2": self.limits.acceleration_rad_s2,
                 "coast_samples": self.coast_samples,
-                "residual_limit_cycles": self.residual_limit_cycles,
+                "residual_limit_cycles": self.limits.widest_cycles,
             },
             "mapped": {
                 "coarse_track": self.coarse,
                 "zero_pulse": self.zero_pulse,
                 "second_position": self.second,
-                "sample_time": self.timed,
+                "sample_time": self.limits.timed,
             },
             "brings_back": self.brings_back(),
             "would_have_kept": self.would_have_kept(),
@@ -250,12 +243,12 @@ class LostPosition:
         ]
 
     def would_have_kept(self) -> list[str]:
-        loss = self.loss
+        loss, in_force = self.loss, self.limits
         if loss is None:
             return []
-        cause, missed = loss.cause, loss.faults & MISSED
+        cause, missed = loss.cause, loss.faults & StatusBit.MISSED
         rate = f" at {self.sample_hz:.4g} Hz and 2010:01: a faster SYNC, or a gentler motion"
-        limits = self.cycles_per_revolution, self.sample_hz, self.residual_limit_cycles
+        limits = self.cycles_per_revolution, self.sample_hz, self.limits.widest_cycles
         gentler = cause in MOTION and self.sample_hz > 0.0
         largest = max_acceleration(*limits) if gentler else 0.0
         doubtful = cause is LossCause.AMBIGUOUS or (cause is LossCause.COASTED and missed)
@@ -272,51 +265,53 @@ class LostPosition:
             ),
             *(self._narrow(loss) if cause in MOTION or loss.faults & StatusBit.RESIDUAL else ()),
             (gentler, f"the motion must stay below {largest:.4g} rad/s²{rate}"),
-            *((cause in causes and timed in (None, self.timed), text) for causes, timed, text in ADVICE),
+            *((cause in causes and timed in (None, in_force.timed), text) for causes, timed, text in ADVICE),
         )
 
     def _longer(self, loss: Loss) -> str:
-        bridged = self.coast_samples * self.samples_per_sync
+        bridged = self.coast_samples * self.limits.samples_per_sync
         time = f", {bridged / self.sample_hz * 1e3:.3g} ms" if self.sample_hz else ""
         text = f"2010:03 bridges {bridged} samples{time}"
         if self.coast_samples >= MOST_MISSED:
             return f"{text}, the most that it can"
-        most = self.longest_gap() if loss.faults & MISSED else None
+        most = self.longest_gap() if loss.faults & StatusBit.MISSED else None
         if most is not None and most <= bridged:
             return f"{text}; more would not help at this acceleration (2010:02) and SYNC rate"
         return f"{text}: a larger value bridges a longer fault"
 
     def _declared(self) -> str:
-        most = self.longest_gap()
+        most, largest = self.longest_gap(), self.limits.acceleration_rad_s2
         said = "" if most is None else f": one motion is certain over {most} missed samples at most"
-        known = f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s²{said}; a smaller one, if it is true, "
-        return f"{known}or a faster SYNC, over more" if self.acceleration_rad_s2 else NOT_DECLARED
+        known = f"2010:02 is {largest:.4g} rad/s²{said}; a smaller one, if it is true, "
+        return f"{known}or a faster SYNC, over more" if largest else NOT_DECLARED
 
     def longest_gap(self) -> int | None:
         """Missed samples over which 2010:02 leaves one motion, or None."""
-        if not (self.acceleration_rad_s2 and self.sample_hz):
+        if not (self.limits.acceleration_rad_s2 and self.sample_hz):
             return None
         n, interval_s = self.cycles_per_revolution, 1.0 / self.sample_hz
-        largest = cycles_per_interval_squared(self.acceleration_rad_s2, n, interval_s)
+        largest = cycles_per_interval_squared(self.limits.acceleration_rad_s2, n, interval_s)
         return kept_samples(largest, largest, phase_error_cycles=0.0, most=MOST_MISSED)
 
     def _narrow(self, loss: Loss) -> list[tuple[bool, str]]:
-        then, now = f"{loss.limit_cycles:.3g} cycle", f"{self.limit_now_cycles:.3g} cycle"
+        rates = self.cycles_per_revolution, self.sample_hz / self.limits.samples_per_sync
+        now_cycles, needed = self.limits.limit_cycles(*rates), self.limits.needed_cycles(*rates)
+        then, now = f"{loss.limit_cycles:.3g} cycle", f"{now_cycles:.3g} cycle"
         reasons = (
             (
-                loss.limit_cycles < SAME * self.limit_now_cycles,
+                loss.limit_cycles < SAME * now_cycles,
                 f"the residual limit was {then} and is {now} now: 2010:01 was written since "
                 "(or 2010:02, 2010:0C, which narrow it); what it was then lost the position",
             ),
             (
-                self.residual_limit_cycles < self.needed_cycles,
-                f"2010:01 is {self.residual_limit_cycles:.3g} cycle, and the declared acceleration (2010:02) "
-                f"and phase error (2010:0C) need {self.needed_cycles:.3g}",
+                self.limits.widest_cycles < needed,
+                f"2010:01 is {self.limits.widest_cycles:.3g} cycle, and the declared acceleration (2010:02) "
+                f"and phase error (2010:0C) need {needed:.3g}",
             ),
             (
-                loss.limit_cycles < self.residual_limit_cycles,
-                f"2010:02 is {self.acceleration_rad_s2:.4g} rad/s², which narrows the residual limit to "
-                f"{then}: is it the largest acceleration, also in a jolt? See canfb commission",
+                loss.limit_cycles < self.limits.widest_cycles,
+                f"2010:02 is {self.limits.acceleration_rad_s2:.4g} rad/s², which narrows the residual limit "
+                f"to {then}: is it the largest acceleration, also in a jolt? See canfb commission",
             ),
         )
         return [one for one in reasons if one[0]][:1]
@@ -337,26 +332,19 @@ def read_lost_position(module: NodeAccess) -> LostPosition:
         "cycles_per_revolution": module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I"),
         "coast_samples": module.integer(*od.SUPERVISION_COAST, "B"),
     }
-    limits = limit_settings(module.read_known)
     master.wait(max(0.0, began + RATE_S - master.now()))
     samples = module.integer(*od.FEEDBACK_SAMPLES, "I") - first & 0xFFFFFFFF
     sample_hz = samples / (master.now() - began) if samples > 1 else 0.0
-    rates = settings["cycles_per_revolution"], sample_hz / limits.samples_per_sync
     return LostPosition(
         module.node_id,
         status,
         loss,
         keeps_cause,
         sample_hz=sample_hz,
-        acceleration_rad_s2=limits.acceleration_rad_s2,
-        residual_limit_cycles=limits.widest_cycles,
-        limit_now_cycles=limits.limit_cycles(*rates),
-        needed_cycles=limits.needed_cycles(*rates),
         coarse=od.SAMPLE_COARSE_SINE.mapped(16) in mapped and od.SAMPLE_COARSE_COSINE.mapped(16) in mapped,
         zero_pulse=od.SAMPLE_FLAGS.mapped(8) in mapped,
         second=od.SAMPLE_SECOND_POSITION.mapped(32) in mapped and tolerance > 0.0,
-        timed=limits.timed,
-        samples_per_sync=limits.samples_per_sync,
+        limits=limit_settings(module.read_known),
         **settings,
     )
 

@@ -13,8 +13,7 @@ from canfb.calibration.recording import WINDOW, Lock, away_from, find_lock
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, NodeAccess, Progress
-from canfb.master.listening import Listener
-from canfb.master.samples import TrackSamples
+from canfb.master.samples import Listener, TrackSamples
 from canfb.objects import PositionState, StatusBit, fault_words, position_state
 from canfb.rows import Row
 from canfb.signal.phase import FloatArray

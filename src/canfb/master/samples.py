@@ -1,10 +1,12 @@
-"""Samples of both tracks, in memory and in files."""
+"""Samples of both tracks: in memory, in files, and over the bus: of the ADC PDO, or of a
+recording object (2050h)."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,13 +14,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from canfb import objects as od
 from canfb.calibration.over_speeds import sampled_together, speeds
 from canfb.calibration.recording import Recording, recording
-from canfb.master.access import CommissioningError
+from canfb.master.access import (
+    CommissioningError,
+    Master,
+    NodeAccess,
+    ObjectAbsentError,
+    OnFrame,
+    Progress,
+    subscribed,
+)
 from canfb.objects import MISSED_COUNTS
+from canfb.objects import RecordingCommand as Command
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import TICK_S, TICKS
 from canfb.sources.tracks_file import read_tracks, with_gaps
+from canfb.view.pdo_map import PdoLayout
 
 # The rate between pauses is known to about half a percent where receive times jitter.
 LEAST_SKIPPED, SURE_PART = 2, 0.005
@@ -166,3 +179,233 @@ def read_speed(path: Path) -> float | None:
 def read_npz(path: Path) -> TrackSamples:
     tracks = read_tracks(path)
     return TrackSamples(tracks.sine, tracks.cosine, tracks.rate_hz, f"file {path.name}", tracks.time_s)
+
+
+PATIENCE_S = 2.0  # for the first SYNC, the first sample, and for either to go on
+LOOK_S = 0.1
+LONGEST = 6.0  # times the duration that was asked for, where SYNCs are rare
+PART_MISSED = 0.5
+Pair = tuple[int, int]
+MISSED: Pair = (MISSED_COUNTS, MISSED_COUNTS)
+
+
+@dataclass(slots=True)
+class _Interval:
+    """From one SYNC to the next; ``stamp``: 100 ns."""
+
+    at_s: float
+    earlier: list[Pair]
+    pair: Pair = MISSED
+    stamp: int | None = None
+    coarse: Pair | None = None
+
+
+class PdoRecorder:
+    """Gives each SYNC the first sample that comes before the next one.
+
+    Called from the receiving thread; read when that has ended.
+    """
+
+    def __init__(self, layout: PdoLayout) -> None:
+        self._layout = layout
+        self._intervals: list[_Interval] = []
+        self.samples = 0
+
+    @property
+    def syncs(self) -> int:
+        return len(self._intervals)
+
+    def callbacks(self) -> list[tuple[int, OnFrame]]:
+        """For each CAN-ID; the SYNC is the last."""
+        layout = self._layout
+        found: list[tuple[int, OnFrame]] = [(layout.can_id, self.on_pdo)]
+        if layout.coarse is not None:
+            found.append((layout.coarse.can_id, self.on_coarse))
+        return [*found, *((can_id, self.on_part) for can_id in layout.others), (layout.sync_id, self.on_sync)]
+
+    def on_sync(self, can_id: int, data: bytes, time_s: float) -> None:
+        self._intervals.append(_Interval(time_s, [MISSED] * len(self._layout.earlier)))
+
+    def on_pdo(self, can_id: int, data: bytes, time_s: float) -> None:
+        counts = self._layout.unpack(data)
+        if counts is None or not self._intervals or self._intervals[-1].pair != MISSED:
+            return
+        self._intervals[-1].pair = counts
+        if self._layout.time_byte is not None:
+            self._intervals[-1].stamp = self._layout.sample_time(data)
+        self.samples += 1
+        self.on_part(can_id, data, time_s)
+
+    def on_part(self, can_id: int, data: bytes, time_s: float) -> None:
+        if not self._intervals:
+            return
+        layout, now = self._layout, self._intervals[-1]
+        for place, part in enumerate(layout.earlier):
+            if part.can_id == can_id and now.earlier[place] == MISSED:
+                now.earlier[place] = part.unpack(data) or MISSED
+        if layout.timed_by is not None and layout.timed_by.can_id == can_id and now.stamp is None:
+            now.stamp = layout.timed_by.sample_time(data)
+
+    def on_coarse(self, can_id: int, data: bytes, time_s: float) -> None:
+        layout = self._layout.coarse
+        if self._intervals and layout is not None and self._intervals[-1].coarse is None:
+            self._intervals[-1].coarse = layout.unpack(data)
+
+    def result(self, origin: str) -> TrackSamples:
+        """What came, in order, without the open interval."""
+        intervals, per_sync = self._intervals[:-1], 1 + len(self._layout.earlier)
+        rate_hz = self._rate_hz()
+        in_order = [pair for one in intervals for pair in (*one.earlier[::-1], one.pair)]
+        pairs = np.array(in_order, np.float64).reshape(-1, 2)
+        samples = TrackSamples.of(pairs[:, 0], pairs[:, 1], rate_hz and rate_hz * per_sync, origin)
+        if rate_hz or per_sync == 1:
+            before_s = np.arange(per_sync - 1, -1, -1) / per_sync / (rate_hz or 1.0)
+            at_s = np.array([one.at_s for one in intervals])
+            samples = replace(samples, received_s=(at_s[:, None] - before_s).reshape(-1))
+        if self._layout.coarse is not None:
+            tracks = np.full((len(pairs), 2), np.nan)
+            tracks[per_sync - 1 :: per_sync] = [one.coarse or (np.nan, np.nan) for one in intervals]
+            samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
+        if not self._layout.is_timed:
+            return samples
+        stamps: list[int | None] = [None] * len(pairs)
+        stamps[per_sync - 1 :: per_sync] = [one.stamp for one in intervals]
+        return samples.timed(stamps)
+
+    def _rate_hz(self) -> float | None:
+        steps = np.diff([one.at_s for one in self._intervals])
+        # The median does not mind a pause; the mean of what is near it does not mind late time stamps.
+        if not len(steps) or (middle := float(np.median(steps))) <= 0.0:
+            return None
+        near = steps[np.abs(steps - middle) < 0.5 * middle]
+        return 1.0 / float(near.mean()) if len(near) else None
+
+
+class Listener:
+    """Call :meth:`look` now and then."""
+
+    def __init__(self, master: Master, layout: PdoLayout) -> None:
+        self._master = master
+        self._layout = layout
+        self.recorder = PdoRecorder(layout)
+        self._syncs = self._samples = 0
+        self._began_s: float | None = None
+        self._last_sync_s = self._last_sample_s = master.now()
+
+    @property
+    def intervals(self) -> int:
+        """From SYNC to SYNC: those of :meth:`result`."""
+        return max(self.recorder.syncs - 1, 0)
+
+    @property
+    def elapsed_s(self) -> float:
+        return 0.0 if self._began_s is None else self._master.now() - self._began_s
+
+    def look(self) -> None:
+        now, recorder, layout = self._master.now(), self.recorder, self._layout
+        if recorder.syncs > self._syncs:
+            self._syncs, self._last_sync_s = recorder.syncs, now
+            if self._began_s is None:
+                self._began_s = self._last_sample_s = now
+        if recorder.samples > self._samples:
+            self._samples, self._last_sample_s = recorder.samples, now
+        if now - self._last_sync_s > PATIENCE_S:
+            raise CommissioningError(
+                f"no SYNC ({layout.sync_id:03X}h) for {PATIENCE_S:g} s: start the node that produces it, the "
+                "drive or the controller, or let canfb produce it (--rate HZ)"
+            )
+        if self._began_s is not None and now - self._last_sample_s > PATIENCE_S:
+            raise self._no_samples()
+
+    def result(self) -> TrackSamples:
+        can_id = self._layout.can_id
+        if not self.recorder.samples:
+            raise self._no_samples()
+        samples = self.recorder.result(f"PDO {can_id:03X}h at each SYNC")
+        if samples.missed > PART_MISSED * len(samples):
+            raise CommissioningError(
+                f"{samples.missed} of {len(samples)} SYNCs were not followed by PDO {can_id:03X}h: "
+                "samples are lost, or the PDO is not sent at each SYNC (transmission type 1 is needed)"
+            )
+        return samples
+
+    def _no_samples(self) -> CommissioningError:
+        return CommissioningError(
+            f"SYNC is received, but not PDO {self._layout.can_id:03X}h with the samples: is the encoder "
+            "interface OPERATIONAL (NMT start), and is its node-ID right?"
+        )
+
+
+@contextlib.contextmanager
+def listening(master: Master, layout: PdoLayout) -> Iterator[Listener]:
+    listener = Listener(master, layout)
+    with subscribed(master, listener.recorder.callbacks()):
+        yield listener
+
+
+def listen(
+    master: Master,
+    layout: PdoLayout,
+    duration_s: float,
+    least_samples: int = 0,
+    progress: Progress = lambda part: None,
+    enough: Callable[[Listener], bool] = lambda listener: False,
+) -> TrackSamples:
+    """Samples of ``duration_s`` from the first SYNC on, ``least_samples`` intervals at least.
+
+    ``progress`` gets 0..1. Ends after LONGEST times that, or when ``enough``. CommissioningError without
+    SYNC or samples.
+    """
+    with listening(master, layout) as listener:
+        while True:
+            master.wait(LOOK_S)
+            listener.look()
+            passed = listener.elapsed_s / duration_s
+            part = min(passed, listener.intervals / least_samples if least_samples else passed)
+            progress(min(1.0, max(part, passed / LONGEST)))
+            if part >= 1.0 or passed >= LONGEST or enough(listener):
+                break
+    return listener.result()
+
+
+RECORDING_LOOK_S = 0.2
+STANDING_S = 1.0  # no more samples for this long: the memory of the node is full
+EMPTY_S = 2.0  # none at all for this long: nothing samples
+UPLOAD_PART = 0.5  # of the progress reported
+
+
+def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress: Progress) -> TrackSamples:
+    """Let ``node`` record for ``duration_s``, and upload it; ``progress`` gets 0..1.
+
+    ``rate_hz`` counts where 2050:04 is 0. CommissioningError if it cannot, or recorded nothing.
+    """
+    try:
+        node.write(*od.RECORDING_COMMAND, "B", Command.START)
+    except ObjectAbsentError:
+        raise CommissioningError(f"{node.name} cannot record: it has no object 2050h") from None
+    try:
+        _wait(node, duration_s, progress)
+    finally:
+        node.write(*od.RECORDING_COMMAND, "B", Command.STOP)
+    count = node.integer(*od.RECORDING_RECORDED, "I")
+    if not count:
+        raise CommissioningError(f"{node.name} has recorded nothing (2050:02): is it OPERATIONAL?")
+    data = node.upload_domain(
+        *od.RECORDING_SAMPLES, lambda part: progress(UPLOAD_PART + (1.0 - UPLOAD_PART) * part)
+    )
+    known_hz = float(node.integer_if_there(od.RECORDING_RATE, "I") or 0.0)
+    return TrackSamples.from_bytes(data, known_hz or rate_hz, f"recording 2050h of {node.name}")
+
+
+def _wait(node: NodeAccess, duration_s: float, progress: Progress) -> None:
+    master = node.master
+    began = grown = master.now()
+    count = 0
+    while (passed := master.now() - began) < duration_s:
+        progress(UPLOAD_PART * passed / duration_s)
+        master.wait(min(RECORDING_LOOK_S, duration_s - passed))
+        now_there = node.integer(*od.RECORDING_RECORDED, "I")
+        if now_there != count:
+            count, grown = now_there, master.now()
+        elif master.now() - grown > (STANDING_S if count else EMPTY_S):
+            return  # the memory is full, or nothing samples

@@ -10,9 +10,8 @@ from canfb import objects as od
 from canfb.calibration.over_speeds import counts_at
 from canfb.master.access import CommissioningError, Master, NodeAccess, Progress
 from canfb.master.all_or_nothing import read_active
-from canfb.master.listening import Listener, listen, record
 from canfb.master.machine_watch import Provenance, check_valid
-from canfb.master.samples import TrackSamples
+from canfb.master.samples import Listener, TrackSamples, listen, record
 from canfb.signal.correction import Correction
 from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
@@ -21,6 +20,7 @@ from canfb.view.pdo_map import PdoLayout, interface_layout, module_layout
 Source = Callable[[float, int, Progress], TrackSamples]
 """Collects samples: seconds, least number of samples, and a callable that gets 0..1."""
 DEFAULT_INTERFACE = 0x10
+SAMPLE_LIMITS = (od.ENCODER_FULL_SCALE, od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
 CORNERS = (od.ENCODER_CORNER_FREQUENCY, od.ENCODER_COSINE_CORNER_FREQUENCY)
 
 
@@ -51,12 +51,9 @@ class Session:
         module = NodeAccess(master, module_id, "module")
         active = read_active(module)
         cycles = module.integer(*od.ENCODER_CYCLES_PER_REVOLUTION, "I")
-        full_scale = module.integer(*od.ENCODER_FULL_SCALE, "H")
-        low = module.integer(*od.ENCODER_LOWEST_AMPLITUDE, "H")
-        high = module.integer(*od.ENCODER_HIGHEST_AMPLITUDE, "H")
+        limits = SampleLimits(*(module.integer(*place, "H") for place in SAMPLE_LIMITS))
         named = interface_id if interface_id is not None else _interface_of(module)
         interface = NodeAccess(master, named or DEFAULT_INTERFACE, "encoder interface")
-        limits = SampleLimits(full_scale, low, high)
         return cls(
             master,
             module,

@@ -142,7 +142,7 @@ class _BackupReader:
             if entry is None:
                 raise self._wrong("this version has no such parameter; --force leaves it out", section, key)
             try:
-                values[place] = check_value(entry.data_type, value, entry.low, entry.high)
+                values[place] = check_value(entry.data_type, value, entry.least, entry.most)
             except ValueError as error:
                 raise self._wrong(f"{entry.title} {error}", section, key) from None
         return values

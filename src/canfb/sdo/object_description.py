@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
@@ -28,18 +28,11 @@ _NUMBERED = re.compile(r"(?:0x)?([0-9a-f]{4})h?(?:[:.](?:0x)?([0-9a-f]{1,2})h?)?
 
 
 @dataclass(frozen=True)
-class ObjectDescription:
-    """One entry; ``parent`` is the name of its object, "" where the entry is all of it."""
+class ObjectDescription(eds.Description):
+    """One entry, with its limits as numbers."""
 
-    index: int
-    subindex: int
-    name: str
-    parent: str
-    data_type: int
-    access: str
-    unit: str = ""
-    low: float | None = None
-    high: float | None = None
+    least: float | None
+    most: float | None
 
     @property
     def place(self) -> Place:
@@ -164,9 +157,7 @@ def listed(names: list[str], most: int = MOST_LISTED) -> str:
 @lru_cache(maxsize=8)
 def _described(content: bytes, node_id: int) -> dict[Place, ObjectDescription]:
     return {
-        (one.index, one.subindex): ObjectDescription(
-            one.index, one.subindex, one.name, one.parent, one.data_type, one.access, one.unit, low, high
-        )
+        (one.index, one.subindex): ObjectDescription(**asdict(one), least=low, most=high)
         for one in eds.content_described(content).entries
         for _, low, high in [one.values(node_id)]
     }

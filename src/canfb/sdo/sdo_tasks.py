@@ -19,6 +19,7 @@ from canfb.device.od.dcf import Reals, real_as_text
 from canfb.errors import ConfigError
 from canfb.master.access import CommissioningError, NodeAccess, RefusedError
 from canfb.master.all_or_nothing import SAVE_WITHIN_S
+from canfb.rows import Result, those
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, numbered
 from canfb.view.limits_in_force import limit_settings
 
@@ -43,23 +44,21 @@ def value_range(data_type: int, low: float | None = None, high: float | None = N
 def check_value(data_type: int, value: Any, low: float | None = None, high: float | None = None) -> Any:
     """``value`` as its type has it, or ValueError."""
     if data_type in datatypes.FLOATS:
-        checked: Any = _real(data_type, value)
+        value = _real(data_type, value)
     elif data_type in datatypes.STRINGS:
-        checked = value
         if not isinstance(value, str):
             raise ValueError(f"must be a text, not {value!r}")
     elif data_type in datatypes.BYTES or data_type not in datatypes.KNOWN:
-        checked = value
         if not isinstance(value, bytes):
             raise ValueError(f"must be bytes, not {value!r}")
     elif data_type == DataType.BOOLEAN:
         if value not in (0, 1):
             raise ValueError(f"must be true or false, not {value!r}")
-        checked = bool(value)
+        value = bool(value)
     else:
-        checked = _integer(data_type, value, low, high)
-    datatypes.encode(data_type, checked)  # says what the type cannot hold: a text beyond Latin-1
-    return checked
+        value = _integer(data_type, value, low, high)
+    datatypes.encode(data_type, value)  # says what the type cannot hold: a text beyond Latin-1
+    return value
 
 
 def _integer(data_type: int, value: Any, low: float | None, high: float | None) -> int:
@@ -198,8 +197,8 @@ def abort_words(code: int, entry: ObjectDescription, product: str) -> str:
     if code == AbortCode.DEVICE_STATE:
         advice = _OF_PLACE.get(product, {}).get(entry.place, advice)
     is_range = code in (AbortCode.VALUE_TOO_HIGH, AbortCode.VALUE_TOO_LOW, AbortCode.INVALID_VALUE)
-    if is_range and (entry.low is not None or entry.high is not None):
-        low, high = ("" if limit is None else f"{limit:g}" for limit in (entry.low, entry.high))
+    if is_range and (entry.least is not None or entry.most is not None):
+        low, high = ("" if limit is None else f"{limit:g}" for limit in (entry.least, entry.most))
         advice = f"the EDS allows {low}..{high}"
     return f"{meaning} ({code:08X}h){'; ' * bool(advice)}{advice}"
 
@@ -297,26 +296,14 @@ def raw_text(unit: str, text: str) -> str:
     return str(round(float(text.removesuffix(part[1])) * part[0]))
 
 
-@dataclass(frozen=True)
-class Written:
-    """Before, after (None: cannot be read), and a warning."""
-
-    before: Reading | None
-    now: Reading | None
-    value: Reading
-    warning: str = ""
-
-    def lines(self) -> list[str]:
-        line = f"{self.value.line()}, written"
-        if self.before is not None and self.now is not None:
-            entry = self.value.entry
-            line = f"{entry.number} {entry.title}: {self.before.text()} -> {self.now.text()}"
-        return [line, *([self.warning] if self.warning else [])]
-
-    def figures(self) -> dict[str, Any]:
-        readings = {"before": self.before, "now": self.now, "written": self.value}
-        figures = {name: one and one.figures() for name, one in readings.items()}
-        return figures | {"warning": self.warning or None}
+def _written(before: Reading | None, now: Reading | None, value: Reading, warning: str) -> Result:
+    """``before`` and ``now`` are None where it cannot be read."""
+    line = f"{value.line()}, written"
+    if before is not None and now is not None:
+        line = f"{value.entry.number} {value.entry.title}: {before.text()} -> {now.text()}"
+    readings = {"before": before, "now": now, "written": value}
+    figures = {name: one and one.figures() for name, one in readings.items()}
+    return Result(figures | {"warning": warning or None}, [line, *those((warning, warning))])
 
 
 class SdoTasks:
@@ -335,7 +322,7 @@ class SdoTasks:
             readable = [entry for entry in readable if entry.subindex or entry.index in _COUNTED]
         return [self._read(entry) for entry in readable]
 
-    def write(self, text: str, value: str | bytes, *, raw: bool = False) -> Written:
+    def write(self, text: str, value: str | bytes, *, raw: bool = False) -> Result:
         entry = self._one(text)
         data = value if isinstance(value, bytes) else self._encoded(entry, value, raw)
         watched = self._described.product == MODULE and entry.index in SUPERVISION
@@ -352,7 +339,7 @@ class SdoTasks:
             raise self._refused("writing", entry, error) from None
         now = self._read(entry) if before is not None else None
         warning = self._warning() if was_valid else ""
-        return Written(before, now, Reading(entry, data, self._described.product), warning)
+        return _written(before, now, Reading(entry, data, self._described.product), warning)
 
     def _is_valid(self) -> bool:
         return bool(int(self._node.read_known(od.FEEDBACK_STATUS) or 0) & od.StatusBit.VALID)
@@ -389,13 +376,13 @@ class SdoTasks:
         try:
             if value is None:
                 number = text if raw else raw_text(entry.unit, text)
-                value = parse_value(entry.data_type, number, entry.low, entry.high)
+                value = parse_value(entry.data_type, number, entry.least, entry.most)
         except (ValueError, OverflowError) as error:
             reason = str(error)
             if words := ", ".join(words_of(self._described.product, entry.place)):
                 reason += f"; or one of the words {words}"
             elif (part := _part(entry.unit)) and not raw:
-                low, high = (end / part[0] for end in value_range(entry.data_type, entry.low, entry.high))
+                low, high = (end / part[0] for end in value_range(entry.data_type, entry.least, entry.most))
                 reason = f"must be {low:.6g}..{high:.6g} {part[1]}, not {text!r} ({entry.unit} with --raw)"
             raise ConfigError(f"{entry.number} {entry.title} {reason}") from None
         return value if isinstance(value, bytes) else datatypes.encode(entry.data_type, value)

@@ -208,8 +208,7 @@ class TableState:
         staged = module.integer(*od.TABLE_STAGED_CRC, "I")
         written = read_conditioning(module)
         waiting = None if written == used.conditioning else written
-        saved = module.read_known(od.TABLE_SAVED_CRC)
-        saved_crc32 = None if saved is None else int(saved)
+        saved_crc32 = module.integer_if_there(od.TABLE_SAVED_CRC, "I")
         return cls(module.name, used, cycles, False, staged, saved_crc32, waiting)
 
     @classmethod
