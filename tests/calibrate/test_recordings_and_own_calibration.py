@@ -29,7 +29,7 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource, Ramp
 from canfb.simulation.sync_producer import SyncProducer, SyncTiming
-from canfb.view.pdo_map import PdoLayout
+from canfb.view.module_view import PdoLayout
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, random_encoder
 from folding import each
 

@@ -16,7 +16,7 @@ from canfb.eds_files import eds_path
 from canfb.monitoring.layout import known_objects
 from canfb.objects import LossCause
 from canfb.sdo.object_description import ObjectDescriptions
-from canfb.view.pdo_map import Read
+from canfb.view.module_view import Read
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench
 from folding import each
 

@@ -14,7 +14,7 @@ from canfb import objects as od
 from canfb.cli.main import build_parser
 from canfb.diagnosis.lost import Loss, LostPosition, age_words, read_lost_position
 from canfb.objects import LossCause, StatusBit
-from canfb.view.limits_in_force import LimitSettings
+from canfb.view.module_view import LimitSettings
 from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench
 from documentation import blocks, page
 from folding import each

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.logfile import log_reader
-from canfb.logfile.in_order import WINDOW_S, in_order
 from canfb.logfile.log_files import LogCounters, LogError
-from canfb.logfile.log_reader import BusLogFile
+from canfb.logfile.log_reader import WINDOW_S, BusLogFile, in_order
 from drawing import examples
 from fake_bus import message
 

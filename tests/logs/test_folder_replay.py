@@ -14,9 +14,8 @@ import pytest
 
 from canfb.cli.main import main
 from canfb.errors import CanfbError
-from canfb.logs import folder_replay
-from canfb.logs.folder_replay import do_work, work_of
-from canfb.logs.log_replay import COLUMNS, LogJob, ReplayOptions, Row, rows_of
+from canfb.logs import log_replay
+from canfb.logs.log_replay import COLUMNS, LogJob, ReplayOptions, Row, do_work, rows_of, work_of
 from canfb.logs.replay_files import read_rows
 from replay_kit import Planned, adc, config, live, session, write_log
 
@@ -123,7 +122,7 @@ def test_of_two_processes_the_one_that_is_killed_costs_its_log(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = do_work(*work_of(folder, SETTINGS, None), SETTINGS, None, 1)
-    monkeypatch.setattr(folder_replay, "rows_of", kill_first)
+    monkeypatch.setattr(log_replay, "rows_of", kill_first)
     rows = do_work(*work_of(folder, SETTINGS, None), SETTINGS, None, 2)
     lost = [row for row in rows if row["log"] == "monday/3.blf"]
     assert [row["error"] for row in lost] == ["its process was ended again and again"]

@@ -13,7 +13,7 @@ from canfb.commission.limit_choice import choose
 from canfb.commission.observation import observe
 from canfb.master.samples import PdoRecorder
 from canfb.simulation.encoder import Encoder
-from canfb.view.pdo_map import PdoLayout, coarse_layout
+from canfb.view.module_view import PdoLayout, coarse_layout
 from commissioning_kit import Bench
 from machine_kit import RATE_HZ, SimulatedMachine, duty
 

@@ -14,7 +14,7 @@ from canfb.cia301.frame import Frame
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.samples import PdoRecorder, listen
 from canfb.master.session import agreed_layout
-from canfb.view.pdo_map import PdoLayout
+from canfb.view.module_view import PdoLayout
 from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder
 
 LAYOUT = PdoLayout(0x190)

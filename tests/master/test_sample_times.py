@@ -19,7 +19,7 @@ from canfb.master.all_or_nothing import Guard
 from canfb.master.samples import PdoRecorder, TrackSamples, listen, read_npz, write_npz
 from canfb.master.session import agreed_layout
 from canfb.simulation.sync_producer import SyncTiming
-from canfb.view.pdo_map import PdoLayout
+from canfb.view.module_view import PdoLayout
 from commissioning_kit import Bench, random_encoder
 
 JITTER = SyncTiming(sync_jitter_us=100.0, sync_drift_ppm=-50.0)

@@ -22,7 +22,7 @@ from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import NEEDED, Origin, assumed_layout, known_layouts, layout_of
 from canfb.monitoring.lines import residual_words
 from canfb.monitoring.snapshot import ModuleSnapshot, NodeSnapshot
-from canfb.view.pdo_map import Read
+from canfb.view.module_view import Read
 from drawing import examples
 from folding import each
 from monitored_network import INTERFACE, NODE, MonitoredNetwork

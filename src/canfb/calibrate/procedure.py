@@ -28,8 +28,7 @@ from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.signal.harmonics import Corners
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES
-from canfb.view.limits_in_force import LIMIT_UNITS
-from canfb.view.pdo_map import PdoLayout
+from canfb.view.module_view import LIMIT_UNITS, PdoLayout
 
 SPARE_PHASE_ERROR = 2.0  # times the largest error of the fresh samples: not every place of the cycle was met
 # Fresh samples may come at another speed; a table that is wrong is worse than this by far.

@@ -31,8 +31,7 @@ from canfb.errors import ConfigError
 from canfb.files import check_writable
 from canfb.hosting.readiness import Readiness
 from canfb.logfile.bus_log import BusLog
-from canfb.logs.folder_replay import check_table, do_work, work_of
-from canfb.logs.log_replay import ReplayOptions, replay_log
+from canfb.logs.log_replay import ReplayOptions, check_table, do_work, replay_log, work_of
 from canfb.logs.replay_files import published, write_page
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.findings import KINDS, Block, Overview

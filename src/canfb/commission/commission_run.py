@@ -35,7 +35,7 @@ from canfb.master.session import Session
 from canfb.master.supervision_limits import SupervisionLimits, write_limits
 from canfb.objects import Multiplexer, StatusBit
 from canfb.rows import Result
-from canfb.view.pdo_map import coarse_layout
+from canfb.view.module_view import coarse_layout
 
 Values = Mapping[Multiplexer, float]
 RANGES = (

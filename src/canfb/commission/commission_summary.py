@@ -26,7 +26,7 @@ from canfb.report.pictures import lissajous
 from canfb.rows import Findings, Row, Section, those
 from canfb.signal.limits import samples_without_harm
 from canfb.timing.syncs import USUAL_JITTER_S
-from canfb.view.limits_in_force import LIMIT_UNITS
+from canfb.view.module_view import LIMIT_UNITS
 
 # What a limit of 0 says.
 NOTHING = {

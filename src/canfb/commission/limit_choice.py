@@ -24,7 +24,7 @@ from canfb.signal.limits import (
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.timing.grid import UNDECLARED
 from canfb.timing.syncs import USUAL_JITTER_S
-from canfb.view.limits_in_force import LIMIT_UNITS
+from canfb.view.module_view import LIMIT_UNITS
 
 SAME_CORNER = 0.05  # relative: what is set need not change
 LEAST_AMPLITUDE_SPREAD = 0.2  # temperature, supply and age of an encoder

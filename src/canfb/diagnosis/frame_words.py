@@ -17,7 +17,7 @@ from canfb.diagnosis.nodes_on_bus import scan
 from canfb.master.access import CommissioningError, Master, NodeAccess
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import Reading
-from canfb.view.pdo_map import Pdo, Read, valid_pdos
+from canfb.view.module_view import Pdo, Read, valid_pdos
 
 PARAMETERS = (("TPDO", od.TPDO, od.TPDO_MAPPING), ("RPDO", od.RPDO, od.RPDO_MAPPING))
 SCAN_S = 0.2

@@ -11,8 +11,7 @@ from canfb.master.access import NodeAccess
 from canfb.objects import LossCause, PositionState, StatusBit, fault_words, position_state
 from canfb.rows import Result, Row, as_figures, as_lines, those
 from canfb.signal.limits import cycles_per_interval_squared, kept_samples, max_acceleration
-from canfb.view.limits_in_force import LimitSettings, limit_settings
-from canfb.view.pdo_map import mapped_objects
+from canfb.view.module_view import LimitSettings, limit_settings, mapped_objects
 
 MEANINGS = {
     StatusBit.VALID: "position valid",

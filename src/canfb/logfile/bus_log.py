@@ -15,7 +15,7 @@ from can.io.generic import MessageWriter
 from canfb.bus.frame_bus import Reception, brings_own_frames_back
 from canfb.cia301.frame import Frame
 from canfb.errors import CanfbError, ConfigError, reason
-from canfb.logfile.log_files import NEEDS_PACKAGE, check_suffix, writable
+from canfb.logfile.log_files import NEEDS_PACKAGE, WRITABLE, check_suffix
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +50,7 @@ class BusLog:
         self._clock, self._sleep = clock, sleep
         self._stopped = False
         self._writer: MessageWriter | None = None
-        suffix = check_suffix(path, writable())
+        suffix = check_suffix(path, WRITABLE)
         if max_bytes and "".join(path.suffixes[-1:]).lower() not in ROTATED:
             raise ConfigError(f"--max-size: python-can divides {', '.join(sorted(ROTATED))}, not {suffix}")
         if not path.parent.is_dir():

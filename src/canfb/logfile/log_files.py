@@ -32,24 +32,19 @@ def log_suffix(path: Path) -> tuple[str, bool]:
     return rest[-1] if rest else "", zipped
 
 
-def readable() -> list[str]:
-    """What can be read."""
-    return sorted(MESSAGE_READERS)
-
-
-def writable() -> list[str]:
-    """What can be written, and read again."""
-    return sorted(set(MESSAGE_WRITERS) & set(MESSAGE_READERS))
+READABLE = sorted(MESSAGE_READERS)
+WRITABLE = sorted(set(MESSAGE_WRITERS) & set(MESSAGE_READERS))
+"""What can be written, and read again."""
 
 
 def is_log(path: Path) -> bool:
     """Whether a file of a folder is a bus log, by its name."""
     suffix, zipped = log_suffix(path)
-    return suffix in readable() and suffix not in IN_NO_FOLDER and not (zipped and suffix in NOT_ZIPPED)
+    return suffix in READABLE and suffix not in IN_NO_FOLDER and not (zipped and suffix in NOT_ZIPPED)
 
 
 def check_suffix(path: Path, known: list[str]) -> str:
-    """The suffix, one of :func:`readable` or :func:`writable`. ConfigError for another one."""
+    """The suffix, one of ``known``. ConfigError for another one."""
     suffix, zipped = log_suffix(path)
     if suffix in known and not (zipped and suffix in NOT_ZIPPED):
         return suffix

@@ -31,7 +31,7 @@ from canfb.objects import RecordingCommand as Command
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import TICK_S, TICKS
 from canfb.sources.tracks_file import read_tracks, with_gaps
-from canfb.view.pdo_map import PdoLayout
+from canfb.view.module_view import PdoLayout
 
 # The rate between pauses is known to about half a percent where receive times jitter.
 LEAST_SKIPPED, SURE_PART = 2, 0.005

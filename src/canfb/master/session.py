@@ -15,7 +15,7 @@ from canfb.master.samples import Listener, TrackSamples, listen, record
 from canfb.signal.correction import Correction
 from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
-from canfb.view.pdo_map import PdoLayout, interface_layout, module_layout
+from canfb.view.module_view import PdoLayout, interface_layout, module_layout
 
 Source = Callable[[float, int, Progress], TrackSamples]
 """Collects samples: seconds, least number of samples, and a callable that gets 0..1."""

@@ -15,7 +15,7 @@ from canfb.signal.chain_config import ChainLimits
 from canfb.signal.declared import Declared
 from canfb.signal.harmonics import Corners
 from canfb.signal.supervision import SampleLimits
-from canfb.view.limits_in_force import (
+from canfb.view.module_view import (
     LIMIT_UNITS,
     NOTHING_NARROWS,
     LimitSettings,

@@ -27,8 +27,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import MOST_CORNER_HZ, ChainConfig, ChainLimits
 from canfb.signal.residual_noise import ResidualNoise
 from canfb.signal.supervision import SampleLimits
-from canfb.view.limits_in_force import LIMIT_UNITS, limit_settings
-from canfb.view.pdo_map import values_of
+from canfb.view.module_view import LIMIT_UNITS, limit_settings, values_of
 
 EDS = "canfb-module"
 Values = dict[tuple[int, int], Any]  # of objects, by index and sub-index

@@ -18,7 +18,7 @@ from canfb.monitoring.layout import NodeLayout, Recognition
 from canfb.monitoring.module_model import LoadMeter, ModuleModel, SyncMeter
 from canfb.monitoring.snapshot import BusSnapshot, EmergencySnapshot, NodeSnapshot
 from canfb.objects import Multiplexer
-from canfb.view.pdo_map import Number, Pdo
+from canfb.view.module_view import Number, Pdo
 
 EMERGENCIES = 8  # that are remembered
 CAUSE_BYTE = 2  # of the five of EMCY 7300h: as 2012:10, 0 while it is not lost

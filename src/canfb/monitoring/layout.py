@@ -14,8 +14,16 @@ from canfb.configuration import Config
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig
 from canfb.module.parameters import factory_dictionary
 from canfb.objects import Multiplexer
-from canfb.view.limits_in_force import NOTHING_NARROWS, LimitSettings, limit_settings
-from canfb.view.pdo_map import Number, Pdo, Read, valid_pdos, values_of
+from canfb.view.module_view import (
+    NOTHING_NARROWS,
+    LimitSettings,
+    Number,
+    Pdo,
+    Read,
+    limit_settings,
+    valid_pdos,
+    values_of,
+)
 
 if TYPE_CHECKING:
     from canfb.signal.correction import Correction

@@ -14,8 +14,7 @@ from canfb.monitoring.layout import INPUTS, VALUES, NodeLayout, known_values
 from canfb.monitoring.snapshot import LoadSnapshot, ModuleSnapshot, SyncSnapshot
 from canfb.objects import Multiplexer, PositionState, StatusBit
 from canfb.timing.syncs import Syncs
-from canfb.view.limits_in_force import LIMIT_UNITS
-from canfb.view.pdo_map import Number, Pdo
+from canfb.view.module_view import LIMIT_UNITS, Number, Pdo
 
 SYNCS = 512  # that are looked at
 LEAST_SYNCS = 4

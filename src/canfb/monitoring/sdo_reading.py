@@ -23,7 +23,7 @@ from canfb.monitoring.layout import ModuleReading, NodeLayout, Origin, layout_of
 from canfb.monitoring.lines import is_stale
 from canfb.monitoring.snapshot import BusSnapshot, NodeSnapshot
 from canfb.signal.correction import Correction
-from canfb.view.pdo_map import Number
+from canfb.view.module_view import Number
 
 CYCLE_S, LAYOUT_S = 2.0, 30.0
 QUIET_S = 5.0  # after a node that does not answer

@@ -19,7 +19,7 @@ from canfb.logfile.log_reader import BusLogFile
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import ModuleReading, Recognition, assumed_objects
 from canfb.monitoring.snapshot import BusSnapshot
-from canfb.view.pdo_map import Read
+from canfb.view.module_view import Read
 
 log = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ from canfb.planning.plan import ResidualBudget
 from canfb.signal.bounded_motion import ORDER
 from canfb.simulation import faults
 from canfb.simulation.faults import Fault, Samples, Signal
-from canfb.view.pdo_map import valid_pdos
+from canfb.view.module_view import valid_pdos
 
 CASES = 400  # of each fault
 FAULTY_SAMPLES = 200  # as in docs/evidence.md

@@ -12,7 +12,7 @@ from canfb.planning.planned_bus import BIT_RATES
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.tracker import RESIDUAL_LIMIT
 from canfb.simulation.demand import rounded_up
-from canfb.view.limits_in_force import LIMIT_UNITS
+from canfb.view.module_view import LIMIT_UNITS
 
 LEAVES = 0.95  # of the largest SYNC rate, of what is sharp
 FASTER = 1.05

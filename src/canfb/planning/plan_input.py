@@ -27,7 +27,7 @@ from canfb.simulation.demand import MotionDemand, of_motion
 from canfb.simulation.scenario import SimulationConfig
 from canfb.simulation.set_up import drive_demand, sync_rate
 from canfb.simulation.sync_producer import CUT_OFF
-from canfb.view.limits_in_force import LIMIT_UNITS
+from canfb.view.module_view import LIMIT_UNITS
 
 
 @dataclass(frozen=True, kw_only=True)

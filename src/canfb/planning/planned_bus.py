@@ -19,8 +19,7 @@ from canfb.device.od.dcf import Place
 from canfb.device.pdo.mapping import EVENT_DRIVEN, SYNCHRONOUS
 from canfb.module.cia406.alarms import SHORTEST_S
 from canfb.simulation.sync_producer import LONGEST_FRAME_BITS
-from canfb.view.limits_in_force import LimitSettings, limit_settings
-from canfb.view.pdo_map import Pdo, valid_pdos
+from canfb.view.module_view import LimitSettings, Pdo, limit_settings, valid_pdos
 
 Values = Mapping[Place, Any]
 """Objects of a node by index and sub-index."""

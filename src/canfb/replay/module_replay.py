@@ -27,7 +27,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import Outcome
 from canfb.replay.findings import Block, FaultList, Margins, SampleColumns
 from canfb.signal.correction import Correction
-from canfb.view.pdo_map import valid_pdos, values_of
+from canfb.view.module_view import valid_pdos, values_of
 
 UPLOADED = (b"\x43", b"\x47", b"\x4b", b"\x4f")  # expedited, size indicated (CiA 301, 7.2.4.3.6)
 LONGEST_DELAY_S = 1.0
@@ -151,8 +151,7 @@ def pdo_fields(dictionary: Dictionary, can_id: int) -> list[FieldDifference]:
     pdos = valid_pdos(values_of(dictionary.find), od.TPDO, od.TPDO_MAPPING)
     for entry in next((pdo.entries for pdo in pdos if pdo.can_id == can_id), ()):
         index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
-        mapped = dictionary.find(index, subindex)
-        data_type = datatypes.DataType.UNSIGNED64 if mapped is None else mapped.data_type
+        data_type = dictionary.assumed(index, subindex).data_type
         fields.append(FieldDifference(f"{index:04X}h:{subindex:02X}", data_type, first_bit, bits))
         first_bit += bits
     return fields
@@ -279,10 +278,6 @@ class ModuleReplay:
         head, self._head = self._head or [], None
         known = (one.timestamp for one in head if one.timestamp is not None and math.isfinite(one.timestamp))
         self.samples.origin_s = self.first_s = next(known, 0.0)
-        self._power_on_first(head)
-        return head
-
-    def _power_on_first(self, head: list[Frame]) -> None:
         node = self.module.node
         node.storage.power_on()
         node.lss.power_on()
@@ -291,12 +286,13 @@ class ModuleReplay:
             self.begin = found_in(islice(head, HEAD_FRAMES), node_id, node.own_can_ids)
         if self.begin is Begin.BOOT_UP:
             self._own = frozenset({cob.ERROR_CONTROL + node_id})
-            return
+            return head
         # Nothing in the log is the counterpart of what it sends now.
         self._power_on(self._now, pair=False)
         if self.begin is Begin.OPERATIONAL and node_id != UNCONFIGURED:
             self._command(NmtCommand.START, self._now, pair=False)
         self._look_round()
+        return head
 
     def _power_on(self, now: float, pair: bool = True) -> None:
         self._on = True

@@ -21,7 +21,7 @@ from canfb.master.access import CommissioningError, NodeAccess, RefusedError
 from canfb.master.all_or_nothing import SAVE_WITHIN_S
 from canfb.rows import Result, those
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, numbered
-from canfb.view.limits_in_force import limit_settings
+from canfb.view.module_view import limit_settings
 
 _TRUE, _FALSE = ("1", "true", "on"), ("0", "false", "off")
 
