@@ -100,6 +100,13 @@ class Config:
         lists: dict[str, Sequence[NodeConfig]] = {"modules": self.modules, "interfaces": self.interfaces}
         return [(key, n, one) for key, those in lists.items() for n, one in enumerate(those)]
 
+    @property
+    def node_ids(self) -> list[int]:
+        """Of all nodes that have one, also of interfaces of which the modules get samples."""
+        known = [one.node_id for _, _, one in self.nodes]
+        known += [one.encoder_interface for one in self.modules if one.source is None]
+        return sorted({node for node in known if 1 <= node <= 127})
+
 
 # What a key holds: a class, a list of one, python-can's words, a source by its kind. Others: a single value.
 _HOLDS: dict[str, Any] = {

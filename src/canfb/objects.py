@@ -436,11 +436,13 @@ class RecordingCommand(IntEnum):
 
 
 # Encoder profile, CiA 406.
-OPERATING_PARAMETERS: Final = Multiplexer(0x6000)
-UNITS_PER_REVOLUTION: Final = Multiplexer(0x6001)
-TOTAL_RANGE: Final = Multiplexer(0x6002)
-PRESET_VALUE: Final = Multiplexer(0x6003)
-POSITION_VALUE: Final = Multiplexer(0x6004)
+(
+    OPERATING_PARAMETERS,
+    UNITS_PER_REVOLUTION,
+    TOTAL_RANGE,
+    PRESET_VALUE,
+    POSITION_VALUE,
+) = map(Multiplexer, range(0x6000, 0x6005))
 HIGH_PRECISION_POSITION: Final = Multiplexer(0x6008)
 HIGH_PRECISION_PRESET: Final = Multiplexer(0x6009)
 SINGLE_TURN_RESOLUTION: Final = Multiplexer(0x6501)

@@ -31,7 +31,7 @@ from canfb.master.samples import TrackSamples
 from canfb.module.device_configuration import configuration_of, read_configuration, restored_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.objects import Multiplexer
-from canfb.sdo.backups import Backup, Restored, RestoreOptions, Restoring
+from canfb.sdo.backups import Backup, Restored, RestoreOptions, restore_backup
 from canfb.sdo.tables import TableFile, TableTasks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
@@ -235,9 +235,11 @@ def test_a_calibration(
 
 def restore_from(kept: Backup, bench: Bench) -> Restored:
     """The account of a restore that has succeeded."""
-    read = lambda: read_configuration(NodeAccess(bench.master, MODULE_ID, "module"))  # noqa: E731
-    return Restoring(bench.access, read, Guard()).restore(
+    return restore_backup(
+        bench.access,
         kept,
+        lambda: read_configuration(NodeAccess(bench.master, MODULE_ID, "module")),
         lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),
         RestoreOptions(keep=True),
+        Guard(),
     )

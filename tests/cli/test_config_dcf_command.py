@@ -15,7 +15,7 @@ from canfb.cia301.frame import Frame
 from canfb.cli import config_file
 from canfb.cli.main import main
 from canfb.configuration import load_config
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.device.od.writes import decode_concise
 from canfb.device.storage.storage import MemoryStore, Store
 from canfb.eds_files import eds_path

@@ -105,7 +105,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def too_late() -> None:
         raise AssertionError("the work has begun")
 
-    monkeypatch.setattr("canfb.demo.demo_network.DemoNetwork", too_late)
+    monkeypatch.setattr("canfb.demo.story.DemoNetwork", too_late)
 
 
 @pytest.mark.usefixtures("no_work")

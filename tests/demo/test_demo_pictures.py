@@ -15,16 +15,12 @@ import pytest
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.demo import demo_page
 from canfb.demo import story as story_module
-from canfb.demo.demo_network import (
-    BIT_RATE,
-    CYCLES_PER_REVOLUTION,
-    SYNC_PERIOD_S,
-    DemoNetwork,
-)
 from canfb.demo.demo_page import account, error_after, error_before, residual, servo, servo_facts, tracks
 from canfb.demo.demo_page import figures as figures_of
 from canfb.demo.story import (
     ACCELERATION_RAD_S2,
+    BIT_RATE,
+    CYCLES_PER_REVOLUTION,
     FAULT_SAMPLES,
     FAULTS,
     JERK_RAD_S3,
@@ -33,6 +29,8 @@ from canfb.demo.story import (
     REFERENCE_HZ,
     RPM,
     RUN_UP_SAMPLES,
+    SYNC_PERIOD_S,
+    DemoNetwork,
     ServoRun,
     Story,
     run_story,

@@ -10,7 +10,7 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.cli.main import main
-from canfb.diagnosis.nodes_on_bus import FoundNode, scan
+from canfb.diagnosis.nodes_and_frames import FoundNode, scan
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench, EmbeddedMaster
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
-from canfb.diagnosis.frame_words import FrameWords, learn_by_sdo
+from canfb.diagnosis.nodes_and_frames import FrameWords, learn_by_sdo
 from canfb.eds_files import eds_path
 from canfb.monitoring.layout import known_objects
 from canfb.objects import LossCause

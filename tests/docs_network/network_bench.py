@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from canfb.cia301.frame import Frame
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface

@@ -13,7 +13,7 @@ import master
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.configuration import load_config
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule

@@ -9,7 +9,7 @@ import network_file
 from network_bench import EDS_FOLDER, TEXT, write
 from story_bench import StoryNetwork
 
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.simulation.embedded_bus import EmbeddedBus
 
 

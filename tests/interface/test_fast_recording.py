@@ -10,7 +10,7 @@ import pytest
 from canopen.sdo import SdoAbortedError
 
 import canfb
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.simulation.embedded_bus import EmbeddedBus

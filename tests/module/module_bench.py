@@ -6,7 +6,7 @@ from typing import Any
 import canopen
 
 from canfb.cia301.frame import Frame
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
 from canfb.module.feedback_module import FeedbackModule

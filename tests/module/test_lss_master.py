@@ -6,7 +6,7 @@ import canopen
 import canopen.lss
 import pytest
 
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface

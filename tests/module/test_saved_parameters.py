@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.image import Identity, ParameterGroup, Record, decode_image, encode_image
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path

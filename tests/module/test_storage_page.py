@@ -10,7 +10,7 @@ import canopen.lss
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -7,7 +7,7 @@ from typing import Any
 
 from canfb.bus.sdo_channel import SharedClient
 from canfb.cia301.frame import Frame
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.simulation.embedded_bus import EmbeddedBus
 
 STEP_S = 0.001

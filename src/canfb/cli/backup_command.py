@@ -25,10 +25,10 @@ from canfb.sdo.backups import (
     Backup,
     NodeIdentity,
     RestoreOptions,
-    Restoring,
     backup_result,
     backup_text,
     read_backup,
+    restore_backup,
     restored_result,
 )
 from canfb.sdo.object_description import ObjectDescriptions
@@ -100,11 +100,13 @@ def restore(options: argparse.Namespace) -> int:
     wishes = RestoreOptions(options.save, options.force, options.preop, options.dry_run)
     with node_options.guarded() as guard, node_options.master_of(options) as master:
         module = NodeAccess(master, node, "module")
-        restoring = Restoring(module, lambda: read_configuration(module), guard)
-        done = restoring.restore(
+        done = restore_backup(
+            module,
             kept,
+            lambda: read_configuration(module),
             lambda before: restored_configuration(kept.values, before, kept.table, kept.node_id, node),
             wishes,
+            guard,
         )
     described = ObjectDescriptions(eds_path(EDS), node)
     return node_options.say_result(options, restored_result(path, kept, done, described))

@@ -60,9 +60,7 @@ def nodes(action: argparse.Action, parsed_args: argparse.Namespace, **_: object)
         config = load_config(name, ANY_NODES)
     except CanfbError:
         return found
-    known = [node for one in config.modules for node in (one.node_id, one.encoder_interface)]
-    ids = {node for node in (*known, *(one.node_id for one in config.interfaces)) if 1 <= node <= 127}
-    return [*found, *(f"0x{node:02X}" for node in sorted(ids))]
+    return [*found, *(f"0x{node:02X}" for node in config.node_ids)]
 
 
 def can_interfaces(**_: object) -> list[str]:

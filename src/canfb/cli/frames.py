@@ -13,7 +13,7 @@ from canfb.bus.runner import ending_on_signals
 from canfb.cia301.frame import Frame
 from canfb.cli.options import bus_options, named_config
 from canfb.cli.printing import say
-from canfb.diagnosis.frame_words import FrameWords, learn_by_sdo
+from canfb.diagnosis.nodes_and_frames import FrameWords, learn_by_sdo
 from canfb.eds_files import eds_path
 from canfb.monitoring.layout import Recognition, assumed_objects, known_objects
 from canfb.monitoring.watching import MessageReader, classic, recognised

@@ -38,7 +38,6 @@ from canfb.monitoring.watching import MessageReader, Watching
 if TYPE_CHECKING:
     from canfb.scope.live_page import LivePage
 
-ANY_PORT = 0
 IDLE = (
     (["frames"], "web", False, "not with --web"),
     (["pdo", "listen"], "frames", True, "only with --frames"),
@@ -84,7 +83,7 @@ def register(commands: Commands) -> None:
         group(
             "a page in the browser",
             option("--web", action="store_true", help="watch modules on a page of this computer"),
-            option("--port", metavar="N", type=int, default=ANY_PORT, help="default: any free port"),
+            option("--port", metavar="N", type=int, default=0, help="default: any free port"),
             READY_FILE,
         ),
         add_bus_options,

@@ -78,7 +78,7 @@ def send(options: argparse.Namespace) -> int:
 
 
 def reset(options: argparse.Namespace) -> int:
-    from canfb.diagnosis.nodes_on_bus import scan  # here: an NMT command needs no EDS
+    from canfb.diagnosis.nodes_and_frames import scan  # here: an NMT command needs no EDS
 
     chosen = _nodes(options)
     command = NmtCommand.RESET_COMMUNICATION if options.communication else NmtCommand.RESET_NODE
@@ -95,7 +95,7 @@ def reset(options: argparse.Namespace) -> int:
 
 
 def listed(options: argparse.Namespace) -> int:
-    from canfb.diagnosis.nodes_on_bus import scan  # here: an NMT command needs no EDS
+    from canfb.diagnosis.nodes_and_frames import scan  # here: an NMT command needs no EDS
 
     with BusMaster(open_bus(chosen_bus(options)), 0.3) as master:
         found = scan(master, options.seconds)

@@ -8,7 +8,7 @@ from dataclasses import fields
 
 from canfb.cli.options import JSON, Commands, add_command, option
 from canfb.cli.subjects import jitter_of, jitter_s, whole_number
-from canfb.configuration import Config, load_config
+from canfb.configuration import load_config
 from canfb.errors import ConfigError
 from canfb.hosting.hosting import saved_configuration
 from canfb.planning.hints import changes_of
@@ -86,7 +86,10 @@ def register(commands: Commands) -> None:
 
 def plan(options: argparse.Namespace) -> int:
     try:
-        config = _config(options)
+        if options.config is None:
+            config = modules_alike(options.modules, options.adc_bits)
+        else:
+            config = numbered(load_config(options.config))
         options.jitter_us = options.jitter and jitter_s(options, options.rate_hz) * 1e6
         overrides = PlanOptions(**{field.name: getattr(options, field.name) for field in fields(PlanOptions)})
         found = plan_of(config, [saved_configuration(one) for one in config.modules], overrides)
@@ -98,12 +101,6 @@ def plan(options: argparse.Namespace) -> int:
     else:
         print("\n".join(plan_lines(found, changes, coverage=options.coverage)))
     return int(not found.holds)
-
-
-def _config(options: argparse.Namespace) -> Config:
-    if options.config is None:
-        return modules_alike(options.modules, options.adc_bits)
-    return numbered(load_config(options.config))
 
 
 def _named(message: str) -> str:

@@ -24,7 +24,6 @@ from canfb.hosting.event_log import summary_of
 from canfb.hosting.readiness import Readiness
 from canfb.hosting.trying import START_ALL, NetworkOnBus, end_main, private_bus
 
-ANY_PORT = 0
 LEAST_HZ, MOST_HZ = 50.0, 1000.0  # below, the machine of the example accelerates too much from SYNC to SYNC
 
 OF_THE_NETWORK = ("rate", "jitter", "no_page", "port", "ready_file", "write_config")
@@ -47,7 +46,7 @@ def register(commands: Commands) -> None:
         option("--rate", type=float, default=100.0, metavar="HZ", help="of SYNC, 50 to 1000 (100)"),
         JITTER,
         option("--no-page", action="store_true", help="without the page"),
-        option("--port", metavar="N", type=int, default=ANY_PORT, help="of the page; default: any free port"),
+        option("--port", metavar="N", type=int, default=0, help="of the page; default: any free port"),
         option("--json", action="store_true", help="JSON, for programs"),
         option("--write-config", type=Path, metavar="FILE", help="write its configuration, for log replay"),
         READY_FILE,
@@ -134,9 +133,11 @@ def _tell(options: argparse.Namespace, network: NetworkOnBus, address: str | Non
 
 
 def _tell_story(options: argparse.Namespace) -> int:
-    from canfb.demo.demo_network import DemoNetwork  # here: the network of `try` needs none of it
     from canfb.demo.demo_page import account, figures, write_files
-    from canfb.demo.story import run_story
+    from canfb.demo.story import (
+        DemoNetwork,  # here: the network of `try` needs none of it
+        run_story,
+    )
 
     if options.out:
         prepare_folder(options.out)

@@ -24,7 +24,7 @@ from canfb.cli.options import (
 from canfb.cli.subjects import nodes, positive, whole_number
 from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.diagnosis.lost import decoded, read_lost_position
-from canfb.diagnosis.nodes_on_bus import frame_counts, node_facts, scan
+from canfb.diagnosis.nodes_and_frames import frame_counts, node_facts, scan
 from canfb.eds_files import EDS_NAMES, eds_path
 from canfb.errors import CanfbError, ConfigError
 from canfb.files import check_writable, write_whole
@@ -100,18 +100,12 @@ def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> 
     with node_options.master_of(options) as master:
         parts["bus"]["frames"] = frame_counts(master, options.seconds)
         parts["bus"]["seconds"] = options.seconds
-        chosen = options.nodes or _configured(config)
+        chosen = options.nodes or config.node_ids
         if not chosen:
             found = scan(master, options.seconds)
             parts["bus"]["found"] = [one.figures() for one in found]
             chosen = [one.node_id for one in found]
         parts["nodes"] = [node_facts(master, node_id, known) for node_id in chosen]
-
-
-def _configured(config: Config) -> list[int]:
-    nodes = [one.node_id for _, _, one in config.nodes]
-    nodes += [one.encoder_interface for one in config.modules if one.source is None]
-    return sorted({node for node in nodes if 1 <= node <= 127})
 
 
 def _say(path: Path, parts: dict[str, Any]) -> None:

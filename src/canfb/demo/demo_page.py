@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from canfb.calibration.motion_blocks import peak, root_mean
-from canfb.demo.demo_network import CLOCK_DRIFT_PPM, TIMING, DemoNetwork
 from canfb.demo.story import (
     ACCELERATION_RAD_S2,
+    CLOCK_DRIFT_PPM,
     FAULT_SAMPLES,
     FAULTS,
     JERK_RAD_S3,
@@ -18,6 +18,8 @@ from canfb.demo.story import (
     REFERENCE_HZ,
     REFERENCE_SAMPLES,
     RPM,
+    TIMING,
+    DemoNetwork,
     ServoRun,
     Story,
 )

@@ -234,16 +234,13 @@ class ResidualBudget:
 
     @cached_property
     def slow_limit_cycles(self) -> float:
-        return self.bounds.residual_limit
-
-    @cached_property
-    def bounds(self) -> Declared:
-        cycles = self.module.cycles_per_revolution
-        return self.module.settings.bounds(cycles, self.interval_s, self.measured_noise_cycles)
+        return self.declared.residual_limit
 
     @cached_property
     def declared(self) -> Declared:
-        return replace(self.bounds, coast_samples=self.module.coast_samples)
+        cycles = self.module.cycles_per_revolution
+        bounds = self.module.settings.bounds(cycles, self.interval_s, self.measured_noise_cycles)
+        return replace(bounds, coast_samples=self.module.coast_samples)
 
     def detection(self, limit_cycles: float | None = None) -> CountDetection:
         """With the limit in force, or another one."""

@@ -268,93 +268,87 @@ class Restored:
     saved_as: str | None
 
 
-class Restoring:
-    """``read`` gives the configuration of the module, or CanfbError."""
+def restore_backup(
+    module: NodeAccess,
+    backup: Backup,
+    read: Callable[[], Configured],
+    made: Callable[[dict[Place, Any]], Configured],
+    wishes: RestoreOptions,
+    guard: Guard,
+) -> Restored:
+    """Write, prove, save. CommissioningError if anything fails; all is then as before.
 
-    def __init__(self, module: NodeAccess, read: Callable[[], Configured], guard: Guard) -> None:
-        self._module = module
-        self._read = read
-        self._guard = guard
+    ``read`` gives the configuration of the module, or CanfbError. ``made`` makes that of the backup over the
+    values of before.
+    """
+    identity = _checked_identity(module, backup, wishes.force)
+    before = read()
+    after = made(before.values())
+    changes = differences(before, after)
+    if wishes.keep:
+        check_can_save(module, STORES)
 
-    def restore(
-        self, backup: Backup, made: Callable[[dict[Place, Any]], Configured], wishes: RestoreOptions
-    ) -> Restored:
-        """Write, prove, save. CommissioningError if anything fails; all is then as before.
+    def prove(configured: Configured, wrong: str) -> None:
+        if changes:
+            _write(module, configured)
+            left = differences(read(), configured)
+            if left:
+                raise CommissioningError(f"{module.name}: {wrong}: {shown(left)}")
 
-        ``made`` makes the configuration of the backup over the values of before.
-        """
-        identity = self._check_identity(backup, wishes.force)
-        before = self._read()
-        after = made(before.values())
-        changes = differences(before, after)
-        if wishes.keep:
-            check_can_save(self._module, STORES)
-        saved_as = None
-        if not wishes.dry_run:
-            if changes:
-                self._leave_operational(wishes.preop)
-            saved_as = self._write_and_prove(before, after, bool(changes), wishes.keep)
-        tables = {od.TABLE_STAGED, od.TABLE_ACTIVATE}
-        untouched = sorted(before.values().keys() - backup.values.keys() - tables)
-        return Restored(self._module, identity, changes, untouched, wishes, saved_as)
-
-    def _check_identity(self, backup: Backup, force: bool) -> NodeIdentity:
-        there = NodeIdentity(*(self._module.integer(*place, "I") for place in od.IDENTITY))
-        if there[:2] != backup.identity[:2]:
-            ours, theirs = (
-                f"product {one.product} of vendor {one.vendor}" for one in (there, backup.identity)
-            )
-            raise CommissioningError(
-                f"{self._module.name} is {ours}, the backup is of {theirs}: it is for another device"
-            )
-        major, other = there.revision >> 16, backup.identity.revision >> 16
-        if major != other and not force:
-            raise CommissioningError(
-                f"{self._module.name} has the major revision {major} (1018:03), the backup is of {other}: "
-                "its objects may mean something else; --force restores what both have"
-            )
-        return there
-
-    def _leave_operational(self, preop: bool) -> None:
-        module = self._module
-        if preop:
-            module.master.send(NMT, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, module.node_id)))
-        if nmt_state(module) is not NmtState.OPERATIONAL:
-            return
-        if preop:
-            raise CommissioningError(f"{module.name} does not go to PRE-OPERATIONAL; nothing was written")
-        raise CommissioningError(
-            f"{module.name} is in OPERATIONAL: a restore switches its PDOs off meanwhile, and may move its "
-            f"position. Stop the machine, and give --preop (or canfb node preop {module.node_id:#04x})"
-        )
-
-    def _write_and_prove(
-        self, before: Configured, after: Configured, differs: bool, keep: bool
-    ) -> str | None:
-        def prove(configured: Configured, wrong: str) -> None:
-            if differs:
-                self._write(configured)
-                left = differences(self._read(), configured)
-                if left:
-                    raise CommissioningError(f"{self._module.name}: {wrong}: {shown(left)}")
-
-        return change(
-            self._module,
-            self._guard,
+    saved_as = None
+    if not wishes.dry_run:
+        if changes:
+            _leave_operational(module, wishes.preop)
+        saved_as = change(
+            module,
+            guard,
             lambda: prove(after, "not as written"),
             lambda: prove(before, "not as before"),
             what="what was before",
-            undone=lambda: f"the parameters and the table from before are in {self._module.name} again",
-            keep=keep,
+            undone=lambda: f"the parameters and the table from before are in {module.name} again",
+            keep=wishes.keep,
             stores=STORES,
         )
+    tables = {od.TABLE_STAGED, od.TABLE_ACTIVATE}
+    untouched = sorted(before.values().keys() - backup.values.keys() - tables)
+    return Restored(module, identity, changes, untouched, wishes, saved_as)
 
-    def _write(self, configured: Configured) -> None:
-        for one in configured.writes():
-            if (one.index, one.subindex) == od.TABLE_STAGED:
-                self._module.download_domain(one.index, one.subindex, one.data)
-            else:
-                self._module.write_bytes(one.index, one.subindex, one.data)
+
+def _checked_identity(module: NodeAccess, backup: Backup, force: bool) -> NodeIdentity:
+    there = NodeIdentity(*(module.integer(*place, "I") for place in od.IDENTITY))
+    if there[:2] != backup.identity[:2]:
+        ours, theirs = (f"product {one.product} of vendor {one.vendor}" for one in (there, backup.identity))
+        raise CommissioningError(
+            f"{module.name} is {ours}, the backup is of {theirs}: it is for another device"
+        )
+    major, other = there.revision >> 16, backup.identity.revision >> 16
+    if major != other and not force:
+        raise CommissioningError(
+            f"{module.name} has the major revision {major} (1018:03), the backup is of {other}: "
+            "its objects may mean something else; --force restores what both have"
+        )
+    return there
+
+
+def _leave_operational(module: NodeAccess, preop: bool) -> None:
+    if preop:
+        module.master.send(NMT, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, module.node_id)))
+    if nmt_state(module) is not NmtState.OPERATIONAL:
+        return
+    if preop:
+        raise CommissioningError(f"{module.name} does not go to PRE-OPERATIONAL; nothing was written")
+    raise CommissioningError(
+        f"{module.name} is in OPERATIONAL: a restore switches its PDOs off meanwhile, and may move its "
+        f"position. Stop the machine, and give --preop (or canfb node preop {module.node_id:#04x})"
+    )
+
+
+def _write(module: NodeAccess, configured: Configured) -> None:
+    for one in configured.writes():
+        if (one.index, one.subindex) == od.TABLE_STAGED:
+            module.download_domain(one.index, one.subindex, one.data)
+        else:
+            module.write_bytes(one.index, one.subindex, one.data)
 
 
 def differences(one: Configured, other: Configured) -> dict[Place, tuple[Any, Any]]:

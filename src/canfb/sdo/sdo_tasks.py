@@ -104,8 +104,10 @@ def short_real(value: float, data_type: int = DataType.REAL32) -> float:
 
 
 MODULE, INTERFACE = "canfb drive feedback module", "canfb encoder interface"  # ProductName of the EDS
-SAVE_SIGNATURE = {"save": int.from_bytes(b"save", "little")}
-LOAD_SIGNATURE = {"load": int.from_bytes(b"load", "little")}
+SIGNATURES = {
+    0x1010: {"save": int.from_bytes(b"save", "little")},
+    0x1011: {"load": int.from_bytes(b"load", "little")},
+}
 
 _ANY: dict[Place, type[IntFlag | IntEnum]] = {(0x1001, 0): ErrorRegister}
 _OF: dict[str, dict[Place, type[IntFlag | IntEnum]]] = {
@@ -184,9 +186,8 @@ def from_words(product: str, place: Place, text: str) -> int | None:
 
 
 def words_of(product: str, place: Place) -> Mapping[str, int]:
-    signatures = {0x1010: SAVE_SIGNATURE, 0x1011: LOAD_SIGNATURE}
-    if place[0] in signatures and place[1]:
-        return signatures[place[0]]
+    if place[0] in SIGNATURES and place[1]:
+        return SIGNATURES[place[0]]
     kind = _kind(product, place)
     return {_spoken(str(one.name)): int(one.value) for one in kind} if kind else {}
 
@@ -213,7 +214,6 @@ def _spoken(name: str) -> str:
 
 MOST_BYTES = 32
 _PART = re.compile(r"1/(\d+|2\^\d+) (\D.*)")
-_SLOW = (0x1010, 0x1011)
 SUPERVISION = (0x2001, 0x2010)
 WATCH_S = 0.3  # some samples, also at 50 Hz
 
@@ -333,7 +333,7 @@ class SdoTasks:
             if is_domain:
                 self._node.download_domain(*entry.place, data)
             else:
-                slow = SAVE_WITHIN_S if entry.index in _SLOW else None
+                slow = SAVE_WITHIN_S if entry.index in SIGNATURES else None
                 self._node.write_bytes(*entry.place, data, slow)
         except RefusedError as error:
             raise self._refused("writing", entry, error) from None

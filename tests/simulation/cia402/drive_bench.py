@@ -13,7 +13,7 @@ from canopen.pdo.base import PdoMap
 from canopen.profiles.p402 import BaseNode402
 
 from canfb.cia301.frame import Frame
-from canfb.demo.demo_network import EmbeddedNetwork
+from canfb.demo.story import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_instants import SampleClock
