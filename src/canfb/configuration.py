@@ -311,29 +311,29 @@ class _Reader:
 def _check_distinct_nodes(name: str, root: yaml.Node, config: Config) -> None:
     """Node-IDs, state folders, and serial numbers where a node-ID is missing, differ; a module sends no ADC
     counts."""
-    devices = [(f"{key}[{n}]", one, found_at(root, key, n)[1]) for key, n, one in config.nodes]
+    devices = [
+        (f"{key}[{n}]", one, yaml_line(found_at(root, key, n)[1] or root)) for key, n, one in config.nodes
+    ]
     sampled = {
         title: one.encoder_interface
         for title, one, _ in devices
         if isinstance(one, ModuleConfig) and one.source is None
     }
-    wrong: list[tuple[yaml.Node | None, str]] = []
-    for (title, _, node), (other, theirs, _) in itertools.permutations(devices, 2):
+    for (title, _, line), (other, theirs, _) in itertools.permutations(devices, 2):
         if isinstance(theirs, ModuleConfig) and sampled.get(title) == theirs.node_id:
             said = f"encoder_interface {theirs.node_id} of {title} is the node_id of {other}"
-            wrong.append((node, said))
-    for (other, theirs, _), (title, mine, node) in itertools.combinations(devices, 2):
+            raise _config_error(name, line, said)
+    for (other, theirs, _), (title, mine, line) in itertools.combinations(devices, 2):
         both = f"of {title} is also that of {other}"
         folders = [Path(folder).absolute() for folder in (mine.state_dir, theirs.state_dir) if folder]
         alike = type(mine) is type(theirs) and mine.serial_number == theirs.serial_number
         if mine.node_id == theirs.node_id != UNCONFIGURED:
-            wrong.append((node, f"node_id {mine.node_id} {both}"))
+            raise _config_error(name, line, f"node_id {mine.node_id} {both}")
         if len(folders) > len(set(folders)):
-            wrong.append((node, f"state_dir {both}"))
+            raise _config_error(name, line, f"state_dir {both}")
         if alike and UNCONFIGURED in (mine.node_id, theirs.node_id):
-            wrong.append((node, f"serial_number {mine.serial_number} {both}: LSS needs unique ones"))
-    for node, said in wrong:
-        raise _config_error(name, yaml_line(node or root), said)
+            said = f"serial_number {mine.serial_number} {both}: LSS needs unique ones"
+            raise _config_error(name, line, said)
     if config.played is not None and config.played.drive is not None:
         taken = {one.node_id: f"node_id of {title}" for title, one, _ in devices}
         taken |= {node_id: f"encoder_interface of {title}" for title, node_id in sampled.items()}

@@ -229,6 +229,8 @@ def _row(job: LogJob, log: BusLogFile, figures: dict[str, Any]) -> Row:
         "trouble": log.trouble,
         **{kind: faults[kind]["samples"] for kind in KINDS},
         **{f"{kind}_times": faults[kind]["times"] for kind in KINDS},
+        **{column: margins[name]["value"] for name, column in MARGINS.items()},
+        **{f"{column}_margin": margins[name]["margin"] for name, column in MARGINS.items()},
         "drift_rms_cycles": drift.get("rms_cycles"),
         "drift_peak_cycles": drift.get("peak_cycles"),
         "drift_uncertainty_rms_cycles": drift.get("uncertainty_rms_cycles"),
@@ -238,8 +240,6 @@ def _row(job: LogJob, log: BusLogFile, figures: dict[str, Any]) -> Row:
         "compared_missing": sum(one["only_recorded"] + one["only_replayed"] for one in pairs),
         "fingerprint": job.fingerprint,
     }
-    for name, column in MARGINS.items():
-        row |= {column: margins[name]["value"], f"{column}_margin": margins[name]["margin"]}
     return {name: row[name] if name in row else figures[name] for name in COLUMNS}
 
 

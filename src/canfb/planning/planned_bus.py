@@ -263,18 +263,16 @@ def _filled(values: Values, own: list[int], interface: int, entries: list[int]) 
     in_use = {pdo.number for pdo in valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING)}
     free = [number for number in range(1, len(cob.TPDOS) + 1) if number not in in_use]
     numbers = own + [number for number in free if (od.RPDO + number - 1, 1) in values]
-    changed: dict[Place, Any] = {}
     pdos = mapping_values(0, entries)  # by the place of the PDO among ``numbers``
     needed = 1 + max(place for place, _ in pdos)
     if needed > len(numbers):
         raise ValueError(f"the samples need {needed} RPDOs, and there are {len(numbers)} for them")
-    for (place, subindex), value in pdos.items():
-        changed[od.RPDO_MAPPING + numbers[place] - 1, subindex] = value
-    for number in numbers[len(own) : needed]:
-        changed[od.RPDO + number - 1, 1] = cob.TPDOS[number - 1] + interface
-    for number in own[needed:]:
-        changed[od.RPDO + number - 1, 1] = cob.NOT_VALID | values[od.RPDO + number - 1, 1]
-    return changed
+    switched_on = {(od.RPDO + n - 1, 1): cob.TPDOS[n - 1] + interface for n in numbers[len(own) : needed]}
+    switched_off = {
+        place: cob.NOT_VALID | values[place] for n in own[needed:] for place in [(od.RPDO + n - 1, 1)]
+    }
+    mapped = {(od.RPDO_MAPPING + numbers[place] - 1, sub): value for (place, sub), value in pdos.items()}
+    return mapped | switched_on | switched_off
 
 
 @dataclass(frozen=True, kw_only=True)

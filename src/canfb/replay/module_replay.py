@@ -27,7 +27,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import Outcome
 from canfb.replay.findings import Block, FaultList, Margins, SampleColumns
 from canfb.signal.correction import Correction
-from canfb.view.module_view import valid_pdos, values_of
+from canfb.view.module_view import place_of, valid_pdos, values_of
 
 UPLOADED = (b"\x43", b"\x47", b"\x4b", b"\x4f")  # expedited, size indicated (CiA 301, 7.2.4.3.6)
 LONGEST_DELAY_S = 1.0
@@ -147,14 +147,18 @@ class FieldDifference:
 
 def pdo_fields(dictionary: Dictionary, can_id: int) -> list[FieldDifference]:
     """The fields of the TPDO with a CAN-ID as mapped now; none for other frames."""
-    fields, first_bit = list[FieldDifference](), 0
     pdos = valid_pdos(values_of(dictionary.find), od.TPDO, od.TPDO_MAPPING)
-    for entry in next((pdo.entries for pdo in pdos if pdo.can_id == can_id), ()):
-        index, subindex, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
-        data_type = dictionary.assumed(index, subindex).data_type
-        fields.append(FieldDifference(f"{index:04X}h:{subindex:02X}", data_type, first_bit, bits))
-        first_bit += bits
-    return fields
+    entries = [one for pdo in pdos if pdo.can_id == can_id for one in pdo.bits_of()]
+    places = [place_of(entry) for entry, _ in entries]
+    return [
+        FieldDifference(
+            f"{place.object_index:04X}h:{place.subindex:02X}",
+            dictionary.assumed(*place).data_type,
+            bit,
+            entry & 0xFF,
+        )
+        for place, (entry, bit) in zip(places, entries, strict=True)
+    ]
 
 
 LONGEST_GAP_S = 60.0

@@ -41,6 +41,14 @@ PDOS = 4
 MOST_ENTRIES = 64  # above, sub-index 0 of a mapping stands for a multiplexed PDO
 
 
+def place_of(entry: int) -> Multiplexer:
+    return Multiplexer(entry >> 16, entry >> 8 & 0xFF)
+
+
+def _low_bits(value: int, bits: int) -> bytes:
+    return (value & (1 << bits) - 1).to_bytes((bits + 7) // 8, "little")
+
+
 class Pdo(NamedTuple):
     """Valid; ``number`` from 1, ``entries`` as in 1600h."""
 
@@ -56,25 +64,18 @@ class Pdo(NamedTuple):
         """The bytes of each object in a frame; none if it is too short."""
         if len(data) < self.length_bytes:
             return {}
-        whole, found = int.from_bytes(data, "little"), {}
-        for entry in self.entries:
-            bits = entry & 0xFF
-            place = Multiplexer(entry >> 16, entry >> 8 & 0xFF)
-            found[place] = (whole & (1 << bits) - 1).to_bytes((bits + 7) // 8, "little")
-            whole >>= bits
-        return found
+        whole = int.from_bytes(data, "little")
+        return {place_of(entry): _low_bits(whole >> bit, entry & 0xFF) for entry, bit in self.bits_of()}
+
+    def bits_of(self) -> Iterator[tuple[int, int]]:
+        begins = itertools.accumulate((entry & 0xFF for entry in self.entries), initial=0)
+        return zip(self.entries, begins, strict=False)
 
     def carries(self, index: int) -> bool:
         return any(entry >> 16 == index for entry in self.entries)
 
     def bytes_of(self) -> dict[int, int]:
-        at: dict[int, int] = {}
-        bit = 0
-        for entry in self.entries:
-            if bit % 8 == 0:
-                at.setdefault(entry, bit // 8)
-            bit += entry & 0xFF
-        return at
+        return {entry: bit // 8 for entry, bit in reversed([*self.bits_of()]) if bit % 8 == 0}
 
 
 def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
