@@ -127,6 +127,13 @@ class Bench:
         return self.module.dictionary.entry(index, subindex).value
 
 
+def heard(bench: Bench) -> list[Frame]:
+    """All frames on its bus from now on."""
+    frames: list[Frame] = []
+    bench.bus.observers.append(lambda frame, now: frames.append(frame))
+    return frames
+
+
 def recorded(
     encoder: Encoder,
     n: int,

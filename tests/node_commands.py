@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import struct
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -76,6 +77,18 @@ def refuse_once(bench: Bench, place: tuple[int, int], times: int = 1) -> list[Fr
 
     between(bench, spoil)
     return refused
+
+
+def interrupt(bench: Bench, at: int, error: type[BaseException] = KeyboardInterrupt) -> None:
+    """Instead of sending the frame with this number, from 1, the master is interrupted."""
+    send, numbers = bench.master.network.send_message, itertools.count(1)
+
+    def interrupted(can_id: int, data: bytes, remote: bool = False) -> None:
+        if next(numbers) == at:
+            raise error
+        send(can_id, data, remote)
+
+    bench.master.network.send_message = interrupted  # type: ignore[method-assign]
 
 
 def drop_answer(bench: Bench, place: tuple[int, int]) -> list[Frame]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from typing import Any
 
 import can
 import pytest
@@ -11,17 +11,11 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.cli.main import main
 from canfb.diagnosis.nodes_and_frames import FoundNode, scan
-from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench, EmbeddedMaster
+from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench, EmbeddedMaster, heard
 
 
 def scanned(bench: Bench, seconds: float = 0.3) -> dict[int, FoundNode]:
     return {one.node_id: one for one in scan(EmbeddedMaster(bench.bus), seconds)}
-
-
-def frames(bench: Bench) -> list[Frame]:
-    heard: list[Frame] = []
-    bench.bus.observers.append(lambda frame, now: heard.append(frame))
-    return heard
 
 
 def test_all_nodes_with_state_and_identity() -> None:
@@ -51,37 +45,26 @@ def test_a_stopped_node_is_known_by_its_heartbeat() -> None:
 def test_a_node_that_a_master_guards_is_not_asked_for_its_state() -> None:
     bench = Bench(sync=False)
     bench.module.dictionary.entry(0x100C).value = 100
-    heard = frames(bench)
+    frames = heard(bench)
     found = scanned(bench)
     assert found[MODULE_ID].state is None
     assert "state not known" in found[MODULE_ID].line()
-    assert [frame.can_id for frame in heard if frame.rtr] == [0x700 + INTERFACE_ID]
+    assert [frame.can_id for frame in frames if frame.rtr] == [0x700 + INTERFACE_ID]
 
 
 def test_nothing_is_written_and_no_state_changes() -> None:
     bench = Bench(sync=False)
-    heard = frames(bench)
+    frames = heard(bench)
     scanned(bench)
-    requests = [frame for frame in heard if 0x600 <= frame.can_id < 0x680]
+    requests = [frame for frame in frames if 0x600 <= frame.can_id < 0x680]
     assert len({frame.can_id for frame in requests}) == 127
     assert all(frame.data[0] in (0x40, 0x60, 0x70) for frame in requests), "uploads only"
-    assert not any(frame.can_id == 0 for frame in heard)
+    assert not any(frame.can_id == 0 for frame in frames)
 
 
 def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    bench = Bench(sync=False)
-
-    class Opened:
-        def __init__(self, *_: Any) -> None:
-            pass
-
-        def __enter__(self) -> EmbeddedMaster:
-            return EmbeddedMaster(bench.bus)
-
-        def __exit__(self, *_: object) -> None:
-            pass
-
-    monkeypatch.setattr("canfb.cli.node_command.BusMaster", Opened)
+    opened = contextlib.nullcontext(EmbeddedMaster(Bench(sync=False).bus))
+    monkeypatch.setattr("canfb.cli.node_command.BusMaster", lambda *_: opened)
     words = ["node", "list", "-i", "virtual", "-c", "scan-x", "--seconds", "0.3"]
     assert main(words) == 0
     assert [line[:9] for line in capsys.readouterr().out.splitlines()] == [" 16 (10h)", " 32 (20h)"]

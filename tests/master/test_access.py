@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from typing import Any
 
 import pytest
@@ -14,22 +13,20 @@ from canfb.master.access import REALS, CommissioningError, NodeAccess, ObjectAbs
 from canfb.master.supervision_limits import SupervisionLimits, as_real32
 from canfb.signal.correction import CorrectionTable
 from commissioning_kit import Bench
+from node_commands import abort, between, interrupt
 
 TABLE = CorrectionTable.identity(300)
 
 
 def without_blocks(bench: Bench) -> list[int]:
     """The module refuses block transfers, as canopen's LocalNode does; the commands that came."""
-    receive, commands = bench.module.receive, list[int]()
+    commands: list[int] = []
 
-    def refuse(frame: Frame, now: float) -> list[Frame]:
-        if frame.can_id == 0x620:
-            commands.append(frame.data[0])
-            if frame.data[0] >> 5 in (5, 6):
-                return [Frame(0x5A0, b"\x80" + frame.data[1:4] + struct.pack("<I", 0x05040001))]
-        return receive(frame, now)
+    def refuse(frame: Frame) -> list[Frame] | None:
+        commands.append(frame.data[0])
+        return abort(frame, 0x05040001) if frame.data[0] >> 5 in (5, 6) else None
 
-    bench.module.receive = refuse  # type: ignore[method-assign]
+    between(bench, refuse)
     return commands
 
 
@@ -109,15 +106,7 @@ class Interrupted(BaseException):
 def test_an_interrupted_download_stages_no_half_table(blocks: bool, at: int) -> None:
     bench = Bench(sync=False)
     commands = without_blocks(bench) if not blocks else None
-    send, count = bench.master.network.send_message, [0]
-
-    def interrupted(can_id: int, data: bytes, remote: bool = False) -> None:
-        count[0] += 1
-        if count[0] == at + (not blocks) * 2:
-            raise Interrupted
-        send(can_id, data, remote)
-
-    bench.master.network.send_message = interrupted  # type: ignore[method-assign]
+    interrupt(bench, at + (not blocks) * 2, Interrupted)
     with pytest.raises(Interrupted):
         bench.access.download_domain(0x2020, 1, TABLE.to_bytes())
     assert bench.value(0x2020, 2) == 0, "nothing is staged"
@@ -132,12 +121,7 @@ def test_an_interrupted_download_stages_no_half_table(blocks: bool, at: int) -> 
 @pytest.mark.parametrize("doing", ["upload", "download", "read"])
 def test_nonsense_as_an_answer_is_one_line(answer: bytes, doing: str) -> None:
     bench = Bench(sync=False)
-    receive = bench.module.receive
-
-    def nonsense(frame: Frame, now: float) -> list[Frame]:
-        return [Frame(0x5A0, answer)] if frame.can_id == 0x620 else receive(frame, now)
-
-    bench.module.receive = nonsense  # type: ignore[method-assign]
+    between(bench, lambda frame: [Frame(0x5A0, answer)])
     act: dict[str, Any] = {
         "upload": lambda: bench.access.upload_domain(0x2020, 1),
         "download": lambda: bench.access.download_domain(0x2020, 1, TABLE.to_bytes()),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from canfb.view.module_view import PdoLayout
 from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder
 
 LAYOUT = PdoLayout(0x190)
+OFF = 1 << 31
 
 
 def pdo(sine: int, cosine: int) -> bytes:
@@ -104,16 +107,15 @@ def test_listening_takes_what_was_asked_for_and_says_nothing_on_the_bus() -> Non
     assert len(listen(bench.master, LAYOUT, 0.1, least_samples=10**6)) < 800, "and no longer than six times"
 
 
+def losing(lost: Callable[[int], bool]) -> Bench:
+    """Samples are lost by their numbers."""
+    bench, numbers = Bench(), itertools.count(1)
+    bench.source.change = lambda counts: None if lost(next(numbers)) else counts
+    return bench
+
+
 def test_lost_samples_are_marked() -> None:
-    bench = Bench()
-    count = [0]
-
-    def every_tenth_lost(counts: tuple[float, float]) -> tuple[float, float] | None:
-        count[0] += 1
-        return None if count[0] % 10 == 0 else counts
-
-    bench.source.change = every_tenth_lost
-    samples = listen(bench.master, LAYOUT, 0.5)
+    samples = listen(losing(lambda n: n % 10 == 0).master, LAYOUT, 0.5)
     assert samples.missed == pytest.approx(len(samples) / 10, abs=2)
 
 
@@ -140,22 +142,14 @@ def test_samples_that_stop_are_told_and_not_waited_for() -> None:
 
 
 def test_more_gaps_than_samples_are_refused() -> None:
-    bench = Bench()
-    count = [0]
-
-    def rare(counts: tuple[float, float]) -> tuple[float, float] | None:
-        count[0] += 1
-        return None if count[0] % 3 else counts
-
-    bench.source.change = rare
     with pytest.raises(CommissioningError, match="SYNCs were not followed by PDO 190h"):
-        listen(bench.master, LAYOUT, 0.5)
+        listen(losing(lambda n: n % 3 > 0).master, LAYOUT, 0.5)
 
 
 def write_mapping(bench: Bench, node: NodeAccess, first: int, entries: list[int]) -> None:
     """TPDO or RPDO 1 of a node, by SDO as the standard wants it."""
     cob_id = node.integer(first, 1, "I")
-    node.write(first, 1, "I", cob_id | 1 << 31)
+    node.write(first, 1, "I", cob_id | OFF)
     node.write(first + 0x200, 0, "B", 0)
     for n, entry in enumerate(entries, start=1):
         node.write(first + 0x200, n, "I", entry)
@@ -172,33 +166,28 @@ def test_another_mapping_and_cob_id_are_found() -> None:
     bench = Bench(sync=False, operational=False)
     node = bench.interface_access
     write_mapping(bench, node, 0x1800, [0x64010210, 0x64010310, 0x64010110])
-    node.write(0x1800, 1, "I", 0x80000000 | 0x1C5)
-    node.write(0x1800, 1, "I", 0x1C5)
-    bench.access.write(0x1400, 1, "I", 0x80000000 | 0x1C5)
-    bench.access.write(0x1400, 1, "I", 0x1C5)
+    for one, index in ((node, 0x1800), (bench.access, 0x1400)):
+        one.write(index, 1, "I", OFF | 0x1C5)
+        one.write(index, 1, "I", 0x1C5)
     layout = agreed_layout(bench.access, node)
     assert layout == PdoLayout(0x1C5, 4, 0)
     assert layout.unpack(struct.pack("<hhh", 5, 0, -7)) == (-7, 5)
 
 
-def test_a_module_that_listens_elsewhere_is_told() -> None:
+@pytest.mark.parametrize(
+    ("index", "cob_ids", "words"),
+    [
+        (0x1400, [OFF | 0x191, 0x191], "receives its samples in PDO 191h, but .* sends them in 190h"),
+        (0x1800, [OFF | 0x190], "encoder interface 16 .* has no valid TPDO"),
+        (0x1400, [OFF | 0x190], "module 32 .* has no valid RPDO"),
+    ],
+)
+def test_a_pdo_that_is_off_or_elsewhere_is_told(index: int, cob_ids: list[int], words: str) -> None:
     bench = Bench(sync=False)
-    bench.access.write(0x1400, 1, "I", 0x80000000 | 0x191)
-    bench.access.write(0x1400, 1, "I", 0x191)
-    with pytest.raises(
-        CommissioningError, match=r"receives its samples in PDO 191h, but .* sends them in 190h"
-    ):
-        agreed_layout(bench.access, bench.interface_access)
-
-
-def test_a_pdo_that_is_off_is_told() -> None:
-    bench = Bench(sync=False)
-    bench.interface_access.write(0x1800, 1, "I", 0x80000000 | 0x190)
-    with pytest.raises(CommissioningError, match=r"encoder interface 16 .* has no valid TPDO"):
-        agreed_layout(bench.access, bench.interface_access)
-    bench = Bench(sync=False)
-    bench.access.write(0x1400, 1, "I", 0x80000000 | 0x190)
-    with pytest.raises(CommissioningError, match=r"module 32 .* has no valid RPDO"):
+    node = bench.access if index == 0x1400 else bench.interface_access
+    for cob_id in cob_ids:
+        node.write(index, 1, "I", cob_id)
+    with pytest.raises(CommissioningError, match=words):
         agreed_layout(bench.access, bench.interface_access)
 
 
@@ -220,7 +209,7 @@ def test_a_silent_interface_is_not_taken_for_another_node() -> None:
 
 def test_with_a_cob_id_of_nobody_a_silent_interface_is_believed() -> None:
     bench = Bench(sync=False)
-    for cob_id in (0x80000000 | 0x500, 0x500):
+    for cob_id in (OFF | 0x500, 0x500):
         bench.access.write(0x1400, 1, "I", cob_id)
     other = NodeAccess(bench.master, 0x11, "encoder interface")
     assert agreed_layout(bench.access, other) == PdoLayout(0x500)

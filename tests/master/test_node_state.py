@@ -11,15 +11,9 @@ from canfb.cia301.nmt import NmtState
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import check_unlocked
 from canfb.master.node_state import nmt_state, state_in, without_restart
-from commissioning_kit import MODULE_ID, Bench
+from commissioning_kit import MODULE_ID, Bench, heard
 
 ERROR_CONTROL = 0x700 + MODULE_ID
-
-
-def heard(bench: Bench) -> list[Frame]:
-    frames: list[Frame] = []
-    bench.bus.observers.append(lambda frame, now: frames.append(frame))
-    return frames
 
 
 @pytest.mark.parametrize("operational", [True, False])

@@ -19,7 +19,7 @@ from canfb.sdo.tables import as_yaml, difference, read_table_file
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, Bench
-from node_commands import Commands, refuse_once
+from node_commands import Commands, interrupt, refuse_once
 
 NODE = hex(MODULE_ID)
 PHASES = np.arange(64) / 64
@@ -228,15 +228,7 @@ def test_a_disk_that_is_full_leaves_the_old_file(
 
 def test_an_interruption_puts_back_what_was(canfb: Commands, file: Path) -> None:
     bench = bench_with(OLD)
-    send, sent = bench.master.network.send_message, [0]
-
-    def interrupted(can_id: int, data: bytes, remote: bool = False) -> None:
-        sent[0] += 1
-        if sent[0] == 30:
-            raise KeyboardInterrupt
-        send(can_id, data, remote)
-
-    bench.master.network.send_message = interrupted  # type: ignore[method-assign]
+    interrupt(bench, 30)
     _, err = canfb(bench, "table", "write", NODE, file, "--activate", code=130)
     assert err == "canfb: interrupted; the node is as it was\n"
     assert in_force(bench) == OLD
