@@ -54,7 +54,7 @@ def test_the_area_is_that_of_any_voltages(window: SampleWindow) -> None:
     shares = area_coverage(window)
     assert shares.amplitude == pytest.approx(1.0 - allowed, abs=1e-3)
     assert shares.residual == pytest.approx(1.0 - allowed * 2.0 * window.limit_cycles, abs=1e-3)
-    assert shares.second == shares.residual, "a second position of 25 cycles sees nothing of a phase"
+    assert shares.second_position == shares.residual, "a second position of 25 cycles sees nothing of a phase"
 
 
 def test_what_must_be_seen_and_what_cannot_be() -> None:
@@ -67,7 +67,7 @@ def test_what_must_be_seen_and_what_cannot_be() -> None:
         assert faults["both inverted"].shares.residual == 1.0
         coupling = faults["coupling lost"].shares
         assert (coupling.amplitude, coupling.residual) == (0.0, 0.0), "the tracks are those of a legal motion"
-        assert coupling.second > 0.8
+        assert coupling.second_position > 0.8
         assert 0.0 < faults["frozen"].shares.residual < 1.0
     assert found(DEFAULT)["frozen"].shares.residual == pytest.approx(1.0 - 2.0 / 3.0, abs=0.06)
     assert found(COMMISSIONED)["frozen"].shares.residual == pytest.approx(1.0 - 0.12, abs=0.06)
@@ -76,7 +76,7 @@ def test_what_must_be_seen_and_what_cannot_be() -> None:
 def test_each_means_adds_to_the_one_before() -> None:
     for window in (DEFAULT, COMMISSIONED):
         for one in found(window).values():
-            assert 0.0 <= one.shares.amplitude <= one.shares.residual <= one.shares.second <= 1.0
+            assert 0.0 <= one.shares.amplitude <= one.shares.residual <= one.shares.second_position <= 1.0
             assert one.harmful > 0
 
 
@@ -122,7 +122,7 @@ def row(name: str) -> list[str]:
     cells = []
     for window in (DEFAULT, COMMISSIONED):
         one = found(window)[name]
-        second = one.shares.second
+        second = one.shares.second_position
         shares = (one.shares.amplitude, one.shares.residual, second)
         cells.append(" / ".join(f"{math.floor(100.0 * share + 1e-9)}" for share in shares))
         cells.append("-" if one.within is None else f"{one.within}")

@@ -7,7 +7,7 @@ import contextlib
 import io
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ from canfb.cli.options import (
     option,
 )
 from canfb.cli.printing import say
-from canfb.cli.subjects import bit_rate_of, nodes, positive, units
+from canfb.cli.subjects import nodes, positive
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
 from canfb.monitoring.bus_model import BusModel
@@ -52,6 +52,20 @@ IDLE = (
 )
 FASTEST_HZ, RATE_HZ, LINES_RATE_HZ = 50.0, 5.0, 1.0
 Show = Callable[[BusSnapshot], None]
+
+
+def bit_rate_of(words: Mapping[str, Any]) -> int | None:
+    """The bit rate among python-can's words, bit/s; None without one."""
+    bit_rate = words.get("bitrate")
+    return bit_rate if isinstance(bit_rate, int) and bit_rate > 0 else None
+
+
+def units(text: str) -> MachineUnits:
+    """A unit of the machine such as "5 mm": a type for argparse."""
+    try:
+        return MachineUnits.parse(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def register(commands: Commands) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -15,7 +15,6 @@ from canfb.errors import ConfigError
 
 if TYPE_CHECKING:
     from canfb.configuration import Config
-    from canfb.monitoring.lines import MachineUnits
 
 
 T = TypeVar("T")
@@ -176,19 +175,3 @@ def jittered(config: Config, options: argparse.Namespace) -> Config:
         )
     simulation = replace(config.simulation, sync_jitter_us=seconds * 1e6, sync_jitter_rms_us=0.0)
     return replace(config, played=simulation)
-
-
-def bit_rate_of(words: Mapping[str, Any]) -> int | None:
-    """The bit rate among python-can's words, bit/s; None without one."""
-    bit_rate = words.get("bitrate")
-    return bit_rate if isinstance(bit_rate, int) and bit_rate > 0 else None
-
-
-def units(text: str) -> MachineUnits:
-    """A unit of the machine such as "5 mm": a type for argparse."""
-    from canfb.monitoring.lines import MachineUnits  # here: for `monitor` alone
-
-    try:
-        return MachineUnits.parse(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None

@@ -93,7 +93,7 @@ def scan(master: Master, listen_s: float) -> list[FoundNode]:
                 master.request(cob.ERROR_CONTROL + node)
                 master.wait(STATE_S)
             state = states.get(node)
-            found.append(_described(access, state) if node in answers else FoundNode(node, _state(state)))
+            found.append(_described(access, state) if node in answers else FoundNode(node, STATES.get(state)))
         return found
 
 
@@ -105,11 +105,7 @@ def _described(node: NodeAccess, state: NmtState | None) -> FoundNode:
     except CommissioningError:
         name = ""
     words = name if name.isprintable() and name else None
-    return FoundNode(node.node_id, _state(state), words, device_type, vendor, product, revision, serial)
-
-
-def _state(state: NmtState | None) -> str | None:
-    return None if state is None else state.name.replace("_", "-")
+    return FoundNode(node.node_id, STATES.get(state), words, device_type, vendor, product, revision, serial)
 
 
 def node_facts(master: Master, node_id: int, known: Iterable[Path]) -> dict[str, Any]:
@@ -160,7 +156,7 @@ FIXED = {
 }
 SDO = {cob.SDO_REQUEST: ("SDO request", "to"), cob.SDO_RESPONSE: ("SDO response", "of")}
 COMMANDS = {int(one): one.name.lower().replace("_", " ") for one in NmtCommand}
-STATES = {int(one): one.name.replace("_", "-") for one in NmtState}
+STATES: dict[int | None, str] = {int(one): one.name.replace("_", "-") for one in NmtState}
 
 
 class DecodedFrame(NamedTuple):

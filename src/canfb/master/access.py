@@ -22,8 +22,7 @@ SEGMENT = 7
 
 
 def _fetch(client: Client, index: int, subindex: int, block: bool, progress: Progress) -> bytes:
-
-    def take(stream: Any) -> bytes:
+    with _opened(client, index, subindex, "rb", block_transfer=block) as stream:
         chunks: list[bytes] = []
         while chunk := stream.read(SEGMENT):
             chunks.append(chunk)
@@ -32,34 +31,30 @@ def _fetch(client: Client, index: int, subindex: int, block: bool, progress: Pro
         data = b"".join(chunks)
         return data[: stream.size] if stream.size else data
 
-    return _through(client, client.open(index, subindex, "rb", buffering=0, block_transfer=block), take)
-
 
 def _store(client: Client, index: int, subindex: int, data: bytes, block: bool) -> bytes:
-    def give(stream: Any) -> bytes:
+    with _opened(client, index, subindex, "wb", size=len(data), block_transfer=block) as stream:
         sent = 0
         while sent < len(data):
             sent += stream.write(data[sent : sent + SEGMENT])
-        return b""
-
-    stream = client.open(index, subindex, "wb", size=len(data), buffering=0, block_transfer=block)
-    return _through(client, stream, give)
+    return b""
 
 
-def _through(client: Client, stream: io.RawIOBase, act: Callable[[Any], bytes]) -> bytes:
-    """``act`` on the stream; the transfer is aborted when anything goes wrong.
+@contextlib.contextmanager
+def _opened(client: Client, *place: Any, **options: Any) -> Iterator[Any]:
+    """A stream; the transfer is aborted when anything goes wrong.
 
     Closing canopen's streams would end it as if all data had been sent.
     """
+    stream = client.open(*place, buffering=0, **options)
     try:
-        result = act(stream)
+        yield stream
     except BaseException as error:
         io.RawIOBase.close(stream)
         if not isinstance(error, SdoAbortedError):
             client.abort()
         raise
     stream.close()
-    return result
 
 
 OnFrame = Callable[[int, bytes, float], None]

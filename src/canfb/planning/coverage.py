@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -57,13 +57,12 @@ class SampleWindow:
     tolerance_cycles: float
 
 
-@dataclass(frozen=True)
-class Shares:
+class Shares(NamedTuple):
     """Part detected, 0..1: by amplitude and converter range, with the residual, with a second position."""
 
     amplitude: float
     residual: float
-    second: float
+    second_position: float
 
 
 @dataclass(frozen=True)

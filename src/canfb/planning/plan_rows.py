@@ -16,7 +16,6 @@ from canfb.planning.coverage import (
     CASES,
     FAULTY_SAMPLES,
     USUAL_TOLERANCE,
-    Shares,
     area_coverage,
     fault_coverage,
     second_tolerance,
@@ -382,18 +381,18 @@ def coverage_rows(budget: ResidualBudget) -> list[Row]:
             Row(
                 "",
                 f"{one.name:<26}{_percent(one.shares.amplitude):>10}{_percent(one.shares.residual):>12}"
-                f"{_percent(one.shares.second):>10}{_time(one.within, budget):>20}",
+                f"{_percent(one.shares.second_position):>10}{_time(one.within, budget):>20}",
             )
             for one in found
         ),
         Row(
             coverage={
-                "any_voltages": _shares(area_coverage(window)),
+                "any_voltages": area_coverage(window)._asdict(),
                 "second_position_cycles": window.tolerance_cycles,
                 "second_position_mapped": tolerance is not None,
                 "faults": {
                     one.name: {
-                        **_shares(one.shares),
+                        **one.shares._asdict(),
                         "harmful": one.harmful / CASES,
                         "within_s": None if one.within is None else one.within * budget.interval_s,
                     }
@@ -402,10 +401,6 @@ def coverage_rows(budget: ResidualBudget) -> list[Row]:
             }
         ),
     ]
-
-
-def _shares(shares: Shares) -> dict[str, float]:
-    return {"amplitude": shares.amplitude, "residual": shares.residual, "second_position": shares.second}
 
 
 def _time(within: int | None, budget: ResidualBudget) -> str:

@@ -55,17 +55,14 @@ class OwnFrames:
         self._recorded: deque[tuple[float, bytes]] = deque()
 
     def replayed(self, data: bytes, now: float) -> None:
-        if self._recorded:
-            self.only_recorded += _drop_late(self._recorded, now)
-            before = _taken(self._recorded, data)
-            if before is not None:
-                self.only_recorded += before
-                self.equal += 1
-                return
-        waiting = self._replayed
-        if waiting and now - waiting[0][0] > LONGEST_DELAY_S:
-            self.only_replayed += _drop_late(waiting, now)
-        waiting.append((now, data))
+        self.only_recorded += _drop_late(self._recorded, now)
+        before = _taken(self._recorded, data)
+        if before is not None:
+            self.only_recorded += before
+            self.equal += 1
+        else:
+            self.only_replayed += _drop_late(self._replayed, now)
+            self._replayed.append((now, data))
 
     def recorded(self, data: bytes, now: float, stamp_s: float) -> None:
         waiting = self._replayed

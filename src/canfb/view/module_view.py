@@ -37,7 +37,6 @@ def values_of(find: Callable[[int, int], Any]) -> Read:
     return read
 
 
-PDOS = 4
 MOST_ENTRIES = 64  # above, sub-index 0 of a mapping stands for a multiplexed PDO
 
 
@@ -80,7 +79,7 @@ class Pdo(NamedTuple):
 
 def valid_pdos(read: Read, parameters: int, mapping: int) -> Iterator[Pdo]:
     """The valid PDOs with 11-bit identifiers; ``parameters``, ``mapping``: indices of the first."""
-    for number in range(PDOS):
+    for number in range(len(cob.TPDOS)):
         cob_id, count = read(Multiplexer(parameters + number, 1)), read(Multiplexer(mapping + number, 0))
         if cob_id is None or count is None or int(cob_id) & (cob.NOT_VALID | cob.EXTENDED):
             continue
