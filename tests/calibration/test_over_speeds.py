@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,101 +34,52 @@ from folding import each
 
 RATE_HZ = 1000.0
 CYCLES = 2500
-STEPS = 8192  # of a cycle
 
 
-@dataclass(frozen=True)
-class Machine:
-    """An encoder and what is behind it; offsets and sizes in counts, noise before rounding."""
-
-    cosine_delay_s: float = 0.0
-    corner_hz: float = 0.0
-    cosine_corner_hz: float = 0.0
-    third: float = 0.01
-    second: float = 0.004
-    phase_error: float = 0.05
-    noise: float = 0.5
-
-    def shapes(self, hertz: float) -> FloatArray:
-        """Both analog tracks over a cycle, counts, shape (2, STEPS + 1)."""
-        x = 2.0 * np.pi * np.arange(STEPS + 1) / STEPS
-        sine = 1510.0 * (np.sin(x) + self.third * np.sin(3 * x + 0.4) + self.second * np.cos(2 * x))
-        cosine = 1440.0 * (np.cos(x - self.phase_error) + self.third * np.cos(3 * x - 1.1))
-        return np.array(
-            [
-                35.0 + low_passed(sine, hertz, self.corner_hz),
-                -20.0 + low_passed(cosine, hertz, self.cosine_corner_hz or self.corner_hz),
-            ]
-        )
-
-    def at(
-        self, rpm: float, samples: int, seed: int, ripple: float = 1e-3
-    ) -> tuple[TracksAtSpeed, FloatArray]:
-        """Counts at this speed, which ripples, and the true positions in cycles."""
-        rng = np.random.default_rng(seed)
-        hertz = rpm / 60.0 * CYCLES
-        time = np.arange(samples) / RATE_HZ
-        swing = ripple * hertz * np.sin(2.0 * np.pi * 0.83 * time)
-        position = rng.uniform() + np.cumsum(hertz + swing) / RATE_HZ
-        tracks = self.shapes(hertz)
-        if ripple > 0.01:  # between the shapes at the ends
-            ends = self.shapes(hertz * (1.0 - ripple)), self.shapes(hertz * (1.0 + ripple))
-            part = (swing / (ripple * hertz) + 1.0) / 2.0
-        else:
-            ends, part = (tracks, tracks), np.zeros(samples)
-        places = np.arange(STEPS + 1) / STEPS
-        at_cosine = position + (hertz + swing) * self.cosine_delay_s
-        counts = [
-            np.rint(
-                (1.0 - part) * np.interp(at % 1.0, places, low)
-                + part * np.interp(at % 1.0, places, high)
-                + rng.normal(0.0, self.noise, samples)
-            )
-            for at, low, high in zip((position, at_cosine), *ends, strict=True)
-        ]
-        mean = float(np.mean(hertz + swing))
-        return TracksAtSpeed(counts[0], counts[1], RATE_HZ, mean), position
+def machine_with(**path: float) -> Encoder:
+    """An encoder, and what is behind it."""
+    return Encoder(
+        amplitude_counts=1475.0,
+        sine_offset=0.024,
+        cosine_offset=-0.014,
+        sine_amplitude=1.024,
+        cosine_amplitude=0.976,
+        phase_error_rad=0.05,
+        harmonics=(Harmonic(2, 0.004, 0.0, 1.6), Harmonic(3, 0.01, 0.01, 0.4, -1.1)),
+        noise_lsb=0.5,
+        path=AnalogPath(**path),
+    )
 
 
-def low_passed(track: FloatArray, hertz: float, corner_hz: float) -> FloatArray:
-    """What y' = 2 pi corner (track - y) makes of a track that comes again and again ``hertz`` times a second.
-
-    The track is straight from one step to the next. The first and the last value are one.
-    """
-    if not corner_hz or not hertz:
-        return track
-    time = abs(1.0 / hertz / (len(track) - 1)) * 2.0 * np.pi * corner_hz
-    kept = np.exp(-time)
-    ahead = track if hertz > 0 else track[::-1]
-    # exact over a step from a to b: y + (b - y) ..., for a straight line
-    rise = np.diff(ahead)
-    settled = ahead[1:] - rise / time
-    value, cycle = float(ahead.mean()), np.empty(len(ahead))
-    for _ in range(2 + int(40.0 / (time * (len(track) - 1)))):
-        for n in range(len(rise)):
-            cycle[n] = value
-            value = settled[n] + (value - (ahead[n] - rise[n] / time)) * kept
-        cycle[-1] = value
-    return cycle if hertz > 0 else cycle[::-1]
+def at_speed(
+    machine: Encoder, rpm: float, samples: int, seed: int, ripple: float = 1e-3
+) -> tuple[TracksAtSpeed, FloatArray]:
+    """Counts at this speed, which ripples, and the true positions in cycles."""
+    rng = np.random.default_rng(seed)
+    hertz = rpm / 60.0 * CYCLES * (1.0 + ripple * np.sin(2.0 * np.pi * 0.83 * np.arange(samples) / RATE_HZ))
+    position = rng.uniform() + np.cumsum(hertz) / RATE_HZ
+    sine, cosine = (track.astype(np.float64) for track in machine.sample(position, rng, hertz))
+    return TracksAtSpeed(sine, cosine, RATE_HZ, float(np.mean(hertz))), position
 
 
 SAMPLES = 1600
 NOISE = 0.5 / (2.0 * math.pi * 1475.0)  # of a sample, cycles
+IDEAL = machine_with()
 PATHS = {
-    "multiplexer": Machine(cosine_delay_s=1e-6),
-    "low-pass": Machine(corner_hz=125e3),
-    "all": Machine(cosine_delay_s=1e-7, corner_hz=250e3, cosine_corner_hz=255e3),
+    "multiplexer": machine_with(cosine_delay_s=1e-6),
+    "low-pass": machine_with(sine_corner_hz=125e3, cosine_corner_hz=125e3),
+    "all": machine_with(cosine_delay_s=1e-7, sine_corner_hz=250e3, cosine_corner_hz=255e3),
 }
 
 
-def calibrated(machine: Machine, *rpm: float, ripple: float = 1e-3) -> SpeedCalibration:
-    measured = [machine.at(one, SAMPLES, seed, ripple)[0] for seed, one in enumerate(rpm)]
+def calibrated(machine: Encoder, *rpm: float, ripple: float = 1e-3) -> SpeedCalibration:
+    measured = [at_speed(machine, one, SAMPLES, seed, ripple)[0] for seed, one in enumerate(rpm)]
     return calibrate_over_speeds(measured, adc_bits=12)
 
 
-def errors(machine: Machine, found: SpeedCalibration, rpm: float) -> FloatArray:
+def errors(machine: Encoder, found: SpeedCalibration, rpm: float) -> FloatArray:
     """Of the chain with what was found, cycles, mean included; samples that were not measured with."""
-    samples, position = machine.at(rpm, 1200, 99)
+    samples, position = at_speed(machine, rpm, 1200, 99)
     config = ChainConfig(
         conditioning=found.calibration.conditioning,
         corner_hz=found.path.corners.corner_hz,
@@ -149,16 +100,16 @@ def errors(machine: Machine, found: SpeedCalibration, rpm: float) -> FloatArray:
 def test_the_error_is_noise_at_each_speed(name: str) -> None:
     machine = PATHS[name]
     found = calibrated(machine, 61.0, 703.0, 3001.0)
-    path = found.path
-    assert path.cosine_delay_s == pytest.approx(machine.cosine_delay_s, abs=1e-9)
-    assert path.corners.corner_hz == pytest.approx(machine.corner_hz, rel=5e-3)
-    assert path.corners.of_cosine_hz == pytest.approx(machine.cosine_corner_hz or machine.corner_hz, rel=5e-3)
+    path, true = found.path, machine.path
+    assert path.cosine_delay_s == pytest.approx(true.cosine_delay_s, abs=1e-9)
+    assert path.corners.corner_hz == pytest.approx(true.sine_corner_hz, rel=5e-3)
+    assert path.corners.of_cosine_hz == pytest.approx(true.cosine_corner_hz, rel=5e-3)
     late = found.with_delay(path.low_pass.delay_s)
     for rpm in (60.0, 1511.0, 2999.0):
         off = errors(machine, late, rpm)
         assert 0.7 * NOISE < off.std() < 3e-4
         assert abs(off.mean()) < 3e-3, "the sine's origin is that of the fundamental"
-    if machine.corner_hz:
+    if true.sine_corner_hz:
         assert errors(machine, found, 2999.0).mean() < -0.06, "without 2002:07 it is late"
 
 
@@ -174,7 +125,7 @@ def test_the_lowest_speed_need_not_be_low() -> None:
     found = calibrated(machine, 903.0, 3001.0)
     for rpm in (60.0, 2999.0):
         assert 0.7 * NOISE < errors(machine, found, rpm).std() < 3e-4
-    assert found.calibration.conditioning.phase_error_rad == pytest.approx(machine.phase_error, abs=5e-3)
+    assert found.calibration.conditioning.phase_error_rad == pytest.approx(machine.phase_error_rad, abs=5e-3)
 
 
 def test_one_speed_shows_no_path() -> None:
@@ -183,21 +134,21 @@ def test_one_speed_shows_no_path() -> None:
 
 
 def test_a_bad_measurement_says_at_which_speed() -> None:
-    slow, _ = Machine().at(61.0, SAMPLES, 1)
+    slow, _ = at_speed(IDEAL, 61.0, SAMPLES, 1)
     still = TracksAtSpeed(np.full(SAMPLES, 300.0), np.full(SAMPLES, 900.0), RATE_HZ, 0.0)
     with pytest.raises(CalibrationError, match="at 0 cycles/s: the tracks hardly change"):
         calibrate_over_speeds([slow, still])
 
 
 def test_a_sweep_is_not_one_speed() -> None:
-    slow, _ = Machine().at(61.0, SAMPLES, 1)
-    fast, _ = Machine().at(1200.0, SAMPLES, 2, ripple=0.2)
+    slow, _ = at_speed(IDEAL, 61.0, SAMPLES, 1)
+    fast, _ = at_speed(IDEAL, 1200.0, SAMPLES, 2, ripple=0.2)
     with pytest.raises(CalibrationError, match="not one speed"):
         calibrate_over_speeds([slow, fast])
 
 
 def test_speeds_must_be_numbers() -> None:
-    slow, _ = Machine().at(61.0, SAMPLES, 1)
+    slow, _ = at_speed(IDEAL, 61.0, SAMPLES, 1)
     with pytest.raises(ValueError, match="finite"):
         calibrate_over_speeds([slow, replace(slow, hertz=math.nan)])
 
