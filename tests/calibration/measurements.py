@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
 
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray, raw_phases
 from canfb.simulation.encoder import Encoder, Harmonic
 
+IntArray = npt.NDArray[np.int64]
 CYCLES_PER_REVOLUTION = 2500
 RATE_HZ = 1000.0
 PERCENT = 0.01
@@ -73,6 +79,26 @@ def random_encoder(rng: np.random.Generator, noise_lsb: float) -> Encoder:
         ),
         noise_lsb=noise_lsb,
     )
+
+
+def measured(
+    seed: int | list[int],
+    rpm: float,
+    seconds: float = 10.0,
+    kind: Callable[[np.random.Generator, float], Encoder] = random_encoder,
+    noise_lsb: float = 0.5,
+) -> tuple[Encoder, IntArray, IntArray]:
+    """An encoder drawn at random, and its counts at a speed that wanders."""
+    rng = np.random.default_rng(seed)
+    encoder = kind(rng, noise_lsb)
+    return encoder, *encoder.sample(wandering(rpm, rng, seconds), rng)
+
+
+def refusal(method: Callable[..., object], *arguments: object, **options: object) -> CalibrationError:
+    """The error with which a calibration is refused."""
+    with pytest.raises(CalibrationError) as refused:
+        method(*arguments, **options)
+    return refused.value
 
 
 def extreme_encoder(rng: np.random.Generator, noise_lsb: float) -> Encoder:

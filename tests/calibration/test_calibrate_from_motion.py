@@ -9,8 +9,10 @@ from measurements import (
     PERCENT,
     RATE_HZ,
     extreme_encoder,
+    measured,
     paper_motion,
     random_encoder,
+    refusal,
     table_error,
     wandering,
 )
@@ -18,7 +20,6 @@ from measurements import (
 from canfb.calibration.from_motion import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
-from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray, raw_phases
 from canfb.simulation.encoder import Encoder, Harmonic
@@ -54,9 +55,8 @@ def _check(result: Calibration, encoder: Encoder, goal: float) -> None:
     ],
 )
 def test_any_speed(rpm, kind, noise_lsb, goal):
-    rng = np.random.default_rng([int(rpm), int(10 * noise_lsb)])
-    encoder = kind(rng, noise_lsb)
-    result = calibrate_from_motion(*encoder.sample(wandering(rpm, rng), rng))
+    encoder, *tracks = measured([int(rpm), int(10 * noise_lsb)], rpm, 20.0, kind, noise_lsb)
+    result = calibrate_from_motion(*tracks)
     _check(result, encoder, goal)
     # Half of the goal is reached with ease.
     assert np.abs(table_error(result.table, encoder)).max() < goal / 2.0
@@ -67,32 +67,39 @@ def test_any_speed(rpm, kind, noise_lsb, goal):
     assert result.noise_counts == pytest.approx(np.hypot(noise_lsb, np.sqrt(1.0 / 12.0)), rel=0.05)
 
 
+def _vibrating(size_cycles: float, frequency_hz: float) -> FloatArray:
+    shaken = size_cycles * np.sin(2.0 * np.pi * frequency_hz * _time(6.0))
+    return wandering(2000.0, np.random.default_rng(int(1000 * size_cycles)), 6.0) + shaken
+
+
+HIGH = (Harmonic(7, 0.01, 0.01), Harmonic(9, 0.005, 0.006, 1.0), Harmonic(11, 0.01, 0.008, 0.3, 0.2))
+LARGE = (Harmonic(2, 0.08, 0.07, 1.0, 2.0), Harmonic(3, 0.1, 0.08, 0.2), Harmonic(5, 0.03, 0.04, 2.0))
+# Positions in cycles, and the goal in per cent.
 MOTIONS = {
-    "ramp to 3000 rpm and back": _speeds((0.0, 0.0), (5.13, 3000.0), (10.0, 0.0)),
-    "reversals": _speeds((0.0, 0.0), (2.03, 500.0), (5.11, -700.0), (8.0, 0.0)),
-    "slow reversals": _speeds((0.0, 10.0), (4.0, -10.0), (8.0, 10.0)),
-    "long standstill": _speeds((0.0, 0.0), (7.0, 0.0), (7.5, 60.0), (10.0, 90.0)),
-    "swinging": 20.0 * np.sin(2.0 * np.pi * 0.9 * _time(10.0)),
+    "ramp to 3000 rpm and back": (_speeds((0.0, 0.0), (5.13, 3000.0), (10.0, 0.0)), 0.002),
+    "reversals": (_speeds((0.0, 0.0), (2.03, 500.0), (5.11, -700.0), (8.0, 0.0)), 0.002),
+    "slow reversals": (_speeds((0.0, 10.0), (4.0, -10.0), (8.0, 10.0)), 0.002),
+    "long standstill": (_speeds((0.0, 0.0), (7.0, 0.0), (7.5, 60.0), (10.0, 90.0)), 0.002),
+    "swinging": (20.0 * np.sin(2.0 * np.pi * 0.9 * _time(10.0)), 0.002),
+    "a little vibration": (_vibrating(0.002, 47.0), 0.002),
+    "vibration": (_vibrating(0.5, 47.0), 0.002),
+    "much vibration": (_vibrating(2.0, 10.0), 0.002),
+    "fast vibration": (_vibrating(0.01, 110.0), 0.01),
+}
+ENCODERS = {
+    "7th, 9th and 11th harmonic": Encoder(harmonics=HIGH, noise_lsb=0.5),
+    "large harmonics": Encoder(harmonics=LARGE, noise_lsb=0.5),
+    "phase error of 40 degrees": Encoder(phase_error_rad=0.7, noise_lsb=0.5),
+    "16 bits": Encoder(amplitude_counts=25000.0, adc_bits=16, sine_offset=0.04, noise_lsb=5.0),
+    "10 bits": Encoder(amplitude_counts=400.0, adc_bits=10, cosine_offset=0.04, noise_lsb=0.3),
 }
 
 
-@pytest.mark.parametrize("name", list(MOTIONS))
-def test_any_motion(name):
+@pytest.mark.parametrize("name", [*MOTIONS, *ENCODERS])
+def test_any_motion_and_any_encoder(name):
     rng = np.random.default_rng(len(name))
-    encoder = random_encoder(rng, 0.5)
-    result = calibrate_from_motion(*encoder.sample(MOTIONS[name], rng))
-    _check(result, encoder, 0.002 * PERCENT)
-
-
-@pytest.mark.parametrize(
-    ("size_cycles", "frequency_hz"), [(0.002, 47.0), (0.5, 47.0), (2.0, 10.0), (0.01, 110.0)]
-)
-def test_vibration_is_followed(size_cycles, frequency_hz):
-    goal = 0.002 if frequency_hz < 100.0 else 0.01
-    rng = np.random.default_rng(int(1000 * size_cycles))
-    encoder = random_encoder(rng, 0.5)
-    position = wandering(2000.0, rng, 6.0)
-    position += size_cycles * np.sin(2.0 * np.pi * frequency_hz * _time(6.0))
+    encoder = ENCODERS.get(name) or random_encoder(rng, 0.5)
+    position, goal = MOTIONS.get(name) or (wandering(900.0, rng, 10.0), 0.003)
     _check(calibrate_from_motion(*encoder.sample(position, rng)), encoder, goal * PERCENT)
 
 
@@ -110,29 +117,8 @@ def test_unsteady_positions_are_averaged_and_told():
     assert result.cramer_rao_ratio > 5.0
 
 
-HIGH = (Harmonic(7, 0.01, 0.01), Harmonic(9, 0.005, 0.006, 1.0), Harmonic(11, 0.01, 0.008, 0.3, 0.2))
-LARGE = (Harmonic(2, 0.08, 0.07, 1.0, 2.0), Harmonic(3, 0.1, 0.08, 0.2), Harmonic(5, 0.03, 0.04, 2.0))
-ENCODERS = {
-    "7th, 9th and 11th harmonic": Encoder(harmonics=HIGH, noise_lsb=0.5),
-    "large harmonics": Encoder(harmonics=LARGE, noise_lsb=0.5),
-    "phase error of 40 degrees": Encoder(phase_error_rad=0.7, noise_lsb=0.5),
-    "16 bits": Encoder(amplitude_counts=25000.0, adc_bits=16, sine_offset=0.04, noise_lsb=5.0),
-    "10 bits": Encoder(amplitude_counts=400.0, adc_bits=10, cosine_offset=0.04, noise_lsb=0.3),
-}
-
-
-@pytest.mark.parametrize("name", list(ENCODERS))
-def test_any_encoder(name):
-    rng = np.random.default_rng(len(name))
-    encoder = ENCODERS[name]
-    result = calibrate_from_motion(*encoder.sample(wandering(900.0, rng, 10.0), rng))
-    _check(result, encoder, 0.003 * PERCENT)
-
-
 def test_tracks_that_turn_backwards_give_a_table_that_fits():
-    rng = np.random.default_rng(14)
-    encoder = random_encoder(rng, 0.5)
-    sine, cosine = encoder.sample(wandering(900.0, rng, 10.0), rng)
+    _, sine, cosine = measured(14, 900.0)
     plain, swapped = calibrate_from_motion(sine, cosine), calibrate_from_motion(cosine, sine)
     # Raw phase of swapped tracks is 1/4 less the raw phase, and so is the phase, but for a constant.
     raw = np.arange(1024) / 1024
@@ -143,9 +129,7 @@ def test_tracks_that_turn_backwards_give_a_table_that_fits():
 
 @pytest.mark.parametrize("part", [0.01, 0.2])
 def test_missed_samples_are_left_out(part):
-    rng = np.random.default_rng(int(100 * part))
-    encoder = random_encoder(rng, 0.5)
-    sine, cosine = encoder.sample(wandering(2000.0, rng, 10.0), rng)
+    rng, (encoder, sine, cosine) = np.random.default_rng(1), measured(int(100 * part), 2000.0)
     valid = rng.random(len(sine)) > part
     marked = calibrate_from_motion(np.where(valid, sine, -5), np.where(valid, cosine, 0), valid=valid)
     _check(marked, encoder, 0.003 * PERCENT)
@@ -156,9 +140,7 @@ def test_missed_samples_are_left_out(part):
 
 @pytest.mark.parametrize("part", [0.001, 0.03])
 def test_faults_that_nobody_marked_are_left_out(part):
-    rng = np.random.default_rng(int(1000 * part))
-    encoder = random_encoder(rng, 0.5)
-    sine, cosine = encoder.sample(wandering(2000.0, rng, 10.0), rng)
+    rng, (encoder, sine, cosine) = np.random.default_rng(1), measured(int(1000 * part), 2000.0)
     kind = rng.choice(4, len(sine), p=[1.0 - part, part / 3.0, part / 3.0, part / 3.0])
     late_s, late_c = np.roll(sine, 1), np.roll(cosine, 1)
     wild = rng.integers(-2000, 2000, len(sine))
@@ -186,9 +168,7 @@ def test_uneven_sample_times_are_used(jitter_s, from_rest):
 
 @pytest.mark.parametrize("kind", [random_encoder, extreme_encoder])
 def test_conditioning_is_fitted_used_and_left(kind):
-    rng = np.random.default_rng(10)
-    encoder = kind(rng, 0.5)
-    sine, cosine = encoder.sample(wandering(700.0, rng, 10.0), rng)
+    encoder, sine, cosine = measured(10, 700.0, kind=kind)
     fitted = calibrate_from_motion(sine, cosine, "fit")
     _check(fitted, encoder, 0.002 * PERCENT)
     given = calibrate_from_motion(sine, cosine, fitted.conditioning)
@@ -343,9 +323,7 @@ def test_few_cycles_are_enough_and_fewer_are_refused():
     few = calibrate_from_zero_crossings(sine[:3000], cosine[:3000])
     assert 16 <= few.cycles_used < 60
     assert np.abs(table_error(few.table, encoder)).max() < 0.02 * PERCENT
-    with pytest.raises(CalibrationError) as refused:
-        calibrate_from_zero_crossings(sine[:800], cosine[:800])
-    assert refused.value.reason == "cycles"
+    assert refusal(calibrate_from_zero_crossings, sine[:800], cosine[:800]).reason == "cycles"
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -375,10 +353,8 @@ def test_too_fast_is_refused():
     rng = np.random.default_rng(9)
     encoder = random_encoder(rng, 0.5)
     for every in (4, 50):
-        position = paper_motion(rng, 1.0)[::every]
-        with pytest.raises(CalibrationError) as refused:
-            calibrate_from_zero_crossings(*encoder.sample(position, rng))
-        assert refused.value.reason == "speed"
+        tracks = encoder.sample(paper_motion(rng, 1.0)[::every], rng)
+        assert refusal(calibrate_from_zero_crossings, *tracks).reason == "speed"
 
 
 @pytest.mark.parametrize("conditioning", [None, "fit"])

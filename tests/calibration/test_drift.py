@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from measurements import extreme_encoder, paper_motion, random_encoder, true_phases, wandering
+from measurements import extreme_encoder, measured, paper_motion, random_encoder, true_phases, wandering
 
 from canfb.calibration.deviation import drift
 from canfb.calibration.from_motion import calibrate_from_motion
@@ -23,10 +23,9 @@ from canfb.simulation.encoder import Encoder
 
 
 @pytest.fixture(scope="module")
-def measured() -> Calibration:
+def calibration() -> Calibration:
     """Some measurement, to put tables and tracks into."""
-    rng = np.random.default_rng(1)
-    return calibrate_from_motion(*random_encoder(rng, 0.5).sample(wandering(300.0, rng, 6.0), rng))
+    return calibrate_from_motion(*measured(1, 300.0, 6.0)[1:])
 
 
 def table_with(size: float, order: int, shift: float = 0.0, n: int = 1024, constant: float = 0.0):
@@ -34,12 +33,12 @@ def table_with(size: float, order: int, shift: float = 0.0, n: int = 1024, const
     return CorrectionTable(x + constant + size * np.sin(2.0 * np.pi * (order * x + shift)))
 
 
-def of_encoder(measured: Calibration, encoder: Encoder, conditioning: Conditioning, n: int = 1024):
+def of_encoder(calibration: Calibration, encoder: Encoder, conditioning: Conditioning, n: int = 1024):
     """What a perfect measurement of this encoder gives."""
     tracks = np.array(encoder.tracks(np.arange(1024) / 1024))
     phases = true_phases(encoder, n, conditioning)
     phases -= np.rint(phases[0])
-    return replace(measured, table=CorrectionTable(phases), conditioning=conditioning, tracks=tracks)
+    return replace(calibration, table=CorrectionTable(phases), conditioning=conditioning, tracks=tracks)
 
 
 conditionings = st.builds(
@@ -53,8 +52,8 @@ conditionings = st.builds(
 
 
 @given(st.floats(0.0, 0.01), st.integers(1, 12), st.floats(0.0, 1.0), st.floats(-0.2, 0.2))
-def test_a_sine_over_the_phase_is_measured(measured, size, order, shift, constant) -> None:
-    fresh = replace(measured, table=CorrectionTable.identity(1024))
+def test_a_sine_over_the_phase_is_measured(calibration, size, order, shift, constant) -> None:
+    fresh = replace(calibration, table=CorrectionTable.identity(1024))
     found = drift(fresh, table_with(size, order, shift, constant=constant), fresh.conditioning)
     assert found.peak == pytest.approx(size, rel=3e-3, abs=2e-7)
     assert found.rms == pytest.approx(size / np.sqrt(2.0), rel=1e-3, abs=2e-7)
@@ -62,9 +61,9 @@ def test_a_sine_over_the_phase_is_measured(measured, size, order, shift, constan
 
 @given(st.integers(16, 4096), st.integers(16, 4096), st.floats(1e-4, 0.02), st.floats(0.0, 1.0))
 @example(first=16, second=16, size=0.015625, shift=0.5)
-def test_it_is_exact_between_entries_too(measured, first, second, size, shift) -> None:
+def test_it_is_exact_between_entries_too(calibration, first, second, size, shift) -> None:
     """Against brute force at very many places, weighed by the way."""
-    fresh = replace(measured, table=table_with(size, 2, n=first))
+    fresh = replace(calibration, table=table_with(size, 2, n=first))
     active = table_with(0.7 * size, 3, shift, n=second)
     raw = np.arange(1 << 18) / (1 << 18)
     phase = fresh.table(raw)
@@ -77,41 +76,43 @@ def test_it_is_exact_between_entries_too(measured, first, second, size, shift) -
 
 
 @given(st.integers(0, 1 << 30), conditionings, conditionings, st.integers(256, 4096))
-def test_the_same_encoder_shows_no_drift_whatever_the_conditionings(measured, seed, active, fresh, n) -> None:
+def test_the_same_encoder_shows_no_drift_whatever_the_conditionings(
+    calibration, seed, active, fresh, n
+) -> None:
     encoder = random_encoder(np.random.default_rng(seed), 0.0)
-    table = of_encoder(measured, encoder, active, n).table
-    found = drift(of_encoder(measured, encoder, fresh), table, active)
+    table = of_encoder(calibration, encoder, active, n).table
+    found = drift(of_encoder(calibration, encoder, fresh), table, active)
     assert found.peak < 3e-5 * (1024 / min(n, 1024)) ** 2
 
 
 @given(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))
-def test_an_offset_of_the_tracks_moves_the_position_as_theory_says(measured, sine, cosine) -> None:
+def test_an_offset_of_the_tracks_moves_the_position_as_theory_says(calibration, sine, cosine) -> None:
     """Offsets a, b turn the phase by (a cos x - b sin x) / 2 pi in first order."""
     old, new = Encoder(), Encoder(sine_offset=sine, cosine_offset=cosine)
-    fresh = of_encoder(measured, new, Conditioning(1500.0 * sine, 1500.0 * cosine))
-    found = drift(fresh, of_encoder(measured, old, IDENTITY).table, IDENTITY)
+    fresh = of_encoder(calibration, new, Conditioning(1500.0 * sine, 1500.0 * cosine))
+    found = drift(fresh, of_encoder(calibration, old, IDENTITY).table, IDENTITY)
     size = np.hypot(sine, cosine)
     assert found.rms == pytest.approx(size / (2.0 * np.pi) / np.sqrt(2.0), rel=0.6 * size, abs=1e-5)
 
 
-def test_a_turned_direction_is_as_far_off_as_can_be(measured: Calibration) -> None:
-    found = drift(measured, measured.table, Conditioning(sine_gain=-1.0))
+def test_a_turned_direction_is_as_far_off_as_can_be(calibration: Calibration) -> None:
+    found = drift(calibration, calibration.table, Conditioning(sine_gain=-1.0))
     assert found.peak > 0.45
     assert found.rms > 0.2
 
 
-def test_a_conditioning_that_puts_zero_into_the_middle_of_the_tracks(measured: Calibration) -> None:
+def test_a_conditioning_that_puts_zero_into_the_middle_of_the_tracks(calibration: Calibration) -> None:
     far = Conditioning(
-        sine_offset_counts=float(measured.tracks[0, 7]), cosine_offset_counts=float(measured.tracks[1, 7])
+        sine_offset_counts=float(calibration.tracks[0, 7]),
+        cosine_offset_counts=float(calibration.tracks[1, 7]),
     )
-    assert drift(measured, None, far).peak >= 0.25
+    assert drift(calibration, None, far).peak >= 0.25
 
 
 @cache
 def commissioned(make: Callable[..., Encoder]) -> tuple[Encoder, Calibration]:
-    rng = np.random.default_rng(3)
-    encoder = make(rng, 0.5)
-    return encoder, calibrate_from_motion(*encoder.sample(wandering(300.0, rng, 8.0), rng), "fit")
+    encoder, *tracks = measured(3, 300.0, 8.0, make)
+    return encoder, calibrate_from_motion(*tracks, "fit")
 
 
 @pytest.mark.parametrize("make", [random_encoder, extreme_encoder])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from measurements import random_encoder, table_error, wandering
+from measurements import measured, table_error
 
 from canfb.calibration.deviation import best_deviation
 from canfb.calibration.from_motion import calibrate_from_motion
@@ -47,10 +47,8 @@ def test_what_was_recorded_comes_back() -> None:
 
 
 def test_missing_samples_are_left_out_and_the_time_goes_on() -> None:
-    rng = np.random.default_rng(1)
-    encoder = random_encoder(rng, 0.5)
-    sine, cosine = encoder.sample(wandering(700.0, rng, 6.0), rng)
-    missing = rng.random(len(sine)) < 0.05
+    encoder, sine, cosine = measured(1, 700.0, 6.0)
+    missing = np.random.default_rng(2).random(len(sine)) < 0.05
     data = recorded(sine, cosine, missing).to_bytes()
     result = calibrate_from_motion(*recorded_tracks(data))
     assert np.abs(table_error(result.table, encoder)).max() < 2e-4

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from measurements import random_encoder, table_error, wandering
+from measurements import random_encoder, refusal, table_error, wandering
 
 import canfb
 from canfb.calibration.from_motion import calibrate_from_motion
@@ -21,9 +21,7 @@ N = 6000
 
 
 def _reason(sine, cosine, method=calibrate_from_motion, **options) -> str:
-    with pytest.raises(CalibrationError) as refused:
-        method(sine, cosine, **options)
-    error = refused.value
+    error = refusal(method, sine, cosine, **options)
     assert isinstance(error, CanfbError)
     assert error.reason in list(Reason)
     assert len(str(error)) > 20
