@@ -114,7 +114,8 @@ class FakeDevice:
 
 
 def message(can_id: int, data: bytes = b"", **rest: object) -> can.Message:
-    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False, **rest)  # type: ignore[arg-type]
+    words: Any = {"is_extended_id": False, **rest}
+    return can.Message(arbitration_id=can_id, data=data, **words)
 
 
 class WiredBus:

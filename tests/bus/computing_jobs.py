@@ -28,16 +28,8 @@ class Sum:
 class Where:
     """Tells of the process that it runs in."""
 
-    def __call__(self, progress: Tell = lambda part: None) -> tuple[int, int, str]:
-        return os.getpid(), os.getpriority(os.PRIO_PROCESS, 0), sys.argv[0]
-
-
-@dataclass(frozen=True)
-class Processors:
-    """Reports the processors that it may use."""
-
-    def __call__(self, progress: Tell = lambda part: None) -> set[int]:
-        return os.sched_getaffinity(0)
+    def __call__(self, progress: Tell = lambda part: None) -> tuple[int, int, str, set[int]]:
+        return os.getpid(), os.getpriority(os.PRIO_PROCESS, 0), sys.argv[0], os.sched_getaffinity(0)
 
 
 @dataclass(frozen=True)

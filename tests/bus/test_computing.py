@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from computing_jobs import Crash, Forever, Processors, Raise, Sum, Where
+from computing_jobs import Crash, Forever, Raise, Sum, Where
 
 from canfb.bus.computing import Computation
 from canfb.bus.runner import Runner
@@ -20,7 +20,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import CalibrationJob, Outcome
 from canfb.signal.sample_recording import SampleRecording
 from canfb.simulation.encoder import Encoder
-from fake_bus import FakeBus, FakeClock, frame_bus
+from fake_bus import FakeBus, FakeClock, FakeDevice, frame_bus
 
 PATIENCE_S = 60.0
 
@@ -93,24 +93,19 @@ def test_jobs_are_done_one_after_the_other(host: Any) -> None:
     assert one.lines == []
 
 
-def test_it_is_another_process_that_gives_way(host: Any) -> None:
-    device = FakeComputer(Where())
-    host(device).poll_until(lambda: bool(device.results))
-    ((pid, niceness, program),) = device.results
-    assert pid != os.getpid()
-    assert niceness == min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)
-    assert program.endswith("compute_process.py"), "nothing of the program that uses it is run again"
-
-
-def test_it_may_use_the_processors_that_ours_had_before_it_chose_one(host: Any) -> None:
-    device, before = FakeComputer(Processors()), os.sched_getaffinity(0)
+def test_it_is_another_process_that_gives_way_on_the_processors_that_ours_had(host: Any) -> None:
+    device, before = FakeComputer(Where()), os.sched_getaffinity(0)
     one = host(device)
     os.sched_setaffinity(0, {min(before)})
     try:
         one.poll_until(lambda: bool(device.results))
     finally:
         os.sched_setaffinity(0, before)
-    assert device.results == [before]
+    ((pid, niceness, program, processors),) = device.results
+    assert pid != os.getpid()
+    assert niceness == min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)
+    assert program.endswith("compute_process.py"), "nothing of the program that uses it is run again"
+    assert processors == before, "also those that ours has left"
 
 
 @pytest.mark.parametrize(
@@ -154,15 +149,6 @@ def test_what_is_not_wanted_any_more_is_killed(host: Any) -> None:
     assert device.results == [1]
 
 
-def test_closing_kills_it_and_leaves_nothing(host: Any) -> None:
-    device = FakeComputer(Forever())
-    one = host(device)
-    one.poll_until(lambda: bool(device.parts))
-    one.computation.close()
-    assert not is_alive(int(device.parts[0]))
-    one.computation.close()
-
-
 def recorded() -> CalibrationJob:
     rng = np.random.default_rng(1)
     recording = SampleRecording()
@@ -202,20 +188,17 @@ def test_the_runner_computes_for_the_module_and_ends_it() -> None:
     assert module.dictionary.entry(0x2030, 7).current() == 1, "too few samples"
 
 
+class Idle(FakeDevice, FakeComputer):
+    """A device as well."""
+
+    def __init__(self, clock: FakeClock, *jobs: Any) -> None:
+        FakeDevice.__init__(self, clock)
+        FakeComputer.__init__(self, *jobs)
+
+
 def test_the_runner_kills_it_at_its_own_end() -> None:
-
-    class Idle(FakeComputer):
-        """A device as well."""
-
-        def start(self, now: float) -> list[Frame]:
-            return []
-
-        receive: Any = staticmethod(lambda frame, now: [])
-        tick: Any = staticmethod(lambda now: [])
-        deadline: Any = staticmethod(lambda: None)
-
-    device = Idle(Forever())
     clock = FakeClock()
+    device = Idle(clock, Forever())
     bus: Any = FakeBus(clock)
 
     def finished() -> bool:

@@ -14,6 +14,7 @@ import pytest
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.clocks import date_and_time
 from canfb.errors import BusError
+from fake_bus import message
 
 CHANNEL = "canfb-master"
 
@@ -26,10 +27,6 @@ def open_virtual(**options: Any) -> can.BusABC:
 def peer() -> Iterator[can.BusABC]:
     with open_virtual() as bus:
         yield bus
-
-
-def message(can_id: int, data: bytes = b"", **rest: bool) -> can.Message:
-    return can.Message(arbitration_id=can_id, data=data, **{"is_extended_id": False, **rest})
 
 
 def test_it_hears_what_it_has_subscribed_to_and_nothing_else(peer: can.BusABC) -> None:
@@ -65,20 +62,6 @@ def test_what_it_sends(peer: can.BusABC) -> None:
         got = peer.recv(5.0)
         assert got is not None
         assert (got.arbitration_id, bytes(got.data), got.is_remote_frame, got.is_extended_id) == want
-
-
-def test_sdo_bytes_in_and_out(peer: can.BusABC) -> None:
-    """The answer lies ready: the request is expedited, and its answer too."""
-    with BusMaster(open_virtual(), answer_within_s=5.0) as master:
-        client = master.sdo(0x20)
-        assert master.sdo(0x20) is client
-        asked = can.Notifier(
-            peer, [lambda got: peer.send(message(0x5A0, b"\x4b\x01\x20\x02" + b"\x34\x12\x00\x00"))], 0.05
-        )
-        try:
-            assert client.upload(0x2001, 2) == b"\x34\x12"
-        finally:
-            asked.stop()
 
 
 def test_the_sync_is_produced_until_the_end_and_heard_by_itself(peer: can.BusABC) -> None:

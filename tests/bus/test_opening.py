@@ -163,32 +163,30 @@ def test_the_page_has_the_port_of_its_example() -> None:
 
 
 GROUP = "239.74.163.3"
-PORT_CASES: list[tuple[dict[str, Any], int | None]] = [
-    ({"interface": "udp_multicast", "channel": GROUP}, PORTS[GROUP]),
-    ({"interface": "udp_multicast", "channel": GROUP, "port": 5000}, 5000),
-    ({"channel": GROUP}, PORTS[GROUP]),
-    ({"interface": "udp_multicast", "channel": "239.74.163.2"}, None),
-    ({"interface": "udp_multicast"}, None),
-    ({"interface": "virtual", "channel": GROUP}, None),
+MULTICAST = {"interface": "udp_multicast"}
+# Words, those in a file of python-can, and the port that is set.
+PORT_CASES: list[tuple[dict[str, Any], dict[str, Any], int | None]] = [
+    ({**MULTICAST, "channel": GROUP}, {}, PORTS[GROUP]),
+    ({**MULTICAST, "channel": GROUP, "port": 5000}, {}, 5000),
+    ({"channel": GROUP}, MULTICAST, PORTS[GROUP]),
+    ({**MULTICAST, "channel": GROUP}, {"port": "6000"}, None),  # python-can reads it from there
+    ({**MULTICAST, "channel": "239.74.163.2"}, {}, None),
+    (MULTICAST, {}, None),
+    ({"interface": "virtual", "channel": GROUP}, {}, None),
 ]
 
 
-@pytest.mark.parametrize(("words", "port"), PORT_CASES, ids=str)
+@pytest.mark.parametrize(("words", "file", "port"), PORT_CASES, ids=str)
 def test_the_port_that_a_bus_is_opened_with(
-    monkeypatch: pytest.MonkeyPatch, opened: list[Any], words: dict[str, Any], port: int | None
+    monkeypatch: pytest.MonkeyPatch,
+    opened: list[Any],
+    words: dict[str, Any],
+    file: dict[str, Any],
+    port: int | None,
 ) -> None:
-    if "interface" not in words:
-        monkeypatch.setenv("CAN_INTERFACE", "udp_multicast")
+    monkeypatch.setattr(can.util, "load_file_config", lambda *arguments, **words: dict(file))
     open_bus(words)
     assert opened[0].get("port") == port
-
-
-def test_a_port_in_a_file_of_python_can_takes_precedence(
-    monkeypatch: pytest.MonkeyPatch, opened: list[Any]
-) -> None:
-    monkeypatch.setattr(can.util, "load_file_config", lambda *arguments, **words: {"port": "6000"})
-    open_bus({"interface": "udp_multicast", "channel": GROUP})
-    assert "port" not in opened[0], "python-can reads it from there"
 
 
 @pytest.mark.parametrize(

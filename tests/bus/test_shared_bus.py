@@ -14,13 +14,10 @@ from hypothesis import strategies as st
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.shared_bus import SharedBus, only_reads
 from canfb.errors import BusError
+from fake_bus import message
 
 AT_ONCE_S, PATIENCE_S = 0.0, 30.0
 UPLOAD = b"\x40" + bytes(7)
-
-
-def message(can_id: int = 0x1A0, data: bytes = b"\1\2") -> can.Message:
-    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
 
 
 @pytest.fixture
@@ -131,6 +128,7 @@ def test_a_master_reads_while_another_thread_receives(shared: SharedBus, other: 
         one.start()
     try:
         with BusMaster(shared.branch(), PATIENCE_S) as master:
+            assert master.sdo(0x20) is master.sdo(0x20)
             assert master.sdo(0x20).upload(0x1000, 0) == b"\x78\x56\x34\x12"
     finally:
         done.set()
