@@ -9,20 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calibrating import calibrate, command, position_errors
 
 from canfb.cia301.frame import Frame
-from canfb.cli.calibrate import over_bus
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.printing import Progress
 from canfb.cli.simulate import chosen
-from canfb.configuration import Config, parse_config
+from canfb.configuration import parse_config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError
-from canfb.files import prepare_folder
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.master.access import CommissioningError
-from canfb.master.all_or_nothing import Guard, read_active
+from canfb.master.all_or_nothing import read_active
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.supervision import TABLE_ACTIVE, VALID
@@ -31,30 +30,6 @@ from canfb.simulation.motion import Motion, Ramp, Ripple
 from canfb.simulation.set_up import source_of
 from canfb.simulation.sync_producer import SyncProducer
 from commissioning_kit import CYCLES, Bench, EmbeddedMaster, random_encoder
-
-SHORT = ("--seconds", "1.5", "--least-samples", "1000", "--verify", "0.6")
-
-
-def calibrate(bench: Bench, *arguments: str, progress: Progress | None = None) -> int:
-    options = build_parser().parse_args(["calibrate", *SHORT, *arguments])
-    if options.out:
-        prepare_folder(options.out)
-    quiet = progress or Progress(quiet=True)
-    return over_bus(bench.master, options, Config(), quiet, Guard(), "2026-03-01")
-
-
-def position_errors(bench: Bench, samples: int) -> Any:
-    """Error of the module's position, cycles, against the truth, mean taken off."""
-    errors = []
-    for _ in range(samples):
-        bench.bus.run_until(bench.bus.now + 0.001)
-        feedback = bench.module.feedback
-        assert feedback is not None
-        errors.append(feedback.phase - bench.source.motion.position_cycles)
-    off = np.mod(errors, 1.0)
-    middle = np.angle(np.mean(np.exp(2j * np.pi * off))) / (2 * np.pi)
-    off = (off - middle + 0.5) % 1.0 - 0.5
-    return off - off.mean()
 
 
 @pytest.mark.parametrize(("seed", "conditioning"), [(0, "fit"), (1, "none"), (2, "fit"), (3, "none")])
@@ -258,15 +233,9 @@ def calibrated(text: str, folder: Path, *more: str) -> tuple[FeedbackModule, Emb
         bus.attach(device)
     bus.send(Frame(0x000, b"\x01\x00"))
     bus.run_until(10.0)
-    options = build_parser().parse_args(
-        ["calibrate", "feedback.yaml", "--out", str(folder / "measured"), "--json", *more]
-    )
-    prepare_folder(options.out)
-    try:
-        assert over_bus(master, options, config, Progress(quiet=True), Guard(), "2026-03-01") == 0
-    finally:
-        took_s = bus.now - 10.0
-    return module, bus, took_s
+    words = ("feedback.yaml", "--out", str(folder / "measured"), "--json", *more)
+    assert command(master, *words, config=config) == 0
+    return module, bus, bus.now - 10.0
 
 
 def test_it_is_measured_proven_and_active_and_still_right_ten_seconds_later(

@@ -10,20 +10,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_calibrate_on_a_bus import position_errors
+from calibrating import command, position_errors
 
 from canfb.calibrate.calibration_summary import delay_words
 from canfb.calibration.path_fit import LowPass
-from canfb.cli.calibrate import calibrate as command
-from canfb.cli.calibrate import over_bus
+from canfb.cli.calibrate import calibrate as calibrate_files
 from canfb.cli.main import build_parser
 from canfb.cli.printing import Progress
-from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CalibrationError, ConfigError
-from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
-from canfb.master.all_or_nothing import Guard, read_active
+from canfb.master.all_or_nothing import read_active
 from canfb.master.machine_watch import Provenance
 from canfb.master.session import read_corners
 from canfb.signal.correction import NO_CORRECTION
@@ -67,12 +64,8 @@ def bench(path: AnalogPath = PATH, rpm: tuple[float, ...] = (61.0, 703.0, 3001.0
     return made
 
 
-def calibrate(bench: Bench, *arguments: str, speeds: str = ALL, progress: Progress | None = None) -> int:
-    options = build_parser().parse_args(["calibrate", "--speeds", speeds, *SHORT, *arguments])
-    if options.out:
-        prepare_folder(options.out)
-    quiet = progress or Progress(quiet=True)
-    return over_bus(bench.master, options, Config(), quiet, Guard(), "2026-03-01")
+def calibrate(bench: Bench, *arguments: str, speeds: str = ALL, **words: Any) -> int:
+    return command(bench.master, "--speeds", speeds, *SHORT, *arguments, **words)
 
 
 def test_a_path_is_found_and_removed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -122,13 +115,12 @@ def test_a_path_is_found_and_removed(capsys: pytest.CaptureFixture[str], tmp_pat
 
 def check(bench: Bench, capsys: pytest.CaptureFixture[str]) -> Any:
     """`canfb calibrate --check` at the speed of now."""
-    options = build_parser().parse_args(["calibrate", *SHORT[:4], "--check", "--json"])
-    assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
+    assert command(bench.master, *SHORT[:4], "--check", "--json") == 0
     return json.loads(capsys.readouterr().out)
 
 
 def from_files(folder: Path, *arguments: str) -> int:
-    return command(build_parser().parse_args(["calibrate", "--samples", str(folder), *arguments]))
+    return calibrate_files(build_parser().parse_args(["calibrate", "--samples", str(folder), *arguments]))
 
 
 def test_the_account_for_people(capsys: pytest.CaptureFixture[str]) -> None:

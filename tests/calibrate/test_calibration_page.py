@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from test_calibrate_on_a_bus import calibrate
+from calibrating import calibrate
 
 from canfb.calibrate.artefacts import refusal_html, report_html, write, write_refusal
 from canfb.calibrate.calibration_summary import bound_words, comparison, facts, findings

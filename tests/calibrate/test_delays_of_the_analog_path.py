@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_calibrate_on_a_bus import calibrate, position_errors
+from calibrating import calibrate, position_errors
 from test_recordings_and_own_calibration import with_calculator
 
 from canfb.calibration.over_speeds import sampled_together

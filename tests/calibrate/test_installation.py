@@ -6,20 +6,16 @@ import io
 import os
 import pty
 import signal
-from collections.abc import Callable
 from typing import Any, TextIO
 
 import pytest
-from test_calibrate_on_a_bus import SHORT
+from calibrating import calibrate
 
 from canfb.bus.runner import ending_on_signals
 from canfb.calibrate.measurement import Measurement, Settings
 from canfb.calibrate.procedure import Installation, install, verify
 from canfb.cia301.frame import Frame
-from canfb.cli.calibrate import over_bus
-from canfb.cli.main import build_parser
 from canfb.cli.printing import Progress
-from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, put_in_force, put_in_force_again, read_active
@@ -43,13 +39,11 @@ def run_install(
     measured: Measurement,
     fresh: TrackSamples,
     settings: Settings,
-    collect: Callable[[], TrackSamples] | None = None,
+    guard: Guard | None = None,
     **options: Any,
 ) -> Installation:
-    collected = collect or (lambda: fresh)
-    return install(
-        bench.access, measured, lambda found: verify(collected(), found, settings), Guard(), **options
-    )[1]
+    prove = lambda found: verify(fresh, found, settings)  # noqa: E731
+    return install(bench.access, measured, prove, guard or Guard(), **options)[1]
 
 
 def test_the_new_set_is_in_force_proven_and_saved(
@@ -130,23 +124,9 @@ def test_an_interruption_leaves_the_old_set(
     receive = bench.module.receive
     between(bench, spoil)
     with pytest.raises(KeyboardInterrupt):
-        install(bench.access, measured, lambda found: verify(fresh, found, settings), guard, step=said.append)
+        run_install(bench, measured, fresh, settings, guard, step=said.append)
     bench.module.receive = receive  # type: ignore[method-assign]
     assert said[-1] == AS_BEFORE
-    assert read_active(bench.access) == old
-
-
-def test_an_interruption_of_the_proof_leaves_the_old_set(
-    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
-) -> None:
-    bench = prepared(old)
-
-    def collect() -> TrackSamples:
-        assert read_active(bench.access) == measured.found
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_install(bench, measured, fresh, settings, collect)
     assert read_active(bench.access) == old
 
 
@@ -159,7 +139,6 @@ def test_put_back_tells_when_it_is_not_what_it_was(old: Correction, measured: Me
 
 def interrupted(bench: Bench, times: int, stream: TextIO, gone: int | None = None) -> None:
     """`canfb calibrate`, and SIGHUP as soon as the new table is active; ``gone``: and the terminal."""
-    options = build_parser().parse_args(["calibrate", *SHORT])
     guard, terminal = Guard(), [] if gone is None else [gone]
 
     def hang_up(now: float) -> None:
@@ -172,7 +151,7 @@ def interrupted(bench: Bench, times: int, stream: TextIO, gone: int | None = Non
 
     bench.master.on_wait = hang_up
     with ending_on_signals(guard.interrupt):
-        over_bus(bench.master, options, Config(), Progress(stream=stream), guard, "2026-03-01")
+        calibrate(bench, progress=Progress(stream=stream), guard=guard)
 
 
 def test_a_hangup_while_it_is_proven_puts_the_old_table_back() -> None:

@@ -7,15 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibrating import command
 
 import canfb
 from canfb.calibration.recording import LARGEST_DENOMINATOR, Lock, away_from, find_lock
-from canfb.cli.calibrate import over_bus
-from canfb.cli.main import build_parser
-from canfb.cli.printing import Progress
-from canfb.configuration import Config
 from canfb.errors import CalibrationError
-from canfb.master.all_or_nothing import Guard, read_active
+from canfb.master.all_or_nothing import read_active
 from canfb.master.samples import TrackSamples
 from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.motion import Motion, Ramp, Ripple
@@ -75,10 +72,9 @@ def test_the_step_that_is_named_leads_away_from_every_lock() -> None:
 
 def refused(bench: Bench, *arguments: str) -> tuple[CalibrationError, float]:
     """The refusal, and how long it took from the start of the command."""
-    options = build_parser().parse_args(["calibrate", *arguments])
     began = bench.bus.now
     with pytest.raises(CalibrationError) as error:
-        over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01")
+        command(bench.master, *arguments)
     return error.value, bench.bus.now - began
 
 
@@ -119,8 +115,6 @@ def test_standstill_gets_three_seconds_for_somebody_who_is_about_to_start(tmp_pa
 
 def test_a_machine_that_starts_within_them_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
     bench = Bench(motion=Motion((Ramp(1.5, 0.0), Ramp(0.5, 61.0)), (Ripple(0.1, 0.3),)))
-    options = build_parser().parse_args(
-        ["calibrate", "--seconds", "4", "--least-samples", "3000", "--verify", "0.6", "--dry-run"]
-    )
-    assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
+    words = ("--seconds", "4", "--least-samples", "3000", "--verify", "0.6", "--dry-run")
+    assert command(bench.master, *words) == 0
     assert "Accepted." in capsys.readouterr().out

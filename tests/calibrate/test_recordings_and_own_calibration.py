@@ -7,19 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_calibrate_on_a_bus import calibrate, calibrated, position_errors
+from calibrating import calibrate, command, position_errors
+from test_calibrate_on_a_bus import calibrated
 
 import commissioning_kit
 from canfb.cia301.frame import Frame
-from canfb.cli.calibrate import choices_of, over_bus
+from canfb.cli.calibrate import choices_of
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.node_options import nodes_of
-from canfb.cli.printing import Progress
-from canfb.configuration import Config, parse_config
+from canfb.configuration import parse_config
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError
-from canfb.master.all_or_nothing import Guard, read_active
+from canfb.master.all_or_nothing import read_active
 from canfb.master.samples import listen, record
 from canfb.master.session import agreed_layout
 from canfb.module.feedback_module import FeedbackModule
@@ -292,9 +292,8 @@ def test_the_interface_records_and_the_position_becomes_right(
     bench.bus.run_until(1.5)
     assert bench.value(0x2011, 1) & 0x7F == 0x01
     before = np.ptp(phase_errors(bench, motion, 400))
-    words = ["calibrate", "--method", "zero-crossings", "--source", "recording", "--seconds", "2", "--json"]
-    options = build_parser().parse_args(words)
-    assert over_bus(bench.master, options, Config(), Progress(quiet=True), Guard(), "2026-03-01") == 0
+    words = ("--method", "zero-crossings", "--source", "recording", "--seconds", "2", "--json")
+    assert command(bench.master, *words) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["crc32"] == f"{bench.value(0x2020, 4):08X}"
     after = np.ptp(phase_errors(bench, motion, 400))
