@@ -55,8 +55,8 @@ def _check(result: Calibration, encoder: Encoder, goal: float) -> None:
     ],
 )
 def test_any_speed(rpm, kind, noise_lsb, goal):
-    encoder, *tracks = measured([int(rpm), int(10 * noise_lsb)], rpm, 20.0, kind, noise_lsb)
-    result = calibrate_from_motion(*tracks)
+    encoder, sine, cosine = measured([int(rpm), int(10 * noise_lsb)], rpm, 20.0, kind, noise_lsb)
+    result = calibrate_from_motion(sine, cosine)
     _check(result, encoder, goal)
     # Half of the goal is reached with ease.
     assert np.abs(table_error(result.table, encoder)).max() < goal / 2.0

@@ -111,8 +111,8 @@ def test_a_conditioning_that_puts_zero_into_the_middle_of_the_tracks(calibration
 
 @cache
 def commissioned(make: Callable[..., Encoder]) -> tuple[Encoder, Calibration]:
-    encoder, *tracks = measured(3, 300.0, 8.0, make)
-    return encoder, calibrate_from_motion(*tracks, "fit")
+    encoder, sine, cosine = measured(3, 300.0, 8.0, make)
+    return encoder, calibrate_from_motion(sine, cosine, "fit")
 
 
 @pytest.mark.parametrize("make", [random_encoder, extreme_encoder])
