@@ -6,6 +6,7 @@ The shell runs ``canfb`` with the line in its environment (``register-python-arg
 from __future__ import annotations
 
 import argparse
+import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -52,15 +53,12 @@ def nodes(action: argparse.Action, parsed_args: argparse.Namespace, **_: object)
     """Node-IDs of the configuration on the line; ``all`` where it may be given."""
     found = ["all"] if "or all" in (action.help or "") else []
     name = getattr(parsed_args, "config", None)
-    if name is None:
-        return found
-    from canfb.configuration import ANY_NODES, load_config
+    if name is not None:
+        from canfb.configuration import ANY_NODES, load_config
 
-    try:
-        config = load_config(name, ANY_NODES)
-    except CanfbError:
-        return found
-    return [*found, *(f"0x{node:02X}" for node in config.node_ids)]
+        with contextlib.suppress(CanfbError):
+            found += [f"0x{node:02X}" for node in load_config(name, ANY_NODES).node_ids]
+    return found
 
 
 def can_interfaces(**_: object) -> list[str]:

@@ -23,16 +23,12 @@ LATE = 1.5  # periods within which a heartbeat, or a response to another master,
 ANSWER_S = 0.1
 ASKED = 3  # times, as a remote frame may be lost
 STEP_S = 0.005
+STATES = {int(state): state for state in NmtState} | {0: NmtState.PRE_OPERATIONAL}
 
 
 def state_in(data: bytes) -> NmtState | None:
     """The state in a frame 700h + id, or None; PRE-OPERATIONAL for a boot-up."""
-    if len(data) != 1:
-        return None
-    value = data[0] & 0x7F
-    if not value:
-        return NmtState.PRE_OPERATIONAL
-    return next((state for state in NmtState if state == value), None)
+    return STATES.get(data[0] & 0x7F) if len(data) == 1 else None
 
 
 def nmt_state(node: NodeAccess) -> NmtState:

@@ -134,13 +134,8 @@ def read_corners(module: NodeAccess) -> Corners:
 
 
 def _identity_of(node: NodeAccess) -> tuple[int, ...] | None:
-    found: list[int] = []
-    for place in od.IDENTITY:
-        try:
-            found.append(node.integer(*place, "I"))
-        except CommissioningError:
-            break
-    return tuple(found) or None
+    numbers = (node.integer_if_there(place, "I") for place in od.IDENTITY)
+    return tuple(iter(lambda: next(numbers, None), None)) or None  # up to the first that is not there
 
 
 def _interface_of(module: NodeAccess) -> int | None:

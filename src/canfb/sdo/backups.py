@@ -62,11 +62,11 @@ class Backup:
 
 def backup_text(backup: Backup, described: ObjectDescriptions) -> str:
     """The backup as YAML. KeyError for a parameter that the EDS does not have."""
-    entries = (
-        {"crc32": f"{CorrectionTable.from_bytes(backup.table).crc32:08X}", "entries": _entries(backup.table)}
-        if backup.table
-        else None
-    )
+    entries = None
+    if backup.table:
+        table = CorrectionTable.from_bytes(backup.table)
+        values = [short_real(value) for value in table.entries.tolist()]
+        entries = {"crc32": f"{table.crc32:08X}", "entries": values}
     head = {
         "canfb_backup": FORMAT,
         "date": backup.date,
@@ -217,11 +217,6 @@ def _scalar(entry: ObjectDescription, value: Any) -> str:
     if entry.holds_bits:
         return f"0x{value:08X}"
     return _dumped(value).splitlines()[0]
-
-
-def _entries(table: bytes) -> list[float]:
-    values = CorrectionTable.from_bytes(table).entries.tolist()
-    return [short_real(value) for value in values]
 
 
 def _dumped(content: Any, **options: Any) -> str:
