@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 
 from canfb.bus.frame_bus import PythonCanBus
 from canfb.bus.runner import Runner
@@ -17,6 +18,8 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.module_replay import ModuleReplay
+from canfb.signal.correction import CorrectionTable
+from fake_bus import FakeClock
 from ideal_tracks import counts_at
 
 EPOCH_S = 1e6  # as a monotonic clock: near 1.7e9 a float is exact to 0.24 us only, and periods differ by it
@@ -24,22 +27,14 @@ NODE_ID, INTERFACE_ID = 0x20, 0x10
 PERIOD_S = 1e-3
 SYNC_ID, ADC_ID, POSITION_ID = 0x80, 0x190, 0x1A0
 Planned = tuple[float, Frame]
-
-
-class Clock:
-    """Seconds that pass only on the bus; monotonic and wall clock are the same."""
-
-    def __init__(self) -> None:
-        self.now = EPOCH_S
-
-    def __call__(self) -> float:
-        return self.now
+PHASES = np.arange(64) / 64
+TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
 
 
 class NotingBus:
     """Gives the planned frames at their times, and notes these and what is sent, in the order of the bus."""
 
-    def __init__(self, clock: Clock, plan: Sequence[Planned]) -> None:
+    def __init__(self, clock: FakeClock, plan: Sequence[Planned]) -> None:
         self.clock = clock
         self.plan = [(EPOCH_S + at, frame) for at, frame in plan]
         self.next = 0
@@ -71,7 +66,8 @@ def live(
     plan: Sequence[Planned], store: MemoryStore | None = None, **fields: Any
 ) -> tuple[list[Frame], list[Frame]]:
     """The log of a live run, and of it what the module has sent."""
-    clock = Clock()
+    clock = FakeClock()  # monotonic and wall clock in one
+    clock.now = EPOCH_S
     bus = NotingBus(clock, plan)
     module = FeedbackModule(config(**fields), store)
     frame_bus = PythonCanBus(bus)  # type: ignore[arg-type]

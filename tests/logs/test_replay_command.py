@@ -21,9 +21,9 @@ from canfb.objects import StatusBit
 from canfb.replay.findings import COLUMNS
 from canfb.sdo.tables import as_yaml
 from canfb.signal.conditioning import IDENTITY
-from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.correction import Correction
 from html_page import Page
-from replay_kit import NODE_ID, adc, contents, live, sdo_write, session, write_log
+from replay_kit import NODE_ID, TABLE, adc, contents, live, sdo_write, session, write_log
 
 SAMPLES = 300
 
@@ -88,14 +88,12 @@ def test_a_page_with_pictures(log: Path, tmp_path: Path) -> None:
 def test_a_table_and_other_settings_are_tried(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    x = np.arange(64) / 64
-    table = CorrectionTable(x + 0.01 * np.sin(2 * np.pi * x))
     file = tmp_path / "table.yaml"
-    file.write_text(as_yaml(Correction(table, IDENTITY), {}))
+    file.write_text(as_yaml(Correction(TABLE, IDENTITY), {}))
     words = ["log", "replay", str(log), "--json", "--table", str(file), "--set", "amplitude_high_counts=4000"]
     assert main(words) == 0
     (module,) = figures(capsys)["modules"]
-    assert module["table_crc32"] == f"{table.crc32:08X}"
+    assert module["table_crc32"] == f"{TABLE.crc32:08X}"
     assert module["faults"]["amplitude"]["times"] == 0
     assert module["compared"]["1A0h"]["different"] > 100
 

@@ -226,7 +226,7 @@ def test_acceleration_with_a_jitter_that_a_single_sample_would_not_survive(part:
         0.4,
         table=True,
         samples_per_sync=2,
-        off_s=lambda k: 30e-6 if k % 2 else -30e-6,
+        off_s=alternating(30e-6),
     )
     assert found.holds is (part == HELD), max(found.residuals)
 

@@ -29,6 +29,7 @@ from replay_kit import (
     PERIOD_S,
     POSITION_ID,
     SYNC_ID,
+    TABLE,
     Planned,
     adc,
     config,
@@ -110,11 +111,9 @@ def test_faults_reset_and_saved_parameters() -> None:
 
 
 def test_a_table_that_is_downloaded_in_the_middle() -> None:
-    x = np.arange(64) / 64
-    table = CorrectionTable(x + 0.01 * np.sin(2 * np.pi * x))
-    plan = sorted([*session(300), *table_download(0.2, table)], key=lambda planned: planned[0])
+    plan = sorted([*session(300), *table_download(0.2, TABLE)], key=lambda planned: planned[0])
     replay = same(plan)
-    assert replay.module.chain.correction.table == table
+    assert replay.module.chain.correction.table == TABLE
 
 
 def test_a_module_that_is_switched_off_and_on() -> None:
@@ -176,10 +175,8 @@ def test_sample_times_that_only_the_log_or_the_configuration_has_are_noted(times
 
 
 def test_another_table_is_tried() -> None:
-    x = np.arange(64) / 64
-    table = CorrectionTable(x + 0.01 * np.sin(2 * np.pi * x))
     log, _ = live([*session(200), (0.5, nmt(129)), (0.51, nmt(1)), *motion(50, 0.6)])
-    replay, sent = replayed(log, options={"correction": Correction(table, IDENTITY)})
+    replay, sent = replayed(log, options={"correction": Correction(TABLE, IDENTITY)})
     words = [struct.unpack("<IHH", frame.data)[1] for frame in sent if frame.can_id == POSITION_ID]
     assert len(words) >= 250
     assert all(word & StatusBit.TABLE_ACTIVE for word in words), "after the reset, too"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -43,24 +43,11 @@ def test_the_commands_for_tables(canfb: Commands) -> None:
     assert [line[:17] for line in example.splitlines()[1:]] == [line[:17] for line in shown.splitlines()[1:]]
 
 
-class Sending:
-    """In place of the master of `canfb node`."""
-
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
-
-    def __enter__(self) -> Any:
-        return self._bench.master
-
-    def __exit__(self, *ending: Any) -> None:
-        """There is nothing to close."""
-
-
 def test_the_commands_for_backups(canfb: Commands, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("feedback.yaml").write_text("modules: [{node_id: 0x20}]\n")
     bench, given = Bench(store=MemoryStore()), commands(BACKUPS)
     monkeypatch.setattr(node_command, "open_bus", lambda words: None)
-    monkeypatch.setattr(node_command, "BusMaster", lambda bus: Sending(bench))
+    monkeypatch.setattr(node_command, "BusMaster", lambda bus: contextlib.nullcontext(bench.master))
     assert [words[1] for words in given] == ["save", "restore", "restore", "start"]
     canfb(bench, *given[0])
     bench.access.write(0x2010, 3, "B", 77)
