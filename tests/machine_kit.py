@@ -13,7 +13,7 @@ from canfb.commission.limit_choice import Choice, choose
 from canfb.commission.observation import Observation, observe
 from canfb.master.machine_watch import SpeedReading
 from canfb.master.samples import TrackSamples
-from canfb.master.supervision_limits import SupervisionLimits
+from canfb.master.session import SupervisionLimits
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.phase import FloatArray, raw_phases
 from canfb.simulation.encoder import Encoder

@@ -24,8 +24,7 @@ from canfb.errors import BusError
 from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, put_in_force
-from canfb.master.session import read_corners
-from canfb.master.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits, write_limits
+from canfb.master.session import AMPLITUDES, CORNER, SupervisionLimits, read_corners, write_limits
 from canfb.signal.harmonics import Corners
 from canfb.simulation.encoder import IDEAL_PATH, AnalogPath, Encoder
 from canfb.simulation.motion import Motion, Ramp

@@ -18,7 +18,7 @@ from canfb.commission.observation import observe
 from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import SpeedReading
 from canfb.master.samples import TrackSamples
-from canfb.master.supervision_limits import SupervisionLimits
+from canfb.master.session import SupervisionLimits
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration, safe_deviation, samples_without_harm
 from canfb.signal.stream import process_stream

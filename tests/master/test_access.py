@@ -9,8 +9,8 @@ import pytest
 from canfb import objects as od
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
-from canfb.master.access import REALS, CommissioningError, NodeAccess, ObjectAbsentError
-from canfb.master.supervision_limits import SupervisionLimits, as_real32
+from canfb.master.access import REALS, CommissioningError, NodeAccess, ObjectAbsentError, as_real32
+from canfb.master.session import SupervisionLimits
 from canfb.signal.correction import CorrectionTable
 from commissioning_kit import Bench
 from node_commands import abort, between, interrupt

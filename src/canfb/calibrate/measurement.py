@@ -17,9 +17,8 @@ from canfb.calibration.path_fit import NO_PATH, PathFit
 from canfb.calibration.result import Calibration, Method, Reason
 from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.errors import CalibrationError
-from canfb.master.access import CommissioningError, Progress
+from canfb.master.access import CommissioningError, Progress, as_real32
 from canfb.master.samples import TrackSamples
-from canfb.master.supervision_limits import as_real32
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from canfb.signal.harmonics import Corners

@@ -13,7 +13,7 @@ from canfb.calibrate.samples_through_chain import SpeedSamples, errors_at
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError, CanfbError
-from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress
+from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, Progress, as_real32
 from canfb.master.all_or_nothing import (
     Guard,
     change,
@@ -23,7 +23,6 @@ from canfb.master.all_or_nothing import (
 )
 from canfb.master.samples import TrackSamples, listening
 from canfb.master.session import CORNERS, read_corners
-from canfb.master.supervision_limits import as_real32
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.signal.harmonics import Corners

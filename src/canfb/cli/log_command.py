@@ -30,7 +30,7 @@ from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
 from canfb.files import check_writable
 from canfb.hosting.readiness import Readiness
-from canfb.logfile.bus_log import BusLog
+from canfb.logfile.log_files import BusLog
 from canfb.logs.log_replay import ReplayOptions, check_table, do_work, replay_log, work_of
 from canfb.logs.replay_files import published, write_page
 from canfb.module.module_config import ModuleConfig

@@ -31,8 +31,7 @@ from canfb.master.machine_watch import (
     watch,
 )
 from canfb.master.samples import UPLOAD_PART, TrackSamples, listen, record
-from canfb.master.session import Session
-from canfb.master.supervision_limits import SupervisionLimits, write_limits
+from canfb.master.session import Session, SupervisionLimits, write_limits
 from canfb.objects import Multiplexer, StatusBit
 from canfb.rows import Result
 from canfb.view.module_view import coarse_layout

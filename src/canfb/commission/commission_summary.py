@@ -15,7 +15,7 @@ from canfb.commission.machine_figures import MachineFigures, smooth_acceleration
 from canfb.commission.observation import Observation
 from canfb.files import write_whole
 from canfb.master.machine_watch import Provenance, in_words, origins, where_words
-from canfb.master.supervision_limits import (
+from canfb.master.session import (
     JITTER,
     KINDS,
     SupervisionLimits,

@@ -13,8 +13,9 @@ from canfb.commission.machine_figures import (
     TrackFigures,
     repeats_of_frozen_input,
 )
+from canfb.master.access import as_real32
 from canfb.master.machine_watch import PERCENT
-from canfb.master.supervision_limits import CORNER, JITTER, SupervisionLimits, as_real32
+from canfb.master.session import CORNER, JITTER, SupervisionLimits
 from canfb.objects import Multiplexer
 from canfb.signal.limits import (
     CALIBRATED_PHASE_ERROR_CYCLES,

@@ -27,7 +27,7 @@ from canfb.commission.machine_figures import (
 from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import SpeedReading, in_words
 from canfb.master.samples import TrackSamples
-from canfb.master.supervision_limits import AMPLITUDES, CORNER, SupervisionLimits
+from canfb.master.session import AMPLITUDES, CORNER, SupervisionLimits
 from canfb.signal.correction import Correction
 from canfb.signal.phase import raw_phases
 from canfb.signal.witness.coarse import CoarseTrack

@@ -255,6 +255,11 @@ class NodeAccess:
         return CommissioningError(f"{what}: the response is invalid ({error})")
 
 
+def as_real32(value: float) -> float:
+    """The value that a REAL32 holds."""
+    return float(REAL32.unpack(REAL32.pack(value))[0])
+
+
 def _is_final(error: Exception) -> bool:
     """A refusal that another master has not caused."""
     return isinstance(error, SdoAbortedError) and error.code not in BROKEN

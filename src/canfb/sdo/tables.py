@@ -18,7 +18,7 @@ from canfb.calibration.motion_blocks import peak, root_mean
 from canfb.errors import CanfbError
 from canfb.files import read_bytes, write_whole
 from canfb.marked_yaml import MarkedYaml
-from canfb.master.access import CommissioningError, NodeAccess
+from canfb.master.access import CommissioningError, NodeAccess, as_real32
 from canfb.master.all_or_nothing import (
     Guard,
     activate,
@@ -32,7 +32,7 @@ from canfb.master.all_or_nothing import (
     write_conditioning,
 )
 from canfb.master.machine_watch import Provenance
-from canfb.master.supervision_limits import AMPLITUDES, as_real32
+from canfb.master.session import AMPLITUDES
 from canfb.rows import Result, Row, as_figures, as_lines
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
