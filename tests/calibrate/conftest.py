@@ -8,7 +8,7 @@ import pytest
 from canfb.calibrate.measurement import Measurement, Settings, measure
 from canfb.master.samples import TrackSamples
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
+from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import random_encoder, recorded
 
 SETTINGS = Settings(entries=64, adc_bits=12)
@@ -41,9 +41,3 @@ def old() -> Correction:
 @pytest.fixture(scope="session")
 def measured(samples: TrackSamples, old: Correction) -> Measurement:
     return measure(samples, SETTINGS, old, lambda part: None)
-
-
-@pytest.fixture(scope="session")
-def measured_first(samples: TrackSamples) -> Measurement:
-    """The same on a module in which nothing was active."""
-    return measure(samples, SETTINGS, NO_CORRECTION, lambda part: None)

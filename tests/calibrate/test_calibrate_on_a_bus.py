@@ -77,8 +77,9 @@ def test_the_account_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Pa
 
 
 def test_the_figures_are_those_of_the_module(capsys: pytest.CaptureFixture[str]) -> None:
-    """Cycles from standstill on, missed samples by its counter, and a position that is not lost."""
-    bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),)))
+    """Cycles from standstill on, missed samples by its counter, its identity; a dry run writes nothing."""
+    motion = Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),))
+    bench = Bench(motion=motion, config={"serial_number": 77})
     bench.bus.run_until(2.5)
     rng = np.random.default_rng(2)
     bench.source.change = lambda counts: counts if rng.random() > 0.01 else None
@@ -95,9 +96,18 @@ def test_the_figures_are_those_of_the_module(capsys: pytest.CaptureFixture[str])
     assert found["module_cycles"] == pytest.approx(moved, rel=0.05)
     assert found["mean_rate_hz"] == pytest.approx(found["sample_rate_hz"], rel=0.01)
     assert bench.bus.now - began < 3.0
+    assert found["module_identity"] == [0, 1, 1, 77]
+    assert found["encoder_interface_identity"] == [0, 2, 1, 0]
+    assert (found["date"], found["time"]) == ("2026-03-01", None)
     bench.source.change = lambda counts: counts
     assert calibrate(bench, "--dry-run") == 0
-    (line,) = [one for one in capsys.readouterr().out.splitlines() if one.startswith("coverage")]
+    out = capsys.readouterr().out
+    assert "dry run: nothing was written to the module" in out
+    assert read_active(bench.access) == NO_CORRECTION
+    assert {frame.data[0] >> 5 for frame in bench.master.sent if frame.can_id == 0x620} <= {2, 3, 5}, (
+        "uploads only"
+    )
+    (line,) = [one for one in out.splitlines() if one.startswith("coverage")]
     found_cycles = int(line.split("at least ")[1].split()[0])
     assert found_cycles == pytest.approx(found["module_cycles"], rel=0.1)
 
@@ -120,16 +130,6 @@ def test_a_lost_position_is_said_at_once_and_in_the_account(
     assert calibrate(bench, "--dry-run", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["module_lost"], found["module_cycles"]) == (True, None)
-
-
-def test_a_dry_run_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    bench = Bench()
-    assert calibrate(bench, "--dry-run") == 0
-    assert "dry run: nothing was written to the module" in capsys.readouterr().out
-    assert read_active(bench.access) == NO_CORRECTION
-    assert {frame.data[0] >> 5 for frame in bench.master.sent if frame.can_id == 0x620} <= {2, 3, 5}, (
-        "uploads only"
-    )
 
 
 def test_drift_is_a_small_number_and_touches_nothing(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from calibrating import calibrate
 
 from canfb.calibrate.artefacts import refusal_html, report_html, write, write_refusal
 from canfb.calibrate.calibration_summary import bound_words, comparison, facts, findings
@@ -26,7 +25,6 @@ from canfb.sdo.tables import read_table
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.supervision import SampleLimits
-from commissioning_kit import Bench
 from html_page import Page
 
 WHERE = Provenance("2026-03-01", 32, 16, "ROD <486> & co", 2500)
@@ -178,16 +176,6 @@ def test_the_report_says_when_with_what_and_how(measured: Measurement, tmp_path:
     head = yaml.safe_load((tmp_path / "table.yaml").read_text())
     assert (head["date"], head["time"], head["canfb"]) == ("2026-03-01", "14:03:22+01:00", "1.2.3")
     assert head["module_identity"] == [0, 1, 65536, 4711]
-
-
-def test_the_identities_are_read_from_the_nodes(capsys: pytest.CaptureFixture[str]) -> None:
-    bench = Bench(config={"serial_number": 77})
-    calibrate(bench, "--dry-run", "--json")
-    figures = json.loads(capsys.readouterr().out)
-    assert figures["module_identity"] == [0, 1, 1, 77]
-    assert figures["encoder_interface_identity"] == [0, 2, 1, 0]
-    assert figures["date"] == "2026-03-01"
-    assert figures["time"] is None
 
 
 def deviation_at(phase: np.ndarray) -> Deviation:

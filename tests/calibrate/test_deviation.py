@@ -22,13 +22,9 @@ def found(measured: Measurement, samples: TrackSamples) -> float:
     ).rms
 
 
-def test_it_is_the_noise_with_the_right_table(measured: Measurement, fresh: TrackSamples) -> None:
-    assert found(measured, fresh) == pytest.approx(measured.calibration.residual_rms, rel=0.15)
-
-
-@pytest.mark.parametrize("rpm", [31.0, 250.0, 1900.0, -700.0])
-def test_it_is_so_at_other_speeds(rpm: float, measured: Measurement) -> None:
-    samples = recorded(random_encoder(3), 2000, rpm=rpm, seed=2)
+@pytest.mark.parametrize("rpm", [31.0, 250.0, 600.0, 1900.0, -700.0])
+def test_it_is_the_noise_with_the_right_table(rpm: float, measured: Measurement) -> None:
+    samples = recorded(random_encoder(3), 2000, rpm=rpm, start_s=60.0, seed=2)
     assert found(measured, samples) == pytest.approx(measured.calibration.residual_rms, rel=0.25)
 
 

@@ -71,15 +71,20 @@ def test_the_new_set_is_in_force_proven_and_saved(
     [(True, "not saved: module 32 (20h) cannot save"), (False, "not saved: the table is lost")],
 )
 def test_what_is_not_saved_is_active_and_said(
-    keep: bool, note: str, measured_first: Measurement, fresh: TrackSamples, settings: Settings
+    keep: bool,
+    note: str,
+    measured: Measurement,
+    old: Correction,
+    fresh: TrackSamples,
+    settings: Settings,
 ) -> None:
     store = None if keep else MemoryStore()
-    bench = prepared(NO_CORRECTION, store=store)
-    done = run_install(bench, measured_first, fresh, settings, keep=keep)
+    bench = prepared(old, store=store)
+    done = run_install(bench, measured, fresh, settings, keep=keep)
     assert done.saved_as is None
     assert store is None or store.images == {}
     assert done.save_note.startswith(note)
-    assert read_active(bench.access) == measured_first.found
+    assert read_active(bench.access) == measured.found
 
 
 PHASE_ERROR = (0x2010, 12)

@@ -45,16 +45,14 @@ def lock_of(samples: TrackSamples) -> Lock | None:
         (2 / 7, Lock(2, 7)),
         (7 / 16, Lock(7, 16)),
         (1.0005, Lock(0, 1)),
+        *((speed, None) for speed in (0.382, 25.41, 83.5 + 0.004, 1.003, 0.02, 83.34)),
     ],
 )
-def test_small_fractions_are_found(speed: float, lock: Lock) -> None:
+def test_small_fractions_are_found_and_what_is_far_enough_from_them_is_no_lock(
+    speed: float, lock: Lock | None
+) -> None:
     assert lock_of(tracks(speed)) == lock
     assert lock_of(tracks(speed, lost=0.03)) == lock
-
-
-@pytest.mark.parametrize("speed", [0.382, 25.41, 83.5 + 0.004, 1.003, 0.02, 83.34])
-def test_what_is_far_enough_from_them_is_no_lock(speed: float) -> None:
-    assert lock_of(tracks(speed)) is None
 
 
 def test_too_few_samples_and_a_dead_track_say_nothing() -> None:

@@ -6,6 +6,7 @@ import json
 import math
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,7 @@ from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, put_in_force
 from canfb.master.session import AMPLITUDES, CORNER, SupervisionLimits, read_corners, write_limits
-from canfb.signal.harmonics import Corners
-from canfb.simulation.encoder import IDEAL_PATH, AnalogPath, Encoder
+from canfb.simulation.encoder import AnalogPath, Encoder
 from canfb.simulation.motion import Motion, Ramp
 from commissioning_kit import Bench
 from documentation import commands, page
@@ -282,17 +282,11 @@ CORNER_HZ = 125e3
 LOW_PASS = AnalogPath(sine_corner_hz=CORNER_HZ, cosine_corner_hz=CORNER_HZ)
 
 
-def bench_behind(path: AnalogPath) -> Bench:
-    """Up to 3000 rpm and back, with the table of standstill."""
-    ideal = Encoder(amplitude_counts=1400.0, noise_lsb=0.6)
-    made = Bench(Encoder(amplitude_counts=1400.0, noise_lsb=0.6, path=path), motion=duty(3000, 1.5))
-    put_in_force(made.access, correction_of(ideal))
-    made.bus.run_until(0.1)
-    return made
-
-
 def test_the_corner_is_found_and_the_limits_become_narrow(capsys: pytest.CaptureFixture[str]) -> None:
-    made = bench_behind(LOW_PASS)
+    """Up to 3000 rpm and back, with the table of standstill."""
+    made = Bench(replace(ENCODER, path=LOW_PASS), motion=duty(3000, 1.5))
+    put_in_force(made.access, correction_of(ENCODER))
+    made.bus.run_until(0.1)
     assert commission(made, "--seconds", "5", "--write", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["corner_hz"] == pytest.approx(CORNER_HZ, rel=0.01)
@@ -350,12 +344,3 @@ def test_when_the_corner_is_proposed(
         assert words in found.why
         assert found.changes == changes
         assert found.value == (125e3 if changes else before)
-
-
-def test_without_a_low_pass_there_is_nothing_to_set(capsys: pytest.CaptureFixture[str]) -> None:
-    made = bench_behind(IDEAL_PATH)
-    assert commission(made, "--seconds", "5", "--write") == 0
-    out = capsys.readouterr().out
-    assert "none is seen up to" in out
-    assert "2001:05" not in out
-    assert read_corners(made.access) == Corners()

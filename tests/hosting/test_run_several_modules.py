@@ -19,7 +19,6 @@ from canfb.hosting import serving
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
-from commands import Command
 from fake_bus import FakeBus, FakeClock, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 NODES = (33, 34, 35, 36, 37, 38, 39)
@@ -211,16 +210,6 @@ def test_two_with_the_same_node_id_are_noticed_and_both_go_on(
     assert sum("another node" in line for line in out.splitlines()) == 2
 
 
-def test_a_reset_of_one_leaves_the_others_alone(play: Play) -> None:
-    plan = cycles(1.0)
-    half = len(plan) // 2
-    story = play([*plan[:half], (plan[half][0], message(0x000, bytes([129, NODES[0]]))), *plan[half:]])
-    assert story.sent[0x700 + NODES[0]] == [b"\0", b"\0"]
-    for node in NODES[1:]:
-        assert story.positions(node) == alone(node)
-        assert len(story.sent[0x700 + node]) == 1
-
-
 def test_a_program_error_in_one_ends_all_and_says_which(
     play: Play, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -240,11 +229,3 @@ def test_a_program_error_in_one_ends_all_and_says_which(
     assert line.endswith("; all nodes of the process end")
     assert len(story.positions(38)) == 1
     assert len([text for text in out.splitlines() if " samples; missed " in text]) == len(NODES) + 1
-
-
-def test_a_device_that_would_hear_itself_is_refused(tmp_path: Path, command: Command) -> None:
-    config = tmp_path / "echo.yaml"
-    config.write_text(
-        "bus: {interface: virtual, channel: echo, receive_own_messages: true}\nmodules: [{node_id: 32}]\n"
-    )
-    assert command("run", config, code=2).err.startswith("canfb: receive_own_messages: omit it")

@@ -152,10 +152,11 @@ def test_what_is_not_stated_has_no_margin() -> None:
 def test_the_samples_in_a_row_are_those_of_the_page() -> None:
     rows = dict(re.findall(r"^\| (\d) \| 1/(\d) \|", LEGAL, re.M))
     assert {int(n): 1.0 / int(part) for n, part in rows.items()} == {n: safe_deviation(n) for n in (1, 2, 3)}
-    for n in (1, 2, 3):
-        largest = safe_deviation(n)
+    for n in range(1, 41):
+        largest, changes = safe_deviation(n), n + 2
+        assert largest * max(changes, changes**2 // 4) == pytest.approx(1.0)
         assert samples_without_harm(largest) == n
-        assert samples_without_harm(largest + 1e-6) == n - 1
+        assert samples_without_harm(largest * (1.0 + 1e-6)) == n - 1
     assert samples_without_harm(0.0) == 255
 
 
