@@ -11,7 +11,7 @@ from canfb.master.access import NodeAccess
 from canfb.objects import LossCause, PositionState, StatusBit, fault_words, position_state
 from canfb.rows import Result, Row, as_figures, as_lines, those
 from canfb.signal.limits import cycles_per_interval_squared, kept_samples, max_acceleration
-from canfb.view.module_view import LimitSettings, limit_settings, mapped_objects
+from canfb.view.module_view import LIMIT_UNITS, LimitSettings, limit_settings, mapped_objects
 
 MEANINGS = {
     StatusBit.VALID: "position valid",
@@ -55,7 +55,6 @@ def decoded(word: int) -> Result:
     return Result(as_figures(rows), as_lines(rows))
 
 
-CYCLE_UNITS = 65536.0  # of a cycle, in 2012:13..15
 RATE_S = 0.25  # over which the rate of the samples is measured
 BAD_SIGNAL = StatusBit.AMPLITUDE | StatusBit.CLIPPED
 MOTION = (LossCause.CONTRADICTED, LossCause.JUMP, LossCause.UNDECIDED)
@@ -364,7 +363,7 @@ def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
             od.COUNTER_LOSS_FAULTS,
         )
     )
-    residual_cycles, limit_cycles, speed_cycles = (one / CYCLE_UNITS for one in (residual, limit, speed))
+    residual_cycles, limit_cycles, speed_cycles = (one / LIMIT_UNITS for one in (residual, limit, speed))
     return Loss(cause, since_ms / 1e3, bad, residual_cycles, limit_cycles, speed_cycles, faults), True
 
 

@@ -20,7 +20,7 @@ from canfb.planning.plan import ResidualBudget
 from canfb.signal.bounded_motion import ORDER
 from canfb.simulation import faults
 from canfb.simulation.faults import Fault, Samples, Signal
-from canfb.view.module_view import valid_pdos
+from canfb.view.module_view import mapped_objects
 
 CASES = 400  # of each fault
 FAULTY_SAMPLES = 200  # as in docs/evidence.md
@@ -98,9 +98,8 @@ def window_of(budget: ResidualBudget) -> SampleWindow:
 def second_tolerance(budget: ResidualBudget) -> float | None:
     """2014:04, revolutions, of a module that gets a second position; else None."""
     values = budget.module.values
-    mapped = (pdo.entries for pdo in valid_pdos(values.get, od.RPDO, od.RPDO_MAPPING))
     tolerance = float(values.get(od.SECOND_TOLERANCE, 0.0))
-    return tolerance if tolerance and any(SECOND in one for one in mapped) else None
+    return tolerance if tolerance and SECOND in mapped_objects(values.get) else None
 
 
 def area_coverage(window: SampleWindow) -> Shares:

@@ -19,7 +19,14 @@ from canfb.device.od.dcf import Place
 from canfb.device.pdo.mapping import EVENT_DRIVEN, SYNCHRONOUS
 from canfb.module.cia406.alarms import SHORTEST_S
 from canfb.simulation.sync_producer import LONGEST_FRAME_BITS
-from canfb.view.module_view import LimitSettings, Pdo, limit_settings, valid_pdos
+from canfb.view.module_view import (
+    MODULE_EARLIER,
+    MODULE_TRACKS,
+    LimitSettings,
+    Pdo,
+    limit_settings,
+    valid_pdos,
+)
 
 Values = Mapping[Place, Any]
 """Objects of a node by index and sub-index."""
@@ -229,7 +236,6 @@ def in_order(messages: Iterable[Message]) -> tuple[Message, ...]:
     return tuple(sorted(found.values(), key=lambda one: one.can_id))
 
 
-NEWEST = (od.SAMPLE_SINE, od.SAMPLE_COSINE)
 TIME = od.SAMPLE_TIME.mapped(32)
 NODE_ID = 0x7F
 
@@ -246,14 +252,14 @@ def laid_out(values: Values, pairs: int, times: bool) -> dict[Place, Any]:
     are too few.
     """
     pdos = _of_samples(values)
-    tracks = next((pdo for pdo in pdos if {one.mapped(16) for one in NEWEST} <= set(pdo.entries)), None)
+    tracks = next((pdo for pdo in pdos if set(MODULE_TRACKS) <= set(pdo.entries)), None)
     if tracks is None:
         raise ValueError("samples_per_sync needs an RPDO that brings 2000:01 and 2000:02")
     interface = tracks.can_id & NODE_ID
     own = [pdo for pdo in pdos if pdo.can_id & NODE_ID == interface]
-    entries = [one.mapped(16) for pair in (NEWEST, *od.SAMPLE_EARLIER)[:pairs] for one in pair]
+    entries = [entry for pair in (MODULE_TRACKS, *MODULE_EARLIER)[:pairs] for entry in pair]
     entries += [TIME] if times else []
-    known = {one.mapped(16) for pair in (NEWEST, *od.SAMPLE_EARLIER) for one in pair} | {TIME}
+    known = {TIME}.union(MODULE_TRACKS, *MODULE_EARLIER)
     entries += [entry for pdo in own for entry in pdo.entries if entry not in known]
     return _filled(values, [pdo.number for pdo in own], interface, entries)
 
