@@ -273,26 +273,18 @@ NOT_RAW: list[dict[str, Any]] = [
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="SocketCAN is of Linux")
-@pytest.mark.parametrize("words", RAW, ids=str)
-def test_socketcan_has_a_raw_socket(opened: list[Any], words: dict[str, Any]) -> None:
-    open_device_bus(words)
-    assert opened == ["can0"]
-
-
-@pytest.mark.parametrize("words", NOT_RAW, ids=str)
-def test_python_can_opens_what_is_more_than_that(opened: list[Any], words: dict[str, Any]) -> None:
-    open_device_bus(words)
-    assert opened == [{key: value for key, value in words.items() if key != "python_can"}]
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="SocketCAN is of Linux")
-def test_an_interface_of_the_environment_counts(opened: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CAN_INTERFACE", "socketcan")
-    monkeypatch.setenv("CAN_CHANNEL", "can5")
-    open_device_bus({})
-    monkeypatch.setenv("CAN_INTERFACE", "pcan")
-    open_device_bus({})
-    assert opened == ["can5", {}]
+def test_socketcan_has_a_raw_socket_and_python_can_opens_what_is_more_than_that(
+    opened: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for words in (*RAW, *NOT_RAW):
+        open_device_bus(words)
+    others = [{key: value for key, value in words.items() if key != "python_can"} for words in NOT_RAW]
+    assert opened == ["can0"] * len(RAW) + others
+    for interface, found in (("socketcan", "can5"), ("pcan", {})):
+        monkeypatch.setenv("CAN_INTERFACE", interface)
+        monkeypatch.setenv("CAN_CHANNEL", "can5")
+        open_device_bus({})
+        assert opened[-1] == found
 
 
 @pytest.mark.parametrize(

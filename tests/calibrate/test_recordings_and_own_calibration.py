@@ -10,7 +10,6 @@ import pytest
 from calibrating import calibrate, command, position_errors
 from test_calibrate_on_a_bus import calibrated
 
-import commissioning_kit
 from canfb.cia301.frame import Frame
 from canfb.cli.calibrate import choices_of
 from canfb.cli.config_file import EXAMPLE
@@ -26,8 +25,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, MotionSource, Ramp
+from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.sync_producer import SyncProducer, SyncTiming
 from canfb.view.module_view import PdoLayout
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, random_encoder
@@ -269,34 +267,17 @@ def test_a_calibration_by_two_samples_for_each_sync(
     assert module.limits.samples_per_sync == 2
 
 
-def phase_errors(bench: Bench, motion: MotionSource, samples: int) -> list[float]:
-    """Error of the module's position within a cycle, sample by sample."""
-    errors = []
-    for _ in range(samples):
-        bench.bus.run_until(bench.bus.now + 1.0 / RATE_HZ)
-        assert bench.module.feedback is not None
-        errors.append((bench.module.feedback.phase - motion.position_cycles + 0.5) % 1.0 - 0.5)
-    return errors
-
-
-def test_the_interface_records_and_the_position_becomes_right(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def source(encoder: Encoder, motion: Motion) -> MotionSource:
-        return MotionSource(ShaftEncoder(encoder, CYCLES, seed=7), motion, 1.0 / RATE_HZ)
-
-    monkeypatch.setattr(commissioning_kit, "ChangingSource", source)
-    bench = Bench(random_encoder(3), motion=Motion((Ramp(0.2, 0.0), Ramp(1.0, 13.3))))
-    motion = bench.interface.source
-    assert isinstance(motion, MotionSource)
+def test_the_interface_records_and_the_position_becomes_right(capsys: pytest.CaptureFixture[str]) -> None:
+    motion = Motion((Ramp(0.2, 0.0), Ramp(1.0, 13.3)))
+    bench = Bench(random_encoder(3), motion=motion, timing=SyncTiming())
     bench.bus.run_until(1.5)
     assert bench.value(0x2011, 1) & 0x7F == 0x01
-    before = np.ptp(phase_errors(bench, motion, 400))
+    before = np.ptp(position_errors(bench, 400))
     words = ("--method", "zero-crossings", "--source", "recording", "--seconds", "2", "--json")
     assert command(bench.master, *words) == 0
     figures = json.loads(capsys.readouterr().out)
     assert figures["crc32"] == f"{bench.value(0x2020, 4):08X}"
-    after = np.ptp(phase_errors(bench, motion, 400))
+    after = np.ptp(position_errors(bench, 400))
     assert before > 0.01
     assert 1e-5 < after < 0.002
     assert bench.value(0x2011, 1) & 0x7F == 0x01, "valid, and nothing else to say"

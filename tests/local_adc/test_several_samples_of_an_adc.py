@@ -1,4 +1,4 @@
-"""A converter that samples faster than SYNC: several samples for each, at the interface and in a module."""
+"""A converter that samples by a clock of its own, faster than SYNC: several samples for each, time stamps."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from canfb.configuration import ANY_NODES, Config, parse_config
 from canfb.errors import ConfigError
 from canfb.hosting.captured_source import CapturedSource
 from canfb.hosting.hosting import make_interface, open_source
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import MISSED, VALID
@@ -85,11 +86,20 @@ def test_a_module_with_an_adc_of_its_own_takes_two(iiod: Iiod, resources: contex
     assert newest != earlier
 
 
-def test_an_interface_sends_two_and_the_module_follows(iiod: Iiod, resources: contextlib.ExitStack) -> None:
-    server = iiod()
+def interface_of(
+    server: EmulatedIiod, resources: contextlib.ExitStack
+) -> tuple[EncoderInterface, CapturedSource]:
+    """An interface that sends two samples for each SYNC, and its source."""
     (config,) = configured(server, f"interfaces: [{{node_id: 16, times: true, {KEYS}}}]").interfaces
     interface = make_interface(config, resources, {})
     assert server.opened.wait(LIMIT_S)
+    assert isinstance(interface.source, CapturedSource)
+    return interface, interface.source
+
+
+def test_an_interface_sends_two_and_the_module_follows(iiod: Iiod, resources: contextlib.ExitStack) -> None:
+    server = iiod()
+    interface, source = interface_of(server, resources)
     module = FeedbackModule(ModuleConfig(node_id=32, times=True, samples_per_sync=2, autostart=True))
     for device in (interface, module):
         device.start(0.0)
@@ -101,22 +111,18 @@ def test_an_interface_sends_two_and_the_module_follows(iiod: Iiod, resources: co
         for frame in sent:
             module.receive(frame, now + 1e-4)
 
-    assert isinstance(interface.source, CapturedSource)
-    follow(server, interface.source, module, sync)
+    follow(server, source, module, sync)
     assert interface.missed < 5
 
 
 def test_the_pairs_are_half_an_interval_apart(iiod: Iiod, resources: contextlib.ExitStack) -> None:
     server = iiod()
-    (config,) = configured(server, f"interfaces: [{{node_id: 16, times: true, {KEYS}}}]").interfaces
-    interface = make_interface(config, resources, {})
-    assert server.opened.wait(LIMIT_S)
-    assert isinstance(interface.source, CapturedSource)
+    interface, source = interface_of(server, resources)
     interface.start(0.0)
     sent: list[Frame] = []
     for number in range(1, 20):
         scans = range(SCANS * (number - 1), SCANS * number)
-        deliver(server, interface.source, *[reading(2048 + n, 2048 - n, n * 250_000) for n in scans])
+        deliver(server, source, *[reading(2048 + n, 2048 - n, n * 250_000) for n in scans])
         sent += interface.receive(SYNC, number * SYNC_S)
     pairs = [struct.unpack("<4h", frame.data) for frame in sent if frame.can_id == 0x190]
     times = [struct.unpack("<I", frame.data)[0] for frame in sent if frame.can_id == 0x290]
@@ -148,3 +154,43 @@ def test_what_cannot_be_is_told_by_the_configuration(source: str, words: str) ->
 def test_a_trigger_that_is_fired_has_no_clock(iiod: Iiod, opened: Callable[..., CapturedSource]) -> None:
     with pytest.raises(ConfigError, match="'sysfstrig7' gives one scan for each SYNC; scans_per_sync"):
         opened(iiod(), trigger="sysfstrig7", scans_per_sync=4)
+
+
+ADC_S = 2.6e-4  # no part of SYNC_S: a scan is up to a quarter of an interval old
+SLOW_SYNCS = 1200
+SLOW_RPM = 60.0  # 2.5 cycles in each interval: 0.65 between two scans
+
+
+def run(server: EmulatedIiod, source: CapturedSource) -> tuple[list[int], list[float]]:
+    """Status words, and errors of the position against the truth at the instant of the scan, cycles."""
+    machine = Machine(ADC_S, Ramp(0.1, 0.0), Ramp(0.8, SLOW_RPM))
+    module = FeedbackModule(ModuleConfig(node_id=32, adc_bits=source.adc_bits, autostart=True), source=source)
+    module.start(0.0)
+    status, errors = [], []
+    for number in range(1, SLOW_SYNCS + 1):
+        deliver(server, source, *machine.scans_until(number * SYNC_S))
+        module.receive(SYNC, number * SYNC_S)
+        feedback = module.feedback
+        assert feedback is not None
+        status.append(feedback.status)
+        errors.append(feedback.cycles + feedback.phase - machine.truth_cycles[-1])
+    assert machine.truth_cycles[-1] > 1500
+    return status, errors
+
+
+def test_with_time_stamps_the_position_is_right(iiod: Iiod, opened: Callable[..., CapturedSource]) -> None:
+    server = iiod()
+    status, errors = run(server, opened(server))
+    assert all(word & VALID and not word & MISSED for word in status)
+    whole = round(errors[0])  # the count begins anew where the encoder stands
+    assert max(abs(error - whole) for error in errors) < 0.02
+
+
+def test_without_them_it_is_lost_and_nobody_is_told_a_wrong_one(
+    iiod: Iiod, opened: Callable[..., CapturedSource]
+) -> None:
+    server = iiod()
+    status, errors = run(server, opened(server, time_stamps=False))
+    assert not status[-1] & VALID
+    wrong = [error for word, error in zip(status, errors, strict=True) if word & VALID and abs(error) > 0.5]
+    assert not wrong
