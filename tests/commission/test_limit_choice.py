@@ -94,7 +94,7 @@ def test_the_limits_are_near_the_truth_and_hold_on_ten_times_more_data(name: str
     limit = choices[od.SUPERVISION_RESIDUAL_LIMIT].value / 65536
     assert limit >= max(0.02, 2.0 * true + 6.0 * math.sqrt(6.0) * motion.noise) or limit == 21845 / 65536
     assert limit <= max(0.0201, 2.0 * (true + 20.0 * motion.noise) + 0.001) or name == "jitter"
-    largest = new.acceleration_cycles(1.0 / RATE_HZ)
+    largest = new.bounds(1.0 / RATE_HZ).acceleration or 0.0
     assert largest >= 0.95 * 2.0 * low * true
     assert largest <= max(2.1 * high * true, limit - 0.049)
     assert choices[od.SUPERVISION_ACCELERATION].value <= max_acceleration(N, RATE_HZ) * (1 + 1e-6)
@@ -119,7 +119,7 @@ def test_single_glitches_above_the_limit_are_all_detected(name: str) -> None:
         / math.pi
         * (machine.encoder.noise_lsb + 0.3)
     )
-    least = new.residual_limit(interval_s) + true + noise
+    least = new.bounds(interval_s).residual_limit + true + noise
     if least >= 0.5:
         pytest.skip("no glitch is larger than that")
     rng = np.random.default_rng(8)
@@ -172,13 +172,13 @@ def test_a_machine_that_never_stops_keeps_its_limits_of_motion() -> None:
     assert choices[od.ENCODER_LOWEST_AMPLITUDE].changes
     _, new, choices = machine.commissioned(COUNT, known=50.0)
     assert choices[od.SUPERVISION_ACCELERATION].value == pytest.approx(50.0, rel=0.01)
-    limit = new.residual_limit(1.0 / RATE_HZ)
+    limit = new.bounds(1.0 / RATE_HZ).residual_limit
     assert 50.0 * N / 2 / math.pi / 1e6 < limit < 0.03
 
 
 def test_a_larger_margin_gives_wider_limits() -> None:
     limits = [fresh("fast").commissioned(COUNT, margin)[1] for margin in (1.2, 2.0, 3.0)]
-    residual = [one.residual_limit(1.0 / RATE_HZ) for one in limits]
+    residual = [one.bounds(1.0 / RATE_HZ).residual_limit for one in limits]
     assert residual == sorted(residual)
     assert residual[0] < residual[1] < residual[2]
 

@@ -49,7 +49,7 @@ from canfb.master.machine_watch import (
     lost_words,
 )
 from canfb.master.samples import TrackSamples
-from canfb.master.session import Session
+from canfb.master.session import Session, read_corners
 from canfb.rows import Result
 from canfb.sdo.tables import read_table
 from canfb.signal.correction import NO_CORRECTION, Correction
@@ -236,7 +236,7 @@ class CalibrationRun:
         node, settings = session.module, choices.settings(session.limits)
         check_apart(session.cycles_per_revolution / 60.0 * np.array(choices.speeds_rpm))
         check_valid(node)
-        before = InForce(session.active, session.corners)
+        before = InForce(session.active, read_corners(session.module))
         look = self._look(session, None)
         samples: list[SpeedSamples] = []
         left = list(choices.speeds_rpm)
@@ -280,7 +280,10 @@ class CalibrationRun:
         self._look(session, None)
         self._steps.step(f"collecting {choices.collecting}")
         measured = self._collect(session, choices.collect_s, choices.least_samples)
-        active, settings = InForce(session.active, session.corners), choices.settings(session.limits)
+        active, settings = (
+            InForce(session.active, read_corners(session.module)),
+            choices.settings(session.limits),
+        )
         return self._drift(
             measured.samples, lambda: check_at_speed(measured, active, settings, self._steps.part)
         )

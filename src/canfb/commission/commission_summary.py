@@ -71,11 +71,11 @@ class Commissioned:
     @property
     def largest_acceleration(self) -> float:
         """Of the machine, cycles per interval squared: 2010:02, or what was seen while that is not known."""
-        return self.new.acceleration_cycles(self.machine.interval_s) or self.machine.motion.acceleration
+        return self.new.bounds(self.machine.interval_s).acceleration or self.machine.motion.acceleration
 
     def deviation(self, limits: SupervisionLimits) -> float:
         """L + a of docs/supervision.md with these limits; cycles."""
-        return limits.residual_limit(self.machine.interval_s) + self.largest_acceleration
+        return limits.bounds(self.machine.interval_s).residual_limit + self.largest_acceleration
 
     def without_harm(self, limits: SupervisionLimits) -> int:
         return samples_without_harm(self.deviation(limits))
@@ -242,7 +242,7 @@ def detection_words(done: Commissioned) -> str:
 
 def kept_words(done: Commissioned) -> str:
     interval_s, motion = done.machine.interval_s, done.largest_acceleration
-    before, new = (one.kept_samples(interval_s, motion) for one in (done.before, done.new))
+    before, new = (one.chain_limits(interval_s).kept_samples(motion) for one in (done.before, done.new))
     return (
         f"After up to {new} missed or flagged samples in a row the position is certain, {before} with the "
         f"limits before (2010:03 bridges {done.new.coast_samples}). A machine that exceeds the acceleration "
@@ -268,13 +268,13 @@ def findings(done: Commissioned) -> Findings:
     figures = Row(
         margin=done.margin,
         notes=notes(done),
-        residual_limit_in_force_cycles=done.new.residual_limit(interval_s),
+        residual_limit_in_force_cycles=done.new.bounds(interval_s).residual_limit,
         deviation_cycles=done.deviation(done.new),
         deviation_before_cycles=done.deviation(done.before),
         bad_samples_detected=done.without_harm(done.new),
         bad_samples_detected_before=done.without_harm(done.before),
-        missed_samples_kept=done.new.kept_samples(interval_s, motion),
-        missed_samples_kept_before=done.before.kept_samples(interval_s, motion),
+        missed_samples_kept=done.new.chain_limits(interval_s).kept_samples(motion),
+        missed_samples_kept_before=done.before.chain_limits(interval_s).kept_samples(motion),
         written=done.written,
         saved=done.saved_as is not None,
         **where_words(done.where),
@@ -309,11 +309,11 @@ def write_page(folder: Path, done: Commissioned) -> Path:
 
 def _pictures(done: Commissioned) -> list[str]:
     machine, interval_s = done.machine, done.machine.interval_s
-    old, new = (limits.residual_limit(interval_s) for limits in (done.before, done.new))
+    old, new = (limits.bounds(interval_s).residual_limit for limits in (done.before, done.new))
     low, high = (
         done.new.values[place] for place in (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE)
     )
-    largest = done.new.acceleration_cycles(interval_s)
+    largest = done.new.bounds(interval_s).acceleration or 0.0
     samples, noise = done.observed.samples, machine.motion.noise
     to_rad = machine.rad(1.0, 2, done.new.cycles_per_revolution)
     listed = [

@@ -108,19 +108,8 @@ class SupervisionLimits:
     def bounds(self, interval_s: float) -> Declared:
         return self.settings.bounds(self.cycles_per_revolution, interval_s, self.noise_cycles)
 
-    def kept_samples(self, interval_s: float, motion_cycles: float) -> int:
-        """Missed or flagged samples in a row, at most 2010:03, with this largest acceleration."""
-        return self.chain_limits(interval_s).kept_samples(motion_cycles)
-
     def changed(self, values: Mapping[Multiplexer, float]) -> SupervisionLimits:
         return replace(self, values={**self.values, **values})
-
-    def acceleration_cycles(self, interval_s: float) -> float:
-        """2010:02, cycles per interval squared, 0.0 for none."""
-        return self.bounds(interval_s).acceleration or 0.0
-
-    def residual_limit(self, interval_s: float) -> float:
-        return self.bounds(interval_s).residual_limit
 
     def chain_limits(self, interval_s: float) -> ChainLimits:
         """For a chain that gets all samples one by one, ``interval_s`` apart."""
@@ -246,19 +235,17 @@ class Session:
         return speed if math.isfinite(speed) else 0.0
 
     @property
-    def corners(self) -> Corners:
-        return read_corners(self.module)
-
-    @property
     def path_is_known(self) -> bool:
         """The speed matters, and the active table is that of standstill."""
         conditioning = self.active.conditioning
-        return any(conditioning.harmonics) and bool(conditioning.cosine_delay_s or self.corners.are_there)
+        return any(conditioning.harmonics) and bool(
+            conditioning.cosine_delay_s or read_corners(self.module).are_there
+        )
 
     def together(self, samples: TrackSamples) -> TrackSamples:
         """The samples without the delay of 2002:06; CommissioningError if the speed is not known."""
         delay_s = self.active.conditioning.cosine_delay_s
-        corners = self.corners
+        corners = read_corners(self.module)
         if not (delay_s or corners.are_there):
             return samples
         check_valid(self.module)
