@@ -266,8 +266,6 @@ class PdoRecorder:
             tracks = np.full((len(pairs), 2), np.nan)
             tracks[per_sync - 1 :: per_sync] = [one.coarse or (np.nan, np.nan) for one in intervals]
             samples = replace(samples, coarse=(tracks[:, 0], tracks[:, 1]))
-        if not self._layout.is_timed:
-            return samples
         stamps: list[int | None] = [None] * len(pairs)
         stamps[per_sync - 1 :: per_sync] = [one.stamp for one in intervals]
         return samples.timed(stamps)

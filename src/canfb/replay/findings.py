@@ -222,15 +222,14 @@ class Margins:
     speed_rad_s         the largest; its limit is what the SYNC jitter allows, inf with sample times
     """
 
-    def __init__(self) -> None:
+    def __init__(self, max_speed_rad_s: Callable[[], float]) -> None:
         names = ("residual", "amplitude_low", "amplitude_high", "acceleration_cycles")
         self.nearest = dict.fromkeys((*names, "machine_acceleration_cycles", "speed_rad_s"), Extreme())
         self.acceleration_rad_s2 = 0.0
         """The largest."""
         self.begin_cycles = NAN
         """Distance of the first samples, without whole cycles between two of them."""
-        self.max_speed_rad_s = math.inf
-        """What the jitter allows, as the module last knew it; set by the replay."""
+        self._max_speed_rad_s = max_speed_rad_s  # what the jitter allows, as the module knows it
 
     def take(self, block: Block) -> None:
         status = block["status"]
@@ -256,7 +255,7 @@ class Margins:
         self._look("machine_acceleration_cycles", block, acceleration, _where(known > 0.0, known))
         rad, interval_s = _units(block)
         speed = _where(valid, np.abs(block["speed_cycles"])) * rad / interval_s
-        self._look("speed_rad_s", block, speed, np.full(len(speed), self.max_speed_rad_s))
+        self._look("speed_rad_s", block, speed, np.full(len(speed), self._max_speed_rad_s()))
         squared = acceleration * rad / interval_s**2
         self.acceleration_rad_s2 = float(np.fmax.reduce(squared, initial=self.acceleration_rad_s2))
 

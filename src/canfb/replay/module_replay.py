@@ -225,11 +225,11 @@ class ModuleReplay:
         self.frames = self.recorded_own = self.sent = self.emergencies = self.restarts = 0
         self.first_s = self.last_s = 0.0
         self.steps_back = self.gaps = self.bad_stamps = 0
-        self.faults, self.margins = FaultList(), Margins()
+        self.faults, self.margins = FaultList(), Margins(lambda: self.module.max_speed_rad_s)
         self._correction, self.begin, self._on_sent = correction, begin, sent
         self.samples = SampleColumns(
             self.module,
-            [self.faults.take, self._note_speed_limit, self.margins.take, *takers],
+            [self.faults.take, self.margins.take, *takers],
             [self.margins.take],
         )
         self.module.on_feedback = self.samples.take
@@ -426,6 +426,3 @@ class ModuleReplay:
         self._boot_up_s = now
         if self._correction is not None:
             self.module.use_correction(self._correction)
-
-    def _note_speed_limit(self, block: Block) -> None:
-        self.margins.max_speed_rad_s = self.module.max_speed_rad_s

@@ -121,10 +121,6 @@ class PdoLayout:
         return sorted({part.can_id for part in parts} - {self.can_id})
 
     @property
-    def is_timed(self) -> bool:
-        return self.time_byte is not None or self.timed_by is not None
-
-    @property
     def sender(self) -> int | None:
         """By the predefined connection set, or None."""
         return (self.can_id & 0x7F or None) if self.can_id & 0x780 in cob.TPDOS else None
