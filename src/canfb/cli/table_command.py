@@ -44,6 +44,7 @@ def register(commands: Commands) -> None:
         option("--save", action="store_true", help="with --activate: save it (1010h)"),
         *access,
         summary="write the table of a file to the module, and stage it",
+        idle=[(["save"], "activate", True, "only with --activate, as a staged table is not saved")],
     )
     add_command(
         parts,
@@ -82,8 +83,6 @@ def show(options: argparse.Namespace) -> int:
 
 
 def write(options: argparse.Namespace) -> int:
-    if options.save and not options.activate:
-        raise ConfigError("--save: only with --activate, as a staged table is not saved")
     file = read_table_file(options.file)
     return _do(
         options,

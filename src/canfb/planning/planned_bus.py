@@ -230,9 +230,7 @@ class BusLoad:
 
 def in_order(messages: Iterable[Message]) -> tuple[Message, ...]:
     """Each CAN-ID once, by priority."""
-    found: dict[int, Message] = {}
-    for message in messages:
-        found.setdefault(message.can_id, message)
+    found = {message.can_id: message for message in reversed([*messages])}  # the first of each
     return tuple(sorted(found.values(), key=lambda one: one.can_id))
 
 
