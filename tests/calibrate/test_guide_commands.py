@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.cli import calibrate, node_command, node_options
+from canfb.cli import node_command, node_options
 from canfb.cli.aliases import current
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser, main
@@ -104,7 +104,8 @@ class GuideNetwork:
         monkeypatch.setattr(node_command, "open_bus", lambda words: None)
         monkeypatch.setattr(node_command, "BusMaster", the_master)
         monkeypatch.setattr(node_options, "master_of", the_master)
-        monkeypatch.setattr(calibrate, "sync_master", the_master)
+        monkeypatch.setattr(node_options, "open_sync_bus", lambda *words, **more: None)
+        monkeypatch.setattr(node_options, "BusMaster", the_master)
 
     def __call__(self, line: str) -> str:
         """Run a line, ``canfb ...``, perhaps with ``> FILE``, or ``cansend ...``; what it says."""

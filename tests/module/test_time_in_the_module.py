@@ -233,8 +233,7 @@ def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool, 
     assert machine.right()
 
 
-def paused(machine: Machine) -> list[Position]:
-    """Those after a pause of 300 SYNCs in PRE-OPERATIONAL."""
+def after_a_pause(machine: Machine) -> list[Position]:
     machine.run(1, 60)
     machine.nmt(0x80, 59.9)
     machine.nmt(1, 360.4)
@@ -244,13 +243,13 @@ def paused(machine: Machine) -> list[Position]:
 @BOTH
 @pytest.mark.parametrize("speed", [0.01, -0.3])
 def test_a_pause_while_the_machine_turns_loses_the_position(speed: float, stamped: bool) -> None:
-    assert all(one.status & LOST and not one.valid for one in paused(Machine(stamped, ramped(speed))))
+    assert all(one.status & LOST and not one.valid for one in after_a_pause(Machine(stamped, ramped(speed))))
 
 
 @BOTH
 def test_after_a_pause_at_standstill_four_samples_confirm_the_position(stamped: bool) -> None:
     machine = Machine(stamped, lambda at: 3.7)
-    after = paused(machine)
+    after = after_a_pause(machine)
     assert [one.status for one in after[:4]] == [COASTING] * 4
     assert all(one.valid for one in after[4:])
     assert machine.right()

@@ -35,6 +35,7 @@ MIN_SAMPLES = 200
 CLIPPED_PART = 0.05
 CLIPPED_PART_OF_BIN = 0.2
 BREAK_INTERVALS = 10.0
+DEAD = 0.1  # of the amplitude: less is no track, and its angle would be followed as a motion
 ADC_BITS = (12, 14, 16)
 UNEVEN = 1e-6
 SECONDS_PER_TICK = 1e-7  # sample times, 2000:05
@@ -143,10 +144,17 @@ def prepared(
         raise ValueError('conditioning must be None, "fit" or a Conditioning')
     record = recording(sine, cosine, time_s, valid, adc_bits, may_be_offset=conditioning is not None)
     ellipse = fit_ellipse(record.sine, record.cosine, record.valid)
+    amplitude = np.hypot(*ellipse.apply(record.sine, record.cosine))
+    alive = record.clipped | (record.valid & (amplitude > DEAD * np.median(amplitude[record.valid])))
+    record = recording(sine, cosine, time_s, alive, adc_bits, may_be_offset=conditioning is not None)
     angle = angle_cycles(ellipse, record.sine, record.cosine)
     check_clipped(record, angle)
-    chosen = IDENTITY if conditioning is None else conditioning
-    return record, ellipse, angle, as_real32(chosen if isinstance(chosen, Conditioning) else ellipse)
+    return (
+        record,
+        ellipse,
+        angle,
+        as_real32(ellipse if isinstance(conditioning, str) else conditioning or IDENTITY),
+    )
 
 
 def recorded_tracks(data: bytes) -> tuple[FloatArray, FloatArray]:
@@ -164,10 +172,8 @@ def recorded_tracks(data: bytes) -> tuple[FloatArray, FloatArray]:
 
 
 def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | None) -> BoolArray:
-    if not usable.any():
-        return usable
-    low = min(float(s[usable].min()), float(c[usable].min()))
-    high = max(float(s[usable].max()), float(c[usable].max()))
+    low = min(np.min(s[usable], initial=0.0), np.min(c[usable], initial=0.0))
+    high = max(np.max(s[usable], initial=0.0), np.max(c[usable], initial=0.0))
     if adc_bits is None:
         fitting = [bits for bits in ADC_BITS if -(1 << bits - 1) <= low and high < 1 << bits - 1]
         if not fitting:
@@ -176,8 +182,7 @@ def _clipped(s: FloatArray, c: FloatArray, usable: BoolArray, adc_bits: int | No
     full = 1 << (adc_bits - 1)
     if low < -full or high > full - 1:
         raise ValueError(f"samples from {low:g} to {high:g} counts do not fit {adc_bits} bits: set adc_bits")
-    with np.errstate(invalid="ignore"):
-        return np.asarray((np.minimum(s, c) <= -full) | (np.maximum(s, c) >= full - 1), np.bool_)
+    return np.asarray((np.minimum(s, c) <= -full) | (np.maximum(s, c) >= full - 1), np.bool_)
 
 
 def _intervals(time_s: npt.ArrayLike | None, n: int) -> tuple[FloatArray, bool]:
