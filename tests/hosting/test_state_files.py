@@ -1,23 +1,25 @@
-"""What is saved is there, whole, whatever fails; who only reads disturbs nobody."""
+"""What is saved is there, whole and in order, whatever fails, by a thread too; who reads disturbs nobody."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import os
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 from crashing_disk import FakeDisk, PowerFailure, Trouble
 
 from canfb.device.storage.image import ParameterGroup as Group
-from canfb.device.storage.storage import Changes
+from canfb.device.storage.storage import BackgroundStore, Changes, MemoryStore
 from canfb.errors import CanfbError
 from canfb.hosting import state_files
-from canfb.hosting.state_files import PENDING, SavedParameters, StateDirError, StateFiles
+from canfb.hosting.state_files import PENDING, SavedParameters, StateDirError, StateFiles, ThreadedStore
 
 COMMUNICATION, APPLICATION, MANUFACTURER = Group.COMMUNICATION, Group.APPLICATION, Group.MANUFACTURER
 OLD = {COMMUNICATION: b"old communication" * 5, APPLICATION: b"old a", MANUFACTURER: b"old table" * 20}
@@ -242,3 +244,83 @@ def test_after_a_power_failure_or_an_error_at_any_call_the_old_or_the_new_set_is
 
     at_each_call(run, PowerFailure if code is None else lambda: OSError(code, os.strerror(code)))
     assert finished == {False, True}
+
+
+class HeldStore(MemoryStore):
+    """Writes when it is let."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.let = threading.Event()
+        self.threads: set[int] = set()
+
+    def save(self, changes: Mapping[Group, bytes | None]) -> None:
+        self.threads.add(threading.get_ident())
+        assert self.let.wait(60.0)
+        if not changes:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        super().save(changes)
+
+
+def all_ended(store: ThreadedStore, count: int) -> list[OSError | None]:
+    """What has ended, with the load behind it as the sign that all has."""
+    store.load()
+    ended = store.ended()
+    assert len(ended) == count
+    return ended
+
+
+def test_it_goes_on_and_keeps_the_order() -> None:
+    held = HeldStore()
+    with ThreadedStore(held) as store:
+        assert isinstance(store, BackgroundStore)
+        store.begin(OLD)
+        store.begin({})
+        store.begin(NEW)
+        assert store.ended() == []
+        held.let.set()
+        first, second, third = all_ended(store, 3)
+        assert (first, third) == (None, None)
+        assert second is not None
+        assert second.errno == errno.ENOSPC
+        assert store.load() == NEW
+        with pytest.raises(OSError, match="No space left"):
+            store.save({})
+    assert held.threads == held.threads - {threading.get_ident()}
+    assert len(held.threads) == 1
+
+
+def test_the_end_waits_for_what_was_begun(tmp_path: Path) -> None:
+    with StateFiles(tmp_path) as files:
+        with ThreadedStore(files) as store:
+            store.begin(OLD)
+            store.begin(NEW)
+        assert files.load() == NEW
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("canfb-save")]
+
+
+def test_a_folder_that_vanishes_and_comes_back(tmp_path: Path) -> None:
+    folder = tmp_path / "state"
+    with StateFiles(folder) as files, ThreadedStore(files) as store:
+        store.save(OLD)
+        shutil.rmtree(folder)
+        store.begin(NEW)
+        (failed,) = all_ended(store, 1)
+        assert failed is not None
+        assert failed.errno == errno.ENOENT
+        folder.mkdir()
+        store.begin(NEW)
+        assert all_ended(store, 1) == [None]
+        assert store.load() == NEW
+
+
+def test_a_program_error_comes_out() -> None:
+    class Wrong(MemoryStore):
+        def save(self, changes: Mapping[Group, bytes | None]) -> None:
+            raise KeyError("a mistake")
+
+    with ThreadedStore(Wrong()) as store:
+        store.begin(OLD)
+        store.load()
+        with pytest.raises(KeyError, match="a mistake"):
+            store.ended()

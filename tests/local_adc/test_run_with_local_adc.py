@@ -1,18 +1,26 @@
-"""`canfb run` with a source of its own: positions against the truth, and what it says of a source."""
+"""`canfb run` with an emulated ADC: positions against the truth, PDOs, faults, what it says of a source."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import re
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import can
 import pytest
 from emulated_iiod import EmulatedAdc, EmulatedIiod
-from iio_kit import LIMIT_S, Machine, fired_by_sync
+from iio_kit import LIMIT_S, Machine, deliver, fired_by_sync, reading, until
 
+from canfb.cia301.frame import Frame
+from canfb.configuration import INTERFACES, parse_config
+from canfb.hosting.captured_source import CapturedSource
+from canfb.hosting.hosting import make_interface
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.supervision import VALID
 from canfb.simulation.motion import Ramp
 
@@ -117,3 +125,137 @@ def test_a_source_that_is_not_there_ends_the_command(nodes: str, words: str, com
     assert process.returncode == 1
     assert [line for line in errors.splitlines() if line.startswith(words)]
     assert "Traceback" not in errors
+
+
+NODE, ADC_PDO, EMCY = 16, 0x190, 0x090
+SYNC = Frame(0x80, b"")
+
+
+@pytest.fixture
+def made() -> Iterator[Callable[..., EncoderInterface]]:
+    """Interfaces as the command makes them, in OPERATIONAL; all are closed at the end."""
+    with contextlib.ExitStack() as resources:
+
+        def make(server: EmulatedIiod, keys: str = "", source: str = "") -> EncoderInterface:
+            text = (
+                f"interfaces: [{{node_id: {NODE}, autostart: true, times: true{keys}, "
+                f"source: {{kind: iio, device: ads7950, uri: 'ip:127.0.0.1:{server.port}'{source}}}}}]"
+            )
+            (config,) = parse_config(text, needs=INTERFACES).interfaces
+            interface = make_interface(config, resources, {})
+            assert server.opened.wait(LIMIT_S)
+            interface.start(0.0)
+            return interface
+
+        yield make
+
+
+def source_of(interface: EncoderInterface) -> CapturedSource:
+    assert isinstance(interface.source, CapturedSource)
+    return interface.source
+
+
+def adc(sine: int, cosine: int, time_100ns: int) -> Frame:
+    return Frame(ADC_PDO, struct.pack("<hhI", sine, cosine, time_100ns))
+
+
+def test_each_sync_sends_its_scan_with_the_time_of_the_kernel(
+    iiod: Iiod, made: Callable[..., EncoderInterface]
+) -> None:
+    server = iiod()
+    interface = made(server)
+    assert interface.receive(SYNC, 0.0) == [], "nothing is sampled yet"
+    deliver(server, source_of(interface), reading(2048 + 5, 2048 - 6, 7_000_123))
+    assert interface.receive(SYNC, 0.01) == [adc(5, -6, 70_001)]
+    assert interface.receive(SYNC, 0.02) == [], "no scan is sent twice"
+    deliver(server, source_of(interface), *[reading(2048 + n, 2048, n * 1_000_000) for n in range(20, 25)])
+    assert interface.receive(SYNC, 0.03) == [adc(24, 0, 240_000)]
+    assert (interface.samples, interface.missed) == (2, 2)
+
+
+def test_without_time_stamps_the_time_is_that_of_the_sync(
+    iiod: Iiod, made: Callable[..., EncoderInterface]
+) -> None:
+    server = iiod()
+    interface = made(server, source=", time_stamps: false")
+    times = []
+    for n in (1, 2):
+        deliver(server, source_of(interface), reading(2048, 2048))
+        (frame,) = interface.receive(SYNC._replace(timestamp=0.01 * n), 0.01 * n + 0.003)
+        times.append(struct.unpack_from("<I", frame.data, 4)[0])
+    assert (times[1] - times[0]) % 2**32 == pytest.approx(100_000, abs=1)
+
+
+def test_a_converter_that_fails_is_an_emcy_until_it_works_again(
+    iiod: Iiod, made: Callable[..., EncoderInterface], caplog: pytest.LogCaptureFixture
+) -> None:
+    server = iiod(EmulatedAdc(fire_error=errno.EIO))
+    server.adc.on_fire = lambda: server.deliver(reading(2048, 2048, 0))
+    interface = made(server, source=", trigger: sysfstrig7, wait_us: 1000000")
+    (frame,) = interface.receive(SYNC, 0.0)
+    assert frame == Frame(EMCY, struct.pack("<HB5x", 0x5000, 1))
+    assert interface.receive(SYNC, 0.01) == []
+    server.adc.fire_error = 0
+    assert [one.can_id for one in interface.receive(SYNC, 0.5)] == [ADC_PDO]
+    frames = interface.receive(SYNC, 1.5)
+    assert [one.can_id for one in frames] == [EMCY, ADC_PDO]
+    assert frames[0].data == bytes(8)
+    told = [record.getMessage() for record in caplog.records]
+    assert told == [
+        "node 16: the source fails: the trigger cannot be fired: Input/output error",
+        "node 16: the source works again",
+    ]
+
+
+def test_what_is_saved_is_there_again(tmp_path: Path) -> None:
+    text = f"interfaces: [{{node_id: {NODE}, state_dir: {tmp_path / 'state'}, source: {{kind: motion}}}}]"
+    (config,) = parse_config(text, needs=INTERFACES).interfaces
+    for heartbeat_ms in (0, 250):
+        with contextlib.ExitStack() as resources:
+            interface = make_interface(config, resources, {})
+            interface.start(0.0)
+            assert interface.dictionary.entry(0x1017).value == heartbeat_ms
+            for data in (b"\x2b\x17\x10\x00\xfa\x00\x00\x00", b"\x23\x10\x10\x01save"):
+                assert written(interface, data)[0] == 0x60
+
+
+def written(interface: EncoderInterface, data: bytes) -> bytes:
+    """The answer to an SDO request; that to `save` comes when it is on the disk."""
+    frames = interface.receive(Frame(0x600 + NODE, data), interface.node.now)
+
+    def answered() -> bool:
+        frames.extend(interface.tick(interface.node.now + 1e-3))
+        return any(frame.can_id == 0x580 + NODE for frame in frames)
+
+    until(answered, "answered")
+    return next(frame.data for frame in frames if frame.can_id == 0x580 + NODE)
+
+
+def test_the_command_serves_an_adc_from_boot_up_to_the_end(command: Any, iiod: Iiod, tmp_path: Path) -> None:
+    server = iiod()
+    count = iter(range(1, 1000))
+
+    def scan() -> None:
+        number = next(count)
+        server.deliver(reading(2048 + number, 2048 - number, number * 1_000_000))
+
+    server.adc.on_fire = scan
+    ready = tmp_path / "interface.ready"
+    nodes = f"interfaces:\n- {{node_id: {NODE}, times: true, source: {fired_by_sync(server)}}}"
+    running = command(nodes, "--ready-file", str(ready))
+    assert running.heard(0x710) == b"\0"
+    until(ready.exists, "ready")
+    running.send(0x000, bytes([1, NODE]))
+    for number in range(1, 51):
+        running.send(0x80)
+        assert struct.unpack("<hhI", running.heard(ADC_PDO)) == (number, -number, number * 10_000)
+    returncode, output, errors = running.ended()
+    assert (returncode, [line for line in errors.splitlines() if line.startswith("canfb: ")]) == (0, [])
+    assert not ready.exists()
+    lines = output.splitlines()
+    assert lines[0].startswith("encoder interface: node 16 (10h) on udp_multicast ")
+    assert [re.sub(r"^\d\S+ \S+ ", "", line) for line in lines[1:]] == [
+        "node 16 (10h): boot-up, PRE-OPERATIONAL",
+        "node 16 (10h): OPERATIONAL",
+        "node 16: 50 samples sent",
+    ]
