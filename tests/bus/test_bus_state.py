@@ -11,7 +11,6 @@ import pytest
 from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED, LASTING_S, RETRY_S, SETTLED_S
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.errors import reason
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
@@ -183,12 +182,3 @@ def test_a_boot_up_that_failed_is_sent_before_all_else_when_the_bus_is_there(err
     assert 0x721 not in [can_id for _, can_id in sent], "a heartbeat that is late helps nobody"
     assert starting[0].told == []
     assert [word for word, _ in device.told] == (["off", "back"] if error is DOWN else [])
-
-
-def test_a_module_that_starts_without_a_bus_starts_as_usual_when_it_is_there() -> None:
-    """Nobody would start a module with autostart again."""
-    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
-    _, bus, lines = play([], 8.0, module, refuse=lambda at: DOWN if at < 3.0 else None)
-    assert bus.sent_ids()[0] == 0x720
-    assert module.state is NmtState.OPERATIONAL
-    assert lines == [DOWN_LINE, "the bus works again"]

@@ -14,13 +14,12 @@ from hypothesis import strategies as st
 
 from canfb.bus.frame_bus import REMOTE, FrameBus, Received
 from canfb.bus.runner import Runner
-from canfb.cia301.frame import Frame
 from canfb.device.core import CanIds
 from canfb.device.device_protocol import Device, Selective
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from drawing import examples
-from fake_bus import FakeClock
+from fake_bus import FakeClock, FakeDevice
 from ideal_tracks import counts_at
 
 NODES, UNCONFIGURED, SERIAL = (32, 33, 34), 255, 4711
@@ -273,31 +272,17 @@ def test_a_new_cob_id_is_heard_before_its_answer_goes_out() -> None:
     assert heard == [False, True], "the boot-up, and the answer"
 
 
-@dataclass
-class Counting:
-    """A device that listens to one CAN-ID, and counts what it is asked."""
+class Listening(FakeDevice):
+    """A device that listens to the CAN-ID of its ticks, and counts how often its deadline is asked for."""
 
-    can_id: int
-    received: list[int] = field(default_factory=list)
-    asked: int = 0
-
-    def start(self, now: float) -> list[Frame]:
-        return []
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        self.received.append(frame.can_id)
-        return []
-
-    def tick(self, now: float) -> list[Frame]:
-        return []
+    asked = 0
 
     def deadline(self) -> float | None:
         self.asked += 1
         return None
 
     def can_ids(self) -> CanIds:
-        here = frozenset({self.can_id})
-        return CanIds(here, frozenset())
+        return CanIds(frozenset({self.tick_id}), frozenset())
 
     def follow_can_ids(self, moved: Callable[[], None]) -> None:
         """It stays what it is."""
@@ -305,12 +290,12 @@ class Counting:
 
 @pytest.mark.parametrize("count", [2, 32])
 def test_a_frame_costs_only_those_who_listen(count: int) -> None:
-    devices = [Counting(0x100 + number) for number in range(count)]
     clock = FakeClock()
+    devices = [Listening(clock, tick_id=0x100 + number) for number in range(count)]
     frames = tuple((0x100 + n % 4, b"") for n in range(100))
     bus = Bus(clock, [Batch(0.001, frames)], False)
     runner = Runner(bus, list(devices), clock=clock, sleep=clock.sleep)  # type: ignore[arg-type]
     runner.run(finished=lambda: not (bus.plan or bus.taken))
-    assert sum(len(device.received) for device in devices) == 25 * min(count, 4)
+    assert sum(len(device.heard) for device in devices) == 25 * min(count, 4)
     assert sum(device.asked for device in devices) <= 25 * min(count, 4) + 3 * count
     assert runner.counters.received == 100
