@@ -27,7 +27,6 @@ from canfb.signal.correction import NO_CORRECTION
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.motion import Motion, Ramp
 from canfb.simulation.sync_producer import SyncProducer, SyncTiming
-from canfb.view.module_view import PdoLayout
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, random_encoder
 from folding import each
 
@@ -213,25 +212,6 @@ TIMING = SyncTiming(sync_jitter_us=20.0)
 
 def several(per_sync: int, *, times: bool = True) -> Bench:
     return Bench(config={"samples_per_sync": per_sync}, timing=TIMING if times else SyncTiming())
-
-
-@pytest.mark.parametrize(
-    ("per_sync", "expected"),
-    [
-        (2, PdoLayout(0x190, earlier=(PdoLayout(0x190, 4, 6),), timed_by=PdoLayout(0x290, time_byte=0))),
-        (
-            4,
-            PdoLayout(
-                0x190,
-                earlier=(PdoLayout(0x190, 4, 6), PdoLayout(0x290), PdoLayout(0x290, 4, 6)),
-                timed_by=PdoLayout(0x390, time_byte=0),
-            ),
-        ),
-    ],
-)
-def test_the_layout_names_all_pdos(per_sync: int, expected: PdoLayout) -> None:
-    network = several(per_sync)
-    assert agreed_layout(network.access, network.interface_access) == expected
 
 
 @each("per_sync", [2, 3, 4])

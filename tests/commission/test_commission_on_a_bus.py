@@ -19,7 +19,6 @@ from canfb.cli.commission import named_config, over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.printing import Progress
 from canfb.commission.limit_choice import corner_choice
-from canfb.configuration import Config
 from canfb.device.storage.storage import MemoryStore
 from canfb.errors import BusError
 from canfb.files import prepare_folder
@@ -47,13 +46,17 @@ def bench_of(motion: Motion | None = None, table: bool = True, **options: Any) -
     return bench
 
 
-def commission(bench: Bench, *arguments: str, guard: Guard | None = None) -> int:
-    options = build_parser().parse_args(["commission", "0x20", *SHORT, *arguments])
+def run(bench: Bench, *words: str, guard: Guard | None = None) -> int:
+    options = build_parser().parse_args([*words])
     options.line = "canfb commission"
     if options.out:
         prepare_folder(options.out)
     quiet = Progress(quiet=True)
-    return over_bus(bench.master, options, Config(), quiet, guard or Guard(), "2026-03-01")
+    return over_bus(bench.master, options, named_config(options), quiet, guard or Guard(), "2026-03-01")
+
+
+def commission(bench: Bench, *arguments: str, guard: Guard | None = None) -> int:
+    return run(bench, "commission", "0x20", *SHORT, *arguments, guard=guard)
 
 
 def values(bench: Bench) -> dict[tuple[int, int], float]:
@@ -267,12 +270,7 @@ def test_the_commands_of_the_page_run(
     Path("feedback.yaml").write_text(CONFIG)
     bench = bench_of(store=MemoryStore())
     for words in commands(PAGE):
-        options = build_parser().parse_args([*words, *SHORT])
-        options.line = ""
-        config = named_config(options)
-        if options.out:
-            prepare_folder(options.out)
-        assert over_bus(bench.master, options, config, Progress(quiet=True), Guard(), "2026-03-01") == 0
+        assert run(bench, *words, *SHORT) == 0
     assert Path("limits/report.html").exists()
     assert "saved (1010:04)" in capsys.readouterr().out
     assert bench.value(*od.SUPERVISION_RESIDUAL_LIMIT) < 3000
