@@ -1,4 +1,4 @@
-"""The monitor at a bus and at a log: snapshots in time, and nothing sent unless asked."""
+"""The monitor at a bus and at a log: snapshots in time, nothing sent unless asked, and then what changes."""
 
 from __future__ import annotations
 
@@ -8,17 +8,30 @@ from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 
 import canfb
 from canfb import objects as od
 from canfb.configuration import Config
 from canfb.errors import CanfbError
+from canfb.master.access import NodeAccess
+from canfb.master.all_or_nothing import put_in_force
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import Origin, known_layouts
-from canfb.monitoring.sdo_reading import ModuleReading
-from canfb.monitoring.snapshot import BusSnapshot
+from canfb.monitoring.sdo_reading import (
+    CYCLE_S,
+    LAYOUT_S,
+    QUIET_S,
+    REPEATED,
+    ModuleReader,
+    ModuleReading,
+)
+from canfb.monitoring.snapshot import BusSnapshot, NodeSnapshot
 from canfb.monitoring.watching import MessageReader, Watching
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
+from commissioning_kit import MODULE_ID, Bench
 from fake_bus import FakeBus, FakeClock, message
 
 NODE = 0x20
@@ -29,7 +42,7 @@ def position(k: int) -> bytes:
     return struct.pack("<IHH", k * 1000, 1, 100)
 
 
-class Watched:
+class Monitor:
     """The monitor at a fake bus or at a log, in a time of its own; what it showed."""
 
     def __init__(self, seconds: float | None = None, model: BusModel | None = None) -> None:
@@ -51,11 +64,11 @@ def test_snapshots_come_at_their_rate_and_nothing_is_sent() -> None:
         at = k * 1e-3
         plan.append((at, message(0x080, timestamp=1000.0 + at)))
         plan.append((at + 5e-4, message(0x1A0, position(k), timestamp=1000.0 + at + 5e-4)))
-    watched = Watched(2.0)
-    bus = watched.opened(*plan)
-    assert [one.time_s for one in watched.shown] == pytest.approx([0.2 * n for n in range(1, 11)], abs=2e-3)
+    monitor = Monitor(2.0)
+    bus = monitor.opened(*plan)
+    assert [one.time_s for one in monitor.shown] == pytest.approx([0.2 * n for n in range(1, 11)], abs=2e-3)
     assert bus.sent == []
-    last = watched.shown[-1]
+    last = monitor.shown[-1]
     assert last.sync.rate_hz == pytest.approx(1000.0, rel=1e-6)
     ((_, module),) = last.modules
     assert module.position_units == pytest.approx(1_999_000, abs=2000)
@@ -63,9 +76,9 @@ def test_snapshots_come_at_their_rate_and_nothing_is_sent() -> None:
 
 def test_error_frames_and_long_identifiers_are_counted_only() -> None:
     extended = can.Message(arbitration_id=0x180 + NODE, data=position(9), is_extended_id=True)
-    watched = Watched(0.5)
-    watched.opened((0.05, can.Message(is_error_frame=True)), (0.06, extended))
-    last = watched.shown[-1]
+    monitor = Monitor(0.5)
+    monitor.opened((0.05, can.Message(is_error_frame=True)), (0.06, extended))
+    last = monitor.shown[-1]
     assert last.error_frames == 1
     assert last.load.frames_per_s > 0.0
     assert last.modules[0][1].age_s is None
@@ -74,12 +87,12 @@ def test_error_frames_and_long_identifiers_are_counted_only() -> None:
 def test_what_was_read_by_sdo_counts_from_the_next_snapshot_on() -> None:
     module = canfb.ModuleConfig(node_id=NODE, cycles_per_revolution=512)
     (layout,) = known_layouts(Config(modules=[module]))
-    watched = Watched(1.0)
-    watched.watching.put(ModuleReading(NODE, {od.COUNTER_MISSED: 3}, replace(layout, origin=Origin.MODULE)))
-    watched.opened()
-    ((_, first),) = watched.shown[0].modules
+    monitor = Monitor(1.0)
+    monitor.watching.put(ModuleReading(NODE, {od.COUNTER_MISSED: 3}, replace(layout, origin=Origin.MODULE)))
+    monitor.opened()
+    ((_, first),) = monitor.shown[0].modules
     assert (first.layout, first.counters) == ("module", {"missed": 3})
-    assert len(watched.shown) == 5, "of a silent bus"
+    assert len(monitor.shown) == 5, "of a silent bus"
 
 
 @pytest.mark.parametrize("ending", FORMATS)
@@ -90,10 +103,10 @@ def test_a_log_of_any_format_in_its_own_time(ending: str, tmp_path: Path) -> Non
             at = 1_700_000_000.0 + k * 0.01
             writer(message(0x080, timestamp=at))
             writer(message(0x1A0, position(k), timestamp=at + 0.002))
-    watched = Watched()
-    watched.watching.log(path)
-    shown = watched.shown
-    assert watched.clock.slept == [], "as fast as it can be read"
+    monitor = Monitor()
+    monitor.watching.log(path)
+    shown = monitor.shown
+    assert monitor.clock.slept == [], "as fast as it can be read"
     assert [one.time_s for one in shown[:-1]] == pytest.approx([0.2 * n for n in range(1, 15)])
     assert shown[-1].time_s == pytest.approx(2.992, abs=2e-3)
     assert shown[-1].sync.rate_hz == pytest.approx(100.0, rel=1e-3)
@@ -105,10 +118,10 @@ def test_a_log_can_be_played_at_a_speed_and_pauses_are_passed_over(tmp_path: Pat
     with can.Logger(path) as writer:
         for at in (100.0, 100.5, 101.0, 90_000.0, 90_000.5):
             writer(message(0x1A0, position(1), timestamp=at))
-    watched = Watched(model=BusModel())
-    watched.watching.log(path, speed=2.0)
-    assert len(watched.shown) < 12
-    assert set(watched.clock.slept) == {0.1}
+    monitor = Monitor(model=BusModel())
+    monitor.watching.log(path, speed=2.0)
+    assert len(monitor.shown) < 12
+    assert set(monitor.clock.slept) == {0.1}
 
 
 @pytest.mark.parametrize(
@@ -127,3 +140,105 @@ def test_what_is_no_log_is_one_line(name: str, content: bytes | None, text: str,
     with pytest.raises(CanfbError, match=text) as raised:
         Watching(BusModel(), lambda snapshot: None, 5.0).log(path)
     assert "\n" not in str(raised.value)
+
+
+ENTRIES = np.arange(64) / 64
+TABLE = CorrectionTable(ENTRIES + 0.01 * np.sin(2 * np.pi * ENTRIES))
+
+
+class Watched:
+    """A module on a bench whose frames a model takes, and a reader beside it."""
+
+    def __init__(self, **config: Any) -> None:
+        self.bench = Bench(config=config)
+        self.model = BusModel(known_layouts(Config(modules=[self.bench.module.config])))
+        self.bench.bus.observers.append(self.model.receive)
+        self.reader = ModuleReader(MODULE_ID, with_table=True)
+        self.passed_s = 0.0
+
+    @property
+    def node(self) -> NodeSnapshot:
+        ((node, _),) = self.model.snapshot(self.bench.bus.now).modules
+        return node
+
+    def read(self) -> ModuleReading | None:
+        """If it is due; the model takes it."""
+        now, node = self.bench.bus.now + self.passed_s, self.node
+        self.bench.master.sent.clear()
+        if not self.reader.due(now, node):
+            return None
+        reading = self.reader.read(self.bench.access, now, node)
+        self.model.learn(reading.layout)
+        for place, value in reading.values.items():
+            self.model.put(MODULE_ID, place, value, now)
+        return reading
+
+    def asked(self) -> list[tuple[int, int]]:
+        """Objects that the last reading asked for."""
+        starts = [frame.data for frame in self.bench.master.sent if frame.data[0] >> 5 in (2, 5)]
+        return [(int.from_bytes(data[1:3], "little"), data[3]) for data in starts if data[1:3] != b"\0\0"]
+
+    def run(self, seconds: float) -> None:
+        self.bench.bus.run_until(self.bench.bus.now + seconds)
+
+
+def test_mapping_counters_and_table_are_those_of_the_module() -> None:
+    watched = Watched(adc_bits=14)
+    watched.bench.module.dictionary.entry(*od.COUNTER_MISSED).value = 7
+    reading = watched.read()
+    assert reading is not None
+    assert (reading.layout.origin, reading.layout.full_scale_counts) == ("module", 8192)
+    assert reading.layout.assumed == frozenset()
+    assert reading.values[od.COUNTER_MISSED] == 7
+    assert reading.correction == NO_CORRECTION
+    assert set(reading.values) == set(REPEATED), "no PDO has come yet"
+    assert {frame.can_id for frame in watched.bench.master.sent} == {0x600 + MODULE_ID}
+
+
+def test_without_a_change_little_is_read_and_seldom() -> None:
+    watched = Watched()
+    watched.run(0.05)
+    assert watched.read()
+    first = len(watched.asked())
+    watched.passed_s += 0.9 * CYCLE_S
+    assert watched.read() is None
+    watched.passed_s += 0.2 * CYCLE_S
+    assert watched.read()
+    again = watched.asked()
+    assert len(again) == len(REPEATED), "the conditioning in place of the status word; no mapping"
+    assert len(again) < 0.5 * first
+    watched.passed_s += LAYOUT_S
+    assert watched.read()
+    assert len(watched.asked()) > 0.5 * first, "limits may have been changed"
+
+
+@pytest.mark.parametrize("active", [Correction(TABLE), Correction(TABLE, Conditioning(3.0)), NO_CORRECTION])
+def test_a_table_that_others_activate_is_read_at_once(active: Correction) -> None:
+    """By bit 7 of the status word; from table to table by the CRC, within CYCLE_S."""
+    watched = Watched()
+    before = Correction(CorrectionTable(ENTRIES)) if active == NO_CORRECTION else NO_CORRECTION
+    put_in_force(watched.bench.access, before)
+    watched.run(0.05)
+    assert watched.read()
+    put_in_force(watched.bench.access, active)
+    watched.run(0.05)
+    reading = watched.read()
+    assert reading is not None
+    assert reading.correction == active
+    put_in_force(watched.bench.access, Correction(TABLE, Conditioning(0.0, 5.0)))
+    watched.passed_s += 1.1 * CYCLE_S
+    reading = watched.read()
+    assert reading is not None
+    assert reading.correction == Correction(TABLE, Conditioning(0.0, 5.0))
+
+
+def test_a_node_that_does_not_answer_is_left_alone_and_asked_again() -> None:
+    watched = Watched()
+    access, watched.bench.access = watched.bench.access, NodeAccess(watched.bench.master, 99, "module")
+    with pytest.raises(CanfbError, match="no answer"):
+        watched.read()
+    watched.bench.access = access
+    watched.passed_s += 0.9 * QUIET_S
+    assert watched.read() is None
+    watched.passed_s += 0.2 * QUIET_S
+    assert watched.read()
