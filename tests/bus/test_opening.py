@@ -15,7 +15,7 @@ import can
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from canfb.bus.frame_bus import PythonCanBus, brings_own_frames_back
+from canfb.bus.frame_bus import brings_own_frames_back
 from canfb.bus.opening import (
     describe,
     group_port,
@@ -222,17 +222,6 @@ def test_two_groups_are_two_buses(multicast_bus: can.BusABC) -> None:
         assert heard is not None
         assert heard.arbitration_id == 0x123
         assert other.recv(0.0) is None
-
-
-VIRTUAL = {"interface": "virtual", "channel": "canfb device bus"}
-
-
-@pytest.mark.parametrize("words", [VIRTUAL, VIRTUAL | {"python_can": True}], ids=["plain", "python_can"])
-def test_a_bus_for_devices_is_that_of_python_can(words: dict[str, Any]) -> None:
-    with open_device_bus(words) as bus:
-        assert isinstance(bus, PythonCanBus)
-    with open_bus(words) as other:
-        assert other.channel_info == "Virtual bus channel canfb device bus"
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -150,8 +149,3 @@ def up_to_speed(cycles_per_s: float, cycles_per_s2: float, start_s: float = 0.1)
         return cycles_per_s * (since - ramp_s / 2.0)
 
     return placed
-
-
-def cycles(rad: float, per_revolution: int = 2500) -> float:
-    """Radians as cycles."""
-    return rad * per_revolution / (2.0 * math.pi)

@@ -14,7 +14,6 @@ from planning_kit import (
     PRECISE_PDO,
     RATE_HZ,
     SYNC,
-    cycles,
     planned,
     play,
     up_to_speed,
@@ -27,6 +26,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.planning.plan import ResidualBudget
 from canfb.planning.planned_bus import PlannedModule
+from servo_kit import cycles_of as cycles
 
 HELD, FLAGGED = 0.95, 1.05
 RPM = 2.0 * math.pi / 60.0
