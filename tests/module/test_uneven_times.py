@@ -39,10 +39,8 @@ class Desktop:
 
     def __init__(self, started: bool = True, stamped: bool = True) -> None:
         (config,) = parse_config(EXAMPLE).modules
-        self.stamped = stamped
-        self.set_ticks = 0
-        self.module = FeedbackModule(config)
-        self.cycles_per_revolution = config.cycles_per_revolution
+        self.stamped, self.set_ticks = stamped, 0
+        self.module, self.cycles_per_revolution = FeedbackModule(config), config.cycles_per_revolution
         self.synced_s = self.began_s = 1.5
         self.statuses: list[int] = []
         self.wrong = self.answers = 0
@@ -100,6 +98,7 @@ AS_RECORDED = {
     "stall of 20 ms": [Cycle(30.75), Cycle(0.96), Cycle(8.39)],
     "stall, burst": [Cycle(41.0), Cycle(0.3), Cycle(0.3), Cycle(8.4)],
     "stall of 60 ms": [Cycle(60.6, 0.9), Cycle(6.0)],
+    "stall, SYNC nearer to the next": [Cycle(36.2), Cycle(3.8), Cycle(10.1)],
     "SYNC heard late": [Cycle(19.0, -8.9, 9.2), Cycle(1.0)],
     "early SYNCs": [Cycle(18.0), Cycle(1.8), Cycle(10.2), Cycle(16.0), Cycle(7.9, 4.0), Cycle(7.9)],
 }
@@ -121,11 +120,12 @@ def turning(begin_s: float, stamped: bool = True) -> Desktop:
     return desktop
 
 
+@pytest.mark.parametrize("stamped", [True, False])
 @pytest.mark.parametrize("begin_s", [0.0, 2.0, 10.0, 28.0], ids=lambda one: f"{one:g}s")
 @pytest.mark.parametrize("name", AS_RECORDED)
-def test_what_sample_times_determine_is_not_lost(name: str, begin_s: float) -> None:
+def test_what_sample_times_determine_is_not_lost(name: str, begin_s: float, stamped: bool) -> None:
     """At standstill, and at up to 22 cycles for each interval: only one that is late is ever in doubt."""
-    desktop = turning(begin_s)
+    desktop = turning(begin_s, stamped)
     for _ in range(3):
         statuses = desktop.play([*AS_RECORDED[name], *EVEN])
         assert not any(status & LOST for status in statuses), statuses

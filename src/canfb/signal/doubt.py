@@ -302,7 +302,10 @@ class Doubt:
         if len(candidates) == 1:
             if settled and not self._only_missing and self._is_proven(one):
                 return Decision(lost=LossCause.JUMP) if self._is_jump(one) else Decision(one, settled=True)
-        elif settled and self._is_inseparable():
+        elif settled and all(
+            abs(one.elapsed - round(one.elapsed)) <= SAME_TIME for one in self.log[self._begun :]
+        ):
+            # No later phase tells them apart.
             return Decision(lost=LossCause.AMBIGUOUS)
         if self._followed > MOST_INTERVALS:
             return Decision(lost=LossCause.UNDECIDED)
@@ -318,11 +321,6 @@ class Doubt:
             return True
         stood = sum(_apart(spot.phase, phase) <= band for spot in self._first_spots)
         return stood >= ORDER
-
-    def _is_inseparable(self) -> bool:
-        """No later phase tells them apart."""
-        times = (entry.elapsed for entry in self.log[self._begun :])
-        return all(abs(time - round(time)) <= SAME_TIME for time in times)
 
     def _is_jump(self, one: Candidate) -> bool:
         first = self._contradicted

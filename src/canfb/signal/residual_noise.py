@@ -77,17 +77,17 @@ class ResidualNoise:
             return False
         return self._complete(feedback.samples)
 
-    def _shows_all(self) -> bool:
-        step = abs(self._speed_cycles - round(self._speed_cycles))
-        return self._eighths.bit_count() >= EIGHTHS and step >= LEAST_STEP
-
     def _begin(self) -> None:
         self._accelerations: list[float] = []
         self._eighths = 0
         self._speed_cycles = 0.0
 
     def _complete(self, samples: int) -> bool:
-        residuals, moving = self._accelerations[1:], self._shows_all()
+        step = abs(self._speed_cycles - round(self._speed_cycles))
+        residuals, moving = (
+            self._accelerations[1:],
+            self._eighths.bit_count() >= EIGHTHS and step >= LEAST_STEP,
+        )
         self._begin()
         if not moving:
             return False

@@ -6,7 +6,7 @@ nor the length of the interval matters. A time is right
 - with receive times, if it is as long after the last one as its SYNC was after that of the last; or at its
   place, if a timer of the interface lies closer to the line than to SYNC;
 - without, or where these are worse than HEARD_S, at the place on the grid that the count of SYNCs gives it;
-  or further on, if SYNCs were lost, and two calls in a row came when such times were due.
+  or at that of their receptions, or if two calls in a row came when such times were due.
 
 The line through the times that were right (:mod:`canfb.timing.grid`) is the one estimate of that clock.
 """
@@ -152,7 +152,7 @@ class SampleTimes:
         harmless_s = min(unsure_s, SLIP_CYCLES * unit / speed_cycles) if speed_cycles else unsure_s
         spare_s, most_s = max(HEARD_S, harmless_s), 2.0 * max(grid.allowed * TICK_S, unsure_s)
         apart_s, heard_apart_s = _apart_s(self._synced_s, synced_s), _apart_s(self._received_s, received_s)
-        wrong, error_s = abs(intervals - counted), 0.0
+        wrong, error_s, by_call = abs(intervals - counted), 0.0, False
         if heard_apart_s is not None and apart_s is not None:
             error_s = abs(apart_s - passed_s)
             wrong = max(wrong, error_s / unit, abs(apart_s / unit - counted))
@@ -161,20 +161,24 @@ class SampleTimes:
         if heard_apart_s is None or self._heard_s > HEARD_S or error_s >= most_s:
             right = places == round(counted)
             if synced_s is not None and received_s is None:
-                late_s = synced_s - (self._at + ticks) * TICK_S - self._least_s
+                soonest_s, least_s = synced_s - (self._at + ticks) * TICK_S, self._least_s
+                late_s = soonest_s - least_s
                 if right:
                     right = harmless_s == unsure_s or not spare_s < -late_s < inf
-                    self._follow_calls(ticks, synced_s)
-                elif counted > self._refused_counted:  # SYNCs were not sent, or not received
-                    before, self._agrees = self._agrees, places > counted and abs(late_s) <= unsure_s
-                    right = before and self._agrees
+                    self._least_s = min(soonest_s, least_s + DRIFT * passed_s * (late_s < HEARD_S))
+                elif counted > self._refused_counted:  # SYNCs were not sent, not received, or sent late
+                    before, self._agrees = self._agrees, abs(late_s) <= unsure_s
+                    right = by_call = before and self._agrees
+            elif apart_s is not None:
+                right |= places == round(apart_s / unit)
             right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
             error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
             is_timer = apart_s is None or grid.deviation * TICK_S < self._heard_s
             right = error_s <= spare_s or (is_timer and off_s <= spare_s and error_s < unsure_s)
-        if not right:
-            kind = REPEATED if heard_apart_s is None and places < counted - 0.5 else SUSPECT
+        early = heard_apart_s is None and places < counted - 0.5
+        if not right or (early and by_call):
+            kind = intervals if right else REPEATED if early else SUSPECT
             return self._refused(time_100ns, ticks, counted, wrong, kind, received_s, synced_s)
         grid.take(self._at + ticks)
         if apart_s is not None and synced_s is not None:  # a late SYNC is no measure of the next times
@@ -192,11 +196,6 @@ class SampleTimes:
         if abs(pace_s - self._pace_s) > SAME_PACE * pace_s:
             self._pace_s = pace_s
         return self.unit_s > 0.0
-
-    def _follow_calls(self, ticks: int, synced_s: float) -> None:
-        soonest_s = synced_s - (self._at + ticks) * TICK_S
-        spare_s = DRIFT * ticks * TICK_S if soonest_s < self._least_s + HEARD_S else 0.0
-        self._least_s = min(soonest_s, self._least_s + spare_s)
 
     def _take(self, time_100ns: int, ticks: int, received_s: float | None, synced_s: float | None) -> None:
         self._last, self._received_s, self._synced_s = time_100ns, received_s, synced_s
@@ -222,6 +221,9 @@ class SampleTimes:
             self.grid.learn(self._at + ticks)  # the clock is as even where its SYNC was late
             return kind
         if not self.grid.refuse(self._at + ticks):
+            if kind > 0.0:  # right by its call: its SYNC was late, or of another rate
+                self.grid.skip(max(0, self.grid.nearest(self._at + ticks)[0]))
+                self._take(time_100ns, ticks, received_s, synced_s)
             return kind
         self.grid.set_again(self.grid.row)
         self._least_s = inf

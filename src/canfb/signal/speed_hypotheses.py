@@ -108,7 +108,10 @@ class SpeedHypotheses:
         if not decidable:  # too many motions in one of them
             return False
         self._rows = [row for row in self._rows if row.speeds.left]
-        self._unite()
+        past = [row for row in self._rows if row.taken > SAMPLES_BEFORE]
+        for row in past[1:]:
+            past[0].speeds.unite(row.speeds)
+            self._rows.remove(row)
         self.left = self._motions_left()
         self._alone = self._alone + 1 if self.left == 1 else 0
         return bool(self.left)
@@ -124,12 +127,6 @@ class SpeedHypotheses:
         else:
             speeds.skip(elapsed)
         return True
-
-    def _unite(self) -> None:
-        past = [row for row in self._rows if row.taken > SAMPLES_BEFORE]
-        for row in past[1:]:
-            past[0].speeds.unite(row.speeds)
-            self._rows.remove(row)
 
     @property
     def _sets(self) -> list[SpeedSet]:

@@ -193,8 +193,9 @@ class Judge:
 
     def _see(self, one: Sent, what: str, units: int, status: int, residual: float) -> None:
         verdict = self.verdict
-        if status & LOST:
-            self._lost = True
+        if status & LOST and not self._lost:
+            self._lost = True  # the count begins with the first valid position
+            self._resets[:0] = [one.now] * (not any(shown.valid for shown in self.shown))
         position = units / UNITS_PER_CYCLE
         truth, error = self._nearest(one, position)
         valid = bool(status & VALID)
@@ -204,9 +205,8 @@ class Judge:
             truth, error = self._nearest(one, position)
         referenced = self._plan.options.extra or self._plan.options.coarse
         if valid and referenced and self._lost and abs(error) > self._plan.tolerance:
-            error = within_half(
-                error, CYCLES_PER_REVOLUTION
-            )  # a zero pulse ends a loss within the revolution
+            # A zero pulse ends a loss within the revolution.
+            error = within_half(error, CYCLES_PER_REVOLUTION)
         cause = one.cause
         upon, sample = (cause.time, cause.number) if cause is not None and cause.what == "pdo" else (-1.0, -1)
         shown = Shown(one.now, what, position, status, residual, error, truth, upon, sample)
