@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.signal.chain import SignalChain
@@ -26,9 +26,8 @@ class Line:
 
     def __init__(self, seed: int, jitter_us: float, proved: bool | None, speed_cycles: float) -> None:
         self._seed, self._jitter_us, self._proved, self._speed = seed, jitter_us, proved, speed_cycles
-        self.slot = 0
+        self.slot, self._base_s = 0, 0.0
         self.part = 1.0  # of the period
-        self._base_s = 0.0
 
     def next(self, add_us: float = 0.0, late_us: float = 0.0) -> tuple[Sample, float | None, float | None]:
         n = self.slot
@@ -67,6 +66,7 @@ def at_once(chain: SignalChain, sample: Sample, received_s: float | None, synced
         max_size=150,
     ),
 )
+@example(0, 0.0, None, 0.0, [("rate", 312.0), ("off", -339.0), ("off", 130.0)])
 def test_same_bits_as_the_close_look(
     seed: int, jitter_us: float, proved: bool, speed: float, events: list[tuple[str, float]]
 ) -> None:
@@ -91,10 +91,9 @@ def test_same_bits_as_the_close_look(
 
 @pytest.mark.parametrize("proved", [None, False, True])
 def test_most_times_of_a_healthy_machine_are_taken_at_once(proved: bool | None) -> None:
-    line, chain = Line(5, 5.0, proved, 0.1), SignalChain(ChainConfig())
+    line, chain, taken = Line(5, 5.0, proved, 0.1), SignalChain(ChainConfig()), 0
     for _ in range(LEARNED):
         at_once(chain, *line.next())
-    taken = 0
     for _ in range(200):
         sample, received_s, synced_s = line.next()
         taken += chain.times.in_turn(sample.time_100ns or 0, received_s, synced_s) > 0.0
