@@ -1,12 +1,12 @@
 """Sample times of the encoder interface (2000:05): how many sampling intervals lie between two samples.
 
-The interface's own clock says it exactly; only the ratio of differences enters eq. 9. A time is right
+The interface's own clock says it exactly; only the ratio of differences enters eq. 9, so neither its drift
+nor the length of the interval matters. A time is right
 
 - with receive times, if it is as long after the last one as its SYNC was after that of the last; or at its
   place, if a timer of the interface lies closer to the line than to SYNC;
-- where these are worse than HEARD_S, if two of three are so within half an interval: the count of SYNCs, the
-  reception of its SYNC, and its own;
-- without, at the place on the grid that the count gives it, or two calls in a row.
+- without, or where these are worse than HEARD_S, at the place on the grid that the count of SYNCs gives it;
+  or at that of their receptions, or if two calls in a row came when such times were due.
 
 The line through the times that were right (:mod:`canfb.timing.grid`) is the one estimate of that clock.
 """
@@ -169,28 +169,22 @@ class SampleTimes:
                 elif counted > self._refused_counted:  # SYNCs were not sent, not received, or sent late
                     before, self._agrees = self._agrees, abs(late_s) <= unsure_s
                     right = by_call = before and self._agrees
-            elif heard_apart_s is not None:
-                heard = [
-                    abs(one - passed_s) <= unsure_s for one in (apart_s, heard_apart_s) if one is not None
-                ]
-                right = all(heard) or (right and any(heard))
+            elif apart_s is not None:
+                right |= places == round(apart_s / unit)
             right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
             error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
-            right = error_s <= spare_s or (
-                # That of a timer, which is closer to the line than to SYNC.
-                off_s <= spare_s
-                and error_s < unsure_s
-                and (apart_s is None or grid.deviation * TICK_S < self._heard_s)
-            )
-        kind = REPEATED if heard_apart_s is None and places < counted - 0.5 else SUSPECT
-        if not right or (by_call and kind == REPEATED):
-            return self._refused(
-                time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
-            )
+            is_timer = apart_s is None or grid.deviation * TICK_S < self._heard_s
+            right = error_s <= spare_s or (is_timer and off_s <= spare_s and error_s < unsure_s)
+        early = heard_apart_s is None and places < counted - 0.5
+        if not right or (early and by_call):
+            kind = intervals if right else REPEATED if early else SUSPECT
+            return self._refused(time_100ns, ticks, counted, wrong, kind, received_s, synced_s)
         grid.take(self._at + ticks)
-        received_s = _bounded(received_s, heard_apart_s, passed_s)
-        self._take(time_100ns, ticks, received_s, _bounded(synced_s, apart_s, passed_s))
+        if apart_s is not None and synced_s is not None:  # a late SYNC is no measure of the next times
+            by_s = HEARD_S + DRIFT * passed_s
+            synced_s += min(max(apart_s, passed_s - by_s), passed_s + by_s) - apart_s
+        self._take(time_100ns, ticks, received_s, synced_s)
         return intervals
 
     def _follow_pace(self, ticks: int, counted: float) -> bool:
@@ -239,13 +233,3 @@ class SampleTimes:
 
 def _apart_s(before_s: float | None, now_s: float | None) -> float | None:
     return None if before_s is None or now_s is None else now_s - before_s
-
-
-def _bounded(now_s: float | None, apart_s: float | None, passed_s: float) -> float | None:
-    # A reception that was late is no measure of the next times.
-    by_s = HEARD_S + DRIFT * passed_s
-    return (
-        now_s
-        if now_s is None or apart_s is None
-        else now_s + min(max(apart_s, passed_s - by_s), passed_s + by_s) - apart_s
-    )
