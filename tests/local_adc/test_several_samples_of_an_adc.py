@@ -182,7 +182,7 @@ def test_with_time_stamps_the_position_is_right(iiod: Iiod, opened: Callable[...
     server = iiod()
     status, errors = run(server, opened(server))
     assert all(word & VALID and not word & MISSED for word in status)
-    whole = round(errors[0])  # the count begins anew where the encoder stands
+    whole = round(errors[0])  # cycles counted from zero at the start
     assert max(abs(error - whole) for error in errors) < 0.02
 
 

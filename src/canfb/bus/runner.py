@@ -254,7 +254,7 @@ class Runner:
         while queue:
             origin, frames = queue.popleft()
             for frame in frames:
-                self._now = now = self._clock()  # who hears it of us hears it as it leaves, not behind others
+                self._now = now = self._clock()  # as it leaves: those that it wakes may run first
                 send(origin, frame)
                 for other in dispatch.listeners(frame):
                     if other is not origin:

@@ -84,10 +84,8 @@ class ResidualNoise:
 
     def _complete(self, samples: int) -> bool:
         step = abs(self._speed_cycles - round(self._speed_cycles))
-        residuals, moving = (
-            self._accelerations[1:],
-            self._eighths.bit_count() >= EIGHTHS and step >= LEAST_STEP,
-        )
+        moving = self._eighths.bit_count() >= EIGHTHS and step >= LEAST_STEP
+        residuals = self._accelerations[1:]
         self._begin()
         if not moving:
             return False

@@ -176,10 +176,11 @@ class SampleTimes:
             error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
             is_timer = apart_s is None or grid.deviation * TICK_S < self._heard_s
             right = error_s <= spare_s or (is_timer and off_s <= spare_s and error_s < unsure_s)
-        early = heard_apart_s is None and places < counted - 0.5
-        if not right or (early and by_call):
-            kind = intervals if right else REPEATED if early else SUSPECT
-            return self._refused(time_100ns, ticks, counted, wrong, kind, received_s, synced_s)
+        kind = REPEATED if heard_apart_s is None and places < counted - 0.5 else SUSPECT
+        if not right or (by_call and kind == REPEATED):
+            return self._refused(
+                time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
+            )
         grid.take(self._at + ticks)
         if apart_s is not None and synced_s is not None:  # a late SYNC is no measure of the next times
             by_s = HEARD_S + DRIFT * passed_s
@@ -212,7 +213,7 @@ class SampleTimes:
         received_s: float | None,
         synced_s: float | None,
     ) -> float:
-        """What is wrong with it, or RESTARTED: those of several SYNCs in a row go on with each other."""
+        """``kind``, or RESTARTED: those of several SYNCs in a row go on with each other."""
         self.off = abs(off)
         if counted <= self._refused_counted and kind != CROWDED:
             return kind
@@ -221,7 +222,7 @@ class SampleTimes:
             self.grid.learn(self._at + ticks)  # the clock is as even where its SYNC was late
             return kind
         if not self.grid.refuse(self._at + ticks):
-            if kind > 0.0:  # right by its call: its SYNC was late, or of another rate
+            if kind > 0.0:  # intervals, right by its call: its SYNC was late, or of another rate
                 self.grid.skip(max(0, self.grid.nearest(self._at + ticks)[0]))
                 self._take(time_100ns, ticks, received_s, synced_s)
             return kind
