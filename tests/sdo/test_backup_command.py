@@ -6,20 +6,18 @@ import json
 from pathlib import Path
 from typing import Any
 
-import canopen
 import numpy as np
 import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.storage.storage import MemoryStore
-from canfb.eds_files import eds_path
 from canfb.master.all_or_nothing import put_in_force
 from canfb.module.device_configuration import configuration_of
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, Bench
-from node_commands import ANSWER, Commands, between, is_write, place_of, refuse_once
+from node_commands import ANSWER, REQUEST, Commands, between, interrupt, is_write, place_of, refuse_once
 
 NODE = hex(MODULE_ID)
 PHASES = np.arange(64) / 64
@@ -85,20 +83,6 @@ def test_a_spare_module_becomes_the_one_of_the_backup(canfb: Commands, tmp_path:
     assert "all values are those of" in out
 
 
-def test_the_canopen_client_reads_what_was_restored(canfb: Commands, file: Path) -> None:
-    bench = module()
-    canfb(bench, "backup", "restore", file)
-    remote = canopen.RemoteNode(MODULE_ID, str(eds_path("canfb-module")))
-    bench.master.network.add_node(remote)
-    for (index, subindex), (_, value) in CHANGED.items():
-        entry = remote.sdo[index]
-        assert (entry[subindex] if subindex else entry).raw == value
-    assert remote.sdo.upload(0x2020, 1) == TABLE.to_bytes()
-    remote.tpdo.read()
-    assert (remote.tpdo[2].cob_id, [one.index for one in remote.tpdo[2].map]) == (0x2F0, [0x2011])
-    assert remote.tpdo[1].enabled
-
-
 def test_a_person_reads_it(file: Path) -> None:
     lines = file.read_text().splitlines()
     for wanted in (
@@ -162,16 +146,9 @@ def test_a_value_that_is_taken_and_not_kept_is_found_by_reading(canfb: Commands,
 def test_an_interruption_brings_back_what_was(canfb: Commands, file: Path) -> None:
     bench = module()
     before = values(bench)
-    done: list[bool] = []
-
-    def interrupted(frame: Frame) -> list[Frame] | None:
-        if is_write(frame) and place_of(frame) == (0x2001, 1) and not done:
-            done.append(True)
-            raise KeyboardInterrupt
-        return None
-
-    between(bench, interrupted)
+    interrupt(bench, 600)
     _, err = canfb(bench, "backup", "restore", file, code=130)
+    assert any(is_write(frame) for frame in bench.master.sent[:599] if frame.can_id == REQUEST)
     assert err == "canfb: interrupted; the node is as it was\n"
     assert values(bench) == before
 
@@ -250,20 +227,6 @@ def test_backups_of_other_devices(canfb: Commands, file: Path) -> None:
     assert "note: left out, as this version does not know them: 2010:63" in out
     assert "note: not in the backup, and as before: 2010:03" in out
     assert (values(bench)[0x2010, 3], values(bench)[0x2010, 2]) == (3, 12.5)
-
-
-def test_a_node_that_is_not_there_or_another_device(canfb: Commands, file: Path) -> None:
-    bench = module()
-    _, err = canfb(bench, "backup", "restore", file, 99, code=1)
-    assert "module 99 (63h): reading 1018:01: no answer" in err
-    _, err = canfb(bench, "backup", "save", "0x10", file, code=1)
-    assert "module 16 (10h) is not a feedback module of canfb" in err
-    assert "2010:03" in file.read_text(), "what was there before"
-
-
-def test_a_disk_that_is_full(canfb: Commands) -> None:
-    _, err = canfb(module(), "backup", "save", NODE, "/dev/full", code=1)
-    assert err == "canfb: /dev/full: cannot be written: No space left on device\n"
 
 
 def test_preset_and_offset_are_noted_and_not_restored(canfb: Commands, tmp_path: Path) -> None:

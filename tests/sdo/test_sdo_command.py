@@ -28,7 +28,6 @@ from documentation import blocks, commands, page
 from node_commands import Commands, abort, between, drop_answer, is_write
 
 NODE = hex(MODULE_ID)
-ROOT = Path(__file__).parents[2]
 PAGE = page("monitor")
 PAGE = PAGE.partition("\n## One object of a node")[2].partition("\n## Who is there")[0]
 OF_MODULE = ObjectDescriptions(eds_path("canfb-module"), MODULE_ID)
@@ -122,15 +121,6 @@ def test_a_domain_goes_by_file(canfb: Commands, bench: Bench, tmp_path: Path) ->
     out = canfb(bench, "sdo", "write", NODE, "2020:01", "--file", path)[0]
     assert out.endswith(", written\n")
     assert bench.value(0x2020, 2) == CorrectionTable.identity().crc32
-    _, err = canfb(bench, "sdo", "read", NODE, "2020:01", "--out", "/dev/full", code=1)
-    assert err == "canfb: /dev/full: cannot be written: No space left on device\n"
-
-
-def test_save_is_a_word(canfb: Commands) -> None:
-    store = MemoryStore()
-    bench = Bench(sync=False, store=store)
-    canfb(bench, "sdo", "write", NODE, "save all", "save")
-    assert store.images
 
 
 def test_for_programs(canfb: Commands, bench: Bench) -> None:
@@ -206,12 +196,34 @@ def test_what_the_node_refuses_is_said_in_words(canfb: Commands, bench: Bench) -
     assert "is refused: value of parameter written too high (06090031h); the EDS allows 2.." in err
 
 
-def test_an_answer_that_is_lost_and_a_node_that_is_not_there(canfb: Commands, bench: Bench) -> None:
+def test_an_answer_that_is_lost(canfb: Commands, bench: Bench) -> None:
     drop_answer(bench, (0x2010, 3))
     _, err = canfb(bench, "sdo", "write", NODE, "2010:03", "9", code=1)
     assert "writing 2010:03: no answer; is the node on the bus" in err
-    _, err = canfb(bench, "sdo", "read", 99, "2010:03", code=1)
-    assert "node 99 (63h): reading 1018:01: no answer" in err
+
+
+FULL = "canfb: /dev/full: cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("sdo read 99 2010:03", "node 99 (63h): reading 1018:01: no answer"),
+        ("table show 99", "module 99 (63h): reading 2020:04: no answer; is the node on the bus"),
+        ("table show 0x10", "module 16 (10h) has no correction table (2020h)"),
+        ("backup save 99 backup.yaml", "module 99 (63h): reading 1000:00: no answer"),
+        ("backup save 0x10 backup.yaml", "module 16 (10h) is not a feedback module of canfb"),
+        ("sdo read 0x20 2020:01 --out /dev/full", FULL),
+        ("table read 0x20 /dev/full", FULL),
+        ("backup save 0x20 /dev/full", FULL),
+    ],
+)
+def test_a_node_that_is_not_there_another_device_and_a_full_disk(
+    canfb: Commands, bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert words in canfb(bench, *line.split(), code=1)[1]
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_node_of_another_maker(canfb: Commands, bench: Bench, tmp_path: Path) -> None:
@@ -324,9 +336,5 @@ def test_a_preset_in_motion_says_what_it_needs(canfb: Commands) -> None:
         _, err = canfb(bench, "sdo", "write", NODE, preset, "0", code=1)
         assert "(08000022h); a preset needs a valid position at standstill: stop the machine" in err
         assert "preop" not in err
-
-
-def test_a_node_of_others_keeps_the_general_advice() -> None:
-    entry = OF_MODULE.meant("6003")[0]
-    assert "canfb node preop" in abort_words(AbortCode.DEVICE_STATE, entry, "drive of somebody")
-    assert "at standstill" in abort_words(AbortCode.DEVICE_STATE, entry, MODULE)
+    of_others = abort_words(AbortCode.DEVICE_STATE, OF_MODULE.meant("6003")[0], "drive of somebody")
+    assert "canfb node preop" in of_others, "the general advice"
