@@ -26,8 +26,11 @@ def test_stamps_of_a_right_clock_are_used_however_late_the_host_is(steps: list[t
         assert call.received == at
 
 
-@given(st.floats(0.01, 1e4), st.lists(st.floats(1e-4, 2e-3), min_size=2, max_size=50))
-def test_a_clock_that_is_set_back_is_not_used_until_it_is_right(back_s: float, steps: list[float]) -> None:
+@given(
+    st.floats(0.01, 1e4) | st.floats(-1e4, -0.01),
+    st.lists(st.floats(1e-4, 2e-3), min_size=2, max_size=50),
+)
+def test_a_clock_that_is_set_is_not_used_until_it_is_right(back_s: float, steps: list[float]) -> None:
     call, at = CallContext(), 1e5
     assert taken(call, at, at)
     for apart_s in steps:
@@ -36,13 +39,6 @@ def test_a_clock_that_is_set_back_is_not_used_until_it_is_right(back_s: float, s
         assert call.received == at > before, "time goes on"
     at += 1e-3
     assert taken(call, at, at)
-
-
-def test_a_clock_that_is_ahead_is_not_used_until_it_is_right() -> None:
-    call = CallContext()
-    assert not taken(call, 105.0, 100.0)
-    assert call.received == 100.0
-    assert taken(call, 100.001, 100.002)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.5, 1.0])

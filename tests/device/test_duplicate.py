@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections import deque
 from copy import deepcopy
 from pathlib import Path
 
-import pytest
-from device_kit import ID, OK, Bench, hexes
+from device_kit import ID, Bench, hexes
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -40,36 +38,8 @@ class Shipped(Bench):
         return self.node.counters.duplicate_frames
 
 
-@pytest.fixture
-def shipped() -> Shipped:
-    return Shipped()
-
-
 def emergency(can_id: int, at: int = 0x0A0) -> list[str]:
     return [f"{at:03X}#508111{can_id & 0xFF:02X}{can_id >> 8:02X}000000"]
-
-
-def set_cob_id(bench: Bench, index: int, subindex: int, value: int) -> None:
-    """Off first, then the new one: as a master has to do it."""
-    off = bench.dictionary.entry(index, subindex).value | 0x80000000
-    assert bench.write(index, subindex, off, 4) is OK
-    assert bench.write(index, subindex, value | 0x80000000, 4) is OK
-    assert bench.write(index, subindex, value, 4) is OK
-
-
-def test_an_rpdo_on_the_can_id_of_a_tpdo_works_and_gives_no_alarm(shipped: Shipped) -> None:
-    """Somebody has configured it so: another node sends there, and this one listens."""
-    set_cob_id(shipped, 0x1800, 1, 0x40000190)
-    shipped.send(0x190, "01000200")
-    shipped.operational()
-    assert shipped.send(0x190, "03000400") == []
-    assert [shipped.dictionary.entry(0x2000, subindex).value for subindex in (1, 2)] == [3, 4]
-    shipped.nmt(2)
-    shipped.send(0x190, "03000400")
-    assert shipped.count == 0
-    shipped.nmt(128)
-    assert shipped.write(0x1400, 1, 0x80000190, 4) is OK
-    assert shipped.send(0x190, "05000600") == emergency(0x190), "nobody listens there any more"
 
 
 def test_without_a_node_id_nothing_is_its_own() -> None:
@@ -79,30 +49,6 @@ def test_without_a_node_id_nothing_is_its_own() -> None:
     for can_id in range(0x800):
         assert node.receive(Frame(can_id, b"\x00"), 0.0) == []
     assert node.counters.duplicate_frames == 0
-
-
-def exchange(nodes: list[Node], frames: list[Frame], origin: Node | None = None) -> list[Frame]:
-    """Bring frames to all nodes but their senders, answers too; what was on the bus."""
-    queue = deque((origin, frame) for frame in frames)
-    seen = []
-    while queue:
-        sender, frame = queue.popleft()
-        seen.append(frame)
-        assert len(seen) < 50, "they talk without end"
-        for node in nodes:
-            if node is not sender:
-                queue.extend((node, answer) for answer in node.receive(frame, 0.0))
-    return seen
-
-
-def test_the_boot_up_of_the_second_is_noticed_by_the_first_and_its_answer_by_the_second() -> None:
-    first, second = (Node(deepcopy(PRISTINE), ID) for _ in range(2))
-    first.start(0.0)
-    seen = exchange([first, second], second.start(0.0), second)
-    assert [frame.can_id for frame in seen] == [0x720, 0x0A0, 0x0A0]
-    for node in (first, second):
-        assert node.counters.duplicate_frames >= 1
-        assert node.state is NmtState.PRE_OPERATIONAL
 
 
 any_frame = st.builds(

@@ -35,24 +35,12 @@ def test_the_history_is_newest_first_and_bounded(bench: Bench) -> None:
     assert [bench.read(0x1003, sub) for sub in range(1, 5)] == [0x1005, 0x1004, 0x1003, 0x1002]
 
 
-def test_the_inhibit_time(bench: Bench) -> None:
-    bench.write(0x1015, 0, 1000, 2)
-    bench.node.emergency(SENSOR, 0x20, now=0.0)
-    bench.node.emergency(DATA_SET, 0x20, now=0.0)
-    bench.node.clear_emergency(DATA_SET, 0.0)
-    assert [(time, text[4:8]) for time, text in bench.run(5.0)] == [
-        (0.0, "0073"),
-        (0.1, "1063"),
-        (0.2, "0000"),
-    ]
-
-
 def test_waiting_frames_are_bounded(bench: Bench) -> None:
     bench.write(0x1015, 0, 1000, 2)
     for number in range(1, 21):
         bench.node.emergency(0x1000 + number, 0, now=0.0)
-    frames = [text for _, text in bench.run(10.0)]
-    assert len(frames) == 9
+    times, frames = zip(*bench.run(10.0), strict=True)
+    assert times == pytest.approx([0.1 * number for number in range(9)])
     assert frames[-1].startswith("0A0#1410")
     assert bench.node.counters.lost_emergencies == 11
 
@@ -60,16 +48,6 @@ def test_waiting_frames_are_bounded(bench: Bench) -> None:
 def test_an_error_raised_at_reset_follows_the_boot_up(bench: Bench) -> None:
     bench.application.react(reset_done=lambda only, now: bench.node.emergency(SENSOR, 0x20, now=now))
     assert bench.nmt(129) == ["720#00", "0A0#0073210000000000"]
-
-
-def test_within_a_call_the_time_is_known(bench: Bench) -> None:
-    bench.operational()
-    bench.write(0x1015, 0, 1000, 2)
-    bench.application.react(rpdo_received=lambda number, now: bench.node.emergency(SENSOR, 0x20))
-    bench.now = 2.0
-    assert bench.send(0x190, "01000200") == ["0A0#0073210000000000"]
-    bench.node.clear_emergency(SENSOR)
-    assert bench.node.deadline() == pytest.approx(2.1)
 
 
 def test_wrong_arguments(bench: Bench) -> None:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from collections import deque
 from math import inf
 from pathlib import Path
 
 import pytest
-import sample_eds
 from device_kit import ID, OK, Bench, hexes
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.nmt import NmtState
-from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 
 WATCHED = 0x47
@@ -38,21 +37,26 @@ def watching(bench: Bench, milliseconds: int) -> None:
 
 
 class ErrorControlModel:
-    """Two watchers, seconds from sign to loss, and what the node sends; it is OPERATIONAL at first."""
+    """Two watchers, seconds from sign to loss, and what the node sends; it is PRE-OPERATIONAL at first."""
 
     def __init__(self, limits_s: dict[int, float], stays: bool) -> None:
         self.limits_s, self.stays = limits_s, stays
-        self.ends, self.lost = dict.fromkeys(limits_s, inf), set[int]()
         self.sent: list[tuple[float, str]] = []
-        self.state, self.toggle = 0x05, 0x00
+        self.held = deque[str](maxlen=8)  # in STOPPED
+        self.reset()
+
+    def reset(self) -> None:
+        self.ends, self.lost = dict.fromkeys(self.limits_s, inf), set[int]()
+        self.held.clear()
+        self.state, self.toggle = 0x7F, 0x00
 
     def advance(self, now: float) -> None:
         while min(self.ends.values()) <= now:
             at, node = min((end, node) for node, end in self.ends.items())
             self.ends[node] = inf
             self.lost.add(node)
-            self.sent.append((at, f"0A0#308111{node:02X}00000000"))
-            self.state = self.state if self.stays else 0x7F
+            self.tell(at, f"308111{node:02X}00000000")
+            self.state = 0x7F if self.state == 0x05 and not self.stays else self.state
 
     def sign(self, node: int, now: float) -> None:
         """A heartbeat of a node, or a remote frame of the master (0), which is answered."""
@@ -62,33 +66,62 @@ class ErrorControlModel:
         self.ends[node] = now + self.limits_s[node] if self.limits_s[node] else inf
         if node in self.lost:
             self.lost.discard(node)
-            self.sent.append((now, f"0A0#0000{0x11 if self.lost else 0:02X}0000000000"))
+            self.tell(now, f"0000{0x11 if self.lost else 0:02X}0000000000")
+
+    def command(self, command: int, now: float) -> None:
+        """An NMT command; after a reset each watcher waits for its first sign."""
+        if command in (129, 130):
+            self.reset()
+            self.sent.append((now, "720#00"))
+        self.state = {1: 0x05, 2: 0x04}.get(command, 0x7F)
+        while self.held and self.state != 0x04:
+            self.tell(now, self.held.popleft())
+
+    def tell(self, now: float, emergency: str) -> None:
+        if self.state == 0x04:
+            self.held.append(emergency)
+        else:
+            self.sent.append((now, f"0A0#{emergency}"))
 
 
 SIGNS = st.lists(
-    st.tuples(st.integers(0, 150), st.sampled_from(["none", "beat", "guard", "start"])), max_size=25
+    st.tuples(
+        st.integers(0, 150),
+        st.sampled_from(["none", "beat", "guard"]) | st.sampled_from([1, 1, 2, 128, 129, 130]),
+    ),
+    max_size=25,
 )
 
 
 @given(st.integers(1, 120), st.integers(0, 60), st.integers(0, 3), st.booleans(), SIGNS)
 def test_whatever_comes_and_does_not_come(
-    sample_path: Path, beat_ms: int, guard_ms: int, factor: int, stays: bool, signs: list[tuple[int, str]]
+    sample_path: Path,
+    beat_ms: int,
+    guard_ms: int,
+    factor: int,
+    stays: bool,
+    signs: list[tuple[int, str | int]],
 ) -> None:
-    bench = Bench(Dictionary.load(sample_path, ID))
+    dictionary = Dictionary.load(sample_path, ID)
+    for place, value in (
+        ((0x100C, 0), guard_ms),
+        ((0x100D, 0), factor),
+        ((0x1016, 1), WATCHED << 16 | beat_ms),
+        ((0x1029, 1), int(stays)),
+    ):
+        entry = dictionary.entry(*place)
+        entry.default = entry.value = value  # as saved: it is there after a reset
+    bench = Bench(dictionary)
     bench.start()
-    guarded(bench, guard_ms, factor)
-    watching(bench, beat_ms)
-    bench.write(0x1029, 1, int(stays), 1)
-    bench.operational()
     model = ErrorControlModel({WATCHED: beat_ms / 1000, 0: guard_ms * factor / 1000}, stays)
     seen: list[tuple[float, str]] = []
     for wait_ms, sign in signs:
         seen += bench.run(wait_ms / 1000)
         model.advance(bench.now)
         frames: list[str] = []
-        if sign == "start":
-            bench.nmt(1)
-            model.state = 0x05
+        if isinstance(sign, int):
+            model.command(sign, bench.now)
+            frames = bench.nmt(sign)
         elif sign != "none":
             model.sign(0 if sign == "guard" else WATCHED, bench.now)
             frames = guard(bench) if sign == "guard" else beat(bench)
@@ -96,32 +129,7 @@ def test_whatever_comes_and_does_not_come(
     rounded = [[(round(at, 5), text) for at, text in frames] for frames in (seen, model.sent)]
     assert sorted(rounded[0]) == sorted(rounded[1])
     assert bench.node.state == model.state
-    assert bench.read(0x1001) == (0x11 if model.lost else 0)
-
-
-def test_no_guarding_before_the_start_beside_a_heartbeat_or_without_100ch(
-    silent: Bench, tmp_path: Path
-) -> None:
-    assert guard(silent) == []
-    entry = silent.dictionary.entry(0x1017)
-    entry.default = entry.value = 200
-    silent.start()
-    assert guard(silent) == []
-    assert silent.run(0.2) == [(0.2, "720#7F")]
-    rows = [row for row in sample_eds.ROWS if row[0] not in (0x100C, 0x100D)]
-    bench = Bench(Dictionary.load(sample_eds.write(tmp_path / "none.eds", rows), ID))
-    bench.start()
-    assert guard(bench) == []
-
-
-def test_a_stopped_node_tells_later(bench: Bench) -> None:
-    guarded(bench)
-    bench.nmt(2)
-    assert guard(bench) == ["720#04"]
-    assert bench.run(10.0) == []
-    assert bench.node.state is NmtState.STOPPED
-    assert bench.nmt(128) == [GUARD_LOST]
-    assert guard(bench) == ["720#FF", GOOD]
+    assert dictionary.entry(0x1001).value == (0x11 if model.lost else 0)
 
 
 def test_a_new_life_time_runs_from_the_write_on_and_ends_no_error(bench: Bench) -> None:
@@ -134,20 +142,6 @@ def test_a_new_life_time_runs_from_the_write_on_and_ends_no_error(bench: Bench) 
     assert bench.read(0x1001) == 0x11
     assert bench.node.deadline() is None
     assert guard(bench) == ["720#FF", GOOD]
-
-
-@pytest.mark.parametrize("command", [129, 130])
-def test_a_reset_waits_for_the_first_remote_frame(bench: Bench, command: int) -> None:
-    for index, value in ((0x100C, 100), (0x100D, 3)):
-        bench.dictionary.entry(index).default = value
-    guarded(bench)
-    guard(bench)
-    bench.nmt(command)
-    assert bench.run(10.0) == []
-    guard(bench)
-    assert len(bench.run(10.0)) == 1
-    assert bench.nmt(command) == ["720#00"]
-    assert bench.read(0x1001) == 0
 
 
 def test_heartbeats_neither_drift_nor_catch_up(bench: Bench) -> None:
@@ -210,10 +204,3 @@ def test_bus_off_is_a_communication_error_and_its_end_is_told(
     bench.node.bus_off(4.0)
     assert hexes(bench.node.bus_back(5.0)) == told
     assert bench.run(10.0) == []
-
-
-def test_without_a_node_id_nobody_is_told(sample_path: Path) -> None:
-    node = Node(Dictionary.load(sample_path, 255), 255)
-    node.start(0.0)
-    assert node.bus_off(1.0) == node.bus_back(2.0) == []
-    assert node.state is NmtState.INITIALISING

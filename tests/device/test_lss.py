@@ -88,13 +88,6 @@ def test_another_address_selects_nobody(bench: LssBench, wrong: int) -> None:
     assert bench.select() == []  # it is selected already
 
 
-def test_a_selection_with_a_part_left_out_is_none(bench: LssBench) -> None:
-    for part in (0, 1, 3):
-        assert bench.part(0x40 + part, ADDRESS[part]) == []
-    assert bench.part(0x42, ADDRESS[2]) == []
-    assert bench.node.lss.state is LssState.WAITING
-
-
 # Every command in every state, with and without a node-ID.
 
 ANY: tuple[tuple[LssState, int], ...] = tuple((state, node) for state in LssState for node in (32, NONE))
@@ -180,6 +173,7 @@ def test_without_a_node_id_there_is_lss_and_nothing_else(make: Callable[..., Lss
     assert bench.send(0x7FF, rtr=True) == []
     assert bench.node.state is NmtState.INITIALISING
     bench.node.emergency(0x7300, 0x20, now=0.0)
+    assert bench.node.bus_off(1.0) == bench.node.bus_back(2.0) == []
     assert bench.run(10.0) == []
     assert bench.configure().lss(0x5E) == ["5EFF"]
 
@@ -234,18 +228,11 @@ def test_fastscan_finds_the_address_bit_by_bit(make: Callable[..., LssBench]) ->
     assert fastscan(bench, 0, 128, 0, 0) == []  # it has been found
 
 
-@pytest.mark.parametrize(("bit", "part", "following"), [(32, 0, 0), (127, 0, 0), (0, 4, 0), (0, 0, 4)])
-def test_an_impossible_fastscan_is_not_answered(
-    make: Callable[..., LssBench], bit: int, part: int, following: int
-) -> None:
+def test_an_impossible_part_or_one_out_of_turn_is_not_answered(make: Callable[..., LssBench]) -> None:
     bench = make(NONE)
     fastscan(bench, 0, 128, 0, 0)
-    assert fastscan(bench, ADDRESS[0], bit, part, following) == []
-
-
-def test_a_part_out_of_turn_is_not_answered(make: Callable[..., LssBench]) -> None:
-    bench = make(NONE)
-    fastscan(bench, 0, 128, 0, 0)
+    for impossible in ((32, 0, 0), (127, 0, 0), (0, 4, 0), (0, 0, 4)):
+        assert fastscan(bench, ADDRESS[0], *impossible) == []
     assert fastscan(bench, ADDRESS[1], 0, 1, 1) == []
     assert fastscan(bench, ADDRESS[0], 0, 0, 1) == ["4F"]
     assert fastscan(bench, ADDRESS[1], 0, 1, 1) == ["4F"]

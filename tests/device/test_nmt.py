@@ -13,59 +13,24 @@ from canfb.cia301.nmt import NmtState
 from canfb.device.od.dictionary import Dictionary, Entry
 from folding import each
 
-COMMANDS = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}
-STATES = {state: command for command, state in COMMANDS.items()}
 UPLOAD = "4000100000000000"
 
 
-def test_autostart_is_the_default_of_1f80(sample_path: Path) -> None:
-    bench = Bench(Dictionary.load(sample_path, ID), autostart=True)
-    states: list[tuple[NmtState, NmtState]] = []
-    bench.application.react(state_changed=lambda old, new, now, why: states.append((old, new)))
+@pytest.mark.parametrize("autostart", [True, False])
+def test_autostart_is_the_default_of_1f80(sample_path: Path, autostart: bool) -> None:
+    bench = Bench(Dictionary.load(sample_path, ID), autostart=autostart)
+    default, other = (0, 4) if autostart else (4, 0)
+    states: list[NmtState] = []
+    bench.application.react(state_changed=lambda old, new, now, why: states.append(new))
+    starting = [NmtState.PRE_OPERATIONAL, *[NmtState.OPERATIONAL] * autostart]
     assert bench.start() == ["720#00"]
-    assert states == [
-        (NmtState.INITIALISING, NmtState.PRE_OPERATIONAL),
-        (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL),
-    ]
-    assert (bench.read(0x1F80), bench.node.autostart) == (0, True)
-    assert bench.write(0x1F80, 0, 4, 4) == OK
-    assert not bench.node.autostart
+    assert states == starting
     for command in (129, 130):
+        assert bench.write(0x1F80, 0, other, 4) == OK
+        assert (bench.node.autostart, bench.node.state) == (not autostart, starting[-1])
         assert bench.nmt(command) == ["720#00"]
-        assert bench.read(0x1F80) == 0
-        assert bench.node.state is NmtState.OPERATIONAL
-
-
-def test_1f80_without_autostart(bench: Bench) -> None:
-    assert bench.read(0x1F80) == 4
-    assert bench.write(0x1F80, 0, 0, 4) == OK
-    assert bench.node.autostart
-    assert bench.node.state is NmtState.PRE_OPERATIONAL
-    bench.nmt(129)
-    assert bench.node.state is NmtState.PRE_OPERATIONAL  # the default is back
-
-
-@pytest.mark.parametrize("command", [129, 130])
-def test_a_stored_1f80_starts_the_node(silent: Bench, command: int) -> None:
-    entry = silent.dictionary.entry(0x1F80)
-    entry.default = entry.value = 0
-    assert silent.start() == ["720#00"]
-    assert silent.node.state is NmtState.OPERATIONAL
-    silent.nmt(128)
-    assert silent.nmt(command) == ["720#00"]
-    assert silent.node.state is NmtState.OPERATIONAL
-
-
-@each("state", STATES)
-@each("command", COMMANDS)
-@each("addressed", [0, ID])
-def test_every_command_in_every_state(bench: Bench, state: NmtState, command: int, addressed: int) -> None:
-    bench.nmt(STATES[state])
-    bench.application.calls.clear()
-    assert bench.nmt(command, addressed) == []
-    assert bench.node.state is COMMANDS[command]
-    told = [] if COMMANDS[command] is state else [(state, COMMANDS[command], bench.now, "")]
-    assert bench.application.told("state_changed") == told
+        assert (bench.read(0x1F80), bench.node.autostart) == (default, autostart)
+        assert bench.node.state is starting[-1]
 
 
 def test_nothing_is_served_before_start_and_what_was_set_before_is_kept(silent: Bench) -> None:
@@ -111,20 +76,6 @@ def test_frames_that_are_none_or_of_others_are_dropped_and_counted(bench: Bench)
         assert bench.node.counters.unknown_cob_ids == number
     assert bench.node.counters.malformed_frames == len(DROPPED)
     assert len(bench.node.receive(Frame(0x620, bytes.fromhex(UPLOAD), False, -1e30), 0.0)) == 1
-
-
-def test_the_deadline_is_the_earliest(bench: Bench) -> None:
-    assert bench.node.deadline() is None
-    bench.write(0x1006, 0, 30_000, 4)
-    bench.write(0x1005, 0, 0x40000080, 4)
-    bench.write(0x1016, 1, 0x00470032, 4)
-    bench.send(0x747, "05")
-    assert bench.node.deadline() == pytest.approx(0.03)
-    bench.write(0x1006, 0, 0, 4)
-    assert bench.node.deadline() == pytest.approx(0.05)
-    bench.sdo("40081000")
-    bench.write(0x1016, 1, 0, 4)
-    assert bench.node.deadline() is None
 
 
 def test_an_exception_of_the_program_loses_no_frame(bench: Bench) -> None:
@@ -185,5 +136,6 @@ def test_without_optional_objects(register: bool) -> None:
     bench.node.emergency(EmergencyCode.SENSOR, 0x20, now=0.0)
     assert bench.tick() == [f"{0x80 + ID:03X}#0073210000000000"]
     assert bench.read(0x1001) == (0x21 if register else AbortCode.NO_OBJECT)
+    assert bench.send(0x700 + ID, rtr=True) == [], "no guarding"
     assert bench.send(0x680, "4001120100000000") == [], "half a second channel is none"
     assert bench.read(0x1201, 1) == 0x680

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from device_kit import ID, OK, Bench
 from hypothesis import given
 from hypothesis import strategies as st
@@ -93,10 +92,3 @@ def test_a_valid_pdo_is_never_what_it_may_not_be(first: State, second: State) ->
         bench.write(0x1801, sub, value, SIZES[sub])
         state = state_of(bench, 0x1801)
         assert is_legal(state) or state[1] & FREE
-
-
-@pytest.mark.parametrize("kind", [0xF1, 0xFB, 0xFC, 0xFD])
-def test_a_type_that_no_rpdo_has_is_refused_while_it_is_not_valid_too(kind: int) -> None:
-    bench = as_delivered()
-    bench.write(0x1400, 1, bench.read(0x1400, 1) | FREE, 4)
-    assert bench.write(0x1400, 2, kind, 1) is AbortCode.INVALID_VALUE

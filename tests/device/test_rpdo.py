@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import sample_eds
 from device_kit import ID, OK, Bench
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode, SdoAbort
@@ -56,24 +56,30 @@ class Errors:
 
 
 @given(
-    st.booleans(),
+    st.sampled_from([255, 255, 0, 1, 240]),
     st.booleans(),
     st.sampled_from([0, 50]),
     st.lists(st.tuples(st.integers(0, 70), st.sampled_from([0, 1, 3, 4, 4, 5, 8])), max_size=25),
 )
+@example(255, True, 50, [(0, 4), (60, 3), (0, 4)])
 def test_lengths_and_the_time_out(
-    sample_path: Path, synchronous: bool, late: bool, timeout_ms: int, frames: list[tuple[int, int]]
+    sample_path: Path, kind: int, late: bool, timeout_ms: int, frames: list[tuple[int, int]]
 ) -> None:
-    """Less is refused and does not stop the time-out; more is an error, too, but taken and in time."""
+    """Less is refused and does not stop the time-out; more is an error, too, but taken and in time.
+
+    It is taken at once, or the last one at the next SYNC: here after every second frame.
+    """
     bench = Bench(Dictionary.load(sample_path, ID))
     bench.start()
-    bench.write(0x1400, 2, 1 if synchronous else 255, 1)
+    synchronous = kind != 255
+    bench.write(0x1400, 2, kind, 1)
     bench.nmt(1 if late else 128)
     bench.write(0x1400, 5, timeout_ms, 2)
     bench.operational()
     bad: list[object] = []
     bench.application.react(rpdo_too_short=lambda *arguments: bad.append(arguments))
-    errors, seen, end, taken, counts = Errors(), list[str](), float("inf"), 0, {"short": 0, "long": 0}
+    errors, seen, end, counts = Errors(), list[str](), float("inf"), {"short": 0, "long": 0}
+    held, taken = 0, [0]
     for number, (wait_ms, length) in enumerate(frames, 1):
         seen += [text for _, text in bench.run(wait_ms / 1000)]
         if end <= bench.now:
@@ -92,11 +98,15 @@ def test_lengths_and_the_time_out(
                 errors.clear(TOO_SHORT, TIMED_OUT)
             errors.clear(*({TOO_SHORT, TOO_LONG, TIMED_OUT} if length == 4 else ()))
             end = bench.now + timeout_ms / 1000 if timeout_ms else end
-            assert value(bench) == (taken if synchronous else number)
-            taken = number
+            held = number
         if synchronous:
-            bench.sync()
-        assert value(bench) == taken
+            assert value(bench) == taken[-1]
+            if number % 2:
+                bench.sync()
+        if held != taken[-1] and (number % 2 or not synchronous):
+            taken.append(held)
+        assert value(bench) == taken[-1]
+    assert len(bench.application.told("rpdo_received")) == len(taken) - 1
     assert seen == errors.sent
     counters = bench.node.counters
     assert (counters.short_rpdos, counters.long_rpdos, len(bad)) == (
@@ -106,20 +116,6 @@ def test_lengths_and_the_time_out(
     )
     assert bench.read(0x1001) == (0x11 if errors.active else 0)
     assert not errors.last or bench.read(0x1003, 1) == errors.last
-
-
-@pytest.mark.parametrize("kind", [0, 1, 2, 240])
-def test_the_last_one_is_taken_at_the_next_sync(bench: Bench, kind: int) -> None:
-    bench.write(0x1400, 2, kind, 1)
-    bench.operational()
-    calls: list[object] = []
-    bench.application.react(rpdo_received=lambda number, now: calls.append((number, now, value(bench))))
-    for data in ("01000000", "02000000"):
-        bench.send(RPDO, data)
-    assert calls == []
-    for _ in range(2):
-        bench.sync()
-    assert calls == [(1, 0.0, 2)]
 
 
 def refuse(value: int) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.sdo.block import BURST, DOWNLOAD_BLOCK, PAUSE_S, crc16
+from canfb.device.sdo.block import BURST, DOWNLOAD_BLOCK, PAUSE_S
 from drawing import examples
 
 TABLE = "202000"
@@ -176,11 +176,6 @@ def test_a_hostile_client_does_not_spoil_the_next_one(sample_path: Path, request
     assert bench.read(0x1000) == 0x40191
 
 
-def test_the_crc() -> None:
-    assert crc16(b"123456789") == 0x31C3
-    assert crc16(b"") == 0
-
-
 def test_segments_are_paced(bench: Bench) -> None:
     bench.dictionary.entry(0x2020).value = content_of(700)
     bench.sdo(f"A0{TABLE}7F")
@@ -235,22 +230,6 @@ def test_the_buffer_is_bounded(bench: Bench) -> None:
     full = abort(TABLE, AbortCode.OUT_OF_MEMORY)[0]
     assert download_segments(bench, bytes(70000), announce=False) == full
     assert download_block(bench, bytes(70000), set(), announce=False) == full
-
-
-def test_a_gap_frame_by_frame(bench: Bench) -> None:
-    block = f"{DOWNLOAD_BLOCK:02X}0000000000"
-    bench.sdo(f"C2{TABLE}1C")
-    frames = [part.hex() for part in parts_of(content_of(28))]
-    for request, answers in (
-        ("01" + frames[0], []),
-        ("02" + frames[1], []),
-        ("84" + frames[3], [f"A202{block}"]),
-        ("01" + frames[2], []),
-        ("82" + frames[3], [f"A202{block}"]),
-        ("C1", ["A100000000000000"]),
-    ):
-        assert bench.sdo(request) == answers
-    assert bench.dictionary.entry(0x2020).value == content_of(28)
 
 
 def test_the_upload_is_a_snapshot(bench: Bench) -> None:

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 from device_kit import ID, OK
+from hypothesis import given
+from hypothesis import strategies as st
 from storing_bench import (
     ALL,
     APPLICATION,
@@ -55,19 +57,19 @@ class BrokenStore(MemoryStore):
         raise OSError(28, "No space left on device")
 
 
+PARAMETERS = [(0x1017, 2), (0x6000, 2), (0x2025, 1)]
+"""Index and bytes of one of each group: communication, application, manufacturer."""
+DEFAULTS = [0, -7, 0]
+CHANGED = [500, 1234, 111]
+
+
 def change(bench: StoringBench) -> None:
-    """One parameter of each group."""
-    assert bench.write(0x1017, 0, 500, 2) == OK
-    assert bench.write(0x2025, 0, 111, 1) == OK
-    assert bench.write(0x6000, 0, 1234, 2) == OK
+    for (index, size), value in zip(PARAMETERS, CHANGED, strict=True):
+        assert bench.write(index, 0, value, size) == OK
 
 
 def values(bench: StoringBench) -> list[object]:
-    return [bench.value(0x1017), bench.value(0x6000), bench.value(0x2025)]
-
-
-DEFAULTS = [0, -7, 0]
-CHANGED = [500, 1234, 111]
+    return [bench.value(index) for index, _ in PARAMETERS]
 
 
 # 1010h and 1011h as SDO sees them.
@@ -102,34 +104,45 @@ def test_a_store_that_fails_is_a_hardware_error_and_changes_nothing(path: Path) 
 # What is kept, and what comes back when.
 
 
-@pytest.mark.parametrize("again", ["power", "reset node"])
-@pytest.mark.parametrize("subindex", EACH)
-def test_saved_groups_come_back_and_others_do_not(
-    power_on: Callable[..., StoringBench], again: str, subindex: int
-) -> None:
-    bench = power_on()
-    change(bench)
-    assert bench.save(subindex) == OK
-    if again == "power":
-        bench = power_on()
-    else:
-        bench.nmt(RESET_NODE)
-    kept = {COMMUNICATION: 0, APPLICATION: 1, MANUFACTURER: 2}
-    for group, place in kept.items():
-        expected = CHANGED if subindex in (ALL, group) else DEFAULTS
-        assert values(bench)[place] == expected[place]
+STEPS = st.lists(
+    st.tuples(
+        st.sampled_from(["write", "save", "load", "power", RESET_NODE, RESET_COMMUNICATION]),
+        st.sampled_from(EACH),
+    ),
+    max_size=12,
+)
 
 
-def test_reset_communication_restores_communication_parameters_alone(
-    power_on: Callable[..., StoringBench],
+@given(STEPS)
+def test_what_is_saved_comes_back_and_what_is_not_or_was_forgotten_does_not(
+    path: Path, steps: list[tuple[str | int, int]]
 ) -> None:
-    bench = power_on()
-    change(bench)
-    bench.save()
-    bench.write(0x1017, 0, 900, 2)
-    bench.write(0x2025, 0, 99, 1)
-    bench.nmt(RESET_COMMUNICATION)
-    assert values(bench) == [500, 1234, 99]
+    """Each group for itself; the parameters of communication alone with a reset of communication."""
+    store = MemoryStore()
+    bench = StoringBench(path, store)
+    bench.start()
+    now, kept = list(DEFAULTS), list(DEFAULTS)
+    for number, (what, group) in enumerate(steps, 10):
+        places = [group - COMMUNICATION] if group != ALL else range(3)
+        if what == "write":
+            for place in places:
+                index, size = PARAMETERS[place]
+                assert bench.write(index, 0, number, size) == OK
+                now[place] = number
+        elif what == "save":
+            assert bench.save(group) == OK
+            kept = [now[place] if place in places else one for place, one in enumerate(kept)]
+        elif what == "load":
+            assert bench.load(group) == OK
+            kept = [DEFAULTS[place] if place in places else one for place, one in enumerate(kept)]
+        elif what == "power":
+            bench = StoringBench(path, store)
+            bench.start()
+            now = list(kept)
+        else:
+            bench.nmt(int(what))
+            now = kept[:1] + now[1:] if what == RESET_COMMUNICATION else list(kept)
+        assert values(bench) == now
 
 
 def test_stored_values_are_checked_and_nothing_acts_on_them(power_on: Callable[..., StoringBench]) -> None:
@@ -143,33 +156,6 @@ def test_stored_values_are_checked_and_nothing_acts_on_them(power_on: Callable[.
     bench.nmt(RESET_NODE)
     assert checked == [111]
     assert values(bench) == CHANGED
-
-
-@pytest.mark.parametrize("group", [COMMUNICATION, APPLICATION, MANUFACTURER])
-def test_defaults_come_with_the_reset_after_load(power_on: Callable[..., StoringBench], group: int) -> None:
-    bench = power_on()
-    change(bench)
-    bench.save()
-    assert bench.load(group) == OK
-    assert values(bench) == CHANGED
-    place = {COMMUNICATION: 0, APPLICATION: 1, MANUFACTURER: 2}[group]
-    expected = [*CHANGED[:place], DEFAULTS[place], *CHANGED[place + 1 :]]
-    assert values(power_on()) == expected  # also when the power goes before a reset
-    bench.nmt(RESET_NODE)
-    assert values(bench) == expected
-
-
-def test_defaults_of_communication_parameters_come_with_reset_communication(
-    power_on: Callable[..., StoringBench],
-) -> None:
-    bench = power_on()
-    change(bench)
-    bench.save()
-    bench.load()
-    bench.nmt(RESET_COMMUNICATION)
-    assert values(bench) == [0, 1234, 111]
-    bench.nmt(RESET_NODE)
-    assert values(bench) == DEFAULTS
 
 
 def test_process_data_history_and_constants_are_not_kept(

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from canfb.cia301.codes import AbortCode
 from canfb.device.application import FOLLOWED, IGNORED, REVOKED, HeldRpdo
 from canfb.device.od.dictionary import Dictionary
-from folding import each
 
 PRODUCES = 0x40000080
 RPDO, TIME, TIME_DATA = 0x190, 0x100, "010000000200"
@@ -152,9 +151,3 @@ def test_the_can_id_of_time_is_fixed_while_it_is_used(bench: Bench) -> None:
     bench.send(TIME, TIME_DATA)
     bench.send(0x181, TIME_DATA)
     assert seen == [(2, 1, 0.0)]
-
-
-@each("value", [0x40000100, 0xC0000100, 0x20000100, 0xA0000100, 0x00000900])
-def test_flags_of_time_that_are_not_meant(bench: Bench, value: int) -> None:
-    assert bench.write(0x1012, 0, value, 4) is AbortCode.INVALID_VALUE
-    assert bench.read(0x1012) == 0x100

@@ -28,19 +28,6 @@ def set_value(bench: Bench, value: int) -> None:
     bench.dictionary.entry(0x2010, 1).value = value
 
 
-def test_an_event_within_a_call(bench: Bench) -> None:
-    bench.operational()
-
-    def rpdo_received(number: int, now: float) -> None:
-        for subindex in (1, 2, 3):
-            bench.dictionary.entry(0x2010, subindex).value = subindex
-        bench.node.trigger_tpdo(1, now)
-
-    bench.application.react(rpdo_received=rpdo_received)
-    assert bench.send(0x190, "01000200") == ["1A0#0100000002000300"]
-    assert bench.node.deadline() is None
-
-
 @pytest.mark.parametrize("option", [{"start": 4}, {"inhibit": 10000}])
 def test_what_is_not_for_synchronous_ones_without_a_counter(bench: Bench, option: dict[str, int]) -> None:
     set_up(bench, kind=1, **option)

@@ -10,7 +10,7 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.device.storage.image import ParameterGroup
-from canfb.device.storage.storage import MOST_WAITING, POLL_S, BackgroundStore, Changes, MemoryStore
+from canfb.device.storage.storage import MOST_WAITING, POLL_S, Changes, MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 
@@ -89,11 +89,6 @@ def block(machine: Machine) -> tuple[list[bytes], bytes]:
 
 KINDS = (expedited, segmented, block)
 Kind = Callable[[Machine], tuple[list[bytes], bytes]]
-
-
-def test_which_store_is_which() -> None:
-    assert isinstance(SlowStore(), BackgroundStore)
-    assert not isinstance(MemoryStore(), BackgroundStore)
 
 
 @pytest.mark.parametrize("kind", KINDS)
