@@ -44,15 +44,6 @@ def test_tracks_are_those_of_the_formulas_and_samples_are_rounded_to_counts(posi
     assert sine.dtype == cosine.dtype == np.int64
 
 
-def test_arrays_give_what_single_positions_give() -> None:
-    positions = np.linspace(-3, 3, 60).reshape(3, 20)
-    sine, cosine = BENT.sample(positions)
-    assert sine.shape == cosine.shape == (3, 20)
-    assert [tuple(pair) for pair in zip(sine.flat, cosine.flat, strict=True)] == [
-        tuple(int(track) for track in BENT.sample(position)) for position in positions.flat
-    ]
-
-
 def test_without_errors_the_raw_phase_is_that_of_table_1() -> None:
     positions = (np.arange(1000) + 0.5) / 1000
     raw = phase_in_cycle(*Encoder().tracks(positions))
@@ -147,16 +138,6 @@ def test_the_steady_response_is_that_of_the_filter() -> None:
     ours = steady.tracks(HERTZ * time[at], HERTZ)
     assert ours[0] == pytest.approx(wanted[0][at], abs=3.0)  # of 1500 counts, 1 ns
     assert ours[1] == pytest.approx(wanted[1][51_000:79_000], abs=3.0)
-
-
-def test_a_standing_machine_has_the_tracks_of_the_encoder() -> None:
-    plain = Encoder(harmonics=(Harmonic(3, 0.05, 0.03),), phase_error_rad=0.1)
-    filtered = Encoder(
-        harmonics=plain.harmonics, phase_error_rad=0.1, path=AnalogPath(sine_corner_hz=1e5, delay_s=1e-6)
-    )
-    x = np.linspace(0.0, 1.0, 50)
-    for one, other in zip(plain.tracks(x), filtered.tracks(x), strict=True):
-        assert one == pytest.approx(other, abs=1e-9)
 
 
 @pytest.mark.parametrize(

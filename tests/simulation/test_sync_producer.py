@@ -16,7 +16,7 @@ from canfb.cia301.frame import Frame
 from canfb.configuration import parse_config
 from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.sample_instants import TRUE_TIME, SampleClock
+from canfb.interface.sample_instants import SampleClock
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource, Ramp
@@ -274,16 +274,6 @@ def test_in_slow_motion_each_sync_is_one_interval_however_late() -> None:
     assert cycles == pytest.approx([0.1] * 6, abs=2e-3)
     assert ticks == pytest.approx([10_000] * 6, abs=1)
     assert hearing.time_s == pytest.approx(7e-3)
-
-
-def test_in_true_time_a_late_sync_finds_the_machine_further_on() -> None:
-    bus, interface, _, sent = slow()
-    interface.time_base = TRUE_TIME
-    for at in LATE_S:
-        bus.run_until(at)
-        bus.send(SYNC)
-    later = [b - a for a, b in itertools.pairwise(LATE_S)]
-    assert steps(sent)[1] == pytest.approx([1e7 * seconds for seconds in later], abs=1)
 
 
 def test_1006h_and_1005h_of_the_interface_count() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS, DriveBench, cruising
@@ -85,17 +86,6 @@ def test_the_fault_stays_until_it_is_reset_and_the_feedback_is_good() -> None:
     bench.enable()
     bench.cycle(100)
     assert bench.motor.revolutions == pytest.approx(place, abs=1e-4), "where it stood, not where it was to go"
-
-
-@each("code, is_fault", [(0x7300, True), (0x8210, False)])
-def test_a_sensor_emergency_of_the_module_is_enough(code: int, is_fault: bool) -> None:
-    bench = cruising()
-    bench.bus.send(Frame(0x80 + MODULE_ID, struct.pack("<HB5x", code, 0x21)))
-    if is_fault:
-        assert_fault(bench, 0x7305)
-    else:
-        bench.onward()
-        assert bench.state is State.OPERATION_ENABLED
 
 
 @pytest.mark.parametrize("tolerated", [0, 2])
@@ -286,8 +276,8 @@ class Rig:
         self.drive.start(self.now)
         self.status, self.offset, self.silent = 1, 0, False
 
-    def give(self, can_id: int, data: bytes) -> None:
-        frame = Frame(can_id, data)
+    def give(self, can_id: int, data: bytes, rtr: bool = False) -> None:
+        frame = Frame(can_id, data, rtr)
         self.plant.receive(frame, self.now)
         self.drive.receive(frame, self.now)
         self.check()
@@ -324,10 +314,7 @@ class Rig:
         assert shown & 0x6F == drive.power.value or drive.power.value & 0x4F == shown & 0x4F
 
 
-def mode(value: int) -> bytes:
-    return struct.pack("<Hb", 0, value)
-
-
+IDS = [0x000, 0x080, 0x0A0, 0x100, 0x1A0, 0x230, 0x330, 0x630, 0x720, 0x7E5]
 WORDS = [0x00, 0x02, 0x06, 0x07, 0x0F, 0x1F, 0x3F, 0x5F, 0x80, 0x10F, 0x8F]
 ACTION = st.one_of(
     st.tuples(st.just("control"), st.sampled_from(WORDS)),
@@ -343,13 +330,14 @@ ACTION = st.one_of(
     st.tuples(st.just("nmt"), st.sampled_from([1, 1, 2, 128, 129, 130])),
     st.tuples(st.just("pause"), st.sampled_from([0.01, 0.2])),
     st.tuples(st.just("boot"), st.just(0)),
+    st.tuples(st.just("frame"), st.tuples(st.sampled_from(IDS), st.binary(max_size=8), st.booleans())),
 )
 
 
 @example([("target", UNITS), ("mode", 8), ("cycle", 11), ("nmt", 2)])  # stopped in a fault reaction
 @examples(150)
 @given(st.lists(ACTION, max_size=40))
-def test_no_torque_without_a_state_that_allows_it(actions: list[tuple[str, int]]) -> None:
+def test_no_frame_raises_and_no_torque_without_a_state_that_allows_it(actions: list[tuple[str, Any]]) -> None:
     rig = Rig()
     rig.cycle(5)
     for word in (0x06, 0x07, 0x0F):
@@ -378,4 +366,6 @@ def test_no_torque_without_a_state_that_allows_it(actions: list[tuple[str, int]]
             rig.wait(value)
         elif name == "boot":
             rig.give(0x700 + MODULE_ID, b"\x00")
+        elif name == "frame":
+            rig.give(*value)
     event(rig.drive.power.name)

@@ -114,18 +114,6 @@ def test_the_dead_time_is_a_period_if_the_feedback_is_synchronous(synchronous: b
     assert bench.read(0x2101, 2) == pytest.approx(dead_us, abs=1)
 
 
-def test_the_position_is_there_in_the_cycle_of_its_sample() -> None:
-    """SYNC, ADC counts, position, torque: one after the other within one instant of the bus."""
-    bench = enabled()
-    bench.cycle(10)
-    used = bench.read(0x2111, 2)
-    before = len(bench.heard)
-    bench.cycle()
-    order = [frame.can_id for frame in bench.heard[before:] if frame.can_id in (0x80, 0x190, 0x1A0)]
-    assert order == [0x80, 0x190, 0x1A0]
-    assert bench.read(0x2111, 2) == used + 1
-
-
 CYCLES = 2500
 AMPLITUDE = 0.5  # revolutions, at 1 Hz
 

@@ -39,14 +39,6 @@ class Input:
         return self.feedback.wrong
 
 
-def test_before_the_first_position_it_is_missing() -> None:
-    one = Input()
-    assert one.wrong == Wrong.MISSING
-    assert one.take(100)
-    assert one.wrong == Wrong(0)
-    assert (one.feedback.position, one.feedback.speed) == (100, 0.0)
-
-
 @pytest.mark.parametrize(
     ("full", "raw", "position"),
     [
@@ -107,14 +99,6 @@ def test_positions_that_come_together_leave_the_last_one() -> None:
     assert one.feedback.speed == pytest.approx(1.0), "of one interval, from the last one on"
 
 
-def test_one_more_that_the_machine_cannot_reach_is_not_used() -> None:
-    one = Input()
-    one.take(0)
-    one.take(1000)
-    assert not one.take(1000 + 2_048_001, syncs=0)
-    assert (one.wrong, one.feedback.position) == (Wrong(0), 1000)
-
-
 @given(st.lists(st.floats(-2e-4, 2e-4), min_size=3, max_size=30))
 def test_the_speed_is_that_of_true_time_however_the_syncs_jitter(jitter: list[float]) -> None:
     one, last = Input(), 0.0
@@ -158,22 +142,6 @@ def test_a_step_at_the_limit_is_believed(largest: int, step: int) -> None:
     assert not one.take((4 * step + (1 if step > 0 else -1)) % FULL)
 
 
-def test_without_supervision_a_jump_is_a_new_beginning() -> None:
-    one = Input()
-    one.take(0)
-    assert one.take(1_000_000_000, supervised=False)
-    assert (one.wrong, one.feedback.position, one.feedback.speed) == (Wrong(0), 1_000_000_000, 0.0)
-
-
-def test_a_position_that_is_not_valid_is_not_used() -> None:
-    one = Input()
-    one.take(0)
-    assert not one.take(50, 0xFFFE)
-    assert (one.wrong, one.feedback.position) == (Wrong.STATUS, 0)
-    assert one.take(90)
-    assert one.feedback.speed == pytest.approx(90 / 20_480_000 / 2e-3)
-
-
 @given(st.integers(0, 0xFFFF), st.integers(0, 0xFFFF), st.integers(0, 0xFFFF))
 def test_mask_and_expected_value_decide(status: int, mask: int, expected: int) -> None:
     one = Input()
@@ -188,21 +156,6 @@ def test_beyond_the_range_is_wrong() -> None:
     assert not one.take(FULL)
     assert one.wrong == Wrong.RANGE
     assert Input(0).take(FULL)
-
-
-@each("tolerated", [0, 2, 255])
-def test_missing_after_as_many_syncs_as_are_tolerated(tolerated: int) -> None:
-    one = Input()
-    DICTIONARY.entry(0x2110, 6).value = tolerated
-    one.take(0)
-    for _ in range(tolerated + 1):
-        one.sync()
-    assert one.wrong == Wrong(0)
-    one.sync()
-    assert one.wrong == Wrong.MISSING
-    assert DICTIONARY.entry(0x2111, 3).value == tolerated + 1
-    assert one.take(0)
-    assert one.wrong == Wrong(0)
 
 
 @each("code", [0x7300, 0x7305, 0x73FF, 0x1000, 0x7200, 0x7400, 0x8130, 0xFF00])

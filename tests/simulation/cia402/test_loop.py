@@ -26,10 +26,6 @@ def test_gains_that_are_0_are_chosen_and_others_are_kept() -> None:
     assert chosen_gains(GAINS, 5e-3) == GAINS
 
 
-def test_on_target_at_rest_there_is_no_torque() -> None:
-    assert step(PositionLoop(), Demand(3.0), 3.0) == 0.0
-
-
 def test_the_torque_is_the_sum_of_its_parts() -> None:
     demand = Demand(1e-5, 0.1, 10.0)
     loop = PositionLoop()
