@@ -65,32 +65,39 @@ def test_new_entries_and_another_cob_id(tmp_path: Path) -> None:
     ]
 
 
-def test_a_node_that_is_not_there(tmp_path: Path) -> None:
+SAVED = "    eds: canfb-module.eds\n    save: true\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("node_id: 0x21", "node_id: 0x22", "module (22h) 1000:00: no answer"),
+        (
+            "product_code: 1,",
+            "product_code: 7,",
+            "module (21h) 1018:02: another device, 00000001h where 00000007h",
+        ),
+        ("6000: 4", "6000: 8", "module (21h) 6000:00: abort 06090030h, Value range of parameter exceeded"),
+        ("    eds: canfb-module.eds\n", SAVED, "module (21h) 1010:01: abort 08000020h"),
+    ],
+)
+def test_a_failure_names_node_and_object_and_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, said: str
+) -> None:
     network = Network()
-    text = TEXT.replace("node_id: 0x21", "node_id: 0x22")
-    made = configuration(network, tmp_path, text)
+    before = network.values()
+    made = configuration(network, tmp_path, TEXT.replace(old, new))
+    monkeypatch.setattr(configuring, "ANSWER_S", 0.01)
     made.remotes["module"].sdo.RESPONSE_TIMEOUT = 0.01
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(configuring, "ANSWER_S", 0.01)
-        with pytest.raises(configuring.NetworkError, match=r"module \(22h\) 1000:00: no answer"):
-            made.check_identity()
 
-
-def test_another_device(tmp_path: Path) -> None:
-    made = configuration(Network(), tmp_path, TEXT.replace("product_code: 1,", "product_code: 7,"))
-    with pytest.raises(
-        configuring.NetworkError, match=r"module \(21h\) 1018:02: another device, 00000001h where 00000007h"
-    ):
+    def check_and_apply() -> None:
         made.check_identity()
+        made.apply()
 
-
-REFUSED = TEXT.replace("6000: 4", "6000: 8")
-
-
-def test_a_refusal_names_node_object_and_abort_code(tmp_path: Path) -> None:
     with pytest.raises(configuring.NetworkError) as error:
-        configuration(Network(), tmp_path, REFUSED).apply()
-    assert str(error.value) == "module (21h) 6000:00: abort 06090030h, Value range of parameter exceeded"
+        check_and_apply()
+    assert str(error.value).startswith(said)
+    assert network.values() == before
 
 
 @pytest.mark.parametrize("refused", [0x6000, 0x1A00, 0x1800, 0x1016, 0x1017])
@@ -130,7 +137,7 @@ def test_what_a_node_does_not_take_is_noticed(tmp_path: Path) -> None:
 def test_saved_parameters_survive_a_reset(tmp_path: Path) -> None:
     store = MemoryStore()
     network = Network(store)
-    text = TEXT.replace("    eds: canfb-module.eds\n", "    eds: canfb-module.eds\n    save: true\n")
+    text = TEXT.replace("    eds: canfb-module.eds\n", SAVED)
     configuration(network, tmp_path, text).apply()
     assert store.images
     network.network.send_message(0, bytes([0x81, MODULE_ID]))
@@ -139,12 +146,3 @@ def test_saved_parameters_survive_a_reset(tmp_path: Path) -> None:
     kept = dict(store.images)
     made.apply()
     assert store.images == kept
-
-
-def test_a_node_that_cannot_save_is_named(tmp_path: Path) -> None:
-    network = Network()
-    text = TEXT.replace("    eds: canfb-module.eds\n", "    eds: canfb-module.eds\n    save: true\n")
-    before = network.values()
-    with pytest.raises(configuring.NetworkError, match=r"module \(21h\) 1010:01: abort 08000020h"):
-        configuration(network, tmp_path, text).apply()
-    assert network.values() == before

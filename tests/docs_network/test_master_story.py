@@ -23,7 +23,6 @@ from canfb.simulation.cia402.drive import DriveError
 from canfb.simulation.cia402.state_machine import State
 
 TEXT = (FOLDER / "network.yaml").read_text(encoding="utf-8")
-SYNC_S = 0.01
 
 
 def figure(said: str, what: str, move: int = 0) -> float:

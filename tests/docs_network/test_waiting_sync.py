@@ -64,11 +64,13 @@ def test_the_next_one_waits_for_a_late_answer() -> None:
     assert not network.hearers
 
 
-def test_who_has_gone_is_waited_for_once() -> None:
+@pytest.mark.parametrize("until", [9, 0])
+def test_who_has_gone_is_waited_for_once_and_nobody_who_answers_not_at_all(until: int) -> None:
     reached = threading.Event()
 
     def answer(network: Answers, number: int) -> None:
-        network.hear(*((0x1A0, 0x1B0) if number <= 9 else (0x1A0,)))
+        if until:
+            network.hear(*((0x1A0, 0x1B0) if number <= until else (0x1A0,)))
         if number == 50:
             reached.set()
 
@@ -77,22 +79,9 @@ def test_who_has_gone_is_waited_for_once() -> None:
     sync.stop()
 
 
-def test_nobody_who_answers_is_a_sync_at_its_period() -> None:
-    reached = threading.Event()
-
+def test_a_bus_that_fails_ends_it() -> None:
     def answer(network: Answers, number: int) -> None:
-        if number == 20:
-            reached.set()
-
-    _, sync = started(answer, 0.4)
-    assert reached.wait(PATIENCE_S)
-    sync.stop()
-
-
-@pytest.mark.parametrize("error", [OSError("Network is down")])
-def test_a_bus_that_fails_ends_it(error: OSError) -> None:
-    def answer(network: Answers, number: int) -> None:
-        raise error
+        raise OSError("Network is down")
 
     _, sync = started(answer, PATIENCE_S)
     sync.join(PATIENCE_S)
