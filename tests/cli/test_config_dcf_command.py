@@ -35,7 +35,6 @@ from documentation import blocks, commands, page
 PHASES = np.arange(64) / 64
 TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
 ONE = "modules: [{node_id: 0x21, cycles_per_revolution: 1024, adc_bits: 16, encoder_interface: 0x11}]\n"
-TWO = "modules: [{node_id: 0x20}, {node_id: 0x21, coast_samples: 9}]\n"
 
 
 class Peer(EmbeddedNetwork):
@@ -93,8 +92,12 @@ def test_a_dcf_that_makes_a_module_as_delivered_the_one_of_the_configuration(
     assert "FileName=module-21h.dcf\n" in text
 
 
-def test_bus_options_of_the_command_come_first(yaml: Path, command: Command) -> None:
-    command("config dcf -b 500000 --out a.dcf --name left_drive", yaml)
+@pytest.mark.parametrize("name", ["0x21", "33"])
+def test_one_of_several_and_bus_options_of_the_command(name: str, yaml: Path, command: Command) -> None:
+    yaml.write_text("modules: [{node_id: 0x20}, {node_id: 0x21, coast_samples: 9}]\n")
+    out, _ = command("config dcf -b 500000 --out a.dcf --name left_drive", yaml, name)
+    assert "node 33 (21h)" in out
+    assert "2010:03" in out
     text = Path("a.dcf").read_text()
     assert "Baudrate=500\n" in text
     assert "NodeName=left_drive\n" in text
@@ -157,14 +160,6 @@ def test_for_programs(yaml: Path, command: Command) -> None:
     assert said.json["changed"]["2001:01"] == 1024
     wanted = {"dcf": "module-21h.dcf", "node_id": 0x21, "table": None, "table_crc32": "00000000"}
     assert said.json == said.json | wanted | {"refused_in_index_order": []}
-
-
-@pytest.mark.parametrize("name", ["0x21", "33"])
-def test_one_of_several(name: str, yaml: Path, command: Command) -> None:
-    yaml.write_text(TWO)
-    out, _ = command("config dcf", yaml, name)
-    assert "node 33 (21h)" in out
-    assert "2010:03" in out
 
 
 def test_what_a_master_in_the_order_of_the_indices_cannot_write_is_told(yaml: Path, command: Command) -> None:
