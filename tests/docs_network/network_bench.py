@@ -55,12 +55,13 @@ start: [interface, module]
 
 
 class Network:
-    """The two nodes, powered on; everything that the master sends is in ``sent``."""
+    """The two nodes, powered on; every frame is in ``sent``."""
 
     def __init__(self, store: Store | None = None) -> None:
         self.bus = EmbeddedBus()
         self.sent: list[Frame] = []
-        self.network = _Recording(self.bus, self.sent)
+        self.bus.observers.append(lambda frame, now: self.sent.append(frame))
+        self.network = EmbeddedNetwork(self.bus)
         self.module = FeedbackModule(ModuleConfig(node_id=MODULE_ID, encoder_interface=INTERFACE_ID), store)
         self.interface = EncoderInterface(INTERFACE_ID, Still(0, 1500))
         for device in (self.interface, self.module):
@@ -89,16 +90,6 @@ class Network:
             for frame in self.sent
             if frame.can_id == 0x600 + node_id and frame.data[0] & 0xE2 == 0x22
         ]
-
-
-class _Recording(EmbeddedNetwork):
-    def __init__(self, bus: EmbeddedBus, sent: list[Frame]) -> None:
-        super().__init__(bus)
-        self._sent = sent
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        self._sent.append(Frame(can_id, bytes(data), remote))
-        super().send_message(can_id, data, remote)
 
 
 def write(folder: Path, text: str = TEXT) -> Path:

@@ -20,38 +20,23 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.state_machine import State
 from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus
 from canfb.simulation.set_up import simulated_axis
-from canfb.simulation.sync_producer import REGULAR, SyncDeviation, SyncTiming
+from canfb.simulation.sync_producer import REGULAR, SyncProducer, SyncTiming
 
 BIT_RATE = 1_000_000
 SYNC_TIMING = SyncTiming(sync_jitter_us=100.0, sync_drift_ppm=-50.0)
 FOLDER = Path(__file__).parents[2] / "docs" / "drive-network"
 
 
-class Periodic:
+class Periodic(SyncProducer):
     """A frame sent again and again by the master; may be stopped."""
 
     def __init__(self, frame: Frame, period_s: float) -> None:
+        super().__init__(period_s, SYNC_TIMING if frame.can_id == 0x80 else REGULAR)
         self._frame = frame
-        self._deviation = SyncDeviation(SYNC_TIMING if frame.can_id == 0x80 else REGULAR, period_s)
-        self._nominal_s = 0.0
-        self._next_s: float | None = None
 
-    def start(self, now: float) -> list[Frame]:
-        self._next_s = self._nominal_s = now
-        return []
-
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        return []
-
-    def deadline(self) -> float | None:
-        return self._next_s
-
-    def tick(self, now: float) -> list[Frame]:
-        if self._next_s is None or now < self._next_s:
-            return []
-        self._nominal_s += self._deviation.period_s
-        self._next_s = self._nominal_s + self._deviation.next_s()
-        return [self._frame]
+    def _due(self, due_s: float, now: float) -> Frame:
+        super()._due(due_s, now)
+        return self._frame
 
     def update(self, data: bytes) -> None:
         self._frame = Frame(self._frame.can_id, bytes(data))
