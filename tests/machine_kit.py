@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from canfb import objects as od
 from canfb.commission.limit_choice import Choice, choose
@@ -20,7 +19,6 @@ from canfb.simulation.encoder import Encoder
 from canfb.simulation.motion import Motion, Ramp, Ripple
 
 N, RATE_HZ = 2500, 1000.0
-FULL_SCALE = 2048
 BEFORE = {
     od.ENCODER_LOWEST_AMPLITUDE: 410,
     od.ENCODER_HIGHEST_AMPLITUDE: 2560,
@@ -121,7 +119,3 @@ class SimulatedMachine:
         choices = choose(observed.machine, self.limits, margin, known)
         new = self.limits.changed({one.place: one.value for one in choices})
         return observed, new, {one.place: one for one in choices}
-
-
-def wrapped(phase: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    return phase - np.floor(phase + 0.5)

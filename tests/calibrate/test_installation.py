@@ -8,7 +8,7 @@ import pty
 import signal
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 import pytest
@@ -136,7 +136,7 @@ def test_an_interruption_leaves_the_old_set(
     with pytest.raises(KeyboardInterrupt):
         run_install(bench, measured, fresh, settings, guard, step=said.append)
     bench.module.receive = receive  # type: ignore[method-assign]
-    assert said[-1] == AS_BEFORE
+    assert said[-2:] == ["restoring the old table", AS_BEFORE]
     assert read_active(bench.access) == old
 
 
@@ -147,41 +147,23 @@ def test_put_back_tells_when_it_is_not_what_it_was(old: Correction, measured: Me
         put_in_force_again(bench.access, old)
 
 
-def interrupted(bench: Bench, times: int, stream: TextIO, gone: int | None = None) -> None:
-    """`canfb calibrate`, and SIGHUP as soon as the new table is active; ``gone``: and the terminal."""
-    guard, terminal = Guard(), [] if gone is None else [gone]
+def test_a_terminal_that_has_gone_does_not_keep_the_old_table_away() -> None:
+    """SIGHUP, twice, as soon as the new table is active."""
+    bench, guard = Bench(), Guard()
+    ours, theirs = pty.openpty()
+    terminal = [ours]
+    stream = os.fdopen(theirs, "w", encoding="utf-8")
 
     def hang_up(now: float) -> None:
         if bench.value(0x2020, 4):
-            for descriptor in terminal:
-                os.close(descriptor)
-            terminal.clear()
-            for _ in range(times):
+            while terminal:
+                os.close(terminal.pop())
+            for _ in range(2):
                 signal.raise_signal(signal.SIGHUP)
 
     bench.master.on_wait = hang_up
-    with ending_on_signals(guard.interrupt):
+    with ending_on_signals(guard.interrupt), pytest.raises(KeyboardInterrupt):
         calibrate(bench, progress=Progress(stream=stream), guard=guard)
-
-
-def test_a_hangup_while_it_is_proven_puts_the_old_table_back() -> None:
-    bench, said = Bench(), io.StringIO()
-    with pytest.raises(KeyboardInterrupt):
-        interrupted(bench, 1, said)
-    bench.master.on_wait = lambda now: None
-    assert read_active(bench.access) == NO_CORRECTION
-    assert said.getvalue().splitlines()[-2:] == [
-        "... restoring the old table",
-        "... the previous table and conditioning are active in module 32 (20h)",
-    ]
-
-
-def test_a_terminal_that_has_gone_does_not_keep_the_old_table_away() -> None:
-    bench = Bench()
-    ours, theirs = pty.openpty()
-    stream = os.fdopen(theirs, "w", encoding="utf-8")
-    with pytest.raises(KeyboardInterrupt):
-        interrupted(bench, 2, stream, gone=ours)
     with pytest.raises(OSError, match="Input/output error"):
         stream.close()  # what it still holds
     bench.master.on_wait = lambda now: None
@@ -222,20 +204,15 @@ def found(measured: Measurement, samples: TrackSamples) -> float:
 
 
 @pytest.mark.parametrize("rpm", [31.0, 250.0, 600.0, 1900.0, -700.0])
-def test_it_is_the_noise_with_the_right_table(rpm: float, measured: Measurement) -> None:
-    samples = recorded(random_encoder(3), 2000, rpm=rpm, start_s=60.0, seed=2)
-    assert found(measured, samples) == pytest.approx(measured.calibration.residual_rms, rel=0.25)
-
-
-@pytest.mark.parametrize("size", [0.0005, 0.002])
-@pytest.mark.parametrize("order", [1, 2, 5])
-def test_a_wrong_table_shows_by_its_error(
-    size: float, order: int, measured: Measurement, fresh: TrackSamples
+@pytest.mark.parametrize(("size", "order"), [(0.0, 1), (0.0005, 1), (0.002, 2), (0.002, 5)])
+def test_it_is_the_noise_and_the_error_of_a_wrong_table(
+    rpm: float, size: float, order: int, measured: Measurement
 ) -> None:
+    samples = recorded(random_encoder(3), 2000, rpm=rpm, start_s=60.0, seed=2)
     x = np.arange(256) / 256
     wrong = CorrectionTable(measured.calibration.table(x) + size * np.sin(2 * np.pi * order * x))
-    used = Correction(wrong, measured.found.conditioning)
-    got = best_deviation(fresh.recording(12), used, measured.before, block_of(measured.calibration))
+    used = Correction(wrong, measured.found.conditioning) if size else measured.found
+    got = best_deviation(samples.recording(12), used, measured.before, block_of(measured.calibration))
     want = np.hypot(size / np.sqrt(2), measured.calibration.residual_rms)
     assert got.rms == pytest.approx(want, rel=0.25)
     assert got.peak > got.rms

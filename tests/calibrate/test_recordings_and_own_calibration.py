@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibrating import calibrate, command, position_errors
-from test_calibrate_on_a_bus import calibrated
 
 from canfb.cia301.frame import Frame
 from canfb.cli.calibrate import choices_of
-from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.node_options import nodes_of
 from canfb.configuration import parse_config
@@ -88,14 +86,6 @@ def test_the_rate_of_a_recording_that_does_not_say_it(monkeypatch: pytest.Monkey
     bench = Bench()
     monkeypatch.delitem(bench.module.dictionary._entries, (0x2050, 4))
     assert record(bench.access, 0.5, 990.0, lambda part: None).rate_hz == 990.0
-
-
-def test_the_recording_of_the_module_makes_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    bench = Bench()
-    assert calibrate(bench, "--source", "recording", "--recorder", "module", "--json") == 0
-    figures = json.loads(capsys.readouterr().out)
-    assert figures["active"]
-    assert figures["crc32"] == f"{bench.value(0x2020, 4):08X}"
 
 
 def test_the_module_measures_by_itself(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -232,19 +222,6 @@ def test_every_sample_is_heard_in_its_order(per_sync: int) -> None:
     locked = away[len(away) // 2 :]  # to SYNC, whose jitter of 20 us is half a cycle
     assert np.abs(locked).max() < 0.05 * speed / (RATE_HZ * per_sync) + 0.1
     assert samples.missed <= 2 * per_sync  # the first SYNC has none
-
-
-def test_a_calibration_by_two_samples_for_each_sync(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = EXAMPLE.replace("    times: true", "    samples_per_sync: 2\n    times: true", 1)
-    assert text != EXAMPLE
-    module, _, took_s = calibrated(text, tmp_path, "--least-samples", "3000")
-    figures = json.loads(capsys.readouterr().out)
-    assert figures["accepted"]
-    assert figures["fresh_rms_cycles"] < 2e-4
-    assert took_s < 50.0
-    assert module.limits.samples_per_sync == 2
 
 
 def test_the_interface_records_and_the_position_becomes_right(capsys: pytest.CaptureFixture[str]) -> None:

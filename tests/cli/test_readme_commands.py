@@ -31,7 +31,6 @@ from canfb.simulation.demand import of_motion
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.set_up import source_of
 from canfb.simulation.sync_producer import SyncProducer
-from commands import Command
 from documentation import blocks, commands, page
 from judged_session import check, new_judge
 from processes import python
@@ -123,14 +122,6 @@ def test_the_recording_is_small_and_plays_for_ten_seconds_without_a_fault() -> N
     session.run(10.0)
     assert len(session.valid) >= 10.0 * options.rate - 2
     assert all(session.valid[START_SAMPLES:])
-
-
-def test_the_recording_calibrates_as_the_page_has_it(
-    monkeypatch: pytest.MonkeyPatch, command: Command
-) -> None:
-    lines = [words for words in commands(SIMULATION) if words[0] == "calibrate" and RECORDING in words]
-    monkeypatch.chdir(ROOT)
-    assert "Accepted. The error within a cycle falls from " in command("", *lines[0]).out
 
 
 @pytest.fixture

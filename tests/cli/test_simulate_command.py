@@ -181,10 +181,18 @@ def network_of(config: Config) -> SimulatedNetwork:
     )
 
 
-@pytest.mark.parametrize(("per_sync", "held"), [(1, False), (2, True), (4, True)])
-def test_a_move_on_the_bus(per_sync: int, held: bool) -> None:
+@pytest.mark.parametrize(
+    ("per_sync", "followed", "held"),
+    [(1, "838 at 1000 Hz (eq. 10)", False), (2, "3.35e+03 at 1000 Hz with 2 samples for each SYNC", True)],
+)
+def test_a_move_is_followed_or_warned_of(per_sync: int, followed: str, held: bool) -> None:
     config = parse_config(MOVE.format(per_sync=per_sync))
     network, module, bus = network_of(config), FeedbackModule(config.modules[0]), EmbeddedBus(1_000_000)
+    demand = network.demand
+    assert demand is not None
+    assert f"the module follows {followed}" in demand.describe()
+    assert (demand.warning() is None) is held
+    assert demand.sync_hz == RATE_HZ
     for device in (*network.devices, module):
         bus.attach(device)
     source = network.interface.source
@@ -203,15 +211,3 @@ def test_a_move_on_the_bus(per_sync: int, held: bool) -> None:
     assert len(valid) > 390
     exact = all(valid) and max(abs(one - away[0]) for one in away) < 0.3
     assert exact is held, away[-1] - away[0]
-
-
-@pytest.mark.parametrize(
-    ("per_sync", "followed", "warned"),
-    [(1, "838 at 1000 Hz (eq. 10)", True), (2, "3.35e+03 at 1000 Hz with 2 samples for each SYNC", False)],
-)
-def test_what_is_said_of_it(per_sync: int, followed: str, warned: bool) -> None:
-    demand = network_of(parse_config(MOVE.format(per_sync=per_sync))).demand
-    assert demand is not None
-    assert f"the module follows {followed}" in demand.describe()
-    assert (demand.warning() is not None) is warned
-    assert demand.sync_hz == RATE_HZ

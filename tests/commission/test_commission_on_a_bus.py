@@ -258,7 +258,6 @@ def test_the_recording_of_the_module_serves_as_well(capsys: pytest.CaptureFixtur
     assert writes == {b"\x50\x20\x01"}, "start and stop of the recording, nothing else"
 
 
-ROOT = Path(__file__).parents[2]
 PAGE = page("plan").partition("\n## Measured on")[2]
 CONFIG = "bus: {interface: virtual}\nmodules: [{node_id: 0x20, encoder_interface: 0x10}]\n"
 
