@@ -19,6 +19,7 @@ def refused(text: str) -> str:
 
 MODULE = "modules:\n- node_id: 3\n"
 BRIEF = "modules: [{node_id: 3}]\n"
+SECOND = MODULE + "  second_position: {increments: 1, "
 DRIVE = "simulation:\n  drive: "
 # Text: the line, and words of the message.
 WRONG = {
@@ -52,6 +53,24 @@ WRONG = {
     "modules:\n- node_id: {a: 3}\n": "2: 'node_id' in modules[0] must be a single value",
     MODULE + "  autostart: 1\n": "3: autostart must be true or false, not 1",
     MODULE + "  state_dir: 4\n": "3: state_dir must be the name of a folder",
+    MODULE + "  adapt: 3\n": "3: modules[0]: adapt must be true, false or a mapping with its bounds, not 3",
+    MODULE + "  adapt: {offset: 0.3}\n": "3: adapt: offset must be a number 0..0.25, not 0.3",
+    MODULE + "  adapt: {gain: yes}\n": "3: adapt: gain must be a number 0..0.5, not True",
+    MODULE + "  adapt: {rate: 1}\n": (
+        "3: unknown key 'rate' in adapt; known: offset, gain, phase_rad, rate_per_hour"
+    ),
+    MODULE + "  adapt: [1]\n": "3: adapt must be a mapping",
+    SECOND + "cob_id: 0x180}\n": "3: second_position: cob_id must be a whole number 385..1407, not 384",
+    SECOND + "cob_id: 0x600}\n": "3: second_position: cob_id must be",
+    SECOND + "before_bytes: 5}\n": "3: second_position: before_bytes must be a whole number 0..4, not 5",
+    SECOND + "after_bytes: -1}\n": "3: second_position: after_bytes must be",
+    SECOND + "cob_id: 0x1B0}\n  times: true\n  samples_per_sync: 7\n": (
+        "3: modules[0]: second_position: no RPDO is left for cob_id"
+    ),
+    MODULE + "  write_lock: on\n": "3: modules[0]: write_lock must be none, preop or code, not True",
+    MODULE + "  write_lock: code\n": "3: modules[0]: write_lock: code needs an unlock_code",
+    MODULE + "  unlock_code: -1\n": "3: modules[0]: unlock_code must be a whole number 0..4294967295, not -1",
+    MODULE + "  unlock_code: 0x100000000\n": "3: modules[0]: unlock_code must be",
     MODULE + "  conditioning: none\n": "3: conditioning must be a mapping",
     "modules:\n- node_id: 0\n": "2: node_id must be a whole number 1..127, not 0",
     "modules:\n- adc_bits: 17\n  node_id: 3\n": "2: adc_bits must be a whole number 4..16, not 17",
@@ -60,6 +79,10 @@ WRONG = {
     MODULE + "  sync_timeout_periods: 1\n": "3: sync_timeout_periods must be",
     MODULE + "  nominal_sync: 2\n": "3: nominal_sync must be",
     MODULE + "  predict: 3\n": "3: predict must be false",
+    MODULE + "  samples_per_sync: 9\n": "3: samples_per_sync must be a whole number 1..8, not 9",
+    MODULE + "  times: true\n  samples_per_sync: 8\n": (
+        "4: samples_per_sync must be a whole number 1..7, not 8"
+    ),
     MODULE + "  conditioning:\n    sine_gain: 1\n    cosine_gain: 0\n": (
         "5: cosine_gain is out of range: its size must be 0.001 to 1000"
     ),

@@ -9,8 +9,3 @@ def bench() -> Bench:
     made = Bench()
     made.start()
     return made
-
-
-@pytest.fixture
-def make_bench() -> type[Bench]:
-    return Bench

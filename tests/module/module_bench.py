@@ -13,6 +13,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.sources.protocol import Source
 from ideal_tracks import counts_at
 
 SYNC = Frame(0x80, b"")
@@ -23,11 +24,11 @@ class Bench:
 
     place: float  # for tests that turn it in steps
 
-    def __init__(self, store: Store | None = None, **fields: Any) -> None:
+    def __init__(self, store: Store | None = None, source: Source | None = None, **fields: Any) -> None:
         self.bus = EmbeddedBus()
         self.heard: list[Frame] = []
         self.network = EmbeddedNetwork(self.bus)
-        self.module = FeedbackModule(ModuleConfig(**{"node_id": 32, **fields}), store)
+        self.module = FeedbackModule(ModuleConfig(**{"node_id": 32, **fields}), store, source=source)
         self.remote = canopen.RemoteNode(self.module.config.node_id, str(eds_path("canfb-module")))
         self.network.add_node(self.remote)
         self.sdo = self.remote.sdo

@@ -9,23 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from module_bench import Bench
 
-import canfb
 from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.correction import Correction
 from folding import each
+from servo_kit import IDEAL_TABLE
 
 SYNC, ADC_PDO, POSITION_PDO = 0x80, 0x190, 0x1A0
 INTERVAL_S = 1e-3
 UNITS = 8192  # of 6004h in a cycle
-GRID = np.arange(4096) / 4096
-RAW = canfb.phase_in_cycle(np.sin(2 * np.pi * GRID), np.cos(2 * np.pi * GRID))
-TABLE = CorrectionTable(np.interp(np.arange(1024) / 1024, RAW, GRID))
 QUANTUM = 1.5 / UNITS + 1e-4  # of the position, and of a converter of 16 bits at 0.7 of its range
 Motion = Callable[[float], float]
 
@@ -40,7 +36,7 @@ class Machine:
         config = ModuleConfig(node_id=32, encoder_interface=16, autostart=True, adc_bits=16, **fields)
         self.module = FeedbackModule(config)
         self.module.start(0.0)
-        self.module.use_correction(Correction(TABLE, config.conditioning))
+        self.module.use_correction(Correction(IDEAL_TABLE, config.conditioning))
         self.times = config.times
         self.now = 0.0
         self.amplitude = 23000.0
@@ -129,15 +125,3 @@ def test_a_prediction_goes_on_from_there(kind: int) -> None:
 
 
 # The objects.
-
-
-def test_the_delays_wait_for_the_activation_and_the_corner_does_not(bench: Bench) -> None:
-    chain = bench.module.chain
-    bench.sdo[0x2002][6].raw = 1e-6
-    bench.sdo[0x2002][7].raw = 2e-6
-    bench.sdo[0x2001][5].raw = 125e3
-    assert chain.correction.conditioning.delay_s == 0.0
-    assert bench.module.limits.corners.corner_hz == 125e3
-    bench.sdo[0x2020][3].raw = 0
-    used = chain.correction.conditioning
-    assert (used.cosine_delay_s, used.delay_s) == pytest.approx((1e-6, 2e-6))

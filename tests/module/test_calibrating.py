@@ -27,14 +27,14 @@ from canfb.calibration.deviation import drift
 from canfb.calibration.result import Reason
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
-from canfb.module.objects import calibrating
+from canfb.module.objects.calibrating import CalibrationJob
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.objects import StatusBit
-from canfb.signal.correction import CorrectionTable
 from canfb.simulation.encoder import Encoder, Harmonic
+from ideal_tracks import wavy_table
 
-WAVY = CorrectionTable(np.arange(64) / 64 + 0.01 * np.sin(np.arange(64) * np.pi / 32))
+WAVY = wavy_table()
 
 
 def any_counts(rng: np.random.Generator) -> Counts:
@@ -240,11 +240,11 @@ def test_what_was_accepted_can_be_saved_and_is_in_force_after_a_reset() -> None:
 # --- samples ------------------------------------------------------------------------------------------------
 
 
-def recorded_pairs(bench: Measuring) -> list[tuple[int, int]]:
+def recorded(bench: Measuring) -> tuple[CalibrationJob, list[tuple[int, int]]]:
     bench.command(Command.FINISH)
     job = bench.module.pending_job()
     assert job is not None
-    return list(struct.iter_unpack("<hh", job.samples))
+    return job, list(struct.iter_unpack("<hh", job.samples))
 
 
 MISSED = (-32768, -32768)
@@ -256,40 +256,16 @@ def test_flagged_samples_are_left_out_and_keep_their_place() -> None:
     bench.feed([(0, 1500)] * 5)
     bench.command(Command.START)
     bench.feed([(0, 1500), (0, 100), None, (9, 1500), (2047, 0), (9, 1500)])
-    assert recorded_pairs(bench) == [(0, 1500), MISSED, MISSED, (9, 1500), (2047, 0), (9, 1500)], (
-        "a small amplitude is a fault; what is clipped stays, for the computation to tell"
-    )
-
-
-@pytest.mark.parametrize(
-    ("status", "out"),
-    [
-        (0, False),
-        (StatusBit.VALID, False),
-        (StatusBit.COASTING, False),
-        (StatusBit.AMPLITUDE, True),
-        (StatusBit.FROZEN | StatusBit.LOST, True),
-        (StatusBit.RESIDUAL, True),
-        (StatusBit.RESIDUAL | StatusBit.COASTING, True),
-        (StatusBit.RESIDUAL | StatusBit.LOST, False),
-        (StatusBit.LOST, False),
-        (StatusBit.CLIPPED | StatusBit.AMPLITUDE, False),
-        (StatusBit.COARSE | StatusBit.MISSED, False),
-    ],
-)
-def test_which_flags_leave_a_sample_out(status: int, out: bool) -> None:
-    assert calibrating._left_out(int(status)) is out
-
-
-def test_an_invalid_sample_is_left_out() -> None:
-    bench = Measuring()
     bench.map_rpdo2(0x20000608)
-    bench.begin()
     for flags in (0, 2, 1):
         bench.sync()
         bench.sent(Frame(0x290, bytes([flags])))
         bench.counts(7, 1500)
-    assert recorded_pairs(bench) == [(7, 1500), MISSED, (7, 1500)]
+    _, pairs = recorded(bench)
+    assert pairs[:6] == [(0, 1500), MISSED, MISSED, (9, 1500), (2047, 0), (9, 1500)], (
+        "a small amplitude is a fault; what is clipped stays, for the computation to tell"
+    )
+    assert pairs[6:] == [(7, 1500), MISSED, (7, 1500)], "2000:06: invalid"
 
 
 @pytest.mark.parametrize("full_scale", [2048, 2000, 32768, 65535])
@@ -299,11 +275,8 @@ def test_clipped_samples_are_found_as_such_whatever_the_full_scale(full_scale: i
     bench.begin()
     top = min(full_scale - 1, 32767)
     bench.feed([(top, 10), (-top - 1, 10), (3, 10)])
-    bench.command(Command.FINISH)
-    job = bench.module.pending_job()
-    assert job is not None
+    job, pairs = recorded(bench)
     full = 1 << (job.adc_bits - 1)
-    pairs = list(struct.iter_unpack("<hh", job.samples))
     assert [pair[0] for pair in pairs][:2] == [full - 1, -full] if full_scale < 65535 else True
     assert full >= min(full_scale, 32768)
 

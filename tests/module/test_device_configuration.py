@@ -2,22 +2,174 @@
 
 from __future__ import annotations
 
+import struct
+import subprocess
+import sys
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+import canopen
+import dcf
 import pytest
-from configuration_kit import NODE_ID, PROGRAMS, played, put, reset, run, state, table, write
 from hypothesis import example, given
+from hypothesis import strategies as st
 from module_bench import Bench
 
+from canfb.cia301 import datatypes
+from canfb.cia301.codes import SdoAbort
+from canfb.cia301.datatypes import DataType
+from canfb.cia301.frame import Frame
+from canfb.device.od.dcf import Commissioning, FileInfo, Reals, dcf_text, real_as_text
+from canfb.device.od.dictionary import Entry
 from canfb.device.od.writes import Write, decode_concise, encode_concise
+from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of, configuration_read
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
 from drawing import examples
+from ideal_tracks import counts_at, wavy_table
+
+NODE_ID = 32
+RESET_NODE, START = Frame(0, bytes([0x81, NODE_ID])), Frame(0, bytes([0x01, NODE_ID]))
+PDOS = (0x1400, 0x1401, 0x1800, 0x1801, 0x1802, 0x1803)
+TEMPLATE = FeedbackModule(ModuleConfig(node_id=NODE_ID))
+SETTINGS = list(TEMPLATE.node.storage.entries.settings())
+
+
+def mappable(access: tuple[str, ...]) -> list[int]:
+    """Mapping entries of all objects that a PDO of this direction takes."""
+    entries = [entry for entry in TEMPLATE.dictionary if entry.pdo_mappable and entry.access in access]
+    return [entry.index << 16 | entry.subindex << 8 | entry.bit_length for entry in entries]
+
+
+TRANSMITTED, RECEIVED = mappable(("ro", "rw", "rwr", "const")), [*mappable(("rw", "rww")), 0x00050008]
+CAN_IDS = st.sampled_from([0x90, 0xA0, 0xB0, 0x181, 0x190, 0x1A0, 0x2A0, 0x320, 0x3A0, 0x4A0, 0x500, 0x6C0])
+
+
+def write(index: int, subindex: int, size: int, value: int) -> Write:
+    return Write(index, subindex, value.to_bytes(size, "little"))
+
+
+@st.composite
+def pdo(draw: st.DrawFn) -> list[Write]:
+    """A PDO as a master sets it up, in the order of CiA 301."""
+    index = draw(st.sampled_from(PDOS))
+    mapped = draw(st.lists(st.sampled_from(TRANSMITTED if index >= 0x1800 else RECEIVED), max_size=4))
+    flags = draw(st.sampled_from([0, 1 << 30, 1 << 31, 3 << 30]))
+    kinds = st.sampled_from([0, 1, 2, 5, 240, 252, 253, 254, 255])
+    return [
+        write(index, 1, 4, 1 << 31),
+        write(index + 0x200, 0, 1, 0),
+        *(write(index + 0x200, place, 4, one) for place, one in enumerate(mapped, 1)),
+        write(index + 0x200, 0, 1, draw(st.integers(0, len(mapped)))),
+        write(index, 2, 1, draw(kinds)),
+        *(write(index, sub, size, draw(st.integers(0, 250))) for sub, size in ((3, 2), (5, 2), (6, 1))),
+        write(index, 1, 4, draw(CAN_IDS) | flags),
+    ]
+
+
+def value_of(entry: Entry) -> st.SearchStrategy[bytes]:
+    """Bytes of any value of an entry, small ones and typical ones more often."""
+    size = entry.byte_length
+    if entry.data_type == DataType.REAL32:
+        reals = st.one_of(st.floats(-2, 2, width=32), st.floats(-2e9, 2e9, width=32))
+        return reals.map(lambda value: struct.pack("<f", value))
+    numbers = st.one_of(st.integers(0, 255), st.sampled_from([410, 2560, 6554, 40960]), st.integers(0))
+    return numbers.map(lambda value: (value % 256**size).to_bytes(size, "little"))
+
+
+PLAIN = st.sampled_from(SETTINGS).flatmap(
+    lambda entry: value_of(entry).map(lambda data: [Write(entry.index, entry.subindex, data)])
+)
+COB_IDS = st.sampled_from([(0x1005, 0), (0x1012, 0), (0x1014, 0), (0x1201, 1), (0x1201, 2)]).flatmap(
+    lambda place: st.tuples(CAN_IDS, st.sampled_from([0, 1 << 30, 1 << 31])).map(
+        lambda value: [write(*place, 4, 1 << 31), write(*place, 4, value[0] | value[1])]
+    )
+)
+WATCHED = st.tuples(st.integers(1, 4), st.integers(0, 6), st.integers(0, 500)).map(
+    lambda one: [write(0x1016, one[0], 4, one[1] << 16 | one[2])]
+)
+COUNTED = st.tuples(st.sampled_from([0, 2, 10, 240]), st.sampled_from([0, 1000, 50_000])).map(
+    lambda one: [write(0x1006, 0, 4, 0), write(0x1019, 0, 1, one[0]), write(0x1006, 0, 4, one[1])]
+)
+AMPLITUDES = st.tuples(st.integers(0, 65534), st.integers(1, 65535)).map(
+    lambda one: [write(0x2001, 3, 2, 0), write(0x2001, 4, 2, max(one)), write(0x2001, 3, 2, min(one))]
+)
+TABLES = st.one_of(
+    st.just([write(0x2020, 3, 4, 0)]),
+    st.tuples(st.integers(16, 40), st.floats(-0.1, 0.1)).map(
+        lambda one: [
+            Write(0x2020, 1, wavy_table(*one).to_bytes()),
+            write(0x2020, 3, 4, wavy_table(*one).crc32),
+        ]
+    ),
+)
+PROGRAMS = st.lists(st.one_of(PLAIN, pdo(), COB_IDS, WATCHED, COUNTED, AMPLITUDES, TABLES), max_size=25).map(
+    lambda parts: [one for part in parts for one in part]
+)
+"""Writes, of which a module takes some and refuses the others."""
+
+
+def reset(module: FeedbackModule) -> None:
+    """As after a power-on, in Pre-operational, at time 0."""
+    module.start(0.0)
+    module.receive(RESET_NODE, 0.0)
+
+
+def put(module: FeedbackModule, one: Write) -> int:
+    """Write as SDO does it: the abort code, 0 for none."""
+    try:
+        module.dictionary.lookup(one.index, one.subindex).download(one.data)
+    except SdoAbort as abort:
+        return int(abort.code)
+    return 0
+
+
+def run(module: FeedbackModule, program: list[Write]) -> None:
+    """Write all that the module takes, and put table and conditioning in force together."""
+    for one in program:
+        put(module, one)
+    active = module.dictionary.entry(0x2020, 4).value
+    assert put(module, write(0x2020, 3, 4, active)) == 0
+
+
+def state(module: FeedbackModule) -> dict[Any, Any]:
+    """Every parameter, the table, and what of it the signal chain has."""
+    active = module.chain.correction.conditioning
+    return {
+        **configuration_of(module).values(),
+        "offset": module.dictionary.entry(0x6509).value,
+        "resolution": module.dictionary.entry(0x6501).value,
+        "conditioning": [datatypes.encode(DataType.REAL32, value) for value in vars(active).values()],
+        "autostart": module.node.autostart,
+    }
+
+
+def played(module: FeedbackModule, samples: int = 40) -> list[Frame]:
+    """What it sends in OPERATIONAL: SYNC and ADC counts 1 ms apart, its timers, remote frames."""
+    value = {place: int(module.dictionary.entry(*place).value) for place in [(0x1005, 0), (0x1019, 0)]}
+    sync_id, overflow = value[0x1005, 0] & 0x7FF, value[0x1019, 0]
+    sent = module.receive(START, 0.0)
+    for n in range(samples):
+        now = 1e-3 * (n + 1)
+        while (due := module.deadline()) is not None and due < now:
+            sent += module.tick(due)
+        counter = bytes([n % overflow + 1]) if overflow > 1 else b""
+        sent += module.receive(Frame(sync_id, counter), now)
+        counts = struct.pack("<hh", *counts_at(0.003 * n * n))
+        for index in (0x1400, 0x1401):
+            can_id = module.dictionary.entry(index, 1).value & 0x7FF
+            sent += module.receive(Frame(can_id, (counts + bytes([n] * 4))[: 4 + n % 5]), now)
+        for index in range(0x1800, 0x1804):
+            can_id = module.dictionary.entry(index, 1).value & 0x7FF
+            sent += module.receive(Frame(can_id, b"", rtr=True), now)
+    return sent
+
 
 SIXTEEN_BITS = [write(0x2001, 2, 2, 32768), write(0x2001, 4, 2, 40960), write(0x2001, 3, 2, 6554)]
 NARROW = [write(0x2001, 3, 2, 1), write(0x2001, 4, 2, 2)]
@@ -76,38 +228,11 @@ def test_a_module_that_was_loaded_answers_the_same_frames_with_the_same_frames(
     assert played(target) == played(source)
 
 
-def test_a_good_configuration_is_heard_of_at_all(modules: tuple[FeedbackModule, FeedbackModule]) -> None:
-    """The comparison above would pass for two silent modules."""
-    reset(modules[0])
-    sent = {frame.can_id for frame in played(modules[0])}
-    assert {0x1A0, 0x2A0} <= sent
-
-
-@pytest.mark.parametrize("fields", [
-    {},
-    {"adc_bits": 16, "cycles_per_revolution": 1024, "coast_samples": 7, "frozen_samples": 3},
-    {"times": True},
-    {"adc_bits": 14, "conditioning": Conditioning(12.5, -3.25, 1.07, 0.93, 0.021)},
-    {"residual_limit": 0.25, "max_acceleration_rad_s2": 1234.5, "autostart": True, "encoder_interface": 17},
-    {"second_position": SecondPositionConfig(increments=4096, revolutions=3, reversed=True, cob_id=0x1B0,
-                                             tolerance_revolutions=0.01, invalidates=True, before_bytes=3)},
-])  # fmt: skip
-def test_a_module_of_a_configuration_and_one_that_was_loaded(fields: dict[str, object]) -> None:
-    source = FeedbackModule(ModuleConfig(node_id=NODE_ID, **fields))  # type: ignore[arg-type]
-    target = FeedbackModule(ModuleConfig(node_id=NODE_ID))
-    source.start(0.0)
-    target.start(0.0)
-    for one in configuration_of(source).writes():
-        assert put(target, one) == 0
-    assert state(target) == state(source)
-    assert configuration_of(source).refused_in_index_order() == []
-
-
 def test_over_the_bus_with_a_table_from_bytes() -> None:
     """A master that knows nothing but the concise DCF: SDO writes in Pre-operational, one after the other."""
     source = FeedbackModule(ModuleConfig(node_id=NODE_ID, conditioning=Conditioning(phase_error_rad=0.25)))
     source.start(0.0)
-    wanted = table(100, 0.02)
+    wanted = wavy_table(100, 0.02)
     run(source, [Write(0x2020, 1, wanted.to_bytes()), write(0x2020, 3, 4, wanted.crc32)])
     bench = Bench()
     for one in decode_concise(encode_concise(configuration_of(source).writes())):
@@ -123,24 +248,12 @@ def test_over_the_bus_with_a_table_from_bytes() -> None:
     assert read.table_crc32 == wanted.crc32 == zlib.crc32(wanted.to_bytes())
 
 
-def test_commands_and_the_preset_are_no_part_of_it(modules: tuple[FeedbackModule, FeedbackModule]) -> None:
-    reset(modules[0])
-    configuration = configuration_of(modules[0])
-    indices = {index for index, _ in configuration.values()}
-    assert not indices & {0x1003, 0x1010, 0x1011, 0x2000, 0x2030, 0x2050, 0x6003, 0x6009, 0x6200, 0x6509}
-    assert {0x1005, 0x1017, 0x1400, 0x1A03, 0x2001, 0x2002, 0x2010, 0x6000, 0x6301} <= indices
-    assert all(
-        modules[0].dictionary.entry(one.index, one.subindex).access in ("rw", "wo")
-        for one in configuration.writes()
-    )
-
-
 def test_what_changes_with_the_table(modules: tuple[FeedbackModule, FeedbackModule]) -> None:
     reset(modules[0])
     plain = configuration_of(modules[0])
     assert plain.values()[0x2020, 3] == 0
     assert (0x2020, 1) not in plain.values()
-    data = table(16, 0.01).to_bytes()
+    data = wavy_table(16).to_bytes()
     with_table = replace(plain, table=data)
     assert with_table.values()[0x2020, 1] == data
     assert (0x2020, 1) not in with_table.values(with_table=False)
@@ -190,3 +303,164 @@ def test_amplitudes_in_disorder_accept_nothing_and_are_loaded_as_they_are() -> N
     target.start(0.0)
     assert not any(put(target, one) for one in configuration_of(bench.module).writes())
     assert state(target) == state(bench.module)
+
+
+TABLE = wavy_table(256, 0.015)
+WITH_TABLE = [Write(0x2020, 1, TABLE.to_bytes()), write(0x2020, 3, 4, TABLE.crc32)]
+OTHER_PDOS = [
+    write(0x1802, 1, 4, 0x800003A0),
+    write(0x1A02, 1, 4, 0x20110740),  # 64 bits of a REAL32: refused
+    write(0x1A02, 1, 4, 0x20110720),
+    write(0x1A02, 2, 4, 0x20110510),
+    write(0x1A02, 0, 1, 2),
+    write(0x1802, 2, 1, 254),
+    write(0x1802, 3, 2, 15),
+    write(0x1802, 5, 2, 100),
+    write(0x1802, 1, 4, 0x400003A0),
+    write(0x1401, 1, 4, 0x80000310),
+    write(0x1601, 1, 4, 0x20000310),
+    write(0x1601, 2, 4, 0x00050008),  # a gap
+    write(0x1601, 0, 1, 2),
+    write(0x1401, 2, 1, 1),
+    write(0x1401, 1, 4, 0x310),
+]
+APPLICATION = [
+    write(0x1017, 0, 2, 500),
+    write(0x1016, 1, 4, 0x0005_0064),
+    write(0x1029, 1, 1, 2),
+    write(0x6000, 0, 2, 4),
+    write(0x6001, 0, 4, 3600),
+    write(0x6301, 1, 1, 0x0F),
+    write(0x6310, 1, 4, (1 << 32) - 200),  # -200
+    write(0x6330, 1, 2, 25),
+]
+CONDITIONING = Conditioning(12.5, -3.25, 1.0371, 0.93, -0.0213)
+SECOND = SecondPositionConfig(increments=4096, revolutions=3, reversed=True, cob_id=0x1B0, before_bytes=3,
+                              tolerance_revolutions=0.01, invalidates=True)  # fmt: skip
+SOURCES: dict[str, tuple[dict[str, Any], list[Write]]] = {
+    "as delivered": ({}, []),
+    "16 bits": (
+        {"adc_bits": 16, "cycles_per_revolution": 1024, "encoder_interface": 0x11, "frozen_samples": 3},
+        [],
+    ),
+    "conditioning": (
+        {"conditioning": CONDITIONING, "max_acceleration_rad_s2": 1234.567, "residual_limit": 0.25},
+        [],
+    ),
+    "a second position": ({"second_position": SECOND}, []),
+    "table": ({"conditioning": CONDITIONING, "adc_bits": 14}, WITH_TABLE),
+    "not valid": ({}, [write(0x1801, 2, 1, 0xFC), write(0x1801, 1, 4, 0xC0000500)]),
+    "PDOs": ({"coast_samples": 11, "autostart": True}, OTHER_PDOS),
+    "all": ({"adc_bits": 16, "conditioning": CONDITIONING}, [*OTHER_PDOS, *APPLICATION, *WITH_TABLE]),
+}
+
+
+def source(name: str) -> FeedbackModule:
+    fields, program = SOURCES[name]
+    module = FeedbackModule(ModuleConfig(node_id=NODE_ID, **fields))
+    module.start(0.0)
+    run(module, program)
+    return module
+
+
+def text_of(configuration: DeviceConfiguration, reals: Reals = Reals.DECIMAL) -> str:
+    info = FileInfo(file_name="module.dcf", description="A module", date="11-21-2026", time="08:00AM")
+    place = Commissioning(
+        node_id=configuration.node_id,
+        node_name="module_20h",
+        bit_rate_kbit_s=500,
+        network_name="CANopen",
+        serial_number=configuration.serial_number,
+    )
+    return dcf_text(eds_path("canfb-module"), info, place, configuration.values(), reals=reals)
+
+
+def write_dcf(
+    folder: Path, configuration: DeviceConfiguration, reals: Reals = Reals.DECIMAL, name: str = "module.dcf"
+) -> Path:
+    path = folder / name
+    path.write_bytes(text_of(configuration, reals).encode("ascii"))
+    return path
+
+
+def loaded_by_canopen(path: Path) -> Bench:
+    """A module as delivered, and python canopen's master, which has loaded the DCF into it."""
+    bench = Bench()
+    remote = canopen.RemoteNode(NODE_ID, canopen.import_od(str(path)))
+    bench.network.add_node(remote)
+    remote.load_configuration()
+    return bench
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_python_canopen_makes_a_module_as_delivered_the_same(name: str, tmp_path: Path) -> None:
+    wanted = source(name)
+    bench = loaded_by_canopen(write_dcf(tmp_path, configuration_of(wanted)))
+    assert state(bench.module) == state(wanted)
+    assert configuration_of(bench.module).writes() == configuration_of(wanted).writes()
+    frames = played(wanted)
+    assert played(bench.module) == frames
+    assert len(frames) > 30
+
+
+def test_python_canopen_knows_node_and_bit_rate(tmp_path: Path) -> None:
+    od: Any = canopen.import_od(str(write_dcf(tmp_path, configuration_of(source("all")))))
+    assert (od.node_id, od.bitrate) == (NODE_ID, 500_000)
+    assert od[0x1800][1].value == 0x400001A0
+    assert od[0x2020][1].value == TABLE.to_bytes()
+    assert od[0x6003].value is None
+
+
+def dcfchk(path: Path) -> tuple[int, str]:
+    """Exit code and words of dcfchk with the node-ID."""
+    code = "import sys; from dcf.cli import main; sys.exit(main())"
+    done = subprocess.run(
+        [sys.executable, "-W", "always", "-c", code, "-n", str(NODE_ID), str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(("name", "reals"), [
+    ("as delivered", Reals.DECIMAL), ("16 bits", Reals.DECIMAL), ("PDOs", Reals.DECIMAL),
+    *((name, Reals.IEEE754) for name in SOURCES),
+])  # fmt: skip
+def test_dcfchk_accepts_it(name: str, reals: Reals, tmp_path: Path) -> None:
+    assert dcfchk(write_dcf(tmp_path, configuration_of(source(name)), reals)) == (0, "")
+
+
+def test_dcfchk_takes_bits_for_a_real32_and_no_decimal_fraction(tmp_path: Path) -> None:
+    """Why there are two ways to write them."""
+    code, words = dcfchk(write_dcf(tmp_path, configuration_of(source("conditioning"))))
+    assert code == 1
+    assert "invalid ParameterValue in [2002sub1]: 12.5" in words
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_the_concise_form_is_what_dcf_tools_make_of_the_values(name: str, tmp_path: Path) -> None:
+    """Each write that sets an object for good, byte for byte.
+
+    dcfgen itself takes ParameterValue for what the device holds already, and writes none of them.
+    """
+    configuration = configuration_of(source(name))
+    device = dcf.Device.from_dcf(str(write_dcf(tmp_path, configuration, Reals.IEEE754)), {"NODEID": NODE_ID})
+    final = {(one.index, one.subindex): one for one in configuration.writes()}
+    assert set(final) == set(configuration.values())
+    for place, one in final.items():
+        object_ = device[place[0]][place[1]]
+        if object_.data_type.index == 0x0F:
+            assert object_.parse_value() == one.data
+        else:
+            packed = object_.data_type.concise_value(*place, object_.parse_value())
+            assert encode_concise([one])[4:] == packed, place
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
+@examples(200)
+def test_every_real32_comes_back_from_both_ways(value: float) -> None:
+    data = struct.pack("<f", value)
+    assert struct.pack("<f", float(real_as_text(8, value, Reals.DECIMAL))) == data
+    assert struct.pack("<I", int(real_as_text(8, value, Reals.IEEE754), 0)) == data

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +14,7 @@ from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.events import Event, EventKind
-from ideal_tracks import counts_at
+from ideal_tracks import counts_at, wavy_table
 
 NODE, INTERFACE = 0x20, 0x10
 PERIOD_S = 1e-3
@@ -195,7 +194,7 @@ def test_table_and_saving_are_told() -> None:
     machine = Machine()
     machine.run(10)
     machine.events.clear()
-    table = canfb.CorrectionTable([n / 16 + 1e-3 * math.sin(2.0 * math.pi * n / 16) for n in range(16)])
+    table = wavy_table(16, 1e-3)
     dictionary = machine.module.dictionary
     dictionary.entry(*od.TABLE_STAGED).download(table.to_bytes())
     dictionary.entry(*od.TABLE_ACTIVATE).download(struct.pack("<I", table.crc32))

@@ -10,28 +10,12 @@ from hypothesis import strategies as st
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
+from canfb.module.cia406.position import PHASE_UNITS, PositionScale
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal.speeds import STILL_SAMPLES
 from drawing import examples
-
-
-def test_the_counts_are_in_the_dictionary_and_every_stage_of_them(bench: Bench) -> None:
-    for n in range(9):
-        bench.at(n * 0.25)
-    sdo = bench.sdo
-    assert (sdo[0x2000][1].raw, sdo[0x2000][2].raw) == (0, 1500)
-    assert sdo[0x2011][4].raw == 2
-    assert sdo[0x2011][3].raw == 0
-    assert sdo[0x2011][5].raw == 1500
-    assert sdo[0x2011][6].raw == 0
-    assert sdo[0x2011][8].raw == 9
-    assert sdo[0x2011][7].raw == pytest.approx(0.25 * 2 * 3.14159265 / 2500 * 1000, rel=1e-3)
-    assert sdo[0x6004].raw == 2 * 8192
-    assert sdo[0x6008].raw == 2 * 8192
-    assert bench.module.feedback is not None
-    assert bench.module.feedback.valid
 
 
 def test_an_interface_that_falls_silent_loses_the_position_once(bench: Bench) -> None:
@@ -114,28 +98,6 @@ def test_no_frame_ever_raises_and_what_is_published_is_well_formed(data: st.Data
             assert len(out.data) <= 8
 
 
-def test_the_sample_may_come_in_any_rpdo(bench: Bench) -> None:
-    sdo = bench.sdo
-    sdo[0x1400][1].raw = 0x80000190
-    bench.map_rpdo2(0x20000210, 0x20000110)
-    bench.sync()
-    assert bench.counts(0, 1500) == []
-    sample = Frame(0x290, struct.pack("<hh", 0, 1500))
-    assert bench.position(bench.sent(sample))[:2] == (2048, StatusBit.VALID)
-
-
-def test_an_rpdo_without_both_tracks_is_no_sample(bench: Bench) -> None:
-    sdo = bench.sdo
-    sdo[0x1400][1].raw = 0x80000190
-    sdo[0x1600][0].raw = 0
-    sdo[0x1600][0].raw = 1
-    sdo[0x1400][1].raw = 0x190
-    bench.sync()
-    too_long = bytes([0x20, 0x82, 0x11, 1, 4, 2, 0, 0])
-    assert bench.counts(0, 1500) == [Frame(0xA0, too_long)]
-    assert sdo[0x2011][8].raw == 0
-
-
 def test_a_sample_in_two_pdos_is_complete_with_the_second(bench: Bench) -> None:
     bench.map_rpdo2(0x20000310, 0x20000410, 0x20000608, 0x20000710)
     for _ in range(30):
@@ -151,3 +113,59 @@ def test_a_sample_in_two_pdos_is_complete_with_the_second(bench: Bench) -> None:
     _, status, _ = bench.position(bench.sent(Frame(0x290, struct.pack("<hhBH", 1500, 0, 0, 0))))
     assert status & StatusBit.COARSE
     assert bench.sdo[0x2012][11].raw == 1
+
+
+def test_the_raw_position_knows_no_scaling_no_preset_and_no_code_sequence(bench: Bench) -> None:
+    for _ in range(3):
+        bench.at(0.25)
+    bench.sdo[0x6003].raw = 77
+    bench.sdo[0x6001].raw = 10_000
+    bench.sdo[0x6000].raw = 0b101
+    assert bench.at(0.25)[0] != 2048
+    assert bench.sdo[0x600C].raw == 2048
+
+
+def test_they_can_be_mapped_into_a_pdo(bench: Bench) -> None:
+    parameters, mapping = bench.sdo[0x1802], bench.sdo[0x1A02]
+    parameters[2].raw = 1
+    mapping[0].raw = 0
+    for place, value in enumerate((0x20110510, 0x20110720, 0x65050010), start=1):
+        mapping[place].raw = value
+    mapping[0].raw = 3
+    parameters[1].raw = 0x3A0
+    assert [bench.sdo[0x2011][sub].raw for sub in (5, 7, 8)] == [0, 0.0, 0], "before the first sample"
+    for n in range(12):
+        bench.at(n * 0.25, amplitude=440)
+    (data,) = [frame.data for frame in bench.sync() if frame.can_id == 0x3A0]
+    amplitude, velocity, warnings = struct.unpack("<HfH", data)
+    assert (amplitude, warnings) == (440, 2)
+    assert velocity == pytest.approx(2 * math.pi * 0.25 / 2500 / bench.interval_s, rel=1e-3)
+
+
+def test_a_velocity_beyond_real32_is_the_largest_one(bench: Bench) -> None:
+    bench.interval_s = 1e-300
+    bench.bus.now = 0.0
+    for n in range(4):
+        bench.at(n * 0.25)
+    assert bench.sdo[0x2011][7].raw == pytest.approx(3.4e38, rel=1e-3)
+
+
+def test_a_residual_limit_that_follows_the_acceleration_follows_the_encoder_too(bench: Bench) -> None:
+    bench.sdo[0x2010][2].raw = 100.0  # 0.04 cycle at 2500 cycles and 1 kHz, 16 cycles at a million
+    for _ in range(10):  # until the period is known
+        bench.at(0.0)
+    assert bench.at(0.2)[1] & StatusBit.RESIDUAL
+    for _ in range(6):
+        bench.at(0.0)
+    bench.sdo[0x2001][1].raw = 1_000_000
+    assert bench.at(0.2)[1] == StatusBit.VALID
+
+
+@given(
+    st.integers(1, 1048576), st.integers(1, 2**32 - 1), st.booleans(),
+    st.integers(-(2**62), 2**62), st.integers(0, PHASE_UNITS - 1),
+)  # fmt: skip
+def test_the_scaling_is_exact(per_turn: int, units: int, reverse: bool, cycles: int, phase: int) -> None:
+    scale = PositionScale(per_turn, units, 2**32, reverse, 0)
+    exact = (cycles * PHASE_UNITS + phase) * (-units if reverse else units)
+    assert scale.units(cycles, phase / PHASE_UNITS) == exact // (per_turn * PHASE_UNITS)

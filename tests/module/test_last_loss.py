@@ -18,13 +18,6 @@ LOSS = range(0x10, 0x17)
 EMCY = 0xA0
 
 
-@pytest.fixture
-def bench() -> Bench:
-    bench = Bench(cycles_per_revolution=2500)
-    bench.start()
-    return bench
-
-
 def loss(bench: Bench) -> list[int]:
     """2012:10..16, without the time."""
     return [int(bench.sdo[0x2012][sub].raw) for sub in LOSS if sub != 0x11]
@@ -39,6 +32,8 @@ def details(bench: Bench) -> list[bytes]:
 def test_a_bus_that_falls_silent_is_named(bench: Bench) -> None:
     for n in range(20):
         bench.at(0.125 * n)
+    assert loss(bench) == [0] * 6, "nothing is lost at first"
+    assert bench.sdo[0x2012][0x11].raw == 0
     for _ in range(6):
         bench.sync()
     cause, bad, residual, limit, speed, faults = loss(bench)
@@ -52,6 +47,22 @@ def test_a_bus_that_falls_silent_is_named(bench: Bench) -> None:
     assert not_valid[2:] == bytes(3), "the cause is not known yet"
     assert struct.unpack("<H", lost[:2])[0] & StatusBit.LOST
     assert lost[2:] == bytes((LossCause.COASTED, 4, 0))
+
+
+def test_a_loss_survives_the_restart_that_ends_it_and_is_forgotten_at_a_reset(bench: Bench) -> None:
+    """So that it can be asked for when the machine runs again."""
+    for _ in range(20):
+        bench.at(0.3)
+    for _ in range(6):
+        bench.sync()
+    bench.at(0.3)
+    bench.remote.nmt.state = "PRE-OPERATIONAL"
+    bench.start()
+    assert bench.at(0.3)[1] & StatusBit.VALID
+    assert loss(bench)[0] == LossCause.COASTED
+    bench.remote.nmt.state = "RESET"
+    bench.start()
+    assert loss(bench) == [0] * 6
 
 
 def test_what_was_wrong_is_kept_but_not_what_was_wrong_before_the_last_valid_position(bench: Bench) -> None:
@@ -75,32 +86,6 @@ def test_a_machine_that_turns_in_a_pause_is_named(bench: Bench) -> None:
     bench.start()
     bench.at(0.3)
     assert loss(bench)[0] == LossCause.PAUSE
-
-
-def test_a_reset_forgets_the_loss(bench: Bench) -> None:
-    for n in range(20):
-        bench.at(0.125 * n)
-    assert loss(bench) == [0] * 6, "nothing is lost at first"
-    assert bench.sdo[0x2012][0x11].raw == 0
-    for _ in range(6):
-        bench.sync()
-    assert loss(bench)[0]
-    bench.remote.nmt.state = "RESET"
-    bench.start()
-    assert loss(bench) == [0] * 6
-
-
-def test_a_loss_survives_the_restart_that_ends_it(bench: Bench) -> None:
-    """So that it can be asked for when the machine runs again."""
-    for _ in range(20):
-        bench.at(0.3)
-    for _ in range(6):
-        bench.sync()
-    bench.at(0.3)
-    bench.remote.nmt.state = "PRE-OPERATIONAL"
-    bench.start()
-    assert bench.at(0.3)[1] & StatusBit.VALID
-    assert loss(bench)[0] == LossCause.COASTED
 
 
 def test_two_samples_for_one_sync_leave_the_time_in_doubt() -> None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import struct
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from module_bench import Bench
 
-from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
@@ -20,11 +19,9 @@ from canfb.signal.supervision import MISSED, VALID
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource, Ramp
 from canfb.sources.motion_source import MotionSourceConfig
-from canfb.sources.protocol import SourceEnded, SourceError
+from canfb.sources.protocol import Source, SourceError
 from ideal_tracks import counts_at
 
-NODE = 32
-SYNC = Frame(0x80, b"")
 PERIOD_S = 1e-3
 UNITS_PER_CYCLE = 8192  # 6501h over 2500 cycles
 RANGE_CYCLES = 209 * 2500  # 6002h
@@ -45,31 +42,17 @@ class Played:
         return step
 
 
-class Local:
-    """A module with a source, and the SYNCs by hand."""
+class Local(Bench):
+    """A module with a source, in OPERATIONAL; what it says of the source."""
 
-    def __init__(self, source: Any, **fields: Any) -> None:
-        self.module = FeedbackModule(ModuleConfig(node_id=NODE, **fields), source=source)
+    def __init__(self, source: Source) -> None:
+        super().__init__(source=source)
         self.told: list[str] = []
         self.module.on_source = self.told.append
-        self.now = 0.0
-        self.module.start(0.0)
+        self.start()
 
-    def start(self) -> None:
-        self.module.receive(Frame(0, bytes([1, NODE])), self.now)
-
-    def sync(self, passed_s: float = PERIOD_S) -> list[Frame]:
-        self.now += passed_s
-        return self.module.receive(SYNC, self.now)
-
-    def value(self, index: int, subindex: int = 0) -> int:
-        entry = self.module.dictionary.entry(index, subindex)
-        return entry.on_read() if entry.on_read is not None else entry.value
-
-    @staticmethod
-    def position(frames: list[Frame]) -> tuple[int, int, int]:
-        (data,) = [frame.data for frame in frames if frame.can_id == 0x1A0]
-        return struct.unpack("<IHH", data)
+    def value(self, index: int, subindex: int) -> Any:
+        return self.module.dictionary.entry(index, subindex).current()
 
 
 def at(cycles: float, time_s: float | None = None) -> Sample:
@@ -81,7 +64,6 @@ def test_each_sync_brings_the_position_of_its_own_sample() -> None:
     motion = Motion((Ramp(0.1, 0.0), Ramp(0.5, 600.0)))
     source = MotionSource(ShaftEncoder(Encoder(noise_lsb=0.5), 2500), motion, PERIOD_S)
     local = Local(source)
-    local.start()
     for _ in range(1500):
         units, status, _ = local.position(local.sync())
         assert status & VALID
@@ -113,7 +95,6 @@ FIT = "does not fit INTEGER16"
 )
 def test_a_sample_stands_in_2000h_or_is_a_failure(sample: Sample, objects: list[int] | str) -> None:
     local = Local(Played(sample))
-    local.start()
     local.sync()
     if isinstance(objects, str):
         assert local.told == [f"the source fails: {objects}"]
@@ -123,36 +104,9 @@ def test_a_sample_stands_in_2000h_or_is_a_failure(sample: Sample, objects: list[
     assert local.value(0x2012, 7) == (objects[5] & 1), "zero pulses"
 
 
-def test_outside_of_operational_no_sample_is_taken() -> None:
-    source = Played(at(0.1))
-    local = Local(source)
-    for _ in range(5):
-        assert local.sync() == []
-    assert source.taken == 0
-    local.start()
-    local.sync()
-    assert source.taken == 1
-    local.module.receive(Frame(0, bytes([2, NODE])), local.now)
-    local.sync()
-    assert source.taken == 1
-
-
-def test_the_adc_pdo_is_off_and_what_comes_on_it_is_no_sample() -> None:
-    local = Local(Played(at(0.25)))
-    assert local.value(0x1400, 1) == 0x80000190
-    local.start()
-    local.module.dictionary.entry(0x1400, 1).value = 0x190
-    local.module.receive(Frame(0, bytes([128, NODE])), local.now)
-    local.start()
-    assert local.module.receive(Frame(0x190, struct.pack("<hh", 1, 2)), local.now) == []
-    assert local.position(local.sync())[0] == pytest.approx(UNITS_PER_CYCLE // 4, abs=4)
-    assert local.value(0x2011, 8) == 1
-
-
 def test_a_sample_that_is_not_there_is_missed_and_the_tracker_steps_over_it() -> None:
     steps = [None if n in (20, 21) else at(0.3 * n) for n in range(40)]
     local = Local(Played(*steps))
-    local.start()
     for n in range(40):
         units, status, _ = local.position(local.sync())
         assert bool(status & MISSED) == (n in (20, 21))
@@ -165,9 +119,11 @@ FAILURES: list[Exception] = [SourceError("no such device"), OSError(19, "No devi
 
 @pytest.mark.parametrize("error", FAILURES, ids=repr)
 def test_a_source_that_fails_loses_the_position_and_says_so_once(error: Exception) -> None:
-    local = Local(Played(*[at(0.1)] * 20, *[error] * 100, at(0.1)))
-    local.start()
-    frames = [frame for _ in range(120) for frame in local.sync()]
+    good = at(0.1)
+    local = Local(
+        Played(*[good] * 20, *[error] * 100, *(one for _ in range(50) for one in (good, error)), good)
+    )
+    frames = [frame for _ in range(220) for frame in local.sync()]
     assert len(local.told) == 1
     assert local.told[0].startswith("the source fails: ")
     status = local.value(0x2011, 1)
@@ -181,53 +137,21 @@ def test_a_source_that_fails_loses_the_position_and_says_so_once(error: Exceptio
         assert local.told[1:] == told
 
 
-@pytest.mark.parametrize(
-    ("steps", "told", "missed"),
-    [
-        ([at(0.1), SourceError("loose contact")] * 500, "the source fails: loose contact", 500),
-        ([at(0.1), at(0.1), SourceEnded()] + [at(0.1)] * 997, "the source has ended: no more samples", 998),
-    ],
-)
-def test_what_a_source_does_again_and_again_is_told_once(
-    steps: list[Sample | Exception | None], told: str, missed: int
-) -> None:
-    local = Local(Played(*steps))
-    local.start()
-    for _ in range(1000):
-        local.sync()
-    assert local.told == [told]
-    assert local.value(0x2012, 1) == missed
-
-
 def test_sample_times_bridge_a_sync_that_came_late() -> None:
     """Each SYNC jitters by a tenth of the interval, and its sample with it."""
     late_s = [-1e-4, 0.0, 1e-4, 0.0, 5e-5, -5e-5, 0.0, 1e-4]
     times = [(n + 1) * PERIOD_S + late_s[n % 8] for n in range(200)]
     speed = 250.0  # cycles per second: 0.25 a sample, and 0.025 by the jitter
     local = Local(Played(*[at(speed * time, time) for time in times]))
-    local.start()
     for n, time in enumerate(times):
-        units, status, residual = local.position(local.sync(time - local.now))
+        local.interval_s = time - local.bus.now
+        units, status, residual = local.position(local.sync())
         assert status & VALID or 0 < n < START_SAMPLES
         if n > 2:
             assert units / UNITS_PER_CYCLE == pytest.approx(speed * time, abs=0.01)
         if n > 4:  # the interval is known by now
             assert residual / 65536 < 0.03, "the tracks without a table; without the time it would be 0.07"
     assert local.value(0x2000, 5) == round(times[-1] * 1e7)
-
-
-@pytest.mark.parametrize(("first_s", "late"), [((1 << 32) * 1e-7 - 2.5e-3, False), (3.0, True)])
-def test_the_interval_is_that_of_the_sample_times(first_s: float, late: bool) -> None:
-    """Over their wrap; and where the first SYNCs came late, as in a process that was just started."""
-    local = Local(Played(*[at(0.25 * n, first_s + n * PERIOD_S) for n in range(50)]))
-    local.start()
-    for n in range(50):
-        apart_s = 2e-4 if late and 0 < n < 5 else PERIOD_S if late else 1.01 * PERIOD_S  # another clock
-        _, status, _ = local.position(local.sync(apart_s))
-        assert status & VALID
-        assert not status & MISSED
-        if n > 1:
-            assert local.value(0x2011, 7) == pytest.approx(2 * math.pi / 2500 * 0.25 / PERIOD_S, rel=0.001)
 
 
 def test_a_node_may_have_the_id_of_the_interface_that_it_does_not_need() -> None:
@@ -239,7 +163,7 @@ def test_a_node_may_have_the_id_of_the_interface_that_it_does_not_need() -> None
 
 def test_a_configured_source_must_be_given() -> None:
     with pytest.raises(ValueError, match="source="):
-        FeedbackModule(ModuleConfig(node_id=NODE, source=MotionSourceConfig()))
+        FeedbackModule(ModuleConfig(node_id=32, source=MotionSourceConfig()))
 
 
 numbers = st.floats(allow_nan=True, allow_infinity=True) | st.integers(-(10**9), 10**9)
@@ -261,7 +185,6 @@ steps = st.none() | samples | st.just(SourceError("broken"))
 @given(st.lists(steps, min_size=1, max_size=30))
 def test_nothing_that_a_source_does_raises(played: list[Sample | Exception | None]) -> None:
     local = Local(Played(*played))
-    local.start()
     for _ in played:
         local.sync()
     assert local.value(0x2011, 8) + local.value(0x2012, 8) == len(played)

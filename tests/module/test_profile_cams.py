@@ -140,8 +140,8 @@ def test_cams_and_work_area_keep_their_state_without_a_valid_position(machine: B
         assert (machine.sdo[0x6300][1].raw, machine.sdo[0x6400][1].raw) == (1, 5)
 
 
-def test_nothing_is_told_before_the_first_valid_position(make_bench: type[Bench]) -> None:
-    bench = make_bench()
+def test_nothing_is_told_before_the_first_valid_position() -> None:
+    bench = Bench()
     bench.sdo[0x6301][1].raw = bench.sdo[0x6302][1].raw = 0xFF
     bench.sdo[0x6401][1].raw = 5
     bench.start()

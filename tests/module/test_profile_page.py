@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import canopen
@@ -16,9 +15,9 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.module.cia406.alarms import CODES
 from canfb.module.cia406.profile import ALARM_PARAMETERS, ALARM_POSITION
+from documentation import blocks, page
 
-PROJECT = Path(__file__).parents[2]
-PAGE = (PROJECT / "docs" / "encoder-profile.md").read_text(encoding="utf-8")
+PAGE = page("encoder-profile")
 DICTIONARY = Dictionary.load(eds_path("canfb-module"), 32)
 
 
@@ -26,11 +25,6 @@ def section(title: str) -> str:
     found = PAGE.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
     assert found, title
     return found
-
-
-@pytest.fixture(scope="module")
-def module() -> Bench:
-    return Bench(serial_number=4711)
 
 
 @pytest.mark.parametrize(("cycles", "resolution", "revolutions"), [
@@ -72,7 +66,7 @@ def test_the_examples_run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
     monkeypatch.setattr(canopen, "Network", lambda: bench.network)
     names: dict[str, Any] = {}
     printed = []
-    for example in re.findall(r"```python\n(.*?)```", PAGE, re.S):
+    for example in blocks(PAGE, "python"):
         exec(example, names)
         printed.append(capsys.readouterr().out)
     offset = 1_800_000 - 3  # a quarter of a cycle is 3.6 units

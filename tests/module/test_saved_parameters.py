@@ -1,9 +1,12 @@
-"""What `save` keeps of a module, over a reset and over a power-off."""
+"""What `save` keeps of a module, over a reset and over a power-off; the examples of docs/storage.md run."""
 
 from __future__ import annotations
 
+import re
+from typing import Any
+
 import canopen
-import numpy as np
+import canopen.lss
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,19 +17,22 @@ from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.image import Identity, ParameterGroup, Record, decode_image, encode_image
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
+from canfb.hosting import state_files
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.device_configuration import configuration_of
-from canfb.module.module_config import SecondPositionConfig
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
+from documentation import blocks, page
 from drawing import examples
+from ideal_tracks import wavy_table
+from played import Still
 
 MANUFACTURER = ParameterGroup.MANUFACTURER
 IDENTITY = Identity(0, 1, 1)
-PHASES = np.arange(64) / 64
-TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
+TABLE = wavy_table()
 
 
 @pytest.fixture
@@ -56,6 +62,11 @@ def test_table_conditioning_and_parameters_come_back(store: MemoryStore) -> None
         assert (again.sdo[0x6001].raw, again.sdo[0x6500].raw) == (3600, 4)
         assert again.module.node.storage.faults == {}
         assert again.alarms() == []
+    first.remote.nmt.send_command(0x82)
+    first.load(4)
+    assert first.module.chain.correction.table == TABLE, "until the next reset of the node"
+    first.remote.nmt.send_command(0x81)
+    assert first.module.chain.correction.table is None
 
 
 def test_a_save_between_upload_and_activation_keeps_what_is_in_force(store: MemoryStore) -> None:
@@ -76,18 +87,6 @@ def test_a_save_between_upload_and_activation_keeps_what_is_in_force(store: Memo
     )
 
 
-def test_the_table_survives_reset_communication_and_goes_with_load(store: MemoryStore) -> None:
-    machine = Bench(store)
-    machine.activate(TABLE)
-    machine.save(4)
-    machine.remote.nmt.send_command(0x82)
-    assert machine.module.chain.correction.table == TABLE
-    machine.load(4)
-    assert machine.module.chain.correction.table == TABLE
-    machine.remote.nmt.send_command(0x81)
-    assert machine.module.chain.correction.table is None
-
-
 # What must not be used.
 
 
@@ -95,23 +94,13 @@ def stored(store: MemoryStore) -> list[Record]:
     return decode_image(store.images[MANUFACTURER], MANUFACTURER, IDENTITY)
 
 
-BAD_TABLES = {
-    "too short": TABLE.to_bytes()[:60],
-    "no whole entries": TABLE.to_bytes()[:-1],
-    "not rising": TABLE.to_bytes()[::-1],
-    "not a number": b"\x00\x00\xc0\x7f" * 64,
-    "further than a quarter cycle": np.full(64, 0.5, dtype="<f4").tobytes(),
-}
-
-
-@pytest.mark.parametrize("name", BAD_TABLES)
-def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm(store: MemoryStore, name: str) -> None:
+def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm(store: MemoryStore) -> None:
     first = Bench(store)
     first.sdo[0x2010][3].raw = 9
     first.sdo[0x1017].raw = 0
     first.save()
     records = [r for r in stored(store) if (r.index, r.subindex) != (0x2020, 1)]
-    records.append(Record(0x2020, 1, False, BAD_TABLES[name]))
+    records.append(Record(0x2020, 1, False, TABLE.to_bytes()[::-1]))
     store.images[MANUFACTURER] = encode_image(MANUFACTURER, IDENTITY, records)
     machine = Bench(store)
     assert machine.heard[0] == Frame(0x720, b"\x00")
@@ -152,10 +141,6 @@ def test_the_alarm_comes_again_with_each_reset_and_ends_with_load(store: MemoryS
 
 
 def test_the_encoder_interface_keeps_its_communication_parameters() -> None:
-    class Still:
-        def next(self) -> Sample:
-            return Sample(0, 1500)
-
     store = MemoryStore()
     bus = EmbeddedBus()
     network = EmbeddedNetwork(bus)
@@ -213,9 +198,7 @@ configurations = st.fixed_dictionaries(
 
 @examples(40)
 @given(configurations, configurations)
-def test_what_one_configuration_saves_another_restores(
-    before: dict[str, object], after: dict[str, object]
-) -> None:
+def test_what_one_configuration_saves_another_restores(before: dict[str, Any], after: dict[str, Any]) -> None:
     store = MemoryStore()
     first = Bench(store, **before)
     first.save()
@@ -236,3 +219,46 @@ def test_a_cob_id_of_another_node_does_not_follow_the_node_id(cob_id: int) -> No
     restored = Bench(store).module
     assert restored.node.storage.faults == {}
     assert restored.dictionary.entry(0x1401, 1).value == cob_id
+
+
+STORAGE, _, LSS = page("storage").partition("\n## Tables")[0].partition("\n## LSS")
+
+
+def test_the_frames_of_saving_and_loading() -> None:
+    module = FeedbackModule(ModuleConfig(node_id=32), MemoryStore())
+    module.start(0.0)
+    (commands,) = blocks(STORAGE, "sh")
+    seen = []
+    for can_id, data in re.findall(r"^cansend can0 ([0-9A-F]{3})#(\w+)", commands, re.M):
+        answers = module.receive(Frame(int(can_id, 16), bytes.fromhex(data)), 0.0)
+        seen.append((answers[0].data[:4].hex(), module.dictionary.entry(0x1017).value))
+    assert seen == [("60171000", 500), ("60101001", 500), ("00", 500), ("60111001", 500), ("00", 0)]
+
+
+def test_the_program_with_a_store_of_its_own() -> None:
+    (program,) = blocks(STORAGE, "python")
+    exec(program, {})
+
+
+def test_the_master_that_sets_a_node_id(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = EmbeddedBus()
+    network = EmbeddedNetwork(bus)
+    network.lss.RESPONSE_TIMEOUT = 0
+    monkeypatch.setattr(canopen.lss.time, "sleep", lambda seconds: None)
+    monkeypatch.setattr(network, "connect", lambda **words: network)
+    monkeypatch.setattr(network, "disconnect", lambda: None)
+    monkeypatch.setattr(canopen, "Network", lambda: network)
+    store = MemoryStore()
+    config = ModuleConfig(node_id=32, serial_number=4711)
+    module = FeedbackModule(config, store)
+    bus.attach(module)
+    (program,) = blocks(LSS, "python")
+    exec(program, {})
+    assert module.node.node_id == 0x21
+    assert FeedbackModule(config, store).start(0.0) == [Frame(0x721, b"\x00")]
+
+
+def test_the_files_that_the_page_names_are_those_of_the_program() -> None:
+    named = set(re.findall(r"`(\w+\.bin)`", STORAGE))
+    made = {f"{group.name.lower()}.bin" for group in ParameterGroup}
+    assert named == made | {state_files.PENDING}

@@ -11,7 +11,7 @@ from module_bench import SYNC, Bench
 
 from canfb.cia301.frame import Frame
 from canfb.module.events import Event, EventKind
-from canfb.module.module_config import ModuleConfig, SecondPositionConfig
+from canfb.module.module_config import SecondPositionConfig
 from canfb.objects import StatusBit
 from folding import each
 from ideal_tracks import counts_at
@@ -166,12 +166,6 @@ def test_the_mapping_of_rpdo2(before: int, after: int, entries: list[int]) -> No
     assert bench.sdo[0x1401][1].raw == VALUE_ID
 
 
-@each("field, value", [("cob_id", 0x180), ("cob_id", 0x600), ("before_bytes", 5), ("after_bytes", -1)])
-def test_a_pdo_that_cannot_be(field: str, value: int) -> None:
-    with pytest.raises(ValueError, match=field):
-        second(**{field: value})
-
-
 @each("pairs", [2, 4, 6])
 def test_with_several_samples_in_one_sync(pairs: int) -> None:
     """The value belongs to the newest of them, and comes in the first RPDO that is left."""
@@ -209,9 +203,3 @@ def test_with_several_samples_in_one_sync(pairs: int) -> None:
     assert second_opinion.difference_cycles == pytest.approx(0.0, abs=0.03)
     slip = 1.0
     assert [cycle(61.5) for _ in range(6)][-1] == StatusBit.VALID | DISAGREES
-
-
-def test_where_no_rpdo_is_left() -> None:
-    with pytest.raises(ValueError, match="second_position: no RPDO is left"):
-        ModuleConfig(node_id=3, second_position=second(), samples_per_sync=7, times=True)
-    ModuleConfig(node_id=3, second_position=second(cob_id=None), samples_per_sync=7, times=True)

@@ -48,19 +48,6 @@ class Counted(Bench):
         return self.sdo[0x2011][4].raw + self.sdo[0x2011][3].raw / 2**32
 
 
-def test_after_a_pause_in_pre_operational_the_counter_begins_anew() -> None:
-    bench = Counted()
-    bench.remote.nmt.state = "PRE-OPERATIONAL"
-    bench.number += 7  # while it does not listen, at standstill
-    bench.start()
-    bench.number -= 7
-    bench.number = bench.number // 20 * 20 + 3
-    for _ in range(30):
-        found = bench.cycle()
-        assert found is not None
-    assert bench.sdo[0x2012][1].raw == 0
-
-
 @given(st.lists(st.booleans(), max_size=30), st.integers(2, 40))
 @example([False] * 3, 20)
 @example([False] * 5, 20)

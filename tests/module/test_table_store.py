@@ -11,18 +11,12 @@ from module_bench import Bench
 
 from canfb.device.storage.storage import MemoryStore
 from canfb.objects import StatusBit
-from canfb.signal.correction import CorrectionTable
-from ideal_tracks import counts_at
-
-
-def wavy(n: int = 256, size: float = 0.01) -> CorrectionTable:
-    x = np.arange(n) / n
-    return CorrectionTable(x + size * np.sin(2 * np.pi * x))
+from ideal_tracks import counts_at, wavy_table
 
 
 @pytest.mark.parametrize("n", [16, 200, 256, 4096])
 def test_staged_checked_activated_and_read_back(bench: Bench, n: int) -> None:
-    table = wavy(n)
+    table = wavy_table(n)
     bench.stage(table)
     assert bench.in_force() == (zlib.crc32(table.to_bytes()), 0, 0)
     assert not bench.at(0.1)[1] & StatusBit.TABLE_ACTIVE
@@ -35,7 +29,7 @@ def test_staged_checked_activated_and_read_back(bench: Bench, n: int) -> None:
 
 
 def change(n: int, value: float) -> bytes:
-    entries = wavy().entries
+    entries = wavy_table(256).entries
     entries[n] = value
     return struct.pack(f"<{len(entries)}f", *entries)
 
@@ -45,12 +39,12 @@ def change(n: int, value: float) -> bytes:
     [
         change(7, math.nan), change(7, math.inf), change(7, 0.5), change(7, 6 / 256), change(0, -0.3),
         bytes(60),
-        wavy().to_bytes()[:-1], wavy().to_bytes()[:-2],
+        wavy_table(256).to_bytes()[:-1], wavy_table(256).to_bytes()[:-2],
         struct.pack("<4097f", *(np.arange(4097) / 4097)), bytes(1024),
     ],
 )  # fmt: skip
 def test_a_bad_table_is_refused_and_leaves_everything_as_it_was(bench: Bench, data: bytes) -> None:
-    good, next_one = wavy(size=0.01), wavy(size=0.02)
+    good, next_one = wavy_table(256, 0.01), wavy_table(256, 0.02)
     bench.activate(good)
     bench.stage(next_one)
     with pytest.raises(SdoAbortedError, match="06090030"):
@@ -60,7 +54,7 @@ def test_a_bad_table_is_refused_and_leaves_everything_as_it_was(bench: Bench, da
 
 
 def test_only_the_crc_of_the_staged_or_the_active_table_activates(bench: Bench) -> None:
-    first, second = wavy(size=0.01), wavy(size=0.02)
+    first, second = wavy_table(256, 0.01), wavy_table(256, 0.02)
     activate = bench.sdo[0x2020][3]
     for crc32 in (1, first.crc32):
         with pytest.raises(SdoAbortedError, match="06090030"):
@@ -76,12 +70,12 @@ def test_the_crc_of_what_is_saved() -> None:
     bench = Bench(MemoryStore())
     saved = bench.sdo[0x2020][6]
     assert saved.raw == 0, "nothing is saved yet"
-    bench.activate(wavy())
+    bench.activate(wavy_table(256))
     assert saved.raw == 0, "active is not saved"
     bench.save(4)
-    assert saved.raw == wavy().crc32
+    assert saved.raw == wavy_table(256).crc32
     bench.sdo[0x2020][3].raw = 0
-    assert saved.raw == wavy().crc32, "a reset brings it back"
+    assert saved.raw == wavy_table(256).crc32, "a reset brings it back"
     bench.save()
     assert saved.raw == 0
     with pytest.raises(SdoAbortedError):

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.supervision import COASTING, LOST, VALID
+from canfb.signal.supervision import LOST, VALID
 from ideal_tracks import counts_at
 
 NODE, INTERFACE = 0x20, 0x10
@@ -155,17 +155,6 @@ def test_when_sync_stops_nothing_is_valid_after_so_many_periods(periods: int, st
 
 
 @BOTH
-def test_when_only_the_samples_stop_nothing_is_valid_either(stamped: bool) -> None:
-    machine = Machine(stamped, entries={(0x1800, 5): 1})
-    machine.run(1, 60)
-    for k in range(60, 80):
-        machine.sync(k)
-    assert not any(one.valid for one in machine.positions if one.at > 61.01)
-    assert not machine.status(80.0) & VALID
-    assert machine.right()
-
-
-@BOTH
 @pytest.mark.parametrize("off", [0.1, 0.4, 0.5])
 def test_another_adc_pdo_for_the_same_sync_is_not_counted_as_a_sample(off: float, stamped: bool) -> None:
     """Of a second interface, or of a SYNC that only the interface heard: the position is not certain."""
@@ -230,28 +219,6 @@ def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool, 
     machine.run(1, 100)
     play(machine, heard, 100)
     machine.run(100 + len(heard), 120 + len(heard))
-    assert machine.right()
-
-
-def after_a_pause(machine: Machine) -> list[Position]:
-    machine.run(1, 60)
-    machine.nmt(0x80, 59.9)
-    machine.nmt(1, 360.4)
-    return machine.run(361, 400)
-
-
-@BOTH
-@pytest.mark.parametrize("speed", [0.01, -0.3])
-def test_a_pause_while_the_machine_turns_loses_the_position(speed: float, stamped: bool) -> None:
-    assert all(one.status & LOST and not one.valid for one in after_a_pause(Machine(stamped, ramped(speed))))
-
-
-@BOTH
-def test_after_a_pause_at_standstill_four_samples_confirm_the_position(stamped: bool) -> None:
-    machine = Machine(stamped, lambda at: 3.7)
-    after = after_a_pause(machine)
-    assert [one.status for one in after[:4]] == [COASTING] * 4
-    assert all(one.valid for one in after[4:])
     assert machine.right()
 
 

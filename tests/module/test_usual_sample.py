@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from typing import Any
 
@@ -14,14 +13,13 @@ from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.correction import CorrectionTable
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.stages import Stages
-from ideal_tracks import counts_at
+from ideal_tracks import counts_at, wavy_table
 
 SYNC, ADC_PDO = 0x80, 0x190
-TABLE = CorrectionTable([k / 64 + 0.02 * math.sin(2 * math.pi * k / 64) for k in range(64)])
+TABLE = wavy_table(64, 0.02)
 STOP, OPERATIONAL, PRE_OPERATIONAL, RESET_COMMUNICATION = (
     Frame(0, bytes([command, 32])) for command in (2, 1, 128, 130)
 )

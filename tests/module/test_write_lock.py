@@ -16,24 +16,8 @@ from canfb.module.module_config import ModuleConfig
 
 CODE = 0x51F0A7E3
 STATE, LOCAL = "08000022", "08000021"
-LOCKED = [
-    (0x1017, 0, "H"),
-    (0x1400, 1, "I"),
-    (0x1800, 2, "B"),
-    (0x1A00, 0, "B"),
-    (0x1F80, 0, "I"),
-    (0x2001, 1, "I"),
-    (0x2002, 1, "f"),
-    (0x2010, 1, "H"),
-    (0x2014, 4, "f"),
-    (0x2020, 3, "I"),
-    (0x2030, 1, "B"),
-    (0x2040, 1, "B"),
-    (0x2040, 3, "I"),
-    (0x6001, 0, "I"),
-    (0x6200, 0, "H"),
-]
-FREE = [(0x1003, 0, "B"), (0x2050, 1, "B"), (0x2000, 1, "h"), (0x6003, 0, "I")]
+PROCESS_DATA = {f"2000:{sub:02X}" for sub in range(1, 23)}
+FREE = PROCESS_DATA | {"1003:00", "2030:0A", "2040:02", "2050:01", "6003:00", "6009:00"}
 
 
 class Locked:
@@ -58,7 +42,7 @@ class Locked:
         return self.ask(head + data.ljust(4, b"\0"))
 
     def begin(self, command: int, index: int, sub: int) -> str:
-        """A segmented (21h) or block (C2h) download, of which nothing follows."""
+        """A segmented (20h) or block (C0h) download, of which nothing follows."""
         said = self.ask(struct.pack("<BHBI", command, index, sub, 64))
         if not said:
             self.module.receive(Frame(0x620, struct.pack("<BHBI", 0x80, index, sub, 0)), self.now)
@@ -72,16 +56,17 @@ class Locked:
 
 
 def refused(machine: Locked, code: str) -> None:
-    for index, sub, layout in LOCKED:
-        before = machine.value(index, sub)
-        assert machine.write(index, sub, layout, 1) == code, f"{index:04X}:{sub:02X}"
-        assert machine.value(index, sub) == before
-    for command in (0x21, 0xC2):
-        assert machine.begin(command, *od.TABLE_STAGED) == code
-    for word, index in ((b"save", 0x1010), (b"load", 0x1011)):
-        assert machine.ask(struct.pack("<BHB4s", 0x23, index, 1, word)) == code
-    for index, sub, layout in FREE:
-        assert machine.write(index, sub, layout, 0) not in (STATE, LOCAL) or index == 0x6003
+    """Each entry that SDO can write is locked, or is one of those that docs/service.md lists."""
+    for entry in machine.module.dictionary:
+        if entry.access in ("ro", "const"):
+            continue
+        place, before = (entry.index, entry.subindex), entry.value
+        name = f"{entry.index:04X}:{entry.subindex:02X}"
+        for command in (0x20, 0xC0):
+            assert (machine.begin(command, *place) == code) is (name not in FREE), name
+        if name not in FREE:
+            assert machine.ask(struct.pack("<BHBI", 0x22, *place, 1)) == code, name
+            assert entry.value == before
     assert machine.value(*od.WRITE_LOCK_LOCKED) == 1
 
 
@@ -89,15 +74,8 @@ def free(machine: Locked) -> None:
     assert machine.value(*od.WRITE_LOCK_LOCKED) == 0
     assert machine.write(0x1017, 0, "H", 500) == ""
     assert machine.write(0x2010, 3, "B", 5) == ""
-    assert machine.begin(0x21, *od.TABLE_STAGED) == machine.begin(0xC2, *od.TABLE_STAGED) == ""
+    assert machine.begin(0x20, *od.TABLE_STAGED) == machine.begin(0xC0, *od.TABLE_STAGED) == ""
     assert machine.ask(struct.pack("<BHB4s", 0x23, 0x1010, 1, b"save")) == ""
-
-
-def test_off_by_default() -> None:
-    machine = Locked()
-    free(machine)
-    machine.nmt(1)
-    free(machine)
 
 
 def test_only_outside_of_operational() -> None:
@@ -188,25 +166,3 @@ def test_a_download_that_began_before_the_lock(begin: int, segment: int) -> None
     machine.nmt(1)
     assert machine.ask(bytes((segment, 0x12, 0x34)).ljust(8, b"\0")) == STATE
     assert machine.value(0x1017) == before
-
-
-def test_nothing_else_is_free() -> None:
-    """Each entry that SDO can write is locked, or is one of those that docs/service.md lists."""
-    machine = Locked(write_lock="preop")
-    machine.nmt(1)
-    writable = [entry for entry in machine.module.dictionary if entry.access not in ("ro", "const")]
-    free = {
-        f"{entry.index:04X}:{entry.subindex:02X}"
-        for entry in writable
-        if machine.begin(0x20, entry.index, entry.subindex) != STATE
-    }
-    process_data = {f"2000:{sub:02X}" for sub in range(1, 23)}
-    assert free == process_data | {"1003:00", "2030:0A", "2040:02", "2050:01", "6003:00", "6009:00"}
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"write_lock": "on"}, {"write_lock": "code"}, {"unlock_code": -1}, {"unlock_code": 1 << 32}]
-)
-def test_a_wrong_configuration(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=r"write_lock|unlock_code"):
-        ModuleConfig(node_id=32, **wrong)

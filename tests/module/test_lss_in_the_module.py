@@ -1,24 +1,30 @@
-"""A module while LSS changes the bit rate: silent before and after the switch; what an upload sees of it."""
+"""Modules under an LSS master that gives node-IDs, and changes the bit rate: silent about the switch."""
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Iterator
 
-import numpy as np
+import canopen
+import canopen.lss
 import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
+from canfb.demo.story import EmbeddedNetwork
+from canfb.device.lss import UNCONFIGURED
+from canfb.eds_files import eds_path
+from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.correction import CorrectionTable
+from canfb.simulation.embedded_bus import EmbeddedBus
+from ideal_tracks import counts_at, wavy_table
+from played import Still
 
 NODE_ID, RATES = 0x20, (125, 500)
 BOOT_UP, EMCY, POSITION, SDO, HEARTBEAT = 0x720, 0xA0, 0x1A0, 0x5A0, 0x720
 DELAY_S = 0.05
-TABLE = CorrectionTable(np.arange(64) / 64 + 0.01 * np.sin(2 * np.pi * np.arange(64) / 64))
+TABLE = wavy_table()
 
 
 class Line:
@@ -64,8 +70,8 @@ class Line:
             while (due := self.module.deadline()) is not None and due <= self.now:
                 self._keep(self.module.tick(self.now))
             if samples:
-                self._angle += 0.05
-                counts = (round(1500 * f(self._angle)) for f in (math.sin, math.cos))
+                self._angle += 0.01
+                counts = counts_at(self._angle)
                 self.send(0x80, b"")
                 self.send(0x190, struct.pack("<hh", *counts))
         return self.heard[before:]
@@ -141,3 +147,40 @@ def test_a_second_activation_lengthens_it(line: Line) -> None:
     assert line.heard[-1][0] < 0.05
     after = line.run(0.2)
     assert after[0][0] >= 0.14
+
+
+MODULE = (0, 1, 1)  # vendor-ID, product code, revision number
+INTERFACE = (0, 2, 1)
+
+
+def test_devices_without_a_node_id_get_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lowest identity first, until nobody answers; an answer is there at once or never."""
+    monkeypatch.setattr(canopen.lss.time, "sleep", lambda seconds: None)
+    bus = EmbeddedBus()
+    network = EmbeddedNetwork(bus)
+    lss = network.lss
+    lss.RESPONSE_TIMEOUT = 0
+    heard: list[int] = []
+    bus.observers.append(lambda frame, now: heard.append(frame.can_id))
+    for serial_number in (300, 5, 77):
+        bus.attach(FeedbackModule(ModuleConfig(node_id=UNCONFIGURED, serial_number=serial_number)))
+    bus.attach(EncoderInterface(UNCONFIGURED, Still(), serial_number=5))
+    assert heard == []
+    found = []
+    for node_id in range(10, 20):
+        there, identity = lss.fast_scan()
+        if not there:
+            break
+        found.append(tuple(identity))
+        lss.configure_node_id(node_id)
+        lss.send_switch_state_global(lss.WAITING_STATE)
+        assert heard[-1] == 0x700 + node_id
+    assert found == [(*MODULE, 5), (*MODULE, 77), (*MODULE, 300), (*INTERFACE, 5)]
+
+    def master(node_id: int, eds: str) -> canopen.RemoteNode:
+        return network.add_node(canopen.RemoteNode(node_id, str(eds_path(eds))))
+
+    assert [master(node_id, "canfb-module").sdo[0x1018][4].raw for node_id in (10, 11, 12)] == [5, 77, 300]
+    assert master(13, "encoder-interface").sdo[0x1800][1].raw == 0x4000018D
+    network.nmt.state = "OPERATIONAL"
+    bus.run_until(1.0)
