@@ -1,4 +1,4 @@
-"""The encoder interface on the bus: one TPDO1 for each SYNC in OPERATIONAL, and none otherwise."""
+"""The encoder interface on the bus: its PDOs for each SYNC in OPERATIONAL, none otherwise; what they hold."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import EncoderInterface
+from canfb.interface.sample_instants import SampleClock
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource
@@ -22,9 +25,6 @@ from played import Listed
 NODE, TPDO1 = 16, 0x190
 SYNC = Frame(0x80, b"")
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
-
-
-Counts = tuple[int, int]
 
 
 def nmt(command: int, node: int = NODE) -> Frame:
@@ -47,21 +47,6 @@ def operational(source: Listed | MotionSource) -> EncoderInterface:
     return interface
 
 
-def test_it_boots_up_and_waits_for_a_master() -> None:
-    source = Listed((n, -n) for n in itertools.count(1))
-    interface = EncoderInterface(NODE, source)
-    assert interface.start(0.0) == [Frame(0x700 + NODE, b"\0")]
-    assert interface.receive(SYNC, 0.0) == []
-    assert source.taken == 0
-
-
-@each("counts", [(5, -6), (0, 0), (2047, -2048), (-32768, 32767)])
-def test_with_autostart_it_samples_at_once_and_the_pdo_holds_sine_and_cosine(counts: Counts) -> None:
-    interface = EncoderInterface(NODE, Listed([counts]), autostart=True)
-    interface.start(0.0)
-    assert interface.receive(SYNC, 0.0) == [adc(*counts)]
-
-
 # NMT commands and what they lead to; every other frame leaves the state alone.
 STATES = {START: True, STOP: False, PRE_OPERATIONAL: False, RESET_NODE: False, RESET_COMMUNICATION: False}
 steps = st.one_of(
@@ -78,7 +63,7 @@ steps = st.one_of(
 def test_exactly_one_pdo_for_each_sync_in_operational_and_none_otherwise(frames: list[Frame]) -> None:
     source = Listed((n, -n) for n in itertools.count(1))
     interface = EncoderInterface(NODE, source)
-    interface.start(0.0)
+    assert interface.start(0.0) == [Frame(0x700 + NODE, b"\0")]
     running = False
     for frame in frames:
         taken = source.taken
@@ -93,17 +78,11 @@ def test_exactly_one_pdo_for_each_sync_in_operational_and_none_otherwise(frames:
     assert interface.samples == source.taken
 
 
-def test_a_sample_that_is_lost_sends_nothing_and_the_next_one_is_whole() -> None:
-    interface = operational(Listed([(1, 2), None, None, (3, 4)]))
-    sent = [interface.receive(SYNC, 0.0) for _ in range(4)]
-    assert sent == [[adc(1, 2)], [], [], [adc(3, 4)]]
-    assert interface.samples == 2
+def test_a_sample_that_is_lost_silences_its_pdo_alone() -> None:
     interface = operational(Listed([None]))
     assert interface.receive(SYNC, 0.0) == []
     (answer,) = interface.receive(Frame(0x600 + NODE, bytes([0x40, 0, 0x10, 0, 0, 0, 0, 0])), 0.0)
-    assert answer == Frame(0x580 + NODE, bytes([0x43, 0, 0x10, 0, 0x91, 0x01, 0x04, 0x00])), (
-        "no other silence"
-    )
+    assert answer == Frame(0x580 + NODE, bytes([0x43, 0, 0x10, 0, 0x91, 0x01, 0x04, 0x00]))
 
 
 def test_the_end_of_a_recording_is_told_by_the_sync_after_it_and_is_silent() -> None:
@@ -198,22 +177,131 @@ def test_a_source_that_fails_is_one_emcy_until_it_has_worked_for_a_second() -> N
     assert interface.receive(SYNC, 1.5) == [Frame(0x80 + NODE, bytes(8)), adc(1, 2)]
     assert told == ["the source fails: [Errno 5] Input/output error", "the source works again"]
     assert (interface.samples, interface.missed) == (2, 3)
+    source.fails = True
+    assert interface.receive(SYNC, 1.6) == [emcy]
+    interface.receive(nmt(RESET_COMMUNICATION), 1.7)
+    assert interface.receive(SYNC, 1.8) == [emcy], "a failure that persists, after a reset"
 
 
-def test_a_failure_that_persists_is_reported_again_after_a_reset() -> None:
-    interface = EncoderInterface(NODE, Failing(), autostart=True)
+FULL = Sample(1, -2, coarse_sine=3, coarse_cosine=-4, zero_pulse=0.25)
+
+
+def running(
+    *samples: Sample | None, times: bool = False, clock: SampleClock | None = None
+) -> EncoderInterface:
+    """It plays these samples, the last one again and again; None is a sample lost."""
+    played = Listed(itertools.chain(samples, itertools.repeat(samples[-1])))
+    interface = EncoderInterface(NODE, played, autostart=True, times=times, clock=clock)
     interface.start(0.0)
-    (first,) = interface.receive(SYNC, 0.0)
-    interface.receive(nmt(RESET_COMMUNICATION), 0.1)
-    assert interface.receive(SYNC, 0.2) == [first]
+    return interface
 
 
-@each("counts", [(32768, 0), (0, -32769), (math.nan, 0)])
-def test_counts_that_do_not_fit_are_no_sample(counts: tuple[float, float]) -> None:
-    class Wrong:
-        def next(self) -> Sample:
-            return Sample(*counts)
+def with_tpdo2(interface: EncoderInterface) -> EncoderInterface:
+    """TPDO2 is switched on as a master does it, by its COB-ID alone."""
+    (answer,) = interface.receive(download(0x1801, 1, 0x40000280 + NODE), 0.0)
+    assert answer.data[0] == 0x60
+    return interface
 
-    interface = EncoderInterface(NODE, Wrong(), autostart=True)
-    interface.start(0.0)
-    assert [frame.can_id for frame in interface.receive(SYNC, 0.0)] == [0x80 + NODE]
+
+@each(
+    "times, sample, data",
+    [
+        (False, FULL, struct.pack("<hh", 1, -2)),
+        (True, FULL, struct.pack("<hhI", 1, -2, 5_001_000)),
+        (True, FULL._replace(time_100ns=77), struct.pack("<hhI", 1, -2, 77)),
+    ],
+)
+def test_tpdo1_is_both_tracks_with_times_the_sample_time_and_nothing_else_goes_out(
+    times: bool, sample: Sample, data: bytes
+) -> None:
+    interface = running(sample, times=times, clock=SampleClock(0.0, 1000))
+    assert interface.receive(SYNC, 0.5) == [Frame(0x190, data)]
+
+
+def test_the_sample_time_is_that_of_the_reception_by_the_clock_of_the_bus() -> None:
+    """Whenever the program comes round to the SYNC; a stamp of some other clock is not used."""
+    interface = running(FULL, times=True)
+    stamps = [
+        struct.unpack_from("<I", interface.receive(SYNC._replace(timestamp=stamp), 2.0)[0].data, 4)[0]
+        for stamp in (1.9995, None, 2.1, 1.7e9, -20.0)
+    ]
+    assert stamps == [19_995_000, 20_000_000, 20_000_000, 20_000_000, 20_000_000]
+
+
+def test_tpdo2_holds_coarse_track_flags_and_zero_pulse() -> None:
+    interface = with_tpdo2(running(FULL, None, Sample(1, -2, invalid=True), FULL._replace(zero_pulse=1.0)))
+    sent = [interface.receive(SYNC, 0.001 * n) for n in range(4)]
+    assert [[frame.can_id for frame in frames] for frames in sent] == [
+        [0x190, 0x290],
+        [],
+        *[[0x190, 0x290]] * 2,
+    ]
+    fields = [struct.unpack("<hhBH", frames[1].data) for frames in sent if frames]
+    assert fields[0] == (3, -4, 1, 16384)
+    assert fields[1][2] == 2, "no pulse in this one, and the interface itself calls it bad"
+    assert fields[2] == (3, -4, 1, 65535)
+
+
+@pytest.mark.parametrize("times", [False, True])
+def test_the_module_takes_what_the_interface_sends(times: bool) -> None:
+    interface = running(Sample(1200, 900), times=times)
+    module = FeedbackModule(
+        ModuleConfig(node_id=32, encoder_interface=NODE, times=times, autostart=True, adc_bits=12)
+    )
+    module.start(0.0)
+    entry = module.dictionary.entry
+    for n in range(1, 4):
+        now = 0.001 * n
+        module.receive(SYNC, now)
+        for frame in interface.receive(SYNC, now):
+            assert len(frame.data) == (8 if times else 4)
+            module.receive(frame, now)
+    assert (entry(0x2000, 1).value, entry(0x2000, 2).value) == (1200, 900)
+    assert entry(0x2000, 5).value == (30_000 if times else 0)
+    assert entry(0x2012, 8).value == 0
+    assert module.feedback is not None
+    assert module.feedback.valid
+    assert entry(0x1600, 0).value == (3 if times else 2)
+
+
+def test_times_are_a_matter_of_the_default_a_master_may_write_another_mapping() -> None:
+    module = FeedbackModule(ModuleConfig(node_id=32, times=True))
+    module.start(0.0)
+    for data in (b"\x23\x00\x14\x01\x90\x01\x00\x80", b"\x2f\x00\x16\x00\x00", b"\x2f\x00\x16\x00\x02"):
+        (answer,) = module.receive(Frame(0x620, data.ljust(8, b"\0")), 0.0)
+        assert answer.data[0] == 0x60
+    assert module.dictionary.entry(0x1600, 0).value == 2
+
+
+WRAP = 1 << 32
+drifts = st.floats(-10_000, 10_000)
+starts = st.integers(-(1 << 40), 1 << 40)
+moments = st.floats(0, 1e7)  # of a monotonic clock: four months
+gaps = st.floats(0, 420)  # less than a turn of the clock
+
+
+@given(drifts, starts, moments, gaps)
+def test_ticks_pass_as_time_does_whatever_it_shows(
+    drift_ppm: float, start: int, now: float, step_s: float
+) -> None:
+    clock = SampleClock(drift_ppm, start)
+    first, second = clock.ticks(now), clock.ticks(now + step_s)
+    assert 0 <= first < WRAP
+    passed = (second - first) % WRAP
+    # A tick at either end, and what a float of such a time cannot hold.
+    assert passed == pytest.approx(step_s * 1e7 * (1 + drift_ppm * 1e-6), abs=1.1 + 4 * math.ulp(now) * 1e7)
+
+
+@given(starts)
+def test_it_wraps_after_429_seconds(start: int) -> None:
+    clock = SampleClock(0.0, start)
+    turn_s = WRAP * 1e-7
+    assert clock.ticks(0.0) == start % WRAP
+    assert clock.ticks(turn_s + 1e-9) == start % WRAP
+    assert clock.ticks(turn_s - 5e-8) == (start - 1) % WRAP
+
+
+@each("drift_ppm", [10_001, -10_001, math.nan, math.inf])
+def test_a_drift_that_no_clock_has_is_refused(drift_ppm: float) -> None:
+    with pytest.raises(ValueError, match="drift_ppm must be a number"):
+        SampleClock(drift_ppm)

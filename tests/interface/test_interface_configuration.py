@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from canfb.configuration import ANY_NODES, INTERFACES, parse_config
+from canfb.configuration import INTERFACES, parse_config
 from canfb.errors import ConfigError
 from canfb.interface.interface_config import InterfaceConfig
 from canfb.sources.iio_source import IioSourceConfig
-from canfb.sources.motion_source import MotionSourceConfig
 from commands import Command
 
 ADC = "source: {kind: iio, device: ads7950}"
@@ -25,14 +24,14 @@ interfaces:
 
 def test_every_key_is_read() -> None:
     text = (
-        "interfaces:\n- {node_id: 0x10, source: {kind: motion}, serial_number: 7, times: true,"
-        " samples_per_sync: 2, adc_bits: 14, cycles_per_revolution: 1024, state_dir: /tmp/x,"
+        "interfaces:\n- {node_id: 0x10, source: {kind: iio, device: x, scans_per_sync: 4}, serial_number: 7,"
+        " times: true, samples_per_sync: 2, adc_bits: 14, cycles_per_revolution: 1024, state_dir: /tmp/x,"
         " autostart: true}\n"
     )
     (config,) = parse_config(text, needs=INTERFACES).interfaces
     assert config == InterfaceConfig(
         node_id=16,
-        source=MotionSourceConfig(),
+        source=IioSourceConfig(device="x", scans_per_sync=4, adc_bits=14, samples_per_sync=2),
         serial_number=7,
         times=True,
         samples_per_sync=2,
@@ -42,20 +41,6 @@ def test_every_key_is_read() -> None:
         autostart=True,
     )
     assert all(f"{field.name}:" in text for field in dataclasses.fields(InterfaceConfig))
-
-
-def test_bits_that_are_stated_are_those_of_the_converter() -> None:
-    for stated, bits in (("", None), (", adc_bits: 12", 12)):
-        text = f"interfaces: [{{node_id: 16, {ADC}{stated}}}]"
-        source = parse_config(text, needs=INTERFACES).interfaces[0].source
-        assert isinstance(source, IioSourceConfig)
-        assert source.adc_bits == bits
-
-
-def test_one_file_may_serve_both_computers() -> None:
-    config = parse_config(BOTH)
-    assert [one.node_id for one in config.modules] == [32]
-    assert [one.node_id for one in parse_config(BOTH, needs=INTERFACES).interfaces] == [16]
 
 
 ONE = "interfaces:\n- node_id: 16\n"
@@ -92,11 +77,6 @@ def test_what_is_wrong_is_told_with_its_line(text: str) -> None:
         parse_config(text, "f.yaml", INTERFACES)
     assert str(caught.value).startswith(f"f.yaml:{line}: ")
     assert words in str(caught.value)
-
-
-def test_a_command_for_any_node_names_both_lists() -> None:
-    with pytest.raises(ConfigError, match="'modules' or 'interfaces' is missing: a list with at least one"):
-        parse_config("bus: {}", needs=ANY_NODES)
 
 
 def test_the_commands_take_one_or_both_lists(tmp_path: Path, command: Command) -> None:
