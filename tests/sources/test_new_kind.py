@@ -12,12 +12,12 @@ import pytest
 import canfb.sources
 from canfb.cia301.frame import Frame
 from canfb.configuration import parse_config
-from canfb.errors import ConfigError
 from canfb.hosting.hosting import open_source
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import VALID
 from canfb.sources.protocol import source_kinds
 from commands import Command
+from folding import each
 
 FILE = """
 import math
@@ -93,25 +93,6 @@ def test_the_registry_finds_it() -> None:
     assert source_kinds()["steady"].__name__ == "SteadySourceConfig"
 
 
-@pytest.mark.parametrize(
-    ("source", "message"),
-    [
-        ("", "5: 'steps' is missing in source"),
-        (
-            "      steps: [1]\n      speed: 7\n",
-            "7: unknown key 'speed' in source; known: kind, steps, absent",
-        ),
-        ("      absent: false\n      steps: [1, two]\n", "7: source: steps must be a number, not 'two'"),
-        ("      steps: [1, [2]]\n", "6: a part of 'steps' in source must be a single value"),
-        ("      steps: [1]\n      absent: 7\n", "7: source: absent must be true or false, not 7"),
-    ],
-)
-def test_its_mistakes_have_their_line(source: str, message: str) -> None:
-    with pytest.raises(ConfigError) as caught:
-        parse_config(configuration(source))
-    assert str(caught.value) == f"configuration:{message}"
-
-
 def test_a_module_runs_on_it() -> None:
     config = parse_config(configuration("      steps: [0, 0.125, 0.25, 0.375, 0.375]\n"))
     with contextlib.ExitStack() as resources:
@@ -134,8 +115,13 @@ def test_a_module_runs_on_it() -> None:
     assert source.closed  # type: ignore[attr-defined]
 
 
-def test_the_machine_is_asked_by_the_check(tmp_path: Path, command: Command) -> None:
+@each("keys, said", [
+    ("steps: [1]\n      absent: true\n", "absent: there is none here"),
+    ("absent: false\n      steps: [1, two]\n", "source: steps must be a number, not 'two'"),
+])  # fmt: skip
+def test_the_check_asks_its_values_and_the_machine(
+    tmp_path: Path, command: Command, keys: str, said: str
+) -> None:
     path = tmp_path / "steady.yaml"
-    path.write_text(configuration("      steps: [1]\n      absent: true\n"))
-    said = command("config check", path, code=2)
-    assert said.err == f"canfb: {path}:7: absent: there is none here\n"
+    path.write_text(configuration(f"      {keys}"))
+    assert command("config check", path, code=2).err == f"canfb: {path}:7: {said}\n"

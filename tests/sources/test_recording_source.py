@@ -14,6 +14,7 @@ from canfb.errors import CanfbError
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import SourceEnded
 from canfb.sources.recording_source import RecordingLayout, RecordingSource, open_recording
+from folding import each
 
 AB = RecordingLayout(("a", "b"))
 
@@ -69,31 +70,21 @@ def test_files_as_spreadsheets_and_instruments_write_them(
     assert source.note == note
 
 
-TIMED = "t,a,b\n" + "".join(f"{t},{n},0\n" for n, t in enumerate((0.0, 0.1, 0.2, 0.8, 0.9, 2.0)))
-
-
-def timed(path: Path, gap_s: float, gap_samples: int) -> RecordingSource:
-    return open_recording(
-        path, RecordingLayout(("a", "b"), time_column="t", gap_s=gap_s, gap_samples=gap_samples)
-    )
-
-
-@pytest.mark.parametrize("gap_samples", [1, 2, 5])
-def test_at_a_gap_the_last_sample_is_left_out_and_samples_are_lost(tmp_path: Path, gap_samples: int) -> None:
-    source = timed(written(tmp_path, TIMED), 0.3, gap_samples)
-    lost = [None] * gap_samples
-    assert played(source) == [(0, 0), (1, 0), *lost, (3, 0), *lost, (5, 0)]
-
-
-def test_a_step_as_long_as_the_limit_is_no_gap(tmp_path: Path) -> None:
-    path = written(tmp_path, "t,a,b\n0,1,0\n0.25,2,0\n0.75,3,0\n")
-    assert played(timed(path, 0.5, 1)) == [(1, 0), (2, 0), (3, 0)]
-    assert played(timed(path, 0.25, 1)) == [(1, 0), None, (3, 0)]
-
-
-def test_gaps_on_end_lose_all_that_is_between(tmp_path: Path) -> None:
-    path = written(tmp_path, "t,a,b\n0,1,0\n10,2,0\n20,3,0\n30,4,0\n")
-    assert played(timed(path, 1.0, 2)) == [None] * 6 + [(4, 0)]
+@each(
+    "times_s, gap_s, gap_samples, numbers",
+    [
+        *(((0, 0.1, 0.2, 0.8, 0.9, 2), 0.3, n, [0, 1, *[None] * n, 3, *[None] * n, 5]) for n in (1, 2, 5)),
+        ((0, 0.25, 0.75), 0.5, 1, [0, 1, 2]),  # a step as long as the limit
+        ((0, 0.25, 0.75), 0.25, 1, [0, None, 2]),
+        ((0, 10, 20, 30), 1.0, 2, [*[None] * 6, 3]),
+    ],
+)
+def test_at_a_gap_the_last_sample_is_left_out_and_samples_are_lost(
+    tmp_path: Path, times_s: list[float], gap_s: float, gap_samples: int, numbers: list[int | None]
+) -> None:
+    path = written(tmp_path, "t,a,b\n" + "".join(f"{t},{n},0\n" for n, t in enumerate(times_s)))
+    layout = replace(AB, time_column="t", gap_s=gap_s, gap_samples=gap_samples)
+    assert [sample and sample[0] for sample in played(open_recording(path, layout))] == numbers
 
 
 WRONG: dict[str, tuple[str | bytes, str]] = {

@@ -60,10 +60,6 @@ def test_what_is_right_loads(text: str) -> None:
     assert source_of(text) == RIGHT[text]
 
 
-def test_without_a_source_the_samples_come_from_the_pdo() -> None:
-    assert parse_config("modules: [{node_id: 32}]").modules[0].source is None
-
-
 def test_only_bits_that_are_stated_are_held_against_the_converter() -> None:
     unstated = source_of("{kind: iio, device: x}")
     stated = source_of("{kind: iio, device: x}", "    adc_bits: 12\n")
