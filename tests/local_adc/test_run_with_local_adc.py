@@ -7,18 +7,17 @@ import errno
 import re
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import can
 import pytest
 from emulated_iiod import EmulatedAdc, EmulatedIiod
-from iio_kit import LIMIT_S, Machine, deliver, fired_by_sync, reading, until
+from iio_kit import LIMIT_S, Machine, fired_by_sync, reading, until
 
 from canfb.cia301.frame import Frame
 from canfb.configuration import INTERFACES, parse_config
-from canfb.hosting.captured_source import CapturedSource
 from canfb.hosting.hosting import make_interface
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.signal.supervision import VALID
@@ -127,81 +126,23 @@ def test_a_source_that_is_not_there_ends_the_command(nodes: str, words: str, com
     assert "Traceback" not in errors
 
 
-NODE, ADC_PDO, EMCY = 16, 0x190, 0x090
-SYNC = Frame(0x80, b"")
+NODE, ADC_PDO = 16, 0x190
 
 
-@pytest.fixture
-def made() -> Iterator[Callable[..., EncoderInterface]]:
-    """Interfaces as the command makes them, in OPERATIONAL; all are closed at the end."""
-    with contextlib.ExitStack() as resources:
-
-        def make(server: EmulatedIiod, keys: str = "", source: str = "") -> EncoderInterface:
-            text = (
-                f"interfaces: [{{node_id: {NODE}, autostart: true, times: true{keys}, "
-                f"source: {{kind: iio, device: ads7950, uri: 'ip:127.0.0.1:{server.port}'{source}}}}}]"
-            )
-            (config,) = parse_config(text, needs=INTERFACES).interfaces
-            interface = make_interface(config, resources, {})
-            assert server.opened.wait(LIMIT_S)
-            interface.start(0.0)
-            return interface
-
-        yield make
-
-
-def source_of(interface: EncoderInterface) -> CapturedSource:
-    assert isinstance(interface.source, CapturedSource)
-    return interface.source
-
-
-def adc(sine: int, cosine: int, time_100ns: int) -> Frame:
-    return Frame(ADC_PDO, struct.pack("<hhI", sine, cosine, time_100ns))
-
-
-def test_each_sync_sends_its_scan_with_the_time_of_the_kernel(
-    iiod: Iiod, made: Callable[..., EncoderInterface]
-) -> None:
-    server = iiod()
-    interface = made(server)
-    assert interface.receive(SYNC, 0.0) == [], "nothing is sampled yet"
-    deliver(server, source_of(interface), reading(2048 + 5, 2048 - 6, 7_000_123))
-    assert interface.receive(SYNC, 0.01) == [adc(5, -6, 70_001)]
-    assert interface.receive(SYNC, 0.02) == [], "no scan is sent twice"
-    deliver(server, source_of(interface), *[reading(2048 + n, 2048, n * 1_000_000) for n in range(20, 25)])
-    assert interface.receive(SYNC, 0.03) == [adc(24, 0, 240_000)]
-    assert (interface.samples, interface.missed) == (2, 2)
-
-
-def test_without_time_stamps_the_time_is_that_of_the_sync(
-    iiod: Iiod, made: Callable[..., EncoderInterface]
-) -> None:
-    server = iiod()
-    interface = made(server, source=", time_stamps: false")
-    times = []
-    for n in (1, 2):
-        deliver(server, source_of(interface), reading(2048, 2048))
-        (frame,) = interface.receive(SYNC._replace(timestamp=0.01 * n), 0.01 * n + 0.003)
-        times.append(struct.unpack_from("<I", frame.data, 4)[0])
-    assert (times[1] - times[0]) % 2**32 == pytest.approx(100_000, abs=1)
-
-
-def test_a_converter_that_fails_is_an_emcy_until_it_works_again(
-    iiod: Iiod, made: Callable[..., EncoderInterface], caplog: pytest.LogCaptureFixture
+def test_a_converter_that_fails_is_told_by_the_interface(
+    iiod: Iiod, caplog: pytest.LogCaptureFixture
 ) -> None:
     server = iiod(EmulatedAdc(fire_error=errno.EIO))
     server.adc.on_fire = lambda: server.deliver(reading(2048, 2048, 0))
-    interface = made(server, source=", trigger: sysfstrig7, wait_us: 1000000")
-    (frame,) = interface.receive(SYNC, 0.0)
-    assert frame == Frame(EMCY, struct.pack("<HB5x", 0x5000, 1))
-    assert interface.receive(SYNC, 0.01) == []
-    server.adc.fire_error = 0
-    assert [one.can_id for one in interface.receive(SYNC, 0.5)] == [ADC_PDO]
-    frames = interface.receive(SYNC, 1.5)
-    assert [one.can_id for one in frames] == [EMCY, ADC_PDO]
-    assert frames[0].data == bytes(8)
-    told = [record.getMessage() for record in caplog.records]
-    assert told == [
+    text = f"interfaces: [{{node_id: {NODE}, autostart: true, source: {fired_by_sync(server)}}}]"
+    (config,) = parse_config(text, needs=INTERFACES).interfaces
+    with contextlib.ExitStack() as resources:
+        interface = make_interface(config, resources, {})
+        interface.start(0.0)
+        for now, fire_error in ((0.0, errno.EIO), (0.5, 0), (1.5, 0)):
+            server.adc.fire_error = fire_error
+            interface.receive(Frame(0x80, b""), now)
+    assert [record.getMessage() for record in caplog.records] == [
         "node 16: the source fails: the trigger cannot be fired: Input/output error",
         "node 16: the source works again",
     ]
