@@ -12,8 +12,6 @@ from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED, LASTING_S, RETRY
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.errors import reason
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from fake_bus import FakeBus, FakeClock, FakeDevice, each_kind_of_bus, frame_bus, message  # noqa: F401
 
 BUS_OFF = message(ERROR_BUS_OFF | 0x200, bytes(8), is_error_frame=True)
@@ -139,31 +137,6 @@ def test_off_and_on_and_off_is_reported_once_and_each_time_it_is_an_error() -> N
     device, _, lines = play(SHORT, 6.0)
     assert [word for word, _ in device.told] == ["off"] * 10 + ["back"]
     assert lines == [OFF_LINE, ON_LINE]
-
-
-def test_two_devices_and_one_that_does_not_want_to_know() -> None:
-    others: list[Any] = []
-
-    def both(clock: FakeClock) -> Any:
-        others.extend((FakeDevice(clock), Watching(clock)))
-        return others[0]
-
-    play([(1.0, BUS_OFF), (1.1, RESTARTED)], 5.0, both, lambda clock: others[1])
-    deaf, other = others
-    assert [word for word, _ in other.told] == ["off", "back"]
-    assert deaf.heard_ids() == [0x0A0, 0x0A0]
-    assert other.heard_ids() == [0x0A0], "each hears what the others say, not itself"
-
-
-def test_the_module_stops_and_says_that_the_bus_is_back() -> None:
-    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))
-    states: list[object] = []
-    module.events.on_event = lambda event: states.append(event.values.get("state"))
-    _, bus, _ = play([(1.0, BUS_OFF), (1.5, RESTARTED)], 5.0, module)
-    assert states == ["PRE-OPERATIONAL", "OPERATIONAL", "PRE-OPERATIONAL"]
-    sent = [(sent.arbitration_id, bytes(sent.data).hex()) for _, sent in bus.sent]
-    assert (0x0A0, "4081110000000000") in sent
-    assert (0x0A0, "0000000000000000") in sent
 
 
 @pytest.mark.parametrize("error", [DOWN, FULL])

@@ -156,19 +156,6 @@ def test_all_hear_and_all_send(shared: SharedBus, other: can.BusABC) -> None:
     assert branch.recv(AT_ONCE_S) is None
 
 
-def test_a_branch_has_filters_of_its_own(shared: SharedBus, other: can.BusABC) -> None:
-    branch = shared.branch()
-    branch.set_filters([{"can_id": 0x5A0, "can_mask": 0x7FF, "extended": False}])
-    for can_id in (0x1A0, 0x5A0):
-        other.send(message(can_id))
-        assert shared.recv(PATIENCE_S) is not None
-    heard = branch.recv(PATIENCE_S)
-    assert heard is not None
-    assert heard.arbitration_id == 0x5A0
-    assert branch.recv(AT_ONCE_S) is None
-    branch.shutdown()
-
-
 def test_what_is_no_upload_is_not_sent(shared: SharedBus, other: can.BusABC) -> None:
     for bus in (shared, shared.branch()):
         with pytest.raises(can.CanOperationError, match="SDO uploads alone"):

@@ -15,7 +15,6 @@ import can
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from canfb.bus.frame_bus import brings_own_frames_back
 from canfb.bus.opening import (
     describe,
     group_port,
@@ -31,18 +30,6 @@ def no_configuration_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     for word in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
         monkeypatch.delenv(word, raising=False)
     monkeypatch.setattr(can.util, "load_file_config", lambda *arguments, **words: {})
-
-
-def test_a_bus_by_python_cans_words() -> None:
-    with (
-        open_bus({"interface": "virtual", "channel": "canfb opening"}) as one,
-        open_bus({"interface": "virtual", "channel": "canfb opening"}) as other,
-    ):
-        one.send(can.Message(arbitration_id=0x123, is_extended_id=False))
-        heard = other.recv(1.0)
-        assert heard is not None
-        assert heard.arbitration_id == 0x123
-        assert not brings_own_frames_back(one)
 
 
 def test_what_is_not_given_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -208,15 +208,6 @@ def test_without_deadlines_a_wait_is_short_enough_for_a_signal() -> None:
     assert 0.01 <= LONGEST_WAIT_S <= 0.5
 
 
-def test_a_deadline_in_the_past_waits_for_nothing() -> None:
-    bench = Bench()
-    device = bench.device(period_s=1e-4)
-    device.tick = lambda now: []  # type: ignore[method-assign]  # it does not move its deadline on
-    runner = Runner(frame_bus(bench.bus), [device], clock=bench.clock)
-    runner.run(finished=lambda: len(bench.bus.waits) > 20)
-    assert set(bench.bus.waits[2:]) == {0.0}
-
-
 def polling(*plan: tuple[float, can.Message | Exception]) -> Bench:
     """A bus where a look takes 10 µs."""
     bench = Bench(*plan)
@@ -396,6 +387,7 @@ def test_a_device_that_raises_ends_it_for_all(method: str) -> None:
     )
 
 
+BUS_OFF = message(0x040, bytes(8), is_error_frame=True)
 ASKED = [Frame(0x620, b"\x40\x00\x10\x00\0\0\0\0")]
 
 
@@ -406,6 +398,7 @@ ASKED = [Frame(0x620, b"\x40\x00\x10\x00\0\0\0\0")]
         ([(0.05, message(0x5A0, b"\x43"))], 0x5A0, 0.05),
         ([(0.01, message(0x721, b"\x05")), (0.02, message(0x1A0)), (0.15, message(0x720))], None, 0.1),
         ([(0.02, BROKEN), (0.03, message(0x720, b"\x05"))], None, 0.02),
+        ([(0.01, BUS_OFF)], None, 0.1),
         ([], None, 0.1),
     ],
 )
@@ -414,20 +407,13 @@ def test_other_nodes_are_heard_before_the_devices_start(
 ) -> None:
     bench = Bench(*plan)
     device = bench.device(boot=(Frame(0x720, b"\0"),))
-    runner = Runner(frame_bus(cast(Any, bench.bus)), [device], clock=bench.clock, sleep=bench.clock.sleep)
+    lines = list[str]()
+    runner = Runner(frame_bus(cast(Any, bench.bus)), [device], lines.append, bench.clock, bench.clock.sleep)
     assert runner.hears({0x5A0, 0x720}, 0.1, ASKED) == heard
+    assert ("the CAN controller is bus-off" in lines) is ((0.01, BUS_OFF) in plan)
     assert bench.bus.at == pytest.approx(until_s)
     assert bench.bus.sent_ids() == [0x620]
     assert device.heard == []
-
-
-def test_an_error_frame_before_the_start_is_reported() -> None:
-    off = can.Message(arbitration_id=0x040, is_error_frame=True, data=bytes(8), is_extended_id=False)
-    bench = Bench((0.01, off))
-    report = bench.lines.append
-    runner = Runner(frame_bus(cast(Any, bench.bus)), [], lambda text: report((0.0, text)), bench.clock)
-    assert runner.hears({0x720}, 0.1) is None
-    assert bench.reported == ["the CAN controller is bus-off"]
 
 
 POSITION, EMCY = 0x1A0, 0xA0
