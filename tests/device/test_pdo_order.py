@@ -79,16 +79,3 @@ def test_any_order_leads_to_any_state(program: tuple[int, State, list[tuple[int,
     answer = bench.write(index, 1, last[1], 4)
     assert answer == (OK if is_legal(last) else AbortCode.INVALID_VALUE)
     assert bench.read(index, 1) == (last[1] if is_legal(last) else last[1] | FREE)
-
-
-@given(states(0x1801), states(0x1801))
-def test_a_valid_pdo_is_never_what_it_may_not_be(first: State, second: State) -> None:
-    bench = as_delivered()
-    bench.write(0x1801, 1, bench.read(0x1801, 1) | FREE, 4)
-    for sub in (2, 1):
-        bench.write(0x1801, sub, first[sub], SIZES[sub])
-    for sub in (1, 2, 1):
-        value = second[sub] & ~0x7FF | first[1] & 0x7FF if sub == 1 else second[sub]
-        bench.write(0x1801, sub, value, SIZES[sub])
-        state = state_of(bench, 0x1801)
-        assert is_legal(state) or state[1] & FREE

@@ -104,45 +104,58 @@ def test_a_store_that_fails_is_a_hardware_error_and_changes_nothing(path: Path) 
 # What is kept, and what comes back when.
 
 
+PLACES = {ALL: (0, 1, 2, 3), COMMUNICATION: (0, 3), APPLICATION: (1,), MANUFACTURER: (2,)}
+"""Of the parameters of a group in what is read; the last is the date of the configuration, 1020h."""
 STEPS = st.lists(
     st.tuples(
-        st.sampled_from(["write", "save", "load", "power", RESET_NODE, RESET_COMMUNICATION]),
+        st.sampled_from(["write", "date", "save", "load", "power", RESET_NODE, RESET_COMMUNICATION]),
         st.sampled_from(EACH),
     ),
-    max_size=12,
+    max_size=15,
 )
+
+
+def chosen(places: tuple[int, ...], there: list[int], elsewhere: list[int]) -> list[int]:
+    return [there[place] if place in places else elsewhere[place] for place in range(len(there))]
 
 
 @given(STEPS)
 def test_what_is_saved_comes_back_and_what_is_not_or_was_forgotten_does_not(
     path: Path, steps: list[tuple[str | int, int]]
 ) -> None:
-    """Each group for itself; the parameters of communication alone with a reset of communication."""
+    """Each group for itself, after 82h that of communication alone; the date until a change is saved."""
     store = MemoryStore()
     bench = StoringBench(path, store)
     bench.start()
-    now, kept = list(DEFAULTS), list(DEFAULTS)
+    now = kept = defaults = [*DEFAULTS, 0]
     for number, (what, group) in enumerate(steps, 10):
-        places = [group - COMMUNICATION] if group != ALL else range(3)
+        places = PLACES[group]
         if what == "write":
-            for place in places:
+            for place in set(places) - {3}:
                 index, size = PARAMETERS[place]
                 assert bench.write(index, 0, number, size) == OK
-                now[place] = number
+            now = [*chosen(places, [number] * 3, now), 0]
+        elif what == "date":
+            assert bench.write(VERIFY, 1, number, 4) == OK
+            now = [*now[:3], number]
+            assert bench.write(0x2000, 1, 5, 2) == OK, "process data change no configuration"
+            assert bench.write(0x2025, 0, 201, 1) is AbortCode.VALUE_TOO_HIGH
         elif what == "save":
             assert bench.save(group) == OK
-            kept = [now[place] if place in places else one for place, one in enumerate(kept)]
+            kept = chosen(places, now, kept)
         elif what == "load":
             assert bench.load(group) == OK
-            kept = [DEFAULTS[place] if place in places else one for place, one in enumerate(kept)]
-        elif what == "power":
-            bench = StoringBench(path, store)
-            bench.start()
-            now = list(kept)
+            kept = chosen(places, defaults, kept)
+            now = [*now[:3], 0]
         else:
-            bench.nmt(int(what))
-            now = kept[:1] + now[1:] if what == RESET_COMMUNICATION else list(kept)
-        assert values(bench) == now
+            if what == "power":
+                bench = StoringBench(path, store)
+                bench.start()
+            else:
+                bench.nmt(int(what))
+            places = PLACES[COMMUNICATION if what == RESET_COMMUNICATION else ALL]
+            now = chosen(places, kept, now)
+        assert [*values(bench), bench.value(VERIFY, 1)] == now
 
 
 def test_stored_values_are_checked_and_nothing_acts_on_them(power_on: Callable[..., StoringBench]) -> None:
@@ -235,37 +248,3 @@ def test_a_further_sdo_channel_comes_back_or_not(power_on: Callable[..., Storing
     bench.nmt(RESET_COMMUNICATION)
     assert (bench.value(0x1201, 1), bench.value(0x1201, 2)) == (0x6C0, 0x6C1)
     assert bench.send(0x6C0, "4017100000000000") == ["6C1#4B17100000000000"]
-
-
-# 1020h.
-
-
-def verified(bench: StoringBench) -> tuple[object, object]:
-    return bench.read(VERIFY, 1), bench.read(VERIFY, 2)
-
-
-@pytest.mark.parametrize(("index", "value", "size"), [(0x1017, 1, 2), (0x2025, 50, 1), (0x6000, 3, 2)])
-def test_the_date_of_the_configuration_is_kept_until_a_change_is_saved(
-    power_on: Callable[..., StoringBench], index: int, value: int, size: int
-) -> None:
-    bench = power_on()
-    change(bench)
-    for sub, number in ((1, 15000), (2, 42)):
-        bench.write(VERIFY, sub, number, 4)
-    assert bench.save() == OK
-    assert verified(bench) == (15000, 42)
-    bench.nmt(RESET_NODE)
-    again = power_on()
-    for one in (bench, again):
-        assert one.read(0x1017) == 500  # reading changes nothing
-        assert one.write(0x2000, 1, 5, 2) == OK  # nor does process data
-        assert one.write(0x2025, 0, 201, 1) is not OK  # nor what is refused
-        assert verified(one) == (15000, 42)
-    assert bench.write(index, 0, value, size) == OK
-    assert verified(bench) == (0, 0)
-    bench.nmt(RESET_NODE)
-    assert verified(bench) == (15000, 42)  # the change was not saved
-    bench.write(index, 0, value, size)
-    bench.save()
-    bench.nmt(RESET_NODE)
-    assert verified(bench) == (0, 0)
