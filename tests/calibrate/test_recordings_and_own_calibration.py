@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -110,42 +111,6 @@ def test_a_dry_run_of_it_drops_what_the_module_measured(capsys: pytest.CaptureFi
     assert bench.access.integer(0x2030, 2, "B") == 0
 
 
-@pytest.mark.parametrize("arguments", [
-    ["--source", "module"], ["--source", "module", "--check"],
-    ["--source", "recording", "--recorder", "module"],
-])  # fmt: skip
-def test_a_module_that_is_not_operational_is_told_within_three_seconds(arguments: list[str]) -> None:
-    bench = Bench()
-    bench.bus.run_until(0.5)
-    bench.bus.send(Frame(0, bytes([0x80, 0x20])))  # the interface stays OPERATIONAL
-    began = bench.bus.now
-    with pytest.raises(CommissioningError, match=r"module 32 \(20h\) has .* OPERATIONAL"):
-        calibrate(bench, "--seconds", "20", *arguments)
-    assert bench.bus.now - began < 3.0
-    assert bench.access.integer(0x2030, 2, "B") == 0
-    assert bench.access.integer(0x2050, 1, "B") == 0
-
-
-@pytest.mark.parametrize("arguments", [
-    [], ["--check"], ["--source", "module"], ["--source", "module", "--check"],
-    ["--source", "recording"], ["--source", "recording", "--recorder", "module"],
-])  # fmt: skip
-def test_an_encoder_interface_that_is_not_there_is_refused(arguments: list[str]) -> None:
-    bench = Bench()
-    bench.bus.run_until(0.5)
-    with pytest.raises(CommissioningError, match=r"encoder interface 17 \(11h\) does not answer"):
-        calibrate(bench, "--encoder-interface", "0x11", *arguments)
-    assert read_active(bench.access) == NO_CORRECTION
-
-
-def test_what_the_module_refuses_is_refused() -> None:
-    bench = with_calculator(Bench(motion=Motion(())))
-    with pytest.raises(CalibrationError, match=r"module 32 \(20h\) refuses its measurement: ") as error:
-        calibrate(bench, "--source", "module")
-    assert error.value.reason == "coverage"
-    assert bench.access.integer(0x2030, 2, "B") == 0
-
-
 def test_the_module_tells_its_drift(capsys: pytest.CaptureFixture[str]) -> None:
     bench = with_calculator(Bench())
     calibrate(bench, "--source", "module")
@@ -185,10 +150,41 @@ def test_its_own_recording_calibrates_it(capsys: pytest.CaptureFixture[str]) -> 
     assert np.abs(after).max() < 0.2 * np.abs(before).max()
 
 
-@pytest.mark.parametrize("source", ["pdo", "module"])
-def test_without_an_adc_pdo_it_says_what_to_do(source: str) -> None:
-    with pytest.raises(CommissioningError, match="--source recording --recorder module"):
-        calibrate(OwnConverter(), "--source", source)
+MODULE = ("--source", "module")
+RECORDED = ("--source", "recording", "--recorder", "module")
+NO_INTERFACE = r"encoder interface 17 \(11h\) does not answer"
+NOT_OPERATIONAL = r"module 32 \(20h\) has .* OPERATIONAL"
+REFUSED: list[tuple[Callable[[], Bench], list[tuple[str, ...]], str]] = [
+    (Bench, [(), MODULE, RECORDED, RECORDED[:2], ("--check",), (*MODULE, "--check")], NO_INTERFACE),
+    (Bench, [MODULE, RECORDED, (*MODULE, "--check")], NOT_OPERATIONAL),
+    (OwnConverter, [(), MODULE], "--source recording --recorder module"),
+    (
+        lambda: with_calculator(Bench(motion=Motion(()))),
+        [MODULE],
+        r"module 32 \(20h\) refuses its measurement: parts of the cycle were never",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("made", "arguments", "words"), [(made, one, words) for made, every, words in REFUSED for one in every]
+)
+def test_what_gives_no_samples_is_refused_within_three_seconds(
+    made: Callable[[], Bench], arguments: tuple[str, ...], words: str
+) -> None:
+    bench = made()
+    bench.bus.run_until(0.5)
+    if words == NO_INTERFACE:
+        arguments = (*arguments, "--encoder-interface", "0x11")
+    if words == NOT_OPERATIONAL:
+        bench.bus.send(Frame(0, bytes([0x80, 0x20])))  # the interface stays OPERATIONAL
+    began = bench.bus.now
+    with pytest.raises((CommissioningError, CalibrationError), match=words):
+        calibrate(bench, "--seconds", "20", *arguments)
+    assert bench.bus.now - began < 3.0
+    assert read_active(bench.access) == NO_CORRECTION
+    assert bench.access.integer(0x2030, 2, "B") == 0
+    assert bench.access.integer(0x2050, 1, "B") == 0
 
 
 def test_the_configuration_of_such_a_module_names_no_encoder_interface() -> None:

@@ -40,13 +40,6 @@ def known(plan: Plan, value: float, subindex: int = 2) -> ResidualBudget:
     return ResidualBudget(plan, module)
 
 
-def test_without_errors_it_is_the_public_formula() -> None:
-    one = budget(jitter_us=10.0)
-    assert one.equation_rad_s2 == canfb.max_acceleration(2500, 1000.0, LIMIT)
-    assert one.paper_rad_s2 == canfb.max_acceleration(2500, 1000.0)
-    assert one.equation_speed_rad_s == pytest.approx(canfb.max_speed(2500, 10e-6, LIMIT))
-
-
 def test_the_figures_are_those_that_run_and_simulate_print() -> None:
     module = FeedbackModule(ModuleConfig(node_id=0x20))
     for us, rpm in ((10.0, "200"), (100.0, "20")):

@@ -123,10 +123,6 @@ def test_the_load_grows_with_all_that_is_added(
         assert (rate_hz <= bus.largest_sync_hz) is (bus.load <= 1.0) or math.isclose(bus.load, 1.0)
 
 
-def test_a_bus_that_others_fill_carries_no_sync() -> None:
-    assert planned(extra_load=1.0).bus.largest_sync_hz == 0.0
-
-
 def test_what_delays_a_sync() -> None:
     def delay_us(**words: float) -> float:
         return planned(**words).bus.sync_delay_s * 1e6

@@ -57,29 +57,6 @@ def test_the_area_is_that_of_any_voltages(window: SampleWindow) -> None:
     assert shares.second_position == shares.residual, "a second position of 25 cycles sees nothing of a phase"
 
 
-def test_what_must_be_seen_and_what_cannot_be() -> None:
-    for window in (DEFAULT, COMMISSIONED):
-        faults = found(window)
-        for name in ("both open", "short to a supply"):
-            assert faults[name].shares.amplitude == 1.0
-            assert faults[name].within == 1
-        assert faults["both inverted"].shares.amplitude == 0.0
-        assert faults["both inverted"].shares.residual == 1.0
-        coupling = faults["coupling lost"].shares
-        assert (coupling.amplitude, coupling.residual) == (0.0, 0.0), "the tracks are those of a legal motion"
-        assert coupling.second_position > 0.8
-        assert 0.0 < faults["frozen"].shares.residual < 1.0
-    assert found(DEFAULT)["frozen"].shares.residual == pytest.approx(1.0 - 2.0 / 3.0, abs=0.06)
-    assert found(COMMISSIONED)["frozen"].shares.residual == pytest.approx(1.0 - 0.12, abs=0.06)
-
-
-def test_each_means_adds_to_the_one_before() -> None:
-    for window in (DEFAULT, COMMISSIONED):
-        for one in found(window).values():
-            assert 0.0 <= one.shares.amplitude <= one.shares.residual <= one.shares.second_position <= 1.0
-            assert one.harmful > 0
-
-
 def test_the_window_of_a_plan() -> None:
     plan = planned(acceleration_rad_s2=25.0, residual_limit=0.06)
     (budget,) = plan.budgets
