@@ -152,7 +152,9 @@ def test_its_own_recording_calibrates_it(capsys: pytest.CaptureFixture[str]) -> 
 
 MODULE = ("--source", "module")
 RECORDED = ("--source", "recording", "--recorder", "module")
-NO_INTERFACE = r"encoder interface 17 \(11h\) does not answer"
+NO_INTERFACE = (
+    r"encoder interface 17 \(11h\) does not answer, .* from node 16 \(10h, PDO 190h\): set the right"
+)
 NOT_OPERATIONAL = r"module 32 \(20h\) has .* OPERATIONAL"
 REFUSED: list[tuple[Callable[[], Bench], list[tuple[str, ...]], str]] = [
     (Bench, [(), MODULE, RECORDED, RECORDED[:2], ("--check",), (*MODULE, "--check")], NO_INTERFACE),

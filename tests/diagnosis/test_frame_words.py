@@ -44,12 +44,6 @@ def test_the_position_pdo_has_its_objects_by_name_with_units() -> None:
     assert decoded.line(0.25) == f"(0.250000)  1A0  [8]  40 E2 01 00 81 00 00 10  {decoded.text}"
 
 
-def test_the_samples_are_those_that_the_module_takes() -> None:
-    decoded = WORDS.decode(Frame(0x190, struct.pack("<hh", -700, 1200)))
-    assert decoded.text == "RPDO1 of 32: sine -700 ADC counts, cosine 1200 ADC counts"
-    assert decoded.values == {"2000:01": -700, "2000:02": 1200}
-
-
 def test_a_short_pdo_says_how_long_it_should_be() -> None:
     assert WORDS.decode(Frame(0x1A0, bytes(3))).text == "TPDO1 of 32: 3 bytes, 8 are mapped"
 

@@ -9,7 +9,7 @@ import pytest
 from canfb import objects as od
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
-from canfb.master.access import REALS, CommissioningError, NodeAccess, ObjectAbsentError, as_real32
+from canfb.master.access import REALS, CommissioningError, ObjectAbsentError, as_real32
 from canfb.master.session import SupervisionLimits
 from canfb.signal.correction import CorrectionTable
 from commissioning_kit import Bench
@@ -62,13 +62,6 @@ def test_every_real_of_encoder_and_supervision_is_read_as_one() -> None:
     assert SupervisionLimits.read(bench.access).values[od.SUPERVISION_SYNC_JITTER] == as_real32(1e-4)
 
 
-def test_numbers_of_every_size() -> None:
-    access = Bench(sync=False).access
-    for place, layout, value in (((0x2001, 2), "H", 8192), ((0x2010, 3), "B", 7), ((0x2002, 1), "f", -3.25)):
-        access.write(*place, layout, value)
-        assert access.read(*place, layout) == value
-
-
 def test_what_is_refused_is_one_line_with_the_reason() -> None:
     access = Bench(sync=False).access
     with pytest.raises(CommissioningError) as error:
@@ -84,17 +77,6 @@ def test_what_is_refused_is_one_line_with_the_reason() -> None:
         access.download_domain(0x2099, 1, b"12345678")
     with pytest.raises(CommissioningError, match=r"2001:02 has 2 bytes, not 4"):
         access.read(0x2001, 2, "I")
-
-
-def test_a_node_that_is_not_there() -> None:
-    bench = Bench(sync=False)
-    absent = NodeAccess(bench.master, 99, "module")
-    with pytest.raises(
-        CommissioningError, match=r"module 99 \(63h\): reading 1000:00: no answer; is the node on the bus"
-    ):
-        absent.read(0x1000, 0, "I")
-    assert not absent.answers()
-    assert bench.access.answers()
 
 
 class Interrupted(BaseException):

@@ -12,12 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.cia301.frame import Frame
 from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.samples import PdoRecorder, listen
 from canfb.master.session import agreed_layout
 from canfb.view.module_view import PdoLayout
-from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench, random_encoder
+from commissioning_kit import RATE_HZ, Bench
 
 LAYOUT = PdoLayout(0x190)
 OFF = 1 << 31
@@ -114,11 +113,6 @@ def losing(lost: Callable[[int], bool]) -> Bench:
     return bench
 
 
-def test_lost_samples_are_marked() -> None:
-    samples = listen(losing(lambda n: n % 10 == 0).master, LAYOUT, 0.5)
-    assert samples.missed == pytest.approx(len(samples) / 10, abs=2)
-
-
 def test_without_a_sync_it_says_who_has_to_produce_it() -> None:
     with pytest.raises(
         CommissioningError, match=r"no SYNC \(080h\) for 2 s: start the node .* \(--rate HZ\)"
@@ -157,11 +151,6 @@ def write_mapping(bench: Bench, node: NodeAccess, first: int, entries: list[int]
     node.write(first, 1, "I", cob_id)
 
 
-def test_the_layout_is_read_from_both_nodes() -> None:
-    bench = Bench(sync=False)
-    assert agreed_layout(bench.access, bench.interface_access) == LAYOUT
-
-
 def test_another_mapping_and_cob_id_are_found() -> None:
     bench = Bench(sync=False, operational=False)
     node = bench.interface_access
@@ -197,28 +186,9 @@ def test_a_silent_interface_is_taken_as_the_module_expects_it() -> None:
     assert agreed_layout(bench.access, bench.interface_access) == LAYOUT
 
 
-def test_a_silent_interface_is_not_taken_for_another_node() -> None:
-    bench = Bench(sync=False)
-    other = NodeAccess(bench.master, 0x11, "encoder interface")
-    with pytest.raises(
-        CommissioningError,
-        match=r"interface 17 \(11h\) does not answer, .* from node 16 \(10h, PDO 190h\): set the right",
-    ):
-        agreed_layout(bench.access, other)
-
-
 def test_with_a_cob_id_of_nobody_a_silent_interface_is_believed() -> None:
     bench = Bench(sync=False)
     for cob_id in (OFF | 0x500, 0x500):
         bench.access.write(0x1400, 1, "I", cob_id)
     other = NodeAccess(bench.master, 0x11, "encoder interface")
     assert agreed_layout(bench.access, other) == PdoLayout(0x500)
-
-
-def test_frames_of_others_change_nothing() -> None:
-    bench = Bench(encoder=random_encoder(4))
-    bench.bus.observers.append(
-        lambda frame, now: bench.bus.send(Frame(0x191, pdo(1, 2))) if frame.can_id == 0x190 else None
-    )
-    assert listen(bench.master, LAYOUT, 0.3).missed == 0
-    assert (MODULE_ID, INTERFACE_ID) == (0x20, 0x10)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -52,41 +53,39 @@ def test_a_machine_that_turns_is_refused_whether_it_is_lost_or_not(canfb: Comman
     assert 0x720 not in [frame.can_id for frame in frames], "nothing was reset"
 
 
-def test_a_whole_cycle_for_each_sample_is_seen_while_it_is_counted(canfb: Commands) -> None:
-    """Its phase stands still. Once it is lost, nothing but uneven intervals could tell it."""
+def silent() -> Bench:
+    """A missed sample is no sample."""
+    bench = running(STILL)
+    bench.source.change = lambda counts: None
+    return bench
+
+
+def at_a_whole_cycle() -> Bench:
+    """For each sample: its phase stands still, and the count does not."""
     bench = running(Motion((Ramp(1.0, 60.0 * RATE_HZ / CYCLES),)))
     bench.bus.run_until(3.0)
-    _, err = canfb(bench, "node", "reset", NODE, code=1)
-    assert "the machine moves, it has moved by +" in err
+    return bench
 
 
-def test_force_looks_at_nothing(canfb: Commands) -> None:
-    bench = running(Motion((), (), 0.6))
-    _, err = canfb(bench, "node", "reset", NODE, "--force", code=1)
-    assert "reset and started, but its position is lost" in err, "it turned, and may still turn"
-    out, _ = canfb(running(STILL), "node", "reset", NODE, "--force")
-    assert "machine not looked at" in out
+# A millicycle to and fro, around a place where the phase wraps.
+HELD = Motion((), (Ripple(60.0 * 0.001 * 6.28 * 5.0 / CYCLES, 5.0),))
+CASES: list[tuple[Callable[[], Bench], tuple[str, ...], str]] = [
+    (lambda: running(HELD), (), "position valid"),
+    (lambda: running(STILL), ("--force",), "machine not looked at"),
+    (lambda: running(Motion((), (), 0.6)), ("--force",), "reset and started, but its position is lost"),
+    (lambda: running(Motion((Ramp(1.2, 0.0), Ramp(0.3, 20.0)))), (), "began to move while it was reset"),
+    (lambda: running(STILL, sync=False), (), "so it cannot be seen whether the machine stands still"),
+    (silent, (), "so it cannot be seen whether the machine stands still"),
+    (at_a_whole_cycle, (), "the machine moves, it has moved by +"),
+]
 
 
-def test_a_module_without_samples_is_not_reset(canfb: Commands) -> None:
-    bench = running(STILL, sync=False)
-    _, err = canfb(bench, "node", "reset", NODE, code=1)
-    assert "so it cannot be seen whether the machine stands still" in err
-    silent = running(STILL)
-    silent.source.change = lambda counts: None
-    assert "cannot be seen" in canfb(silent, "node", "reset", NODE, code=1)[1], "a missed sample is no sample"
-
-
-def test_a_machine_that_begins_to_move_meanwhile_is_told(canfb: Commands) -> None:
-    bench = running(Motion((Ramp(1.2, 0.0), Ramp(0.3, 20.0))))
-    _, err = canfb(bench, "node", "reset", NODE, code=1)
-    assert "began to move while it was reset" in err
-
-
-def test_a_drive_that_holds_its_position_is_at_rest(canfb: Commands) -> None:
-    """A millicycle to and fro, around a place where the phase wraps."""
-    bench = running(Motion((), (Ripple(60.0 * 0.001 * 6.28 * 5.0 / CYCLES, 5.0),)))
-    assert "position valid" in canfb(bench, "node", "reset", NODE)[0]
+@pytest.mark.parametrize(("made", "options", "words"), CASES)
+def test_what_is_said_of_a_reset(
+    canfb: Commands, made: Callable[[], Bench], options: tuple[str, ...], words: str
+) -> None:
+    succeeds = words in ("position valid", "machine not looked at")
+    assert words in "".join(canfb(made(), "node", "reset", NODE, *options, code=0 if succeeds else 1))
 
 
 def test_a_position_that_is_lost_again_at_once_is_told(canfb: Commands) -> None:
