@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import numpy as np
 import pytest
+from calibrating import calibrate
 
 from canfb.calibrate.measurement import Measurement, Settings, measure
 from canfb.master.samples import TrackSamples
@@ -41,3 +45,15 @@ def old() -> Correction:
 @pytest.fixture(scope="session")
 def measured(samples: TrackSamples, old: Correction) -> Measurement:
     return measure(samples, SETTINGS, old, lambda part: None)
+
+
+@pytest.fixture
+def figures_of(capsys: pytest.CaptureFixture[str]) -> Any:
+    """figures_of(bench, "--save"): what `canfb calibrate --json` says of it."""
+
+    def run(bench: Any, *arguments: str, act: Any = calibrate, **words: Any) -> Any:
+        capsys.readouterr()
+        assert act(bench, *arguments, "--json", **words) == 0
+        return json.loads(capsys.readouterr().out)
+
+    return run

@@ -33,15 +33,12 @@ from commissioning_kit import CYCLES, Bench, EmbeddedMaster, random_encoder
 
 
 @pytest.mark.parametrize(("seed", "conditioning"), [(0, "fit"), (1, "none"), (2, "fit"), (3, "none")])
-def test_the_position_of_the_module_becomes_right(
-    seed: int, conditioning: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_position_of_the_module_becomes_right(seed: int, conditioning: str, figures_of: Any) -> None:
     rpm = float(np.random.default_rng(seed).uniform(30, 2000))
     bench = Bench(random_encoder(seed), rpm=rpm, store=MemoryStore())
     bench.bus.run_until(0.2)
     before = np.sqrt(np.mean(position_errors(bench, 400) ** 2))
-    assert calibrate(bench, "--json", "--save", "--conditioning", conditioning) == 0
-    figures = json.loads(capsys.readouterr().out)
+    figures = figures_of(bench, "--save", "--conditioning", conditioning)
     after = np.sqrt(np.mean(position_errors(bench, 400) ** 2))
     noise = bench.encoder.noise_lsb / (2 * np.pi * bench.encoder.amplitude_counts)
     assert before > 0.004
@@ -76,7 +73,7 @@ def test_the_account_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     assert (tmp_path / "table.bin").read_bytes() == bench.module.chain.correction.table.to_bytes()  # type: ignore[union-attr]
 
 
-def test_the_figures_are_those_of_the_module(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_figures_are_those_of_the_module(figures_of: Any, capsys: pytest.CaptureFixture[str]) -> None:
     """Cycles from standstill on, missed samples by its counter, its identity; a dry run writes nothing."""
     motion = Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),))
     bench = Bench(motion=motion, config={"serial_number": 77})
@@ -84,8 +81,7 @@ def test_the_figures_are_those_of_the_module(capsys: pytest.CaptureFixture[str])
     rng = np.random.default_rng(2)
     bench.source.change = lambda counts: counts if rng.random() > 0.01 else None
     began, missed, asked = bench.bus.now, bench.value(0x2012, 1), bench.source.motion.position_cycles
-    assert calibrate(bench, "--json", "--dry-run") == 0
-    found = json.loads(capsys.readouterr().out)
+    found = figures_of(bench, "--dry-run")
     assert found["module_lost"] is False
     assert found["module_missed"] == bench.value(0x2012, 1) - missed
     assert found["samples_missed"] == pytest.approx(found["module_missed"], abs=2)
@@ -114,7 +110,7 @@ def test_the_figures_are_those_of_the_module(capsys: pytest.CaptureFixture[str])
 
 @pytest.mark.parametrize(("from_s", "line"), [(2.5, 1), (3.2, 2)], ids=["before", "while it collects"])
 def test_a_lost_position_is_said_at_once_and_in_the_account(
-    from_s: float, line: int, capsys: pytest.CaptureFixture[str]
+    from_s: float, line: int, figures_of: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(2.0, 600.0)), (Ripple(10.0, 0.31),)))
     bench.source.change = lambda counts: (0, 0) if 0.0 < bench.bus.now - from_s < 0.1 else counts
@@ -127,28 +123,22 @@ def test_a_lost_position_is_said_at_once_and_in_the_account(
     assert lines[line].endswith(": canfb why 0x20 says why and what to do")
     assert sum("is lost" in one for one in lines) == 1
     assert "lost; a table does not bring it back (canfb why)" in capsys.readouterr().out
-    assert calibrate(bench, "--dry-run", "--json") == 0
-    found = json.loads(capsys.readouterr().out)
+    found = figures_of(bench, "--dry-run")
     assert (found["module_lost"], found["module_cycles"]) == (True, None)
 
 
-def test_drift_is_a_small_number_and_touches_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_drift_is_a_small_number_and_touches_nothing(
+    figures_of: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     bench = Bench()
     calibrate(bench)
     active = read_active(bench.access)
-    capsys.readouterr()
     bench.master.sent.clear()
-
-    def drift() -> dict[str, Any]:
-        assert calibrate(bench, "--check", "--json") == 0
-        found: dict[str, Any] = json.loads(capsys.readouterr().out)
-        return found
-
-    none = drift()
+    none = figures_of(bench, "--check")
     assert not none["drift_seen"]
     assert none["drift_rms_cycles"] < 3e-5
     bench.source.change = lambda counts: (counts[0] + 12, counts[1])
-    moved = drift()
+    moved = figures_of(bench, "--check")
     # An offset of d moves the phase by d/A cos(x)/(2 pi): rms d/A/(2 pi sqrt(2)).
     want = 12 / bench.encoder.amplitude_counts / (2 * np.pi * np.sqrt(2))
     assert moved["drift_rms_cycles"] == pytest.approx(want, rel=0.15)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -68,10 +67,10 @@ def calibrate(bench: Bench, *arguments: str, speeds: str = ALL, **words: Any) ->
     return command(bench.master, "--speeds", speeds, *SHORT, *arguments, **words)
 
 
-def test_a_path_is_found_and_removed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_path_is_found_and_removed(figures_of: Any, tmp_path: Path) -> None:
     made, said = bench(), io.StringIO()
-    assert calibrate(made, "--json", "--save", "--out", str(tmp_path), progress=Progress(stream=said)) == 0
-    found = json.loads(capsys.readouterr().out)
+    words = ("--save", "--out", str(tmp_path))
+    found = figures_of(made, *words, act=calibrate, progress=Progress(stream=said))
     used = made.module.chain.correction.conditioning
     assert used.cosine_delay_s == pytest.approx(1e-7, abs=2e-9)
     assert used.delay_s == 0.0, "nobody asked for it"
@@ -94,9 +93,9 @@ def test_a_path_is_found_and_removed(capsys: pytest.CaptureFixture[str], tmp_pat
     assert "Error over the speed" in page
     assert "cosine after the sine" in page
     # A check at this speed, of the encoder as it was, and of one that has changed.
-    assert check(made, capsys)["drift_rms_cycles"] < 1e-4
+    assert figures_of(made, "--check", act=at_this_speed)["drift_rms_cycles"] < 1e-4
     made.source.change = lambda counts: (counts[0] + 7.5, counts[1] * 1.01)
-    drift = check(made, capsys)
+    drift = figures_of(made, "--check", act=at_this_speed)
     assert drift["drift_seen"]
     assert drift["changed"]["gain"] == pytest.approx(0.01, abs=1e-3)
     assert drift["changed"]["sine_offset"] == pytest.approx(7.5 / 1470.0, rel=0.1)
@@ -105,18 +104,15 @@ def test_a_path_is_found_and_removed(capsys: pytest.CaptureFixture[str], tmp_pat
     # The same from the files, without a bus.
     assert len(list((tmp_path / "speeds").glob("*.npz"))) == 3
     again = tmp_path / "again"
-    assert from_files(tmp_path / "speeds", "--speeds", "recorded", "--out", str(again), "--json") == 0
-    files = json.loads(capsys.readouterr().out)
+    files = figures_of(tmp_path / "speeds", "--speeds", "recorded", "--out", str(again), act=from_files)
     assert files["crc32"] == found["crc32"]
     assert files["conditioning"] == found["conditioning"]
     assert files["corner_hz"] == found["corner_hz"]
     assert (again / "table.yaml").exists()
 
 
-def check(bench: Bench, capsys: pytest.CaptureFixture[str]) -> Any:
-    """`canfb calibrate --check` at the speed of now."""
-    assert command(bench.master, *SHORT[:4], "--check", "--json") == 0
-    return json.loads(capsys.readouterr().out)
+def at_this_speed(bench: Bench, *arguments: str) -> int:
+    return command(bench.master, *SHORT[:4], *arguments)
 
 
 def from_files(folder: Path, *arguments: str) -> int:
@@ -141,11 +137,10 @@ def test_the_account_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     assert read_corners(made.access).cosine_corner_hz == 0.0
 
 
-def test_a_multiplexer(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_multiplexer(figures_of: Any) -> None:
     """A dry run writes nothing; the delay in time is the same, whichever way the machine turns."""
     made = bench(MULTIPLEXER, (61.0, -1503.0))
-    assert calibrate(made, "--json", "--dry-run", speeds="61,1503") == 0
-    found = json.loads(capsys.readouterr().out)
+    found = figures_of(made, "--dry-run", act=calibrate, speeds="61,1503")
     assert found["cosine_delay_s"] == pytest.approx(1e-6, abs=2e-9)
     assert found["corner_hz"] == 0.0
     assert found["delay_estimate_s"] is None

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from calibrating import calibrate, command, position_errors
+from calibrating import calibrate, position_errors
 
 from canfb.cia301.frame import Frame
 from canfb.cli.calibrate import choices_of
@@ -89,10 +89,9 @@ def test_the_rate_of_a_recording_that_does_not_say_it(monkeypatch: pytest.Monkey
     assert record(bench.access, 0.5, 990.0, lambda part: None).rate_hz == 990.0
 
 
-def test_the_module_measures_by_itself(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_module_measures_by_itself(figures_of: Any, tmp_path: Path) -> None:
     bench = with_calculator(Bench())
-    assert calibrate(bench, "--source", "module", "--json", "--out", str(tmp_path)) == 0
-    figures = json.loads(capsys.readouterr().out)
+    figures = figures_of(bench, "--source", "module", "--out", str(tmp_path))
     active = read_active(bench.access)
     assert figures["crc32"] == f"{active.crc32:08X}" != "00000000"
     assert figures["active"]
@@ -111,14 +110,12 @@ def test_a_dry_run_of_it_drops_what_the_module_measured(capsys: pytest.CaptureFi
     assert bench.access.integer(0x2030, 2, "B") == 0
 
 
-def test_the_module_tells_its_drift(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_module_tells_its_drift(figures_of: Any) -> None:
     bench = with_calculator(Bench())
     calibrate(bench, "--source", "module")
     active = read_active(bench.access)
     bench.source.change = lambda counts: (counts[0] + 12, counts[1])
-    capsys.readouterr()
-    assert calibrate(bench, "--source", "module", "--check", "--json") == 0
-    figures = json.loads(capsys.readouterr().out)
+    figures = figures_of(bench, "--source", "module", "--check")
     want = 12 / bench.encoder.amplitude_counts / (2 * np.pi * np.sqrt(2))
     assert figures["drift_rms_cycles"] == pytest.approx(want, rel=0.2)
     assert read_active(bench.access) == active
@@ -139,12 +136,11 @@ class OwnConverter(Bench):
         self.bus.attach(SyncProducer(1.0 / RATE_HZ))
 
 
-def test_its_own_recording_calibrates_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_its_own_recording_calibrates_it(figures_of: Any) -> None:
     bench = OwnConverter()
     bench.bus.run_until(0.5)
     before = position_errors(bench, 1000)
-    assert calibrate(bench, "--source", "recording", "--recorder", "module", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["encoder_interface"] is None
+    assert figures_of(bench, *RECORDED)["encoder_interface"] is None
     after = position_errors(bench, 1000)
     assert bench.value(0x2020, 4) != 0
     assert np.abs(after).max() < 0.2 * np.abs(before).max()
@@ -222,15 +218,14 @@ def test_every_sample_is_heard_in_its_order(per_sync: int) -> None:
     assert samples.missed <= 2 * per_sync  # the first SYNC has none
 
 
-def test_the_interface_records_and_the_position_becomes_right(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_interface_records_and_the_position_becomes_right(figures_of: Any) -> None:
     motion = Motion((Ramp(0.2, 0.0), Ramp(1.0, 13.3)))
     bench = Bench(random_encoder(3), motion=motion, timing=SyncTiming())
     bench.bus.run_until(1.5)
     assert bench.value(0x2011, 1) & 0x7F == 0x01
     before = np.ptp(position_errors(bench, 400))
-    words = ("--method", "zero-crossings", "--source", "recording", "--seconds", "2", "--json")
-    assert command(bench.master, *words) == 0
-    figures = json.loads(capsys.readouterr().out)
+    words = ("--method", "zero-crossings", "--source", "recording", "--seconds", "2")
+    figures = figures_of(bench, *words)
     assert figures["crc32"] == f"{bench.value(0x2020, 4):08X}"
     after = np.ptp(position_errors(bench, 400))
     assert before > 0.01

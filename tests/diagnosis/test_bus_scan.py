@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import json
 
 import can
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.cli.main import main
 from canfb.diagnosis.nodes_and_frames import FoundNode, scan
+from commands import Command
 from commissioning_kit import INTERFACE_ID, MODULE_ID, Bench, EmbeddedMaster, heard
 
 
@@ -62,19 +61,17 @@ def test_nothing_is_written_and_no_state_changes() -> None:
     assert not any(frame.can_id == 0 for frame in frames)
 
 
-def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
     opened = contextlib.nullcontext(EmbeddedMaster(Bench(sync=False).bus))
     monkeypatch.setattr("canfb.cli.node_command.BusMaster", lambda *_: opened)
-    words = ["node", "list", "-i", "virtual", "-c", "scan-x", "--seconds", "0.3"]
-    assert main(words) == 0
-    assert [line[:9] for line in capsys.readouterr().out.splitlines()] == [" 16 (10h)", " 32 (20h)"]
-    assert main([*words, "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
+    line = "node list -i virtual -c scan-x --seconds 0.3"
+    assert [one[:9] for one in command(line).lines] == [" 16 (10h)", " 32 (20h)"]
+    figures = command(f"{line} --json").json
     assert [one["node"] for one in figures] == [16, 32]
     assert figures[1]["state"] == "OPERATIONAL"
 
 
-def test_an_empty_bus(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_bus(command: Command) -> None:
     with can.Bus(interface="virtual", channel="scan-empty"):
-        assert main(["node", "list", "-i", "virtual", "-c", "scan-empty", "--seconds", "0.1"]) == 0
-    assert capsys.readouterr().out.startswith("no node answers")
+        said = command("node list -i virtual -c scan-empty --seconds 0.1").out
+    assert said.startswith("no node answers")

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from canfb.cli.main import main
 from canfb.errors import CanfbError
 from canfb.logs import log_replay
 from canfb.logs.log_replay import COLUMNS, LogJob, ReplayOptions, Row, do_work, rows_of, work_of
 from canfb.logs.replay_files import read_rows
+from commands import Command
 from replay_kit import Planned, adc, config, live, session, write_log
 
 pytest.importorskip("pyarrow")
@@ -131,20 +131,22 @@ def test_of_two_processes_the_one_that_is_killed_costs_its_log(
     )
 
 
-def test_what_cannot_be_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_is_one_line(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: Command
+) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     (tmp_path / "no.parquet").write_text("mine")
-    wrong = [
-        ([str(tmp_path / "empty")], 1, "there is no bus log in this folder"),
-        ([str(folder), "--out", "x.csv"], 2, "needs a table, such as --out month.parquet"),
-        ([str(folder), "--out", str(tmp_path / "none" / "x.parquet")], 2, "there is no folder"),
-        ([str(folder), "--out", str(tmp_path / "no.parquet")], 1, "is there already, and is no table"),
-        ([str(folder), "--report", "x.html"], 2, "--report: is for one log, not for a folder"),
-        ([str(folder), "--workers", "0"], 2, "--workers 0: must be 1 at least"),
-    ]
-    for words, code, said in wrong:
-        assert main(["log", "replay", *words]) == code, words
-        errors = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("...")]
+    for line, code, said in (
+        ("empty", 1, "there is no bus log in this folder"),
+        ("month --out x.csv", 2, "needs a table, such as --out month.parquet"),
+        ("month --out none/x.parquet", 2, "there is no folder"),
+        ("month --out no.parquet", 1, "is there already, and is no table"),
+        ("month --report x.html", 2, "--report: is for one log, not for a folder"),
+        ("month --workers 0", 2, "--workers 0: must be 1 at least"),
+    ):
+        lines = command(f"log replay {line}", code=code).err.splitlines()
+        errors = [one for one in lines if not one.startswith("...")]
         assert len(errors) == 1, errors
         assert said in errors[0]
     assert (tmp_path / "no.parquet").read_text() == "mine"
@@ -153,16 +155,14 @@ def test_what_cannot_be_is_one_line(folder: Path, tmp_path: Path, capsys: pytest
 
 
 def test_the_command_says_which_log_is_bad_or_incomplete(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, tmp_path: Path, command: Command
 ) -> None:
-    words = ["log", "replay", str(folder), "--workers", "1", "--no-drift"]
-    assert main(words) == 0
-    captured = capsys.readouterr()
+    line = "log replay --workers 1 --no-drift"
+    captured = command(line, folder)
     assert "not done  bad.log, module 32: " in captured.out
     assert "0.log, module 32: 100 samples, no faults\n" in captured.out
     assert f"{GOOD + 1} rows, " in captured.out
     assert captured.err == f"... {GOOD + 1} logs to replay, 0 are done\n"
     path = folder / "1.blf"
     path.write_bytes(path.read_bytes()[:-200])
-    assert main([*words, "--out", str(tmp_path / "x.parquet")]) == 1
-    assert "damaged or incomplete" in capsys.readouterr().out
+    assert "damaged or incomplete" in command(line, folder, "--out", tmp_path / "x.parquet", code=1).out
