@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import pytest
@@ -12,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame, frame_bits
-from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus, Wire
+from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus
 from canfb.simulation.sync_producer import LONGEST_FRAME_BITS, SyncProducer
 from fake_bus import FakeClock, FakeDevice
 from folding import each
@@ -247,15 +246,3 @@ def test_no_traffic_is_none() -> None:
     traffic = BackgroundTraffic(0.0, 1_000_000)
     traffic.start(0.0)
     assert (traffic.deadline(), traffic.tick(5.0)) == (None, [])
-
-
-@each(
-    "build, name",
-    [
-        *((partial(Wire, rate), "bit_rate") for rate in (9_999, 1_000_001, 0, -5)),
-        *((partial(BackgroundTraffic, load, 1_000_000), "load") for load in (-0.1, 0.96, float("nan"))),
-    ],
-)
-def test_what_no_bus_has_is_refused(build: Callable[[], object], name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name} must be"):
-        build()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -165,18 +164,3 @@ def test_a_count_glitch_reaches_the_whole_range() -> None:
 
 def test_lost_samples_are_not_delivered() -> None:
     assert np.flatnonzero(~injected(faults.lost_samples()).delivered).tolist() == list(range(START, STOP))
-
-
-@each(
-    "build, message",
-    [
-        (lambda: Samples.of([1, 2], [1]), "one length"),
-        (lambda: Samples.of([1], [1], adc_bits=3), "adc_bits"),
-        (lambda: faults.track_drift(ramp_samples=0), "ramp_samples"),
-        (lambda: faults.repeated_samples(1), "times"),
-        (lambda: faults.late_samples(0), "intervals"),
-    ],
-)
-def test_wrong_arguments_are_refused(build: Callable[[], object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        build()

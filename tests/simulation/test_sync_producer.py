@@ -57,25 +57,6 @@ def test_one_sync_at_a_time_in_an_unbroken_rhythm(
         due = producer.deadline()
 
 
-@each(
-    "build, name",
-    [
-        *(
-            (lambda period=period: SyncProducer(period), "period_s")
-            for period in (0.0, -1.0, math.nan, math.inf)
-        ),
-        (lambda: SyncTiming(sync_jitter_us=-1.0), "sync_jitter_us"),
-        (lambda: SyncTiming(sync_jitter_rms_us=math.nan), "sync_jitter_rms_us"),
-        (lambda: SyncTiming(sync_drift_ppm=10_001), "sync_drift_ppm"),
-        (lambda: SyncTiming(bus_load=1.1), "bus_load"),
-        (lambda: SyncTiming(bus_bit_rate=9_999), "bus_bit_rate"),
-    ],
-)
-def test_what_cannot_be_is_refused_by_its_name(build: Callable[[], object], name: str) -> None:
-    with pytest.raises(ValueError, match=name):
-        build()
-
-
 # least and most (µs), standard deviation, part of the SYNCs that are late
 @each(
     "timing, low, high, rms, late",
