@@ -249,14 +249,6 @@ def test_residuals_are_those_of_fresh_data(several):
         assert result.before_rms < result.before_peak < 4.0 * result.before_rms
 
 
-def test_noise_is_found(several):
-    for encoder, result in several:
-        assert result.noise_counts == pytest.approx(np.hypot(encoder.noise_lsb, 12.0**-0.5), rel=0.08)
-        assert result.noise_cycles == pytest.approx(
-            result.noise_counts / (2.0 * np.pi * encoder.amplitude_counts), rel=0.2
-        )
-
-
 def test_curve_shows_the_error_before_and_none_after(several):
     for encoder, result in several:
         curve = result.curve

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from measurements import measured, table_error
+from measurements import table_error
 
 from canfb.calibration.deviation import best_deviation
 from canfb.calibration.from_motion import calibrate_from_motion
@@ -26,13 +26,6 @@ from canfb.signal.sample_recording import SampleRecording
 from canfb.simulation.encoder import Encoder
 
 
-def recorded(sine, cosine, missing) -> SampleRecording:
-    made = SampleRecording()
-    for s, c, missed in zip(sine.tolist(), cosine.tolist(), missing.tolist(), strict=True):
-        made.miss() if missed else made.take(s, c)
-    return made
-
-
 def test_what_was_recorded_comes_back() -> None:
     made = SampleRecording()
     made.take(1, -32768)
@@ -44,17 +37,6 @@ def test_what_was_recorded_comes_back() -> None:
     for cut_off in (1, 2, 3, 7):
         with pytest.raises(ValueError, match="4 bytes per sample"):
             recorded_tracks(bytes(cut_off))
-
-
-def test_missing_samples_are_left_out_and_the_time_goes_on() -> None:
-    encoder, sine, cosine = measured(1, 700.0, 6.0)
-    missing = np.random.default_rng(2).random(len(sine)) < 0.05
-    data = recorded(sine, cosine, missing).to_bytes()
-    result = calibrate_from_motion(*recorded_tracks(data))
-    assert np.abs(table_error(result.table, encoder)).max() < 2e-4
-    again = calibrate_from_motion(*np.frombuffer(data, "<i2").reshape(-1, 2).T)
-    assert again.table == result.table
-    assert again.samples_used == result.samples_used <= (~missing).sum()
 
 
 def test_the_mark_is_neither_valid_nor_clipped() -> None:

@@ -144,31 +144,6 @@ def test_a_long_standstill_does_not_weigh():
     assert max(ratio, phase) < 5e-4
 
 
-def _bad_tracks() -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
-    rng = np.random.default_rng(12)
-    x = 2.0 * np.pi * rng.random(4000)
-    sine, still = 1000.0 * np.sin(x), np.full(4000, 500.0)
-    noise = rng.normal(0.0, 300.0, (2, 4000))
-    even = rng.uniform(-1000.0, 1000.0, (2, 4000))
-    three = np.arange(4000) * 2.0 * np.pi / 3.0
-    locked = rng.normal(1000.0 * np.array([np.sin(three), np.cos(three)]), 0.5)
-    return {
-        "standstill": (still, still, "coverage"),
-        "dead track": (sine, still, "ellipse"),
-        "short circuit": (sine, sine, "ellipse"),
-        "inverted short circuit": (sine, rng.normal(-sine, 2.0), "ellipse"),
-        "noise": (*noise, "ellipse"),
-        "evenly random": (*even, "ellipse"),
-        "locked": (*locked, "locked"),
-    }
-
-
-@pytest.mark.parametrize("name", list(_bad_tracks()))
-def test_what_is_no_ellipse_is_refused(name):
-    sine, cosine, reason = _bad_tracks()[name]
-    assert refusal(fit_ellipse, np.rint(sine), np.rint(cosine)).reason == reason
-
-
 def test_too_few_samples_and_wrong_shapes():
     assert refusal(fit_ellipse, np.arange(10), np.arange(10)).reason == "samples"
     with pytest.raises(ValueError, match="one length"):
