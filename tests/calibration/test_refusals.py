@@ -101,7 +101,7 @@ def test_broken_tracks():
         assert _reason(sine, 0 * cosine, method) == "ellipse"
         assert _reason(sine, sine, method) == "ellipse"
         assert _reason(sine, np.rint(rng.normal(-sine, 2.0)), method) == "ellipse"
-        assert _reason(*rng.uniform(-1000.0, 1000.0, (2, N)), method) == "ellipse"
+        assert _reason(rng.uniform(-1e3, 1e3, N), rng.uniform(-1e3, 1e3, N), method) == "ellipse"
         assert _reason(rng.normal(0.0, 300.0, N), rng.normal(0.0, 300.0, N), method) == "ellipse"
 
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from drawing import examples
 
@@ -22,33 +21,8 @@ OWN = {0x0A0, 0x1A0, 0x2A0, 0x5A0, 0x720}
 STATES = {1: NmtState.OPERATIONAL, 2: NmtState.STOPPED, 128: NmtState.PRE_OPERATIONAL}
 
 
-class Shipped(Bench):
-    """The module's dictionary, and what the application was told."""
-
-    def __init__(self) -> None:
-        super().__init__(deepcopy(PRISTINE))
-        self.start()
-
-    @property
-    def noticed(self) -> list[tuple[int, float]]:
-        return self.application.told("duplicate_received")
-
-    @property
-    def count(self) -> int:
-        return self.node.counters.duplicate_frames
-
-
 def emergency(can_id: int, at: int = 0x0A0) -> list[str]:
     return [f"{at:03X}#508111{can_id & 0xFF:02X}{can_id >> 8:02X}000000"]
-
-
-def test_without_a_node_id_nothing_is_its_own() -> None:
-    node = Node(Dictionary.load(SHIPPED, 255), 255)
-    node.start(0.0)
-    assert node.own_can_ids == frozenset()
-    for can_id in range(0x800):
-        assert node.receive(Frame(can_id, b"\x00"), 0.0) == []
-    assert node.counters.duplicate_frames == 0
 
 
 any_frame = st.builds(
@@ -95,7 +69,8 @@ def test_whatever_comes_own_can_ids_are_counted_and_the_first_is_told(
     changes: list[tuple[tuple[int, int], int]], command: int, frames: list[Frame], reset: int
 ) -> None:
     """The state stays, and a reset forgets it."""
-    bench = Shipped()
+    bench = Bench(deepcopy(PRISTINE))
+    bench.start()
     for (index, subindex), value in changes:
         bench.write(index, subindex, value, 4)
     bench.nmt(command)
@@ -110,8 +85,8 @@ def test_whatever_comes_own_can_ids_are_counted_and_the_first_is_told(
             first = frame.can_id if first is None else first
         told += [one for one in bench.node.receive(frame, 0.0) if one.data[:2] == b"\x50\x81"]
         assert bench.node.state is STATES[command]
-    assert bench.count == counted
-    assert bench.noticed == ([] if first is None else [(first, 0.0)])
+    assert bench.node.counters.duplicate_frames == counted
+    assert bench.application.told("duplicate_received") == ([] if first is None else [(first, 0.0)])
     emcy = bench.dictionary.entry(0x1014).value
     heard = first is not None and command != 2 and not emcy >> 31
     assert hexes(told) == (emergency(first or 0, emcy) if heard else [])

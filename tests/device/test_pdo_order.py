@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode
 from canfb.device.od.dictionary import Dictionary
+from folding import each
 
 EDS = Path(__file__).parents[2] / "eds" / "canfb-module.eds"
 DICTIONARY = Dictionary.load(EDS, ID)
@@ -79,3 +80,17 @@ def test_any_order_leads_to_any_state(program: tuple[int, State, list[tuple[int,
     answer = bench.write(index, 1, last[1], 4)
     assert answer == (OK if is_legal(last) else AbortCode.INVALID_VALUE)
     assert bench.read(index, 1) == (last[1] if is_legal(last) else last[1] | FREE)
+
+
+COB_IDS = [(0x1005, 0), (0x1012, 0), (0x1014, 0), (0x1201, 1), (0x1201, 2)]
+COB_IDS += [(index, 1) for index in (*RECEIVED, *SENT)]
+
+
+@each("place", COB_IDS)
+@each("bits", [1 << 29, 1 << 11, 1 << 28, 0x1FFFF800])
+def test_frames_of_29_bits_are_refused_whether_it_is_valid_or_not(place: tuple[int, int], bits: int) -> None:
+    bench = as_delivered()
+    value = bench.read(*place)
+    for switch in (0, FREE):
+        assert bench.write(*place, value | bits | switch, 4) is AbortCode.INVALID_VALUE
+    assert bench.read(*place) == value

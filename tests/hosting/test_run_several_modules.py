@@ -239,10 +239,6 @@ PAGE = page("attach").partition("\n## Several")[2]
 (CONFIG,) = blocks(PAGE, "yaml")
 
 
-def modules() -> list[FeedbackModule]:
-    return [FeedbackModule(config) for config in parse_config(CONFIG).modules]
-
-
 @pytest.mark.parametrize(
     ("old", "new"),
     [

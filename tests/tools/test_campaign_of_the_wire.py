@@ -78,14 +78,6 @@ def moved(sent: Sent, cycles: float) -> Sent:
     return sent._replace(frame=Frame(TPDO1_ID, struct.pack("<IHH", units, status, residual)))
 
 
-def test_an_honest_module_is_kept() -> None:
-    plan = plan_at(SPEED)
-    line = lay(plan)
-    result = Judge(plan, line).judge(honest(line))
-    assert (result.shown, result.outcome, result.wrong, result.not_valid) == (60, "kept", 0, 0)
-    assert result.right_at_end
-
-
 @pytest.mark.parametrize("cycles", [1.0, -1.0, 0.6, SPEED, 400.0])
 @pytest.mark.parametrize("at", [0, 41, 59])
 def test_one_wrong_position_is_found(cycles: float, at: int) -> None:

@@ -135,19 +135,6 @@ def test_6007h_says_what_a_lost_heartbeat_does(option: int, state: State) -> Non
     assert bench.state is ends.get(state, state)
 
 
-@pytest.mark.parametrize(("option", "command"), [(0, "STOPPED"), (1, "PRE-OPERATIONAL"), (3, "STOPPED")])
-def test_outside_of_operational_there_is_no_torque(option: int, command: str) -> None:
-    bench = cruising()
-    bench.write(0x6007, option)
-    bench.master.nmt.state = command
-    assert bench.state is (State.FAULT if option == 1 else State.SWITCH_ON_DISABLED)
-    assert (bench.motor.command_nm, bench.motor.braked) == (0.0, True)
-    bench.master.nmt.state = "OPERATIONAL"
-    bench.cycle(5)
-    assert bench.drive.error == (0x8100 if option == 1 else 0)
-    assert bench.motor.command_nm == 0.0
-
-
 @each("timeout_ms", [10, 100, 0])
 def test_without_sync_the_torque_goes_off_in_time_unless_it_is_switched_off(timeout_ms: int) -> None:
     bench = cruising()

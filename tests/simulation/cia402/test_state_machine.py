@@ -56,15 +56,13 @@ def test_a_fault_reset_is_a_rising_edge() -> None:
     ]  # fmt: skip
 
 
-@each("command, word", CONTROLWORDS)
+WITHOUT_VOLTAGE = [(Command.DISABLE_VOLTAGE, word) for word in (0x01, 0x04, 0x05, 0x08, 0x0D)]
+
+
+@each("command, word", CONTROLWORDS + WITHOUT_VOLTAGE)
 @each("extra", [0x00, 0x10, 0x40, 0x100, 0x7F00, 0x8000])
 def test_bits_of_the_mode_do_not_change_the_command(command: Command, word: int, extra: int) -> None:
     assert command_of(word | extra) is command
-
-
-@each("word", [0x00, 0x01, 0x04, 0x05, 0x08, 0x0D])
-def test_without_voltage_the_other_bits_do_not_matter(word: int) -> None:
-    assert command_of(word) is Command.DISABLE_VOLTAGE
 
 
 @pytest.mark.parametrize("state", State)
