@@ -16,6 +16,7 @@ from canfb.master.access import NodeAccess
 from canfb.master.samples import TrackSamples
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
+from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, Harmonic, ShaftEncoder
@@ -27,6 +28,9 @@ MODULE_ID, INTERFACE_ID = 0x20, 0x10
 RATE_HZ = 1000.0
 CYCLES = 2500
 ANSWER_S = 0.05
+PHASES = np.arange(64) / 64
+TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
+OTHER = CorrectionTable(PHASES - 0.02 * np.sin(2 * np.pi * PHASES))
 
 
 def random_encoder(seed: int) -> Encoder:

@@ -13,6 +13,7 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.cli import node_options
 from canfb.cli.main import main
+from commands import Said
 from commissioning_kit import Bench
 
 REQUEST, ANSWER = 0x620, 0x5A0
@@ -26,7 +27,7 @@ class Commands:
         self._monkeypatch = monkeypatch
         self._capsys = capsys
 
-    def __call__(self, bench: Bench, *arguments: Any, code: int = 0) -> tuple[str, str]:
+    def __call__(self, bench: Bench, *arguments: Any, code: int = 0) -> Said:
         @contextlib.contextmanager
         def master_of(options: Any) -> Iterator[Any]:
             yield bench.master
@@ -34,10 +35,10 @@ class Commands:
         self._monkeypatch.setattr(node_options, "master_of", master_of)
         self._capsys.readouterr()
         assert main([str(one) for one in arguments]) == code, self._capsys.readouterr()
-        heard = self._capsys.readouterr()
+        said = Said(*self._capsys.readouterr())
         if code:
-            assert heard.err.count("\n") == 1, heard.err
-        return heard.out, heard.err
+            assert said.err.count("\n") == 1, said.err
+        return said
 
 
 def place_of(frame: Frame) -> tuple[int, int]:

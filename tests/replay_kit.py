@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import can
-import numpy as np
 
 from canfb.bus.frame_bus import PythonCanBus
 from canfb.bus.runner import Runner
@@ -18,7 +17,6 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.module_replay import ModuleReplay
-from canfb.signal.correction import CorrectionTable
 from fake_bus import FakeClock
 from ideal_tracks import counts_at
 
@@ -27,8 +25,6 @@ NODE_ID, INTERFACE_ID = 0x20, 0x10
 PERIOD_S = 1e-3
 SYNC_ID, ADC_ID, POSITION_ID = 0x80, 0x190, 0x1A0
 Planned = tuple[float, Frame]
-PHASES = np.arange(64) / 64
-TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
 
 
 class NotingBus:

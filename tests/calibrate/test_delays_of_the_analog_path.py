@@ -19,18 +19,16 @@ from canfb.master.all_or_nothing import put_in_force, read_active, read_conditio
 from canfb.master.samples import TrackSamples
 from canfb.sdo.tables import as_yaml, read_table_file
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.correction import Correction
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from canfb.simulation.motion import Motion, Ramp, Ripple
-from commissioning_kit import MODULE_ID, Bench
+from commissioning_kit import MODULE_ID, TABLE, Bench
 from folding import each
 from node_commands import Commands
 
 NODE = hex(MODULE_ID)
 DELAY_S, LAG_S, CORNER_HZ = 2.0**-20, 2.0**-19, 131072.0  # exact in REAL32
 PHASE_ERROR = 0.05
-GRID = np.arange(64) / 64
-TABLE = CorrectionTable(GRID + 0.01 * np.sin(2 * np.pi * GRID))
 DELAYS: dict[str, Any] = {
     "conditioning": Conditioning(cosine_delay_s=DELAY_S, delay_s=LAG_S),
     "corner_hz": CORNER_HZ,

@@ -39,24 +39,23 @@ def prepared(old: Correction, **options: Any) -> Bench:
     return bench
 
 
-def run_install(
-    bench: Bench,
-    measured: Measurement,
-    fresh: TrackSamples,
-    settings: Settings,
-    guard: Guard | None = None,
-    **options: Any,
-) -> Installation:
-    prove = lambda found: verify(fresh, found, settings)  # noqa: E731
-    return install(bench.access, measured, prove, guard or Guard(), **options)[1]
+@pytest.fixture
+def installed(measured: Measurement, fresh: TrackSamples, settings: Settings) -> Callable[..., Installation]:
+    """Installs what was measured in the module of a bench."""
+
+    def run(bench: Bench, guard: Guard | None = None, **options: Any) -> Installation:
+        prove = lambda found: verify(fresh, found, settings)  # noqa: E731
+        return install(bench.access, measured, prove, guard or Guard(), **options)[1]
+
+    return run
 
 
 def test_the_new_set_is_in_force_proven_and_saved(
-    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
+    installed: Callable[..., Installation], measured: Measurement, old: Correction
 ) -> None:
     store = MemoryStore()
     bench = prepared(old, store=store)
-    done = run_install(bench, measured, fresh, settings)
+    done = installed(bench)
     assert read_active(bench.access) == measured.found
     assert bench.module.chain.correction.table == measured.calibration.table
     assert done.active
@@ -76,16 +75,11 @@ def test_the_new_set_is_in_force_proven_and_saved(
     [(True, "not saved: module 32 (20h) cannot save"), (False, "not saved: the table is lost")],
 )
 def test_what_is_not_saved_is_active_and_said(
-    keep: bool,
-    note: str,
-    measured: Measurement,
-    old: Correction,
-    fresh: TrackSamples,
-    settings: Settings,
+    keep: bool, note: str, installed: Callable[..., Installation], measured: Measurement, old: Correction
 ) -> None:
     store = None if keep else MemoryStore()
     bench = prepared(old, store=store)
-    done = run_install(bench, measured, fresh, settings, keep=keep)
+    done = installed(bench, keep=keep)
     assert done.saved_as is None
     assert store is None or store.images == {}
     assert done.save_note.startswith(note)
@@ -109,19 +103,19 @@ def lying(bench: Bench, place: tuple[int, int], times: int) -> None:
 
 
 def test_a_wrong_crc_of_the_staged_table_activates_nothing(
-    measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
+    installed: Callable[..., Installation], old: Correction
 ) -> None:
     bench = prepared(old)
     lying(bench, (0x2020, 2), 1)
     with pytest.raises(CommissioningError, match="CRC of the staged table is 04030201h") as error:
-        run_install(bench, measured, fresh, settings)
+        installed(bench)
     assert str(error.value).endswith(AS_BEFORE)
     assert read_active(bench.access) == old
 
 
 @pytest.mark.parametrize("number", [1, 12, 40, 55])
 def test_an_interruption_leaves_the_old_set(
-    number: int, measured: Measurement, old: Correction, fresh: TrackSamples, settings: Settings
+    number: int, installed: Callable[..., Installation], old: Correction
 ) -> None:
     bench = prepared(old)
     guard, said, requests = Guard(), list[str](), list[Frame]()
@@ -134,7 +128,7 @@ def test_an_interruption_leaves_the_old_set(
     receive = bench.module.receive
     between(bench, spoil)
     with pytest.raises(KeyboardInterrupt):
-        run_install(bench, measured, fresh, settings, guard, step=said.append)
+        installed(bench, guard, step=said.append)
     bench.module.receive = receive  # type: ignore[method-assign]
     assert said[-2:] == ["restoring the old table", AS_BEFORE]
     assert read_active(bench.access) == old

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import canopen
-import numpy as np
 import pytest
 
 from canfb.bus.sdo_channel import SharedClient
@@ -30,10 +29,9 @@ from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
 from commands import Command
+from commissioning_kit import TABLE
 from documentation import blocks, commands, page
 
-PHASES = np.arange(64) / 64
-TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
 ONE = "modules: [{node_id: 0x21, cycles_per_revolution: 1024, adc_bits: 16, encoder_interface: 0x11}]\n"
 
 

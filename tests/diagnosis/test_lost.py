@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from dataclasses import replace
@@ -61,8 +60,7 @@ def test_an_interface_that_was_silent(canfb: Commands) -> None:
 
 
 def test_the_same_for_programs(canfb: Commands) -> None:
-    out, _ = canfb(silent(turning(), 0.05), "why", NODE, "--json")
-    figures = json.loads(out)
+    figures = canfb(silent(turning(), 0.05), "why", NODE, "--json").json
     assert figures["position"] == "lost"
     assert figures["last_loss"]["cause"] == "coasted"
     assert figures["last_loss"]["bad_samples"] == 4

@@ -19,8 +19,9 @@ from canfb.sdo.tables import as_yaml
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from commands import Command
+from commissioning_kit import TABLE
 from html_page import Page
-from replay_kit import NODE_ID, TABLE, adc, contents, live, sdo_write, session, write_log
+from replay_kit import NODE_ID, adc, contents, live, sdo_write, session, write_log
 
 SAMPLES = 300
 

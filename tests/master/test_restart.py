@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from typing import Any
 
@@ -36,7 +35,7 @@ def test_a_lost_position_comes_back_at_standstill(canfb: Commands) -> None:
     out, _ = canfb(bench, "node", "reset", NODE)
     assert out.startswith("node 32 (20h): reset and started; position valid, machine still, within 0.00")
     assert bench.value(0x2011, 1) & 1
-    figures = json.loads(canfb(bench, "node", "reset", NODE, "--json")[0])
+    figures = canfb(bench, "node", "reset", NODE, "--json").json
     assert figures["position"] == "valid"
     assert figures["forced"] is False
     assert 0.0 < figures["spread_cycles"] < 0.01

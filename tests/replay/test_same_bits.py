@@ -20,6 +20,7 @@ from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.replay_result import ReplayResult
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction, CorrectionTable
+from commissioning_kit import TABLE
 from drawing import examples
 from ideal_tracks import counts_at
 from replay_kit import (
@@ -29,7 +30,6 @@ from replay_kit import (
     PERIOD_S,
     POSITION_ID,
     SYNC_ID,
-    TABLE,
     Planned,
     adc,
     config,

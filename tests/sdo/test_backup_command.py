@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from canfb.cia301.frame import Frame
@@ -15,14 +13,11 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.master.all_or_nothing import put_in_force
 from canfb.module.device_configuration import configuration_of
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import Correction, CorrectionTable
-from commissioning_kit import MODULE_ID, Bench
+from canfb.signal.correction import Correction
+from commissioning_kit import MODULE_ID, OTHER, TABLE, Bench
 from node_commands import ANSWER, REQUEST, Commands, between, interrupt, is_write, place_of, refuse_once
 
 NODE = hex(MODULE_ID)
-PHASES = np.arange(64) / 64
-TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
-OTHER = CorrectionTable(PHASES - 0.02 * np.sin(2 * np.pi * PHASES))
 CHANGED: dict[tuple[int, int], tuple[str, float]] = {
     (0x1017, 0): ("H", 500),
     (0x2010, 3): ("B", 9),
@@ -119,8 +114,7 @@ def test_another_node_id_takes_its_own_can_ids(canfb: Commands, file: Path) -> N
 def test_dry_run_writes_nothing(canfb: Commands, file: Path) -> None:
     bench = module()
     before = values(bench)
-    out, _ = canfb(bench, "backup", "restore", file, "--dry-run", "--json")
-    said = json.loads(out)
+    said = canfb(bench, "backup", "restore", file, "--dry-run", "--json").json
     assert said["changed"]["2010:03"] == [3, 9]
     assert (said["written"], said["saved_as"]) == (False, None)
     assert values(bench) == before

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from decimal import Decimal
@@ -124,7 +123,7 @@ def test_a_domain_goes_by_file(canfb: Commands, bench: Bench, tmp_path: Path) ->
 
 
 def test_for_programs(canfb: Commands, bench: Bench) -> None:
-    (found,) = json.loads(canfb(bench, "sdo", "read", NODE, "residual limit", "--json")[0])
+    (found,) = canfb(bench, "sdo", "read", NODE, "residual limit", "--json").json
     assert found == {
         "object": "2010:01",
         "name": "Supervision: Residual limit",
@@ -134,9 +133,9 @@ def test_for_programs(canfb: Commands, bench: Bench) -> None:
         "words": None,
         "bytes": "5555",
     }
-    (nothing,) = json.loads(canfb(bench, "sdo", "read", NODE, "residual rms", "--json")[0])
+    (nothing,) = canfb(bench, "sdo", "read", NODE, "residual rms", "--json").json
     assert nothing["value"] is None
-    said = json.loads(canfb(bench, "sdo", "write", NODE, "2010:03", "9", "--json")[0])
+    said = canfb(bench, "sdo", "write", NODE, "2010:03", "9", "--json").json
     assert (said["before"]["value"], said["now"]["value"], said["written"]["value"]) == (3, 9, 9)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import tempfile
@@ -18,13 +17,10 @@ from canfb.master.all_or_nothing import put_in_force, read_active
 from canfb.sdo.tables import as_yaml, difference, read_table_file
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
-from commissioning_kit import MODULE_ID, Bench
+from commissioning_kit import MODULE_ID, OTHER, PHASES, TABLE, Bench
 from node_commands import Commands, interrupt, refuse_once
 
 NODE = hex(MODULE_ID)
-PHASES = np.arange(64) / 64
-TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
-OTHER = CorrectionTable(PHASES - 0.02 * np.sin(2 * np.pi * PHASES))
 CONDITIONING = Conditioning(3.5, -2.0, 1.0, 1.03125, 0.0078125)
 NEW = Correction(TABLE, CONDITIONING)
 OLD = Correction(OTHER, Conditioning(sine_gain=1.25))
@@ -97,15 +93,13 @@ def test_show_before_and_after_a_save(canfb: Commands, file: Path) -> None:
 
 def test_show_has_the_figures_of_the_table(canfb: Commands, file: Path) -> None:
     bench = bench_with(NEW)
-    out, _ = canfb(bench, "table", "show", NODE, "--json")
-    of_module = json.loads(out)
+    of_module = canfb(bench, "table", "show", NODE, "--json").json
     rms = float(np.sqrt(np.mean((TABLE.entries - PHASES) ** 2)))
     assert of_module["deviation_rms_cycles"] == pytest.approx(rms)
     assert of_module["deviation_peak_degrees"] == pytest.approx(3.6, rel=1e-3)
     assert (of_module["crc32"], of_module["entries"]) == (f"{TABLE.crc32:08X}", 64)
     assert (of_module["saved"], of_module["saved_crc32"]) == (False, "00000000")
-    out, _ = canfb(bench, "table", "show", file, "--json")
-    of_file = json.loads(out)
+    of_file = canfb(bench, "table", "show", file, "--json").json
     same = ("crc32", "entries", "deviation_rms_cycles", "conditioning", "cycles_per_revolution")
     assert [of_file[key] for key in same] == [of_module[key] for key in same]
     assert of_file["saved"] is None
@@ -263,7 +257,7 @@ def test_what_waits_is_not_taken_for_what_is_in_force(canfb: Commands, file: Pat
     canfb(bench, "table", "write", NODE, path)
     assert bench.access.read(0x2005, 3, "f") == harmonics.harmonic_2_forward_real, "2005h is written, too"
     assert in_force(bench) == read_active(bench.access) == OLD
-    shown = json.loads(canfb(bench, "table", "show", NODE, "--json")[0])
+    shown = canfb(bench, "table", "show", NODE, "--json").json
     assert shown["conditioning"]["sine_gain"] == OLD.conditioning.sine_gain
     assert shown["conditioning_waiting"]["harmonic_2_forward_real"] == harmonics.harmonic_2_forward_real
     refuse_once(bench, (0x2020, 3), 1)
@@ -281,12 +275,12 @@ def test_an_activation_that_fails_leaves_what_waits(canfb: Commands, file: Path)
     refuse_once(bench, (0x2020, 3), 1)
     canfb(bench, "table", "activate", NODE, code=1)
     assert in_force(bench) == OLD
-    assert json.loads(canfb(bench, "table", "show", NODE, "--json")[0])["conditioning_waiting"] is not None
+    assert canfb(bench, "table", "show", NODE, "--json").json["conditioning_waiting"] is not None
     refuse_once(bench, (0x1010, 4), 1)
     canfb(bench, "table", "activate", NODE, "--save", code=1)
     assert in_force(bench) == OLD
     assert bench.value(0x2020, 2) == OTHER.crc32, "the old one went the same way back"
-    assert json.loads(canfb(bench, "table", "show", NODE, "--json")[0])["conditioning_waiting"] is None
+    assert canfb(bench, "table", "show", NODE, "--json").json["conditioning_waiting"] is None
 
 
 def test_settings_with_which_a_table_was_measured_are_compared_and_left(

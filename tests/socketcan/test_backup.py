@@ -6,18 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import can
-import numpy as np
 from network import NODE_ID, Master, wait_for_boot_up, write_config
 from pace import Pace
 
 from canfb.sdo.tables import as_yaml
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.correction import Correction
+from commissioning_kit import TABLE
 from processes import Process
 
 NODE = str(NODE_ID)
-PHASES = np.arange(64) / 64
-TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
 
 
 def test_a_module_is_backed_up_changed_and_restored(

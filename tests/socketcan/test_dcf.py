@@ -7,11 +7,10 @@ from pathlib import Path
 
 import can
 import canopen
-import numpy as np
 from network import NODE_ID, Master, wait_for_boot_up, write_config
 from pace import Pace
 
-from canfb.signal.correction import CorrectionTable
+from commissioning_kit import TABLE
 from processes import Process
 
 OTHERWISE = """\
@@ -20,8 +19,6 @@ OTHERWISE = """\
     coast_samples: 9
     conditioning: {sine_offset_counts: 40.5, cosine_gain: 1.0371}
 """
-PHASES = np.arange(64) / 64
-TABLE = CorrectionTable(PHASES + 0.01 * np.sin(2 * np.pi * PHASES))
 
 
 def content(path: Path) -> str:
