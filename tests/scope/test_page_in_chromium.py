@@ -176,9 +176,9 @@ DRAWN = """(() => { const one = document.querySelector('%s');
   for (let n = 3; n < data.length; n += 4) drawn += data[n] > 0; return drawn })()"""
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
-    with Chromium(tmp_path_factory.mktemp("chromium")) as one:
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Chromium]:
+    with Chromium(tmp_path) as one:
         yield one
 
 
@@ -215,14 +215,9 @@ def test_the_page(browser: Chromium, page: Process) -> None:
         assert len(browser.picture()) > 50_000, "bytes: no empty page"
         colours.append(browser.look("getComputedStyle(document.body).backgroundColor"))
     assert colours == ["rgb(243, 245, 246)", "rgb(13, 17, 23)"]
+    browser.size(400, 800)
+    assert browser.look("document.documentElement.scrollWidth") <= 400, "no bar across a narrow window"
     assert all(one.startswith((server, "data:")) for one in browser.addresses())
     assert [one for one in browser.complaints() if "403" not in one] == []
     page.stop()
     browser.wait_for(lambda: "The connection to canfb is lost" in browser.text("#lost"), "note at the end")
-
-
-def test_a_narrow_window_has_no_bar_across(browser: Chromium, page: Process) -> None:
-    browser.size(400, 800)
-    browser.go(page.wait_for("^open http").split()[1])
-    browser.wait_for(lambda: browser.look("Number(document.body.dataset.looks) > 1"), "looks")
-    assert browser.look("document.documentElement.scrollWidth") <= 400
