@@ -6,6 +6,7 @@ import pytest
 
 from canfb.configuration import parse_config
 from canfb.errors import ConfigError
+from folding import each
 
 
 def refused(text: str) -> str:
@@ -160,7 +161,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("text", WRONG, ids=range(len(WRONG)))
+@each("text", WRONG)
 def test_what_is_wrong_gets_one_line_with_file_line_and_key(text: str) -> None:
     line, _, words = WRONG[text].partition(": ")
     message = refused(text)

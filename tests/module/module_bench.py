@@ -23,6 +23,7 @@ class Bench:
     """A module on an embedded bus with python canopen's master, and an encoder interface played by hand."""
 
     place: float  # for tests that turn it in steps
+    stamped = False  # frames have the time of their reception
 
     def __init__(self, store: Store | None = None, source: Source | None = None, **fields: Any) -> None:
         self.bus = EmbeddedBus()
@@ -72,8 +73,9 @@ class Bench:
 
     def sent(self, frame: Frame) -> list[Frame]:
         before = len(self.heard)
-        self.bus.send(frame)
-        return [heard for heard in self.heard[before:] if heard != frame]
+        given = frame._replace(timestamp=self.bus.now if self.stamped else None)
+        self.bus.send(given)
+        return [heard for heard in self.heard[before:] if heard != given]
 
     def counts(self, sine: int, cosine: int) -> list[Frame]:
         return self.sent(Frame(0x190, struct.pack("<hh", sine, cosine)))

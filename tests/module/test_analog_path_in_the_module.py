@@ -2,63 +2,49 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from module_bench import Bench
 
 from canfb.cia301.frame import Frame
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from folding import each
+from ideal_tracks import counts_at
 from servo_kit import IDEAL_TABLE
 
-SYNC, ADC_PDO, POSITION_PDO = 0x80, 0x190, 0x1A0
-INTERVAL_S = 1e-3
+INTERVAL_S, ADC_S = 1e-3, 2e-4
 UNITS = 8192  # of 6004h in a cycle
 QUANTUM = 1.5 / UNITS + 1e-4  # of the position, and of a converter of 16 bits at 0.7 of its range
 Motion = Callable[[float], float]
 
 
-class Machine:
-    """A module and its encoder; the analog path is a delay of both tracks, and one between them."""
+class Machine(Bench):
+    """A module and its encoder; the analog path is a delay of both tracks."""
 
-    def __init__(
-        self, position: Motion, cosine_delay_s: float = 0.0, lag_s: float = 0.0, **fields: Any
-    ) -> None:
-        self.position, self.cosine_delay_s, self.lag_s = position, cosine_delay_s, lag_s
-        config = ModuleConfig(node_id=32, encoder_interface=16, autostart=True, adc_bits=16, **fields)
-        self.module = FeedbackModule(config)
-        self.module.start(0.0)
-        self.module.use_correction(Correction(IDEAL_TABLE, config.conditioning))
-        self.times = config.times
-        self.now = 0.0
-        self.amplitude = 23000.0
-        self.corner_hz = 0.0
+    def __init__(self, position: Motion, lag_s: float = 0.0, **fields: Any) -> None:
+        super().__init__(adc_bits=16, **fields)
+        self.place_at, self.lag_s = position, lag_s
+        self.module.use_correction(Correction(IDEAL_TABLE, self.module.config.conditioning))
+        self.interval_s, self.now = INTERVAL_S - ADC_S, 0.0
+        self.start()
 
     def sample(self) -> tuple[float, int]:
         """One SYNC and its sample: error of 6004h against the position at the SYNC, cycles; status."""
-        self.now = now = self.now + INTERVAL_S
-        sent = self.module.receive(Frame(SYNC, b""), now)
-        at_sine, at_cosine = (
-            2.0 * math.pi * (self.position(now - late) % 1.0)
-            for late in (self.lag_s, self.lag_s - self.cosine_delay_s)
-        )
-        hertz = (self.position(now) - self.position(now - 1e-6)) / 1e-6
-        size = self.amplitude / (math.hypot(1.0, hertz / self.corner_hz) if self.corner_hz else 1.0)
-        data = struct.pack("<hh", round(size * math.sin(at_sine)), round(size * math.cos(at_cosine)))
-        if self.times:
+        sent = self.sync()
+        self.now = now = self.bus.now
+        counts = counts_at(self.place_at(now - self.lag_s), 23000.0)
+        data = struct.pack("<hh", *counts)
+        if self.module.config.times:
             data += struct.pack("<I", round(now * 1e7))
-        sent += self.module.receive(Frame(ADC_PDO, data), now + 2e-4)
-        (frame,) = [one for one in sent if one.can_id == POSITION_PDO]
-        units, status, _ = struct.unpack("<IHH", frame.data)
-        away = units / UNITS - self.position(now)
+        self.bus.run_until(now + ADC_S)
+        units, status, _ = self.position(sent + self.sent(Frame(0x190, data)))
+        away = units / UNITS - self.place_at(now)
         turns = 2500 * 209
         return (away + turns / 2) % turns - turns / 2, status
 
@@ -105,7 +91,7 @@ def test_other_objects_say_the_same_position() -> None:
     machine.run(500)
     read = machine.read
     place = read(0x2011, 4) + read(0x2011, 3) / 2**32
-    assert place == pytest.approx(machine.position(machine.now), abs=1e-4)
+    assert place == pytest.approx(machine.place_at(machine.now), abs=1e-4)
     units = read(0x6004, 0)
     assert read(0x6008, 0) == read(0x600C, 0) == units
     assert units == int(place * UNITS)
@@ -118,10 +104,6 @@ def test_a_prediction_goes_on_from_there(kind: int) -> None:
     used = Conditioning(delay_s=1e-4)
     machine = Machine(accelerating(40.037), lag_s=1e-4, conditioning=used, predict=kind)
     machine.run(600)
-    machine.now += INTERVAL_S
-    (frame,) = [one for one in machine.module.receive(Frame(SYNC, b""), machine.now) if one.can_id == 0x2A0]
+    (frame,) = [one for one in machine.sync() if one.can_id == 0x2A0]
     (fine,) = struct.unpack_from("<q", frame.data)
-    assert fine / UNITS == pytest.approx(machine.position(machine.now), abs=3e-3)
-
-
-# The objects.
+    assert fine / UNITS == pytest.approx(machine.place_at(machine.bus.now), abs=3e-3)

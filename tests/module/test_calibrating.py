@@ -2,44 +2,144 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import struct
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, replace
+from typing import Any
 
 import numpy as np
 import pytest
 from canopen import SdoAbortedError
-from measuring import (
-    DEVICE_STATE,
-    ENCODER,
-    NUMBER,
-    SAMPLES,
-    Counts,
-    Measuring,
-    computed,
-    counts_of,
-    good_outcome,
-    motion,
-)
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from module_bench import Bench
 
 from canfb.calibration.deviation import drift
-from canfb.calibration.result import Reason
+from canfb.calibration.result import Calibration, Reason
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
-from canfb.module.objects.calibrating import CalibrationJob
+from canfb.module.objects.calibrating import CalibrationJob, Outcome
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.objects import StatusBit
+from canfb.signal.conditioning import IDENTITY
+from canfb.signal.correction import CorrectionTable
+from canfb.signal.phase import FloatArray
+from canfb.signal.sample_recording import SampleRecording
 from canfb.simulation.encoder import Encoder, Harmonic
 from ideal_tracks import wavy_table
 
+ENCODER = Encoder(
+    amplitude_counts=1500.0,
+    sine_offset=0.03,
+    cosine_offset=-0.02,
+    sine_amplitude=1.04,
+    cosine_amplitude=0.97,
+    phase_error_rad=0.06,
+    harmonics=(Harmonic(2, 0.008, 0.006, 0.4, 1.1), Harmonic(3, 0.01, 0.012)),
+    noise_lsb=0.5,
+)
+SAMPLES = 3000
+DEVICE_STATE = 0x08000022
+Counts = tuple[int, int]
+
+
+def motion(cycles_per_sample: float, samples: int, rng: np.random.Generator) -> FloatArray:
+    """From standstill up to a speed that wanders by 3 %; positions in cycles."""
+    time = np.arange(samples)
+    ramp = min(samples // 4, 1000)
+    speed = cycles_per_sample * (1.0 + 0.03 * np.sin(time / 190.0 + rng.uniform(0.0, 6.0)))
+    return np.cumsum(speed * np.minimum(1.0, time / ramp))
+
+
+def counts_of(encoder: Encoder, position: FloatArray, rng: np.random.Generator) -> list[Counts]:
+    sine, cosine = encoder.sample(position, rng)
+    return list(zip(sine.tolist(), cosine.tolist(), strict=True))
+
+
+@functools.cache
+def good_outcome() -> Outcome:
+    """What the module makes of a good recording of ENCODER: for all tests that need just any measurement."""
+    rng = np.random.default_rng(1)
+    recording = SampleRecording()
+    for counts in counts_of(ENCODER, motion(0.31, 2000, rng), rng):
+        recording.take(*counts)
+    found = CalibrationJob(recording.to_bytes(), None, 12)()
+    assert found.reason == "accepted", found.text
+    return found
+
+
+class Measuring(Bench):
+    """The bench with object 2030h in the master's words; nothing is computed unless a test says so."""
+
+    def __init__(self, samples: int = SAMPLES, **fields: Any) -> None:
+        super().__init__(**fields)
+        self.bus.computes = False
+        self.sdo[0x2030][10].raw = samples
+
+    def command(self, value: int) -> None:
+        self.sdo[0x2030][1].raw = value
+
+    def begin(self, command: Command = Command.START) -> None:
+        self.start()
+        self.command(command)
+
+    @property
+    def state(self) -> int:
+        return self.sdo[0x2030][2].raw
+
+    @property
+    def reason(self) -> str:
+        return list(Reason)[self.sdo[0x2030][7].raw]
+
+    def figures(self) -> list[float]:
+        """Residual rms and peak, drift rms and peak, cycles."""
+        return [self.sdo[0x2030][subindex].raw for subindex in (5, 6, 8, 9)]
+
+    def conditioning(self) -> tuple[float, ...]:
+        return tuple(self.sdo[0x2002][subindex].raw for subindex in range(1, 6))
+
+    @property
+    def is_calibrating(self) -> bool:
+        return bool(self.sdo[0x2011][1].raw & StatusBit.CALIBRATING)
+
+    def feed(self, samples: Iterable[Counts | None]) -> list[tuple[int, int, int]]:
+        """One SYNC each with its sample, or without; the position PDOs that came."""
+        published = []
+        for counts in samples:
+            frames = self.sync()
+            if counts is not None:
+                frames += self.counts(*counts)
+            published += [self.position([frame]) for frame in frames if frame.can_id == 0x1A0]
+        return published
+
+    def compute(self) -> Outcome:
+        """Do the pending job, here."""
+        job = self.module.pending_job()
+        assert job is not None
+        result = job()
+        assert self.module.finish_job(job, result, self.bus.now) == []
+        return result
+
+    def finish_with(self, result: Outcome | Exception) -> None:
+        job = self.module.pending_job()
+        assert job is not None
+        self.module.finish_job(job, result, self.bus.now)
+
+    def ready(self, command: Command = Command.START) -> Outcome:
+        """At the end of a measurement of ENCODER."""
+        self.begin(command)
+        self.feed([(0, 1500)] * 5)
+        self.command(Command.FINISH)
+        self.finish_with(good_outcome())
+        assert self.state == (State.CHECKED if command == Command.CHECK else State.READY)
+        return good_outcome()
+
+
 WAVY = wavy_table()
-
-
-def any_counts(rng: np.random.Generator) -> Counts:
-    sine, cosine = rng.integers(-2048, 2048, 2).tolist()
-    return sine, cosine
 
 
 def refused(bench: Measuring, command: int, code: int) -> None:
@@ -84,38 +184,6 @@ def test_the_whole_story_at_any_speed(cycles_per_sample: float) -> None:
     raw_off = (before - position[SAMPLES + 300 :] + 0.5) % 1.0 - 0.5
     assert np.std(off) < 3e-4
     assert np.std(raw_off) > 5e-3
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_random_encoders_motions_and_faults(seed: int) -> None:
-    """Lost samples, glitches and a burst cost accuracy, no more."""
-    rng = np.random.default_rng(seed)
-    encoder = replace(
-        ENCODER,
-        sine_offset=rng.uniform(-0.1, 0.1),
-        cosine_amplitude=rng.uniform(0.9, 1.1),
-        phase_error_rad=rng.uniform(-0.1, 0.1),
-        harmonics=(Harmonic(3, *rng.uniform(0.0, 0.02, 2), *rng.uniform(0.0, 6.0, 2)),),
-    )
-    samples: list[Counts | None] = [
-        *counts_of(encoder, motion(10.0 ** rng.uniform(-1.5, 2.0), SAMPLES, rng), rng)
-    ]
-    for place in rng.integers(0, SAMPLES, 60).tolist():
-        samples[place] = None if rng.random() < 0.5 else any_counts(rng)
-    start = int(rng.integers(0, SAMPLES - 20))
-    samples[start : start + 20] = [None] * 20
-    bench = Measuring()
-    bench.begin()
-    bench.feed([(0, 1500)] * 2)
-    bench.command(Command.START)
-    bench.feed(samples)
-    result = bench.compute()
-    assert bench.state == State.READY, result.text
-    truth = computed(encoder, seed).calibration
-    assert truth is not None
-    bench.command(Command.ACCEPT)
-    found = drift(truth, bench.module.chain.correction.table, bench.module.chain.correction.conditioning)
-    assert found.rms < 2e-4
 
 
 def test_a_poor_encoder_whose_position_is_lost_is_measured_all_the_same() -> None:
@@ -173,7 +241,7 @@ def test_what_cannot_be_used_is_refused_with_its_reason(reason: str) -> None:
     assert (bench.state, bench.reason, bench.sdo[0x2030][7].raw) == (
         State.REFUSED,
         reason,
-        NUMBER[Reason(reason)],
+        Reason(reason).number,
     ), result.text
     assert not bench.is_calibrating
     assert bench.sdo[0x2030][3].raw == 100
@@ -309,3 +377,225 @@ def test_sample_times_count_where_they_come() -> None:
     assert truth is not None
     assert result.calibration is not None
     assert drift(truth, result.calibration.table, result.calibration.conditioning).rms < 3e-4
+
+
+WANTED = 200
+TABLES = [wavy_table(32, size) for size in (0.01, 0.02)]
+
+
+def measured() -> Calibration:
+    found = good_outcome().calibration
+    assert found is not None
+    return found
+
+
+class ModuleUnderAnyMaster(RuleBasedStateMachine):
+    """The model: what is in force changes by 2020:03, by an accepted measurement and by a reset alone."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bench = Measuring(WANTED)
+        self.bench.start()
+        self.bench.feed([(0, 1500)])
+        self.operational = True
+        self.power_on()
+        self.late: list[CalibrationJob] = []
+
+    def power_on(self) -> None:
+        self.state, self.reason, self.task = State.IDLE, "accepted", Command.START
+        self.recorded = 0
+        self.figures = False  # of a measurement, good or not
+        self.table: CorrectionTable | None = None
+        self.conditioning = IDENTITY
+        self.written = IDENTITY
+        self.staged: CorrectionTable | None = None
+
+    def refused(self, command: int) -> None:
+        with pytest.raises(SdoAbortedError) as error:
+            self.bench.command(command)
+        assert error.value.code == DEVICE_STATE
+
+    def remember_job(self) -> None:
+        job = self.bench.module.pending_job()
+        if job is not None:
+            self.late.append(job)
+
+    # commands
+
+    @rule(task=st.sampled_from([Command.START, Command.CHECK]))
+    def start(self, task: Command) -> None:
+        self.remember_job()
+        self.bench.command(task)
+        self.state, self.reason, self.task, self.recorded = State.RECORDING, "accepted", task, 0
+        self.figures = False
+
+    @rule()
+    def stop(self) -> None:
+        self.remember_job()
+        self.bench.command(Command.STOP)
+        self.state, self.reason, self.figures = State.IDLE, "accepted", False
+
+    @rule()
+    def finish(self) -> None:
+        if self.state is not State.RECORDING:
+            self.refused(Command.FINISH)
+            return
+        self.bench.command(Command.FINISH)
+        self.state = State.COMPUTING
+
+    @rule()
+    def accept(self) -> None:
+        if self.state is not State.READY:
+            self.refused(Command.ACCEPT)
+            return
+        self.bench.command(Command.ACCEPT)
+        self.state = State.ACCEPTED
+        self.table, self.conditioning = measured().table, measured().conditioning
+        self.written = self.conditioning
+
+    @rule(task=st.sampled_from([Command.START, Command.START, Command.CHECK]))
+    def measure(self, task: Command) -> None:
+        """Straight to the end, so that what comes after it is tried often enough."""
+        self.start(task)
+        self.finish()
+        self.remember_job()
+        self.computed()
+
+    # the computation
+
+    @precondition(lambda self: self.state is State.COMPUTING)
+    @rule()
+    def computed(self) -> None:
+        self.bench.finish_with(good_outcome())
+        self.state = State.CHECKED if self.task is Command.CHECK else State.READY
+        self.figures = True
+
+    @rule(reason=st.sampled_from([Reason.NOISE, Reason.COVERAGE, Reason.LOCKED]), figures=st.booleans())
+    def computed_to_no_good(self, reason: Reason, figures: bool) -> None:
+        if self.state is not State.COMPUTING:
+            self.start(Command.START)
+            self.finish()
+        calibration = replace(measured(), reason=reason) if figures else None
+        self.bench.finish_with(Outcome(reason, calibration, "no"))
+        self.state, self.reason, self.figures = State.REFUSED, reason, figures
+
+    @precondition(lambda self: self.state is State.COMPUTING)
+    @rule()
+    def computation_crashed(self) -> None:
+        self.bench.finish_with(ChildProcessError("killed"))
+        self.state, self.reason = State.REFUSED, "failed"
+
+    @precondition(lambda self: self.late)
+    @rule(crashed=st.booleans())
+    def result_that_comes_too_late(self, crashed: bool) -> None:
+        result = OSError() if crashed else good_outcome()
+        self.bench.module.finish_job(self.late.pop(), result, self.bench.bus.now)
+
+    # samples
+
+    @rule(count=st.integers(1, 90), lost=st.booleans())
+    def samples(self, count: int, lost: bool) -> None:
+        """Each that came is published; a missing one is seen with the SYNC after it."""
+        published = self.bench.feed([(0, 1500)] * count)
+        assert len(published) == (count if self.operational else 0)
+        if self.operational and self.state is State.RECORDING:
+            self.recorded += count
+            if self.recorded >= WANTED:
+                self.state = State.COMPUTING
+        if lost and self.operational:
+            self.bench.feed([None, (0, 1500)])
+            if self.state is State.RECORDING:
+                self.recorded += 2
+                if self.recorded >= WANTED:
+                    self.state = State.COMPUTING
+
+    # other things that a master does
+
+    @rule(table=st.sampled_from(TABLES))
+    def stage(self, table: CorrectionTable) -> None:
+        self.bench.sdo.download(0x2020, 1, table.to_bytes())
+        self.staged = table
+
+    @precondition(lambda self: self.staged is not None)
+    @rule()
+    def activate(self) -> None:
+        assert self.staged is not None
+        self.bench.sdo[0x2020][3].raw = self.staged.crc32
+        self.table, self.conditioning = self.staged, self.written
+
+    @rule()
+    def back_to_the_identity(self) -> None:
+        self.bench.sdo[0x2020][3].raw = 0
+        self.table, self.conditioning = None, self.written
+
+    @rule(offset=st.sampled_from([-20.0, 0.0, 20.0]))
+    def write_a_conditioning(self, offset: float) -> None:
+        self.bench.sdo[0x2002][1].raw = offset
+        self.written = replace(self.written, sine_offset_counts=offset)
+
+    @rule()
+    def break_off_a_transfer(self) -> None:
+        self.bench.sent(Frame(0x620, bytes.fromhex("2130200101000000")))
+        self.bench.sent(Frame(0x620, bytes.fromhex("2120200140000000")))
+        self.bench.sent(Frame(0x620, bytes([0]) + bytes(7)))
+        self.bench.sent(Frame(0x620, bytes.fromhex("8020200100000008")))
+        self.bench.sdo.responses.queue.clear()
+
+    # NMT
+
+    @rule(command=st.sampled_from(["PRE-OPERATIONAL", "STOPPED", "OPERATIONAL", "RESET COMMUNICATION"]))
+    def nmt(self, command: str) -> None:
+        self.bench.remote.nmt.state = command
+        if command != "OPERATIONAL":
+            if self.operational and self.state is State.RECORDING:
+                self.state, self.reason = State.REFUSED, "interrupted"
+            if command == "STOPPED":
+                self.bench.remote.nmt.state = "PRE-OPERATIONAL"
+        self.operational = command == "OPERATIONAL"
+        if command == "OPERATIONAL":
+            self.samples(1, False)  # what is missing is seen once samples come
+
+    @rule()
+    def reset(self) -> None:
+        self.remember_job()
+        self.bench.remote.nmt.state = "RESET"
+        self.bench.sdo[0x2030][10].raw = WANTED
+        self.operational = False
+        self.power_on()
+
+    # what holds at any time
+
+    @invariant()
+    def the_state_is_as_it_must_be(self) -> None:
+        assert (self.bench.state, self.bench.reason) == (self.state, self.reason)
+        working = self.state in (State.RECORDING, State.COMPUTING)
+        assert self.bench.is_calibrating == working
+        assert self.bench.sdo[0x2030][1].raw == (self.task if working else 0)
+        assert (self.bench.module.pending_job() is not None) == (self.state is State.COMPUTING)
+        parts = {State.IDLE: 0, State.RECORDING: 80 * self.recorded // WANTED, State.COMPUTING: 80}
+        assert self.bench.sdo[0x2030][3].raw == parts.get(self.state, 100)
+
+    @invariant()
+    def table_and_conditioning_are_in_force_together(self) -> None:
+        chain = self.bench.module.chain
+        assert (chain.correction.table, chain.correction.conditioning) == (self.table, self.conditioning)
+        crc32, entries = (0, 0) if self.table is None else (self.table.crc32, len(self.table))
+        staged = 0 if self.staged is None else self.staged.crc32
+        assert self.bench.in_force() == (staged, crc32, entries)
+        assert self.bench.conditioning() == astuple(self.written)[:5]  # 2002:01..05
+
+    @invariant()
+    def figures_are_there_when_there_is_a_measurement(self) -> None:
+        residuals, drifts = self.bench.figures()[:2], self.bench.figures()[2:]
+        none = [math.nan, math.nan]
+        wanted = [measured().residual_rms, measured().residual_peak] if self.figures else none
+        assert residuals == pytest.approx(wanted, nan_ok=True)
+        usable = self.state in (State.READY, State.ACCEPTED, State.CHECKED)
+        wanted = list(drift(measured(), self.table, self.conditioning)) if usable else none
+        assert drifts == pytest.approx(wanted, nan_ok=True)
+
+
+ModuleUnderAnyMaster.TestCase.settings = settings(
+    max_examples=min(60, settings().max_examples), stateful_step_count=25
+)
+TestAnyMaster = ModuleUnderAnyMaster.TestCase

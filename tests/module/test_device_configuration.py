@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import struct
-import subprocess
-import sys
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -33,6 +31,7 @@ from canfb.objects import StatusBit
 from canfb.signal.conditioning import Conditioning
 from drawing import examples
 from ideal_tracks import counts_at, wavy_table
+from processes import python
 
 NODE_ID = 32
 RESET_NODE, START = Frame(0, bytes([0x81, NODE_ID])), Frame(0, bytes([0x01, NODE_ID]))
@@ -414,13 +413,7 @@ def test_python_canopen_knows_node_and_bit_rate(tmp_path: Path) -> None:
 def dcfchk(path: Path) -> tuple[int, str]:
     """Exit code and words of dcfchk with the node-ID."""
     code = "import sys; from dcf.cli import main; sys.exit(main())"
-    done = subprocess.run(
-        [sys.executable, "-W", "always", "-c", code, "-n", str(NODE_ID), str(path)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    done = python("-W", "always", "-c", code, "-n", str(NODE_ID), str(path))
     return done.returncode, done.stdout + done.stderr
 
 

@@ -13,8 +13,6 @@ from hypothesis import strategies as st
 from module_bench import SYNC, Bench
 
 from canfb.cia301.frame import Frame
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.prediction import ahead
 from canfb.objects import StatusBit
 from drawing import examples
@@ -51,46 +49,41 @@ def trapezoid(phase: float) -> float:
     return -1.0 if eighths < 7.0 else eighths - 8.0
 
 
-class Timeline:
+class Timeline(Bench):
     """SYNC k at the time k, the ADC PDO with its sample a quarter of a period later."""
 
     def __init__(self, motion: Motion, **fields: Any) -> None:
-        self.bench = Bench(**{"cycles_per_revolution": 1, "adc_bits": 16, **fields})
+        super().__init__(**{"cycles_per_revolution": 1, "adc_bits": 16, **fields})
         self.motion = motion
         self.syncs = 0
         self.missing: set[int] = set()
-        self.sent: list[Sent] = []
-        self.begin_s = self.bench.bus.now
-        self.period_s = 1e-3
-        self.bench.bus.observers.append(self._hear)
-        sdo = self.bench.sdo
+        self.positions: list[Sent] = []
+        self.bus.observers.append(self._hear)
+        sdo = self.sdo
         sdo[0x6000].raw, sdo[0x6001].raw, sdo[0x6002].raw = 4, UNITS_PER_CYCLE, RANGE
-        sdo[0x1006].raw = round(self.period_s * 1e6)
+        sdo[0x1006].raw = round(self.interval_s * 1e6)
 
     def types(self, rpdo: int, tpdo: int) -> None:
         """The transmission types of ADC PDO and position PDO; remote frames are allowed."""
-        sdo = self.bench.sdo
+        sdo = self.sdo
         sdo[0x1800][1].raw = 0x80000000 | POSITION_PDO
         sdo[0x1800][1].raw = POSITION_PDO
         sdo[0x1400][2].raw, sdo[0x1800][2].raw = rpdo, tpdo
 
-    def start(self) -> None:
-        self.bench.start()
-
     def run(self, periods: int, *, remote: bool = False) -> list[Sent]:
         """Position PDOs of so many periods."""
-        before = len(self.sent)
+        before = len(self.positions)
         for _ in range(periods):
             k = self.syncs
             self._go_to(float(k), SYNC)
             if k not in self.missing:
-                self._go_to(k + ADC_DELAY, Frame(0x190, struct.pack("<hh", *self.counts(k))))
+                self._go_to(k + ADC_DELAY, Frame(0x190, struct.pack("<hh", *self.tracks(k))))
             if remote:
                 self._go_to(k + REMOTE_DELAY, Frame(POSITION_PDO, b"", True))
             self.syncs += 1
-        return self.sent[before:]
+        return self.positions[before:]
 
-    def counts(self, k: int) -> tuple[int, int]:
+    def tracks(self, k: int) -> tuple[int, int]:
         phase = self.motion(k) % 1.0
         return round(AMPLITUDE * trapezoid(phase)), round(AMPLITUDE * trapezoid(phase + 0.25))
 
@@ -102,13 +95,13 @@ class Timeline:
             yield (error + 2047.5) % 4095.0 - 2047.5
 
     def _go_to(self, at: float, frame: Frame) -> None:
-        self.bench.bus.run_until(self.begin_s + at * self.period_s)
-        self.bench.bus.send(frame)
+        self.bus.run_until(at * self.interval_s)
+        self.bus.send(frame)
 
     def _hear(self, frame: Frame, now: float) -> None:
         if frame.can_id == POSITION_PDO and not frame.rtr:
             position, status, _ = struct.unpack("<IHH", frame.data)
-            self.sent.append(Sent((now - self.begin_s) / self.period_s, position, status))
+            self.positions.append(Sent(now / self.interval_s, position, status))
 
 
 STEP = 0.25  # cycles from sample to sample: the position tells which sample it is of
@@ -154,7 +147,7 @@ def test_a_missed_sample_is_told_at_the_sync_after_it(rpdo: int, tpdo: int) -> N
     sent = timeline.run(25)
     told = [one.at for one in sent if one.status & StatusBit.MISSED]
     assert told == pytest.approx([21.0], abs=1e-6)
-    assert timeline.bench.sdo[0x2012][1].raw == 1
+    assert timeline.sdo[0x2012][1].raw == 1
 
 
 # Speed and acceleration are differences of positions: they have an age of their own.
@@ -171,12 +164,12 @@ def test_speed_is_that_of_half_an_interval_before_its_sample_and_acceleration_of
     timeline.start()
     timeline.run(40)
     last = timeline.syncs - 1
-    sdo, rad = timeline.bench.sdo, 2 * math.pi
+    sdo, rad = timeline.sdo, 2 * math.pi
 
     def speed(k: float) -> float:
         return START + JERK * k**2 / 2.0
 
-    per_s = 1.0 / timeline.period_s
+    per_s = 1.0 / timeline.interval_s
     assert sdo[0x2011][7].raw == pytest.approx(rad * speed(last - 0.5) * per_s, rel=2e-4)
     assert abs(sdo[0x2011][7].raw - rad * speed(last) * per_s) > 0.01 * rad * speed(last) * per_s
     assert sdo[0x2011][9].raw == pytest.approx(rad * JERK * (last - 1) * per_s**2, rel=2e-3)
@@ -238,7 +231,7 @@ def test_the_way_is_exact(cycles: int, phase: int, way: int) -> None:
 def test_wrap_and_code_sequence(sequence: int, kind: int) -> None:
     """Against integers: 2 x(k) - x(k-1), or 3 x(k) - 3 x(k-1) + x(k-2), of the measured positions."""
     timeline = predicting(ramp(0.02, 40, -0.03), kind)
-    timeline.bench.sdo[0x6000].raw = sequence
+    timeline.sdo[0x6000].raw = sequence
     measured: list[int] = []
     seen = set()
     for k in range(130):
@@ -249,17 +242,17 @@ def test_wrap_and_code_sequence(sequence: int, kind: int) -> None:
             assert 0 <= sent[0].position < RANGE
             assert abs((sent[0].position - expected + RANGE // 2) % RANGE - RANGE // 2) <= 7
             seen.add(sent[0].position > RANGE // 2)
-        measured.append(timeline.bench.sdo[0x6004].raw)
+        measured.append(timeline.sdo[0x6004].raw)
     assert seen == {False, True}
 
 
 def test_only_the_synchronous_pdo_is_extrapolated_and_says_so() -> None:
     timeline = predicting(ramp(0.1, 20), 1)
-    sdo = timeline.bench.sdo
+    sdo = timeline.sdo
     timeline.run(30)
     (sent,) = timeline.run(1)
     assert sent.status == VALID | EXTRAPOLATED
-    measured = timeline.bench.module.feedback
+    measured = timeline.module.feedback
     assert measured is not None
     assert sdo[0x6004].raw == sdo[0x6008].raw == int((measured.cycles + measured.phase) * UNITS_PER_CYCLE)
     assert sdo[0x2011][1].raw == VALID
@@ -273,14 +266,14 @@ def test_only_the_synchronous_pdo_is_extrapolated_and_says_so() -> None:
 
 def test_the_event_timer_sends_the_measured_position() -> None:
     timeline = predicting(ramp(0.1, 20), 1, tpdo=254)
-    timeline.bench.sdo[0x1800][5].raw = 1  # ms: between a SYNC and its ADC PDO, too
+    timeline.sdo[0x1800][5].raw = 1  # ms: between a SYNC and its ADC PDO, too
     timeline.missing = set(range(25, 60))
     assert not any(one.status & EXTRAPOLATED for one in timeline.run(40))
 
 
 def test_it_is_switched_at_run_time_and_from_the_next_sync_on() -> None:
     timeline = predicting(ramp(0.1, 20), 0)
-    sdo = timeline.bench.sdo
+    sdo = timeline.sdo
     timeline.run(30)
     for kind in (1, 0, 2, 0, 1, 2, 1):
         sdo[0x2013][1].raw = kind
@@ -306,28 +299,19 @@ def test_while_coasting_it_goes_on_but_is_never_valid_and_lost_stays_as_counted(
 
 
 def test_of_several_samples_since_a_sync_nobody_knows_the_age() -> None:
-    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True, predict=True))
-    entry = module.dictionary.entry
-    entry(0x1400, 1).store(0x80000190)
-    entry(0x1600, 0).store(0)
-    entry(0x1600, 3).store(0x20000520)
-    entry(0x1600, 0).store(3)
-    entry(0x1400, 1).store(0x190)
-    entry(0x1800, 2).store(1)
-    entry(0x1006).store(1000)
-    module.start(0.0)
-    tick, now = 0, 0.0
+    timeline = Timeline(steady, predict=True, times=True)
+    timeline.types(255, 1)
+    timeline.start()
+    tick = 0
 
     def statuses(per_sync: int) -> set[int]:
-        nonlocal tick, now
+        nonlocal tick
         seen = set()
         for _ in range(4):
-            now += 1e-3
-            sent = [one.data for one in module.receive(Frame(0x80, b""), now) if one.can_id == 0x1A0]
-            seen |= {struct.unpack_from("<H", data, 4)[0] & EXTRAPOLATED for data in sent}
+            seen.add(timeline.position(timeline.sync())[1] & EXTRAPOLATED)
             for _ in range(per_sync):
                 tick += 10000
-                module.receive(Frame(0x190, struct.pack("<hhI", 0, 1500, tick)), now)
+                timeline.sent(Frame(0x190, struct.pack("<hhI", 0, AMPLITUDE, tick)))
         return seen
 
     statuses(1)

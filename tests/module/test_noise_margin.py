@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from module_bench import Bench
 
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
-from canfb.signal.feedback import Feedback
 from canfb.signal.limits import (
     cycles_per_interval_squared,
     narrowed_residual_limit,
@@ -30,24 +28,16 @@ N, PERIOD_S = 2500, 1e-3
 ACCELERATION = 25.0
 
 
-class Turning:
+class Turning(Bench):
     """A module with its own ADC; each SYNC is a sample at ``position`` cycles with ``noise`` counts."""
 
     def __init__(self, margin: int = 6, noise: float = 0.5) -> None:
         self.noise, self.error_cycles = noise, 0.0
-        self._rng, self.syncs, self.speed = np.random.default_rng(7), 0, 23.37
-        self._position = 0.0
-        self.module = FeedbackModule(
-            ModuleConfig(
-                node_id=32,
-                autostart=True,
-                noise_margin=margin,
-                max_acceleration_rad_s2=ACCELERATION,
-            ),
-            source=self,
-        )
-        self.module.dictionary.entry(*od.CYCLE_PERIOD).value = 1000
-        self.module.start(0.0)
+        self._rng, self.speed, self._position = np.random.default_rng(7), 23.37, 0.0
+        super().__init__(source=self, noise_margin=margin, max_acceleration_rad_s2=ACCELERATION)
+        self.stamped = True
+        self.sdo[0x1006].raw = 1000
+        self.start()
         self.module.chain.restart(0, self.speed)
         self.module.use_correction(Correction(IDEAL_TABLE, IDENTITY))
 
@@ -57,24 +47,16 @@ class Turning:
         noise = self._rng.normal(0.0, self.noise, 2)
         return Sample(round(1800.0 * math.sin(angle) + noise[0]), round(1800.0 * math.cos(angle) + noise[1]))
 
-    def sync(self, count: int = 1) -> Feedback:
-        from canfb.cia301.frame import Frame
-
-        for _ in range(count):
-            self.syncs += 1
-            now = self.syncs * PERIOD_S
-            self.module.receive(Frame(0x80, b"", timestamp=now), now)
-        feedback = self.module.feedback
-        assert feedback is not None
-        return feedback
+    def run(self, syncs: int = 1) -> None:
+        for _ in range(syncs):
+            self.sync()
 
     @property
     def limit(self) -> float:
         return self.module.limits.residual_limit
 
     def read(self, place: tuple[int, int]) -> float:
-        entry = self.module.dictionary.entry(*place)
-        return float(entry.value if entry.on_read is None else entry.on_read())
+        return float(self.module.dictionary.entry(*place).current())
 
 
 BOUND = cycles_per_interval_squared(ACCELERATION, N, PERIOD_S)
@@ -83,7 +65,7 @@ FIXED_LIMIT = narrowed_residual_limit(1.0 / 3.0, ACCELERATION, N, PERIOD_S)
 
 def test_zero_is_the_fixed_margin() -> None:
     machine = Turning(margin=0)
-    machine.sync(3000)
+    machine.run(3000)
     assert machine.limit == pytest.approx(FIXED_LIMIT, rel=1e-3)
     assert machine.read(od.FEEDBACK_NOISE) > 0
 
@@ -92,43 +74,36 @@ def test_zero_is_the_fixed_margin() -> None:
 def test_it_is_never_looser_than_the_fixed_limit(margin: int, noise: float) -> None:
     machine = Turning(margin, noise)
     for _ in range(8):
-        machine.sync(150)
+        machine.run(150)
         assert BOUND <= machine.limit <= FIXED_LIMIT * 1.001
 
 
 @each("event", ["table", "margin off", "reset"])
 def test_it_begins_anew_with(event: str) -> None:
     machine = Turning()
-    machine.sync(3000)
+    machine.run(3000)
     assert machine.limit < 0.02
     act: dict[str, Callable[[], None]] = {
         "table": lambda: machine.module.use_correction(Correction(None, IDENTITY)),
-        "margin off": lambda: write(machine.module, od.SUPERVISION_NOISE_MARGIN, 0),
+        "margin off": lambda: machine.sdo.download(*od.SUPERVISION_NOISE_MARGIN, b"\0"),
         "reset": lambda: machine.module.reset_done(False, 3.0),
     }
     act[event]()
     assert machine.limit > 0.05
 
 
-def write(module: FeedbackModule, place: tuple[int, int], value: int) -> None:
-    entry = module.dictionary.entry(*place)
-    entry.value = value
-    assert entry.on_written is not None
-    entry.on_written()
-
-
 @pytest.mark.parametrize("period", [2, 3, 7])
 def test_a_fault_that_grows_below_the_limit_is_found_at_the_stated_bound(period: int) -> None:
     """An error of the phase in every ``period``-th sample, larger by 2e-7 cycle each time."""
     machine = Turning()
-    machine.sync(40 * 256)  # the reference is known: 32 blocks of 4 x 64 samples
+    machine.run(40 * 256)  # the reference is known: 32 blocks of 4 x 64 samples
     reference = machine.module._limits.noise.usable_cycles
     largest_limit = BOUND + 6.0 * 2.0 * reference
     error = 0.0
     for sync in range(60_000):
         error += 2e-7
         machine.error_cycles = error if sync % period == 0 else 0.0
-        machine.sync()
+        machine.run()
         assert machine.limit <= largest_limit * 1.001
         if machine.read(od.COUNTER_RESIDUAL):
             break
@@ -141,12 +116,12 @@ def test_a_fault_that_grows_below_the_limit_is_found_at_the_stated_bound(period:
 
 def test_no_false_alarm_at_any_speed_after_learning_at_one() -> None:
     machine = Turning()
-    machine.sync(3000)
+    machine.run(3000)
     for speed in (0.01, 0.4, 1.1, 7.77, 50.5, 3.25, 0.0):
         while machine.speed != speed:
             machine.speed += max(-0.009, min(0.009, speed - machine.speed))
-            machine.sync()
-        machine.sync(200)
+            machine.run()
+        machine.run(200)
     assert [machine.read(place) for place in (od.COUNTER_RESIDUAL, od.COUNTER_LOST)] == [0, 0]
 
 

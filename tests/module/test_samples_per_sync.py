@@ -67,8 +67,7 @@ class Bus:
         return self.module.feedback
 
     def read(self, place: tuple[int, int]) -> float:
-        entry = self.module.dictionary.entry(*place)
-        return float(entry.value if entry.on_read is None else entry.on_read())
+        return float(self.module.dictionary.entry(*place).current())
 
     def counter(self, place: tuple[int, int]) -> int:
         return int(self.read(place))

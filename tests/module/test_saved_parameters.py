@@ -1,14 +1,17 @@
-"""What `save` keeps of a module, over a reset and over a power-off; the examples of docs/storage.md run."""
+"""What `save` keeps of a module, over a reset and a power-off; docs/storage.md; the hours of 6508h."""
 
 from __future__ import annotations
 
+import errno
 import re
+from collections.abc import Mapping
 from typing import Any
 
 import canopen
 import canopen.lss
 import pytest
-from hypothesis import given
+from canopen import RemoteNode
+from hypothesis import example, given
 from hypothesis import strategies as st
 from module_bench import Bench
 
@@ -94,7 +97,10 @@ def stored(store: MemoryStore) -> list[Record]:
     return decode_image(store.images[MANUFACTURER], MANUFACTURER, IDENTITY)
 
 
-def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm(store: MemoryStore) -> None:
+@pytest.mark.parametrize("ended_by", ["save", "load"])
+def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm_until(
+    store: MemoryStore, ended_by: str
+) -> None:
     first = Bench(store)
     first.sdo[0x2010][3].raw = 9
     first.sdo[0x1017].raw = 0
@@ -114,30 +120,17 @@ def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm(store: MemoryS
     machine.sync()
     machine.counts(0, 1500)
     assert machine.sdo[0x2011][1].raw & 1  # it measures
-    assert machine.sdo[0x6503].raw == 0x1000
-    machine.activate(TABLE)
-    machine.save()
-    assert machine.alarms() == [(0x6310, 0x21, 4), (0, 0, 0)]
-    assert machine.sdo[0x6503].raw == 0
-    assert machine.sdo[0x1001].raw == 0
-
-
-def test_the_alarm_comes_again_with_each_reset_and_ends_with_load(store: MemoryStore) -> None:
-    store.images[MANUFACTURER] = b"?"
-    machine = Bench(store)
-    told: list[object] = []
+    told: list[Mapping[ParameterGroup, str]] = []
     machine.module.on_parameter_faults = told.append
     for command in (0x81, 0x82):
-        machine.remote.nmt.send_command(command)
         assert machine.sdo[0x6503].raw == 0x1000
-    assert [code for code, *_ in machine.alarms()] == [0x6310] * 3
-    machine.load()
+        machine.remote.nmt.send_command(command)
+    machine.activate(TABLE)
+    getattr(machine, ended_by)()
+    assert machine.alarms() == [*[(0x6310, 0x21, 4)] * 3, (0, 0, 0)]
+    assert [list(faults) for faults in told] == [[MANUFACTURER], [MANUFACTURER], []]
     assert machine.sdo[0x6503].raw == 0
-    assert machine.alarms()[-1] == (0, 0, 0)
-    assert told == [{MANUFACTURER: "no stored parameters, or truncated"}] * 2 + [{}]
-    machine.remote.nmt.send_command(0x81)
-    assert machine.sdo[0x6503].raw == 0
-    assert len(machine.alarms()) == 4
+    assert machine.sdo[0x1001].raw == 0
 
 
 def test_the_encoder_interface_keeps_its_communication_parameters() -> None:
@@ -262,3 +255,82 @@ def test_the_files_that_the_page_names_are_those_of_the_program() -> None:
     named = set(re.findall(r"`(\w+\.bin)`", STORAGE))
     made = {f"{group.name.lower()}.bin" for group in ParameterGroup}
     assert named == made | {state_files.PENDING}
+
+
+HOUR_S = 3600.0
+OPERATING_TIME = ParameterGroup.OPERATING_TIME
+
+
+class Module:
+    """A module that is read at chosen times."""
+
+    def __init__(self, store: MemoryStore, start_s: float = 0.0) -> None:
+        self.module = FeedbackModule(ModuleConfig(node_id=32), store)
+        self.start_frames = self.module.start(start_s)
+
+    def nmt(self, command: int, now: float) -> None:
+        self.module.receive(Frame(0, bytes([command, 32])), now)
+
+    def read(self, now: float) -> int:
+        (answer,) = self.module.receive(Frame(0x620, bytes.fromhex("4008650000000000")), now)
+        assert answer.data[:4] == bytes.fromhex("43086500")
+        return int.from_bytes(answer.data[4:], "little")
+
+
+def test_without_a_store_nothing_is_counted(bench: Bench) -> None:
+    remote: RemoteNode = bench.remote
+    assert remote.sdo[0x6508].raw == 0xFFFFFFFF
+    bench.module.end(9 * HOUR_S)
+
+
+WAYS = {"stop": 2, "pre-operational": 128, "reset": 129, "end": None}
+
+
+@given(st.lists(st.tuples(st.sampled_from([*WAYS]), st.integers(0, 200), st.booleans()), max_size=6))
+@example([(way, 20, True) for way in WAYS])
+def test_tenths_of_an_hour_go_on_in_the_next_process(runs: list[tuple[str, int, bool]]) -> None:
+    """However one ends, and whatever is loaded."""
+    store, total = MemoryStore(), 0
+    for n, (way, tenths, load) in enumerate(runs):
+        start_s, end_s = 5e6 * n, 5e6 * n + 0.1 * HOUR_S * tenths
+        module = Module(store, start_s)
+        module.nmt(1, start_s)
+        if load:
+            module.module.receive(Frame(0x620, bytes.fromhex("231110016C6F6164")), start_s)
+        total += tenths
+        assert not tenths or module.read(end_s - 0.1) == total - 1
+        assert module.read(end_s) == total
+        command = WAYS[way]
+        module.module.end(end_s) if command is None else module.nmt(command, end_s)
+    assert Module(store).read(0.0) == total
+
+
+class FullDisk(MemoryStore):
+    full = True
+
+    def save(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
+        if self.full:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        super().save(changes)
+
+
+def test_a_full_disk_loses_nothing_that_can_be_written_later() -> None:
+    store = FullDisk()
+    module = Module(store)
+    module.module.end(HOUR_S)
+    store.full = False
+    module.module.end(HOUR_S)
+    assert Module(store).read(0.0) == 10
+
+
+def test_a_damaged_time_is_told_and_counts_anew() -> None:
+    store = MemoryStore()
+    Module(store).module.end(HOUR_S)
+    store.images[OPERATING_TIME] = store.images[OPERATING_TIME][:-1]
+    module = Module(store)
+    told = [frame.data[:4].hex() for frame in module.start_frames if frame.can_id == 0xA0]
+    assert told == ["10632181"]  # EMCY 6310h, group 81h
+    assert module.read(0.0) == 0
+    module.module.end(HOUR_S)
+    assert module.module.dictionary.entry(0x6503).value == 0
+    assert Module(store).read(0.0) == 10

@@ -1,13 +1,15 @@
-"""Objects 2002:08..12: the drift of the tracks is followed, within bounds that are reported and saved."""
+"""2020h: tables, staged and in force; 2002:08..12: the drift of the tracks, followed within bounds."""
 
 from __future__ import annotations
 
 import math
 import struct
+import zlib
 from typing import Any
 
 import numpy as np
 import pytest
+from canopen import SdoAbortedError
 from module_bench import Bench
 
 from canfb.cia301.frame import Frame
@@ -15,11 +17,82 @@ from canfb.configuration import parse_config
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.objects import AdaptationState as State
+from canfb.objects import StatusBit
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from folding import each
+from ideal_tracks import counts_at, wavy_table
 from servo_kit import IDEAL_TABLE
+
+
+@pytest.mark.parametrize("n", [16, 200, 256, 4096])
+def test_staged_checked_activated_and_read_back(bench: Bench, n: int) -> None:
+    table = wavy_table(n)
+    bench.stage(table)
+    assert bench.in_force() == (zlib.crc32(table.to_bytes()), 0, 0)
+    assert not bench.at(0.1)[1] & StatusBit.TABLE_ACTIVE
+    bench.activate(table)
+    assert bench.in_force()[1:] == (table.crc32, n)
+    assert bench.sdo.upload(0x2020, 1) == table.to_bytes()
+    assert bench.at(0.1)[1] == StatusBit.VALID | StatusBit.TABLE_ACTIVE
+    sine, cosine = counts_at(0.1)
+    assert bench.sdo[0x2011][3].raw / 2**32 == pytest.approx(table(sine / cosine / 8), abs=1e-9)
+
+
+def change(n: int, value: float) -> bytes:
+    entries = wavy_table(256).entries
+    entries[n] = value
+    return struct.pack(f"<{len(entries)}f", *entries)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        change(7, math.nan), change(7, math.inf), change(7, 0.5), change(7, 6 / 256), change(0, -0.3),
+        bytes(60),
+        wavy_table(256).to_bytes()[:-1], wavy_table(256).to_bytes()[:-2],
+        struct.pack("<4097f", *(np.arange(4097) / 4097)), bytes(1024),
+    ],
+)  # fmt: skip
+def test_a_bad_table_is_refused_and_leaves_everything_as_it_was(bench: Bench, data: bytes) -> None:
+    good, next_one = wavy_table(256, 0.01), wavy_table(256, 0.02)
+    bench.activate(good)
+    bench.stage(next_one)
+    with pytest.raises(SdoAbortedError, match="06090030"):
+        bench.sdo.download(0x2020, 1, data)
+    assert bench.in_force() == (next_one.crc32, good.crc32, 256)
+    assert bench.sdo.upload(0x2020, 1) == good.to_bytes()
+
+
+def test_only_the_crc_of_the_staged_or_the_active_table_activates(bench: Bench) -> None:
+    first, second = wavy_table(256, 0.01), wavy_table(256, 0.02)
+    activate = bench.sdo[0x2020][3]
+    for crc32 in (1, first.crc32):
+        with pytest.raises(SdoAbortedError, match="06090030"):
+            activate.raw = crc32
+    bench.activate(first)
+    bench.stage(second)
+    for one in (first, second):
+        activate.raw = one.crc32
+        assert bench.in_force()[1] == one.crc32
+
+
+def test_the_crc_of_what_is_saved() -> None:
+    bench = Bench(MemoryStore())
+    saved = bench.sdo[0x2020][6]
+    assert saved.raw == 0, "nothing is saved yet"
+    bench.activate(wavy_table(256))
+    assert saved.raw == 0, "active is not saved"
+    bench.save(4)
+    assert saved.raw == wavy_table(256).crc32
+    bench.sdo[0x2020][3].raw = 0
+    assert saved.raw == wavy_table(256).crc32, "a reset brings it back"
+    bench.save()
+    assert saved.raw == 0
+    with pytest.raises(SdoAbortedError):
+        saved.raw = 1
+
 
 # The truth of the encoder below. No harmonics are known, so that the first samples are the reference.
 CALIBRATED = Conditioning(40.0, -30.0, 1.0, 1.0, 0.02)

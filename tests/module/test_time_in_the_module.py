@@ -12,10 +12,10 @@ from typing import NamedTuple
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from module_bench import SYNC, Bench
 
+import canfb
 from canfb.cia301.frame import Frame
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import LOST, VALID
 from ideal_tracks import counts_at
 
@@ -24,7 +24,6 @@ PERIOD_S = 4e-3
 ADC = 0.25  # periods from the SYNC to the ADC PDO
 SPEED = 0.3  # cycles per period
 TOLERANCE = 0.04  # cycle: the tracks without a table
-UPLOAD_STATUS = Frame(0x600 + NODE, bytes.fromhex("4011200100000000"))
 BOTH = pytest.mark.parametrize("stamped", [True, False], ids=["stamped", "unstamped"])
 Motion = Callable[[float], float]
 
@@ -45,7 +44,7 @@ class Position(NamedTuple):
         return bool(self.status & VALID)
 
 
-class Machine:
+class Machine(Bench):
     """A module, and by hand the SYNCs and the samples of a machine whose position is known at any time."""
 
     def __init__(
@@ -54,46 +53,38 @@ class Machine:
         motion: Motion = lambda at: SPEED * at,
         entries: dict[tuple[int, int], int] | None = None,
         times: bool = False,
+        overflow: int = 0,
     ) -> None:
-        self.module = FeedbackModule(ModuleConfig(node_id=NODE, times=times))
-        self.sample_bytes = 8 if times else 4
-        for place, value in (entries or {}).items():
-            self.module.dictionary.entry(*place).value = value
+        super().__init__(times=times)
+        self.sample_bytes, self.overflow = 8 if times else 4, overflow
+        self.sdo[0x1019].raw = overflow
+        for (index, subindex), value in (entries or {}).items():
+            self.sdo[index][subindex].raw = value
         self.stamped, self.motion = stamped, motion
         self.positions: list[Position] = []
         self.sampled = 0.0  # the SYNC of the last sample
-        self.emergencies: list[tuple[float, int]] = []
-        self.module.start(0.0)
-        self.nmt(1, 0.0)
+        self.bus.observers.append(self._note)
+        self.start()
 
     def until(self, at: float) -> None:
         """Serve the deadlines up to this time, periods."""
-        while (due := self.module.deadline()) is not None and due <= at * PERIOD_S:
-            self._note(self.module.tick(due), due)
+        self.bus.run_until(at * PERIOD_S)
 
-    def give(self, frame: Frame, at: float) -> list[Frame]:
+    def give(self, frame: Frame, at: float) -> None:
         self.until(at)
-        now = at * PERIOD_S
-        sent = self.module.receive(frame._replace(timestamp=now if self.stamped else None), now)
-        self._note(sent, now)
-        return sent
+        self.sent(frame)
 
-    def _note(self, frames: list[Frame], now: float) -> None:
-        for frame in frames:
-            if frame.can_id == 0x180 + NODE:
-                feedback = self.module.feedback
-                cycles = math.nan if feedback is None else feedback.cycles + feedback.phase
-                status = struct.unpack_from("<H", frame.data, 4)[0]
-                truth = self.motion(self.sampled) - math.floor(self.motion(1))
-                self.positions.append(Position(now / PERIOD_S, status, cycles, truth))
-            elif frame.can_id == 0x80 + NODE:
-                self.emergencies.append((now, struct.unpack_from("<H", frame.data)[0]))
+    def _note(self, frame: Frame, now: float) -> None:
+        if frame.can_id == 0x180 + NODE:
+            feedback = self.module.feedback
+            cycles = math.nan if feedback is None else feedback.cycles + feedback.phase
+            status = struct.unpack_from("<H", frame.data, 4)[0]
+            truth = self.motion(self.sampled) - math.floor(self.motion(1))
+            self.positions.append(Position(now / PERIOD_S, status, cycles, truth))
 
-    def nmt(self, command: int, at: float) -> None:
-        self.give(Frame(0, bytes([command, NODE])), at)
-
-    def sync(self, k: float) -> None:
-        self.give(Frame(0x80, b""), float(k))
+    def sync_at(self, k: float) -> None:
+        counter = bytes([int(k - 1) % self.overflow + 1]) if self.overflow else b""
+        self.give(Frame(0x80, counter), float(k))
 
     def sample(self, k: float, at: float | None = None, off: float = 0.0) -> None:
         """The ADC PDO with the sample of SYNC k, usually a quarter of a period after it."""
@@ -104,13 +95,13 @@ class Machine:
         self.give(Frame(0x180 + INTERFACE, data[: self.sample_bytes]), at)
 
     def cycle(self, k: int) -> None:
-        self.sync(k)
+        self.sync_at(k)
         self.sample(k)
 
     def give_all(self, frames: list[tuple[float, bool, float]]) -> None:
         """When each comes, whether it is a SYNC, and of an ADC PDO the SYNC that it answers."""
         for at, is_sync, k in sorted(frames):
-            self.sync(at) if is_sync else self.sample(k, at)
+            self.sync_at(at) if is_sync else self.sample(k, at)
 
     def run(self, first: int, after: int) -> list[Position]:
         before = len(self.positions)
@@ -120,8 +111,8 @@ class Machine:
 
     def status(self, at: float) -> int:
         """2011:01 by SDO."""
-        (answer,) = (frame for frame in self.give(UPLOAD_STATUS, at) if frame.can_id == 0x580 + NODE)
-        return int(struct.unpack_from("<H", answer.data, 4)[0])
+        self.until(at)
+        return int(self.sdo[0x2011][1].raw)
 
     def counter(self, subindex: int) -> int:
         return int(self.module.dictionary.entry(0x2012, subindex).value)
@@ -150,7 +141,7 @@ def test_when_sync_stops_nothing_is_valid_after_so_many_periods(periods: int, st
     assert len(after) > 40
     assert not any(one.valid for one in after)
     assert after[-1].status & LOST
-    assert 0x7300 in [code for _, code in machine.emergencies]
+    assert 0x7300 in machine.emergencies()
     assert machine.right()
 
 
@@ -183,7 +174,7 @@ LOST_FRAMES = {
 def play(machine: Machine, heard: list[str], first: int) -> None:
     for k, what in enumerate(heard, first):
         if what not in ("sample", "none"):
-            machine.sync(k)
+            machine.sync_at(k)
         if what == "late":
             machine.sample(k - 1, k + 0.02)
         if what not in ("sync", "none"):
@@ -222,18 +213,72 @@ def test_whatever_is_lost_no_position_is_wrong(heard: list[str], stamped: bool, 
     assert machine.right()
 
 
+@given(st.lists(st.booleans(), max_size=30), st.integers(2, 40))
+@example([False] * 3, 20)
+@example([False] * 5, 20)
+@example([False] * 18, 20)
+def test_every_sync_that_was_not_heard_is_counted(heard: list[bool], overflow: int) -> None:
+    """A few are stepped over; many lose the position, and it is told."""
+    machine = Machine(False, overflow=overflow)
+    machine.run(1, 9)
+    longest = max((len(run) for run in "".join("01"[one] for one in heard).split("1")), default=0)
+    for k, one in enumerate(heard, 9):
+        if one:
+            machine.cycle(k)
+    found = machine.run(9 + len(heard), 25 + len(heard))
+    if longest >= overflow:
+        return
+    assert machine.counter(1) == heard.count(False)
+    assert machine.right()
+    assert longest < 5 or not any(one.valid for one in found)
+    if longest >= 5:
+        assert found[-1].status & LOST
+        assert 0x7300 in machine.emergencies()
+        assert machine.sdo[0x6503].raw == 1
+    elif heard.count(False) <= 3 and overflow >= 20:
+        assert found[-1].status == VALID
+
+
+@given(before=st.integers(0, 40), overflow=st.integers(2, 40), unheard=st.integers(1, 3))
+def test_samples_with_their_time_need_no_sync(before: int, overflow: int, unheard: int) -> None:
+    """The interface has answered SYNCs that the module did not hear."""
+    machine = Machine(False, times=True, overflow=overflow)
+    machine.run(1, 9 + before)
+    for k in range(9 + before, 9 + before + unheard):
+        machine.sample(k)
+    machine.run(9 + before + unheard, 25 + before + unheard)
+    assert not any(one.status & LOST for one in machine.positions)
+    assert machine.positions[-1].status == VALID
+    assert machine.right()
+
+
+def test_a_module_that_stays_operational_without_a_bus_has_lost_its_position() -> None:
+    machine = Machine(False, overflow=20)
+    machine.run(1, 9)
+    machine.sdo[0x1029][1].raw = 1
+    for frame in machine.module.bus_off(machine.bus.now):
+        machine.bus.send(frame)
+    assert machine.module.state == 5
+    machine.cycle(9)
+    machine.module.bus_back(machine.bus.now)
+    assert all(one.status & LOST and not one.valid for one in machine.run(10, 40))
+    machine.remote.nmt.state = "PRE-OPERATIONAL"
+    machine.start()
+    assert machine.run(40, 43)[-1].status == LOST, "it turns"
+
+
 @pytest.mark.parametrize("bad_each", [2, 3, 7])
 def test_an_alarm_that_comes_and_goes_sends_ten_pairs_of_emcy_a_second(bad_each: int) -> None:
     machine = Machine(True, lambda at: 0.2)
     machine.run(1, 20)
     for k in range(20, 1020):
-        machine.sync(k)
+        machine.sync_at(k)
         if k % bad_each:
             machine.sample(k)
         else:
             machine.give(Frame(0x180 + INTERFACE, bytes(4)), k + ADC)
     seconds = 1000 * PERIOD_S
-    codes = [code for _, code in machine.emergencies]
+    codes = machine.emergencies()
     assert 0 < codes.count(0x7300) <= 10 * seconds + 2
     assert codes.count(0x0000) <= 10 * seconds + 1
     assert codes[0] == 0x7300
@@ -298,6 +343,72 @@ def test_samples_go_on_at_another_rate(times: bool, rate: float, late: bool, sta
     machine.give_all(frames)
     before = len(machine.positions)
     for k in range(300, 350):
-        machine.sync(401 + k * rate)
+        machine.sync_at(401 + k * rate)
         machine.sample(401 + k * rate, 401 + (k + ADC * min(1.0, 1.0 / rate)) * rate)
     assert len(machine.positions) - before >= 50 - late  # the first may be one too many for its SYNC
+
+
+FAST_S, N = 1e-3, 2500  # period of SYNC, cycles per revolution
+
+
+def turning(
+    rpm: float, jitter_us: float, syncs: int = 3000, stamped: bool = True, times: bool = False
+) -> tuple[list[str], canfb.FeedbackModule]:
+    """Warnings of a module whose encoder is sampled at SYNCs that jitter uniformly, up to speed in 1 s."""
+    bench = Bench(times=times)
+    bench.stamped = stamped
+    warnings: list[str] = []
+    bench.module.on_warning = warnings.append
+    bench.start()
+    draw = random.Random(4)
+    speed = rpm / 60.0 * N
+    for k in range(1, syncs):
+        now = k * FAST_S + draw.uniform(-jitter_us, jitter_us) * 1e-6
+        cycles = speed * (now * now / 2.0 if now < 1.0 else now - 0.5)
+        data = struct.pack("<hhI", *counts_at(cycles), round(now * 1e7))
+        bench.bus.run_until(now)
+        bench.sent(SYNC)
+        bench.bus.run_until(now + 3e-4)
+        bench.sent(Frame(0x190, data if times else data[:4]))
+    return warnings, bench.module
+
+
+@pytest.mark.parametrize(("jitter_us", "rpm"), [(10.0, 160.0), (30.0, 52.0), (60.0, 27.0)])
+def test_a_speed_near_the_limit_is_warned_of_once(jitter_us: float, rpm: float) -> None:
+    warnings, module = turning(rpm, jitter_us)
+    assert len(warnings) == 1
+    assert "remedy: times: true" in warnings[0]
+    assert module.feedback is not None
+    assert module.feedback.valid
+
+
+@pytest.mark.parametrize(
+    ("rpm", "jitter_us", "stamped", "times"),
+    [
+        (60.0, 10.0, True, False),  # far below
+        (160.0, 10.0, False, False),  # not measured: the time of the call says nothing of SYNC
+        (1500.0, 100.0, True, True),  # sample times
+    ],
+)
+def test_nothing_is_said_without_need(rpm: float, jitter_us: float, stamped: bool, times: bool) -> None:
+    assert turning(rpm, jitter_us, stamped=stamped, times=times)[0] == []
+
+
+@given(st.floats(1.0, 1e5), st.floats(1e-7, 1e-2), st.floats(0.01, 0.5))
+def test_the_largest_speed_uses_up_the_limit(cycles: float, jitter_s: float, limit: float) -> None:
+    speed = canfb.max_speed(cycles, jitter_s, limit) * cycles / (2.0 * math.pi)  # cycles/s
+    assert 4.0 * speed * jitter_s == pytest.approx(limit)
+
+
+@pytest.mark.parametrize("bad", [(0.0, 1e-6), (2500, 0.0), (2500, math.nan), (math.inf, 1e-6)])
+def test_what_is_no_machine_is_refused(bad: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="must be positive"):
+        canfb.max_speed(*bad)
+    with pytest.raises(ValueError, match="residual_limit"):
+        canfb.max_speed(2500, 1e-6, 0.6)
+
+
+def test_the_speeds_at_the_start_are_those_of_the_page() -> None:
+    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32))
+    assert module.speed_limit().endswith("200 rpm at ±10 µs, 20 rpm at ±100 µs")
+    assert canfb.FeedbackModule(canfb.ModuleConfig(node_id=32, times=True)).speed_limit() == ""
