@@ -177,17 +177,6 @@ def test_each_has_its_own_positions_and_its_own_faults(
     assert line.startswith(f"canfb: node {BAD_TABLE}: stored manufacturer parameters in {bad} refused: ")
 
 
-def test_the_one_that_waited_joins_the_others(play: Play, capsys: pytest.CaptureFixture[str]) -> None:
-    requests = [(0.5, request) for request in select(NEWCOMER)]
-    story = play([*requests, *cycles(1.0)])
-    out, err = capsys.readouterr()
-    assert story.sent[0x700 + NEWCOMER] == [b"\0"]
-    for node in (*NODES, NEWCOMER):
-        assert story.positions(node) == alone(node), node
-    assert out.splitlines()[-1].startswith(f"node {NEWCOMER}: {CYCLES} samples; ")
-    assert err == ""
-
-
 def test_two_with_the_same_node_id_are_noticed_and_both_go_on(
     play: Play, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -222,21 +222,26 @@ def test_the_file_of_a_program_that_runs_is_replaced_when_ready_and_not_before(t
     assert not path.exists()
 
 
-@pytest.mark.parametrize("content", ["modules: []\n", "", "12\n13\n"])
-def test_another_file_is_not_touched(tmp_path: Path, content: str) -> None:
-    path = tmp_path / "feedback.yaml"
-    path.write_text(content)
-    with pytest.raises(ConfigError, match=r"feedback\.yaml: exists, and is not"), Readiness(path):
-        pytest.fail("entered")
-    assert path.read_text() == content
-
-
 @pytest.mark.parametrize(
-    ("name", "reason"), [("no/such/folder", "No such file"), (".", "exists, and is not a ready file")]
+    ("name", "content", "reason"),
+    [
+        *(
+            ("feedback.yaml", text, r"feedback\.yaml: exists, and is not")
+            for text in ("modules: []", "", "1\n2\n")
+        ),
+        ("no/such/folder", None, "No such file"),
+        (".", None, "exists, and is not a ready file"),
+    ],
 )
-def test_a_file_that_cannot_be_is_refused_at_the_start(tmp_path: Path, name: str, reason: str) -> None:
-    with pytest.raises(ConfigError, match=reason), Readiness(tmp_path / name):
+def test_a_file_that_cannot_be_is_refused_at_the_start_and_another_is_not_touched(
+    tmp_path: Path, name: str, content: str | None, reason: str
+) -> None:
+    path = tmp_path / name
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(ConfigError, match=reason), Readiness(path):
         pytest.fail("entered")
+    assert content is None or path.read_text() == content
 
 
 def test_who_waits_must_not_wait_for_ever(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import shutil
 import subprocess
 import sys
 import threading
@@ -131,16 +130,6 @@ def test_who_only_reads_takes_no_lock_and_makes_nothing(
 
 
 # Files that cannot be read.
-
-
-def test_a_group_that_cannot_be_read_is_an_error_of_this_group(folder: Path) -> None:
-    with StateFiles(folder) as store:
-        store.save(OLD)
-        (folder / "application.bin").unlink()
-        (folder / "application.bin").mkdir()
-        kept = dict(store.load())
-        assert isinstance(kept.pop(APPLICATION), OSError)
-        assert kept == {group: OLD[group] for group in (COMMUNICATION, MANUFACTURER)}
 
 
 def test_a_file_that_is_far_too_large_is_not_read_whole(folder: Path) -> None:
@@ -297,21 +286,6 @@ def test_the_end_waits_for_what_was_begun(tmp_path: Path) -> None:
             store.begin(NEW)
         assert files.load() == NEW
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("canfb-save")]
-
-
-def test_a_folder_that_vanishes_and_comes_back(tmp_path: Path) -> None:
-    folder = tmp_path / "state"
-    with StateFiles(folder) as files, ThreadedStore(files) as store:
-        store.save(OLD)
-        shutil.rmtree(folder)
-        store.begin(NEW)
-        (failed,) = all_ended(store, 1)
-        assert failed is not None
-        assert failed.errno == errno.ENOENT
-        folder.mkdir()
-        store.begin(NEW)
-        assert all_ended(store, 1) == [None]
-        assert store.load() == NEW
 
 
 def test_a_program_error_comes_out() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import can
 import pytest
 
 from canfb.bus.bus_master import BusMaster
-from canfb.bus.opening import group_port, open_bus
+from canfb.bus.opening import open_bus
 from canfb.cia301 import cob
 from canfb.cli.config_file import EXAMPLE
 from canfb.configuration import Config, parse_config
@@ -51,16 +50,6 @@ def test_private_buses_side_by_side_are_different_and_come_back() -> None:
         assert one["hop_limit"] == other["hop_limit"] == 0, "the frames stay on this computer"
     with private_bus() as again:
         assert again == one
-
-
-@pytest.mark.usefixtures("computer")
-def test_a_private_bus_is_let_go_when_the_program_fails_on_it() -> None:
-    with pytest.raises(OSError, match="of the program"), private_bus() as words:
-        raise OSError("of the program")
-    port = group_port(words["channel"])
-    assert port is not None
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", port))
 
 
 def test_no_private_bus_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
