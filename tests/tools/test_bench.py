@@ -1,10 +1,18 @@
-"""tools/bench/cycle.py: each piece of work does what it is compared for; pyperf measures it."""
+"""tools/bench: each piece of work does what it is compared for; the bus, its load and the picture."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
 import pytest
 
-from tools.bench import cycle
+import canfb
+from canfb.cia301.frame import Frame
+from tools.bench import bus, bus_others, cycle
+from tools.bench.bus_load import SDO_REQUEST, SdoClient, set_up
+from tools.bench.cycle import NODE_ID
 
 COMPARISON = cycle.Comparison("name", "ours", "other", 1.0)
 
@@ -72,3 +80,84 @@ def test_check_reports_a_missed_goal_by_the_exit_status(
     assert cycle.report([COMPARISON], medians, check=True) == status
     assert cycle.report([COMPARISON], medians, check=False) == 0
     assert f"< 1: {verdict}" in capsys.readouterr().out
+
+
+NODES = ["stock", "python-can", "canfb", "floor"]
+
+
+def test_each_node_answers_on_a_pair_of_sockets(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bus_others, "WARM_UP", 50)
+    arguments = ["--cycles", "20", "--rounds", "1", "--rate", "100", "--loads", "full"]
+    assert bus.main([*arguments, "--nodes", ",".join(NODES)]) == 0
+    out, err = capsys.readouterr()
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in out.splitlines()[2:-2]]
+    of_sync = [[*row[:3], row[5] == "-"] for row in rows]
+    assert of_sync == [["full", kind, "no", kind == "stock"] for kind in NODES], "the stock node has no TPDO2"
+    assert all(len(row[6].split(" / ")) == 4 for row in rows)
+    assert err.splitlines() == [f"round 1 of 1: full, {kind}, no" for kind in NODES]
+
+
+def test_each_percentile_is_a_value_that_so_many_do_not_exceed() -> None:
+    assert bus.percentiles([float(n) for n in range(1000, 0, -1)]) == "500 / 990 / 999 / 1000"
+    assert bus.percentiles([1.25, 1.25, 12.34, 5678.9]) == "1.2 / 5679 / 5679 / 5679"
+    assert bus.percentiles([]) == "-"
+
+
+class Module:
+    """A module that is given requests, in simulated time."""
+
+    def __init__(self) -> None:
+        self.module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE_ID))
+        self.module.start(0.0)
+        self.now = 0.0
+
+    def answers(self, request: bytes) -> Iterator[Frame]:
+        self.now += 1e-4
+        yield from self.module.receive(Frame(SDO_REQUEST, request), self.now)
+        while (deadline := self.module.deadline()) is not None and deadline < self.now + 0.1:
+            self.now = max(self.now, deadline)
+            yield from self.module.tick(self.now)
+
+
+def transfer(load: SdoClient, module: Module) -> None:
+    while load.waits:
+        can_id, request = load.frame
+        assert can_id == SDO_REQUEST
+        load.sent()
+        for answer in module.answers(request):
+            load.take(answer.can_id, answer.data)
+
+
+def test_a_module_is_set_up_with_a_table() -> None:
+    load, module = SdoClient(set_up()), Module()
+    transfer(load, module)
+    assert load.done
+    assert module.module.dictionary.entry(0x2020, 5).value == 256
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *(["--cycles", "0"], ["--rate", "0"], ["--rate", "nan"], ["--rounds", "0"]),
+        *(["--loads", "heavy"], ["--nodes", "floor,other"]),
+    ],
+)
+def test_wrong_use_is_told(wrong: list[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        bus.main(wrong)
+    assert ended.value.code == 2
+
+
+def test_an_interface_that_there_is_not_is_told() -> None:
+    with pytest.raises(SystemExit, match="no interface nowhere0"):
+        bus.main(["--channel", "nowhere0"])
+
+
+def test_the_picture_names_the_objects_as_text() -> None:
+    picture = ElementTree.parse(Path(__file__).parents[2] / "docs" / "latency.svg")
+    texts = " ".join(text for node in picture.iter() if (text := node.text))
+    for name in ("6004h", "6008h", "2011:07", "6030h", "6040h", "2011:02", "6300h", "EMCY", "predict"):
+        assert name in texts
+    assert "prefers-color-scheme: dark" in texts
