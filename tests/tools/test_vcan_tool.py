@@ -1,14 +1,18 @@
-"""The parts of tools/vcan that need no user-mode Linux: what it would run, and what it says."""
+"""Programs that are started: parts of tools/vcan without user-mode Linux, and the processes of the tests."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import subprocess
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from processes import Process
 from tools.vcan import __main__ as vcan
 from tools.vcan import uml
 
@@ -73,3 +77,34 @@ def test_no_vcan_says_what_to_install(
     assert told.out.startswith("none: ")
     assert "apt-get install user-mode-linux" in told.out
     assert "apt-get install user-mode-linux" in told.err
+
+
+@pytest.fixture
+def command() -> Iterator[Callable[..., Process]]:
+    """Starts a command; all are ended after the test."""
+    with contextlib.ExitStack() as stack:
+
+        def start(*arguments: str) -> Process:
+            one = Process(arguments)
+            stack.callback(one.stop)
+            return one
+
+        yield start
+
+
+def test_a_process_left_behind_is_found(command: Callable[..., Process]) -> None:
+    started = command("sh", "-c", "sleep 1000 >/dev/null 2>&1 & echo ready")
+    started.wait_for("ready")
+    with pytest.raises(pytest.fail.Exception, match="has ended, a process that it started has not"):
+        started.stop()
+
+
+def test_a_line_that_does_not_come_fails_and_shows_what_was_said(command: Callable[..., Process]) -> None:
+    started = command("sh", "-c", "echo something; exec sleep 1000")
+    started.wait_for("something")
+    started.patience_s = 0.0
+    with pytest.raises(pytest.fail.Exception, match="something"):
+        started.wait_for("else")
+    started.patience_s = 60.0
+    started.send(signal.SIGKILL)
+    assert started.wait() == -signal.SIGKILL
