@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from calibrating import command, position_errors
+from calibrating import command, encoder, position_errors
 
 from canfb.calibrate.calibration_summary import delay_words
 from canfb.calibration.path_fit import LowPass
@@ -24,7 +24,7 @@ from canfb.master.machine_watch import Provenance
 from canfb.master.session import read_corners
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.harmonics import NO_LOW_PASS
-from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
+from canfb.simulation.encoder import AnalogPath
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from commissioning_kit import CYCLES, MODULE_ID, Bench
 from folding import each
@@ -34,18 +34,6 @@ MULTIPLEXER = AnalogPath(cosine_delay_s=1e-6)
 STAY_S = 6.0
 SHORT = ("--seconds", "2", "--least-samples", "2000", "--verify", "0.8", "--wait", "30")
 ALL = "61,703,3001"
-
-
-def encoder(path: AnalogPath) -> Encoder:
-    return Encoder(
-        amplitude_counts=1500.0,
-        sine_offset=0.01,
-        cosine_amplitude=0.96,
-        phase_error_rad=0.05,
-        harmonics=(Harmonic(3, 0.01, 0.01),),
-        noise_lsb=0.5,
-        path=path,
-    )
 
 
 def bench(path: AnalogPath = PATH, rpm: tuple[float, ...] = (61.0, 703.0, 3001.0), **config: Any) -> Bench:

@@ -8,19 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from calibrating import calibrate, position_errors
+from calibrating import PHASE_ERROR_RAD, calibrate, encoder, position_errors
 from test_recordings_and_own_calibration import with_calculator
 
 from canfb.calibration.over_speeds import sampled_together
 from canfb.calibration.recording import recording
-from canfb.device.storage.storage import MemoryStore
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import put_in_force, read_active, read_conditioning
 from canfb.master.samples import TrackSamples
 from canfb.sdo.tables import as_yaml, read_table_file
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
-from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
+from canfb.simulation.encoder import AnalogPath
 from canfb.simulation.motion import Motion, Ramp, Ripple
 from commissioning_kit import MODULE_ID, TABLE, Bench
 from folding import each
@@ -28,20 +27,11 @@ from node_commands import Commands
 
 NODE = hex(MODULE_ID)
 DELAY_S, LAG_S, CORNER_HZ = 2.0**-20, 2.0**-19, 131072.0  # exact in REAL32
-PHASE_ERROR = 0.05
 DELAYS: dict[str, Any] = {
     "conditioning": Conditioning(cosine_delay_s=DELAY_S, delay_s=LAG_S),
     "corner_hz": CORNER_HZ,
 }
-ENCODER = Encoder(
-    amplitude_counts=1500.0,
-    sine_offset=0.03,
-    cosine_amplitude=0.96,
-    phase_error_rad=PHASE_ERROR,
-    harmonics=(Harmonic(3, 0.01, 0.01),),
-    noise_lsb=0.5,
-    path=AnalogPath(cosine_delay_s=DELAY_S),
-)
+ENCODER = encoder(AnalogPath(cosine_delay_s=DELAY_S))
 
 
 def bench_at(rpm: float, **config: Any) -> Bench:
@@ -63,7 +53,9 @@ def test_a_calibration_at_any_speed_finds_the_encoder(rpm: float) -> None:
     bench = bench_at(rpm)
     assert calibrate(bench) == 0
     assert delays(bench) == (DELAY_S, LAG_S, 0.0)
-    assert bench.module.chain.correction.conditioning.phase_error_rad == pytest.approx(PHASE_ERROR, abs=3e-3)
+    assert bench.module.chain.correction.conditioning.phase_error_rad == pytest.approx(
+        PHASE_ERROR_RAD, abs=3e-3
+    )
     errors = position_errors(bench, 400)
     assert np.sqrt(np.mean(errors**2)) < 3e-4
 
@@ -117,19 +109,6 @@ def test_a_table_without_them_leaves_them(canfb: Commands, tmp_path: Path) -> No
     assert delays(other) == (DELAY_S, LAG_S, 0.0)
 
 
-def test_a_backup_has_them(canfb: Commands, tmp_path: Path) -> None:
-    path = tmp_path / "backup.yaml"
-    bench = Bench(sync=False, config=DELAYS)
-    canfb(bench, "backup", "save", NODE, path)
-    text = path.read_text()
-    assert '"2002:06"' in text
-    assert "# Cosine delay, s" in text
-    assert "# Corner frequency, Hz" in text
-    spare = Bench(sync=False, store=MemoryStore(), operational=False)
-    canfb(spare, "backup", "restore", path)
-    assert delays(spare) == (DELAY_S, LAG_S, CORNER_HZ)
-
-
 def test_an_older_module_has_no_delays(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(sync=False)
     for subindex in (6, 7):
@@ -151,12 +130,12 @@ def test_samples_as_if_taken_at_once(hertz: float) -> None:
     time = np.arange(n) / rate
     turned = hertz * time + 0.3 * np.sin(2.0 * time)
     speed = hertz + 0.6 * np.cos(2.0 * time)
-    encoder = replace(ENCODER, harmonics=())
-    sine, cosine = encoder.sample(turned, rng, speed)
+    pure = replace(ENCODER, harmonics=())
+    sine, cosine = pure.sample(turned, rng, speed)
     samples = TrackSamples.of(sine, cosine, rate, "a simulated machine")
     samples.sine[7] = samples.cosine[7] = np.nan
     together = samples.together(DELAY_S, hertz + 3.0)
-    _, wanted = replace(encoder, path=AnalogPath()).sample(turned)
+    _, wanted = replace(pure, path=AnalogPath()).sample(turned)
     off = together.cosine - wanted
     assert np.isnan(off[7])
     assert np.nanstd(off) < 2.0, "half a count of noise in each track"

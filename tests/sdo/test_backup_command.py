@@ -23,6 +23,7 @@ CHANGED: dict[tuple[int, int], tuple[str, float]] = {
     (0x2010, 3): ("B", 9),
     (0x2010, 2): ("f", 12.5),
     (0x2001, 1): ("I", 1024),
+    (0x2001, 5): ("f", 131072.0),
     (0x6310, 1): ("i", -77),
 }
 """What makes the module another one than as delivered."""
@@ -36,7 +37,8 @@ def set_up(bench: Bench) -> Bench:
     """A module that somebody has set up: table, conditioning, parameters, another COB-ID and mapping."""
     for place, (layout, value) in CHANGED.items():
         bench.access.write(*place, layout, value)
-    put_in_force(bench.access, Correction(TABLE, Conditioning(3.5, -2.0, 1.0, 1.03125, 0.0078125)))
+    used = Conditioning(3.5, -2.0, 1.0, 1.03125, 0.0078125, cosine_delay_s=2.0**-20, delay_s=2.0**-19)
+    put_in_force(bench.access, Correction(TABLE, used))
     access = bench.access
     access.write(0x1801, 1, "I", 0x80000000)
     access.write(0x1A01, 0, "B", 0)
