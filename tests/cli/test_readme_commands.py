@@ -8,8 +8,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from canfb.cia301.frame import Frame
 from canfb.cli.config_file import EXAMPLE
 from canfb.cli.main import build_parser
 from canfb.cli.simulate import chosen
-from canfb.configuration import Config, parse_config
+from canfb.configuration import parse_config
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.limits import max_acceleration
@@ -29,8 +28,10 @@ from canfb.signal.starts import START_SAMPLES
 from canfb.signal.supervision import VALID
 from canfb.simulation.demand import of_motion
 from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.motion import MotionSource
 from canfb.simulation.set_up import source_of
 from canfb.simulation.sync_producer import SyncProducer
+from canfb.sources.recording_source import RecordingSource
 from documentation import blocks, commands, page
 from judged_session import check, new_judge
 from processes import python
@@ -39,45 +40,34 @@ START_ALL = Frame(0x000, b"\x01\x00")
 POSITION = 0x1A0
 
 
-@dataclass
-class Session:
-    """``canfb run`` and ``canfb simulate --rate`` on one bus, with the options of the latter."""
+def ten_seconds(
+    rate_hz: float, *options: str
+) -> tuple[list[bool], list[float], FeedbackModule, MotionSource | RecordingSource]:
+    """``canfb run`` and ``canfb simulate --rate`` on one bus, with the options of the latter.
 
-    rate_hz: float
-    options: Sequence[str] = ()
-    statuses: list[int] = field(default_factory=list)
-    errors: list[float] = field(default_factory=list)
-    """Of each position, cycles, against the truth."""
+    Whether each position PDO is valid, and its error against the motion, cycles; the module and the source.
+    """
+    config = parse_config(EXAMPLE)
+    arguments = build_parser().parse_args(["simulate", "feedback.yaml", "--rate", str(rate_hz), *options])
+    source: Any = source_of(*chosen(arguments, config))
+    bus, module = EmbeddedBus(), FeedbackModule(config.modules[0])
+    interface = EncoderInterface(module.config.encoder_interface, source, times=module.config.times)
+    valid: list[bool] = []
+    errors: list[float] = []
 
-    def __post_init__(self) -> None:
-        self.config: Config = parse_config(EXAMPLE)
-        arguments = ["simulate", "feedback.yaml", "--rate", str(self.rate_hz), *self.options]
-        self.source: Any = source_of(*chosen(build_parser().parse_args(arguments), self.config))
-        self.module = FeedbackModule(self.config.modules[0])
-        config = self.config.modules[0]
-        self.interface = EncoderInterface(config.encoder_interface, self.source, times=config.times)
-        self.bus = EmbeddedBus()
-        for device in (self.module, self.interface, SyncProducer(1.0 / self.rate_hz)):
-            self.bus.attach(device)
-        self.bus.observers.append(self._note)
+    def note(frame: Frame, now: float) -> None:
+        if frame.can_id == POSITION and module.feedback is not None:
+            valid.append(bool(int.from_bytes(frame.data[4:6], "little") & VALID))
+            if isinstance(source, MotionSource):
+                errors.append(module.feedback.cycles + module.feedback.phase - source.position_cycles)
 
-    def _note(self, frame: Frame, now: float) -> None:
-        if frame.can_id == POSITION:
-            self.statuses.append(int.from_bytes(frame.data[4:6], "little"))
-            feedback = self.module.feedback
-            assert feedback is not None
-            if hasattr(self.source, "position_cycles"):
-                self.errors.append(feedback.cycles + feedback.phase - self.source.position_cycles)
-
-    def run(self, duration_s: float) -> None:
-        """Start all nodes, and let time pass."""
-        self.bus.send(START_ALL)
-        self.bus.run_until(self.bus.now + duration_s)
-
-    @property
-    def valid(self) -> list[bool]:
-        """Of each position PDO."""
-        return [bool(status & VALID) for status in self.statuses]
+    for device in (module, interface, SyncProducer(1.0 / rate_hz)):
+        bus.attach(device)
+    bus.observers.append(note)
+    bus.send(START_ALL)
+    bus.run_until(bus.now + 10.0)
+    assert len(valid) >= 10.0 * rate_hz - 2
+    return valid, errors, module, source
 
 
 ROOT = Path(__file__).parents[2]
@@ -118,10 +108,7 @@ def test_the_recording_is_small_and_plays_for_ten_seconds_without_a_fault() -> N
     (words,) = [words for words in commands(SIMULATION) if words[0] == "simulate" and RECORDING in words]
     options = build_parser().parse_args(words)
     play = [str(ROOT / word) if word == RECORDING else word for word in words[2:]]
-    session = Session(options.rate, play)
-    session.run(10.0)
-    assert len(session.valid) >= 10.0 * options.rate - 2
-    assert all(session.valid[START_SAMPLES:])
+    assert all(ten_seconds(options.rate, *play)[0][START_SAMPLES:])
 
 
 @pytest.fixture
@@ -224,10 +211,10 @@ def test_the_reason_beside_the_acceleration_is_right() -> None:
 
 @pytest.mark.parametrize("rate_hz", [100.0, 250.0])
 def test_every_position_of_ten_seconds_is_valid_and_right(rate_hz: float) -> None:
-    session = Session(rate_hz)
-    session.run(10.0)
-    assert len(session.statuses) >= 10.0 * rate_hz - 2
-    assert all(session.valid[START_SAMPLES:]), "the sample times confirm the start first"
-    assert np.abs(session.errors).max() < 0.05, "no cycle is lost; the rest is the error of the tracks"
-    assert session.source.position_cycles > 2500 * 1.5, "it has turned by more than a revolution"
-    assert session.module.dictionary.entry(0x2012, 2).value == 0
+    valid, errors, module, source = ten_seconds(rate_hz)
+    assert all(valid[START_SAMPLES:]), "the sample times confirm the start first"
+    assert len(errors) == len(valid)
+    assert np.abs(errors).max() < 0.05, "no cycle is lost; the rest is the error of the tracks"
+    assert isinstance(source, MotionSource)
+    assert source.position_cycles > 2500 * 1.5, "it has turned by more than a revolution"
+    assert module.dictionary.entry(0x2012, 2).value == 0
