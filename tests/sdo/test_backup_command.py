@@ -1,7 +1,8 @@
-"""`canfb backup save` and `canfb backup restore`: what is written is proven, or all is as it was before."""
+"""`canfb backup` and docs/storage.md: what is written is proven, or all is as it was before."""
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,17 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
+from canfb.cli import node_command
 from canfb.device.storage.storage import MemoryStore
+from canfb.eds_files import eds_path
 from canfb.master.all_or_nothing import put_in_force
 from canfb.module.device_configuration import configuration_of
+from canfb.sdo.backups import read_backup
+from canfb.sdo.object_description import ObjectDescriptions
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
 from commissioning_kit import MODULE_ID, OTHER, TABLE, Bench
+from documentation import blocks, commands, page
 from node_commands import ANSWER, REQUEST, Commands, between, interrupt, is_write, place_of, refuse_once
 
 NODE = hex(MODULE_ID)
@@ -274,3 +280,32 @@ def test_an_activation_while_the_backup_is_read(canfb: Commands, tmp_path: Path)
     between(bench, activated)
     _, err = canfb(bench, "backup", "save", NODE, tmp_path / "backup.yaml", code=1)
     assert "the table changed while it was read; try again" in err
+
+
+PAGE = page("storage").partition("\n## Backup")[2].partition("\n## A file for")[0]
+
+
+def test_the_commands_of_the_page(canfb: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("feedback.yaml").write_text("modules: [{node_id: 0x20}]\n")
+    bench, given = Bench(store=MemoryStore()), commands(PAGE)
+    monkeypatch.setattr(node_command, "open_bus", lambda words: None)
+    monkeypatch.setattr(node_command, "BusMaster", lambda bus: contextlib.nullcontext(bench.master))
+    assert [words[1] for words in given] == ["save", "restore", "restore", "start"]
+    canfb(bench, *given[0])
+    bench.access.write(0x2010, 3, "B", 77)
+    assert "2010:03 Supervision: Samples to coast: 77 -> 3 samples" in canfb(bench, *given[1])[0]
+    assert "saved (1010:01)" in canfb(bench, *given[2])[0]
+    assert bench.value(0x2010, 3) == 3
+    assert bench.module.state is NmtState.PRE_OPERATIONAL
+    canfb(bench, *given[3])
+    assert bench.module.state is NmtState.OPERATIONAL
+
+
+def test_the_file_of_the_page_is_one(tmp_path: Path) -> None:
+    path = tmp_path / "backup.yaml"
+    (example,) = blocks(PAGE, "yaml")
+    path.write_text(example)
+    backup = read_backup(path, ObjectDescriptions(eds_path("canfb-module"), 1))
+    assert backup.values == {(0x2010, 1): 21845, (0x2010, 2): 12.5, (0x2010, 3): 9}
+    assert backup.table == b""

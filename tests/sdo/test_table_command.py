@@ -1,4 +1,4 @@
-"""`canfb table`: from a file to the module and back; whatever fails leaves the module as it was."""
+"""`canfb table` and docs/storage.md: from a file to the module and back; what fails leaves it as it was."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from canfb.sdo.tables import as_yaml, difference, read_table_file
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, OTHER, PHASES, TABLE, Bench
+from documentation import blocks, commands, page
 from node_commands import Commands, interrupt, refuse_once
 
 NODE = hex(MODULE_ID)
@@ -297,3 +298,20 @@ def test_settings_with_which_a_table_was_measured_are_compared_and_left(
     assert bench.access.read(0x2001, 5, "f") == 20e3
     bench.access.write(0x2001, 5, "f", 19500.5)
     assert "note:" not in canfb(bench, "table", "write", NODE, path, "--activate")[0]
+
+
+PAGE = page("storage").partition("\n## Tables")[2].partition("\n## Backup")[0]
+
+
+def test_the_commands_of_the_page(canfb: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    used = Correction(CorrectionTable.identity(64), Conditioning(sine_gain=1.5))
+    Path("measured").mkdir()
+    Path("measured/table.yaml").write_text(as_yaml(used, {}))
+    bench = Bench(sync=False, store=MemoryStore())
+    said = [canfb(bench, *words)[0] for words in commands(PAGE)]
+    assert in_force(bench) == used
+    assert "saved (1010:04)" in said[-1]
+    shown = canfb(bench, "table", "show", NODE)[0]
+    (example,) = blocks(PAGE, "text")
+    assert [line[:17] for line in example.splitlines()[1:]] == [line[:17] for line in shown.splitlines()[1:]]
