@@ -1,13 +1,22 @@
-"""A node on a bench: sends frames to it, keeps the time, speaks SDO as a client would."""
+"""A node on a bench: sends frames to it, keeps the time, speaks SDO as a client would; one that can save."""
 
 from __future__ import annotations
 
-from recording_application import RecordingApplication
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import sample_eds
+from sample_eds import I16, U8, U32
 
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
+from canfb.device.application import Application, ProcessData
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
+from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.storage import Store
 
 ID = 32
 OK = "ok"
@@ -16,6 +25,36 @@ OK = "ok"
 def hexes(frames: list[Frame]) -> list[str]:
     """Frames as `ID#DATA`."""
     return [f"{frame.can_id:03X}#{frame.data.hex().upper()}" for frame in frames]
+
+
+METHODS = [name for one in (ProcessData, Application) for name in vars(one) if not name.startswith("_")]
+
+
+class RecordingApplication(Application):
+    """Keeps each call in ``calls``: (name of the method, arguments)."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, tuple[Any, ...]]] = []
+        self._reactions: dict[str, Callable[..., Any]] = {
+            name: partial(getattr(Application, name), self) for name in METHODS
+        }
+        for name in METHODS:
+            setattr(self, name, partial(self._called, name))
+
+    def told(self, method: str) -> list[Any]:
+        """The arguments of each call of this method; of a single one the argument itself."""
+        assert method in METHODS
+        found = [arguments for name, arguments in self.calls if name == method]
+        return [one[0] if len(one) == 1 else one for one in found]
+
+    def react(self, **reactions: Callable[..., Any]) -> None:
+        """Call these functions, by the names of the methods."""
+        assert reactions.keys() <= set(METHODS)
+        self._reactions |= reactions
+
+    def _called(self, name: str, *arguments: Any) -> Any:
+        self.calls.append((name, arguments))
+        return self._reactions[name](*arguments)
 
 
 ABORT_CODES = {int(code): code for code in AbortCode}
@@ -95,3 +134,50 @@ class Bench:
             raise AssertionError("the deadline does not move on")
         self.now = end
         return seen
+
+
+SAVE, LOAD, VERIFY = 0x1010, 0x1011, 0x1020
+SAVE_WORD, LOAD_WORD, WRONG_WORD = 0x65766173, 0x64616F6C, 0x776F726E
+ALL, COMMUNICATION, APPLICATION, MANUFACTURER = 1, 2, 3, 4
+RESET_NODE, RESET_COMMUNICATION = 129, 130
+
+ROWS = [
+    *sample_eds.ROWS,
+    *((index, 0, U8, "ro", "4", 0) for index in (SAVE, LOAD)),
+    *((index, sub, U32, "rw", "", 0) for index in (SAVE, LOAD) for sub in (1, 2, 3, 4)),
+    (VERIFY, 0, U8, "ro", "2", 0),
+    *((VERIFY, sub, U32, "rw", "0", 0) for sub in (1, 2)),
+    (0x6000, None, I16, "rw", "-7", 0),
+    (0x6001, None, U32, "ro", "", 0),
+]
+
+
+def write_eds(path: Path, identity: tuple[int, ...] = ()) -> Path:
+    """The EDS of the device; `identity` are vendor-ID, product code and so on, if they are to be there."""
+    rows = [row for row in ROWS if not identity or row[0] != 0x1018]
+    if identity:
+        rows.append((0x1018, 0, U8, "ro", str(len(identity)), 0))
+    rows += [(0x1018, sub, U32, "ro", f"0x{number:X}", 0) for sub, number in enumerate(identity, 1)]
+    return sample_eds.write(path, sorted(rows, key=lambda row: (row[0], row[1] or 0)))
+
+
+class StoringBench(Bench):
+    """As Bench, speaking with node 32; other node-IDs are read by `value`."""
+
+    def __init__(self, path: Path, store: Store | None, node_id: int = 32) -> None:
+        super().__init__(Dictionary.load(path, node_id))
+        self.faults: list[dict[ParameterGroup, str]] = []
+        self.node = Node(self.dictionary, node_id, self.application, store=store)
+        self.application.react(parameters_refused=lambda faults, now: self.faults.append(dict(faults)))
+
+    def command(self, index: int, subindex: int, word: int) -> object:
+        return self.write(index, subindex, word, 4)
+
+    def save(self, subindex: int = ALL) -> object:
+        return self.command(SAVE, subindex, SAVE_WORD)
+
+    def load(self, subindex: int = ALL) -> object:
+        return self.command(LOAD, subindex, LOAD_WORD)
+
+    def value(self, index: int, subindex: int = 0) -> object:
+        return self.dictionary.entry(index, subindex).value

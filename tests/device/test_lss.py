@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
-from device_kit import hexes
+from device_kit import RESET_COMMUNICATION, StoringBench, hexes, write_eds
 from hypothesis import given
 from hypothesis import strategies as st
-from storing_bench import RESET_COMMUNICATION, StoringBench, write_eds
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
@@ -275,7 +275,9 @@ def test_what_is_stored_comes_before_the_node_id_of_the_program(make: Callable[.
     assert set(store.images) == {ParameterGroup.LSS}
 
 
-def test_parameters_follow_the_stored_node_id(make: Callable[..., LssBench]) -> None:
+def test_parameters_follow_the_stored_node_id_and_load_does_not_take_it_away(
+    make: Callable[..., LssBench],
+) -> None:
     store = MemoryStore()
     bench = make(32, store)
     bench.write(0x1017, 0, 500, 2)
@@ -286,16 +288,8 @@ def test_parameters_follow_the_stored_node_id(make: Callable[..., LssBench]) -> 
     for device in (bench, make(32, store)):
         assert device.value(0x1017) == 500
         assert device.value(0x1800, 1) == 0x400001A8
-
-
-def test_load_takes_no_node_id_away(make: Callable[..., LssBench]) -> None:
-    store = MemoryStore()
-    bench = make(32, store)
-    bench.configure().lss(0x11, 40)
-    bench.lss(0x17)
-    bench.lss(0x04, 0)
-    bench.save()
-    bench.load()
+    again = make(NONE, store)
+    again.send(0x628, struct.pack("<BHB4s", 0x23, 0x1011, 1, b"load"))
     assert set(store.images) == {ParameterGroup.LSS}
 
 

@@ -6,11 +6,10 @@ from copy import deepcopy
 from functools import partial
 from pathlib import Path
 
-from device_kit import ID, Bench, hexes
+from device_kit import ID, Bench, RecordingApplication, hexes
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
-from recording_application import RecordingApplication
 
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
-from device_kit import ID, OK
-from hypothesis import given
-from hypothesis import strategies as st
-from storing_bench import (
+from device_kit import (
     ALL,
     APPLICATION,
     COMMUNICATION,
+    ID,
     LOAD,
     MANUFACTURER,
+    OK,
     RESET_COMMUNICATION,
     RESET_NODE,
     SAVE,
@@ -24,6 +23,8 @@ from storing_bench import (
     StoringBench,
     write_eds,
 )
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode
 from canfb.device.storage.image import (
@@ -327,37 +328,6 @@ def changed(body: bytes, place: int, more: int) -> bytes:
     return body[:place] + bytes([body[place] + more]) + body[place + 1 :]
 
 
-BODIES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
-    "another format": (lambda body: with_crc(changed(body, 8, 1)), "format version 2: only 1 is supported"),
-    "a record too many": (
-        lambda body: with_crc(changed(body, 24, 1)),
-        "do not match the header",
-    ),
-    "a byte too few": (lambda body: with_crc(body[:-1]), "truncated"),
-    "a byte too many": (lambda body: with_crc(body + b"\0"), "truncated"),
-    "another CRC": (lambda body: body + bytes(3), "the CRC is wrong"),
-    "nothing": (lambda body: b"", "truncated"),
-}
-
-
-@pytest.mark.parametrize("name", BODIES)
-def test_a_body_that_is_not_what_the_header_says_is_refused(
-    path: Path, saved: MemoryStore, name: str
-) -> None:
-    change, reason = BODIES[name]
-    assert is_refused(path, change(saved.images[GROUP][:-4]), reason)
-
-
-def test_another_group_is_refused(path: Path, saved: MemoryStore) -> None:
-    assert is_refused(path, saved.images[ParameterGroup.MANUFACTURER], "those of group 4")
-
-
-@pytest.mark.parametrize("identity", [(1, 0, 0), (0, 1, 0), (0, 0, 0x10000)])
-def test_another_device_is_refused(path: Path, saved: MemoryStore, identity: tuple[int, int, int]) -> None:
-    image = encode_image(GROUP, Identity(*identity), records(saved))
-    assert is_refused(path, image, "saved by another device")
-
-
 def test_a_minor_revision_makes_no_other_device(path: Path, saved: MemoryStore) -> None:
     bench = powered(path, encode_image(GROUP, Identity(0, 0, 0xFFFF), records(saved)))
     assert bench.value(0x1017) == 500
@@ -380,14 +350,26 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
-def test_a_value_that_sdo_could_not_write_refuses_the_whole(
-    path: Path, saved: MemoryStore, name: str
-) -> None:
-    wrong, reason = WRONG[name]
-    others = [r for r in records(saved) if (r.index, r.subindex) != (wrong.index, wrong.subindex)]
-    image = encode_image(GROUP, IDENTITY, [*others, wrong])
-    assert is_refused(path, image, reason)
+def refused_images(saved: MemoryStore) -> Iterator[tuple[bytes, str]]:
+    """Damaged, of others, or with a value that SDO could not write; and what is said of each."""
+    body = saved.images[GROUP][:-4]
+    yield with_crc(changed(body, 8, 1)), "format version 2: only 1 is supported"
+    yield with_crc(changed(body, 24, 1)), "do not match the header"
+    yield with_crc(body[:-1]), "truncated"
+    yield with_crc(body + b"\0"), "truncated"
+    yield body + bytes(3), "the CRC is wrong"
+    yield b"", "truncated"
+    yield saved.images[ParameterGroup.MANUFACTURER], "those of group 4"
+    for identity in ((1, 0, 0), (0, 1, 0), (0, 0, 0x10000)):
+        yield encode_image(GROUP, Identity(*identity), records(saved)), "saved by another device"
+    for wrong, reason in WRONG.values():
+        others = [r for r in records(saved) if (r.index, r.subindex) != (wrong.index, wrong.subindex)]
+        yield encode_image(GROUP, IDENTITY, [*others, wrong]), reason
+
+
+def test_an_image_that_must_not_be_used_is_refused_whole(path: Path, saved: MemoryStore) -> None:
+    for image, reason in refused_images(saved):
+        assert is_refused(path, image, reason), reason
 
 
 def test_a_value_beyond_its_limits_refuses_its_group_and_no_other(path: Path, saved: MemoryStore) -> None:

@@ -91,32 +91,26 @@ KINDS = (expedited, segmented, block)
 Kind = Callable[[Machine], tuple[list[bytes], bytes]]
 
 
+SAVED_LINE = "parameters saved: communication, application, manufacturer"
+FAILED_LINE = "parameters not saved (No space left on device): communication, application, manufacturer"
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_answer_comes_when_the_values_are_kept(kind: Kind) -> None:
+@pytest.mark.parametrize(("error", "line"), [(None, SAVED_LINE), (FULL, FAILED_LINE)])
+def test_the_answer_comes_when_the_values_are_kept_or_not(
+    kind: Kind, error: OSError | None, line: str
+) -> None:
     machine = Machine()
     machine.send(struct.pack("<BHBH2x", 0x2B, 0x1017, 0, 0))
     answers, confirmed = kind(machine)
     assert answers == []
     assert machine.answers(machine.later(1.5)) == [], "no time-out, no answer before it is on the disk"
     assert machine.store.images == {}
-    machine.store.finish()
-    frames = machine.later(2 * POLL_S)
-    assert machine.answers(frames) == [confirmed]
-    assert machine.store.images
-    assert machine.events[-1] == "parameters saved: communication, application, manufacturer"
-    assert machine.module.deadline() is None, "nothing is asked for any more"
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_failure_is_an_abort_and_one_line(kind: Kind) -> None:
-    machine = Machine()
-    answers, _ = kind(machine)
-    assert answers == []
-    machine.store.finish(FULL)
-    assert machine.answers(machine.later()) == [HARDWARE]
-    assert machine.store.images == {}
-    line = "parameters not saved (No space left on device): communication, application, manufacturer"
+    machine.store.finish(error)
+    assert machine.answers(machine.later(2 * POLL_S)) == [HARDWARE if error else confirmed]
+    assert bool(machine.store.images) is (error is None)
     assert [text for text in machine.events if "saved" in text] == [line]
+    assert machine.module.deadline() is None, "nothing is asked for any more"
     machine.send(SAVE)
     machine.store.finish()
     assert machine.answers(machine.later()) == [SAVED]
@@ -138,22 +132,21 @@ def test_no_sample_is_missed_meanwhile() -> None:
     assert machine.value(0x2012, 1) == 0
 
 
-@pytest.mark.parametrize("word", [b"\x40\x00\x10\0\0\0\0\0", b"\x80\x10\x10\x01\0\0\x04\x05"])
-def test_a_client_that_goes_on_gets_no_late_answer(word: bytes) -> None:
-    machine = Machine()
-    assert machine.send(SAVE) == []
-    assert len(machine.send(word)) == (word[0] == 0x40)
-    machine.store.finish()
-    assert machine.answers(machine.later()) == []
-    assert machine.store.images, "it is kept all the same"
-
-
-@pytest.mark.parametrize("command", [0x02, 0x81, 0x82])
-def test_a_reset_or_a_stop_ends_the_transfer_and_not_the_save(command: int) -> None:
+@pytest.mark.parametrize(
+    ("can_id", "data"),
+    [
+        (REQUEST, b"\x40\x00\x10\0\0\0\0\0"),
+        (REQUEST, b"\x80\x10\x10\x01\0\0\x04\x05"),
+        *((0x000, bytes((command, 32))) for command in (0x02, 0x81, 0x82)),
+    ],
+)
+def test_what_ends_the_transfer_does_not_end_the_save_and_gets_no_late_answer(
+    can_id: int, data: bytes
+) -> None:
     machine = Machine()
     machine.send(struct.pack("<BHBH2x", 0x2B, 0x1017, 0, 500))
     assert machine.send(SAVE) == []
-    machine.module.receive(Frame(0x000, bytes((command, 32))), machine.now)
+    assert len(machine.send(data, can_id)) == (data[0] == 0x40)
     machine.store.finish()
     assert machine.answers(machine.later()) == []
     assert ParameterGroup.COMMUNICATION in machine.store.images
