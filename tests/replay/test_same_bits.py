@@ -19,7 +19,7 @@ from canfb.replay.findings import Block
 from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.replay_result import ReplayResult
 from canfb.signal.conditioning import IDENTITY
-from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.correction import Correction
 from commissioning_kit import TABLE
 from drawing import examples
 from ideal_tracks import counts_at
@@ -56,19 +56,6 @@ def same(plan: list[Planned], **fields: Any) -> ModuleReplay:
     assert_equal(replay)
     assert replay.recorded_own == len(sent)
     return replay
-
-
-def table_download(at: float, table: CorrectionTable) -> list[Planned]:
-    """By segments, then activated."""
-    data, plan = table.to_bytes(), []
-    plan.append((at, Frame(0x620, struct.pack("<BHBI", 0x21, 0x2020, 1, len(data)))))
-    for n, first in enumerate(range(0, len(data), 7)):
-        part = data[first : first + 7]
-        last = first + 7 >= len(data)
-        command = (n & 1) << 4 | (7 - len(part)) << 1 | last
-        plan.append((at + (n + 1) * 1e-5, Frame(0x620, bytes([command]) + part.ljust(7, b"\0"))))
-    plan.append((plan[-1][0] + 1e-5, sdo_write(0x2020, 3, struct.pack("<I", table.crc32))))
-    return plan
 
 
 @pytest.mark.parametrize(
@@ -108,12 +95,6 @@ def test_faults_reset_and_saved_parameters() -> None:
     assert faults.times["amplitude"] == 1
     assert replay.emergencies > 0
     assert replay.restarts == 0
-
-
-def test_a_table_that_is_downloaded_in_the_middle() -> None:
-    plan = sorted([*session(300), *table_download(0.2, TABLE)], key=lambda planned: planned[0])
-    replay = same(plan)
-    assert replay.module.chain.correction.table == TABLE
 
 
 def test_a_module_that_is_switched_off_and_on() -> None:
