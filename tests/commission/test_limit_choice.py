@@ -270,3 +270,36 @@ def test_tracks_that_change_are_stated_or_refused(counts: float, stated: float |
     else:
         found = observe(samples, machine.used, machine.limits, readings).machine.change_cycles
         assert found == pytest.approx(stated, rel=0.4)
+
+
+ERROR_REVOLUTIONS = 0.01
+
+
+def with_coarse(machine: SimulatedMachine, count: int, size: float = 1500.0) -> tuple[float, str]:
+    """Limit in revolutions and its reason, of a coarse track with an error of two waves per revolution."""
+    readings, start_s = machine.readings(count), machine.start_s
+    samples = machine.samples(count)
+    revolutions = machine.motion.revolutions_at(start_s + np.arange(count) / RATE_HZ)
+    angle = 2 * np.pi * (revolutions + 0.3 + ERROR_REVOLUTIONS * np.sin(4 * np.pi * revolutions))
+    tracks = np.rint(size * np.sin(angle)), np.rint(size * np.cos(angle))
+    observed = observe(replace(samples, coarse=tracks), machine.used, machine.limits, readings)
+    choices = {one.place: one for one in choose(observed.machine, machine.limits, 2.0)}
+    one = choices[od.SUPERVISION_COARSE_LIMIT]
+    return one.value / 65536, one.why
+
+
+def test_the_limit_is_the_range_of_the_error_times_the_margin() -> None:
+    machine = SimulatedMachine(duty(120, 0.5), GOOD)
+    limit, why = with_coarse(machine, 6000)
+    assert 1.95 * 2 * ERROR_REVOLUTIONS < limit < 2.15 * 2 * ERROR_REVOLUTIONS
+    assert "° of the shaft" in why
+
+
+def test_less_than_a_revolution_and_a_dead_track_say_nothing() -> None:
+    slow = SimulatedMachine(duty(20, 0.3), GOOD)
+    limit, why = with_coarse(slow, 3000)
+    assert limit == 2048 / 65536
+    assert "less than a revolution" in why
+    limit, why = with_coarse(SimulatedMachine(duty(120, 0.5), GOOD), 6000, size=100.0)
+    assert limit == 2048 / 65536
+    assert "no amplitude" in why

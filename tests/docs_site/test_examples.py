@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import re
 import struct
+from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -111,3 +112,29 @@ def test_the_asyncio_program() -> None:
     names: dict[str, Any] = {"__name__": "program"}
     exec(block, names)
     assert asyncio.run(session(names)) == (5, b"\x20\x00")
+
+
+MOST_WORDS = 2500
+EVERY_PAGE = [
+    *(ROOT / "docs").rglob("*.md"),
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "CHANGELOG.md",
+]
+FENCED = re.compile(r"^(```|~~~).*?^\1[^\n]*$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)#\s]+)[^)\s]*\)")
+
+
+def test_every_page_is_in_the_order_once() -> None:
+    index = ROOT / "docs" / "index.md"
+    listed = re.findall(r"^/?\w[\w/-]*$", index.read_text(encoding="utf-8"), re.MULTILINE)
+    pages = [ROOT / f"docs/{name}.md" if name[0] != "/" else ROOT / f"{name[1:]}.md" for name in listed]
+    assert Counter(pages) == Counter(page for page in EVERY_PAGE if page != index)
+
+
+@pytest.mark.parametrize("page", EVERY_PAGE, ids=lambda page: page.name)
+def test_a_page_is_short_and_its_links_lead_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert len(text.split()) <= MOST_WORDS or page.name == "CHANGELOG.md"
+    targets = [one for one in LINK.findall(FENCED.sub("", text)) if not re.match(r"[a-z]+:", one)]
+    assert not [one for one in targets if not (page.parent / one).is_file()]

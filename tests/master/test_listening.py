@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canfb import objects as od
 from canfb.cli.calibrate import over_bus
 from canfb.cli.main import build_parser
 from canfb.cli.printing import Progress
@@ -23,7 +24,7 @@ from canfb.master.all_or_nothing import Guard
 from canfb.master.samples import PdoRecorder, TrackSamples, listen, read_npz, write_npz
 from canfb.master.session import agreed_layout
 from canfb.simulation.sync_producer import SyncTiming
-from canfb.view.module_view import PdoLayout
+from canfb.view.module_view import PdoLayout, coarse_layout
 from commissioning_kit import RATE_HZ, Bench, random_encoder
 
 LAYOUT = PdoLayout(0x190)
@@ -277,3 +278,42 @@ def test_calibrating_on_a_bus_that_jitters(rpm: float, capsys: pytest.CaptureFix
     noise = bench.encoder.noise_lsb / (2 * np.pi * bench.encoder.amplitude_counts)
     stamps = rpm / 60 * 2500 * 100e-9 / 12**0.5
     assert figures["residual_rms_cycles"] < 2.0 * np.hypot(noise, stamps) + 5e-5
+
+
+@pytest.mark.parametrize("same_pdo", [True, False])
+def test_it_is_heard_with_its_sample(same_pdo: bool) -> None:
+    coarse = PdoLayout(0x190, 4, 6) if same_pdo else PdoLayout(0x290)
+    recorder = PdoRecorder(PdoLayout(0x190, coarse=coarse))
+    for k in range(5):
+        recorder.on_sync(0x80, b"", 0.001 * k)
+        if k == 2:
+            continue
+        tracks = struct.pack("<hh", 100 + k, -100 - k)
+        if same_pdo:
+            data = tracks + struct.pack("<hh", k, -k)
+            recorder.on_pdo(0x190, data, 0.0)
+            recorder.on_coarse(0x190, data, 0.0)
+        else:
+            recorder.on_pdo(0x190, tracks, 0.0)
+            recorder.on_coarse(0x290, struct.pack("<hh", k, -k), 0.0)
+    samples = recorder.result("a test")
+    assert samples.coarse is not None
+    assert np.array_equal(samples.coarse[0], [0.0, 1.0, np.nan, 3.0], equal_nan=True)
+    assert np.array_equal(samples.coarse[1], [0.0, -1.0, np.nan, -3.0], equal_nan=True)
+    assert samples.received_s is not None
+    assert samples.received_s == pytest.approx([0.0, 0.001, 0.002, 0.003])
+
+
+def test_its_pdo_is_found_in_the_module() -> None:
+    bench = Bench(sync=False, operational=False)
+    assert coarse_layout(bench.access.read_known) is None
+    write = bench.access.write
+    write(0x1401, 1, "I", 0x80000290)
+    write(0x1601, 0, "B", 0)
+    write(0x1601, 1, "I", od.SAMPLE_COARSE_SINE.mapped(16))
+    write(0x1601, 2, "I", od.SAMPLE_COARSE_COSINE.mapped(16))
+    write(0x1601, 0, "B", 2)
+    write(0x1401, 1, "I", 0x290)
+    found = coarse_layout(bench.access.read_known)
+    assert found is not None
+    assert (found.can_id, found.sine_byte, found.cosine_byte) == (0x290, 0, 2)
