@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import struct
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -18,6 +19,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource
+from canfb.sources.protocol import Source
 from drawing import examples
 from folding import each
 from played import Listed
@@ -40,10 +42,9 @@ def download(index: int, subindex: int, value: int, size: int = 4) -> Frame:
     return Frame(0x600 + NODE, head + value.to_bytes(size, "little").ljust(4, b"\0"))
 
 
-def operational(source: Listed | MotionSource) -> EncoderInterface:
-    interface = EncoderInterface(NODE, source)
+def operational(source: Source, **words: Any) -> EncoderInterface:
+    interface = EncoderInterface(NODE, source, autostart=True, **words)
     interface.start(0.0)
-    interface.receive(nmt(START), 0.0)
     return interface
 
 
@@ -167,9 +168,8 @@ class Failing:
 def test_a_source_that_fails_is_one_emcy_until_it_has_worked_for_a_second() -> None:
     source = Failing()
     told: list[str] = []
-    interface = EncoderInterface(NODE, source, autostart=True)
+    interface = operational(source)
     interface.on_source = told.append
-    interface.start(0.0)
     emcy = Frame(0x80 + NODE, struct.pack("<HB5x", 0x5000, 1))
     assert [interface.receive(SYNC, 0.01 * n) for n in range(3)] == [[emcy], [], []]
     source.fails = False
@@ -186,14 +186,9 @@ def test_a_source_that_fails_is_one_emcy_until_it_has_worked_for_a_second() -> N
 FULL = Sample(1, -2, coarse_sine=3, coarse_cosine=-4, zero_pulse=0.25)
 
 
-def running(
-    *samples: Sample | None, times: bool = False, clock: SampleClock | None = None
-) -> EncoderInterface:
+def running(*samples: Sample | None, **words: Any) -> EncoderInterface:
     """It plays these samples, the last one again and again; None is a sample lost."""
-    played = Listed(itertools.chain(samples, itertools.repeat(samples[-1])))
-    interface = EncoderInterface(NODE, played, autostart=True, times=times, clock=clock)
-    interface.start(0.0)
-    return interface
+    return operational(Listed(itertools.chain(samples, itertools.repeat(samples[-1]))), **words)
 
 
 def with_tpdo2(interface: EncoderInterface) -> EncoderInterface:

@@ -6,12 +6,14 @@ import dataclasses
 from pathlib import Path
 
 import pytest
+import yaml
 
 from canfb.configuration import INTERFACES, parse_config
 from canfb.errors import ConfigError
 from canfb.interface.interface_config import InterfaceConfig
 from canfb.sources.iio_source import IioSourceConfig
 from commands import Command
+from folding import each
 
 ADC = "source: {kind: iio, device: ads7950}"
 BOTH = f"""\
@@ -29,18 +31,10 @@ def test_every_key_is_read() -> None:
         " autostart: true}\n"
     )
     (config,) = parse_config(text, needs=INTERFACES).interfaces
-    assert config == InterfaceConfig(
-        node_id=16,
-        source=IioSourceConfig(device="x", scans_per_sync=4, adc_bits=14, samples_per_sync=2),
-        serial_number=7,
-        times=True,
-        samples_per_sync=2,
-        adc_bits=14,
-        cycles_per_revolution=1024,
-        state_dir="/tmp/x",
-        autostart=True,
-    )
-    assert all(f"{field.name}:" in text for field in dataclasses.fields(InterfaceConfig))
+    (keys,) = yaml.safe_load(text)["interfaces"]
+    converter = IioSourceConfig(device="x", scans_per_sync=4, adc_bits=14, samples_per_sync=2)
+    assert config == InterfaceConfig(**keys | {"source": converter})
+    assert set(keys) == {field.name for field in dataclasses.fields(InterfaceConfig)}
 
 
 ONE = "interfaces:\n- node_id: 16\n"
@@ -70,7 +64,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("text", WRONG, ids=range(len(WRONG)))
+@each("text", WRONG)
 def test_what_is_wrong_is_told_with_its_line(text: str) -> None:
     line, _, words = WRONG[text].partition(": ")
     with pytest.raises(ConfigError) as caught:

@@ -251,19 +251,6 @@ def test_a_capture_that_ends_is_begun_again(number: int, iiod: Iiod, opened: Ope
     assert source.next() == sample(1, 2, 0)
 
 
-def test_a_server_that_goes_and_comes_back_is_found_again(iiod: Iiod, opened: Opened) -> None:
-    server = iiod()
-    source = opened(server)
-    deliver(server, source, reading(1, 2))
-    server.close()
-    until(lambda: failing(source), "failing")
-    again = iiod(port=server.port)
-    assert again.opened.wait(10.0)
-    until(lambda: not failing(source), "opened again")
-    deliver(again, source, reading(2049, 2050))
-    assert source.next() == sample(1, 2, 0)
-
-
 def test_another_converter_in_its_place_is_not_taken(iiod: Iiod, opened: Opened) -> None:
     server = iiod()
     source = opened(server)

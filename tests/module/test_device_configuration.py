@@ -277,20 +277,6 @@ def test_what_a_master_cannot_write_in_the_order_of_the_indices(
     assert configuration.refused_in_index_order() == refused
 
 
-def test_the_lower_amplitude_may_pass_the_upper_one_of_another_full_scale(
-    modules: tuple[FeedbackModule, FeedbackModule],
-) -> None:
-    """In the order of the sub-indices; until the upper one is written no amplitude is accepted."""
-    module = modules[0]
-    reset(module)
-    assert put(module, write(0x2001, 3, 2, 2560)) == 0x06090030
-    assert put(module, write(0x2001, 2, 2, 32768)) == 0
-    assert put(module, write(0x2001, 3, 2, 6554)) == 0
-    assert put(module, write(0x2001, 4, 2, 6554)) == 0x06090030
-    assert put(module, write(0x2001, 4, 2, 40960)) == 0
-    assert put(module, write(0x2001, 3, 2, 40960)) == 0x06090030
-
-
 def test_amplitudes_in_disorder_accept_nothing_and_are_loaded_as_they_are() -> None:
     bench = Bench()
     bench.start()
@@ -362,7 +348,7 @@ def source(name: str) -> FeedbackModule:
     return module
 
 
-def text_of(configuration: DeviceConfiguration, reals: Reals = Reals.DECIMAL) -> str:
+def write_dcf(folder: Path, configuration: DeviceConfiguration, reals: Reals = Reals.DECIMAL) -> Path:
     info = FileInfo(file_name="module.dcf", description="A module", date="11-21-2026", time="08:00AM")
     place = Commissioning(
         node_id=configuration.node_id,
@@ -371,14 +357,9 @@ def text_of(configuration: DeviceConfiguration, reals: Reals = Reals.DECIMAL) ->
         network_name="CANopen",
         serial_number=configuration.serial_number,
     )
-    return dcf_text(eds_path("canfb-module"), info, place, configuration.values(), reals=reals)
-
-
-def write_dcf(
-    folder: Path, configuration: DeviceConfiguration, reals: Reals = Reals.DECIMAL, name: str = "module.dcf"
-) -> Path:
-    path = folder / name
-    path.write_bytes(text_of(configuration, reals).encode("ascii"))
+    text = dcf_text(eds_path("canfb-module"), info, place, configuration.values(), reals=reals)
+    path = folder / "module.dcf"
+    path.write_bytes(text.encode("ascii"))
     return path
 
 

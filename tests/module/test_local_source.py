@@ -154,13 +154,6 @@ def test_sample_times_bridge_a_sync_that_came_late() -> None:
     assert local.value(0x2000, 5) == round(times[-1] * 1e7)
 
 
-def test_a_node_may_have_the_id_of_the_interface_that_it_does_not_need() -> None:
-    source = MotionSourceConfig()
-    assert ModuleConfig(node_id=16, source=source).source is source
-    with pytest.raises(ValueError, match="encoder_interface"):
-        ModuleConfig(node_id=16)
-
-
 def test_a_configured_source_must_be_given() -> None:
     with pytest.raises(ValueError, match="source="):
         FeedbackModule(ModuleConfig(node_id=32, source=MotionSourceConfig()))

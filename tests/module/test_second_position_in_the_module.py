@@ -30,11 +30,12 @@ def second(**fields: Any) -> SecondPositionConfig:
 class Axis(Bench):
     """An encoder interface and a drive, both played by hand."""
 
-    def __init__(self, late: bool = False, values: int = 1, **fields: Any) -> None:
-        super().__init__(**{"second_position": second(before_bytes=3)} | fields)
+    def __init__(self, late: bool = False, values: int = 1, pairs: int = 1, **fields: Any) -> None:
+        words: dict[str, Any] = {"second_position": second(before_bytes=3), "samples_per_sync": pairs}
+        super().__init__(**words | fields)
         self.events: list[Event] = []
         self.module.events.on_event = self.events.append
-        self.late = late
+        self.late, self.pairs, self.amplitude = late, pairs, 1500.0
         self.place = self.slip = 0.0
         self.start()
         self.run(30, values=values)
@@ -43,11 +44,17 @@ class Axis(Bench):
         """A SYNC, then the sample and the value in either order; the status word."""
         self.place += speed
         self.sync()
-        increments = math.floor((self.place + self.slip) / N * INCREMENTS)
-        data = struct.pack("<HBi", 0x1234, 8, increments)
+        drive = self.module.config.second_position
+        assert drive is not None
+        increments = math.floor((self.place + self.slip) / N * drive.increments)
+        data = struct.pack("<HBi", 0x1234, 8, increments)[3 - drive.before_bytes :]
         if not self.late:
             self._values(data, values)
-        sent = self.counts(*counts_at(self.place))
+        tracks = [counts_at(self.place - speed * j / self.pairs, self.amplitude) for j in range(self.pairs)]
+        flat, sent = [track for pair in tracks for track in pair], []
+        for n in range(0, len(flat), 4):
+            part = flat[n : n + 4]
+            sent += self.sent(Frame(0x190 + 0x40 * n, struct.pack(f"<{len(part)}h", *part)))
         if self.late:
             self._values(data, values)
         return self.position(sent)[1]
@@ -94,7 +101,7 @@ def test_other_ways_to_bring_the_value(kind: str) -> None:
     if kind == "synchronous":
         axis.sdo[0x1401][2].raw = 1
     if kind == "mapped by a master":
-        axis = Axis(second_position=second(cob_id=None))
+        axis = Axis(second_position=second(cob_id=None, before_bytes=3))
         assert axis.module.chain.second is None
         axis.sdo[0x1601][1].raw, axis.sdo[0x1601][2].raw = 0x00060010, 0x00050008
         axis.sdo[0x1601][3].raw = 0x20000E20
@@ -169,37 +176,17 @@ def test_the_mapping_of_rpdo2(before: int, after: int, entries: list[int]) -> No
 @each("pairs", [2, 4, 6])
 def test_with_several_samples_in_one_sync(pairs: int) -> None:
     """The value belongs to the newest of them, and comes in the first RPDO that is left."""
-    bench = Bench(
-        second_position=second(tolerance_revolutions=0.3 / N, increments=1 << 24),
-        samples_per_sync=pairs,
-    )
-    bench.start()
-    place = slip = 0.0
-
-    def cycle(speed: float, dead: bool = False) -> int:
-        nonlocal place
-        place += speed
-        frames = bench.sync()
-        increments = math.floor((place + slip) / N * (1 << 24))
-        bench.sent(Frame(VALUE_ID, struct.pack("<i", increments)))
-        counts: list[int] = []
-        for j in range(pairs):
-            counts += counts_at(place - speed * j / pairs, 0.0 if dead else 1500.0)
-        frames = []
-        for n in range(0, 2 * pairs, 4):
-            frames += bench.sent(Frame(0x190 + 0x40 * n, struct.pack("<4h", *counts[n : n + 4])))
-        return bench.position(frames)[1] & ~StatusBit.MISSED
-
-    assert [cycle(0.0) for _ in range(20)][-1] == StatusBit.VALID
-    assert bench.sdo[0x1400 + pairs // 2][1].raw == VALUE_ID
-    speeds = [min(0.3 * k, 60.0) for k in range(220)]
-    assert all(cycle(speed) == StatusBit.VALID for speed in speeds)
-    second_opinion = bench.module.chain.second
-    assert second_opinion is not None
-    assert second_opinion.difference_cycles == pytest.approx(0.0, abs=0.03)
-    assert [cycle(61.0, dead=True) for _ in range(10)][-1] & StatusBit.LOST
-    statuses = [cycle(61.5) for _ in range(60)]
-    assert statuses[-1] == StatusBit.VALID
-    assert second_opinion.difference_cycles == pytest.approx(0.0, abs=0.03)
-    slip = 1.0
-    assert [cycle(61.5) for _ in range(6)][-1] == StatusBit.VALID | DISAGREES
+    axis = Axis(pairs=pairs, second_position=second(tolerance_revolutions=0.3 / N, increments=1 << 24))
+    assert axis.cycle() == StatusBit.VALID
+    assert axis.sdo[0x1400 + pairs // 2][1].raw == VALUE_ID
+    assert {axis.cycle(min(0.3 * k, 60.0)) for k in range(220)} == {StatusBit.VALID}
+    opinion = axis.module.chain.second
+    assert opinion is not None
+    assert opinion.difference_cycles == pytest.approx(0.0, abs=0.03)
+    axis.amplitude = 0.0
+    assert axis.run(10, 61.0)[-1] & StatusBit.LOST
+    axis.amplitude = 1500.0
+    assert axis.run(60, 61.5)[-1] == StatusBit.VALID
+    assert opinion.difference_cycles == pytest.approx(0.0, abs=0.03)
+    axis.slip = 1.0
+    assert axis.run(6, 61.5)[-1] == StatusBit.VALID | DISAGREES

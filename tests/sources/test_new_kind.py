@@ -17,15 +17,13 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.supervision import VALID
 from canfb.sources.protocol import source_kinds
 from commands import Command
-from folding import each
 
 FILE = """
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from canfb.checks import flag, number
-from canfb.errors import ConfigError
+from canfb.checks import number
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import Source, SourceEnded
 from canfb.sources.protocol import SourceConfig
@@ -36,17 +34,11 @@ from canfb.sources.protocol import Surroundings
 class SteadySourceConfig(SourceConfig):
     kind: str = "steady"
     steps: Sequence[float] = field(metadata={"list": True})
-    absent: bool = False
 
     def __post_init__(self):
         super().__post_init__()
         for step in self.steps:
             number("steps", step)
-        flag("absent", self.absent)
-
-    def check_machine(self):
-        if self.absent:
-            raise ConfigError("absent: there is none here")
 
     def open(self, surroundings: Surroundings) -> Source:
         source = SteadySource(self.steps)
@@ -88,12 +80,8 @@ def configuration(source: str) -> str:
     return f"modules:\n  - node_id: 32\n    autostart: true\n    source:\n      kind: steady\n{source}"
 
 
-def test_the_registry_finds_it() -> None:
+def test_the_registry_finds_it_and_a_module_runs_on_it() -> None:
     assert list(source_kinds()) == ["iio", "motion", "recording", "steady"]
-    assert source_kinds()["steady"].__name__ == "SteadySourceConfig"
-
-
-def test_a_module_runs_on_it() -> None:
     config = parse_config(configuration("      steps: [0, 0.125, 0.25, 0.375, 0.375]\n"))
     with contextlib.ExitStack() as resources:
         (module_config,) = config.modules
@@ -115,13 +103,8 @@ def test_a_module_runs_on_it() -> None:
     assert source.closed  # type: ignore[attr-defined]
 
 
-@each("keys, said", [
-    ("steps: [1]\n      absent: true\n", "absent: there is none here"),
-    ("absent: false\n      steps: [1, two]\n", "source: steps must be a number, not 'two'"),
-])  # fmt: skip
-def test_the_check_asks_its_values_and_the_machine(
-    tmp_path: Path, command: Command, keys: str, said: str
-) -> None:
+def test_its_values_are_asked_by_the_check(tmp_path: Path, command: Command) -> None:
     path = tmp_path / "steady.yaml"
-    path.write_text(configuration(f"      {keys}"))
-    assert command("config check", path, code=2).err == f"canfb: {path}:7: {said}\n"
+    path.write_text(configuration("      steps: [1, two]\n"))
+    said = command("config check", path, code=2).err
+    assert said == f"canfb: {path}:6: source: steps must be a number, not 'two'\n"

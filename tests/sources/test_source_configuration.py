@@ -29,6 +29,7 @@ from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, source_kinds
 from canfb.sources.recording_source import RecordingSourceConfig
 from documentation import blocks, page
+from folding import each
 from processes import python
 
 
@@ -37,39 +38,23 @@ def source_of(text: str, module: str = "") -> SourceConfig | None:
     return config.modules[0].source
 
 
-RIGHT = {
-    "{kind: motion}": MotionSourceConfig(),
-    "{kind: motion, rate_hz: 500}": MotionSourceConfig(rate_hz=500),
-    "{kind: recording, file: tracks.csv}": RecordingSourceConfig(file="tracks.csv"),
+RIGHT = [
+    "{kind: motion}",
+    "{kind: motion, rate_hz: 500}",
+    "{kind: recording, file: tracks.csv}",
     "{kind: recording, file: a.csv, columns: [1, b], mid_scale: 2048, time_column: t, gap_s: 1, "
-    "gap_samples: 3}": (
-        RecordingSourceConfig(
-            file="a.csv", columns=[1, "b"], mid_scale=2048, time_column="t", gap_s=1, gap_samples=3
-        )
-    ),
-    "{kind: recording, file: a.csv, time_column: 0, time_stamps: true}": RecordingSourceConfig(
-        file="a.csv", time_column=0, time_stamps=True
-    ),
-    "{kind: iio, device: ads7950}": IioSourceConfig(device="ads7950"),
+    "gap_samples: 3}",
+    "{kind: recording, file: a.csv, time_column: 0, time_stamps: true}",
+    "{kind: iio, device: ads7950}",
     "{kind: iio, device: x, uri: 'ip:10.0.0.1', sine: voltage2, cosine: voltage3, mid_scale: 2048, "
-    "trigger: t0, rate_hz: 4000, time_stamps: false, buffer_scans: 32, wait_us: 500}": IioSourceConfig(
-        device="x",
-        uri="ip:10.0.0.1",
-        sine="voltage2",
-        cosine="voltage3",
-        mid_scale=2048,
-        trigger="t0",
-        rate_hz=4000,
-        time_stamps=False,
-        buffer_scans=32,
-        wait_us=500,
-    ),
-}
+    "trigger: t0, rate_hz: 4000, time_stamps: false, buffer_scans: 32, wait_us: 500}",
+]
 
 
-@pytest.mark.parametrize("text", RIGHT, ids=range(len(RIGHT)))
+@each("text", RIGHT)
 def test_what_is_right_loads(text: str) -> None:
-    assert source_of(text) == RIGHT[text]
+    keys = yaml.safe_load(text)
+    assert source_of(text) == source_kinds()[keys["kind"]](**keys)
 
 
 def test_only_bits_that_are_stated_are_held_against_the_converter() -> None:
@@ -114,7 +99,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("text", WRONG, ids=range(len(WRONG)))
+@each("text", WRONG)
 def test_what_is_wrong_gets_one_line(text: str) -> None:
     with pytest.raises(ConfigError, match=rf"^configuration:3: {re.escape(WRONG[text])}"):
         source_of(text)
