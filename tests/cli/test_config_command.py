@@ -1,18 +1,237 @@
-"""`canfb config`: the example is itself valid, and what is wrong is told, also for this machine."""
+"""`canfb config`: its example, what is wrong, also for this machine; a DCF, and docs/storage.md."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import can
+import canopen
 import pytest
 
 import canfb
 from canfb.bus.opening import check_words
-from canfb.errors import ConfigError
+from canfb.bus.sdo_channel import SharedClient
+from canfb.cia301.frame import Frame
+from canfb.cli import config_file
+from canfb.cli.main import main
+from canfb.configuration import load_config
+from canfb.demo.story import EmbeddedNetwork
+from canfb.device.od.writes import decode_concise
+from canfb.device.storage.storage import MemoryStore, Store
+from canfb.eds_files import eds_path
+from canfb.errors import CanfbError, ConfigError
+from canfb.hosting.hosting import saved_configuration
+from canfb.hosting.state_files import StateFiles
+from canfb.master.access import NodeAccess
+from canfb.module.device_configuration import configuration_of, read_configuration
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import CorrectionTable
+from canfb.simulation.embedded_bus import EmbeddedBus
 from commands import Command
+from commissioning_kit import TABLE
+from documentation import blocks, commands, page
+
+ONE = "modules: [{node_id: 0x21, cycles_per_revolution: 1024, adc_bits: 16, encoder_interface: 0x11}]\n"
+
+
+class Peer(EmbeddedNetwork):
+    """A module on an embedded bus, and the master of the command and of the page's examples."""
+
+    def __init__(self, config: ModuleConfig, store: Store | None = None, dictionary: Any = None) -> None:
+        bus = EmbeddedBus()
+        super().__init__(bus)
+        self.module = FeedbackModule(config, store)
+        eds = str(eds_path("canfb-module")) if dictionary is None else dictionary
+        self.remote = canopen.RemoteNode(config.node_id, eds)
+        self.add_node(self.remote)
+        bus.attach(self.module)
+
+    def connect(self, *args: Any, **words: Any) -> Any:
+        assert words == {"interface": "socketcan", "channel": "can0"}
+        return self
+
+    def sdo(self, node_id: int) -> Any:
+        return SharedClient(self, node_id, 1.0)
+
+    def wait(self, duration_s: float) -> None:
+        """Nothing happens meanwhile, and the bus has not failed."""
+
+    def activate(self, table: CorrectionTable) -> None:
+        self.remote.sdo.download(0x2020, 1, table.to_bytes())
+        self.remote.sdo.download(0x2020, 3, table.crc32.to_bytes(4, "little"))
+
+
+@pytest.fixture
+def yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A configuration in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "feedback.yaml"
+    path.write_text("bus: {channel: can3, bitrate: 250000}\n" + ONE)
+    return path
+
+
+def test_a_dcf_that_makes_a_module_as_delivered_the_one_of_the_configuration(
+    yaml: Path, command: Command
+) -> None:
+    out, err = command("config dcf --concise module.bin", yaml)
+    assert err == ""
+    assert out.splitlines()[0].startswith("module-21h.dcf: node 33 (21h), ")
+    assert "; not at factory defaults: 1400:01, 2001:01, 2001:02, 2001:03, 2001:04, 6001:00, 6002:00" in out
+    dictionary = canopen.import_od("module-21h.dcf")
+    assert (dictionary.node_id, dictionary.bitrate) == (0x21, 250_000)
+    peer = Peer(ModuleConfig(node_id=0x21), dictionary=dictionary)
+    peer.remote.load_configuration()
+    wanted = saved_configuration(load_config(yaml).modules[0])
+    assert configuration_of(peer.module).values() == wanted.values()
+    assert decode_concise(Path("module.bin").read_bytes()) == wanted.writes()
+    text = Path("module-21h.dcf").read_text()
+    assert "NetworkName=can3\n" in text
+    assert "FileName=module-21h.dcf\n" in text
+
+
+@pytest.mark.parametrize("name", ["0x21", "33"])
+def test_one_of_several_and_bus_options_of_the_command(name: str, yaml: Path, command: Command) -> None:
+    yaml.write_text("modules: [{node_id: 0x20}, {node_id: 0x21, coast_samples: 9}]\n")
+    out, _ = command("config dcf -b 500000 --out a.dcf --name left_drive", yaml, name)
+    assert "node 33 (21h)" in out
+    assert "2010:03" in out
+    text = Path("a.dcf").read_text()
+    assert "Baudrate=500\n" in text
+    assert "NodeName=left_drive\n" in text
+
+
+def test_table_and_parameters_that_were_saved(yaml: Path, command: Command) -> None:
+    config = ModuleConfig(node_id=0x20, conditioning=Conditioning(sine_gain=1.25))
+    with StateFiles("state") as store:
+        peer = Peer(config, store)
+        peer.remote.sdo.download(0x2010, 3, b"\x07")
+        peer.activate(TABLE)
+        peer.remote.sdo.download(0x1010, 1, b"save")
+        yaml.write_text("modules: [{node_id: 0x20, state_dir: state, coast_samples: 5}]\n")
+        out, err = command("config dcf --out m.dcf", yaml)  # while the module is running
+    assert err == ""
+    assert f"m.table.bin: correction table, 64 entries, {TABLE.crc32:08X}" in out
+    assert Path("m.table.bin").read_bytes() == TABLE.to_bytes()
+    fresh = Peer(ModuleConfig(node_id=0x20), dictionary=canopen.import_od("m.dcf"))
+    fresh.remote.load_configuration()
+    assert fresh.module.chain.correction.table == TABLE
+    assert fresh.module.chain.correction.conditioning == Conditioning(sine_gain=1.25)
+    assert fresh.module.dictionary.entry(0x2010, 3).value == 7
+    # With the table in a file alone no line is longer than the 255 characters of CiA 306, and a master that
+    # does not know the file says so.
+    command("config dcf --out m.dcf --table file", yaml)
+    text = Path("m.dcf").read_text()
+    assert max(len(line) for line in text.splitlines()) <= 255
+    assert "DownloadFile=m.table.bin\n" in text
+    fresh = Peer(ModuleConfig(node_id=0x20), dictionary=canopen.import_od("m.dcf"))
+    with pytest.raises(canopen.SdoAbortedError):
+        fresh.remote.load_configuration()
+
+
+def test_what_is_saved_and_damaged_makes_no_dcf(yaml: Path, command: Command) -> None:
+    Path("state").mkdir()
+    Path("state/manufacturer.bin").write_bytes(b"nonsense")
+    yaml.write_text("modules: [{node_id: 0x20, state_dir: state}]\n")
+    refused = "canfb: stored manufacturer parameters in state refused: no stored parameters, or truncated\n"
+    assert command("config dcf", yaml, code=1) == ("", refused)
+    assert list(Path().glob("*.dcf")) == []
+
+
+def test_a_module_that_samples_itself(yaml: Path, command: Command) -> None:
+    """Its source is not opened, and its RPDO1 is off."""
+    yaml.write_text("modules: [{node_id: 0x20, source: {kind: recording, file: not-there.csv}}]\n")
+    command("config dcf", yaml)
+    assert canopen.import_od("module-20h.dcf")[0x1400][1].value == 0x80000190  # type: ignore[index]
+
+
+def test_for_programs(yaml: Path, command: Command) -> None:
+    said = command("config dcf --json", yaml)
+    assert said.err == ""
+    assert said.json["changed"]["2001:01"] == 1024
+    wanted = {"dcf": "module-21h.dcf", "node_id": 0x21, "table": None, "table_crc32": "00000000"}
+    assert said.json == said.json | wanted | {"refused_in_index_order": []}
+
+
+def test_what_a_master_in_the_order_of_the_indices_cannot_write_is_told(yaml: Path, command: Command) -> None:
+    with StateFiles("state") as store:
+        peer = Peer(ModuleConfig(node_id=0x20), store)
+        for value in (1 << 31, 0x90):
+            peer.remote.sdo.download(0x1014, 0, value.to_bytes(4, "little"))
+        peer.remote.sdo.download(0x1010, 1, b"save")
+    yaml.write_text("modules: [{node_id: 0x20, state_dir: state}]\n")
+    _, err = command("config dcf", yaml)
+    assert "in the order of the indices, is refused at 1014:00; give it the concise form" in err
+
+
+def test_a_live_module_is_read_by_sdo() -> None:
+    peer = Peer(ModuleConfig(node_id=5, adc_bits=14, serial_number=4711, conditioning=Conditioning(1.5)))
+    peer.activate(TABLE)
+    read = read_configuration(NodeAccess(peer, 5, "node"))  # type: ignore[arg-type]
+    assert read.values() == configuration_of(peer.module).values()
+    assert read.writes() == configuration_of(peer.module).writes()
+    assert (read.node_id, read.serial_number, read.table) == (5, 4711, TABLE.to_bytes())
+
+
+def test_another_node_and_another_version_are_refused() -> None:
+    peer = Peer(ModuleConfig(node_id=5))
+    access: Any = NodeAccess(peer, 5, "node")  # type: ignore[arg-type]
+    del peer.module.dictionary._entries[0x2010, 4]
+    with pytest.raises(CanfbError, match=r"2010:04 is refused: .*does not exist"):
+        read_configuration(access)
+    peer.module.dictionary.entry(0x1000).value = 0x00040191
+    want = r"node 5 \(05h\) is not a feedback module of canfb: 1000:00 is 40191h"
+    with pytest.raises(CanfbError, match=want):
+        read_configuration(access)
+
+
+PAGE = page("storage").partition("\n## A file for the PLC")[2]
+COMMANDS = commands(PAGE)
+EXAMPLES = blocks(PAGE, "python")
+YAML = "bus: {bitrate: 500000}\nmodules: [{node_id: 0x20, adc_bits: 16, conditioning: {sine_gain: 1.07}}]\n"
+
+
+def test_commands_and_examples_make_the_module_of_the_configuration(
+    yaml: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    yaml.write_text(YAML)
+    assert [words[:2] for words in COMMANDS] == [["config", "dcf"]] * 3
+    for words in COMMANDS[:2]:
+        assert main(words) == 0
+    network = Peer(ModuleConfig(node_id=0x20), MemoryStore())
+    monkeypatch.setattr(canopen, "Network", lambda: network)
+    names: dict[str, Any] = {}
+    exec(compile(EXAMPLES[0], "docs/storage.md", "exec"), names)
+    wanted = saved_configuration(load_config("feedback.yaml").modules[0])
+    assert configuration_of(network.module).values() == wanted.values()
+
+    # The third command reads the module; the second example writes what it has read.
+    monkeypatch.setattr(config_file, "master_of", lambda options: network)
+    assert main(COMMANDS[2]) == 0
+    fresh = Peer(ModuleConfig(node_id=0x20), MemoryStore())
+    names["node"] = fresh.add_node(0x20, canopen.import_od("module-20h.dcf"))
+    exec(compile(EXAMPLES[1], "docs/storage.md", "exec"), names)
+    assert configuration_of(fresh.module).values() == wanted.values()
+
+
+def test_the_heartbeat_of_the_page_is_in_the_concise_form() -> None:
+    def heartbeats(module: FeedbackModule) -> list[int]:
+        return [
+            int.from_bytes(one.data, "little")
+            for one in configuration_of(module).writes()
+            if (one.index, one.subindex) == (0x1017, 0)
+        ]
+
+    module = Peer(ModuleConfig(node_id=0x20)).module
+    assert heartbeats(module) == [0]
+    (request,) = re.findall(r"`cansend can0 620#(\w+)`", PAGE)
+    module.receive(Frame(0x620, bytes.fromhex(request)), 0.0)
+    assert heartbeats(module) == [500]
 
 
 @pytest.fixture
