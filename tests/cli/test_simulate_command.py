@@ -133,11 +133,6 @@ def axis_of(config: Config, module: int = 0) -> SimulatedAxis | None:
     return simulated_axis(config.simulation, fed_module(config.modules[module]), autostart=True)
 
 
-def test_without_the_section_there_is_no_drive() -> None:
-    assert parse_config(MODULES).simulation.drive is None
-    assert axis_of(parse_config(MODULES)) is None
-
-
 def test_the_yaml_of_the_page_is_a_drive() -> None:
     configurations = blocks(page("simulation"), "yaml")
     (drive,) = [config for config in map(parse_config, configurations) if config.simulation.drive is not None]
@@ -146,7 +141,9 @@ def test_the_yaml_of_the_page_is_a_drive() -> None:
     assert demand.warning() is None
 
 
-def test_each_key_is_read_and_has_a_default() -> None:
+def test_the_drive_of_a_configuration() -> None:
+    assert parse_config(MODULES).simulation.drive is None
+    assert axis_of(parse_config(MODULES)) is None
     assert parsed("{}").simulation.drive == DriveConfig()
     keys: dict[str, Any] = {
         "node_id": 0x31,
@@ -155,14 +152,8 @@ def test_each_key_is_read_and_has_a_default() -> None:
         "synchronous_feedback": True,
     }
     assert parsed(json.dumps(keys)).simulation.drive == DriveConfig(**keys)
-
-
-def test_a_module_that_samples_itself_has_no_encoder_interface() -> None:
-    module = "modules: [{node_id: 32, encoder_interface: 48, source: {kind: motion}}]\n"
-    assert parsed("{}", module).simulation.drive is not None
-
-
-def test_a_module_without_a_node_id_has_no_position_to_take() -> None:
+    own = "modules: [{node_id: 32, encoder_interface: 48, source: {kind: motion}}]\n"
+    assert parsed("{}", own).simulation.drive is not None, "48 is free: it has no encoder interface"
     with pytest.raises(ConfigError, match="no node_id"):
         axis_of(parsed("{}", "modules: [{node_id: 255, encoder_interface: 0x10}]\n"))
 

@@ -79,18 +79,6 @@ class Network:
             if "w" in entry.access and "r" in entry.access
         }
 
-    def downloads(self, node_id: int) -> list[tuple[int, int, int]]:
-        """Expedited downloads to a node: index, sub-index, value."""
-        return [
-            (
-                frame.data[1] | frame.data[2] << 8,
-                frame.data[3],
-                int.from_bytes(frame.data[4 : 8 - (frame.data[0] >> 2 & 3)], "little"),
-            )
-            for frame in self.sent
-            if frame.can_id == 0x600 + node_id and frame.data[0] & 0xE2 == 0x22
-        ]
-
 
 def write(folder: Path, text: str = TEXT) -> Path:
     path = folder / "network.yaml"

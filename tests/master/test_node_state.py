@@ -1,4 +1,4 @@
-"""The NMT state of a node that answers SDO, a restart that is noticed; and `canfb node reset`, at standstill."""
+"""The NMT state of a node that answers SDO, its restart; and `canfb node reset`, at standstill only."""
 
 from __future__ import annotations
 
