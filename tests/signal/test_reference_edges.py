@@ -14,7 +14,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
-from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
+from canfb.signal.supervision import COASTING, LOST, VALID
 from canfb.signal.tracker import Track
 from canfb.signal.witness.coarse import CoarseTrack
 from canfb.signal.witness.reference import Reference, pulse_between
@@ -77,31 +77,6 @@ class Turned:
             if self.step().valid:
                 return
         raise AssertionError("not valid any more")
-
-
-@pytest.mark.parametrize("pause", ["pause", "loss and restart"])
-def test_disagreements_count_from_nought_after(pause: str) -> None:
-    machine = Turned()
-    assert [flags(machine.step(0.3)) for _ in range(2)] == [COARSE | COASTING] * 2
-    if pause == "pause":
-        machine.chain.resume()
-    else:
-        for _ in range(5):
-            machine.chain.step(Sample(0.0, 0.0))
-        assert machine.chain.lost
-        machine.chain.restart()
-    machine.until_valid()
-    assert [flags(machine.step(0.3)) for _ in range(3)] == [*[COARSE | COASTING] * 2, COARSE | LOST]
-
-
-def test_a_missed_sample_between_disagreements_does_not_make_them_fewer() -> None:
-    machine = Turned()
-    machine.step(0.3)
-    machine.step(0.3)
-    machine.chain.miss()
-    got = [flags(machine.step(0.3)) for _ in range(20)]
-    judged = next(bits for bits in got if bits & COARSE)
-    assert judged == COARSE | LOST
 
 
 class Noted:
@@ -188,20 +163,6 @@ def test_what_two_pulses_have_told_the_third_confirms_and_sets_the_place() -> No
     assert made.set_right == 0
 
 
-def test_a_missed_sample_ends_what_two_pulses_have_told() -> None:
-    recovery = Noted(lost=True)
-    made = reference(recovery)
-    for turn in range(2):
-        pulse(made, 83.4, 100.0 + turn * N / 83.4, 0.5, 1.0)
-    made.missed()
-    pulse(made, 83.4, 100.0 + 2 * N / 83.4, 0.5, 1.0)
-    assert recovery.confirmed == 0
-    pulse(made, 83.4, 100.0 + 3 * N / 83.4, 0.5, 1.0)
-    assert recovery.confirmed == 0
-    pulse(made, 83.4, 100.0 + 4 * N / 83.4, 0.5, 1.0)
-    assert recovery.confirmed == 1
-
-
 @each("missing", [0, 4])
 def test_the_first_position_keeps_its_count(missing: int) -> None:
     """A coarse track without error, at half a cycle per interval; eq. 9 is 9 cycles and this speed off."""
@@ -262,20 +223,6 @@ def test_a_doubt_covers_every_sample_until_a_pulse_agrees() -> None:
     assert applied(made, Sample(1.0, 0.0), here, VALID, here, 2.0, 1.0) == (VALID, 0)
 
 
-def test_without_a_reference_two_that_differ_are_settled_by_the_third() -> None:
-    for first, second, third, bits in (
-        (70.5, 300.5, 70.5 + N, VALID),  # the second was false
-        (70.5, 300.5, 300.5 + N, LOST),  # the first was, or the count has slipped
-        (70.5, 300.5, 900.5, COASTING),
-    ):
-        made = reference(Noted(lost=False))
-        assert pulse_at(made, first, VALID) == (VALID, 0)
-        assert pulse_at(made, second, VALID) == (COASTING, 0)
-        assert pulse_at(made, third, VALID) == (bits, 0)
-        assert made.zero.referenced == (bits != COASTING)
-        assert made.in_doubt == (bits == COASTING)
-
-
 def test_what_is_not_remembered_any_more_was_not_the_first() -> None:
     made = reference(Noted(lost=False))
     for place in (70.5, 300.5, 500.5, 700.5, 900.5):
@@ -330,16 +277,3 @@ def test_a_count_that_was_lost_is_not_known_by_a_pulse_whose_place_never_was() -
     made.zero.set_place(Pulse(72, 0.5))
     assert pulse_at(made, 70.5, LOST) == (LOST, 2)
     assert recovery.confirmed == 1
-
-
-@pytest.mark.parametrize(
-    ("off", "told"), [(0.9, [(0, 5)]), (-0.9, [(0, 5)]), (1.0, []), (-1.0, []), (1.1, [])]
-)
-def test_pulses_a_cycle_off_tell_no_speed(off: float, told: list[tuple[int, int]]) -> None:
-    recovery = Noted(lost=True)
-    made = reference(recovery)
-    begin, end = 1000.0, 1000.0 + N - 5 * 32 + off
-    for time, position in ((100.0, begin), (132.0, end)):
-        sample = Sample(1.0, 0.0, zero_pulse=1.0)
-        applied(made, sample, track(position), LOST, track(position - 1.0), time, 1.0)
-    assert recovery.told == told

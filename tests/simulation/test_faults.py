@@ -14,6 +14,7 @@ from canfb.simulation import faults
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.faults import Fault, Samples, Signal
 from folding import each
+from tools.faults.samples import tracks as more
 
 LENGTH, START, STOP = 60, 20, 35
 SPAN = slice(START, STOP)
@@ -29,14 +30,14 @@ ALL: dict[str, Fault] = {
     "offset": faults.track_drift(sine_offset=900.0, ramp_samples=10),
     "gain": faults.track_drift(cosine_gain=0.2, phase_rad=0.8, ramp_samples=10),
     **{f"oscillation {s.name}": faults.oscillation(s, 700.0, 0.13, 0.4) for s in Signal},
-    **{f"noise {s.name}": faults.excess_noise(s, 300.0) for s in Signal},
-    "phase": faults.phase_glitch(1500.0),
-    "phases": faults.phase_glitch(1500.0, common=True),
-    "counts": faults.count_glitch(),
-    "lost": faults.lost_samples(),
+    **{f"noise {s.name}": more.excess_noise(s, 300.0) for s in Signal},
+    "phase": more.phase_glitch(1500.0),
+    "phases": more.phase_glitch(1500.0, common=True),
+    "counts": more.count_glitch(),
+    "lost": more.lost_samples(),
     "frozen": faults.frozen_samples(),
-    "repeated": faults.repeated_samples(3),
-    "late": faults.late_samples(2),
+    "repeated": more.repeated_samples(),
+    "late": more.late_samples(),
 }
 
 
@@ -109,10 +110,8 @@ KEPT = [None] * 12
             [100, 300, 100, -100] * 3, [1000, 1200, 1000, 800] * 3,
         ),
         (faults.frozen_samples(), 4, 8, RISING, [0, 1, 2, 3, 3, 3, 3, 3, 8, 9, 10, 11], None),
-        (faults.repeated_samples(), 4, 9, RISING, [0, 1, 2, 3, 3, 5, 5, 7, 7, 9, 10, 11], None),
-        (faults.repeated_samples(3), 4, 10, RISING, [0, 1, 2, 3, 3, 3, 6, 6, 6, 9, 10, 11], None),
-        (faults.late_samples(), 4, 8, RISING, [0, 1, 2, 3, 3, 4, 5, 6, 8, 9, 10, 11], None),
-        (faults.late_samples(2), 4, 8, RISING, [0, 1, 2, 3, 3, 3, 4, 5, 8, 9, 10, 11], None),
+        (more.repeated_samples(), 4, 9, RISING, [0, 1, 2, 3, 3, 5, 5, 7, 7, 9, 10, 11], None),
+        (more.late_samples(), 4, 8, RISING, [0, 1, 2, 3, 3, 4, 5, 6, 8, 9, 10, 11], None),
     ],
 )  # fmt: skip
 def test_the_counts_of_a_fault(
@@ -140,27 +139,27 @@ def test_a_phase_drift_turns_the_cosine_track() -> None:
 
 def test_excess_noise_is_independent_on_both_tracks() -> None:
     still = Samples.of([0] * 2000, [0] * 2000)
-    after = injected(faults.excess_noise(Signal.BOTH, 100.0), still, 0, 2000)
+    after = injected(more.excess_noise(Signal.BOTH, 100.0), still, 0, 2000)
     assert 90.0 < after.sine.std() < 110.0
     assert abs(np.corrcoef(after.sine, after.cosine)[0, 1]) < 0.1
 
 
 def test_a_phase_glitch_has_a_good_amplitude_and_any_phase() -> None:
     still = Samples.of([0] * 2000, [1500] * 2000)
-    after = injected(faults.phase_glitch(1500.0), still, 0, 2000)
+    after = injected(more.phase_glitch(1500.0), still, 0, 2000)
     assert np.abs(np.hypot(after.sine, after.cosine) - 1500.0).max() < 1.0
     assert {(bool(s > 0), bool(c > 0)) for s, c in zip(after.sine, after.cosine, strict=True)} == {
         (True, True), (True, False), (False, True), (False, False),
     }  # fmt: skip
-    common = injected(faults.phase_glitch(1500.0, common=True), still, 0, 2000)
+    common = injected(more.phase_glitch(1500.0, common=True), still, 0, 2000)
     assert len(set(common.sine.tolist())) == 1
 
 
 def test_a_count_glitch_reaches_the_whole_range() -> None:
-    after = injected(faults.count_glitch(), Samples.of([0] * 5000, [0] * 5000), 0, 5000)
+    after = injected(more.count_glitch(), Samples.of([0] * 5000, [0] * 5000), 0, 5000)
     assert after.sine.min() < -2000
     assert after.sine.max() > 2000
 
 
 def test_lost_samples_are_not_delivered() -> None:
-    assert np.flatnonzero(~injected(faults.lost_samples()).delivered).tolist() == list(range(START, STOP))
+    assert np.flatnonzero(~injected(more.lost_samples()).delivered).tolist() == list(range(START, STOP))

@@ -23,8 +23,6 @@ REFUSED: list[tuple[Any, dict[str, Any], str, list[Any], str]] = [
     (Samples.of, {"sine": [1, 2]}, "cosine", [[1]], "one length"),
     (Samples.of, {"sine": [1], "cosine": [1]}, "adc_bits", [3], "adc_bits"),
     (faults.track_drift, {}, "ramp_samples", [0], "ramp_samples"),
-    (faults.repeated_samples, {}, "times", [1], "times"),
-    (faults.late_samples, {}, "intervals", [0], "intervals"),
     (Wire, {}, "bit_rate", [9_999, 1_000_001, 0, -5], "bit_rate must be"),
     (BackgroundTraffic, {"bit_rate": 1_000_000}, "load", [-0.1, 0.96, math.nan], "load must be"),
     (SyncProducer, {}, "period_s", [0.0, -1.0, math.nan, math.inf], "period_s"),

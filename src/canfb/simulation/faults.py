@@ -87,7 +87,8 @@ class Fault:
         return self.faulty(samples, slice(start, stop), rng)
 
 
-def _changed(change: Change, signal: Signal = Signal.BOTH) -> Fault:
+def changed(change: Change, signal: Signal = Signal.BOTH) -> Fault:
+    """Other counts in the span."""
     return Fault(
         lambda samples, span, rng: samples.put(
             span, signal, change(samples.tracks(span), samples.full_scale_counts, rng)
@@ -95,44 +96,46 @@ def _changed(change: Change, signal: Signal = Signal.BOTH) -> Fault:
     )
 
 
-def _moved(places: Callable[[slice], Counts], signal: Signal = Signal.BOTH) -> Fault:
+def moved(places: Callable[[slice], Counts], signal: Signal = Signal.BOTH) -> Fault:
+    """The samples of other ``places`` in the span."""
     return Fault(lambda samples, span, rng: samples.put(span, signal, samples.tracks(places(span))))
 
 
-def _last_good(span: slice) -> Counts:
+def last_good(span: slice) -> Counts:
+    """The place before the span, for each in it."""
     return np.full(span.stop - span.start, max(span.start - 1, 0))
 
 
 def open_track(signal: Signal, noise_lsb: float = 0.0) -> Fault:
     """A broken wire: the input is pulled to mid-scale, plus what it catches, ``noise_lsb`` counts rms."""
-    return _changed(lambda tracks, full, rng: rng.normal(0.0, noise_lsb, tracks.shape), signal)
+    return changed(lambda tracks, full, rng: rng.normal(0.0, noise_lsb, tracks.shape), signal)
 
 
 def shorted_track(signal: Signal, high: bool) -> Fault:
     """A track short-circuited to a supply: the converter stands at its upper or lower end."""
-    return _changed(lambda tracks, full, rng: full - 1 if high else -full, signal)
+    return changed(lambda tracks, full, rng: full - 1 if high else -full, signal)
 
 
 def stuck_track(signal: Signal, counts: float | None = None) -> Fault:
     """A track that stays at ``counts``; None: at the value of its last good sample."""
     if counts is None:
-        return _moved(_last_good, signal)
-    return _changed(lambda tracks, full, rng: counts, signal)
+        return moved(last_good, signal)
+    return changed(lambda tracks, full, rng: counts, signal)
 
 
 def joined_tracks() -> Fault:
     """Both tracks short-circuited to each other: both show their mean."""
-    return _changed(lambda tracks, full, rng: tracks.mean(axis=0))
+    return changed(lambda tracks, full, rng: tracks.mean(axis=0))
 
 
 def swapped_tracks() -> Fault:
     """Sine and cosine exchanged: the machine seems to turn in the other direction."""
-    return _changed(lambda tracks, full, rng: tracks[::-1])
+    return changed(lambda tracks, full, rng: tracks[::-1])
 
 
 def inverted_tracks(signal: Signal) -> Fault:
     """The wires of a differential track exchanged: its sign is wrong."""
-    return _changed(lambda tracks, full, rng: -tracks, signal)
+    return changed(lambda tracks, full, rng: -tracks, signal)
 
 
 def track_drift(
@@ -162,7 +165,7 @@ def track_drift(
         found: Tracks = turned * (1.0 + part * (gain - 1.0)) + part * offset
         return found
 
-    return _changed(drifted)
+    return changed(drifted)
 
 
 def oscillation(
@@ -178,60 +181,9 @@ def oscillation(
         found: Tracks = tracks + amplitude_counts * np.sin(angle)
         return found
 
-    return _changed(change, signal)
-
-
-def excess_noise(signal: Signal, rms_counts: float) -> Fault:
-    """Gaussian noise added to each track, independent of the other."""
-    return _changed(lambda tracks, full, rng: tracks + rng.normal(0.0, rms_counts, tracks.shape), signal)
-
-
-def phase_glitch(amplitude_counts: float, common: bool = False) -> Fault:
-    """Samples of good amplitude at any phase: one random error for all (``common``), or one for each."""
-
-    def change(tracks: Tracks, full: int, rng: Rng) -> Tracks:
-        angle = rng.uniform(0.0, 2.0 * math.pi, 1 if common else tracks.shape[1])
-        if common:
-            angle = angle + np.arctan2(*tracks)
-        return amplitude_counts * np.stack([np.sin(angle), np.cos(angle)]).astype(np.float64)
-
-    return _changed(change)
-
-
-def count_glitch() -> Fault:
-    """Samples of random counts anywhere in the range of the converter."""
-    return _changed(lambda tracks, full, rng: rng.integers(-full, full, tracks.shape))
-
-
-def lost_samples() -> Fault:
-    def faulty(samples: Samples, span: slice, rng: Rng) -> Samples:
-        delivered = samples.delivered.copy()
-        delivered[span] = False
-        return replace(samples, delivered=delivered)
-
-    return Fault(faulty)
+    return changed(change, signal)
 
 
 def frozen_samples() -> Fault:
     """The last good sample comes again and again."""
-    return _moved(_last_good)
-
-
-def repeated_samples(times: int = 2) -> Fault:
-    """Every sample comes ``times`` times, the first of them the last good one: a converter too slow."""
-    if times < 2:
-        raise ValueError(f"times must be at least 2, not {times}")
-
-    def places(span: slice) -> Counts:
-        here = np.arange(span.start, span.stop)
-        found: Counts = np.maximum(here - (here - span.start + 1) % times, 0)
-        return found
-
-    return _moved(places)
-
-
-def late_samples(intervals: int = 1) -> Fault:
-    """Every sample comes ``intervals`` later than it was taken; the receiver does not know it."""
-    if intervals < 1:
-        raise ValueError(f"intervals must be at least 1, not {intervals}")
-    return _moved(lambda span: np.maximum(np.arange(span.start, span.stop) - intervals, _last_good(span)))
+    return moved(last_good)

@@ -214,6 +214,55 @@ def judge_tracks(setting: Setting, episode: Episode, published: Published) -> tu
     }
 
 
+def excess_noise(signal: Signal, rms_counts: float) -> Fault:
+    """Gaussian noise added to each track, independent of the other."""
+    return faults.changed(
+        lambda tracks, full, rng: tracks + rng.normal(0.0, rms_counts, tracks.shape), signal
+    )
+
+
+def phase_glitch(amplitude_counts: float, common: bool = False) -> Fault:
+    """Samples of good amplitude at any phase: one random error for all (``common``), or one for each."""
+
+    def change(tracks: faults.Tracks, full: int, rng: Rng) -> faults.Tracks:
+        angle = rng.uniform(0.0, 2.0 * np.pi, 1 if common else tracks.shape[1])
+        if common:
+            angle = angle + np.arctan2(*tracks)
+        return amplitude_counts * np.stack([np.sin(angle), np.cos(angle)]).astype(np.float64)
+
+    return faults.changed(change)
+
+
+def count_glitch() -> Fault:
+    """Samples of random counts anywhere in the range of the converter."""
+    return faults.changed(lambda tracks, full, rng: rng.integers(-full, full, tracks.shape))
+
+
+def lost_samples() -> Fault:
+    def faulty(samples: Samples, span: slice, rng: Rng) -> Samples:
+        delivered = samples.delivered.copy()
+        delivered[span] = False
+        return replace(samples, delivered=delivered)
+
+    return Fault(faulty)
+
+
+def repeated_samples() -> Fault:
+    """Every sample comes twice, the first of them the last good one: a converter too slow."""
+
+    def places(span: slice) -> Counts:
+        here = np.arange(span.start, span.stop)
+        found: Counts = np.maximum(here - (here - span.start + 1) % 2, 0)
+        return found
+
+    return faults.moved(places)
+
+
+def late_samples() -> Fault:
+    """Every sample comes an interval later than it was taken; the receiver does not know it."""
+    return faults.moved(lambda span: np.maximum(np.arange(span.start, span.stop) - 1, faults.last_good(span)))
+
+
 def _any_track(rng: Rng) -> Signal:
     return (Signal.SINE, Signal.COSINE, Signal.BOTH)[int(rng.integers(3))]
 
@@ -230,11 +279,11 @@ def _short(rng: Rng) -> Fault:
 
 
 def _noise(rng: Rng) -> Fault:
-    return faults.excess_noise(_any_track(rng), float(rng.uniform(0.03, 1.0)) * A)
+    return excess_noise(_any_track(rng), float(rng.uniform(0.03, 1.0)) * A)
 
 
 def _phase_glitch(rng: Rng) -> Fault:
-    return faults.phase_glitch(A, common=bool(rng.uniform() < 0.5))
+    return phase_glitch(A, common=bool(rng.uniform() < 0.5))
 
 
 TRACK_FAULTS: dict[str, TrackFault] = {
@@ -242,12 +291,12 @@ TRACK_FAULTS: dict[str, TrackFault] = {
     "short to a supply": TrackFault(_short),
     "excess noise": TrackFault(_noise),
     **{f"phase glitch, {n}": TrackFault(_phase_glitch, n) for n in (1, 2, 3)},
-    **{f"random counts, {n}": TrackFault(lambda _: faults.count_glitch(), n) for n in (1, 2, 3)},
-    "random counts": TrackFault(lambda _: faults.count_glitch()),
-    **{f"lost, {n}": TrackFault(lambda _: faults.lost_samples(), n) for n in (1, 2, 3)},
-    "lost": TrackFault(lambda _: faults.lost_samples()),
+    **{f"random counts, {n}": TrackFault(lambda _: count_glitch(), n) for n in (1, 2, 3)},
+    "random counts": TrackFault(lambda _: count_glitch()),
+    **{f"lost, {n}": TrackFault(lambda _: lost_samples(), n) for n in (1, 2, 3)},
+    "lost": TrackFault(lambda _: lost_samples()),
     **{f"repeated, {n}": TrackFault(lambda _: faults.frozen_samples(), n) for n in (1, 2, 3)},
-    "repeated every other": TrackFault(lambda _: faults.repeated_samples()),
-    **{f"late, {n}": TrackFault(lambda _: faults.late_samples(), n) for n in (1, 2, 3)},
-    "late": TrackFault(lambda _: faults.late_samples()),
+    "repeated every other": TrackFault(lambda _: repeated_samples()),
+    **{f"late, {n}": TrackFault(lambda _: late_samples(), n) for n in (1, 2, 3)},
+    "late": TrackFault(lambda _: late_samples()),
 }
