@@ -17,7 +17,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import SAME_INTERVAL
 from canfb.signal.pauses import Pauses
 from canfb.signal.sample import TICK_S, Sample, in_order
-from canfb.signal.sample_times import CLOSEST, CROWDED, REPEATED, SUSPECT, SampleTimes
+from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Extras, Stages
 from canfb.signal.supervision import COASTING, LOST, MISSED, VALID
@@ -285,7 +285,7 @@ class SignalChain:
                 elapsed,
                 placed=self.begun and not (self.lost or self.slips(times.off) or self._pauses.creeps),
             )
-        if passed < times.waited + CLOSEST and times.waited:  # what was waited for did not pass
+        if passed <= times.waited:  # what was waited for did not pass
             return self._restarted(sample, least=float("inf"))
         next_one = elapsed + times.waited < HOLE_INTERVALS
         if self.measures_intervals:

@@ -5,8 +5,8 @@ nor the length of the interval matters. A time is right
 
 - with receive times, if it is as long after the last one as its SYNC was after that of the last; or at its
   place, if a timer of the interface lies closer to the line than to SYNC;
-- without, or where these are worse than HEARD_S, at the place on the grid that the count of SYNCs gives it;
-  or at that of their receptions, or if two calls in a row came when such times were due.
+- where these are worse than HEARD_S, at the place of its count, or if SYNC and PDO say so;
+- without, at the place of its count, or of two calls in a row.
 
 The line through the times that were right (:mod:`canfb.timing.grid`) is the one estimate of that clock.
 """
@@ -169,23 +169,29 @@ class SampleTimes:
                 elif counted > self._refused_counted:  # SYNCs were not sent, not received, or sent late
                     before, self._agrees = self._agrees, abs(late_s) <= unsure_s
                     right = by_call = before and self._agrees
-            elif apart_s is not None:
-                right |= places == round(apart_s / unit)
+            elif heard_apart_s is not None:
+                heard = [
+                    abs(one - passed_s) <= unsure_s for one in (apart_s, heard_apart_s) if one is not None
+                ]
+                # After a time that was not right the count alone is none either.
+                right = all(heard) or (right and (any(heard) or not self._refused_counted))
             right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
             error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
-            is_timer = apart_s is None or grid.deviation * TICK_S < self._heard_s
-            right = error_s <= spare_s or (is_timer and off_s <= spare_s and error_s < unsure_s)
+            right = error_s <= spare_s or (
+                # That of a timer, which is closer to the line than to SYNC.
+                off_s <= spare_s
+                and error_s < unsure_s
+                and (apart_s is None or grid.deviation * TICK_S < self._heard_s)
+            )
         kind = REPEATED if heard_apart_s is None and places < counted - 0.5 else SUSPECT
         if not right or (by_call and kind == REPEATED):
             return self._refused(
                 time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
             )
         grid.take(self._at + ticks)
-        if apart_s is not None and synced_s is not None:  # a late SYNC is no measure of the next times
-            by_s = HEARD_S + DRIFT * passed_s
-            synced_s += min(max(apart_s, passed_s - by_s), passed_s + by_s) - apart_s
-        self._take(time_100ns, ticks, received_s, synced_s)
+        received_s = _bounded(received_s, heard_apart_s, passed_s)
+        self._take(time_100ns, ticks, received_s, _bounded(synced_s, apart_s, passed_s))
         return intervals
 
     def _follow_pace(self, ticks: int, counted: float) -> bool:
@@ -234,3 +240,11 @@ class SampleTimes:
 
 def _apart_s(before_s: float | None, now_s: float | None) -> float | None:
     return None if before_s is None or now_s is None else now_s - before_s
+
+
+def _bounded(now_s: float | None, apart_s: float | None, passed_s: float) -> float | None:
+    # One that was late is no measure of the next times.
+    if now_s is None or apart_s is None:
+        return now_s
+    by_s = HEARD_S + DRIFT * passed_s
+    return now_s + min(max(apart_s, passed_s - by_s), passed_s + by_s) - apart_s
