@@ -188,7 +188,7 @@ KEYS = ("node_id", "encoder_interface", "cycles_per_revolution", "adc_bits", "am
         "samples_per_sync", "noise_margin", "write_lock", "unlock_code",
         "second_position", "phase_error_cycles", "bad_samples",
         "doubt_acceleration_cycles",
-        "corner_hz", "cosine_corner_hz", "interval_s", "adapt", "sync_jitter_s",
+        "corner_hz", "cosine_corner_hz", "interval_s", "adapt", "sync_jitter_s", "answer_delay_s",
         "max_acceleration_cycles")  # fmt: skip
 
 

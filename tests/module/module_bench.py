@@ -73,7 +73,7 @@ class Bench:
 
     def sent(self, frame: Frame) -> list[Frame]:
         before = len(self.heard)
-        given = frame._replace(timestamp=self.bus.now if self.stamped else None)
+        given = frame._replace(timestamp=self.bus.now) if self.stamped else frame
         self.bus.send(given)
         return [heard for heard in self.heard[before:] if heard != given]
 

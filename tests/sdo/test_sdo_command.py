@@ -62,7 +62,7 @@ def test_reading_by_name_and_by_number(canfb: Commands, bench: Bench, text: str,
 
 def test_a_record_is_read_as_a_whole(canfb: Commands, bench: Bench) -> None:
     out = canfb(bench, "sdo", "read", NODE, "supervision")[0]
-    assert [line[:7] for line in out.splitlines()] == [f"2010:{n:02X}" for n in range(1, 14)]
+    assert [line[:7] for line in out.splitlines()] == [f"2010:{n:02X}" for n in range(1, 15)]
     assert canfb(bench, "sdo", "read", NODE, "2010")[0] == out
     mapping = canfb(bench, "sdo", "read", NODE, "1a00")[0].splitlines()
     assert "Number of mapped objects: 3" in mapping[0]

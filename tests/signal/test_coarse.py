@@ -152,18 +152,6 @@ def test_a_slope_between_two_whole_numbers_is_no_answer(slope: float, found: int
     assert (got and got[1]) == found
 
 
-def test_after_a_slope_that_is_no_answer_or_without_an_angle_the_search_begins_anew() -> None:
-    track = coarse(1 / 1024, 100, 32768)
-    got = [track.missing_speed(Pair(0, phase, 0.0, k)) for k, phase in enumerate((0.0, 0.4, 0.8, 0.8, 0.8))]
-    assert got == [None, None, None, None, 0]
-    track = coarse(1 / 32, 2500)
-    for k in range(5):
-        assert track.missing_speed(Pair(3 * k, 0.0, 0.0, k)) is None
-    assert pair(track, None) is None
-    got = [track.missing_speed(Pair(100 + 3 * k, 0.0, 0.0, 9.0 + k)) for k in range(6)]
-    assert got == [None] * 5 + [-3]
-
-
 class Coarse:
     """A chain with a coarse track, at standstill, that has confirmed the position."""
 
@@ -180,15 +168,6 @@ class Coarse:
         angle = 2 * math.pi * (0.3 + revolutions)
         sine, cosine = amplitude * math.sin(angle), amplitude * math.cos(angle)
         return self.chain.step(at(0.25, coarse_sine=sine, coarse_cosine=cosine, **rest))
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize(("away", "bit"), [(0.1249, False), (0.1251, True), (0.3, True), (0.5, True)])
-def test_the_bit_shows_in_its_own_sample(away: float, bit: bool, sign: int) -> None:
-    machine = Coarse()
-    got = machine.step(sign * away)
-    assert flags(got) == (StatusBit.COARSE | StatusBit.COASTING if bit else StatusBit.VALID)
-    assert all(flags(machine.step(0.0)) == StatusBit.VALID for _ in range(5))
 
 
 @pytest.mark.parametrize("amplitude", [1500.0, 0.0], ids=["turned away", "dead"])

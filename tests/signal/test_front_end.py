@@ -15,7 +15,7 @@ from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.correction import CorrectionTable
 from canfb.signal.front_end import FrontEnd
 from canfb.signal.harmonics import NO_LOW_PASS
 from canfb.signal.sample import Sample
@@ -166,21 +166,6 @@ def test_uneven_times_do_not_tell_speeds_by_phases_that_depend_on_them() -> None
 def test_a_delay_that_is_none_is_refused(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=name):
         Conditioning(**{name: value})  # type: ignore[arg-type]
-
-
-def test_another_conditioning_takes_the_speed_along() -> None:
-    """2002:06 is activated in motion: from the next sample on the error is gone."""
-    chain = chain_of(replace(ELLIPSE, cosine_delay_s=0.0))
-    positions, speeds = ramp(0.1, FAST)
-    found = []
-    for k, (position, speed) in enumerate(zip(positions, speeds, strict=True)):
-        if k == 2500:
-            chain.activate(Correction(TABLE, ELLIPSE))
-        got = chain.step(Sample(*counts(position, speed, ELLIPSE)))
-        assert got.valid
-        found.append(abs((got.cycles - position) + got.phase))
-    assert max(found[2000:2500]) > 0.03
-    assert max(found[2500:]) < 2e-5
 
 
 @given(

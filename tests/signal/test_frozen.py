@@ -85,14 +85,6 @@ def test_a_glitch_at_rest_is_no_reason_to_call_the_next_samples_frozen(glitch: f
     assert abs(drive.error(after[-1])) < 1e-9
 
 
-def test_a_pause_forgets_the_counts() -> None:
-    slow, fast = Drive(0.4, frozen_samples=1), Drive(3.2, frozen_samples=1)
-    for drive, pause in ((slow, slow.chain.resume), (fast, fast.chain.restart)):
-        last = at(drive.position)
-        pause()
-        assert all(drive.chain.step(last).valid for _ in range(20))
-
-
 @given(
     st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2)), min_size=1, max_size=12),
     st.tuples(st.integers(0, 2), st.integers(0, 2)),

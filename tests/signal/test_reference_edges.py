@@ -211,34 +211,11 @@ def test_two_pulses_say_where_it_is_and_two_more_what_is_wrong() -> None:
     assert (made.set_right, recovery.told, made.in_doubt) == (1, [(-3, 0)], False)
 
 
-def test_a_doubt_covers_every_sample_until_a_pulse_agrees() -> None:
-    made = reference(Noted(lost=False))
-    for turn in range(2):
-        pulse_at(made, 70.5 + turn * N, VALID)
-    assert pulse_at(made, 900.5, VALID) == (COASTING, 0)
-    here = track(1000.0)
-    assert applied(made, Sample(1.0, 0.0), here, VALID, here, 2.0, 1.0) == (COASTING, 0)
-    assert applied(made, Sample(1.0, 0.0), here, COASTING, None, 2.0, 1.0) == (COASTING, 0)
-    assert pulse_at(made, 70.5 + 2 * N, VALID) == (VALID, 0)
-    assert applied(made, Sample(1.0, 0.0), here, VALID, here, 2.0, 1.0) == (VALID, 0)
-
-
 def test_what_is_not_remembered_any_more_was_not_the_first() -> None:
     made = reference(Noted(lost=False))
     for place in (70.5, 300.5, 500.5, 700.5, 900.5):
         pulse_at(made, place, VALID)
     assert pulse_at(made, 500.5 + N, VALID) == (LOST, 0)
-
-
-def test_a_loss_forgets_what_pulses_have_said() -> None:
-    made = reference(Noted(lost=False))
-    pulse_at(made, 70.5, VALID)
-    pulse_at(made, 300.5, VALID)
-    assert made.in_doubt
-    made.position_lost()
-    assert not made.in_doubt
-    assert pulse_at(made, 300.5 + N, VALID) == (VALID, 0)
-    assert not made.zero.referenced
 
 
 @each("away, refuted", [(0.02, False), (0.2, True), (-0.4, True)])

@@ -47,7 +47,7 @@ class SecondPositionConfig(SecondSensor):
 
 RPDOS = 4
 MOST_ACCELERATION_RAD_S2 = 1e9  # 2010:02
-MOST_SYNC_JITTER_S = 1.0  # 2010:0D
+MOST_DECLARED_S = 1.0  # 2010:0D, 2010:0E
 
 
 WITHOUT_BUS = {  # and what a module has instead
@@ -83,6 +83,7 @@ class ModuleConfig(ChainConfig):
     nominal_sync             True: with ``times`` the position is that of a SYNC without jitter (2013:02)
     sync_timeout_periods     2..255 periods without SYNC or sample until the position is not valid
                              (2010:06)
+    answer_delay_s           0..1 s, the longest from SYNC to ADC PDO (2010:0E); 0: less than a period
     second_position          another sensor of the machine, such as the motor encoder of the drive, that is
                              compared with the position (2014h); None: none
     state_dir                folder for the data of `save` (1010h), created if missing; None: nothing
@@ -104,6 +105,7 @@ class ModuleConfig(ChainConfig):
     predict: bool | int = False
     nominal_sync: bool = False
     sync_timeout_periods: int = 2
+    answer_delay_s: float = 0.0
     second_position: SecondPositionConfig | None = None
     state_dir: str | None = None
     autostart: bool = False
@@ -122,6 +124,8 @@ class ModuleConfig(ChainConfig):
             samples_per_sync=(1, MOST_PER_SYNC - bool(self.times and self.source is None)),
             noise_margin=(0, 255),
             sync_timeout_periods=(2, 255),
+            answer_delay_s=(0.0, MOST_DECLARED_S),
+            max_acceleration_rad_s2=(0.0, MOST_ACCELERATION_RAD_S2),
         )
         source, second = self.source, self.second_position
         if source is not None and not isinstance(source, SourceConfig):
@@ -138,9 +142,6 @@ class ModuleConfig(ChainConfig):
         for name, instead in WITHOUT_BUS.items():
             if getattr(self, name):
                 raise ValueError(f"{name} belongs to a chain without a bus: {instead}")
-        largest = self.max_acceleration_rad_s2
-        if not isinstance(largest, (int, float)) or not 0.0 <= largest <= MOST_ACCELERATION_RAD_S2:
-            raise ValueError("max_acceleration_rad_s2 must be 0 (not known) or positive, at most 1e9")
         if not isinstance(self.predict, int) or not 0 <= self.predict <= 2:
             raise ValueError(f"predict must be false, true, or 0, 1 or 2, not {self.predict!r}")
         for name in ("times", "nominal_sync", "autostart"):

@@ -65,6 +65,8 @@ class Pairing(ProcessData):
         self._input = sample_input
         self._overflow = entry(COUNTER_OVERFLOW)
         self._bad_frames, self._duplicate_syncs, self._lost_syncs = (entry(*counter) for counter in COUNTERS)
+        self._longest_answer = entry(*od.SUPERVISION_ANSWER_DELAY)
+        self._longest_answer.on_written = self._answers_changed
         sample_input.on_mixed = self.count_bad_frame
         chain.on_unit = limits.unit_changed
         self.unconfirmed = 0  # Samples after a pause that are not called valid yet.
@@ -93,6 +95,10 @@ class Pairing(ProcessData):
     def count_bad_frame(self) -> None:
         _count(self._bad_frames)
 
+    def _answers_changed(self) -> None:
+        self.answers.forget()
+        self.usual = NO_RPDO
+
     # SYNC.
 
     def idle_sync_received(self, counter: int | None) -> None:
@@ -120,7 +126,7 @@ class Pairing(ProcessData):
             return self._extra_sync(verdict, now, waiting)
         self._begin_interval(verdict, counter, now, waiting, after_extra)
         if self._prediction.extrapolates and self._source is None:
-            self._publishing.extrapolate()
+            self._publishing.extrapolate(max(1, syncs.place - self._accounted), self.answers.waits + 1)
             return REVOKED
         return FOLLOWED
 
@@ -137,8 +143,10 @@ class Pairing(ProcessData):
         place, late = syncs.place, syncs.late_s > 0.0
         if verdict is not USUAL:
             self._limits.follow()
-        if verdict != USUAL or late or waiting or self._ambiguous or place - 1 > self._accounted:
-            self._account(verdict, counter, now, waiting)
+        self.answers.synced(place, syncs.synced_s, syncs.grid, self._longest_answer.value * syncs.stamped)
+        due = place - 1 - self.answers.waits  # the last place whose sample had to come
+        if verdict != USUAL or late or waiting or self._ambiguous or due > self._accounted:
+            self._account(verdict, counter, now, waiting, due)
         if self._second.number is not None:
             self._second.interval_over(not (verdict.lost or late or after_extra))
         if parts.arrived and parts.give_up():
@@ -150,10 +158,14 @@ class Pairing(ProcessData):
                 self._miss(int(self._elapsed), now)
         self._sample_came, self._tracks_came, self._stale = 0, False, False
         self._synced = True
-        in_turn = not self._prediction.follows if parts.timed else place - 1 == self._accounted
+        in_turn = not self._prediction.follows if parts.timed else due == self._accounted
         if source is not None:
             self._sample_source(source, now)
-        elif in_turn and self.sampled and not (self.unconfirmed or late or verdict.off or syncs.grid.early):
+        elif (
+            in_turn
+            and self.sampled
+            and not (self.answers.waits or self.unconfirmed or late or verdict.off or syncs.grid.early)
+        ):
             self.usual = parts.usual
 
     def _extra_sync(self, verdict: SyncVerdict, now: float, waiting: Sequence[HeldRpdo]) -> int:
@@ -179,7 +191,7 @@ class Pairing(ProcessData):
         return FOLLOWED
 
     def _account(
-        self, verdict: SyncVerdict, counter: int | None, now: float, waiting: Sequence[HeldRpdo]
+        self, verdict: SyncVerdict, counter: int | None, now: float, waiting: Sequence[HeldRpdo], due: int
     ) -> None:
         parts, syncs = self._input, self.syncs
         unsure = bool(verdict.lost or verdict.doubt or syncs.late_s)
@@ -197,8 +209,8 @@ class Pairing(ProcessData):
         self._ambiguous = False
         if doubt and not self.timed:  # sample times know how long it was
             self._lose_count(doubt, now)
-        if syncs.place - 1 > self._accounted:
-            self._miss_to(syncs.place - 1, now)
+        if due > self._accounted:
+            self._miss_to(due, now)
         for rpdo in waiting:
             rpdo.synchronise(now)
 
@@ -303,11 +315,12 @@ class Pairing(ProcessData):
             place = syncs.place if not verdict.extra else self._answered
         elif call.is_stamped and syncs.stamped:
             delay_s = call.received - syncs.synced_s
-            if answers.is_early(delay_s, syncs.grid):
-                self._off = max(self._off, syncs.grid.lead / syncs.grid.period)
+            is_early = answers.is_early(delay_s, syncs.grid)
             if place == self._accounted + 1 and answers.is_usual(delay_s, syncs.grid):
                 return self._answer(place)
             later = answers.place(delay_s, syncs.grid, self._accounted - place)
+            if is_early and (later is None or later >= 0):
+                self._off = max(self._off, syncs.grid.lead / syncs.grid.period)
             if answers.has_moved(syncs.grid):
                 self._lose_count(1.0, now)
             elif later is None and self._next_may_have_come:
@@ -372,11 +385,15 @@ class Pairing(ProcessData):
         An earlier one again is not used, nor one that is too near to the last; but that one did come.
         """
         call, syncs, source = self._call, self.syncs, self._source
-        received_s = synced_s = None  # not known of a source, and of a synchronous RPDO
+        # Not known of a source, and of a synchronous RPDO.
+        place, received_s, synced_s = syncs.place, None, None
         if not self._input.is_synchronous and source is None:
             received_s = call.received if call.is_stamped else None
             is_first = self._synced and not (self._sample_came or syncs.extra_came)
-            if is_first and syncs.stamped == call.is_stamped:  # it is not open which SYNC it answers
+            if self.answers.waits and call.is_stamped and syncs.stamped:
+                place, synced_s = self._answered_sync(call.received - syncs.synced_s)
+                sample = sample._replace(elapsed=max(1.0, float(place - self._accounted)))
+            elif is_first and syncs.stamped == call.is_stamped:  # it is not open which SYNC it answers
                 synced_s = syncs.synced_s
         if not self._synced and source is None:
             syncs.sync(call.received, call.is_stamped, None)  # each sample is its own
@@ -384,7 +401,7 @@ class Pairing(ProcessData):
         if self._interval.samples_per_sync > 1:
             self._grid.follow()
         last = self._publishing.last
-        feedback = self._chain.step(sample, received_s, synced_s, syncs.place > self._accounted)
+        feedback = self._chain.step(sample, received_s, synced_s, place > self._accounted)
         is_new = last is None or feedback.samples != last.samples
         if is_new:
             self._out(sample, self._withheld(feedback) if self.unconfirmed else feedback, now)
@@ -392,7 +409,16 @@ class Pairing(ProcessData):
             self.count_bad_frame()
             return
         self._sample_came += 1
-        self._answer(syncs.place)
+        self._answer(max(place, self._accounted))
+
+    def _answered_sync(self, delay_s: float) -> tuple[int, float | None]:
+        """Its place, and when it was received, None if that is open."""
+        syncs, answers = self.syncs, self.answers
+        later = answers.place(delay_s, syncs.grid, self._accounted - syncs.place)
+        if later is None:
+            answers.has_moved(syncs.grid)
+        place = syncs.place + min(0, later or 0)
+        return place, None if later is None or later > 0 or syncs.extra_came else answers.synced_s.get(place)
 
     def _sample_source(self, source: LocalSource, now: float) -> None:
         if not self.sampled:

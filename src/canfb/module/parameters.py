@@ -19,7 +19,7 @@ from canfb.module.cia406.position import distinguishable_revolutions, single_tur
 from canfb.module.interval import SamplingInterval
 from canfb.module.module_config import (
     MOST_ACCELERATION_RAD_S2,
-    MOST_SYNC_JITTER_S,
+    MOST_DECLARED_S,
     WRITE_LOCKS,
     ModuleConfig,
 )
@@ -62,6 +62,7 @@ SAME_UNIT = {
     "noise_margin": od.SUPERVISION_NOISE_MARGIN,
     "bad_samples": od.SUPERVISION_BAD_SAMPLES,
     "sync_jitter_s": od.SUPERVISION_SYNC_JITTER,
+    "answer_delay_s": od.SUPERVISION_ANSWER_DELAY,
     "sync_timeout_periods": od.SUPERVISION_PERIODS,
     "unlock_code": od.WRITE_LOCK_NEW_UNLOCK_CODE,
 }
@@ -168,7 +169,8 @@ RANGES: dict[od.Multiplexer, tuple[float, float]] = {
     od.SUPERVISION_ACCELERATION: (0.0, MOST_ACCELERATION_RAD_S2),
     od.SUPERVISION_ORDER: (2, 2),
     od.SUPERVISION_JERK: (0.0, 0.0),
-    od.SUPERVISION_SYNC_JITTER: (0.0, MOST_SYNC_JITTER_S),
+    od.SUPERVISION_SYNC_JITTER: (0.0, MOST_DECLARED_S),
+    od.SUPERVISION_ANSWER_DELAY: (0.0, MOST_DECLARED_S),
 }
 APPLIED = (
     od.ENCODER_LOWEST_AMPLITUDE,

@@ -83,16 +83,16 @@ class Prediction:
     def _intervals(self, ticks: float) -> float:
         return ticks * TICK_S / self._chain.unit_s
 
-    def extrapolate(self, last: Feedback) -> None:
-        """At a SYNC: ``last`` belongs to the one before."""
+    def extrapolate(self, last: Feedback, periods: int, most_syncs: int) -> None:
+        """At a SYNC: ``last`` belongs to that ``periods`` before."""
         since = None if self._at_sync is None else last.samples - self._at_sync
         self._at_sync = last.samples
-        displacement = self._displacement(last)
+        displacement = self._displacement(last, periods)
         # Of several samples since one SYNC it is unknown when the last one was taken.
         if (
             displacement is None
             or last.samples == self._before
-            or (since is not None and since > self._interval.samples_per_sync)
+            or (since is not None and since > self._interval.samples_per_sync * most_syncs)
         ):
             return
         cycles, phase = ahead(last.cycles, last.phase, displacement)
@@ -104,16 +104,16 @@ class Prediction:
             self._position.value, self._fine.value, self._status.value = self.measured
             self.measured = None
 
-    def _displacement(self, last: Feedback) -> float | None:
+    def _displacement(self, last: Feedback, periods: int) -> float | None:
         """Cycles from the last sample to this SYNC; None: no position to go on from."""
         status = last.status
         if not status & VALID:
             self._valid_samples = 0
             return self._speed_cycles if status & COASTING else None
         self._valid_samples += 1
-        after, lock = float(self._interval.samples_per_sync), self._lock
+        after, lock = float(self._interval.samples_per_sync * periods), self._lock
         if self.follows and lock.locked:
-            after = self._intervals(lock.lead + lock.period)
+            after = self._intervals(lock.lead + periods * lock.period)
         after += self._chain.tracks.lag_intervals
         self._speed_cycles = displacement = last.speed_cycles * after
         curved = self._kind.value == CONSTANT_ACCELERATION

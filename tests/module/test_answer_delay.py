@@ -1,0 +1,70 @@
+"""ADC PDOs that come behind later SYNCs, as 2010:0E declares: each is the sample of its own."""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canfb.cia301.frame import Frame
+from canfb.module.feedback_module import FeedbackModule
+from canfb.module.module_config import ModuleConfig
+from canfb.signal.supervision import LOST, VALID
+from drawing import examples
+from ideal_tracks import counts_at
+
+PERIOD_S, SPREAD_S, JITTER_S, SPEED = 1e-3, 60e-6, 5e-6, 3.3
+SYNCS, LEARNED = 300, 40
+UNITS_PER_CYCLE = 8192
+
+
+def cycles_at(at_s: float) -> float:
+    """From standstill to SPEED, cycles per period, at no more than 0.03 cycles per period squared."""
+    periods = max(0.0, at_s / PERIOD_S - LEARNED)
+    return SPEED * (periods + 120.0 * math.expm1(-periods / 120.0))
+
+
+def session(seed: int, delay: float, lost: float, **fields: Any) -> tuple[list[int], list[float]]:
+    """Status words after the PDOs, and how far valid positions are off: TPDO1 its sample, TPDO2 its SYNC."""
+    draw, frames = random.Random(seed), []
+    declared_s = delay * PERIOD_S + SPREAD_S + draw.uniform(0.0, 0.5) * PERIOD_S
+    module = FeedbackModule(ModuleConfig(node_id=32, autostart=True, answer_delay_s=declared_s, **fields))
+    module.start(0.0)
+    for number in range(SYNCS):
+        synced_s = (number + 1) * PERIOD_S + draw.uniform(-JITTER_S, JITTER_S)
+        data = struct.pack("<hh", *counts_at(cycles_at(synced_s)))
+        if module.config.times:
+            data += struct.pack("<I", round(synced_s * 1e7))
+        answered_s = synced_s + delay * PERIOD_S + draw.uniform(0.0, SPREAD_S)
+        if draw.random() >= lost:
+            frames.append((synced_s, synced_s, Frame(0x80, b"")))
+        if draw.random() >= lost:
+            frames.append((answered_s, synced_s, Frame(0x190, data)))
+    statuses, errors = [], []
+    for at_s, synced_s, frame in sorted(frames, key=lambda one: one[0]):
+        while (due_s := module.deadline() or math.inf) < at_s:
+            module.tick(due_s)
+        for sent in module.receive(frame._replace(timestamp=at_s), at_s):
+            kind, (position,) = sent.can_id & 0x780, struct.unpack_from("<I", sent.data)
+            if kind == (0x180 if frame.data else 0x280):
+                feedback = module.feedback
+                status = feedback.status if feedback is not None else 0
+                statuses += [status] * (kind == 0x180)
+                if kind == 0x180 or not lost:  # where one is missing it may not be extrapolated
+                    errors += [abs(position / UNITS_PER_CYCLE - cycles_at(synced_s))] * (status & VALID)
+    return statuses, errors
+
+
+@examples(60)
+@given(st.integers(0), st.floats(0.02, 2.5), st.booleans(), st.sampled_from([0.0, 0.02, 0.1]))
+def test_no_answer_is_that_of_another_sync(seed: int, delay: float, times: bool, lost: float) -> None:
+    statuses, errors = session(seed, delay, lost, times=times, predict=1)
+    assert all(error < 0.5 for error in errors)
+    if not lost:
+        while_syncs_come = statuses[:-4]
+        assert not any(status & LOST for status in while_syncs_come)
+        assert all(status & VALID for status in while_syncs_come[LEARNED:])
