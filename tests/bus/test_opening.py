@@ -7,6 +7,7 @@ import os
 import re
 import struct
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -41,12 +42,13 @@ def test_what_is_not_given_comes_from_the_environment(monkeypatch: pytest.Monkey
         assert bus.channel_info == "Virtual bus channel another"
 
 
+NOWHERE = {"interface": "socketcan", "channel": "nothing77"}
 WRONG: list[dict[str, Any]] = [
     {},
     {"interface": "there is none such", "channel": "x"},
     {"interface": ["a", "list"]},
     {"interface": 7},
-    {"interface": "socketcan", "channel": "nothing77"},
+    NOWHERE,
     {"interface": "udp_multicast", "channel": "not an address"},
     {"interface": "udp_multicast", "channel": "127.0.0.1"},
     {"interface": "udp_multicast", "channel": {"a": 1}},
@@ -54,12 +56,17 @@ WRONG: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("options", WRONG, ids=str)
-def test_a_bus_that_there_is_not_gets_one_line(options: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("opening", "options"), [*((open_bus, options) for options in WRONG), (open_device_bus, NOWHERE)], ids=str
+)
+def test_a_bus_that_there_is_not_gets_one_line(
+    opening: Callable[..., object], options: dict[str, Any]
+) -> None:
     with pytest.raises(BusError) as caught:
-        open_bus(options)
+        opening(options)
     assert re.fullmatch(re.escape(f"cannot open the bus {describe(options)}: ") + ".+", str(caught.value))
     assert caught.value.__cause__ is not None
+    assert options is not NOWHERE or "docs/vcan.md" in str(caught.value)
 
 
 def because(error: Exception, cause: Exception) -> Exception:
@@ -271,11 +278,3 @@ def test_socketcan_has_a_raw_socket_and_python_can_opens_what_is_more_than_that(
 def test_words_that_no_device_can_have(more: dict[str, Any], match: str) -> None:
     with pytest.raises(ConfigError, match=match):
         open_device_bus(CAN0 | more)
-
-
-def test_a_raw_socket_that_cannot_be_had_gets_the_same_line() -> None:
-    with pytest.raises(BusError) as caught:
-        open_device_bus({"interface": "socketcan", "channel": "nothing77"})
-    text = str(caught.value)
-    assert text.startswith("cannot open the bus socketcan nothing77: ")
-    assert "docs/vcan.md" in text

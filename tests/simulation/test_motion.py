@@ -212,20 +212,12 @@ def test_it_stops_with_its_ramp_and_goes_on_from_there(interface: EncoderInterfa
     assert read(interface, 10.0) == MachineCommand.STOP
     stopped = place(interface, 10.0 + RAMP_S)
     assert stopped == pytest.approx(before + 0.5 * RAMP_S), "1 revolution per second, braked for two seconds"
+    interface.receive(Frame(0x000, b"\x81\x10"), 30.0)
+    assert read(interface, 30.1) == MachineCommand.STOP, "a reset of the interface moves nothing"
     assert place(interface, 60.0) == pytest.approx(stopped, abs=1e-9)
     interface.receive(write(MachineCommand.START), 60.0)
     assert place(interface, 60.0 + RAMP_S) == pytest.approx(stopped + 0.5 * RAMP_S)
     assert place(interface, 70.0) == pytest.approx(stopped + 0.5 * RAMP_S + 8.0)
-
-
-def test_a_reset_of_the_interface_moves_nothing(interface: EncoderInterface) -> None:
-    place(interface, 0.0)
-    place(interface, 10.0)
-    interface.receive(write(MachineCommand.STOP), 10.0)
-    still = place(interface, 15.0)
-    interface.receive(Frame(0x000, b"\x81\x10"), 15.0)
-    assert read(interface, 15.1) == MachineCommand.STOP
-    assert place(interface, 20.0) == pytest.approx(still, abs=1e-9)
 
 
 def test_it_brakes_no_harder_than_its_own_ramp() -> None:
