@@ -1,18 +1,22 @@
-"""The simulated encoder, and its analog path, against their formulas."""
+"""The simulated encoder and its analog path against their formulas, and each fault of its counts."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.signal.phase import phase_in_cycle
+from canfb.simulation import faults
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, ShaftEncoder, demo_encoder
+from canfb.simulation.faults import Fault, Samples, Signal
 from canfb.simulation.motion import Motion
 from folding import each
+from tools.faults.samples import tracks as more
 
 HARMONICS = (Harmonic(2, 0.01, 0.02, 0.4, 1.1), Harmonic(5, 0.0, 0.03))
 BENT = Encoder(
@@ -144,3 +148,152 @@ def test_a_shaft_knows_its_speed() -> None:
     motion = Motion((), start_rpm=3000.0)
     amplitudes = [math.hypot(*shaft.sample(k * 1e-3, motion.revolutions)[:2]) for k in range(1, 20)]
     assert np.mean(amplitudes) == pytest.approx(1500.0 / math.sqrt(2.0), rel=1e-3)
+
+
+LENGTH, START, STOP = 60, 20, 35
+SPAN = slice(START, STOP)
+ENCODER = Encoder(noise_lsb=0.5)
+
+ALL: dict[str, Fault] = {
+    **{f"open {s.name}": faults.open_track(s, 2.0) for s in Signal},
+    **{f"short {s.name} {high}": faults.shorted_track(s, high) for s in Signal for high in (False, True)},
+    **{f"stuck {s.name} {at}": faults.stuck_track(s, at) for s in Signal for at in (None, 321.0)},
+    "joined": faults.joined_tracks(),
+    "swapped": faults.swapped_tracks(),
+    **{f"inverted {s.name}": faults.inverted_tracks(s) for s in Signal},
+    "offset": faults.track_drift(sine_offset=900.0, ramp_samples=10),
+    "gain": faults.track_drift(cosine_gain=0.2, phase_rad=0.8, ramp_samples=10),
+    **{f"oscillation {s.name}": faults.oscillation(s, 700.0, 0.13, 0.4) for s in Signal},
+    **{f"noise {s.name}": more.excess_noise(s, 300.0) for s in Signal},
+    "phase": more.phase_glitch(1500.0),
+    "phases": more.phase_glitch(1500.0, common=True),
+    "counts": more.count_glitch(),
+    "lost": more.lost_samples(),
+    "frozen": faults.frozen_samples(),
+    "repeated": more.repeated_samples(),
+    "late": more.late_samples(),
+}
+
+
+def clean(speed: float = 0.137, adc_bits: int = 12) -> Samples:
+    positions = 0.3 + speed * np.arange(LENGTH)
+    return Samples.of(*ENCODER.sample(positions, np.random.default_rng(1)), adc_bits=adc_bits)
+
+
+def injected(fault: Fault, samples: Samples | None = None, start: int = START, stop: int = STOP) -> Samples:
+    return fault.inject(samples or clean(), start, stop, np.random.default_rng(2))
+
+
+@pytest.mark.parametrize("fault", ALL.values(), ids=ALL)
+@example(START, STOP - START)
+@given(st.integers(0, LENGTH - 1), st.integers(1, LENGTH))
+def test_within_the_span_are_other_counts_of_a_converter_and_nothing_happens_outside(
+    fault: Fault, start: int, length: int
+) -> None:
+    """A part of them may have been what the fault makes of all: not so in the span of the other tests."""
+    before, stop = clean(), min(LENGTH, start + length)
+    after = injected(fault, before, start, stop)
+    untouched = clean()
+    changed = ~after.delivered
+    for track, was, same in (
+        (after.sine, before.sine, untouched.sine),
+        (after.cosine, before.cosine, untouched.cosine),
+    ):
+        assert track.dtype == np.int64
+        assert (track.shape, track.min() >= -2048, track.max() <= 2047) == ((LENGTH,), True, True)
+        assert np.array_equal(was, same)
+        changed |= track != was
+    assert before.delivered.all()
+    assert not changed[:start].any()
+    assert not changed[stop:].any()
+    assert changed.any() or (start, stop) != (START, STOP)
+
+
+@each("fault", list(ALL.values()))
+@each("start, stop", [(-1, 5), (5, 5), (6, 5), (50, LENGTH + 1)])
+def test_a_span_outside_the_samples_is_refused(fault: Fault, start: int, stop: int) -> None:
+    with pytest.raises(ValueError, match="must hold"):
+        injected(fault, None, start, stop)
+
+
+RISING = (np.arange(12), -np.arange(12))
+STILL = ([100] * 12, [1000] * 12)
+KEPT = [None] * 12
+"""In place of the counts of a track: as it was."""
+
+
+@each(
+    "fault, start, stop, tracks, sine, cosine",
+    [
+        (faults.open_track(Signal.SINE), 4, 6, STILL, [100] * 4 + [0] * 2 + [100] * 6, KEPT),
+        (faults.shorted_track(Signal.COSINE, False), 0, 12, STILL, KEPT, [-2048] * 12),
+        (faults.shorted_track(Signal.COSINE, True), 0, 12, STILL, KEPT, [2047] * 12),
+        (faults.stuck_track(Signal.SINE, -77.0), 11, 12, STILL, [100] * 11 + [-77], KEPT),
+        (faults.stuck_track(Signal.COSINE), 9, 12, RISING, KEPT, [0, -1, -2, -3, -4, -5, -6, -7] + [-8] * 4),
+        (faults.joined_tracks(), 0, 12, STILL, [550] * 12, [550] * 12),
+        (faults.swapped_tracks(), 0, 12, STILL, [1000] * 12, [100] * 12),
+        (faults.inverted_tracks(Signal.COSINE), 0, 12, STILL, KEPT, [-1000] * 12),
+        (faults.inverted_tracks(Signal.SINE), 0, 3, ([-2048] * 3, [0] * 3), [2047] * 3, [0] * 3),
+        (
+            faults.track_drift(sine_offset=50.0, cosine_gain=0.5, ramp_samples=5), 4, 11, STILL,
+            [100] * 4 + [110, 120, 130, 140, 150, 150, 150, 100],
+            [1000] * 4 + [900, 800, 700, 600, 500, 500, 500, 1000],
+        ),
+        (
+            faults.oscillation(Signal.BOTH, 200.0, 0.25), 0, 12, STILL,
+            [100, 300, 100, -100] * 3, [1000, 1200, 1000, 800] * 3,
+        ),
+        (faults.frozen_samples(), 4, 8, RISING, [0, 1, 2, 3, 3, 3, 3, 3, 8, 9, 10, 11], None),
+        (more.repeated_samples(), 4, 9, RISING, [0, 1, 2, 3, 3, 5, 5, 7, 7, 9, 10, 11], None),
+        (more.late_samples(), 4, 8, RISING, [0, 1, 2, 3, 3, 4, 5, 6, 8, 9, 10, 11], None),
+    ],
+)  # fmt: skip
+def test_the_counts_of_a_fault(
+    fault: Fault, start: int, stop: int, tracks: Any, sine: list[int | None], cosine: list[int | None] | None
+) -> None:
+    before = Samples.of(*tracks)
+    after = injected(fault, before, start, stop)
+    expected = [-one for one in sine if one is not None] if cosine is None else cosine
+    for found, was, wanted in ((after.sine, before.sine, sine), (after.cosine, before.cosine, expected)):
+        assert found.tolist() == (was.tolist() if wanted == KEPT else wanted)
+
+
+def test_an_open_track_catches_noise() -> None:
+    noisy = injected(faults.open_track(Signal.COSINE, 5.0)).cosine[SPAN]
+    assert 1.0 < noisy.std() < 15.0
+
+
+def test_a_phase_drift_turns_the_cosine_track() -> None:
+    x = 2.0 * math.pi * np.arange(LENGTH) / 17.0
+    samples = Samples.of(np.rint(1500 * np.sin(x)), np.rint(1500 * np.cos(x)))
+    after = injected(faults.track_drift(phase_rad=0.3, ramp_samples=1), samples)
+    assert np.abs(after.cosine[SPAN] - 1500 * np.cos(x - 0.3)[SPAN]).max() < 2.0
+    assert np.array_equal(after.sine, samples.sine)
+
+
+def test_excess_noise_is_independent_on_both_tracks() -> None:
+    still = Samples.of([0] * 2000, [0] * 2000)
+    after = injected(more.excess_noise(Signal.BOTH, 100.0), still, 0, 2000)
+    assert 90.0 < after.sine.std() < 110.0
+    assert abs(np.corrcoef(after.sine, after.cosine)[0, 1]) < 0.1
+
+
+def test_a_phase_glitch_has_a_good_amplitude_and_any_phase() -> None:
+    still = Samples.of([0] * 2000, [1500] * 2000)
+    after = injected(more.phase_glitch(1500.0), still, 0, 2000)
+    assert np.abs(np.hypot(after.sine, after.cosine) - 1500.0).max() < 1.0
+    assert {(bool(s > 0), bool(c > 0)) for s, c in zip(after.sine, after.cosine, strict=True)} == {
+        (True, True), (True, False), (False, True), (False, False),
+    }  # fmt: skip
+    common = injected(more.phase_glitch(1500.0, common=True), still, 0, 2000)
+    assert len(set(common.sine.tolist())) == 1
+
+
+def test_a_count_glitch_reaches_the_whole_range() -> None:
+    after = injected(more.count_glitch(), Samples.of([0] * 5000, [0] * 5000), 0, 5000)
+    assert after.sine.min() < -2000
+    assert after.sine.max() > 2000
+
+
+def test_lost_samples_are_not_delivered() -> None:
+    assert np.flatnonzero(~injected(more.lost_samples()).delivered).tolist() == list(range(START, STOP))
