@@ -12,23 +12,9 @@ from canfb.cli.printing import Progress
 from canfb.configuration import Config
 from canfb.files import prepare_folder
 from canfb.master.all_or_nothing import Guard
-from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from commissioning_kit import Bench, EmbeddedMaster
 
-PHASE_ERROR_RAD = 0.05
 SHORT = ("--seconds", "1.5", "--least-samples", "1000", "--verify", "0.6")
-
-
-def encoder(path: AnalogPath) -> Encoder:
-    return Encoder(
-        amplitude_counts=1500.0,
-        sine_offset=0.01,
-        cosine_amplitude=0.96,
-        phase_error_rad=PHASE_ERROR_RAD,
-        harmonics=(Harmonic(3, 0.01, 0.01),),
-        noise_lsb=0.5,
-        path=path,
-    )
 
 
 def command(
