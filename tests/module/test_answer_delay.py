@@ -7,6 +7,7 @@ import random
 import struct
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,8 +29,10 @@ def cycles_at(at_s: float) -> float:
     return SPEED * (periods + 120.0 * math.expm1(-periods / 120.0))
 
 
-def session(seed: int, delay: float, lost: float, **fields: Any) -> tuple[list[int], list[float]]:
-    """Status words after the PDOs, and how far valid positions are off: TPDO1 its sample, TPDO2 its SYNC."""
+def session(
+    seed: int, delay: float, lost: float, answered: int = SYNCS, **fields: Any
+) -> tuple[list[int], list[float]]:
+    """Status words of TPDO1, and how far valid positions are off, cycles."""
     draw, frames = random.Random(seed), []
     declared_s = delay * PERIOD_S + SPREAD_S + draw.uniform(0.0, 0.5) * PERIOD_S
     module = FeedbackModule(ModuleConfig(node_id=32, autostart=True, answer_delay_s=declared_s, **fields))
@@ -42,7 +45,7 @@ def session(seed: int, delay: float, lost: float, **fields: Any) -> tuple[list[i
         answered_s = synced_s + delay * PERIOD_S + draw.uniform(0.0, SPREAD_S)
         if draw.random() >= lost:
             frames.append((synced_s, synced_s, Frame(0x80, b"")))
-        if draw.random() >= lost:
+        if draw.random() >= lost and number < answered:
             frames.append((answered_s, synced_s, Frame(0x190, data)))
     statuses, errors = [], []
     for at_s, synced_s, frame in sorted(frames, key=lambda one: one[0]):
@@ -50,12 +53,12 @@ def session(seed: int, delay: float, lost: float, **fields: Any) -> tuple[list[i
             module.tick(due_s)
         for sent in module.receive(frame._replace(timestamp=at_s), at_s):
             kind, (position,) = sent.can_id & 0x780, struct.unpack_from("<I", sent.data)
-            if kind == (0x180 if frame.data else 0x280):
-                feedback = module.feedback
-                status = feedback.status if feedback is not None else 0
-                statuses += [status] * (kind == 0x180)
-                if kind == 0x180 or not lost:  # where one is missing it may not be extrapolated
-                    errors += [abs(position / UNITS_PER_CYCLE - cycles_at(synced_s))] * (status & VALID)
+            feedback = module.feedback
+            status = feedback.status if feedback is not None else 0
+            statuses += [status] * (kind == 0x180)
+            # TPDO1 is of the sample, TPDO2 of the SYNC; where one is missing it may not be extrapolated.
+            if (kind == 0x180 and frame.data) or (kind == 0x280 and not lost):
+                errors += [abs(position / UNITS_PER_CYCLE - cycles_at(synced_s))] * (status & VALID)
     return statuses, errors
 
 
@@ -68,3 +71,14 @@ def test_no_answer_is_that_of_another_sync(seed: int, delay: float, times: bool,
         while_syncs_come = statuses[:-4]
         assert not any(status & LOST for status in while_syncs_come)
         assert all(status & VALID for status in while_syncs_come[LEARNED:])
+
+
+@pytest.mark.parametrize("times", [False, True])
+@pytest.mark.parametrize("delay", [0.1, 0.98, 1.6])
+def test_answers_that_stop_are_missed(delay: float, times: bool) -> None:
+    statuses, errors = session(1, delay, 0.0, SYNCS - 10, times=times, predict=1)
+    assert [at for at, status in enumerate(statuses) if not status & VALID] == list(
+        range(SYNCS - 10, len(statuses))
+    )
+    assert statuses[-1] & LOST
+    assert all(error < 0.5 for error in errors)

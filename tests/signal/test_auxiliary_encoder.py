@@ -61,16 +61,6 @@ def test_a_lost_count_is_set_right(speed: float, dead: int) -> None:
     assert machine.chain.reference.recovered == 1
 
 
-def test_what_disagreed_before_the_loss_sets_nothing_right() -> None:
-    machine = standing(EXACT, increments=FINE)
-    machine.other += 7.0  # the coupling slips
-    assert machine.run(5)[-1].status & DISAGREES
-    machine.spoil = lambda sample: DEAD
-    machine.run(20)
-    machine.spoil = lambda sample: sample
-    assert not any(has(machine.run(300), VALID))
-
-
 def test_a_drive_that_restarts_counts_from_elsewhere() -> None:
     machine = standing()
     machine.ramp(0.0, 20.0)

@@ -202,17 +202,6 @@ def test_where_just_one_count_is_within_its_limit_it_sets_the_count_right_alone(
     assert all(abs(off - right) < 1e-9 for off in machine.valid)
 
 
-def test_a_restart_forgets_where_the_coarse_track_stands_and_a_pause_does_not() -> None:
-    machine = Coarse()
-    machine.chain.resume()
-    got = [machine.step(0.3) for _ in range(40)]
-    assert has(got, StatusBit.LOST)[-1], "it was at another place before the pause"
-    machine = Coarse()
-    machine.chain.restart()
-    got = [machine.step(0.3) for _ in range(40)]
-    assert flags(got[-1]) == StatusBit.VALID, "after a restart any place will do"
-
-
 WRONG_SPEEDS = [1, -1, 2, -3, 17, -50, 83, -83, 124, -125]
 
 

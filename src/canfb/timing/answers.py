@@ -38,10 +38,12 @@ class Answers:
 
     def synced(self, place: int, synced_s: float, grid: Grid, longest_s: float) -> None:
         """A SYNC; ``longest_s`` 0.0: less than a period."""
-        self._longest_s, period_s = longest_s, grid.rough
-        self.waits = int((longest_s + grid.allowed) / period_s) if longest_s and period_s else 0
-        kept = {one: at_s for one, at_s in self.synced_s.items() if one >= place - self.waits}
-        self.synced_s = kept | {place: synced_s}
+        self._longest_s = longest_s
+        latest_s = min(longest_s, self.least_s + _most_s(grid, grid.rough)) + grid.allowed
+        self.waits = int(latest_s / grid.rough) if longest_s and grid.rough else 0
+        self.synced_s = {place: synced_s} | {
+            one: at_s for one, at_s in self.synced_s.items() if place - self.waits <= one < place
+        }
 
     def is_usual(self, delay_s: float, grid: Grid) -> bool:
         """It answers the SYNC so long before it, within the usual delay."""
