@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import re
 import struct
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -34,7 +31,7 @@ from canfb.simulation.sync_producer import SyncProducer
 from canfb.sources.recording_source import RecordingSource
 from documentation import blocks, commands, page
 from judged_session import check, new_judge
-from processes import python
+from processes import Process, python
 
 START_ALL = Frame(0x000, b"\x01\x00")
 POSITION = 0x1A0
@@ -112,35 +109,23 @@ def test_the_recording_is_small_and_plays_for_ten_seconds_without_a_fault() -> N
 
 
 @pytest.fixture
-def start(multicast_words: dict[str, Any], tmp_path: Path) -> Iterator[Callable[..., Any]]:
-    """Starts a command on the bus of the test, its output into files; none is left running."""
+def start(
+    multicast_words: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., Process]]:
+    """Starts a command on the bus of the test, in its folder; none is left running."""
+    monkeypatch.chdir(tmp_path)
     words = multicast_words
-    with contextlib.ExitStack() as stack:
+    further = ("--bus-kwargs", f"port={words['port']}", "hop_limit=0")
+    bus = ("-i", words["interface"], "-c", words["channel"], *further)
+    started: list[Process] = []
 
-        def start_one(*arguments: str) -> Any:
-            said = stack.enter_context((tmp_path / f"{arguments[0]}.txt").open("w"))
-            bus = ["-i", words["interface"], "-c", words["channel"]]
-            bus += ["--bus-kwargs", f"port={words['port']}", "hop_limit=0"]
-            process = subprocess.Popen(
-                [sys.executable, "-m", "canfb", *arguments, *bus],
-                cwd=tmp_path,
-                stdin=subprocess.DEVNULL,
-                stdout=said,
-                stderr=subprocess.STDOUT,
-            )
-            stack.callback(process.wait)
-            stack.callback(process.kill)
-            return process
+    def start_one(*arguments: str) -> Process:
+        started.append(Process((sys.executable, "-m", "canfb", *arguments, *bus), LIMIT_S))
+        return started[-1]
 
-        yield start_one
-
-
-def waited_for(condition: Callable[[], bool], *processes: Any) -> None:
-    deadline = time.monotonic() + LIMIT_S
-    while not condition():
-        assert time.monotonic() < deadline
-        assert all(process.poll() is None for process in processes), "one has ended"
-        time.sleep(0.05)
+    yield start_one
+    for process in started:
+        process.stop()
 
 
 def test_the_first_session_holds_for_ten_seconds_with_real_processes(
@@ -150,9 +135,10 @@ def test_the_first_session_holds_for_ten_seconds_with_real_processes(
     (tmp_path / "feedback.yaml").write_text(python("-m", "canfb", "config", "example").stdout)
     session = [words for words in commands(SESSION) if words[0] in ("run", "simulate", "node")]
     module, interface, nmt = session
-    running = start(*module), start(*interface)
-    files = tmp_path / "module.ready", tmp_path / "interface.ready"
-    waited_for(lambda: all(file.exists() for file in files), *running)
+    running, simulating = start(*module), start(*interface)
+    running.wait_for("end with Ctrl-C")
+    simulating.wait_for("end with Ctrl-C")
+    simulating.wait_for("motion: 61 rpm: up to 25.5 cycles per sample")
     while multicast_bus.recv(0.0) is not None:
         pass  # SYNCs; a queue that is full of them would lose the first sample
     starting = start(*nmt[:3])
@@ -165,13 +151,11 @@ def test_the_first_session_holds_for_ten_seconds_with_real_processes(
         judge.take(message.arbitration_id, bytes(message.data), message.timestamp)
         if message.arbitration_id == POSITION:
             last, count = struct.unpack_from("<I", message.data)[0], count + 1
-    assert starting.wait(LIMIT_S) == 0
-    said = (tmp_path / "run.txt").read_text()
-    assert count == 1000, said
-    check(judge, said)
+    assert starting.wait() == 0
+    running.find("$^", 0.0)  # all that it has said
+    assert count == 1000, running
+    check(judge, str(running))
     assert not judge.machine_held or last > 1.5 * 2500 * 8192, "more than a revolution"
-    assert re.search("motion: 61 rpm: up to 25.5 cycles per sample", (tmp_path / "simulate.txt").read_text())
-
     (snippet,) = [block for block in python_blocks() if "import canopen" in block]
     here = ", ".join(f"{key}={value!r}" for key, value in multicast_words.items())
     snippet = snippet.replace('interface="socketcan", channel="vcan0"', here)
