@@ -113,6 +113,15 @@ def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -
 
 
 @pytest.fixture
+def started() -> Iterator[Any]:
+    """Starts any command as a process: started("candump", "vcan0"). All are ended after the test."""
+    from processes import commands  # most tests need none
+
+    with commands(120.0) as start:
+        yield start
+
+
+@pytest.fixture
 def multicast_words() -> dict[str, Any]:
     """A multicast bus on a port that nobody uses: tests side by side have buses of their own."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:

@@ -9,7 +9,7 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -138,3 +138,19 @@ class Process:
             os.killpg(self._child.pid, 0)
             return True
         return False
+
+
+@contextlib.contextmanager
+def commands(
+    patience_s: float, start: Callable[[tuple[str, ...]], Any] = executed
+) -> Iterator[Callable[..., Process]]:
+    """Starts any command; all are ended afterwards, and what they said is shown where a test fails."""
+    with contextlib.ExitStack() as stack:
+
+        def start_one(*arguments: str) -> Process:
+            one = Process(arguments, patience_s, start)
+            stack.callback(print, one)
+            stack.callback(one.stop)
+            return one
+
+        yield start_one

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -133,15 +134,12 @@ BEGINS = {"run": "running node 32 (20h)", "simulate": "encoder interface: node 1
     [("run", signal.SIGINT, "node 32: 0 samples; "), ("simulate", signal.SIGTERM, "0 samples sent")],
 )
 def test_a_signal_ends_it_with_exit_code_0(
-    command: str, number: signal.Signals, last: str, config: str
+    command: str, number: signal.Signals, last: str, config: str, started: Callable[..., Process]
 ) -> None:
-    process = Process((sys.executable, "-W", "error", "-m", "canfb", command, config))
-    try:
-        process.wait_for("end with Ctrl-C")
-        process.send(number)
-        assert process.wait() == 0
-    finally:
-        process.stop()
+    process = started(sys.executable, *CANFB, command, config)
+    process.wait_for("end with Ctrl-C")
+    process.send(number)
+    assert process.wait() == 0
     assert process.lines[0] == f"{BEGINS[command]} on virtual canfb-cli; end with Ctrl-C"
     assert process.lines[-1].startswith(last)
 
@@ -212,7 +210,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-def started(folder: Path, arguments: list[str]) -> tuple[subprocess.Popen[bytes], int]:
+def with_terminal(folder: Path, arguments: list[str]) -> tuple[subprocess.Popen[bytes], int]:
     """A command with a terminal of its own: the process, and the other end of the terminal."""
     ours, theirs = pty.openpty()
     try:
@@ -233,7 +231,7 @@ def started(folder: Path, arguments: list[str]) -> tuple[subprocess.Popen[bytes]
 def test_without_its_terminal_it_ends_and_leaves_no_ready_file(tmp_path: Path, command: list[str]) -> None:
     (tmp_path / "feedback.yaml").write_text(CONFIG)
     arguments = [*command, "feedback.yaml", "--ready-file", "ready"]
-    process, terminal = started(tmp_path, arguments)
+    process, terminal = with_terminal(tmp_path, arguments)
     try:
         try:
             read_until(terminal, b"end with Ctrl-C")

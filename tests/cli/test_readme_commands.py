@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -110,22 +110,14 @@ def test_the_recording_is_small_and_plays_for_ten_seconds_without_a_fault() -> N
 
 @pytest.fixture
 def start(
-    multicast_words: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Callable[..., Process]]:
-    """Starts a command on the bus of the test, in its folder; none is left running."""
+    started: Any, multicast_words: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., Process]:
+    """Starts a command on the bus of the test, in its folder."""
     monkeypatch.chdir(tmp_path)
     words = multicast_words
     further = ("--bus-kwargs", f"port={words['port']}", "hop_limit=0")
     bus = ("-i", words["interface"], "-c", words["channel"], *further)
-    started: list[Process] = []
-
-    def start_one(*arguments: str) -> Process:
-        started.append(Process((sys.executable, "-m", "canfb", *arguments, *bus), LIMIT_S))
-        return started[-1]
-
-    yield start_one
-    for process in started:
-        process.stop()
+    return lambda *arguments: started(sys.executable, "-m", "canfb", *arguments, *bus)
 
 
 def test_the_first_session_holds_for_ten_seconds_with_real_processes(

@@ -11,7 +11,7 @@ import signal
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -39,18 +39,8 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def trying(own_folder: Path, multicast_bus: can.BusABC) -> Iterator[list[Process]]:
-    """Processes that are ended after the test."""
-    started: list[Process] = []
-    yield started
-    for process in started:
-        process.stop()
-
-
-def begun(trying: list[Process], *options: str) -> Process:
-    trying.append(Process((sys.executable, "-m", "canfb", "try", *options), PATIENCE_S))
-    return trying[-1]
+Started = Callable[..., Process]
+TRY = (sys.executable, "-m", "canfb", "try")
 
 
 def samples_of(read: list[str], command: Command) -> int:
@@ -64,11 +54,12 @@ def test_its_bus_replaces_that_of_the_example() -> None:
     assert EXAMPLE.count(EXAMPLE_BUS) == 1
 
 
+@pytest.mark.usefixtures("multicast_bus")
 def test_another_terminal_reads_it_and_ctrl_c_leaves_nothing(
-    trying: list[Process], own_folder: Path, command: Command
+    started: Started, own_folder: Path, command: Command
 ) -> None:
     file = own_folder / "try.ready"
-    process = begun(trying, "--no-page", "--json", "--ready-file", str(file))
+    process = started(*TRY, "--no-page", "--json", "--ready-file", str(file))
     ready = json.loads(process.wait_for('"event": "ready"'))
     assert ready["page"] is None
     assert (ready["node_id"], ready["encoder_interface"], ready["rate_hz"]) == (0x20, 0x10, 100.0)
@@ -91,8 +82,9 @@ def test_another_terminal_reads_it_and_ctrl_c_leaves_nothing(
     assert list(own_folder.iterdir()) == []
 
 
-def test_its_page_is_served(trying: list[Process], own_folder: Path) -> None:
-    process = begun(trying)
+@pytest.mark.usefixtures("multicast_bus")
+def test_its_page_is_served(started: Started, own_folder: Path) -> None:
+    process = started(*TRY)
     process.wait_for(
         r"^running node 32 \(20h\), .* at 100 Hz on udp_multicast 239\.255\..*; end with Ctrl-C$"
     )
@@ -111,11 +103,9 @@ TABLE = CorrectionTable(np.arange(64) / 64 + 0.002 * np.sin(2 * np.pi * np.arang
 
 
 @pytest.fixture
-def network(multicast_bus: can.BusABC) -> Iterator[dict[str, Any]]:
+def network(multicast_bus: can.BusABC, started: Started) -> Any:
     """What it says when it runs: its bus and the address of the page."""
-    process = Process((sys.executable, "-m", "canfb", "try", "--json"), PATIENCE_S)
-    yield json.loads(process.wait_for('"event": "ready"'))
-    process.stop()
+    return json.loads(started(*TRY, "--json").wait_for('"event": "ready"'))
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ import ast
 import re
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -88,18 +88,6 @@ def test_the_files_agree() -> None:
     assert config.simulation.drive.node_id == NETWORK.nodes["drive"].node_id
 
 
-PATIENCE_S = 120.0
-
-
-@pytest.fixture
-def started() -> Iterator[list[Process]]:
-    """Processes that are ended after the test."""
-    processes: list[Process] = []
-    yield processes
-    for process in processes:
-        process.stop()
-
-
 def written_for(words: dict[str, Any], folder: Path) -> None:
     """Both YAML files with this bus, as the page says."""
     assert "bus: {interface: udp_multicast, channel: 239.74.163.2}` into both YAML files" in PAGE
@@ -112,7 +100,10 @@ def written_for(words: dict[str, Any], folder: Path) -> None:
 
 
 def test_two_moves_and_an_alarm_between_them(
-    multicast_bus: can.BusABC, multicast_words: dict[str, Any], tmp_path: Path, started: list[Process]
+    multicast_bus: can.BusABC,
+    multicast_words: dict[str, Any],
+    tmp_path: Path,
+    started: Callable[..., Process],
 ) -> None:
     (line,) = re.findall(r"`(canfb simulate feedback.yaml --pace sync)` in place", PAGE)
     written_for(multicast_words, tmp_path)
@@ -120,13 +111,13 @@ def test_two_moves_and_an_alarm_between_them(
         FOLDER, tmp_path / "programs", ignore=shutil.ignore_patterns("*.yaml", "*.md", "__pycache__")
     )
     config = str(tmp_path / "feedback.yaml")
+    nodes = []
     for words in (["run", config], line.replace("feedback.yaml", config).split()[1:]):
-        started.append(Process((sys.executable, "-m", "canfb", *words), PATIENCE_S))
-        started[-1].wait_for("end with Ctrl-C")
+        nodes.append(started(sys.executable, "-m", "canfb", *words))
+        nodes[-1].wait_for("end with Ctrl-C")
     master = (str(tmp_path / "programs" / "master.py"), str(tmp_path / "network.yaml"), "--provoke-alarm")
-    started.append(story := Process((sys.executable, *master), PATIENCE_S))
-    story.wait()
-    assert [process.stop() for process in started][-1] == 0, "\n".join(map(str, started))
+    story = started(sys.executable, *master)
+    assert story.wait() == 0, "\n".join(map(str, [*nodes, story]))
     said = "\n".join(story.lines)
     positions = re.findall(r"position          drive (-?[0-9.]+), module (-?[0-9.]+)", said)
     for revolutions, pair in zip((1.0, -1.0), positions, strict=True):

@@ -183,10 +183,8 @@ def browser(tmp_path: Path) -> Iterator[Chromium]:
 
 
 @pytest.fixture
-def page() -> Iterator[Process]:
-    process = Process((sys.executable, "-m", "canfb", "try"), PATIENCE_S)
-    yield process
-    process.stop()
+def page(started: Callable[..., Process]) -> Process:
+    return started(sys.executable, "-m", "canfb", "try")
 
 
 def test_the_page(browser: Chromium, page: Process) -> None:

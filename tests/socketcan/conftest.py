@@ -18,7 +18,7 @@ from network import skip_unless_required
 from pace import Pace, measure
 
 from preloaded import Preloaded
-from processes import Process, executed
+from processes import Process, commands
 
 CHANNEL = "vcan0"
 NO_VCAN = f"no SocketCAN interface {CHANNEL}; run: python -m tools.vcan run -- pytest tests/socketcan"
@@ -65,22 +65,6 @@ def can_utils() -> None:
     """For tests that use candump, cansend and their like."""
     if shutil.which("candump") is None:
         skip_unless_required("no can-utils; run: apt-get install can-utils")
-
-
-@contextlib.contextmanager
-def commands(
-    patience_s: float, start: Callable[[tuple[str, ...]], Any] = executed
-) -> Iterator[Callable[..., Process]]:
-    """Starts any command; all are ended afterwards, and what they said is shown where a test fails."""
-    with contextlib.ExitStack() as stack:
-
-        def start_one(*arguments: str) -> Process:
-            one = Process(arguments, patience_s, start)
-            stack.callback(print, one)
-            stack.callback(one.stop)
-            return one
-
-        yield start_one
 
 
 @pytest.fixture(scope="session")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -79,32 +78,19 @@ def test_no_vcan_says_what_to_install(
     assert "apt-get install user-mode-linux" in told.err
 
 
-@pytest.fixture
-def command() -> Iterator[Callable[..., Process]]:
-    """Starts a command; all are ended after the test."""
-    with contextlib.ExitStack() as stack:
-
-        def start(*arguments: str) -> Process:
-            one = Process(arguments)
-            stack.callback(one.stop)
-            return one
-
-        yield start
-
-
-def test_a_process_left_behind_is_found(command: Callable[..., Process]) -> None:
-    started = command("sh", "-c", "sleep 1000 >/dev/null 2>&1 & echo ready")
-    started.wait_for("ready")
+def test_a_process_left_behind_is_found(started: Callable[..., Process]) -> None:
+    process = started("sh", "-c", "sleep 1000 >/dev/null 2>&1 & echo ready")
+    process.wait_for("ready")
     with pytest.raises(pytest.fail.Exception, match="has ended, a process that it started has not"):
-        started.stop()
+        process.stop()
 
 
-def test_a_line_that_does_not_come_fails_and_shows_what_was_said(command: Callable[..., Process]) -> None:
-    started = command("sh", "-c", "echo something; exec sleep 1000")
-    started.wait_for("something")
-    started.patience_s = 0.0
+def test_a_line_that_does_not_come_fails_and_shows_what_was_said(started: Callable[..., Process]) -> None:
+    process = started("sh", "-c", "echo something; exec sleep 1000")
+    process.wait_for("something")
+    process.patience_s = 0.0
     with pytest.raises(pytest.fail.Exception, match="something"):
-        started.wait_for("else")
-    started.patience_s = 60.0
-    started.send(signal.SIGKILL)
-    assert started.wait() == -signal.SIGKILL
+        process.wait_for("else")
+    process.patience_s = 60.0
+    process.send(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
