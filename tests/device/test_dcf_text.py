@@ -93,20 +93,15 @@ def test_a_bit_rate_that_is_not_known_is_left_out(path: Path) -> None:
 
 
 def test_values_are_written_as_the_eds_writes_its_defaults(path: Path) -> None:
-    dcf = written(path, {(0x1005, 0): 0x90, (0x2A00, 2): -2, (0x2A00, 3): 255, (0x2A01, 0): 7})
+    values = {(0x1005, 0): 0x90, (0x2A00, 2): -2, (0x2A00, 3): 255, (0x2A01, 0): 7}
+    dcf = written(path, values | {(0x2A02, 0): b"\x01\xab", (0x2A03, 0): "left", (0x2A04, 0): True})
     assert dcf["1005"]["ParameterValue"] == "0x00000090"
     assert dcf["2A00sub2"]["ParameterValue"] == "-2"
     assert dcf["2A00sub3"]["ParameterValue"] == "0x00FF"
     assert dcf["2A01"]["ParameterValue"] == "7"
+    assert [dcf[name]["ParameterValue"] for name in ("2A02", "2A03", "2A04")] == ["01AB", "left", "1"]
     assert "ParameterValue" not in dcf["2A00sub1"]
     assert dcf["2A00sub2"]["DefaultValue"] == "0x0010"
-
-
-def test_bytes_texts_and_flags(path: Path) -> None:
-    dcf = written(path, {(0x2A02, 0): b"\x01\xab", (0x2A03, 0): "left", (0x2A04, 0): True})
-    assert dcf["2A02"]["ParameterValue"] == "01AB"
-    assert dcf["2A03"]["ParameterValue"] == "left"
-    assert dcf["2A04"]["ParameterValue"] == "1"
 
 
 def test_what_has_a_value_or_a_file_may_be_loaded(path: Path) -> None:

@@ -261,17 +261,6 @@ def test_wrong_arguments(bench: Bench) -> None:
         bench.node.emergency(EmergencyCode.NO_ERROR, 0, now=0.0)
 
 
-def test_what_waits_does_not_survive_a_reset(bench: Bench) -> None:
-    bench.write(0x1015, 0, 10000, 2)
-    bench.node.emergency(SENSOR, 0x20, now=0.0)
-    bench.node.emergency(DATA_SET, 0x20, now=0.0)
-    bench.run(0.0)
-    assert bench.nmt(129) == ["720#00"]
-    assert bench.run(10.0) == []
-    bench.node.emergency(SENSOR, 0x20, now=bench.now)
-    assert len(sent(bench)) == 1
-
-
 def test_an_active_error_is_told_again_if_its_details_have_changed(bench: Bench) -> None:
     for detail, again in ((b"\x01", False), (b"\x02", False), (b"\x03", True)):
         bench.node.emergency(SENSOR, 0x20, detail, now=0.0, again=again)

@@ -106,17 +106,6 @@ def test_the_window_for_rpdos(sample_path: Path, steps: list[tuple[int, Any]]) -
     assert bench.node.counters.late_rpdos == late
 
 
-def test_an_error_of_length_ends_with_a_reset(bench: Bench) -> None:
-    bench.operational()
-    assert bench.sync(1) == ["0A0#4082110100000000"]
-    assert bench.sync(2) == []
-    assert bench.node.counters.malformed_frames == 2
-    bench.nmt(130)
-    bench.operational()
-    assert bench.sync() == ["2A0#00000000"]
-    assert len(bench.sync(1)) == 1
-
-
 # TIME
 
 
