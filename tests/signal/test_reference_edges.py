@@ -7,12 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from supervision_kit import at, flags
 
 from canfb.objects import LossCause
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COASTING, LOST, VALID
 from canfb.signal.tracker import Track
@@ -55,28 +51,6 @@ def test_a_pulse_between_two_samples_is_where_the_machine_was(
     pulse = pulse_between(tracks[0], tracks[1], place, 100.0, elapsed, acceleration)
     assert pulse.cycles + pulse.phase == pytest.approx(position(place * elapsed), abs=1e-9)
     assert pulse.time == pytest.approx(100.0 - elapsed * (1.0 - place))
-
-
-class Turned:
-    """A machine at rest whose coarse track can be turned away."""
-
-    def __init__(self, n: int = N, limit: float = 0.125) -> None:
-        self.chain = SignalChain(ChainConfig(cycles_per_revolution=n, coarse_limit_revolutions=limit))
-        for _ in range(40):
-            got = self.step()
-        assert flags(got) == VALID
-
-    def step(self, away: float = 0.0) -> Feedback:
-        angle = 2 * math.pi * (0.3 + away)
-        return self.chain.step(
-            at(0.25, coarse_sine=1500 * math.sin(angle), coarse_cosine=1500 * math.cos(angle))
-        )
-
-    def until_valid(self) -> None:
-        for _ in range(100):
-            if self.step().valid:
-                return
-        raise AssertionError("not valid any more")
 
 
 class Noted:

@@ -43,9 +43,15 @@ PAIR = struct.Struct("<hh")
 Work = Callable[[], object]
 
 
-def seconds(make: Callable[[], Work], loops: int) -> float:
+def warm(make: Callable[[], Any]) -> Any:
     work = make()
-    work()  # warm up
+    for _ in range(4):  # until the warning of a start in motion is over
+        work()
+    return work
+
+
+def seconds(make: Callable[[], Work], loops: int) -> float:
+    work = warm(make)
     started = time.process_time()
     for _ in range(loops):
         work()
@@ -54,8 +60,7 @@ def seconds(make: Callable[[], Work], loops: int) -> float:
 
 def seconds_slept(make: Callable[[], Any], loops: int) -> float:
     """The same, with a sleep of one interval before each cycle, when all caches hold something else."""
-    run = make()
-    run()
+    run = warm(make)
     spent = 0.0
     for sample in run.samples * loops:
         time.sleep(INTERVAL_S)
