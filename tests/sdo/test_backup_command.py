@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from canfb.signal.correction import Correction, CorrectionTable
 from commissioning_kit import MODULE_ID, OTHER, TABLE, Bench
 from documentation import blocks, commands, page
 from drawing import examples
-from node_commands import ANSWER, REQUEST, Commands, between, interrupt, is_write, place_of, refuse_once
+from node_commands import ANSWER, Commands, between, interrupt, is_write, place_of, refuse_once
 
 NODE = hex(MODULE_ID)
 CHANGED: dict[tuple[int, int], tuple[str, float]] = {
@@ -139,29 +140,35 @@ def test_dry_run_writes_nothing(canfb: Commands, file: Path) -> None:
     assert "nothing was written" in out
 
 
-def test_a_value_that_is_taken_and_not_kept_is_found_by_reading(canfb: Commands, file: Path) -> None:
+def swallow(bench: Bench) -> None:
+    """A value is taken, and not kept."""
+
+    def taken(frame: Frame) -> list[Frame] | None:
+        is_meant = is_write(frame) and place_of(frame) == (0x2010, 3)
+        return [Frame(ANSWER, b"\x60" + frame.data[1:4] + bytes(4))] if is_meant else None
+
+    between(bench, taken)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code", "words"),
+    [
+        (swallow, 1, "not as written: 2010:03 is 3, not 9; the parameters"),
+        (lambda bench: interrupt(bench, 600), 130, "canfb: interrupted; the node is as it was\n"),
+        (lambda bench: refuse_once(bench, (0x1801, 1)), 1, "writing 1801:01 is refused"),
+    ],
+)
+def test_a_restore_that_fails_brings_back_what_was(
+    canfb: Commands, file: Path, spoil: Callable[[Bench], object], code: int, words: str
+) -> None:
+    """And puts nothing in force that waited."""
     bench = module()
-    before = values(bench)
-
-    def swallow(frame: Frame) -> list[Frame] | None:
-        if is_write(frame) and place_of(frame) == (0x2010, 3):
-            return [Frame(ANSWER, b"\x60" + frame.data[1:4] + bytes(4))]
-        return None
-
-    between(bench, swallow)
-    _, err = canfb(bench, "backup", "restore", file, code=1)
-    assert "not as written: 2010:03 is 3, not 9; the parameters" in err
-    assert values(bench) == before
-
-
-def test_an_interruption_brings_back_what_was(canfb: Commands, file: Path) -> None:
-    bench = module()
-    before = values(bench)
-    interrupt(bench, 600)
-    _, err = canfb(bench, "backup", "restore", file, code=130)
-    assert any(is_write(frame) for frame in bench.master.sent[:599] if frame.can_id == REQUEST)
-    assert err == "canfb: interrupted; the node is as it was\n"
-    assert values(bench) == before
+    put_in_force(bench.access, Correction(OTHER, Conditioning(sine_gain=1.25)))
+    before, used = values(bench), bench.module.chain.correction
+    bench.access.write(0x2002, 3, "f", 2.0)
+    spoil(bench)
+    assert words in canfb(bench, "backup", "restore", file, code=code)[1]
+    assert (values(bench), bench.module.chain.correction) == (before, used)
 
 
 def test_a_machine_that_runs_is_left_alone(canfb: Commands, file: Path) -> None:
@@ -266,16 +273,6 @@ def test_a_backup_between_upload_and_activation_has_the_set_in_force(canfb: Comm
     canfb(spare, "backup", "restore", path)
     assert spare.module.chain.correction == before
     assert spare.access.read(0x2002, 1, "f") == before.conditioning.sine_offset_counts
-
-
-def test_a_restore_that_fails_puts_nothing_in_force_that_waited(canfb: Commands, file: Path) -> None:
-    bench = module()
-    put_in_force(bench.access, Correction(OTHER, Conditioning(sine_gain=1.25)))
-    before = bench.module.chain.correction
-    bench.access.write(0x2002, 3, "f", 2.0)
-    assert refuse_once(bench, (0x1801, 1), 1) is not None
-    canfb(bench, "backup", "restore", file, code=1)
-    assert bench.module.chain.correction == before
 
 
 def test_an_activation_while_the_backup_is_read(canfb: Commands, tmp_path: Path) -> None:
