@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from canfb.cli.main import main
+from commands import Command
 
 MODULES = "modules: [{node_id: 32}, {node_id: 33, encoder_interface: 17}]\n"
 FILES = {
@@ -249,16 +248,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     + [(line, 1, words) for line, words in FAILURES.items()],
 )
 def test_one_line_says_what_is_wrong(
-    line: str,
-    code: int,
-    words: str,
-    files: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    line: str, code: int, words: str, files: Path, monkeypatch: pytest.MonkeyPatch, command: Command
 ) -> None:
     monkeypatch.chdir(files)
-    assert main(shlex.split(line)) == code
-    out, err = capfd.readouterr()
+    out, err = command(line, code=code)
     assert out == ""
     *steps, said = err.splitlines()
     assert all(step.startswith("... ") for step in steps)

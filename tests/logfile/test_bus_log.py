@@ -10,10 +10,10 @@ from typing import Any
 import can
 import pytest
 
-from canfb.cli.main import main
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
 from canfb.logfile.log_files import BusLog
+from commands import Command
 from fake_bus import FakeBus, FakeClock, message
 
 EPOCH_S = 1_700_000_000.0
@@ -109,10 +109,7 @@ def test_what_cannot_be_is_one_line(tmp_path: Path, name: str, options: dict[str
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_the_command_cleanly(
-    tmp_path: Path,
-    number: signal.Signals,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, number: signal.Signals, monkeypatch: pytest.MonkeyPatch, command: Command
 ) -> None:
     write = BusLog.write
 
@@ -124,7 +121,6 @@ def test_a_signal_ends_the_command_cleanly(
     with can.Bus(interface="virtual", channel="recorded") as bus:
         monkeypatch.setattr(Readiness, "ready", lambda readiness: bus.send(message(0x123, b"\1")))
         path = tmp_path / "bus.log"
-        assert main(["log", "record", str(path), "-i", "virtual", "-c", "recorded"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "1 frames"
+        assert command("log record -i virtual -c recorded", path).lines[-1] == "1 frames"
     (read,) = can.LogReader(path)
     assert (read.arbitration_id, bytes(read.data)) == (0x123, b"\1")

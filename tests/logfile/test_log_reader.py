@@ -96,6 +96,7 @@ def trc_line(at: float, can_id: int, data: bytes) -> str:
 ASC = "date Tue Nov 14 22:13:20.000 2023\nbase hex  timestamps absolute\n"
 TRC = ";$FILEVERSION=2.1\n;$STARTTIME=45244.9\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n"
 Lines = list[str]
+Costs = tuple[int, int, int]
 
 
 def inserted(text: str) -> Callable[[Lines], Lines]:
@@ -107,53 +108,41 @@ def two_cut_off(length: int) -> Callable[[Lines], Lines]:
 
 
 # suffix, header, what is done to the lines, frames that are missing, damaged and empty lines
-ODD: list[tuple[str, str, Callable[[Lines], Lines], int, int, int]] = [
-    (".log", "# machine on\n", inserted("\n"), 0, 0, 2),
-    (".log", "", lambda lines: [*lines[:5], lines[5][:24] + "\n", *lines[6:]], 1, 1, 0),
-    (".log", "", lambda lines: [*lines[:-1], lines[-1][:-3]], 1, 1, 0),
-    (".log", "", lambda lines: [*lines[:-1], lines[-1].rstrip("\n")], 0, 0, 0),
-    (".log", "", inserted("garbage \0\n(x) can0 080#\n(1.0) can0 080#1\n(1.0) can0 19\n"), 0, 4, 0),
-    (".asc", ASC.replace("Nov", "M\xe4r"), inserted("// K\xfchlung 20 \xb0C\n\n"), 0, 0, 0),
-    (".asc", "\ufeff// Vector\n\nbase hex\n", lambda lines: lines, 0, 0, 0),
-    (".asc", ASC, inserted("   0.000000 CANFD Start of measurement\n0.1 1 Statistic: D 0 R 0\n"), 0, 0, 0),
-    (".asc", ASC, two_cut_off(20), 2, 2, 0),
-    (".asc", ASC, lambda lines: [*lines[:-1], lines[-1][:-2]], 1, 1, 0),
-    (".asc", ASC, inserted("   0.000100 1  Speed   Rx   d 1 00\n"), 0, 1, 0),
-    (".trc", TRC + "; Pr\xfcfstand\n\n", inserted("; \xb5\n"), 0, 0, 0),
-    (".trc", TRC.replace("45244.9", "45244,9"), inserted("      7      5.000 ST  1 Rx 00 00\n"), 0, 0, 0),
-    (".trc", TRC, two_cut_off(24), 2, 2, 0),
+ODD: list[tuple[str, str, Callable[[Lines], Lines], Costs]] = [
+    (".log", "# machine on\n", inserted("\n"), (0, 0, 2)),
+    (".log", "", lambda lines: [*lines[:5], lines[5][:24] + "\n", *lines[6:]], (1, 1, 0)),
+    (".log", "", lambda lines: [*lines[:-1], lines[-1][:-3]], (1, 1, 0)),
+    (".log", "", lambda lines: [*lines[:-1], lines[-1].rstrip("\n")], (0, 0, 0)),
+    (".log", "", inserted("garbage \0\n(x) can0 080#\n(1.0) can0 080#1\n(1.0) can0 19\n"), (0, 4, 0)),
+    (".asc", ASC.replace("Nov", "M\xe4r"), inserted("// K\xfchlung 20 \xb0C\n\n"), (0, 0, 0)),
+    (".asc", "\ufeff// Vector\n\nbase hex\n", lambda lines: lines, (0, 0, 0)),
+    (".asc", ASC, inserted("   0.000000 CANFD Start of measurement\n0.1 1 Statistic: D 0 R 0\n"), (0, 0, 0)),
+    (".asc", ASC, two_cut_off(20), (2, 2, 0)),
+    (".asc", ASC, lambda lines: [*lines[:-1], lines[-1][:-2]], (1, 1, 0)),
+    (".asc", ASC, inserted("   0.000100 1  Speed   Rx   d 1 00\n"), (0, 1, 0)),
+    (".trc", TRC + "; Pr\xfcfstand\n\n", inserted("; \xb5\n"), (0, 0, 0)),
+    (".trc", TRC.replace("45244.9", "45244,9"), inserted("      7      5.000 ST  1 Rx 00 00\n"), (0, 0, 0)),
+    (".trc", TRC, two_cut_off(24), (2, 2, 0)),
 ]
 
 
-@pytest.mark.parametrize(("suffix", "head", "change", "missing", "damaged", "empty"), ODD)
+@pytest.mark.parametrize(("suffix", "head", "change", "costs"), ODD)
 @pytest.mark.parametrize("zipped", [False, True])
 def test_odd_lines_cost_themselves(
-    tmp_path: Path,
-    suffix: str,
-    head: str,
-    change: Callable[[Lines], Lines],
-    missing: int,
-    damaged: int,
-    empty: int,
-    zipped: bool,
+    tmp_path: Path, suffix: str, head: str, change: Callable[[Lines], Lines], costs: Costs, zipped: bool
 ) -> None:
     line = {".log": candump_line, ".asc": asc_line, ".trc": trc_line}[suffix]
-    content = (head + "".join(change([line(*one) for one in frames_of(20)]))).encode(
-        "utf-8" if "\ufeff" in head else "cp1252"
-    )
+    text = head + "".join(change([line(*one) for one in frames_of(20)]))
+    content = text.encode("utf-8" if "\ufeff" in head else "cp1252")
     path = tmp_path / f"a{suffix}{'.gz' * zipped}"
     path.write_bytes(gzip.compress(content) if zipped else content)
     log = BusLogFile(path)
-    frames = list(log)
+    frames, counters = list(log), log.counters
     assert log.trouble is None
-    assert (20 - len(frames), log.counters.damaged_lines, log.counters.empty_lines) == (
-        missing,
-        damaged,
-        empty,
-    )
+    assert (20 - len(frames), counters.damaged_lines, counters.empty_lines) == costs
     expected = {(can_id, data) for _, can_id, data in frames_of(20)}
     assert {(frame.can_id, frame.data) for frame in frames} <= expected
-    assert (log.counters.first_damaged_line > 0) == (damaged > 0)
+    assert (counters.first_damaged_line > 0) == (counters.damaged_lines > 0)
 
 
 def test_asc_with_the_time_since_the_event_before_and_decimal_numbers(tmp_path: Path) -> None:
