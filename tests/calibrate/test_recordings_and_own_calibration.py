@@ -89,8 +89,14 @@ def test_the_rate_of_a_recording_that_does_not_say_it(monkeypatch: pytest.Monkey
     assert record(bench.access, 0.5, 990.0, lambda part: None).rate_hz == 990.0
 
 
-def test_the_module_measures_by_itself(figures_of: Any, tmp_path: Path) -> None:
+def test_the_module_measures_by_itself_and_tells_its_drift(
+    figures_of: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bench = with_calculator(Bench())
+    assert calibrate(bench, "--source", "module", "--dry-run") == 0
+    assert "dry run" in capsys.readouterr().out
+    assert read_active(bench.access) == NO_CORRECTION
+    assert bench.access.integer(0x2030, 2, "B") == 0, "dropped"
     figures = figures_of(bench, "--source", "module", "--out", str(tmp_path))
     active = read_active(bench.access)
     assert figures["crc32"] == f"{active.crc32:08X}" != "00000000"
@@ -100,20 +106,6 @@ def test_the_module_measures_by_itself(figures_of: Any, tmp_path: Path) -> None:
     assert "Accepted." in (tmp_path / "report.html").read_text()
     rms = bench.access.read(0x2030, 5, "f")
     assert figures["residual_rms_cycles"] == pytest.approx(rms, rel=0.1)
-
-
-def test_a_dry_run_of_it_drops_what_the_module_measured(capsys: pytest.CaptureFixture[str]) -> None:
-    bench = with_calculator(Bench())
-    assert calibrate(bench, "--source", "module", "--dry-run") == 0
-    assert "dry run" in capsys.readouterr().out
-    assert read_active(bench.access) == NO_CORRECTION
-    assert bench.access.integer(0x2030, 2, "B") == 0
-
-
-def test_the_module_tells_its_drift(figures_of: Any) -> None:
-    bench = with_calculator(Bench())
-    calibrate(bench, "--source", "module")
-    active = read_active(bench.access)
     bench.source.change = lambda counts: (counts[0] + 12, counts[1])
     figures = figures_of(bench, "--source", "module", "--check")
     want = 12 / bench.encoder.amplitude_counts / (2 * np.pi * np.sqrt(2))

@@ -113,10 +113,15 @@ def scanned(bench: Bench, seconds: float = 0.3) -> dict[int, FoundNode]:
     return {one.node_id: one for one in scan(EmbeddedMaster(bench.bus), seconds)}
 
 
-def test_all_nodes_with_state_and_identity() -> None:
+def test_all_nodes_with_state_and_identity_and_nothing_is_written() -> None:
     bench = Bench(sync=False)
     bench.module.receive(Frame(0x000, bytes((0x80, MODULE_ID))), 0.0)
+    frames = heard(bench)
     found = scanned(bench)
+    requests = [frame for frame in frames if 0x600 <= frame.can_id < 0x680]
+    assert len({frame.can_id for frame in requests}) == 127
+    assert all(frame.data[0] in (0x40, 0x60, 0x70) for frame in requests), "uploads only"
+    assert not any(frame.can_id == 0 for frame in frames)
     assert sorted(found) == [INTERFACE_ID, MODULE_ID]
     module, interface = found[MODULE_ID], found[INTERFACE_ID]
     assert (module.state, interface.state) == ("PRE-OPERATIONAL", "OPERATIONAL")
@@ -145,16 +150,6 @@ def test_a_node_that_a_master_guards_is_not_asked_for_its_state() -> None:
     assert found[MODULE_ID].state is None
     assert "state not known" in found[MODULE_ID].line()
     assert [frame.can_id for frame in frames if frame.rtr] == [0x700 + INTERFACE_ID]
-
-
-def test_nothing_is_written_and_no_state_changes() -> None:
-    bench = Bench(sync=False)
-    frames = heard(bench)
-    scanned(bench)
-    requests = [frame for frame in frames if 0x600 <= frame.can_id < 0x680]
-    assert len({frame.can_id for frame in requests}) == 127
-    assert all(frame.data[0] in (0x40, 0x60, 0x70) for frame in requests), "uploads only"
-    assert not any(frame.can_id == 0 for frame in frames)
 
 
 def test_the_command(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:

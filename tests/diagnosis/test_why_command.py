@@ -53,8 +53,8 @@ def test_a_module_that_has_lost_nothing(canfb: Commands) -> None:
 
 
 def test_an_interface_that_was_silent(canfb: Commands) -> None:
-    out, _ = canfb(silent(turning(), 0.05), "why", NODE)
-    lines = out.splitlines()
+    bench = silent(turning(), 0.05)
+    lines = canfb(bench, "why", NODE).lines
     assert lines[0].startswith("module 32 (20h): position lost")
     assert " s ago: more samples in a row were bad or missing than 2010:03 allows" in lines[2]
     assert lines[3] == "  4 samples in a row missed or bad (sample missed); 2010:03 bridges 3"
@@ -66,10 +66,7 @@ def test_an_interface_that_was_silent(canfb: Commands) -> None:
     kept = lines[lines.index("what would have kept it") + 1 :]
     assert kept[0] == "  2010:03 bridges 3 samples, 3 ms: a larger value bridges a longer fault"
     assert kept[1].startswith("  2010:02 is 0, not declared")
-
-
-def test_the_same_for_programs(canfb: Commands) -> None:
-    figures = canfb(silent(turning(), 0.05), "why", NODE, "--json").json
+    figures = canfb(bench, "why", NODE, "--json").json
     assert figures["position"] == "lost"
     assert figures["last_loss"]["cause"] == "coasted"
     assert figures["last_loss"]["bad_samples"] == 4
