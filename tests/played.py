@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 
 from canfb.cia301.frame import Frame
@@ -10,9 +11,9 @@ from canfb.sources.protocol import SourceEnded
 
 
 class Listed:
-    """A source of samples or pairs of counts, None for a lost one; ``taken`` is how often it was asked."""
+    """A source of samples, pairs of counts, None (a lost one), errors; it was asked ``taken`` times."""
 
-    def __init__(self, samples: Iterable[Sample | tuple[int, int] | None]) -> None:
+    def __init__(self, samples: Iterable[Sample | tuple[int, int] | Exception | None]) -> None:
         self._samples = iter(samples)
         self.taken = 0
 
@@ -22,7 +23,14 @@ class Listed:
             sample = next(self._samples)
         except StopIteration:
             raise SourceEnded from None
+        if isinstance(sample, Exception):
+            raise sample
         return sample if sample is None or isinstance(sample, Sample) else Sample(*sample)
+
+
+def repeated(*samples: Sample | tuple[int, int] | Exception | None) -> Listed:
+    """A source whose last sample comes again and again."""
+    return Listed(itertools.chain(samples, itertools.repeat(samples[-1])))
 
 
 class Still:

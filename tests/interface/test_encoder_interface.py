@@ -14,15 +14,13 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_instants import SampleClock
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from canfb.simulation.motion import Motion, MotionSource
 from canfb.sources.protocol import Source
 from drawing import examples
 from folding import each
-from played import Listed
+from played import Listed, repeated
 
 NODE, TPDO1 = 16, 0x190
 SYNC = Frame(0x80, b"")
@@ -153,31 +151,17 @@ def test_no_answer_to_a_remote_frame_unless_the_master_allows_it() -> None:
     assert interface.receive(remote, 0.0) == [adc(7, 8)]
 
 
-class Failing:
-    """A source that fails as long as it is told to."""
-
-    def __init__(self) -> None:
-        self.fails = True
-
-    def next(self) -> Sample:
-        if self.fails:
-            raise OSError(5, "Input/output error")
-        return Sample(1, 2)
-
-
 def test_a_source_that_fails_is_one_emcy_until_it_has_worked_for_a_second() -> None:
-    source = Failing()
+    broken = OSError(5, "Input/output error")
     told: list[str] = []
-    interface = operational(source)
+    interface = operational(Listed([*[broken] * 3, (1, 2), (1, 2), *[broken] * 2]))
     interface.on_source = told.append
     emcy = Frame(0x80 + NODE, struct.pack("<HB5x", 0x5000, 1))
     assert [interface.receive(SYNC, 0.01 * n) for n in range(3)] == [[emcy], [], []]
-    source.fails = False
     assert interface.receive(SYNC, 0.5) == [adc(1, 2)]
     assert interface.receive(SYNC, 1.5) == [Frame(0x80 + NODE, bytes(8)), adc(1, 2)]
     assert told == ["the source fails: [Errno 5] Input/output error", "the source works again"]
     assert (interface.samples, interface.missed) == (2, 3)
-    source.fails = True
     assert interface.receive(SYNC, 1.6) == [emcy]
     interface.receive(nmt(RESET_COMMUNICATION), 1.7)
     assert interface.receive(SYNC, 1.8) == [emcy], "a failure that persists, after a reset"
@@ -188,7 +172,7 @@ FULL = Sample(1, -2, coarse_sine=3, coarse_cosine=-4, zero_pulse=0.25)
 
 def running(*samples: Sample | None, **words: Any) -> EncoderInterface:
     """It plays these samples, the last one again and again; None is a sample lost."""
-    return operational(Listed(itertools.chain(samples, itertools.repeat(samples[-1]))), **words)
+    return operational(repeated(*samples), **words)
 
 
 def with_tpdo2(interface: EncoderInterface) -> EncoderInterface:
@@ -235,37 +219,6 @@ def test_tpdo2_holds_coarse_track_flags_and_zero_pulse() -> None:
     assert fields[0] == (3, -4, 1, 16384)
     assert fields[1][2] == 2, "no pulse in this one, and the interface itself calls it bad"
     assert fields[2] == (3, -4, 1, 65535)
-
-
-@pytest.mark.parametrize("times", [False, True])
-def test_the_module_takes_what_the_interface_sends(times: bool) -> None:
-    interface = running(Sample(1200, 900), times=times)
-    module = FeedbackModule(
-        ModuleConfig(node_id=32, encoder_interface=NODE, times=times, autostart=True, adc_bits=12)
-    )
-    module.start(0.0)
-    entry = module.dictionary.entry
-    for n in range(1, 4):
-        now = 0.001 * n
-        module.receive(SYNC, now)
-        for frame in interface.receive(SYNC, now):
-            assert len(frame.data) == (8 if times else 4)
-            module.receive(frame, now)
-    assert (entry(0x2000, 1).value, entry(0x2000, 2).value) == (1200, 900)
-    assert entry(0x2000, 5).value == (30_000 if times else 0)
-    assert entry(0x2012, 8).value == 0
-    assert module.feedback is not None
-    assert module.feedback.valid
-    assert entry(0x1600, 0).value == (3 if times else 2)
-
-
-def test_times_are_a_matter_of_the_default_a_master_may_write_another_mapping() -> None:
-    module = FeedbackModule(ModuleConfig(node_id=32, times=True))
-    module.start(0.0)
-    for data in (b"\x23\x00\x14\x01\x90\x01\x00\x80", b"\x2f\x00\x16\x00\x00", b"\x2f\x00\x16\x00\x02"):
-        (answer,) = module.receive(Frame(0x620, data.ljust(8, b"\0")), 0.0)
-        assert answer.data[0] == 0x60
-    assert module.dictionary.entry(0x1600, 0).value == 2
 
 
 WRAP = 1 << 32

@@ -15,8 +15,7 @@ from typing import Any
 
 import can
 import pytest
-from emulated_iiod import EmulatedAdc, EmulatedIiod
-from iio_kit import LIMIT_S, iio_source
+from emulated_iiod import LIMIT_S, EmulatedAdc, EmulatedIiod, iio_source
 
 from canfb.errors import BusError
 from canfb.hosting.captured_source import CapturedSource

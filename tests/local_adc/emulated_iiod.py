@@ -1,7 +1,8 @@
-"""An IIOD network server with an emulated ADC, for the real libiio: the text protocol of libiio 0.x.
+"""An IIOD network server with an emulated ADC, for the real libiio, and what tests with it need.
 
-A connection gives commands, one a line. The answer to a command is a number, a line of its own: 0, a length,
-or the negative errno. `READBUF` answers with the length, the mask of the channels and the data.
+The text protocol of libiio 0.x: a connection gives commands, one a line. The answer to a command is a
+number, a line of its own: 0, a length, or the negative errno. `READBUF` answers with the length, the mask of
+the channels and the data.
 """
 
 from __future__ import annotations
@@ -13,9 +14,21 @@ import re
 import socket
 import socketserver
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from canfb.hosting.captured_source import REOPEN_S, CapturedSource
+from canfb.signal.sample import Sample
+from canfb.simulation.encoder import Encoder
+from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.scenario import SimulationConfig
+from canfb.sources.iio_source import IioSourceConfig
+from canfb.sources.protocol import Surroundings
 
 FORMAT = re.compile(r"(le|be):([sSuU])(\d+)/(\d+)(?:X(\d+))?>>(\d+)")
 TIMESTAMP = "timestamp"
@@ -288,3 +301,69 @@ class _Connection(socketserver.StreamRequestHandler):
         number = int(trigger.removeprefix("trigger")) if trigger else -1
         self.server.adc.trigger = list(self.server.adc.triggers)[number] if trigger else None
         self.answer(0)
+
+
+LIMIT_S = 60.0  # for what takes milliseconds, or a second
+
+
+def until(happened: Callable[[], bool], what: str) -> None:
+    """Wait for what another thread does."""
+    end = time.monotonic() + LIMIT_S
+    while not happened():
+        assert time.monotonic() < end, f"not {what} within {LIMIT_S:g} s"
+        time.sleep(0.001)
+
+
+def iio_source(config: IioSourceConfig, reopen_s: float = REOPEN_S) -> CapturedSource:
+    """The source of this configuration; what opens it closes it."""
+    with contextlib.ExitStack() as resources:
+        source = config.open(
+            Surroundings(12, 2500, SimulationConfig, partial(CapturedSource, reopen_s=reopen_s), resources)
+        )
+    assert isinstance(source, CapturedSource)
+    return source
+
+
+def reading(sine: int, cosine: int, time_ns: int = 0) -> dict[str, int]:
+    return {"voltage0": sine, "voltage1": cosine, "voltage2": 77, "timestamp": time_ns}
+
+
+def deliver(server: EmulatedIiod, source: CapturedSource, *scans: dict[str, int]) -> None:
+    """Scans that have come before the next SYNC."""
+    wanted = source.scans + len(scans)
+    server.deliver(*scans)
+    until(lambda: source.scans == wanted, "delivered")
+
+
+class Machine:
+    """An encoder on a machine that is scanned at even times; where it was at each scan, in cycles."""
+
+    def __init__(self, scan_s: float, *ramps: Ramp) -> None:
+        self.scan_s = scan_s
+        self.truth_cycles: list[float] = []
+        self._motion, self._encoder = Motion(ramps), Encoder(noise_lsb=0.5)
+        self._rng = np.random.default_rng(11)
+
+    def scan(self) -> dict[str, int]:
+        """The next one."""
+        time_s = len(self.truth_cycles) * self.scan_s
+        self.truth_cycles.append(self._motion.revolutions(time_s) * 2500)
+        sine, cosine = self._encoder.sample(self.truth_cycles[-1], self._rng)
+        return reading(int(sine) + 2048, int(cosine) + 2048, round(time_s * 1e9))
+
+    def scans_until(self, until_s: float) -> list[dict[str, int]]:
+        """Those that are due."""
+        found = []
+        while len(self.truth_cycles) * self.scan_s <= until_s:
+            found.append(self.scan())
+        return found
+
+
+def sample(sine: int, cosine: int, time_100ns: int | None) -> Sample:
+    return Sample(sine, cosine, time_100ns=time_100ns)
+
+
+def fired_by_sync(server: EmulatedIiod) -> str:
+    """The source of a configuration: an ADC that samples when its trigger is fired."""
+    place = f"uri: 'ip:127.0.0.1:{server.port}', device: ads7950"
+    return f"{{kind: iio, {place}, trigger: sysfstrig7, wait_us: 1000000}}"

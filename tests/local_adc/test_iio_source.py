@@ -9,8 +9,18 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from emulated_iiod import Channel, EmulatedAdc, EmulatedIiod, time_stamp, voltage
-from iio_kit import deliver, iio_source, reading, sample, until
+from emulated_iiod import (
+    Channel,
+    EmulatedAdc,
+    EmulatedIiod,
+    deliver,
+    iio_source,
+    reading,
+    sample,
+    time_stamp,
+    until,
+    voltage,
+)
 
 from canfb.errors import BusError, ConfigError
 from canfb.hosting.captured_source import CapturedSource

@@ -29,7 +29,9 @@ class Bench:
         self.bus = EmbeddedBus()
         self.heard: list[Frame] = []
         self.network = EmbeddedNetwork(self.bus)
-        self.module = FeedbackModule(ModuleConfig(**{"node_id": 32, **fields}), store, source=source)
+        self.module = FeedbackModule(
+            ModuleConfig(**{"node_id": 32, **fields}), store, source=source, bit_rates_kbit_s=(125, 500)
+        )
         self.remote = canopen.RemoteNode(self.module.config.node_id, str(eds_path("canfb-module")))
         self.network.add_node(self.remote)
         self.sdo = self.remote.sdo

@@ -212,9 +212,6 @@ def test_a_poor_encoder_whose_position_is_lost_is_measured_all_the_same() -> Non
     assert {status for _, status, _ in published} == {StatusBit.VALID | StatusBit.TABLE_ACTIVE}
 
 
-# --- refusals -------------------------------------------------------------------------------------------
-
-
 def recordings(rng: np.random.Generator, n: int) -> dict[str, Sequence[Counts | None]]:
     time = np.arange(float(n))
     moving = motion(0.31, n, rng)
@@ -252,9 +249,6 @@ def test_what_cannot_be_used_is_refused_with_its_reason(reason: str) -> None:
     assert (bench.state, bench.reason) == (State.RECORDING, "accepted")
 
 
-# --- commands and states ---------------------------------------------------------------------------------
-
-
 def test_the_number_of_samples_counts_from_the_next_start() -> None:
     bench = Measuring(200)
     bench.remote.nmt.state = "RESET"
@@ -287,9 +281,6 @@ def test_the_progress_covers_the_computation() -> None:
     assert bench.sdo[0x2030][3].raw == 0
 
 
-# --- beside it --------------------------------------------------------------------------------------------
-
-
 def test_what_was_accepted_can_be_saved_and_is_in_force_after_a_reset() -> None:
     store = MemoryStore()
     bench = Measuring(store=store)
@@ -303,9 +294,6 @@ def test_what_was_accepted_can_be_saved_and_is_in_force_after_a_reset() -> None:
     assert bench.in_force() == (0, result.table.crc32, len(result.table))
     assert bench.module.chain.correction.conditioning == result.conditioning
     assert bench.state == State.IDLE
-
-
-# --- samples ------------------------------------------------------------------------------------------------
 
 
 def recorded(bench: Measuring) -> tuple[CalibrationJob, list[tuple[int, int]]]:

@@ -277,6 +277,20 @@ def test_what_a_master_cannot_write_in_the_order_of_the_indices(
     assert configuration.refused_in_index_order() == refused
 
 
+def test_the_lower_amplitude_may_pass_the_upper_one_of_another_full_scale(
+    modules: tuple[FeedbackModule, FeedbackModule],
+) -> None:
+    """In the order of the sub-indices; until the upper one is written no amplitude is accepted."""
+    module = modules[0]
+    reset(module)
+    assert put(module, write(0x2001, 3, 2, 2560)) == 0x06090030
+    assert put(module, write(0x2001, 2, 2, 32768)) == 0
+    assert put(module, write(0x2001, 3, 2, 6554)) == 0
+    assert put(module, write(0x2001, 4, 2, 6554)) == 0x06090030
+    assert put(module, write(0x2001, 4, 2, 40960)) == 0
+    assert put(module, write(0x2001, 3, 2, 40960)) == 0x06090030
+
+
 def test_amplitudes_in_disorder_accept_nothing_and_are_loaded_as_they_are() -> None:
     bench = Bench()
     bench.start()

@@ -7,58 +7,44 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from module_bench import Bench
+from module_bench import SYNC, Bench
 
-import canfb
 from canfb import objects as od
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtCommand
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.events import Event, EventKind
 from canfb.objects import LossCause, StatusBit
 from ideal_tracks import counts_at, wavy_table
 
-NODE, INTERFACE = 0x20, 0x10
-PERIOD_S = 1e-3
+PERIOD_S, ADC_S = 1e-3, 2e-4
 
 
-class Machine:
+class Machine(Bench):
     """A module at 1 kHz whose samples a test may spoil."""
 
-    def __init__(self, *, detailed: bool = False, stamped: bool = True, **fields: object) -> None:
-        self.stamped = stamped
-        config = canfb.ModuleConfig(node_id=NODE, autostart=True, **fields)  # type: ignore[arg-type]
-        self.module = canfb.FeedbackModule(config, MemoryStore())
+    def __init__(self, *, detailed: bool = False, stamped: bool = True, **fields: Any) -> None:
+        super().__init__(MemoryStore(), **fields)
         self.events: list[Event] = []
         self.module.events.on_event = self.events.append
         self.module.events.detailed = detailed
-        self.now, self.cycles_s, self.times, self.off_s = 0.0, 5.0, config.times, 0.0
-        self.module.start(0.0)
+        self.stamped, self.cycles_s, self.off_s = stamped, 5.0, 0.0
+        self.start()
 
     def run(self, syncs: int, *, sample: bool = True, amplitude: float = 1500.0, jump: float = 0.0) -> None:
         for _ in range(syncs):
-            self.now += PERIOD_S
-            pair = counts_at(self.cycles_s * self.now + jump, amplitude)
-            self.give(0x080, b"", self.now)
+            self.silence(PERIOD_S - ADC_S)
+            now = self.bus.now
+            self.sent(SYNC)
+            self.silence(ADC_S)
             if sample:
+                pair = counts_at(self.cycles_s * now + jump, amplitude)
                 data = struct.pack("<hh", *(max(-2048, min(one, 2047)) for one in pair))
-                if self.times:
-                    data += struct.pack("<I", round((self.now + self.off_s) * 1e7))
-                self.give(0x180 + INTERFACE, data, self.now + 2e-4)
+                if self.module.config.times:
+                    data += struct.pack("<I", round((now + self.off_s) * 1e7))
+                self.sent(Frame(0x190, data))
 
     def silence(self, seconds: float) -> None:
-        end = self.now + seconds
-        while (due := self.module.deadline()) is not None and due <= end:
-            self.module.tick(due)
-        self.now = end
-
-    def give(self, can_id: int, data: bytes, at: float) -> None:
-        self.module.receive(Frame(can_id, data, timestamp=at if self.stamped else None), at)
-
-    def write(self, index: int, subindex: int, value: int, size: int) -> None:
-        """SDO, expedited."""
-        head = struct.pack("<BHB", 0x23 | (4 - size) << 2, index, subindex)
-        self.give(0x600 + NODE, head + value.to_bytes(4, "little"), self.now)
+        self.bus.run_until(self.bus.now + seconds)
 
     def texts(self, kind: EventKind | None = None) -> list[str]:
         return [event.text for event in self.events if kind in (None, event.kind)]
@@ -66,19 +52,17 @@ class Machine:
 
 def test_another_state_has_its_reason_unless_it_was_commanded() -> None:
     machine = Machine()
-    machine.write(0x1016, 1, 5 << 16 | 100, 4)
-    machine.give(0x705, b"\x05", machine.now)
+    machine.sdo[0x1016][1].raw = 5 << 16 | 100
+    machine.sent(Frame(0x705, b"\x05"))
     machine.silence(0.2)
-    start = struct.pack("<BB", NmtCommand.START, NODE)
-    machine.give(0x000, start, machine.now)
-    machine.module.bus_off(machine.now)
-    machine.give(0x000, start, machine.now)
-    machine.write(0x100C, 0, 100, 2)
-    machine.write(0x100D, 0, 2, 1)
-    machine.module.receive(Frame(0x700 + NODE, b"", rtr=True), machine.now)
+    machine.start()
+    machine.module.bus_off(machine.bus.now)
+    machine.start()
+    machine.sdo[0x100C].raw, machine.sdo[0x100D].raw = 100, 2
+    machine.sent(Frame(0x720, b"", rtr=True))
     machine.silence(0.5)
-    machine.give(0x000, start, machine.now)
-    machine.give(0x000, struct.pack("<BB", NmtCommand.ENTER_PRE_OPERATIONAL, NODE), machine.now)
+    machine.start()
+    machine.remote.nmt.state = "PRE-OPERATIONAL"
     assert [text for text in machine.texts(EventKind.NMT) if "boot-up" not in text] == [
         "OPERATIONAL",
         "PRE-OPERATIONAL: no heartbeat of node 5",
@@ -90,22 +74,20 @@ def test_another_state_has_its_reason_unless_it_was_commanded() -> None:
         "PRE-OPERATIONAL",
     ]
     reasons = [event.values["reason"] for event in machine.events if event.kind is EventKind.NMT]
-    assert reasons[2] == "no heartbeat of node 5"
+    assert reasons[1] == "no heartbeat of node 5"
     assert reasons[-1] is None
 
 
 def test_a_start_is_told_in_its_order() -> None:
     machine = Machine()
+    machine.events.clear()
+    machine.remote.nmt.state = "RESET"
+    machine.start()
     machine.run(200)
+    first, position = EventKind.FIRST_SAMPLE, EventKind.POSITION
     kinds = [event.kind for event in machine.events]
-    nmt, first, position, sync = (
-        EventKind.NMT,
-        EventKind.FIRST_SAMPLE,
-        EventKind.POSITION,
-        EventKind.SYNC_FOUND,
-    )
-    assert kinds == [nmt, nmt, first, position, sync], "200 SYNCs tell nothing more"
-    assert machine.texts()[:2] == ["boot-up, PRE-OPERATIONAL", "OPERATIONAL"]
+    assert kinds == [*[EventKind.NMT] * 3, first, position, EventKind.SYNC_FOUND], "200 SYNCs tell no more"
+    assert machine.texts()[:3] == ["INITIALISING", "boot-up, PRE-OPERATIONAL", "OPERATIONAL"]
     assert machine.texts(first) == ["first sample, amplitude 1500 counts"]
     assert machine.texts(position) == ["position valid"]
     assert machine.events[-1].values["rate_hz"] == pytest.approx(1000.0, rel=1e-3)
@@ -133,8 +115,9 @@ def test_a_lost_position_names_every_cause_and_how_long_it_took() -> None:
 
 
 def late(machine: Machine) -> None:
-    machine.now += 1.5 * PERIOD_S  # without a receive time this is a missed SYNC, or one that was heard late
-    machine.run(1)
+    machine.bus.now += 2.5 * PERIOD_S - ADC_S  # without a receive time one is missed, or was heard late
+    machine.sent(SYNC)
+    machine.counts(*counts_at(machine.cycles_s * machine.bus.now))
 
 
 def off_time(machine: Machine) -> None:
@@ -206,7 +189,7 @@ def test_table_and_saving_are_told() -> None:
     dictionary.entry(*od.TABLE_ACTIVATE).download(bytes(4))
     assert machine.texts(EventKind.TABLE)[-1] == "table in force: none, the identity"
     machine.events.clear()
-    machine.give(0x000, bytes((NmtCommand.RESET_NODE, NODE)), machine.now)
+    machine.remote.nmt.state = "RESET"
     assert machine.texts(EventKind.TABLE) == [f"table in force: 16 entries, CRC {table.crc32:08X}h"]
 
 

@@ -21,25 +21,11 @@ from canfb.simulation.motion import Motion, MotionSource, Ramp
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import Source, SourceError
 from ideal_tracks import counts_at
+from played import repeated
 
 PERIOD_S = 1e-3
 UNITS_PER_CYCLE = 8192  # 6501h over 2500 cycles
 RANGE_CYCLES = 209 * 2500  # 6002h
-
-
-class Played:
-    """A source that does what it is told, SYNC by SYNC; the last one for ever."""
-
-    def __init__(self, *steps: Sample | Exception | None) -> None:
-        self.steps = list(steps)
-        self.taken = 0
-
-    def next(self) -> Sample | None:
-        step = self.steps[min(self.taken, len(self.steps) - 1)]
-        self.taken += 1
-        if isinstance(step, Exception):
-            raise step
-        return step
 
 
 class Local(Bench):
@@ -94,7 +80,7 @@ FIT = "does not fit INTEGER16"
     ],
 )
 def test_a_sample_stands_in_2000h_or_is_a_failure(sample: Sample, objects: list[int] | str) -> None:
-    local = Local(Played(sample))
+    local = Local(repeated(sample))
     local.sync()
     if isinstance(objects, str):
         assert local.told == [f"the source fails: {objects}"]
@@ -106,7 +92,7 @@ def test_a_sample_stands_in_2000h_or_is_a_failure(sample: Sample, objects: list[
 
 def test_a_sample_that_is_not_there_is_missed_and_the_tracker_steps_over_it() -> None:
     steps = [None if n in (20, 21) else at(0.3 * n) for n in range(40)]
-    local = Local(Played(*steps))
+    local = Local(repeated(*steps))
     for n in range(40):
         units, status, _ = local.position(local.sync())
         assert bool(status & MISSED) == (n in (20, 21))
@@ -121,7 +107,7 @@ FAILURES: list[Exception] = [SourceError("no such device"), OSError(19, "No devi
 def test_a_source_that_fails_loses_the_position_and_says_so_once(error: Exception) -> None:
     good = at(0.1)
     local = Local(
-        Played(*[good] * 20, *[error] * 100, *(one for _ in range(50) for one in (good, error)), good)
+        repeated(*[good] * 20, *[error] * 100, *(one for _ in range(50) for one in (good, error)), good)
     )
     frames = [frame for _ in range(220) for frame in local.sync()]
     assert len(local.told) == 1
@@ -142,7 +128,7 @@ def test_sample_times_bridge_a_sync_that_came_late() -> None:
     late_s = [-1e-4, 0.0, 1e-4, 0.0, 5e-5, -5e-5, 0.0, 1e-4]
     times = [(n + 1) * PERIOD_S + late_s[n % 8] for n in range(200)]
     speed = 250.0  # cycles per second: 0.25 a sample, and 0.025 by the jitter
-    local = Local(Played(*[at(speed * time, time) for time in times]))
+    local = Local(repeated(*[at(speed * time, time) for time in times]))
     for n, time in enumerate(times):
         local.interval_s = time - local.bus.now
         units, status, residual = local.position(local.sync())
@@ -177,7 +163,7 @@ steps = st.none() | samples | st.just(SourceError("broken"))
 
 @given(st.lists(steps, min_size=1, max_size=30))
 def test_nothing_that_a_source_does_raises(played: list[Sample | Exception | None]) -> None:
-    local = Local(Played(*played))
+    local = Local(repeated(*played))
     for _ in played:
         local.sync()
     assert local.value(0x2011, 8) + local.value(0x2012, 8) == len(played)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 
 import canopen
 import canopen.lss
 import pytest
+from module_bench import Bench
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
@@ -21,60 +21,54 @@ from canfb.simulation.embedded_bus import EmbeddedBus
 from ideal_tracks import counts_at, wavy_table
 from played import Still
 
-NODE_ID, RATES = 0x20, (125, 500)
+NODE_ID, DELAY_S = 0x20, 0.05
 BOOT_UP, EMCY, POSITION, SDO, HEARTBEAT = 0x720, 0xA0, 0x1A0, 0x5A0, 0x720
-DELAY_S = 0.05
 TABLE = wavy_table()
+Timed = tuple[float, Frame]
 
 
-class Line:
+class Line(Bench):
     """The module with a heartbeat, and everything that it sends, with its time; SYNCs of 1 ms on demand."""
 
-    def __init__(self, rates: tuple[int, ...] = RATES) -> None:
-        self.module = FeedbackModule(ModuleConfig(node_id=NODE_ID), bit_rates_kbit_s=rates)
-        self.now = 0.0
-        self.heard: list[tuple[float, Frame]] = []
+    def __init__(self) -> None:
+        super().__init__()
+        self.timed: list[Timed] = []
         self.switched: list[tuple[int, float, float]] = []
         self.module.on_bit_rate = lambda *what: self.switched.append(what)
-        self._keep(self.module.start(0.0))
-        self.sdo("2B17100019000000")  # a heartbeat each 25 ms
-        self.send(0, bytes([1, NODE_ID]))
-        self._angle = 0.0
+        self.bus.observers.append(self._keep)
+        self.sdo[0x1017].raw = 25  # ms
+        self.start()
+        self.place = 0.0
 
-    def _keep(self, frames: list[Frame]) -> list[Frame]:
-        self.heard += [(self.now, frame) for frame in frames]
-        return frames
+    def _keep(self, frame: Frame, now: float) -> None:
+        if frame.can_id in (BOOT_UP, EMCY, POSITION, SDO):
+            self.timed.append((now, frame))
 
-    def send(self, can_id: int, data: bytes) -> list[Frame]:
-        return self._keep(self.module.receive(Frame(can_id, data), self.now))
-
-    def sdo(self, request: str) -> list[str]:
-        answers = self.send(0x600 + NODE_ID, bytes.fromhex(request).ljust(8, b"\x00"))
+    def asked(self, request: str) -> list[str]:
+        answers = self.sent(Frame(0x600 + NODE_ID, bytes.fromhex(request).ljust(8, b"\x00")))
         return [frame.data.hex().upper() for frame in answers if frame.can_id == SDO]
 
-    def lss(self, *data: int) -> list[Frame]:
-        return self.send(0x7E5, bytes(data).ljust(8, b"\x00"))
+    def lss(self, *data: int) -> None:
+        self.sent(Frame(0x7E5, bytes(data).ljust(8, b"\x00")))
 
-    def activate(self, delay_s: float = DELAY_S, index: int | None = 2) -> None:
+    def switch(self, delay_s: float = DELAY_S, index: int | None = 2) -> None:
         """All at once: configuration state, bit timing (2: 500 kbit/s), activate."""
         self.lss(0x04, 1)
         if index is not None:
             self.lss(0x13, 0, index)
         self.lss(0x15, *round(delay_s * 1000).to_bytes(2, "little"))
 
-    def run(self, duration_s: float, samples: bool = True) -> list[tuple[float, Frame]]:
+    def run(self, duration_s: float, samples: bool = True) -> list[Timed]:
         """Let time pass, with SYNC and sample each millisecond; what was sent."""
-        before = len(self.heard)
+        before = len(self.timed)
         for _ in range(round(duration_s * 1000)):
-            self.now = round(self.now + 1e-3, 6)
-            while (due := self.module.deadline()) is not None and due <= self.now:
-                self._keep(self.module.tick(self.now))
             if samples:
-                self._angle += 0.01
-                counts = counts_at(self._angle)
-                self.send(0x80, b"")
-                self.send(0x190, struct.pack("<hh", *counts))
-        return self.heard[before:]
+                self.place += 0.01
+                self.sync()
+                self.counts(*counts_at(self.place))
+            else:
+                self.bus.run_until(self.bus.now + 1e-3)
+        return self.timed[before:]
 
 
 @pytest.fixture
@@ -85,8 +79,8 @@ def line() -> Line:
 def test_it_is_silent_for_the_delay_before_and_after_the_switch(line: Line) -> None:
     before = line.run(0.1)
     assert {frame.can_id for _, frame in before} >= {POSITION, HEARTBEAT}
-    line.activate()
-    began = line.now
+    line.switch()
+    began = line.bus.now
     assert line.switched == [(500, DELAY_S, began)]
     after = line.run(0.2)
     first = after[0][0]
@@ -97,9 +91,9 @@ def test_it_is_silent_for_the_delay_before_and_after_the_switch(line: Line) -> N
 @pytest.mark.parametrize("index", [None, 0, 3], ids=["nothing configured", "not offered", "refused"])
 def test_a_refused_activation_makes_no_silence(line: Line, index: int | None) -> None:
     line.run(0.02)
-    line.activate(index=index)
+    line.switch(index=index)
     assert line.switched == []
-    assert line.sdo("4000100000000000") == ["4300100096010400"]
+    assert line.asked("4000100000000000") == ["4300100096010400"]
     assert len([frame for _, frame in line.run(0.02) if frame.can_id == POSITION]) == 20
 
 
@@ -115,23 +109,23 @@ def segments(data: bytes) -> Iterator[str]:
 
 def test_a_table_upload_that_falls_into_it_is_given_up(line: Line) -> None:
     requests = list(segments(TABLE.to_bytes()))
-    assert all(line.sdo(request) for request in requests[:10])
-    line.activate()
-    assert line.sdo(requests[10]) == []  # the client sees no answer ...
+    assert all(line.asked(request) for request in requests[:10])
+    line.switch()
+    assert line.asked(requests[10]) == []  # the client sees no answer ...
     line.run(2 * DELAY_S + 1e-3, samples=False)
-    (abort,) = line.sdo(requests[10])
+    (abort,) = line.asked(requests[10])
     assert (abort[:2], abort[8:]) == ("80", "01000405")  # ... and a late segment 05040001h
     assert line.module.dictionary.entry(0x2020, 2).value == 0
-    assert all(line.sdo(request) for request in requests)  # the next try works
+    assert all(line.asked(request) for request in requests)  # the next try works
     assert line.module.dictionary.entry(0x2020, 2).value == TABLE.crc32
 
 
 def test_a_boot_up_and_an_emergency_that_fall_into_it_follow(line: Line) -> None:
     line.run(0.05)
-    line.activate()
-    assert line.send(0, bytes([130, NODE_ID])) == []
+    line.switch()
+    assert line.sent(Frame(0, bytes([130, NODE_ID]))) == []
     assert line.module.state is NmtState.PRE_OPERATIONAL
-    line.module.node.emergency(0x1000, 1, b"", line.now)
+    line.module.node.emergency(0x1000, 1, b"", line.bus.now)
     after = [frame for _, frame in line.run(0.2, samples=False)]
     assert [(frame.can_id, frame.data[:2]) for frame in after[:2]] == [
         (BOOT_UP, b"\x00"),
@@ -141,10 +135,10 @@ def test_a_boot_up_and_an_emergency_that_fall_into_it_follow(line: Line) -> None
 
 
 def test_a_second_activation_lengthens_it(line: Line) -> None:
-    line.activate(0.05)
+    line.switch(0.05)
     line.run(0.04)
-    line.activate(0.05)
-    assert line.heard[-1][0] < 0.05
+    line.switch(0.05)
+    assert line.timed[-1][0] < 0.05
     after = line.run(0.2)
     assert after[0][0] >= 0.14
 

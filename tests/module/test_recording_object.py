@@ -19,24 +19,16 @@ def command(bench: Bench, value: int) -> None:
     bench.sdo[0x2050][1].raw = value
 
 
-def pairs(data: bytes) -> list[tuple[int, int]]:
-    return list(struct.iter_unpack("<hh", data))
-
-
 def recorded(bench: Bench) -> list[tuple[int, int]]:
     data = bench.sdo.upload(0x2050, 3)
     assert bench.sdo[0x2050][2].raw == len(data) // 4
-    return pairs(data)
+    return list(struct.iter_unpack("<hh", data))
 
 
 def interval(bench: Bench, counts: tuple[int, int] | None) -> list[Frame]:
     """A SYNC and its sample, or none."""
     frames = bench.sync()
     return frames if counts is None else frames + bench.counts(*counts)
-
-
-def small_memory(bench: Bench, samples: int) -> None:
-    bench.module._recorder._recording.capacity = samples
 
 
 STATES = ["PRE-OPERATIONAL", "STOPPED", "RESET COMMUNICATION"]
@@ -53,7 +45,7 @@ def test_it_records_from_a_start_to_a_stop_a_full_memory_or_a_pause(
     """A start begins anew; it is read at any time, while it records, too."""
     bench = Bench()
     assert [bench.sdo[0x2050][n].raw for n in (1, 2, 5)] == [0, 0, 1_000_000]
-    small_memory(bench, capacity)
+    bench.module._recorder._recording.capacity = capacity
     bench.start()
     interval(bench, (0, 1500))  # so that a missing one would be seen
     kept: list[tuple[int, int]] = []

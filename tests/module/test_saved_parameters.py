@@ -93,10 +93,6 @@ def test_a_save_between_upload_and_activation_keeps_what_is_in_force(store: Memo
 # What must not be used.
 
 
-def stored(store: MemoryStore) -> list[Record]:
-    return decode_image(store.images[MANUFACTURER], MANUFACTURER, IDENTITY)
-
-
 @pytest.mark.parametrize("ended_by", ["save", "load"])
 def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm_until(
     store: MemoryStore, ended_by: str
@@ -105,7 +101,8 @@ def test_a_bad_table_refuses_the_whole_group_and_raises_the_alarm_until(
     first.sdo[0x2010][3].raw = 9
     first.sdo[0x1017].raw = 0
     first.save()
-    records = [r for r in stored(store) if (r.index, r.subindex) != (0x2020, 1)]
+    records = decode_image(store.images[MANUFACTURER], MANUFACTURER, IDENTITY)
+    records = [one for one in records if (one.index, one.subindex) != (0x2020, 1)]
     records.append(Record(0x2020, 1, False, TABLE.to_bytes()[::-1]))
     store.images[MANUFACTURER] = encode_image(MANUFACTURER, IDENTITY, records)
     machine = Bench(store)

@@ -6,13 +6,12 @@ import struct
 from typing import Any
 
 import pytest
+from module_bench import Bench
 
 from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.device_configuration import backup_values, configuration_of
-from canfb.module.feedback_module import FeedbackModule
-from canfb.module.module_config import ModuleConfig
 
 CODE = 0x51F0A7E3
 STATE, LOCAL = "08000022", "08000021"
@@ -20,20 +19,16 @@ PROCESS_DATA = {f"2000:{sub:02X}" for sub in range(1, 23)}
 FREE = PROCESS_DATA | {"1003:00", "2030:0A", "2040:02", "2050:01", "6003:00", "6009:00"}
 
 
-class Locked:
+class Locked(Bench):
     def __init__(self, store: MemoryStore | None = None, **config: Any) -> None:
-        self.module = FeedbackModule(ModuleConfig(node_id=32, **config), store or MemoryStore())
-        self.now = 0.0
-        self.module.start(0.0)
+        super().__init__(store or MemoryStore(), **config)
 
     def nmt(self, command: int) -> None:
-        self.module.receive(Frame(0x000, bytes((command, 32))), self.now)
+        self.remote.nmt.send_command(command)
 
     def ask(self, data: bytes) -> str:
         """The abort code of one request, "" if it was answered."""
-        (answer,) = (
-            frame.data for frame in self.module.receive(Frame(0x620, data), self.now) if frame.can_id == 0x5A0
-        )
+        (answer,) = (frame.data for frame in self.sent(Frame(0x620, data)) if frame.can_id == 0x5A0)
         return f"{int.from_bytes(answer[4:], 'little'):08X}" if answer[0] == 0x80 else ""
 
     def write(self, index: int, sub: int, layout: str, value: float) -> str:
@@ -45,7 +40,7 @@ class Locked:
         """A segmented (20h) or block (C0h) download, of which nothing follows."""
         said = self.ask(struct.pack("<BHBI", command, index, sub, 64))
         if not said:
-            self.module.receive(Frame(0x620, struct.pack("<BHBI", 0x80, index, sub, 0)), self.now)
+            self.sent(Frame(0x620, struct.pack("<BHBI", 0x80, index, sub, 0)))
         return said
 
     def value(self, index: int, sub: int = 0) -> Any:
@@ -108,10 +103,10 @@ def test_a_code_unlocks_until_a_reset() -> None:
 def test_a_wrong_code_costs_a_second() -> None:
     machine = Locked(write_lock="code", unlock_code=CODE)
     for place in range(20):
-        machine.now = 0.04 * place
+        machine.bus.run_until(0.04 * place)
         assert machine.unlock(CODE ^ 1) == LOCAL
         assert machine.unlock() == LOCAL, "even the right one"
-    machine.now = 1.0
+    machine.bus.run_until(1.0)
     assert machine.unlock() == ""
     assert machine.unlock(CODE ^ 1) == LOCAL
     free(machine)
@@ -146,7 +141,7 @@ def test_lss_is_locked_as_well() -> None:
     machine = Locked(write_lock="code", unlock_code=CODE)
 
     def lss(*data: int) -> list[bytes]:
-        frames = machine.module.receive(Frame(0x7E5, bytes(data).ljust(8, b"\0")), machine.now)
+        frames = machine.sent(Frame(0x7E5, bytes(data).ljust(8, b"\0")))
         return [frame.data[:2] for frame in frames if frame.can_id == 0x7E4]
 
     lss(0x04, 1)

@@ -51,7 +51,7 @@ def nodes(network: MonitoredNetwork) -> dict[int, NodeSnapshot]:
     return {node.node_id: node for node in network.model.snapshot(network.bus.now).nodes}
 
 
-def test_position_status_and_residual_are_those_of_the_module(turning: MonitoredNetwork) -> None:
+def test_position_status_residual_and_tracks_are_those_of_the_module(turning: MonitoredNetwork) -> None:
     shown, dictionary = turning.module(), turning.modules[0].dictionary
     assert shown.position_units == dictionary.entry(*od.POSITION_VALUE).value
     per_revolution = dictionary.entry(*od.UNITS_PER_REVOLUTION).value
@@ -65,6 +65,12 @@ def test_position_status_and_residual_are_those_of_the_module(turning: Monitored
     assert shown.residual_peak_cycles is not None
     assert shown.residual_cycles is not None
     assert max(peaks) >= shown.residual_peak_cycles >= shown.residual_cycles > 0.0
+    last = [frame for frame, _ in turning.frames if frame.can_id == 0x180 + INTERFACE][-1]
+    assert shown.tracks_counts[-1] == struct.unpack("<hh", last.data)
+    assert shown.amplitude_is_raw
+    assert shown.amplitude_counts == pytest.approx(math.hypot(*shown.tracks_counts[-1]))
+    low, high = shown.amplitude_limits_counts
+    assert low < math.hypot(*shown.tracks_counts[-1]) < high
 
 
 def test_velocity_goes_on_over_the_end_of_the_range_and_backwards() -> None:
@@ -77,17 +83,6 @@ def test_velocity_goes_on_over_the_end_of_the_range_and_backwards() -> None:
         model.receive(Frame(0x180 + NODE, struct.pack("<IHH", position, 1, 0)), now)
     ((_, shown),) = model.snapshot().modules
     assert shown.velocity_rad_s == pytest.approx(-6.0 * math.pi, rel=1e-3)
-
-
-def test_amplitude_and_tracks_are_those_of_the_adc_pdo(turning: MonitoredNetwork) -> None:
-    shown = turning.module()
-    last = [frame for frame, _ in turning.frames if frame.can_id == 0x180 + INTERFACE][-1]
-    assert shown.tracks_counts[-1] == struct.unpack("<hh", last.data)
-    assert shown.amplitude_is_raw
-    assert shown.amplitude_counts == pytest.approx(math.hypot(*shown.tracks_counts[-1]))
-    low, high = shown.amplitude_limits_counts
-    assert shown.amplitude_counts is not None
-    assert low < shown.amplitude_counts < high
 
 
 def test_faults_are_counted_as_the_module_counts_them() -> None:
