@@ -179,6 +179,7 @@ def nine_frames(tmp_path: Path) -> Path:
 def test_a_log_in_lines(nine_frames: Path, command: Command) -> None:
     lines = command("monitor --frames 0x20 --log", nine_frames).lines
     assert len(lines) == 9
+    assert command("monitor --frames 0x20 --seconds 0.009 --log", nine_frames).lines == lines[:3]
     assert lines[0] == "(0.000000)  080  [0]                           SYNC"
     assert lines[4].endswith("RPDO1 of 32: sine 100 ADC counts, cosine 1500 ADC counts")
     assert lines[8].startswith("(0.022000)  1A0  [8]  02 00 00 00 01 00 00 00  TPDO1 of 32: position value 2")
@@ -194,10 +195,6 @@ def test_modules_that_nobody_names_are_known_by_what_they_send(tmp_path: Path, c
     assert {one["node"] for one in figures if one["kind"] == "tpdo"} == {0x20, 0x31}
     assert all(("6004:00" in one["values"]) == (one["can_id"] in (0x1A0, 0x1B1)) for one in figures)
     assert figures[-1]["time_s"] == pytest.approx(0.2, abs=0.01)
-
-
-def test_seconds_end_a_log(nine_frames: Path, command: Command) -> None:
-    assert len(command("monitor --frames --seconds 0.009 --log", nine_frames).lines) == 3
 
 
 def test_a_configuration_names_modules_and_bus(tmp_path: Path, command: Command) -> None:
