@@ -326,7 +326,7 @@ class Pairing(ProcessData):
             elif later is None and self._next_may_have_come:
                 self._publishing.withhold()  # it may answer a SYNC that was not received
             free = later is not None and place + later > self._accounted
-            if not (free or chain.lost or chain.slips(1.0)):
+            if not (free or answers.waits or chain.lost or chain.slips(1.0)):
                 later = 0  # at standstill it is the same
             if later is None:
                 self.count_bad_frame()
