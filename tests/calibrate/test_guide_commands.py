@@ -140,7 +140,7 @@ GUIDES = (
 )
 # Parsed, not run.
 PARSED_ONLY = {
-    "canfb demo --out demo": "takes 9 s; tests/cli/test_demo_command.py runs it",
+    "canfb demo --out demo": "takes 9 s; tests/demo/test_demo.py runs it",
     "canfb calibrate -i socketcan -c can0 --method zero-crossings --seconds 4": (
         "needs an interface that records at 50 kHz; test_recordings_and_own_calibration.py has one"
     ),
