@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -291,16 +291,6 @@ def test_parameters_follow_the_stored_node_id_and_load_does_not_take_it_away(
     again = make(NONE, store)
     again.send(0x628, struct.pack("<BHB4s", 0x23, 0x1011, 1, b"load"))
     assert set(store.images) == {ParameterGroup.LSS}
-
-
-def test_without_a_store_and_with_one_that_fails(make: Callable[..., LssBench]) -> None:
-    class Full(MemoryStore):
-        def save(self, changes: Mapping[ParameterGroup, bytes | None]) -> None:
-            raise OSError(28, "No space left on device")
-
-    assert make(32).configure().lss(0x17) == ["1701"]
-    assert make(32, Full()).configure().lss(0x17) == ["1702"]
-    assert make(32, MemoryStore()).lss(0x17) == []  # not selected
 
 
 @pytest.mark.parametrize("damage", ["not an image", "no node-ID"])

@@ -68,21 +68,6 @@ def test_pack_and_unpack_are_inverse_as_a_struct_and_by_bits(drawn: tuple[list[S
         assert [entry_of(slot).value for slot in slots] == values
 
 
-@pytest.mark.parametrize("types", [[DataType.UNSIGNED8] * 2, [DataType.BOOLEAN, DataType.UNSIGNED8]])
-def test_limits_and_hooks_of_mapped_entries(types: list[DataType]) -> None:
-    slots = slots_of(types)
-    first, second = (entry_of(slot) for slot in slots)
-    second.high = 10
-    seen: list[object] = []
-    second.on_written = lambda: seen.append(second.value)
-    unpack = unpacker(slots)
-    bits = slots[0].bits
-    assert unpack((1 | 9 << bits).to_bytes(2, "little")) == 0
-    assert unpack((0 | 11 << bits).to_bytes(2, "little")) == 1
-    assert seen == [9]
-    assert (first.value, second.value) == (0, 9)
-
-
 @pytest.mark.parametrize("types", [[DataType.INTEGER32], [DataType.BOOLEAN, DataType.INTEGER32]])
 def test_live_values_are_sampled(types: list[DataType]) -> None:
     slots = slots_of(types)

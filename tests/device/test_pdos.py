@@ -124,13 +124,19 @@ def refuse(value: int) -> None:
 
 
 @pytest.mark.parametrize("limit", [{"high": 100}, {"on_check": refuse}])
-def test_values_that_are_refused_are_kept_out(bench: Bench, limit: dict[str, object]) -> None:
+@pytest.mark.parametrize("shift", [0, 1], ids=["a struct", "by bits"])
+def test_values_that_are_refused_are_kept_out(bench: Bench, limit: dict[str, object], shift: int) -> None:
+    if shift:
+        remap(bench, 0x1400, [0x20000301, 0x20000110, 0x20000210])
+    first, second = (bench.dictionary.entry(0x2000, subindex) for subindex in (1, 2))
+    written: list[object] = []
+    first.on_written = second.on_written = lambda: written.append(second.value)
     for name, what in limit.items():
-        setattr(bench.dictionary.entry(0x2000, 1), name, what)
+        setattr(first, name, what)
     bench.operational()
-    bench.send(RPDO, "65000700")
+    bench.send(RPDO, (0x00070065 << shift).to_bytes(4 + shift, "little"))
     assert bench.application.told("rpdo_received") == [(1, 0.0)]
-    assert (value(bench, 1), value(bench, 2)) == (0, 7)
+    assert (first.value, second.value, written) == (0, 7, [7])
     assert bench.node.counters.refused_rpdo_values == 1
 
 
