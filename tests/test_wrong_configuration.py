@@ -54,6 +54,9 @@ WRONG = {
     "modules:\n- node_id: {a: 3}\n": "2: 'node_id' in modules[0] must be a single value",
     MODULE + "  autostart: 1\n": "3: autostart must be true or false, not 1",
     MODULE + "  state_dir: 4\n": "3: state_dir must be the name of a folder",
+    MODULE + "  samples_per_sync: 2\n  source: {kind: iio, device: x, scans_per_sync: 5}\n": (
+        "3: modules[0]: samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not 5"
+    ),
     MODULE + "  adapt: 3\n": "3: modules[0]: adapt must be true, false or a mapping with its bounds, not 3",
     MODULE + "  adapt: {offset: 0.3}\n": "3: adapt: offset must be a number 0..0.25, not 0.3",
     MODULE + "  adapt: {gain: yes}\n": "3: adapt: gain must be a number 0..0.5, not True",

@@ -145,6 +145,9 @@ WRONG = {
     f"{ONE}  source: null\n": "3: interfaces[0]: source must be a configuration of a source, not None",
     f"{ONE}  {ADC}\n  residual_limit: 0.3\n": "4: unknown key 'residual_limit' in interfaces[0]",
     f"{ONE}  {ADC}\n  samples_per_sync: 9\n": "4: samples_per_sync must be a whole number 1..8, not 9",
+    f"interfaces: [{{node_id: 1, {ADC}, samples_per_sync: 2}}]": (
+        "1: interfaces[0]: samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not None"
+    ),
     f"interfaces: [{{node_id: 128, {ADC}}}]": "1: node_id must be a whole number 1..127",
     f"interfaces: [{{node_id: 1, {ADC}, state_dir: 4}}]": "1: state_dir must be text, not 4",
     f"interfaces: [{{node_id: 1, {ADC}, times: 1}}]": "1: times must be true or false, not 1",

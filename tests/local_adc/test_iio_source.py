@@ -148,6 +148,9 @@ REFUSED: dict[str, tuple[EmulatedAdc, dict[str, Any], str]] = {
         "there is trigger0 (sysfstrig7), trigger1 (tick)"),
     "trigger that is a device": (
         EmulatedAdc(triggers={}), {"trigger": "ads7950"}, "source: trigger: no 'ads7950' in ip:"),
+    "clock of a fired trigger": (
+        EmulatedAdc(), {"trigger": "sysfstrig7", "scans_per_sync": 4},
+        "source: trigger: 'sysfstrig7' gives one scan for each SYNC; scans_per_sync"),
     "two formats": (
         adc("le:u12/16>>0", "le:u10/16>>0"), {},
         "source: cosine: the format of 'voltage1' differs from that of 'voltage0'"),

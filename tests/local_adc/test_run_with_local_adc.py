@@ -17,8 +17,7 @@ import pytest
 from emulated_iiod import LIMIT_S, EmulatedAdc, EmulatedIiod, Machine, deliver, fired_by_sync, reading, until
 
 from canfb.cia301.frame import Frame
-from canfb.configuration import ANY_NODES, INTERFACES, Config, parse_config
-from canfb.errors import ConfigError
+from canfb.configuration import INTERFACES, Config, parse_config
 from canfb.hosting.captured_source import CapturedSource
 from canfb.hosting.hosting import make_interface, open_source
 from canfb.interface.encoder_interface import EncoderInterface
@@ -188,8 +187,6 @@ SYNCS = 700
 FAST_RPM = 600.0  # 25 cycles in each interval of SYNC
 ADC_S = 2.6e-4  # no part of SYNC_S: a scan is up to a quarter of an interval old
 SLOW_RPM = 60.0  # 2.5 cycles in each interval: 0.65 between two of these scans
-SOURCE = f"source: {{kind: iio, device: ads7950, scans_per_sync: {SCANS}, uri: "
-KEYS = f"samples_per_sync: 2, autostart: true, {SOURCE}"
 
 
 @pytest.fixture
@@ -198,8 +195,9 @@ def resources() -> Iterator[contextlib.ExitStack]:
         yield stack
 
 
-def configured(server: EmulatedIiod, text: str) -> Any:
-    return parse_config(text.replace("uri: ", f"uri: 'ip:127.0.0.1:{server.port}'}}"), needs=ANY_NODES)
+def keys_for(server: EmulatedIiod) -> str:
+    source = f"{{kind: iio, device: ads7950, scans_per_sync: {SCANS}, uri: '{server.uri}'}}"
+    return f"samples_per_sync: 2, autostart: true, source: {source}"
 
 
 def scanned(scan_s: float = SYNC_S / SCANS * (1.0 + 20e-6), rpm: float = FAST_RPM) -> Machine:
@@ -233,7 +231,7 @@ def follow(
 
 def test_a_module_with_an_adc_of_its_own_takes_two(iiod: Iiod, resources: contextlib.ExitStack) -> None:
     server = iiod()
-    (config,) = configured(server, f"modules: [{{node_id: 32, {KEYS}}}]").modules
+    (config,) = parse_config(f"modules: [{{node_id: 32, {keys_for(server)}}}]").modules
     assert config.source is not None
     config, source = open_source(config, config.source, Config(), resources)
     assert isinstance(source, CapturedSource)
@@ -253,7 +251,8 @@ def interface_of(
     server: EmulatedIiod, resources: contextlib.ExitStack
 ) -> tuple[EncoderInterface, CapturedSource]:
     """An interface that sends two samples for each SYNC, and its source."""
-    (config,) = configured(server, f"interfaces: [{{node_id: 16, times: true, {KEYS}}}]").interfaces
+    text = f"interfaces: [{{node_id: 16, times: true, {keys_for(server)}}}]"
+    (config,) = parse_config(text, needs=INTERFACES).interfaces
     interface = make_interface(config, resources, {})
     assert server.opened.wait(LIMIT_S)
     assert isinstance(interface.source, CapturedSource)
@@ -293,30 +292,6 @@ def test_the_pairs_are_half_an_interval_apart(iiod: Iiod, resources: contextlib.
     for (sine, cosine, sine_1, cosine_1), ticks in zip(pairs, times, strict=True):
         assert (cosine, sine_1, cosine_1) == (-sine, sine - 2, 2 - sine)
         assert ticks == sine * 2500
-
-
-@pytest.mark.parametrize(
-    ("source", "words"),
-    [
-        ("", "samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not None"),
-        (", scans_per_sync: 5", "samples_per_sync: 2 need scans_per_sync in source, a multiple of it, not 5"),
-        (", scans_per_sync: 4, time_stamps: false", "scans_per_sync needs time_stamps: true"),
-        (", scans_per_sync: 1", "scans_per_sync must be a whole number 2..256, not 1"),
-    ],
-)
-def test_what_cannot_be_is_told_by_the_configuration(source: str, words: str) -> None:
-    for key in ("modules", "interfaces"):
-        with pytest.raises(ConfigError) as caught:
-            parse_config(
-                f"{key}: [{{node_id: 3, samples_per_sync: 2, source: {{kind: iio, device: x{source}}}}}]",
-                needs=ANY_NODES,
-            )
-        assert words in str(caught.value)
-
-
-def test_a_trigger_that_is_fired_has_no_clock(iiod: Iiod, opened: Callable[..., CapturedSource]) -> None:
-    with pytest.raises(ConfigError, match="'sysfstrig7' gives one scan for each SYNC; scans_per_sync"):
-        opened(iiod(), trigger="sysfstrig7", scans_per_sync=4)
 
 
 def on_its_own(source: CapturedSource) -> FeedbackModule:

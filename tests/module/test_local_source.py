@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -36,9 +35,6 @@ class Local(Bench):
         self.told: list[str] = []
         self.module.on_source = self.told.append
         self.start()
-
-    def value(self, index: int, subindex: int) -> Any:
-        return self.module.dictionary.entry(index, subindex).current()
 
 
 def at(cycles: float, time_s: float | None = None) -> Sample:
@@ -84,10 +80,10 @@ def test_a_sample_stands_in_2000h_or_is_a_failure(sample: Sample, objects: list[
     local.sync()
     if isinstance(objects, str):
         assert local.told == [f"the source fails: {objects}"]
-        assert local.value(0x2012, 1) == 1
+        assert local.sdo[0x2012][1].raw == 1
         objects = [0] * 7
-    assert [local.value(0x2000, n) for n in range(1, 8)] == objects
-    assert local.value(0x2012, 7) == (objects[5] & 1), "zero pulses"
+    assert [local.sdo[0x2000][n].raw for n in range(1, 8)] == objects
+    assert local.sdo[0x2012][7].raw == (objects[5] & 1), "zero pulses"
 
 
 def test_a_sample_that_is_not_there_is_missed_and_the_tracker_steps_over_it() -> None:
@@ -97,7 +93,7 @@ def test_a_sample_that_is_not_there_is_missed_and_the_tracker_steps_over_it() ->
         units, status, _ = local.position(local.sync())
         assert bool(status & MISSED) == (n in (20, 21))
         assert units / UNITS_PER_CYCLE == pytest.approx(0.3 * n, abs=0.01)
-    assert local.value(0x2012, 1) == 2
+    assert local.sdo[0x2012][1].raw == 2
 
 
 FAILURES: list[Exception] = [SourceError("no such device"), OSError(19, "No device"), ZeroDivisionError()]
@@ -112,7 +108,7 @@ def test_a_source_that_fails_loses_the_position_and_says_so_once(error: Exceptio
     frames = [frame for _ in range(220) for frame in local.sync()]
     assert len(local.told) == 1
     assert local.told[0].startswith("the source fails: ")
-    status = local.value(0x2011, 1)
+    status = local.sdo[0x2011][1].raw
     assert not status & VALID
     assert status & MISSED
     assert [frame for frame in frames if frame.can_id == 0x0A0], "an EMCY"
@@ -137,7 +133,7 @@ def test_sample_times_bridge_a_sync_that_came_late() -> None:
             assert units / UNITS_PER_CYCLE == pytest.approx(speed * time, abs=0.01)
         if n > 4:  # the interval is known by now
             assert residual / 65536 < 0.03, "the tracks without a table; without the time it would be 0.07"
-    assert local.value(0x2000, 5) == round(times[-1] * 1e7)
+    assert local.sdo[0x2000][5].raw == round(times[-1] * 1e7)
 
 
 def test_a_configured_source_must_be_given() -> None:
@@ -166,4 +162,4 @@ def test_nothing_that_a_source_does_raises(played: list[Sample | Exception | Non
     local = Local(repeated(*played))
     for _ in played:
         local.sync()
-    assert local.value(0x2011, 8) + local.value(0x2012, 8) == len(played)
+    assert local.sdo[0x2011][8].raw + local.sdo[0x2012][8].raw == len(played)

@@ -159,6 +159,8 @@ class Pair:
         for index, value in model.objects.items():
             assert self.read(index) == value
         assert self.read(0x6500) == model.objects[0x6000]
+        assert self.read(0x6501) == model.resolution
+        assert self.read(0x6502) * model.resolution == model.physical_range
         raw = model.place * 8192 // 8 % model.physical_range if model.sampled else 0
         assert self.read(0x600C) == raw
         assert self.module.dictionary.entry(0x650A, 3).current() == min(model.total_range - 1, 2**31 - 1)
@@ -215,7 +217,7 @@ def test_the_offset_is_an_integer32_and_exact_in_any_range(
 def test_resolution_and_revolutions_fit_32_bits(cycles: int) -> None:
     resolution = single_turn_resolution(cycles)
     revolutions = distinguishable_revolutions(resolution)
-    assert resolution % cycles == 0
+    assert resolution == cycles << next(bits for bits in range(13, 0, -1) if cycles << bits <= U32)
     assert 1 <= revolutions <= 0xFFFF
     assert resolution <= U32
     assert resolution * revolutions < 2**32

@@ -114,9 +114,6 @@ class Machine(Bench):
         self.until(at)
         return int(self.sdo[0x2011][1].raw)
 
-    def counter(self, subindex: int) -> int:
-        return int(self.module.dictionary.entry(0x2012, subindex).value)
-
     def right(self) -> bool:
         """No valid position is wrong."""
         return all(abs(one.cycles - one.truth) < TOLERANCE for one in self.positions if one.valid)
@@ -153,7 +150,7 @@ def test_another_adc_pdo_for_the_same_sync_is_not_counted_as_a_sample(off: float
     machine.run(1, 60)
     machine.cycle(60)
     machine.sample(60, 60 + ADC + 0.2, off)
-    assert machine.counter(8) == 1
+    assert machine.sdo[0x2012][8].raw == 1
     assert not machine.positions[-1].valid
     machine.run(61, 120)
     assert machine.right()
@@ -191,7 +188,7 @@ def test_a_few_lost_or_doubled_frames_are_counted_and_the_position_goes_on(name:
     machine.run(1, 100)
     play(machine, heard, 100)
     machine.run(100 + len(heard), 160)
-    assert {subindex: machine.counter(subindex) for subindex in counted} == counted
+    assert {subindex: machine.sdo[0x2012][subindex].raw for subindex in counted} == counted
     assert machine.right()
     assert all(one.valid for one in machine.positions[-20:])
 
@@ -228,7 +225,7 @@ def test_every_sync_that_was_not_heard_is_counted(heard: list[bool], overflow: i
     found = machine.run(9 + len(heard), 25 + len(heard))
     if longest >= overflow:
         return
-    assert machine.counter(1) == heard.count(False)
+    assert machine.sdo[0x2012][1].raw == heard.count(False)
     assert machine.right()
     assert longest < 5 or not any(one.valid for one in found)
     if longest >= 5:
@@ -283,7 +280,7 @@ def test_an_alarm_that_comes_and_goes_sends_ten_pairs_of_emcy_a_second(bad_each:
     assert codes.count(0x0000) <= 10 * seconds + 1
     assert codes[0] == 0x7300
     twice = [one for one, other in pairwise(codes) if one == other]
-    losses = machine.counter(5)
+    losses = machine.sdo[0x2012][5].raw
     assert twice == [0x7300] * losses, "in turn; a loss is reported on its own"
     assert losses <= 1, "it stays lost"
 
@@ -297,7 +294,7 @@ def test_a_synchronous_rpdo_over_a_gap(gap: int, stamped: bool) -> None:
     assert machine.positions[-1].valid
     machine.run(60 + gap, 120)
     assert machine.right()
-    assert machine.counter(8) == 0
+    assert machine.sdo[0x2012][8].raw == 0
     first = next(one for one in machine.positions if one.at >= 60)
     assert not first.valid
     if stamped and gap < 3:
