@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import can
 import pytest
@@ -134,44 +133,33 @@ UPLOAD = b"\x40" + bytes(7)
 
 
 @pytest.fixture
-def channel() -> str:
-    return f"shared {uuid4()}"
-
-
-@pytest.fixture
-def other(channel: str) -> Iterator[can.BusABC]:
-    with can.Bus(interface="virtual", channel=channel) as bus:
+def shared() -> Iterator[SharedBus]:
+    with SharedBus(open_virtual()) as bus:
         yield bus
 
 
-@pytest.fixture
-def shared(channel: str) -> Iterator[SharedBus]:
-    with SharedBus(can.Bus(interface="virtual", channel=channel)) as bus:
-        yield bus
-
-
-def test_all_hear_and_all_send(shared: SharedBus, other: can.BusABC) -> None:
+def test_all_hear_and_all_send(shared: SharedBus, peer: can.BusABC) -> None:
     branch = shared.branch()
-    other.send(message(0x1A0))
+    peer.send(message(0x1A0))
     for bus in (shared, branch):
         heard = bus.recv(PATIENCE_S)
         assert heard is not None
         assert heard.arbitration_id == 0x1A0
         bus.send(message(0x601, UPLOAD))
-        sent = other.recv(PATIENCE_S)
+        sent = peer.recv(PATIENCE_S)
         assert sent is not None
         assert sent.arbitration_id == 0x601
     branch.shutdown()
-    other.send(message(0x1A1))
+    peer.send(message(0x1A1))
     assert shared.recv(PATIENCE_S) is not None  # it still runs
     assert branch.recv(AT_ONCE_S) is None
 
 
-def test_what_is_no_upload_is_not_sent(shared: SharedBus, other: can.BusABC) -> None:
+def test_what_is_no_upload_is_not_sent(shared: SharedBus, peer: can.BusABC) -> None:
     for bus in (shared, shared.branch()):
         with pytest.raises(can.CanOperationError, match="SDO uploads alone"):
             bus.send(message(0x601, b"\x23" + UPLOAD[1:]))
-    assert other.recv(AT_ONCE_S) is None
+    assert peer.recv(AT_ONCE_S) is None
 
 
 FRAMES = st.builds(
@@ -195,8 +183,8 @@ def test_only_uploads_may_be_sent(sent: can.Message) -> None:
     assert only_reads(sent) is upload
 
 
-def test_a_bus_that_fails_fails_for_all(channel: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    inner = can.Bus(interface="virtual", channel=channel)
+def test_a_bus_that_fails_fails_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    inner = open_virtual()
 
     def gone(timeout: float | None) -> None:
         raise can.CanOperationError("the adapter is gone")
@@ -209,7 +197,7 @@ def test_a_bus_that_fails_fails_for_all(channel: str, monkeypatch: pytest.Monkey
             master.wait(PATIENCE_S)
 
 
-def test_a_master_reads_while_another_thread_receives(shared: SharedBus, other: can.BusABC) -> None:
+def test_a_master_reads_while_another_thread_receives(shared: SharedBus, peer: can.BusABC) -> None:
     """An SDO upload over a branch, answered by the other end; the frames arrive in the other thread."""
     done = threading.Event()
 
@@ -219,9 +207,9 @@ def test_a_master_reads_while_another_thread_receives(shared: SharedBus, other: 
 
     def answer() -> None:
         while not done.is_set():
-            asked = other.recv(0.05)
+            asked = peer.recv(0.05)
             if asked is not None:
-                other.send(message(0x5A0, b"\x43" + bytes(asked.data[1:4]) + b"\x78\x56\x34\x12"))
+                peer.send(message(0x5A0, b"\x43" + bytes(asked.data[1:4]) + b"\x78\x56\x34\x12"))
 
     threads = [threading.Thread(target=one) for one in (receive, answer)]
     for one in threads:
@@ -284,8 +272,8 @@ def test_a_program_that_ends_in_its_turn_leaves_it_to_others(folder: Path) -> No
 class Node:
     """Answers an upload of index:sub with index and sub-index; 3003h has four segments."""
 
-    def __init__(self, channel: str) -> None:
-        self._bus = can.Bus(interface="virtual", channel=channel)
+    def __init__(self) -> None:
+        self._bus = open_virtual()
         self._left = 0
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._serve)
@@ -319,20 +307,20 @@ class Node:
 
 
 @pytest.fixture
-def with_node(channel: str) -> Iterator[str]:
-    """A virtual bus with a node."""
-    node = Node(channel)
-    yield channel
-    node.end()
+def node() -> Iterator[None]:
+    one = Node()
+    yield
+    one.end()
 
 
+@pytest.mark.usefixtures("node")
 @each("turns", [True, False])
-def test_clients_side_by_side_read_what_they_asked_for(with_node: str, turns: bool) -> None:
+def test_clients_side_by_side_read_what_they_asked_for(turns: bool) -> None:
     """With turns also transfers of segments; without, answers to others are ignored."""
     failures: list[object] = []
 
     def read(index: int) -> None:
-        with BusMaster(can.Bus(interface="virtual", channel=with_node), 5.0) as master:
+        with BusMaster(open_virtual(), 5.0) as master:
             if not turns:
                 master.sdo(NODE).turn = contextlib.nullcontext
             node = NodeAccess(master, NODE, "node")

@@ -514,17 +514,12 @@ def play(
     plan: Any, duration_s: float, *others: Any, refuse: Any = lambda at: None, periods_s: Any = ()
 ) -> tuple[Watching, FakeBus, list[str]]:
     """A device that watches the bus, beside others; what was sent, and what was reported."""
-    clock = FakeClock()
-    bus = FakeBus(clock, plan)
-    bus.refuse, bus.end_s = refuse, duration_s
-    lines: list[str] = []
-    device = Watching(clock)
-    made = [one(clock) if callable(one) else one for one in others]
-    devices = [device, *made, *(FakeDevice(clock, period_s=period_s) for period_s in periods_s)]
-    fake: Any = bus
-    runner = Runner(frame_bus(fake), devices, lines.append, clock, clock.sleep)
-    runner.run(finished=lambda: bus.at >= duration_s)
-    return device, bus, lines
+    bench = Bench(*plan)
+    bench.bus.refuse = refuse
+    device = Watching(bench.clock)
+    made = [one(bench.clock) for one in others]
+    bench.run([device, *made, *(bench.device(period_s=period_s) for period_s in periods_s)], duration_s)
+    return device, bench.bus, bench.reported
 
 
 GONE = can.CanOperationError("the adapter is gone")
