@@ -162,13 +162,14 @@ def write_eds(path: Path, identity: tuple[int, ...] = ()) -> Path:
 
 
 class StoringBench(Bench):
-    """As Bench, speaking with node 32; other node-IDs are read by `value`."""
+    """As Bench, powered on, and speaking with node 32; other node-IDs are read by `value`."""
 
-    def __init__(self, path: Path, store: Store | None, node_id: int = 32) -> None:
+    def __init__(self, path: Path, store: Store | None, node_id: int = 32, **options: Any) -> None:
         super().__init__(Dictionary.load(path, node_id))
         self.faults: list[dict[ParameterGroup, str]] = []
-        self.node = Node(self.dictionary, node_id, self.application, store=store)
+        self.node = Node(self.dictionary, node_id, self.application, store=store, **options)
         self.application.react(parameters_refused=lambda faults, now: self.faults.append(dict(faults)))
+        self.first = self.start()
 
     def command(self, index: int, subindex: int, word: int) -> object:
         return self.write(index, subindex, word, 4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,6 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
 from canfb.device.lss import LssState
-from canfb.device.node import Node
 from canfb.device.storage.image import ParameterGroup
 from canfb.device.storage.storage import MemoryStore
 
@@ -30,9 +30,8 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class LssBench(StoringBench):
     """The device, and an LSS master that sends frames and hears the answers."""
 
-    def __init__(self, path: Path, node_id: int, store: MemoryStore | None = None) -> None:
-        super().__init__(path, store, node_id)
-        self.node = Node(self.dictionary, node_id, self.application, store=store, bit_rates_kbit_s=(125, 500))
+    def __init__(self, path: Path, node_id: int = 32, store: MemoryStore | None = None) -> None:
+        super().__init__(path, store, node_id, bit_rates_kbit_s=(125, 500))
 
     @property
     def activated(self) -> list[tuple[int, float, float]]:
@@ -61,12 +60,7 @@ class LssBench(StoringBench):
 
 @pytest.fixture
 def make(path: Path) -> Callable[..., LssBench]:
-    def power_on(node_id: int = 32, store: MemoryStore | None = None) -> LssBench:
-        bench = LssBench(path, node_id, store)
-        bench.first = bench.start()  # type: ignore[attr-defined]
-        return bench
-
-    return power_on
+    return partial(LssBench, path)
 
 
 @pytest.fixture
@@ -164,7 +158,7 @@ def test_a_node_id_is_in_force_after_reset_communication(bench: LssBench) -> Non
 
 def test_without_a_node_id_there_is_lss_and_nothing_else(make: Callable[..., LssBench]) -> None:
     bench = make(NONE)
-    assert bench.first == []  # type: ignore[attr-defined]
+    assert bench.first == []
     assert bench.node.state is NmtState.INITIALISING
     assert bench.node.deadline() is None
     for can_id in set(range(0x800)) - {0x7E5}:
@@ -267,11 +261,11 @@ def test_what_is_stored_comes_before_the_node_id_of_the_program(make: Callable[.
     bench.lss(0x13, 0, 4)
     assert bench.lss(0x17) == ["17"]
     again = make(32, store)
-    assert again.first == ["728#00"]  # type: ignore[attr-defined]
+    assert again.first == ["728#00"]
     assert again.node.lss.bit_rate_kbit_s == 125
     again.configure().lss(0x11, NONE)
     assert again.lss(0x17) == ["17"]
-    assert make(32, store).first == []  # type: ignore[attr-defined]
+    assert make(32, store).first == []
     assert set(store.images) == {ParameterGroup.LSS}
 
 
@@ -302,7 +296,7 @@ def test_a_stored_node_id_that_is_none_is_refused(make: Callable[..., LssBench],
     if damage == "not an image":
         store.images[ParameterGroup.LSS] = b"?"
     again = make(32, store)
-    assert again.first == ["720#00"]  # type: ignore[attr-defined]
+    assert again.first == ["720#00"]
     assert list(again.node.storage.faults) == [ParameterGroup.LSS]
     again.faults.clear()
     assert again.configure().lss(0x17) == ["17"]
@@ -323,7 +317,6 @@ def test_no_frame_raises_and_answers_are_lss_answers(
     path: Path, frames: list[bytes], unconfigured: bool
 ) -> None:
     bench = LssBench(path, NONE if unconfigured else 32, MemoryStore())
-    bench.node.start(0.0)
     for data in [b"\x04\x01\x00\x00\x00\x00\x00\x00", *frames]:
         for answer in bench.node.receive(Frame(0x7E5, data), 0.0):
             assert answer.can_id == 0x7E4 or answer.data == b"\x00"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,6 @@ from device_kit import (
     ALL,
     APPLICATION,
     COMMUNICATION,
-    ID,
     LOAD,
     MANUFACTURER,
     OK,
@@ -54,13 +54,7 @@ def store() -> MemoryStore:
 @pytest.fixture
 def power_on(path: Path, store: MemoryStore) -> Callable[..., StoringBench]:
     """A new device with this store."""
-
-    def make(node_id: int = ID) -> StoringBench:
-        bench = StoringBench(path, store, node_id)
-        bench.start()
-        return bench
-
-    return make
+    return partial(StoringBench, path, store)
 
 
 class BrokenStore(MemoryStore):
@@ -90,7 +84,6 @@ def values(bench: StoringBench) -> list[object]:
 
 def test_without_a_store_it_says_so_and_the_defaults_come_with_a_reset(path: Path) -> None:
     bench = StoringBench(path, None)
-    bench.start()
     change(bench)
     for subindex in EACH:
         assert bench.read(SAVE, subindex) == 0
@@ -105,7 +98,6 @@ def test_without_a_store_it_says_so_and_the_defaults_come_with_a_reset(path: Pat
 def test_a_store_that_fails_is_a_hardware_error_and_changes_nothing(path: Path) -> None:
     store = BrokenStore()
     bench = StoringBench(path, store)
-    bench.start()
     change(bench)
     assert bench.save() is AbortCode.HARDWARE
     assert bench.read(SAVE, ALL) == 1
@@ -139,7 +131,6 @@ def test_what_is_saved_comes_back_and_what_is_not_or_was_forgotten_does_not(
     """Each group for itself, after 82h that of communication alone; the date until a change is saved."""
     store = MemoryStore()
     bench = StoringBench(path, store)
-    bench.start()
     now = kept = defaults = [*DEFAULTS, 0]
     for number, (what, group) in enumerate(steps, 10):
         places = PLACES_OF[group]
@@ -163,7 +154,6 @@ def test_what_is_saved_comes_back_and_what_is_not_or_was_forgotten_does_not(
         else:
             if what == "power":
                 bench = StoringBench(path, store)
-                bench.start()
             else:
                 bench.nmt(int(what))
             places = PLACES_OF[COMMUNICATION if what == RESET_COMMUNICATION else ALL]
@@ -278,7 +268,7 @@ def powered(path: Path, image: bytes | None, group: ParameterGroup = GROUP) -> S
     if image is not None:
         store.images[group] = image
     bench = StoringBench(path, store)
-    assert bench.start()[0] == "720#00"
+    assert bench.first[0] == "720#00"
     return bench
 
 
@@ -286,7 +276,6 @@ def powered(path: Path, image: bytes | None, group: ParameterGroup = GROUP) -> S
 def saved(path: Path) -> MemoryStore:
     store = MemoryStore()
     bench = StoringBench(path, store)
-    bench.start()
     assert bench.write(0x1017, 0, 500, 2) == OK
     assert bench.write(0x2025, 0, 50, 1) == OK
     assert bench.save() == OK
@@ -376,7 +365,6 @@ def test_a_value_beyond_its_limits_refuses_its_group_and_no_other(path: Path, sa
     wrong = [Record(0x2025, 0, False, b"\xc9"), Record(0x2026, 0, False, bytes(8))]
     saved.images[ParameterGroup.MANUFACTURER] = encode_image(ParameterGroup.MANUFACTURER, IDENTITY, wrong)
     bench = StoringBench(path, saved)
-    bench.start()
     assert bench.faults == [{MANUFACTURER: "2025h:00: 06090031h value of parameter written too high"}]
     assert bench.value(0x2025) == 0
     assert bench.value(0x1017) == 500
@@ -396,7 +384,6 @@ def test_an_image_with_fewer_entries_leaves_the_others_alone(path: Path) -> None
 def test_a_fault_is_told_at_each_reset_until_the_group_is_saved(path: Path, saved: MemoryStore) -> None:
     saved.images[GROUP] = b"?"
     bench = StoringBench(path, saved)
-    bench.start()
     bench.nmt(RESET_NODE)
     told = {COMMUNICATION: "no stored parameters, or truncated"}
     assert bench.faults == [told, told]
@@ -419,7 +406,7 @@ def test_a_store_that_cannot_be_read_is_a_fault(path: Path, saved: MemoryStore, 
             return {**saved.images, GROUP: error}
 
     bench = StoringBench(path, Unreadable())
-    assert bench.start()[0] == "720#00"
+    assert bench.first[0] == "720#00"
     (faults,) = bench.faults
     assert set(faults.values()) == {"cannot be read: Input/output error"}
     assert len(faults) == (3 if whole else 1)
@@ -459,13 +446,11 @@ def test_what_a_master_could_write_can_be_restored(
 ) -> None:
     store = MemoryStore()
     bench = StoringBench(path, store)
-    bench.start()
     for (index, subindex), number in writes:
         size = bench.dictionary.entry(index, subindex).byte_length
         bench.write(index, subindex, number & (1 << 8 * size) - 1, size)
     assert bench.save() == OK
     again = StoringBench(path, store)
-    again.start()
     assert again.faults == []
     kept = all_values(again)
     assert kept == all_values(bench) | {place: kept[place] for place in ((0x1010, 1), (0x1001, 0))}
