@@ -51,23 +51,16 @@ def test_after_each_disturbance_the_position_is_right_again(name: str) -> None:
         assert world.found.valid > before
 
 
-def test_a_wrong_position_is_seen() -> None:
+def test_a_wrong_position_and_a_cycle_that_is_in_no_counter_are_seen() -> None:
     with soaked("plain", 1) as world:
         world.pass_(0.2)
         last = world.module.feedback
         assert isinstance(last, Feedback)
         world._judge(last._replace(cycles=last.cycles + 1, status=1), 1.0)
-    assert world.found.wrong == 1
-    assert "off by" in world.found.first_wrong
-
-
-def test_a_cycle_that_is_in_no_counter_is_seen() -> None:
-    with soaked("plain", 1) as world:
-        world.pass_(0.2)
-        last = world.module.feedback
-        assert isinstance(last, Feedback)
+        assert (world.found.wrong, world.found.uncounted) == (1, 0)
+        assert "off by" in world.found.first_wrong
         world._judge(last._replace(status=0), 1.0)
-        assert world.found.uncounted == 1
+        assert (world.found.wrong, world.found.uncounted) == (1, 1)
         assert "status 0000h and no counter" in world.found.first_uncounted
 
         def swallows(world: World) -> None:
