@@ -56,7 +56,7 @@ ALLOWED: dict[str, set[str]] = {
     "commission": {"signal", "timing", "calibration", "report", "view", "master", "calibrate"} | WORDS,
     # What others tell of themselves on the bus; so it may watch modules that are not ours.
     "monitoring": {"signal", "timing", "module", "configuration", "bus", "logfile", "view", "master"}
-                  | WORDS - {"checks", "files", "rows"},
+                  | WORDS - {"checks", "files"},
     "scope": {"signal", "calibration", "monitoring", "errors", "objects"},
     # The clock, frames and the runner of any device: it knows nothing of encoders.
     "bus": {"device"} | WORDS - {"checks", "files", "objects", "rows"},

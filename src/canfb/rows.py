@@ -118,3 +118,10 @@ class Findings:
         files = [str(path) for path in paths]
         written = [f"written  {path}" for path in files]
         return Result(self.to_json() | {"files": files}, [*lines, *self.said, *written])
+
+
+def age_words(seconds: float) -> str:
+    """0.8 s, 12 min, 3.4 h."""
+    if seconds < 100.0:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"

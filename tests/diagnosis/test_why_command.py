@@ -18,10 +18,11 @@ from canfb import objects as od
 from canfb.cia301.frame import Frame
 from canfb.cli import node_options
 from canfb.cli.main import build_parser, main
-from canfb.diagnosis.lost import Loss, LostPosition, age_words, read_lost_position
+from canfb.diagnosis.lost import Loss, LostPosition, read_lost_position
 from canfb.errors import BusError
 from canfb.hosting import self_diagnosis
 from canfb.objects import LossCause, StatusBit
+from canfb.rows import age_words
 from canfb.view.module_view import LimitSettings
 from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench
 from documentation import blocks, page
@@ -190,7 +191,7 @@ def test_each_cause_has_an_advice(cause: LossCause) -> None:
 
 
 def test_ages() -> None:
-    assert [age_words(one) for one in (0.8, 90.0, 600.0, 10800.0)] == ["0.8 s", "90 s", "10 min", "3.0 h"]
+    assert [age_words(one) for one in (0.8, 90.0, 600.0, 10800.0)] == ["0.8 s", "90.0 s", "10 min", "3.0 h"]
 
 
 def test_the_page_shows_what_the_command_prints() -> None:

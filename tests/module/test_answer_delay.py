@@ -53,8 +53,7 @@ def session(
             module.tick(due_s)
         for sent in module.receive(frame._replace(timestamp=at_s), at_s):
             kind, (position,) = sent.can_id & 0x780, struct.unpack_from("<I", sent.data)
-            feedback = module.feedback
-            status = feedback.status if feedback is not None else 0
+            status = module.feedback.status if module.feedback else 0
             statuses += [status] * (kind == 0x180)
             # TPDO1 is of the sample, TPDO2 of the SYNC; where one is missing it may not be extrapolated.
             if (kind == 0x180 and frame.data) or (kind == 0x280 and not lost):

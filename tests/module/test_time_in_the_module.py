@@ -315,10 +315,18 @@ def test_the_same_counts_after_the_next_sync_was_due_may_be_another_sample(stamp
     assert machine.right()
 
 
-@pytest.mark.parametrize("faster", [0.0005, 0.003, 0.01])
-def test_an_interface_faster_than_sync_loses_the_position(faster: float) -> None:
-    """More samples come than SYNCs: one of them is counted too little when the delay passes zero."""
-    machine = Machine(motion=lambda at: 0.3 + 1e-3 * max(0.0, at - 50.0) ** 2)
+@BOTH
+@pytest.mark.parametrize("faster", [0.0005, 0.003, 0.01, -0.0005, -0.003, -0.01])
+@pytest.mark.parametrize("speed", [1.0, 2.0, 3.3])
+def test_an_interface_at_another_rate_than_sync_loses_the_position(
+    speed: float, faster: float, stamped: bool
+) -> None:
+    """More samples come than SYNCs, or fewer: one is counted too little or too often when the delay wraps."""
+    ramp = 50.0 * speed
+    machine = Machine(
+        stamped,
+        lambda at: 0.3 + 0.01 * min(max(0.0, at - 50.0), ramp) ** 2 + speed * max(0.0, at - 50.0 - ramp),
+    )
     frames = [(float(k), True, 0.0) for k in range(1, 2000)]
     frames += [(at, False, at) for k in range(1, 2010) if (at := k / (1.0 + faster) + 0.6) < 2000.0]
     machine.give_all(frames)

@@ -149,7 +149,7 @@ def test_what_was_read_is_not_marked(good: BusSnapshot) -> None:
     st.lists(
         st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 0xFFFF), st.integers(0, 0xFFFF)), max_size=10
     ),
-    st.sampled_from([(20, 6), (40, 12), (80, 24), (132, 43)]),
+    st.sampled_from([(20, 7), (40, 12), (80, 24), (132, 43)]),
 )
 def test_whatever_comes_is_printed(values: list[tuple[int, int, int]], size: tuple[int, int]) -> None:
     model = BusModel([assumed_layout(32), assumed_layout(5)])

@@ -94,14 +94,6 @@ def test_it_ends_well_within_the_tolerance() -> None:
     assert not has(machine.run(5), DISAGREES)[-1]
 
 
-def test_values_over_the_wrap() -> None:
-    """A machine that turns and turns; with 2^30 increments in a revolution the value wraps every four."""
-    machine = standing(0.0001, increments=1 << 30, origin=(1 << 31) - 5)
-    machine.ramp(0.0, 90.0)
-    got = machine.run(1500, 90.0) + machine.ramp(90.0, -90.0) + machine.run(1500, -90.0)
-    assert all(feedback.status == VALID for feedback in got)
-
-
 def test_values_that_are_late_for_good() -> None:
     """After a SYNC without a value each may be that of the one before; at standstill that does not matter."""
     machine = standing()

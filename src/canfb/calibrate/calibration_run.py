@@ -53,6 +53,7 @@ from canfb.master.session import Session, read_corners
 from canfb.rows import Result
 from canfb.sdo.tables import read_table
 from canfb.signal.correction import NO_CORRECTION, Correction
+from canfb.signal.limits import RPM
 from canfb.signal.supervision import SampleLimits
 
 LEAST_FRESH = 1500
@@ -243,9 +244,7 @@ class CalibrationRun:
         readings = SpeedReadings(node)
         while left:
             steps.step(f"waiting for the machine to turn steadily at {listed(left)} rpm")
-            rpm = wait_for_speed(
-                node.master, lambda: readings.read() * RPM_PER_RAD_S, left, choices.wait, steps.part
-            )
+            rpm = wait_for_speed(node.master, lambda: readings.read() * RPM, left, choices.wait, steps.part)
             left.remove(rpm)
             steps.step(f"at {rpm:g} rpm: collecting {choices.collecting}")
             samples.append(self._collect(session, choices.collect_s, choices.least_samples))
@@ -367,7 +366,6 @@ def listed(speeds_rpm: Sequence[float]) -> str:
 
 
 SPARE_AMPLITUDE = 0.05  # within the limits of the amplitude
-RPM_PER_RAD_S = 60.0 / (2.0 * math.pi)
 
 
 def check_amplitude(measured: Measurement, limits: SampleLimits) -> None:

@@ -24,7 +24,7 @@ from canfb.report import pictures
 from canfb.report.page import figure, gallery, page, section, sentence, table
 from canfb.report.pictures import lissajous
 from canfb.rows import Findings, Row, Section, those
-from canfb.signal.limits import samples_without_harm
+from canfb.signal.limits import RPM, samples_without_harm
 from canfb.timing.syncs import USUAL_JITTER_S
 from canfb.view.module_view import LIMIT_UNITS
 
@@ -84,9 +84,7 @@ class Commissioned:
 def machine_facts(done: Commissioned) -> list[Row]:
     machine, n = done.machine, done.new.cycles_per_revolution
     motion, tracks, samples = machine.motion, machine.tracks, done.observed.samples
-    slowest, fastest = (
-        machine.rad(speed, 1, n) * 60.0 / (2.0 * math.pi) for speed in (motion.slowest, motion.fastest)
-    )
+    slowest, fastest = (machine.rad(speed, 1, n) * RPM for speed in (motion.slowest, motion.fastest))
     acceleration, jerk = machine.rad(motion.acceleration, 2, n), machine.rad(motion.jerk, 3, n)
     low_pass = machine.low_pass if machine.low_pass is not None and machine.low_pass.is_detected else None
     return [

@@ -9,7 +9,7 @@ from typing import Any
 from canfb import objects as od
 from canfb.master.access import NodeAccess
 from canfb.objects import LossCause, PositionState, StatusBit, fault_words, position_state
-from canfb.rows import Result, Row, as_figures, as_lines, those
+from canfb.rows import Result, Row, age_words, as_figures, as_lines, those
 from canfb.signal.limits import cycles_per_interval_squared, kept_samples, max_acceleration
 from canfb.view.module_view import LIMIT_UNITS, LimitSettings, limit_settings, mapped_objects
 
@@ -365,10 +365,3 @@ def _read_loss(module: NodeAccess) -> tuple[Loss | None, bool]:
     )
     residual_cycles, limit_cycles, speed_cycles = (one / LIMIT_UNITS for one in (residual, limit, speed))
     return Loss(cause, since_ms / 1e3, bad, residual_cycles, limit_cycles, speed_cycles, faults), True
-
-
-def age_words(seconds: float) -> str:
-    """0.8 s, 12 min, 3.4 h."""
-    if seconds < 120.0:
-        return f"{seconds:.3g} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"

@@ -16,10 +16,11 @@ from canfb.files import check_writable, replacing, writing
 from canfb.logfile.log_reader import BusLogFile
 from canfb.replay.findings import COLUMNS, Block, Overview
 from canfb.replay.module_replay import ModuleReplay
-from canfb.replay.replay_result import RPM, ReplayResult
+from canfb.replay.replay_result import ReplayResult
 from canfb.report.page import beside, figure, gallery, page, table
 from canfb.report.pictures import Curve, lissajous, over_time
 from canfb.rows import Row
+from canfb.signal.limits import RPM
 
 HINT = "Parquet needs pyarrow: pip install 'canfb[fleet]'"
 Take = Callable[[Block], None]

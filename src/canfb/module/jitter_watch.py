@@ -9,7 +9,7 @@ from canfb.device.od.dictionary import Entry
 from canfb.module.interval import SamplingInterval
 from canfb.module.parameters import Limits
 from canfb.signal.feedback import Feedback
-from canfb.signal.limits import max_speed
+from canfb.signal.limits import RPM, max_speed
 from canfb.signal.supervision import VALID
 from canfb.timing.syncs import Syncs
 
@@ -17,7 +17,6 @@ PEAK = 2.5  # times the mean deviation of SYNC: 2 for a uniform one, 3 standard 
 NEAR, AWAY = 0.7, 0.5  # of the largest speed: where the warning comes, and where it may come again
 SHORTEST_S = 10.0  # from one warning to the next
 EXAMPLES_US = (10, 100)
-RPM = 60.0 / (2.0 * math.pi)
 
 
 class JitterWatch:

@@ -78,7 +78,8 @@ class Pairing(ProcessData):
         self._tracks_came = False  # since the last SYNC, with the rest of the sample or without
         self._synced = False  # a SYNC came since OPERATIONAL
         self._stale = False  # what synchronous RPDOs hold is of an unknown interval
-        self._off = 0.0  # the grid, so far was the last sample taken, intervals
+        # So far off the grid was the last sample taken, intervals; and its tracks came then.
+        self._off, self._came_s = 0.0, -NEVER
         self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
         self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
         # The RPDO that may bring a usual sample of the last SYNC; CAME: it has, and nothing since.
@@ -158,7 +159,7 @@ class Pairing(ProcessData):
                 self._miss(int(self._elapsed), now)
         self._sample_came, self._tracks_came, self._stale = 0, False, False
         self._synced = True
-        in_turn = not self._prediction.follows if parts.timed else due == self._accounted
+        in_turn = not self._prediction.follows if parts.timed else due == self._accounted == self._answered
         if source is not None:
             self._sample_source(source, now)
         elif (
@@ -282,7 +283,7 @@ class Pairing(ProcessData):
         if feedback is None:
             self._look_closely(number, now)
             return
-        self.usual, self._sample_came = CAME, 1
+        self.usual, self._sample_came, self._came_s = CAME, 1, call.received
         self._accounted = self._answered = syncs.place
         noise = self._limits.noise
         if feedback[-1] >= noise.due and noise.take(feedback):
@@ -338,6 +339,10 @@ class Pairing(ProcessData):
             place += later
         elif syncs.grid.period:
             self._ambiguous = call.received >= syncs.grid.due
+            soonest_s = self._came_s + (place - self._answered - 0.5) * syncs.grid.period
+            if place - self._answered > 1 and call.received < soonest_s:  # that of the SYNC before, late
+                self._lose_count(1.0, now)
+        self._came_s = call.received
         if place > self._accounted or not self.sampled:
             return self._answer(place)
         self.count_bad_frame()
@@ -432,15 +437,11 @@ class Pairing(ProcessData):
 
     # Samples into the chain, and out.
 
-    @property
-    def _is_open(self) -> bool:
-        syncs = self.syncs
-        return self._ambiguous or syncs.late_s > 0.0 or syncs.grid.early > 0
-
     def _take(self, sample: Sample, elapsed: float, now: float) -> None:
         placed = not (self._off and self._chain.slips(self._off))
+        is_open = self._ambiguous or self.syncs.late_s > 0.0 or self.syncs.grid.early > 0
         feedback = self._chain.after(sample, elapsed, placed=placed)
-        if self.unconfirmed or (self._is_open and self._chain.slips(1.0)):
+        if self.unconfirmed or (is_open and self._chain.slips(1.0)):
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
 

@@ -15,8 +15,9 @@ from canfb.monitoring.snapshot import (
     SyncSnapshot,
 )
 from canfb.objects import PositionState
+from canfb.rows import age_words
+from canfb.signal.limits import RPM
 
-RPM = 60.0 / (2.0 * math.pi)
 SPELLING = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\s\d.,;]{1,8})\s*", re.ASCII)
 
 
@@ -92,7 +93,7 @@ def module_lines(node: NodeSnapshot, module: ModuleSnapshot, units: MachineUnits
         Line(
             "2012h" if module.counters else "faults",
             (
-                ("" if since is None else f"{age(since)} ago: ", "faint"),
+                ("" if since is None else f"{age_words(since)} ago: ", "faint"),
                 (counter_words(module.counters or counted), ""),
                 ("" if module.counters or counted else " seen", "faint"),
             ),
@@ -114,7 +115,7 @@ def _emergency(node: NodeSnapshot) -> Parts:
 
 
 def emergency_part(one: EmergencySnapshot) -> tuple[str, Tone]:
-    return f"{one.code:04X}h {one.text}, {age(one.age_s)} ago", "bad" if one.code else ""
+    return f"{one.code:04X}h {one.text}, {age_words(one.age_s)} ago", "bad" if one.code else ""
 
 
 def tone_of(module: ModuleSnapshot) -> Tone:
@@ -142,7 +143,7 @@ def other_nodes(snapshot: BusSnapshot) -> str:
 
 def sync_words(sync: SyncSnapshot) -> str:
     if sync.rate_hz is None or sync.jitter_rms_s is None or sync.jitter_peak_s is None:
-        return "none" if sync.silent_s is None else f"none for {age(sync.silent_s)}"
+        return "none" if sync.silent_s is None else f"none for {age_words(sync.silent_s)}"
     rms, peak = sync.jitter_rms_s * 1e6, sync.jitter_peak_s * 1e6
     return f"{sync.rate_hz:.6g} Hz, jitter {rms:.1f} µs rms, {peak:.1f} µs peak"
 
@@ -168,7 +169,7 @@ def state_words(node: NodeSnapshot) -> str:
 
 def position_words(module: ModuleSnapshot) -> str:
     if is_stale(module):
-        return "no data" if module.age_s is None else f"no data for {age(module.age_s)}"
+        return "no data" if module.age_s is None else f"no data for {age_words(module.age_s)}"
     return module.position_state or "no status"
 
 
@@ -211,12 +212,6 @@ def mapping_words(module: ModuleSnapshot) -> str:
 
 def counter_words(counters: dict[str, int]) -> str:
     return ", ".join(f"{name} {count}" for name, count in counters.items() if count) or "none"
-
-
-def age(seconds: float) -> str:
-    if seconds < 100.0:
-        return f"{seconds:.1f} s"
-    return f"{seconds / 60.0:.0f} min" if seconds < 6000.0 else f"{seconds / 3600.0:.1f} h"
 
 
 def plain_lines(snapshot: BusSnapshot, units: MachineUnits) -> list[str]:

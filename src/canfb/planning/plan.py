@@ -41,6 +41,9 @@ from canfb.signal.limits import (
     max_speed,
     samples_without_harm,
 )
+from canfb.signal.limits import (
+    RPM as RPM,
+)
 from canfb.signal.sample import TICK_S
 
 ROUNDED_AMPLITUDE = 0.75  # of full scale, as the simulated encoder has it
@@ -48,7 +51,6 @@ RAW_PHASE_ERROR_CYCLES = 0.0113  # of Table 1, without a correction table
 TABLE_PHASE_ERROR_CYCLES = 0.001  # of what a reference measurement leaves
 PEAK = 6.0  # standard deviations of the noise: one healthy sample in 5e8 is further off
 ROUNDING_VARIANCE = 1.0 / 12.0  # counts^2
-RPM = 60.0 / (2.0 * math.pi)  # of a speed in rad/s
 WEIGHTS, SQUARES = 4.0, 6.0  # sums of the sizes and of the squares of 1, 2, 1 (eq. 9)
 HALF_TICK_S = TICK_S / 2.0  # a sample time is rounded down
 SUM_ROUNDING, ROUNDING_CYCLES = 1e-6, 1e-9  # of sums: a limit that is narrowed to the motion holds

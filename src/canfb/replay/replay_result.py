@@ -9,8 +9,8 @@ from typing import Any
 from canfb.replay.findings import KINDS, Extreme, LogDrift
 from canfb.replay.module_replay import Begin, ModuleReplay, OwnFrames
 from canfb.rows import Row, as_figures, as_lines, finite, those
+from canfb.signal.limits import RPM
 
-RPM = 60.0 / (2.0 * math.pi)
 SHOWN_FAULTS = 10
 MOVES_CYCLES = 0.1  # of the first samples: more than noise
 PER_INTERVAL = "cycles per interval²"

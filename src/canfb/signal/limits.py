@@ -6,6 +6,8 @@ import math
 
 from canfb.signal.tracker import check_residual_limit
 
+RPM = 60.0 / (2.0 * math.pi)  # of a speed in rad/s
+
 
 def max_acceleration(
     cycles_per_revolution: float, sample_rate_hz: float, residual_limit: float = 0.5
