@@ -57,7 +57,7 @@ WRONG: list[dict[str, Any]] = [
 
 
 @pytest.mark.parametrize(
-    ("opening", "options"), [*((open_bus, options) for options in WRONG), (open_device_bus, NOWHERE)], ids=str
+    ("opening", "options"), [*((open_bus, options) for options in WRONG), (open_device_bus, NOWHERE)]
 )
 def test_a_bus_that_there_is_not_gets_one_line(
     opening: Callable[..., object], options: dict[str, Any]

@@ -85,21 +85,3 @@ def test_a_lost_position_is_set_right_by_coarse_track_and_zero_pulse(outage: int
     shown = np.diff([feedback.cycles + feedback.phase - truth for feedback, truth in after])
     jumps = [k for k, step in enumerate(shown) if abs(step) > 90.0]
     assert all(after[k][0].jump_cycles != 0 for k in jumps), "a jump is reported by the sample before it"
-
-
-@pytest.mark.parametrize("speed", [5.0, 5.2])
-def test_after_a_count_was_set_right_one_bad_sample_costs_nothing(speed: float) -> None:
-    chain, machine = SignalChain(ChainConfig()), Machine(0.0, coarse=False)
-    run(chain, machine, 5)
-    while machine.speed < speed - 0.05:
-        chain.step(machine.sample(0.1))
-    machine.speed = speed
-    feedback, truth = run(chain, machine, 2000)[-1]
-    reference = feedback.cycles + feedback.phase - truth
-    chain.stages.estimator.found(7, 0)
-    while not chain.step(machine.sample()).jump_cycles:
-        pass
-    spoil(chain, machine, 1)
-    after = run(chain, machine, 60)
-    assert after[-1][0].valid
-    assert np.abs(errors(after) - reference).max() < 0.04

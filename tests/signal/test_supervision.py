@@ -67,11 +67,6 @@ AMPLITUDES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("amplitude", "bits"), AMPLITUDES)
-def test_the_limits_of_the_amplitude_are_themselves_good(amplitude: float, bits: int) -> None:
-    assert Supervision(LIMITS).faults(100.0, -100.0, amplitude) == bits
-
-
 @pytest.mark.parametrize(
     ("low", "high", "narrow_low", "narrow_high"),
     [

@@ -13,7 +13,6 @@ from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
 from canfb.signal.stream import process_stream
@@ -99,19 +98,6 @@ def test_a_configuration_that_is_none_is_refused(config: object) -> None:
         SignalChain(config)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="must be a ChainConfig"):
         process_stream([], config)  # type: ignore[arg-type]
-
-
-def test_an_offset_may_be_what_the_conditioning_takes_away() -> None:
-    centred, offset = Conditioning(), Conditioning(2048.0, 2048.0)
-    want = process(SINE, COSINE, conditioning=centred)
-    assert want.ok.all()
-    sine, cosine = SINE + 2048, COSINE + 2048
-    assert process(sine, cosine, conditioning=offset).cycles.tolist() == want.cycles.tolist()
-    unsigned = np.rint(sine).astype(np.uint16), np.rint(cosine).astype(np.uint16)
-    assert process(*unsigned, conditioning=offset).ok.all()
-    (result,) = process_stream([unsigned], ChainConfig(conditioning=offset, adc_bits=13))
-    assert result.valid.all()
-    assert abs(calibrate_from_motion(MANY[0], MANY[1], "fit").conditioning.sine_offset_counts - 2048) < 1
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,198 @@
+"""2002:08 to 12: drifting tracks are followed, shown and kept."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from module_bench import Bench
+
+from canfb.cia301.frame import Frame
+from canfb.configuration import parse_config
+from canfb.device.storage.storage import MemoryStore
+from canfb.module.feedback_module import FeedbackModule
+from canfb.objects import AdaptationState as State
+from canfb.signal.adaptation import AdaptConfig
+from canfb.signal.conditioning import Conditioning
+from canfb.signal.correction import Correction
+from folding import each
+from servo_kit import IDEAL_TABLE
+
+# The truth of the encoder below. No harmonics are known, so that the first samples are the reference.
+CALIBRATED = Conditioning(40.0, -30.0, 1.0, 1.0, 0.02)
+AMPLITUDE = 1500.0
+DRIFT, CODE, UNITS = 1 << 13, 0xFF1D, 8192
+FAST = AdaptConfig(rate_per_hour=10.0)
+
+
+class Turning(Bench):
+    """A machine that turns, whose tracks drift."""
+
+    def __init__(
+        self, store: MemoryStore | None = None, adapt: AdaptConfig | bool = FAST, **fields: Any
+    ) -> None:
+        super().__init__(store, conditioning=CALIBRATED, adapt=adapt, phase_error_cycles=0.05, **fields)
+        self.place = self.speed = 0.0
+        self.sine_offset = self.cosine_offset = self.gain = 0.0
+        self.rng = np.random.default_rng(1)
+
+    def calibrate(self) -> None:
+        self.module.use_correction(Correction(IDEAL_TABLE, CALIBRATED))
+
+    def pair(self) -> tuple[int, int]:
+        angle = 2.0 * math.pi * (self.place % 1.0)
+        sine = AMPLITUDE * ((1.0 + self.gain) * math.sin(angle) + self.sine_offset) + 40.0
+        cosine = AMPLITUDE * (math.cos(angle - 0.02) + self.cosine_offset) - 30.0
+        noise = self.rng.normal(0.0, 0.5, 2)
+        return round(sine + noise[0]), round(cosine + noise[1])
+
+    def turn(self, samples: int, speed: float = 3.1371) -> list[float]:
+        """Errors of 6004h, cycles, without whole ones; all samples are valid."""
+        errors = []
+        for _ in range(samples):
+            self.speed += max(-0.05, min(speed - self.speed, 0.05))
+            self.place += self.speed
+            self.sync()
+            units, status, _ = self.position(self.counts(*self.pair()))
+            assert status & 1
+            errors.append(units / UNITS - self.place)
+        away = np.array(errors)
+        return list((away + 0.5) % 1.0 - 0.5)
+
+    def drift(self) -> tuple[float, ...]:
+        """2002:0F..12."""
+        return tuple(self.sdo[0x2002][subindex].raw for subindex in range(15, 19))
+
+    def warnings(self) -> list[tuple[int, int]]:
+        """Code and 6505h of each EMCY."""
+        frames = [frame.data for frame in self.heard if frame.can_id == 0xA0]
+        return [(code, bits) for code, _, bits in (struct.unpack_from("<HBH", data) for data in frames)]
+
+
+def machine(store: MemoryStore | None = None, **fields: Any) -> Turning:
+    turning = Turning(store, **fields)
+    turning.start()
+    turning.calibrate()
+    turning.turn(8000)
+    return turning
+
+
+def test_the_drift_is_followed_and_shown() -> None:
+    one = machine()
+    assert one.sdo[0x2002][13].raw == State.FOLLOWING
+    before = np.std(one.turn(500))
+    for step in range(1, 21):
+        one.sine_offset, one.gain = 0.002 * step, -0.002 * step
+        errors = one.turn(1000)
+    errors = one.turn(6000)[-500:]
+    assert np.std(errors) < before + 0.0002
+    sine, cosine, gain, phase = one.drift()
+    assert sine == pytest.approx(0.04 * AMPLITUDE, rel=0.05)
+    assert gain == pytest.approx(-0.04, rel=0.1)
+    assert abs(cosine) < 0.002 * AMPLITUDE
+    assert abs(phase) < 0.002
+    assert one.sdo[0x2002][14].raw == pytest.approx(100 * 0.04 / 0.15, abs=3)
+    # The conditioning is that of the calibration, and the recording has the counts of the converter.
+    assert one.sdo[0x2002][1].raw == 40.0
+    one.sdo[0x2002][8].raw = 0
+    assert one.drift() == (0.0, 0.0, 0.0, 0.0)
+    assert one.sdo[0x2002][13].raw == State.OFF
+    assert np.std(one.turn(500)) > 0.004
+
+
+def test_the_limit_is_a_warning_until_it_is_not_reached() -> None:
+    one = machine(adapt=AdaptConfig(offset=0.02, rate_per_hour=10.0))
+    one.sdo[0x2004][2].raw = 100
+    one.sine_offset = 0.015
+    one.turn(12000)
+    assert one.sdo[0x6505].raw == 0
+    one.sine_offset = 0.03
+    one.turn(8000)
+    assert one.sdo[0x6505].raw == DRIFT
+    assert one.sdo[0x2002][13].raw == State.AT_LIMIT
+    assert one.sdo[0x2002][14].raw >= 100
+    assert one.warnings() == [(CODE, DRIFT)]
+    one.sine_offset = 0.0
+    one.turn(20000)
+    assert one.sdo[0x6505].raw == 0
+    assert [code for code, _ in one.warnings()] == [CODE, 0]
+
+
+def test_save_keeps_the_drift_and_an_activation_ends_it() -> None:
+    store = MemoryStore()
+    one = machine(store)
+    one.sine_offset = 0.02
+    one.turn(15000)
+    found = one.drift()
+    assert found[0] > 0.015 * AMPLITUDE
+    one.sdo.download(0x1010, 4, b"save")
+    one.turn(10)
+    again = Turning(store, adapt=False)  # saved values take precedence
+    again.start()
+    assert again.drift() == pytest.approx(found, rel=1e-6)
+    assert again.module.chain.correction == Correction(IDEAL_TABLE, CALIBRATED_32)
+    assert again.sdo[0x2002][13].raw == State.WAITING
+    again.sine_offset = 0.02
+    assert np.std(again.turn(600)[100:]) < 0.0008
+    again.sdo[0x2020][3].raw = IDEAL_TABLE.crc32
+    assert again.drift() == (0.0, 0.0, 0.0, 0.0)
+    again.remote.nmt.send_command(0x81)
+    assert again.drift() == pytest.approx(found, rel=1e-6)
+    again.sdo.download(0x1011, 4, b"load")
+    again.remote.nmt.send_command(0x81)
+    assert again.drift() == (0.0, 0.0, 0.0, 0.0)
+
+
+CALIBRATED_32 = Conditioning(40.0, -30.0, 1.0, 1.0, float(np.float32(0.02)))
+
+
+def test_samples_that_nobody_confirms_are_not_learned() -> None:
+    """After a pause the position is withheld, and with it what was taken before."""
+    one = machine(coast_samples=20)
+    sectors = one.module.chain.adaptation
+    one.turn(200, 0.0)
+    one.turn(3)
+    one.remote.nmt.state = "PRE-OPERATIONAL"
+    one.remote.nmt.state = "OPERATIONAL"
+    one.sync()
+    one.counts(*one.pair())
+    assert not one.module.feedback or not one.module.feedback.valid
+    assert sectors._sectors.taken == 0
+
+
+@each(
+    "text, expected",
+    [
+        ("true", (1, 150, 250, 50, 500)),
+        ("false", (0, 150, 250, 50, 500)),
+        ("{}", (1, 150, 250, 50, 500)),
+        ("{offset: 0.1, gain: 0.0001, phase_rad: 0, rate_per_hour: 2}", (1, 100, 1, 0, 2000)),
+    ],
+)
+def test_the_key(text: str, expected: tuple[int, ...]) -> None:
+    config = parse_config(f"modules:\n- {{node_id: 3, adapt: {text}}}\n")
+    module = FeedbackModule(config.modules[0])
+    assert tuple(module.dictionary.entry(0x2002, n).value for n in range(8, 13)) == expected
+
+
+def test_several_samples_for_each_sync() -> None:
+    bench = Turning(samples_per_sync=2)
+    bench.start()
+    bench.calibrate()
+
+    def run(syncs: int) -> None:
+        for _ in range(syncs):
+            bench.speed = min(bench.speed + 0.002, 0.6137)
+            bench.place += bench.speed
+            earlier = bench.pair()
+            bench.place += bench.speed
+            bench.sync()
+            bench.sent(Frame(0x190, struct.pack("<hhhh", *bench.pair(), *earlier)))
+
+    run(6000)
+    bench.sine_offset = 0.02
+    run(10000)
+    assert bench.drift()[0] == pytest.approx(0.02 * AMPLITUDE, rel=0.15)
