@@ -127,7 +127,9 @@ class Pairing(ProcessData):
             return self._extra_sync(verdict, now, waiting)
         self._begin_interval(verdict, counter, now, waiting, after_extra)
         if self._prediction.extrapolates and self._source is None:
-            self._publishing.extrapolate(max(1, syncs.place - self._accounted), self.answers.waits + 1)
+            last, behind = self._publishing.last, max(1, syncs.place - self._accounted)
+            if last is not None:
+                self._prediction.extrapolate(last, behind, self.answers.waits + 1)
             return REVOKED
         return FOLLOWED
 
@@ -144,7 +146,8 @@ class Pairing(ProcessData):
         place, late = syncs.place, syncs.late_s > 0.0
         if verdict is not USUAL:
             self._limits.follow()
-        self.answers.synced(place, syncs.synced_s, syncs.grid, self._longest_answer.value * syncs.stamped)
+        if longest_s := self._longest_answer.value:
+            self.answers.synced(place, syncs.synced_s, syncs.grid, longest_s * syncs.stamped)
         due = place - 1 - self.answers.waits  # the last place whose sample had to come
         if verdict != USUAL or late or waiting or self._ambiguous or due > self._accounted:
             self._account(verdict, counter, now, waiting, due)

@@ -143,10 +143,6 @@ class Publishing:
             self.alarm.report(False, self.last.status & ~VALID, now, self.loss)
             self.warnings.look_again()
 
-    def extrapolate(self, periods: int, most_syncs: int) -> None:
-        if self.last is not None:
-            self.prediction.extrapolate(self.last, periods, most_syncs)
-
     def configured(self) -> None:
         self.warnings.look_again()
         self.event_tpdos = [
