@@ -9,8 +9,18 @@ from pathlib import Path
 from canfb import objects as od
 from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
-from canfb.cli.options import JSON, TIMEOUT, Commands, add_bus_options, add_command, add_group, option
-from canfb.cli.subjects import node_or_file, nodes, required_file
+from canfb.cli.options import (
+    JSON,
+    TIMEOUT,
+    Commands,
+    add_bus_options,
+    add_command,
+    add_group,
+    node_or_file,
+    nodes,
+    option,
+    required_file,
+)
 from canfb.eds_files import eds_path
 from canfb.files import check_writable, write_whole
 from canfb.master.access import Master, NodeAccess

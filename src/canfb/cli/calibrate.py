@@ -22,7 +22,9 @@ from canfb.calibrate.measurement import MOTION, ZERO_CROSSINGS
 from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
     BUS_WORDS,
+    COLUMNS,
     JSON,
+    MEASURED_NODES,
     TIMEOUT,
     Commands,
     add_bus_options,
@@ -33,7 +35,6 @@ from canfb.cli.options import (
     refuse_idle,
 )
 from canfb.cli.printing import Progress, shown_progress
-from canfb.cli.subjects import COLUMNS, MEASURED_NODES
 from canfb.configuration import Config
 from canfb.errors import CalibrationError
 from canfb.files import prepare_folder

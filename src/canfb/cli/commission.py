@@ -10,6 +10,7 @@ from canfb.calibrate.choices import CalibrateOptions
 from canfb.cli.node_options import nodes_of, say_result, sync_master
 from canfb.cli.options import (
     JSON,
+    MEASURED_NODES,
     TIMEOUT,
     Commands,
     add_bus_options,
@@ -18,7 +19,6 @@ from canfb.cli.options import (
     option,
 )
 from canfb.cli.printing import Progress, shown_progress
-from canfb.cli.subjects import MEASURED_NODES
 from canfb.commission.commission_run import CommissionOptions
 from canfb.commission.commission_run import commission as run
 from canfb.configuration import Config

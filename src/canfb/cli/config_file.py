@@ -17,11 +17,11 @@ from canfb.cli.options import (
     bus_options,
     chosen_module,
     named_config,
+    nodes,
     option,
     refuse_idle,
 )
 from canfb.cli.printing import report
-from canfb.cli.subjects import nodes
 from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.device.od.dcf import Reals
 from canfb.errors import ConfigError

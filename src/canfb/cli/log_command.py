@@ -21,11 +21,16 @@ from canfb.cli.options import (
     chosen_bus,
     chosen_module,
     group,
+    node_or_file,
+    nodes,
     option,
+    positive,
     refuse_idle,
+    required_file,
+    size,
+    whole_number,
 )
 from canfb.cli.printing import Progress, say, shown_progress
-from canfb.cli.subjects import node_or_file, nodes, positive, required_file, size, whole_number
 from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
 from canfb.files import check_writable

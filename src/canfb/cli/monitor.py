@@ -23,10 +23,11 @@ from canfb.cli.options import (
     bus_options,
     group,
     named_config,
+    nodes,
     option,
+    positive,
 )
 from canfb.cli.printing import say
-from canfb.cli.subjects import nodes, positive
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
 from canfb.monitoring.bus_model import BusModel

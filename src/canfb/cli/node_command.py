@@ -19,9 +19,11 @@ from canfb.cli.options import (
     add_command,
     add_group,
     chosen_bus,
+    node_number,
+    nodes,
     option,
+    positive,
 )
-from canfb.cli.subjects import node_number, nodes, positive
 from canfb.master.node_state import reset_nodes
 from canfb.rows import Result
 

@@ -10,9 +10,8 @@ from collections.abc import Iterator
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
-from canfb.cli.options import JSON, TIMEOUT, add_bus_options, bus_options, chosen_bus, option
+from canfb.cli.options import JSON, TIMEOUT, add_bus_options, bus_options, chosen_bus, node_number, option
 from canfb.cli.printing import report
-from canfb.cli.subjects import node_number
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.master.access import Master

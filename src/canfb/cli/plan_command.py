@@ -6,8 +6,7 @@ import argparse
 import json
 from dataclasses import fields
 
-from canfb.cli.options import JSON, Commands, add_command, option
-from canfb.cli.subjects import jitter_of, jitter_s, whole_number
+from canfb.cli.options import JSON, Commands, add_command, jitter_of, jitter_s, option, whole_number
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
 from canfb.hosting.hosting import saved_configuration

@@ -9,6 +9,8 @@ from pathlib import Path
 from canfb.bus.opening import check_device_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import (
+    COLUMNS,
+    JITTER,
     READY_FILE,
     Commands,
     add_bus_options,
@@ -16,10 +18,12 @@ from canfb.cli.options import (
     bus_options,
     chosen_module,
     group,
+    jittered,
+    nodes,
     option,
+    positive,
 )
 from canfb.cli.printing import printed_without_waiting, say
-from canfb.cli.subjects import COLUMNS, JITTER, jittered, nodes, positive
 from canfb.configuration import Config, load_config
 from canfb.errors import ConfigError
 from canfb.files import check_writable, writing

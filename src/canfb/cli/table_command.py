@@ -8,8 +8,7 @@ from pathlib import Path
 
 from canfb.bus.clocks import date_and_time
 from canfb.cli import node_options
-from canfb.cli.options import Commands, add_command, add_group, option
-from canfb.cli.subjects import node_number
+from canfb.cli.options import Commands, add_command, add_group, node_number, option
 from canfb.errors import ConfigError
 from canfb.files import check_writable
 from canfb.master.access import NodeAccess

@@ -14,9 +14,8 @@ from canfb.bus.clocks import page_date
 from canfb.bus.opening import describe, group_port
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.commands import build_parser
-from canfb.cli.options import READY_FILE, Commands, add_command, group, option
+from canfb.cli.options import JITTER, READY_FILE, Commands, add_command, group, jittered, option
 from canfb.cli.printing import Progress, print_as_json, say
-from canfb.cli.subjects import JITTER, jittered
 from canfb.configuration import load_config
 from canfb.errors import ConfigError
 from canfb.files import prepare_folder, write_whole

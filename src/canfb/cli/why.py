@@ -19,9 +19,11 @@ from canfb.cli.options import (
     add_command,
     bus_options,
     group,
+    nodes,
     option,
+    positive,
+    whole_number,
 )
-from canfb.cli.subjects import nodes, positive, whole_number
 from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.diagnosis.lost import decoded, read_lost_position
 from canfb.diagnosis.nodes_and_frames import frame_counts, node_facts, scan
