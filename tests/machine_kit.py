@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from canfb import objects as od
-from canfb.commission.limit_choice import Choice, choose
-from canfb.commission.observation import Observation, observe
+from canfb.commission.limit_choice import Choice, Observation, choose, observe
 from canfb.master.machine_watch import SpeedReading
 from canfb.master.samples import TrackSamples
 from canfb.master.session import SupervisionLimits

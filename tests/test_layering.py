@@ -276,7 +276,7 @@ LONGEST_COMMAND, LONGEST_STEP = 240, 40
 @each("file", [file for file in FILES if part_of(file) == "cli"])
 def test_commands_stay_thin(file: Path) -> None:
     text = file.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= LONGEST_COMMAND
+    assert len(text.splitlines()) <= (LONGEST_COMMAND if "def register(" in text else LONGEST_FILE)
     steps = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)]
     steps = [step for step in steps if "option(" not in (ast.get_source_segment(text, step) or "")]
     lengths = {step.name: (step.end_lineno or 0) - step.lineno + 1 for step in steps}

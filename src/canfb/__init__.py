@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__ does it
     from canfb.calibration.deviation import Drift, drift
-    from canfb.calibration.from_motion import calibrate_from_motion
+    from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
     from canfb.calibration.result import Calibration
-    from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
     from canfb.cia301.frame import Frame
     from canfb.configuration import Config, load_config
     from canfb.eds_files import eds_path
@@ -82,9 +81,8 @@ __all__ = [
 _PLACES = {
     "hosting.state_files": ("StateFiles",),
     "calibration.deviation": ("Drift", "drift"),
-    "calibration.from_motion": ("calibrate_from_motion",),
+    "calibration.methods": ("calibrate_from_motion", "calibrate_from_zero_crossings"),
     "calibration.result": ("Calibration",),
-    "calibration.zero_crossing": ("calibrate_from_zero_crossings",),
     "cia301.frame": ("Frame",),
     "configuration": ("Config", "load_config"),
     "eds_files": ("eds_path",),

@@ -20,10 +20,9 @@ from measurements import (
 )
 
 import canfb
-from canfb.calibration.from_motion import calibrate_from_motion
+from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
 from canfb.calibration.over_speeds import TracksAtSpeed, calibrate_over_speeds
 from canfb.calibration.result import Calibration, Reason
-from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
 from canfb.errors import CalibrationError, CanfbError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray, raw_phases

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from canfb.calibration.ellipse import angle_cycles, fit_ellipse
-from canfb.calibration.from_motion import calibrate_from_motion
+from canfb.calibration.methods import calibrate_from_motion
 from canfb.errors import CalibrationError
 from canfb.signal.phase import FloatArray, raw_phases
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from measurements import table_error
 
 from canfb.calibration.deviation import best_deviation
-from canfb.calibration.from_motion import calibrate_from_motion
+from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.motion_blocks import CUBIC, Blocks
 from canfb.calibration.recording import (
     BASELINE,

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from canfb import objects as od
-from canfb.calibrate.samples_through_chain import supervise
-from canfb.commission.limit_choice import choose
+from canfb.calibrate.measurement import supervise
+from canfb.commission.limit_choice import choose, observe
 from canfb.commission.machine_figures import repeats_of_frozen_input
-from canfb.commission.observation import observe
 from canfb.master.access import CommissioningError
 from canfb.master.machine_watch import SpeedReading
 from canfb.master.samples import TrackSamples

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from canfb.calibration.from_motion import calibrate_from_motion
-from canfb.calibration.zero_crossing import calibrate_from_zero_crossings
+from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
 from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig

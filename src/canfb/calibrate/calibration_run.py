@@ -15,8 +15,10 @@ from canfb.calibrate.calibration_summary import drift_result, findings, module_d
 from canfb.calibrate.choices import MODULE, PDO, CalibrateOptions
 from canfb.calibrate.measurement import (
     DriftCheck,
+    InForce,
     Measurement,
     Settings,
+    SpeedSamples,
     check,
     check_at_speed,
     measure,
@@ -32,7 +34,6 @@ from canfb.calibrate.procedure import (
     verify,
     verify_at_speed,
 )
-from canfb.calibrate.samples_through_chain import InForce, SpeedSamples
 from canfb.calibration.deviation import Deviation
 from canfb.calibration.path_fit import check_apart
 from canfb.errors import CalibrationError, CanfbError

@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from canfb.calibrate.measurement import ESTIMATE, MOTION, ZERO_CROSSINGS, Settings
-from canfb.calibrate.samples_through_chain import SpeedSamples
+from canfb.calibrate.measurement import ESTIMATE, MOTION, ZERO_CROSSINGS, Settings, SpeedSamples
 from canfb.errors import ConfigError
 from canfb.master.samples import TrackSamples, read_npz, read_speed
 from canfb.signal.conditioning import LONGEST_DELAY_S

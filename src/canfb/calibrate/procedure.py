@@ -8,8 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from canfb import objects as od
-from canfb.calibrate.measurement import Measurement, Settings, block_of
-from canfb.calibrate.samples_through_chain import SpeedSamples, errors_at
+from canfb.calibrate.measurement import Measurement, Settings, SpeedSamples, block_of, errors_at
 from canfb.calibration.deviation import Deviation, best_deviation
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError, CanfbError

@@ -1,6 +1,6 @@
 """A reference measurement at several speeds: encoder and analog path together.
 
-From the coefficients S_k, C_k of order k at speed f (:mod:`.from_motion`) and the path (:mod:`.path_fit`) the
+From the coefficients S_k, C_k of order k at speed f (:mod:`.methods`) and the path (:mod:`.path_fit`) the
 tracks of standstill are
 
     S_k / H(k f; fs),    C_k / (H(k f; fc) exp(2 pi i k f cosine_delay)),    H(f; fc) = 1 / (1 + i f / fc)
@@ -19,8 +19,8 @@ import numpy as np
 
 from canfb.calibration.deviation import SIGNIFICANT, Drift, drift
 from canfb.calibration.ellipse import angle_cycles, fit_ellipse, with_track_harmonics
-from canfb.calibration.from_motion import calibrate_from_motion, mean_tracks_of
 from canfb.calibration.joint import Waveform, grid_phases, raw_phase_curve, series_of, table_of
+from canfb.calibration.methods import calibrate_from_motion, mean_tracks_of
 from canfb.calibration.path_fit import (
     ANGLE_REPEATS_RAD,
     NO_PATH,

@@ -13,10 +13,9 @@ from canfb import objects as od
 from canfb.calibrate.artefacts import keep_samples
 from canfb.calibrate.calibration_run import Steps
 from canfb.calibrate.choices import refuse_beyond
-from canfb.calibrate.samples_through_chain import supervise
+from canfb.calibrate.measurement import supervise
 from canfb.commission.commission_summary import Commissioned, findings, write_page
-from canfb.commission.limit_choice import choose
-from canfb.commission.observation import LEAST_SAMPLES, Observation, observe
+from canfb.commission.limit_choice import LEAST_SAMPLES, Observation, choose, observe
 from canfb.errors import CanfbError
 from canfb.master.access import CommissioningError, Master, NodeAccess
 from canfb.master.all_or_nothing import Guard, change, check_can_save, check_unlocked

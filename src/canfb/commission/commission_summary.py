@@ -10,9 +10,8 @@ from pathlib import Path
 from canfb import objects as od
 from canfb.calibrate.artefacts import REPORT, place_line
 from canfb.calibrate.calibration_summary import delay_words
-from canfb.commission.limit_choice import Choice
+from canfb.commission.limit_choice import Choice, Observation
 from canfb.commission.machine_figures import MachineFigures, smooth_acceleration
-from canfb.commission.observation import Observation
 from canfb.files import write_whole
 from canfb.master.machine_watch import Provenance, in_words, origins, where_words
 from canfb.master.session import (

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canfb.calibrate.samples_through_chain import SupervisedSamples
+from canfb.calibrate.measurement import SupervisedSamples
 from canfb.calibration.deviation import THIRDS, largest_change
 from canfb.calibration.motion_blocks import (
     BINS,

@@ -11,7 +11,7 @@ import canopen
 import numpy as np
 from numpy.typing import NDArray
 
-from canfb.calibration.from_motion import calibrate_from_motion
+from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.cia301.frame import Frame
 from canfb.eds_files import eds_path

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from canfb import objects as od
 from canfb.calibration.deviation import drift
-from canfb.calibration.from_motion import calibrate_from_motion
+from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.over_speeds import sampled_together
 from canfb.calibration.recording import recording
 from canfb.errors import CalibrationError

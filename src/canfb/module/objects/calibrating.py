@@ -15,7 +15,7 @@ from typing import NamedTuple
 from canfb import objects as od
 from canfb.calibration.deviation import Drift, drift
 from canfb.calibration.ellipse import without_harmonics
-from canfb.calibration.from_motion import calibrate_from_motion
+from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.motion_blocks import BINS, covered
 from canfb.calibration.over_speeds import counts_at, tracks_of_job
 from canfb.calibration.recording import NO_TIME
