@@ -345,7 +345,7 @@ def of_type(code: int) -> st.SearchStrategy[Any]:
         return LATIN if code == DataType.VISIBLE_STRING else st.text(st.characters(exclude_categories=["Cs"]))
     if code in datatypes.BYTES:
         return st.binary(max_size=40)
-    return st.integers(*value_range(code))
+    return st.integers(*map(int, value_range(code)))
 
 
 VALUES = st.fixed_dictionaries({}, optional={(0x2100 + code, 0): of_type(code) for code in TYPES})

@@ -128,7 +128,7 @@ class LogCounters:
                     self.not_canopen,
                     f"{self.not_canopen} frames with 29-bit identifiers or CAN FD left out",
                 ),
-                (self.late, f"{self.late} frames that were written down late, put in their places"),
+                (self.late, f"{self.late} frames with stamps out of order, put in their places"),
             ),
         ]
         return [

@@ -64,6 +64,8 @@ def in_order(batches: Iterable[list[Frame]], counters: LogCounters) -> Iterator[
 def _ready(frames: list[Frame], end: bool, counters: LogCounters) -> tuple[list[Frame], list[Frame], bool]:
     """Frames that are in order, those held back, and whether the first of these begins a set clock."""
     stamps = _stamps(frames)
+    if not all(map(le, stamps, stamps[1:])):
+        _bring_back(frames, stamps, counters)
     if all(map(le, stamps, stamps[1:])):
         cut = len(frames) if end else bisect_left(stamps, stamps[-1] - WINDOW_S)
         return frames[:cut], frames[cut:], False
@@ -79,6 +81,20 @@ def _ready(frames: list[Frame], end: bool, counters: LogCounters) -> tuple[list[
         newest = max(newest, stamp)
     ready, held = _sorted(frames, stamps, math.inf if end else newest - WINDOW_S, counters)
     return ready, held, False
+
+
+def _bring_back(frames: list[Frame], stamps: list[float], counters: LogCounters) -> None:
+    """Single frames far ahead of all around them, by another clock, get the stamp of the next."""
+    line = -math.inf
+    for n, stamp in enumerate(stamps):
+        if stamp > line + WINDOW_S:
+            behind = stamps[n + 1 : n + 1 + MOST_LATE]
+            back = [one for one in behind if one < stamp - WINDOW_S]
+            if 2 * len(back) > len(behind) and behind.index(back[0]) < LOOK_BEHIND:
+                frames[n], stamps[n] = frames[n]._replace(timestamp=back[0]), back[0]
+                counters.late += 1
+                continue
+        line = max(line, stamp)
 
 
 def _sorted(
@@ -135,8 +151,6 @@ def _clock_was_set(frames: list[Frame], stamps: list[float], begin: int, newest:
 BLOCK_BYTES = 1 << 18
 # (1700000000.123456) can0 190#0011AAFF, with R or T behind it from some versions.
 USUAL = re.compile(rb"^\((\d+\.\d+)\) (\S+) ([0-9A-Fa-f]{3})#((?:[0-9A-Fa-f]{2}){0,8})(?: [RTrt])?\r?$", re.M)
-_IDS = {b"%03X" % can_id: can_id for can_id in range(0x800)}
-_IDS |= {b"%03x" % can_id: can_id for can_id in range(0x800)}
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
@@ -144,21 +158,18 @@ def usual_frames(
     lines: Sequence[tuple[bytes, ...]], channel: str | None, counters: LogCounters
 ) -> list[Frame]:
     """The frames of one channel, None for all, in what :data:`USUAL` has found."""
-    ids, frame, selected = _IDS, Frame, None if channel is None else channel.encode()
-    try:
-        taken = [
-            _new(frame, (ids[can_id], unhexlify(data), False, float(time_s)))
-            for time_s, name, can_id, data in lines
-            if selected is None or name == selected
-        ]
-        for name in {name for _, name, _, _ in lines}:
-            if selected in (None, name):
-                counters.channels.add(_text(name))
-            else:
-                counters.left_out[_text(name)] += Counter(ids[line[2]] for line in lines if line[1] == name)
-    except KeyError:  # large and small letters in one identifier
-        large = [(time_s, name, can_id.upper(), data) for time_s, name, can_id, data in lines]
-        return usual_frames(large, channel, counters)
+    frame, selected = Frame, None if channel is None else channel.encode()
+    taken = [
+        _new(frame, (int(can_id, 16), unhexlify(data), False, float(time_s)))
+        for time_s, name, can_id, data in lines
+        if selected is None or name == selected
+    ]
+    for name in {name for _, name, _, _ in lines}:
+        if selected in (None, name):
+            counters.channels.add(_text(name))
+        else:
+            ids = (int(can_id, 16) for _, other, can_id, _ in lines if other == name)
+            counters.left_out[_text(name)] += Counter(ids)
     counters.frames += len(lines)
     return taken
 

@@ -115,10 +115,7 @@ class SampleColumns:
 
 
 def _stages(feedback: Feedback) -> tuple[Any, ...]:
-    stages = feedback[2:]
-    if -_LARGEST_COUNT <= feedback.cycles <= _LARGEST_COUNT:
-        return stages
-    cycles = _LARGEST_COUNT if feedback.cycles > 0 else -_LARGEST_COUNT
+    stages, cycles = feedback[2:], max(-_LARGEST_COUNT, min(feedback.cycles, _LARGEST_COUNT))
     return (*stages[:_CYCLES], cycles, *stages[_CYCLES + 1 :])
 
 
@@ -188,9 +185,6 @@ class FaultList:
                     self.listed += [fault] * (self.times[kind] <= MOST_LISTED)
                 if end == len(there):
                     self._open[kind] = fault
-
-    def in_order(self) -> list[LoggedFault]:
-        return sorted(self.listed, key=lambda fault: (fault.begin_s, fault.kind))
 
 
 BoolArray = npt.NDArray[np.bool_]

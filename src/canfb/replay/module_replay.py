@@ -92,12 +92,9 @@ class OwnFrames:
     def close(self, now: float) -> None:
         self.only_replayed += _drop_late(self._replayed, now)
         self.only_recorded += len(self._recorded)
-        self._replayed.clear()
-        self._recorded.clear()
 
 
 def _drop_late(waiting: deque[tuple[float, bytes]], now: float) -> int:
-    """Take out what has waited too long; how many."""
     dropped = 0
     while waiting and now - waiting[0][0] > LONGEST_DELAY_S:
         waiting.popleft()
@@ -183,9 +180,7 @@ def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) 
     """
     error_control = ERROR_CONTROL + node_id
     pdos = {can_id for can_id in own_can_ids if 0x180 < can_id < 0x580}
-    for can_id, data, rtr, _ in head:
-        if rtr:
-            continue
+    for can_id, data, _, _ in (frame for frame in head if not frame.rtr):
         if can_id == error_control and len(data) == 1:
             if data == BOOT_UP:
                 return Begin.BOOT_UP
@@ -199,7 +194,6 @@ def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) 
 
 POLL_S = 0.01  # from one look at the computations to the next, as the runner has it
 EVERYBODY = frozenset({0x000, 0x100, 0x7E4, 0x7E5})  # NMT, TIME, LSS
-RESET_ANSWER_S = 1.0  # a boot-up so long after that of the replay is its counterpart
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes
 
 
@@ -238,7 +232,7 @@ class ModuleReplay:
         self._head: list[Frame] | None = []
         self._on = False
         self._now = self._poll_s = 0.0
-        self._boot_up_s = -RESET_ANSWER_S
+        self._boot_up_s = -LONGEST_DELAY_S
         self._routes_known = -1
         self._own = self._received_ids = frozenset[int]()
         self._emergency = self.module.dictionary.entry(*od.EMCY_COB_ID)
@@ -395,7 +389,7 @@ class ModuleReplay:
         """The module of the log has booted up; if nobody has reset it, it was switched off and on."""
         if not self._on:
             self._power_on(now)
-        elif now - self._boot_up_s > RESET_ANSWER_S:
+        elif now - self._boot_up_s > LONGEST_DELAY_S:
             self._tick(now)
             self.restarts += 1
             self._command(NmtCommand.RESET_NODE, now)
@@ -422,7 +416,6 @@ class ModuleReplay:
                 self._on_sent(Frame(can_id, data, rtr, now + self.samples.origin_s))
 
     def _rebooted(self, now: float) -> None:
-        """The replayed module has started: with the table that is to be tried."""
         self._boot_up_s = now
         if self._correction is not None:
             self.module.use_correction(self._correction)

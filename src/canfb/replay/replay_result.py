@@ -129,7 +129,7 @@ class ReplayResult:
         return [
             f"{fault.begin_s - self.replay.first_s:.6f} s: {fault.kind}, {fault.samples} "
             f"{'interval' if fault.samples == 1 else 'intervals'}"
-            for fault in self.replay.faults.in_order()
+            for fault in sorted(self.replay.faults.listed, key=lambda fault: (fault.begin_s, fault.kind))
         ]
 
     def facts(self) -> list[Row]:

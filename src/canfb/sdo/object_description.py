@@ -81,9 +81,9 @@ class ObjectDescriptions:
             described = eds.content_described(content)
             self._entries = _described(content, node_id)
         except ValueError as error:
-            raise CommissioningError(f"{path}: this is not an EDS: {error}") from None
+            raise CommissioningError(f"{path}: {error}") from None
         if not self._entries:
-            raise CommissioningError(f"{path}: this is not an EDS: it has no object")
+            raise CommissioningError(f"{path}: not an EDS: it has no object")
         self.product = described.product_name or path.name
         self.identity = (described.vendor, described.product)
 

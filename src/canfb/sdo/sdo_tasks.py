@@ -30,21 +30,19 @@ def type_name(data_type: int) -> str:
     return DataType(data_type).name if data_type in datatypes.KNOWN else f"type {data_type:04X}h"
 
 
-def value_range(data_type: int, low: float | None = None, high: float | None = None) -> tuple[int, int]:
-    """Of an integer type, within ``low`` and ``high``."""
-    bits = datatypes.bit_length(data_type)
-    signed = data_type in datatypes.SIGNED_BITS
-    lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
-    return (
-        lowest if low is None else max(lowest, int(low)),
-        highest if high is None else min(highest, int(high)),
-    )
+def value_range(data_type: int, low: float | None = None, high: float | None = None) -> tuple[float, float]:
+    """Of a type of numbers, within ``low`` and ``high``."""
+    lowest, highest = -math.inf, math.inf
+    if data_type not in datatypes.FLOATS:
+        bits, signed = datatypes.bit_length(data_type), data_type in datatypes.SIGNED_BITS
+        lowest, highest = (-(1 << bits - 1), (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
+    return lowest if low is None else max(lowest, low), highest if high is None else min(highest, high)
 
 
 def check_value(data_type: int, value: Any, low: float | None = None, high: float | None = None) -> Any:
     """``value`` as its type has it, or ValueError."""
     if data_type in datatypes.FLOATS:
-        value = _real(data_type, value)
+        value = _real(data_type, value, *value_range(data_type, low, high))
     elif data_type in datatypes.STRINGS:
         if not isinstance(value, str):
             raise ValueError(f"must be a text, not {value!r}")
@@ -68,9 +66,11 @@ def _integer(data_type: int, value: Any, low: float | None, high: float | None) 
     return value
 
 
-def _real(data_type: int, value: Any) -> float:
+def _real(data_type: int, value: Any, lowest: float, highest: float) -> float:
     if not isinstance(value, (int, float)) or isinstance(value, bool):
         raise ValueError(f"must be a number, not {value!r}")
+    if value < lowest or value > highest:
+        raise ValueError(f"must be a number {lowest:g}..{highest:g}, not {value!r}")
     try:
         return float(datatypes.decode(data_type, datatypes.encode(data_type, float(value))))
     except (ValueError, OverflowError):
@@ -165,11 +165,9 @@ _OF_PLACE: dict[str, dict[Place, str]] = {
 def in_words(product: str, place: Place, value: object) -> str:
     """An enumeration or bits in words, or ""."""
     kind = _kind(product, place)
-    if not isinstance(value, int):
-        return ""
-    if product == MODULE and place == od.MEASUREMENT_REASON:
+    if product == MODULE and place == od.MEASUREMENT_REASON and isinstance(value, int):
         return str(Reason.of_number(value).text) if value else ""
-    if kind is None:
+    if kind is None or not isinstance(value, int):
         return ""
     if kind is od.LossCause:
         return next((one.text for one in od.LossCause if one == value), "")

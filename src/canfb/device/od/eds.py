@@ -7,7 +7,6 @@ default or limit is refused, with its section and key. A content is read once in
 
 from __future__ import annotations
 
-import io
 import math
 import re
 import struct
@@ -145,7 +144,7 @@ def parse(content: bytes) -> Contents:
     parser.optionxform = _spelled  # type: ignore[assignment,method-assign]
     text = _HEADER.sub(lambda match: f"[{_section_name(match[1])}]", _text(content))
     try:
-        parser.read_file(io.StringIO(text))
+        parser.read_string(text, source="the file")
     except ParserError as error:
         said = " ".join(str(error).split())[:LONGEST_MESSAGE]  # it tells of every line
         raise ValueError(f"not an EDS: {said}") from error
@@ -161,12 +160,11 @@ def parse(content: bytes) -> Contents:
 
 def _text(content: bytes) -> str:
     """Lines without blanks around them: an indented one would continue the one before."""
-    for encoding in ("utf-8-sig", "cp1252", "latin-1"):
-        try:
-            text = content.decode(encoding)
-            break
-        except UnicodeDecodeError:
-            continue
+    marked = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    try:
+        text = content.decode("utf-16" if marked else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("cp1252", "replace")
     text, _, _ = text.partition("\x1a")  # the end of a text file, once
     return "\n".join(line.strip() for line in text.splitlines())
 
@@ -282,10 +280,12 @@ def number(text: str, data_type: int, node_id: int) -> Any:
         return _real(text, data_type)
     if data_type not in datatypes.KNOWN:
         return None
-    value = sum(node_id if term.strip().upper() == "$NODEID" else whole(term) for term in text.split("+"))
+    terms = text.removeprefix("+").split("+")
+    value = sum(node_id if term.strip().upper() == "$NODEID" else whole(term) for term in terms)
     bits = datatypes.SIGNED_BITS.get(data_type, 0)
-    if bits and "0x" in text.lower() and (1 << (bits - 1)) <= value < (1 << bits):
-        value -= 1 << bits
+    # Some tools write it with 32 bits for any type.
+    wraps = [1 << width for width in (bits, 32) if bits and "0x" in text.lower()]
+    value -= next((wrap for wrap in wraps if wrap - (1 << bits - 1) <= value < wrap), 0)
     return bool(value) if data_type == DataType.BOOLEAN else value
 
 
