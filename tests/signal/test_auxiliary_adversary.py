@@ -11,8 +11,8 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from second_kit import INCREMENTS, N, wrapped
-from supervision_kit import at
+from test_second_position import INCREMENTS, N, wrapped
+from witness_kit import at
 
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain

@@ -1,22 +1,21 @@
-"""The coarse track: its limit and hysteresis, and the search for lost ranges of speed."""
+"""The coarse track: its limit and hysteresis, the search for lost ranges of speed, lost counts set right."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
+import numpy as np
 import pytest
-from supervision_kit import above, at, below, flags, has
+from witness_kit import Machine, above, at, below, flags, has, moving
 
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
 from canfb.signal.witness.coarse import CoarseTrack
 from canfb.signal.witness.witness import Pair
 from folding import each
-from ideal_tracks import counts_at
 
 N = 4096  # with powers of two the limits are exact
 FULL = 2048
@@ -184,65 +183,59 @@ def test_three_disagreements_in_a_row_lose_the_position(amplitude: float) -> Non
     assert not has([machine.step(0.0)], StatusBit.VALID)[0]
 
 
+def errors(machine: Machine, samples: int) -> list[tuple[Feedback, float]]:
+    """Of so many samples, and by how many cycles each position is off."""
+    return [(got, machine.error(got)) for got in (machine.step() for _ in range(samples))]
+
+
+def of_valid(found: list[tuple[Feedback, float]]) -> np.ndarray:
+    return np.array([error for got, error in found if got.valid])
+
+
 @pytest.mark.parametrize(("n", "exact"), [(8, True), (15, True), (17, True), (32, False), (2500, False)])
 def test_where_just_one_count_is_within_its_limit_it_sets_the_count_right_alone(n: int, exact: bool) -> None:
-    machine = Starting(0.0, error=0.0, cycles_per_revolution=n, coarse_limit_revolutions=1 / 32)
-    machine.run(60)
+    machine = Machine(position=1000.5, coarse=0.0, cycles_per_revolution=n, coarse_limit_revolutions=1 / 32)
+    right = of_valid(errors(machine, 60))[-1]
     assert machine.chain.reference.recovered == 0, "at rest it was not wrong"
-    right = machine.valid[-1]
     for _ in range(4):
-        machine.sample()
-        machine.chain.miss()
+        machine.miss()
     assert machine.chain.lost
-    machine.valid.clear()
-    machine.run(200)
+    found = of_valid(errors(machine, 200))
     assert machine.chain.reference.recovered == 1
-    assert bool(machine.valid) == exact
+    assert bool(len(found)) == exact
     assert machine.chain.lost == (not exact)
-    assert all(abs(off - right) < 1e-9 for off in machine.valid)
+    assert found == pytest.approx(right, abs=1e-9)
 
 
 WRONG_SPEEDS = [1, -1, 2, -3, 17, -50, 83, -83, 124, -125]
 
 
-class Starting:
-    """A machine with coarse track, started while it turns; counts samples that are valid and wrong."""
-
-    def __init__(self, speed: float, error: float = 0.008, **config: Any) -> None:
-        self.speed, self.error = speed, error
-        self.position = 1000.5
-        self.chain = SignalChain(ChainConfig(**config))
-        self.n = self.chain.reference.zero.cycles_per_revolution
-        self.valid: list[float] = []
-
-    def sample(self) -> Sample:
-        self.position += self.speed
-        turn = self.position / self.n
-        sine, cosine = counts_at(turn + self.error * math.sin(2 * math.pi * turn))
-        return at(self.position, coarse_sine=sine, coarse_cosine=cosine)
-
-    def run(self, samples: int) -> None:
-        for _ in range(samples):
-            self.take(self.chain.step(self.sample()))
-
-    def take(self, got: Feedback) -> None:
-        if got.valid:
-            self.valid.append(got.cycles + got.phase - self.position)
-
-
 @each("fault", ["none", "amplitude", "missed", "long gap"])
 @each("speed", [0.0, 0.4, *WRONG_SPEEDS])
 def test_started_on_a_turning_machine(speed: float, fault: str) -> None:
-    machine = Starting(speed + (0.13 if speed else 0.0))
-    machine.run(4)
-    early = len(machine.valid)
+    machine = Machine(speed + (0.13 if speed else 0.0), 1000.5, coarse=0.008)
+    assert not len(of_valid(errors(machine, 4)))
     if fault == "amplitude":
-        machine.take(machine.chain.step(machine.sample()._replace(sine=0.0, cosine=0.0)))
-    elif fault in ("missed", "long gap"):
-        for _ in range(1 if fault == "missed" else 3):
-            machine.sample()
-            machine.take(machine.chain.miss())
-    machine.run(1500)
-    assert early == 0
-    assert len(machine.valid) > 700
-    assert max(machine.valid) - min(machine.valid) < 0.03
+        machine.spoil()
+    for _ in range({"missed": 1, "long gap": 3}.get(fault, 0)):
+        machine.miss()
+    found = of_valid(errors(machine, 1500))
+    assert len(found) > 700
+    assert np.ptp(found) < 0.03
+
+
+@pytest.mark.parametrize("outage", [4, 30, 500])
+def test_a_lost_position_is_set_right_by_coarse_track_and_zero_pulse(outage: int) -> None:
+    machine = moving(83.1, 300, position=1234.56, coarse=0.008, mark=0.0)
+    got = machine.step()
+    right = machine.error(got)
+    assert got.status & StatusBit.REFERENCED
+    machine.speed = 86.4
+    assert [machine.spoil() for _ in range(outage)][-1].status & StatusBit.LOST
+    after = errors(machine, 1200)
+    assert after[-1][0].valid
+    wrong = of_valid(after) - right
+    assert np.abs(wrong - np.rint(wrong / machine.n) * machine.n).max() < 0.04
+    assert any(got.jump_cycles for got, _ in after)
+    jumps = np.flatnonzero(np.abs(np.diff([error for _, error in after])) > 90.0)
+    assert all(after[k][0].jump_cycles != 0 for k in jumps), "a jump is reported by the sample before it"

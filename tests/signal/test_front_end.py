@@ -161,13 +161,6 @@ def test_uneven_times_do_not_tell_speeds_by_phases_that_depend_on_them() -> None
     assert found == {"with": False, "without": True}
 
 
-@each("value", [0.011, -0.011, math.nan, math.inf, "1e-6"])
-@each("name", ["cosine_delay_s", "delay_s"])
-def test_a_delay_that_is_none_is_refused(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=name):
-        Conditioning(**{name: value})  # type: ignore[arg-type]
-
-
 @given(
     speed=st.floats(-200.0, 200.0),
     delay=st.floats(-1e-6, 1e-6),

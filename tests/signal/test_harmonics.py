@@ -97,9 +97,3 @@ def test_a_phase_stays_in_its_cycle(phase: float, by: float) -> None:
     assert 0.0 <= got < 1.0
     away = phase - by - got
     assert away == pytest.approx(round(away), abs=1e-12)
-
-
-@pytest.mark.parametrize("value", [0.6, -0.6])
-def test_a_harmonic_that_is_none_is_refused(value: float) -> None:
-    with pytest.raises(ValueError, match="harmonic_3_forward_real"):
-        Conditioning(harmonic_3_forward_real=value)

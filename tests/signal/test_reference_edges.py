@@ -21,23 +21,6 @@ from folding import each
 N = 2500
 
 
-def applied(
-    made: Reference,
-    sample: Sample,
-    after: Track,
-    bits: int,
-    before: Track | None,
-    time: float,
-    elapsed: float,
-) -> tuple[int, int]:
-    """What the chain makes of a sample at ``time``, ``elapsed`` after the one ``before``."""
-    if before is None:
-        return made.apply(sample, after, bits, None, 0.0)
-    place = sample.zero_pulse
-    pulse = None if place is None else pulse_between(before, after, place, time, elapsed, 0.0)
-    return made.apply(sample, after, bits, pulse, elapsed)
-
-
 @each("acceleration", [-3.0, -0.5, 0.0, 1.0, 3.0])
 @each("elapsed", [0.5, 1.0, 2.0])
 @each("place", [0.0, 0.2, 0.5, 0.9])
@@ -85,30 +68,31 @@ def track(position: float) -> Track:
     return Track(cycles, position - cycles, 0.0, True)
 
 
-def pulse(made: Reference, speed: float, time: float, place: float, elapsed: float) -> tuple[int, int]:
-    """A pulse at this time, counted with this speed, in a sample that comes after ``elapsed``."""
-    end = time + (1.0 - place) * elapsed
-    before, after = track(speed * (end - elapsed)), track(speed * end)
-    return applied(made, Sample(1.0, 0.0, elapsed, zero_pulse=place), after, LOST, before, end, elapsed)
+def passed(
+    made: Reference, before: float, after: float, place: float, bits: int, time: float = 1.0, **rest: Any
+) -> tuple[int, int]:
+    """What the chain makes of a sample with a zero pulse, one interval after the one before."""
+    edge = pulse_between(track(before), track(after), place, time, 1.0, 0.0)
+    return made.apply(Sample(1.0, 0.0, zero_pulse=place, **rest), track(after), bits, edge, 1.0)
 
 
-@pytest.mark.parametrize("apart", [-1, 1])
-def test_a_search_begins_anew_at_a_sample_that_was_not_taken(apart: int) -> None:
+def pulse(made: Reference, speed: float, time: float) -> tuple[int, int]:
+    """A pulse at this time in the middle between two samples, counted with this speed."""
+    end = time + 0.5
+    return passed(made, speed * (end - 1.0), speed * end, 0.5, LOST, end)
+
+
+def pulse_at(made: Reference, position: float, bits: int, **coarse: Any) -> tuple[int, int]:
+    """A pulse in the middle between two samples, the second one at ``position + 0.1``."""
+    return passed(made, position - 0.1, position + 0.1, 0.5, bits, **coarse)
+
+
+def test_a_search_begins_anew_at_a_sample_that_was_not_taken() -> None:
     """At rest it takes 6 samples; the one that was not taken is none of them."""
-    time, made = 0.0, reference(Noted(lost=False))
-
-    def step(taken: bool) -> bool:
-        nonlocal time
-        time += 1.0
-        sample = Sample(1.0, 0.0, 1.0, coarse_sine=1500.0, coarse_cosine=0.0)
-        bits, _ = applied(
-            made, sample, track(apart * 3.0), VALID, track(apart * 3.0) if taken else None, time, 1.0
-        )
-        return bool(bits & VALID)
-
-    assert [step(True) for _ in range(5)] == [False] * 5
-    assert not step(False)
-    assert [step(True) for _ in range(6)] == [*[False] * 5, True]
+    made, sample = reference(Noted(lost=False)), Sample(1.0, 0.0, coarse_sine=1500.0, coarse_cosine=0.0)
+    elapsed = [1.0] * 5 + [0.0] + [1.0] * 6
+    valid = [made.apply(sample, track(3.0), VALID, None, one)[0] & VALID for one in elapsed]
+    assert valid == [0] * 11 + [VALID]
 
 
 @each("counted, later, told", [
@@ -120,8 +104,8 @@ def test_a_search_begins_anew_at_a_sample_that_was_not_taken(apart: int) -> None
 def test_what_two_pulses_tell_of_the_speed(counted: float, later: float, told: list[tuple[int, int]]) -> None:
     recovery = Noted(lost=True)
     made = reference(recovery)
-    pulse(made, counted, 100.0, 0.5, 1.0)
-    pulse(made, counted, 100.0 + later, 0.5, 1.0)
+    pulse(made, counted, 100.0)
+    pulse(made, counted, 100.0 + later)
     assert recovery.told == told
 
 
@@ -130,37 +114,11 @@ def test_what_two_pulses_have_told_the_third_confirms_and_sets_the_place() -> No
     made = reference(recovery)
     for turn in range(3):
         assert recovery.confirmed == 0
-        pulse(made, 83.4, 100.0 + turn * N / 83.4, 0.5, 1.0)
+        pulse(made, 83.4, 100.0 + turn * N / 83.4)
     assert recovery.told == [(0, 0), (0, 0)]
     assert recovery.confirmed == 1
     assert made.zero.referenced
     assert made.set_right == 0
-
-
-@each("missing", [0, 4])
-def test_the_first_position_keeps_its_count(missing: int) -> None:
-    """A coarse track without error, at half a cycle per interval; eq. 9 is 9 cycles and this speed off."""
-    recovery = Noted(lost=False)
-    made = reference(recovery)
-    true, counted, got = 1000.25, 1009.25, []
-    for k in range(1500):
-        true += 0.5
-        counted += 0.5 - (missing if not recovery.told else 0)
-        angle, here = 2 * math.pi * (true / N % 1.0), track(counted)
-        sample = Sample(1.0, 0.0, coarse_sine=1500 * math.sin(angle), coarse_cosine=1500 * math.cos(angle))
-        got.append(applied(made, sample, here, VALID, here, float(k), 1.0))
-    assert made.range_known
-    assert not recovery.lost
-    assert not any(bits & LOST or jump for bits, jump in got)
-    assert set(got[-100:]) == {(VALID, 0)}
-    assert recovery.told == [(0, missing)] * bool(missing)
-    assert made.recovered == bool(missing)
-
-
-def pulse_at(made: Reference, position: float, bits: int, **coarse: Any) -> tuple[int, int]:
-    """A pulse in the middle between two samples, the second one at ``position + 0.1``."""
-    before, after = track(position - 0.1), track(position + 0.1)
-    return applied(made, Sample(1.0, 0.0, zero_pulse=0.5, **coarse), after, bits, before, 1.0, 1.0)
 
 
 def test_two_pulses_say_where_it_is_and_two_more_what_is_wrong() -> None:

@@ -1,15 +1,24 @@
-"""Increments to cycles against exact fractions: any scale, any wrap, any distance."""
+"""A second position: its increments against exact fractions, and what it finds and costs in the chain."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from fractions import Fraction
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from witness_kit import DEAD, Machine, at, has
 
+from canfb.objects import StatusBit
+from canfb.signal.chain import SignalChain
+from canfb.signal.chain_config import ChainConfig
+from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondScale, SecondSensor, step_increments
+from canfb.signal.witness.second import LONGEST_GAP
 from canfb.signal.witness.witness import Pair, only_count
 from folding import each
 
@@ -33,8 +42,7 @@ def test_a_difference_is_the_nearest_float(
 
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(-(2**31), 2**31 - 1))
 def test_a_step_over_the_wrap_is_the_shorter_way(before: int, step: int) -> None:
-    after = (before + step + 2**31) % 2**32 - 2**31
-    assert step_increments(before, after) == step
+    assert step_increments(before, wrapped(before + step)) == step
 
 
 @given(st.fractions(-50, 50), st.fractions(0, 3))
@@ -55,3 +63,158 @@ def test_one_count_and_no_other_is_within_the_limit(difference: Fraction, limit:
 def test_a_sensor_that_cannot_be(field: str, value: object) -> None:
     with pytest.raises(ValueError, match=field):
         SecondSensor(**{field: value})  # type: ignore[arg-type]
+
+
+DISAGREES, VALID, LOST = StatusBit.SECOND_POSITION, StatusBit.VALID, StatusBit.LOST
+N = 2500
+INCREMENTS = 1 << 20
+EXACT = 0.3 / N  # revolutions: less than half a cycle
+FINE = 1 << 22  # increments: 0.0006 cycle each
+
+
+def wrapped(increments: int) -> int:
+    """As INTEGER32."""
+    return (increments + (1 << 31)) % (1 << 32) - (1 << 31)
+
+
+class TwoSensors(Machine):
+    """The other sensor is at ``other``, cycles; it follows the encoder."""
+
+    def __init__(self, tolerance: float = 0.01, increments: int = INCREMENTS, speed: float = 0.0) -> None:
+        super().__init__(speed, 0.37)
+        self.sensor = SecondSensor(increments=increments, tolerance_revolutions=tolerance)
+        self.chain.use_second(self.sensor)
+        self.other, self.origin = 0.37, 12345
+        self.on_bus: Callable[[int], list[int]] = lambda value: [value]
+
+    def step(self, **rest: Any) -> Feedback:
+        return self.heard(super().step(**rest))
+
+    def spoil(self, sample: Sample = DEAD) -> Feedback:
+        return self.heard(super().spoil(sample))
+
+    def heard(self, feedback: Feedback) -> Feedback:
+        """Behind the sample comes what the bus makes of the other value."""
+        self.other += self.speed
+        increments = math.floor(self.other * self.sensor.increments / N)
+        values = self.on_bus(wrapped(self.origin + increments))
+        self.chain.hear_second(len(values), values[-1] if values else 0)
+        return feedback
+
+
+def standing(tolerance: float = 0.01, increments: int = INCREMENTS) -> TwoSensors:
+    """A machine at rest whose offset is learned."""
+    machine = TwoSensors(tolerance, increments)
+    assert machine.run(30)[-1].valid
+    return machine
+
+
+@each("speed", [0.0, 0.2, -83.2, 83.5, 0.5, 41.99, -7.25])
+@each("tolerance", [EXACT, 0.001])
+def test_a_start_on_a_turning_machine(speed: float, tolerance: float) -> None:
+    got = TwoSensors(tolerance, speed=speed).run(250)
+    first = has(got, VALID).index(True)
+    assert all(feedback.valid for feedback in got[first:])
+    assert got[-1].speed_cycles == pytest.approx(speed, abs=0.05)
+    counted = got[-1].cycles - got[first].cycles + got[-1].phase - got[first].phase
+    assert counted == pytest.approx(speed * (249 - first), abs=0.05)
+    at_rest = 3  # three values agree
+    assert first <= (at_rest if abs(speed) < 0.1 else 16.0 * (tolerance * N + 2.0))
+
+
+@each("speed", [0.0, 83.2, -40.7])
+@each("dead", [8, 40])
+def test_a_lost_count_is_set_right(speed: float, dead: int) -> None:
+    """Announced by its jump, and valid with the next sample; the machine changed its speed meanwhile."""
+    machine = standing(EXACT, FINE)
+    machine.reach(speed)
+    before = machine.error(machine.step())
+    machine.speed = speed + 3.3
+    assert [machine.spoil() for _ in range(dead)][-1].status & LOST
+    machine.speed = speed + 1.7
+    got = machine.run(90)
+    first = has(got, VALID).index(True)
+    assert machine.error(got[-1]) == pytest.approx(before, abs=0.02)
+    assert got[first - 1].jump_cycles == got[first].cycles - got[first - 1].cycles - math.floor(
+        got[first].speed_cycles + got[first - 1].phase
+    )
+    assert not any(has(got, DISAGREES))
+    assert machine.chain.reference.recovered == 1
+
+
+def test_a_drive_that_restarts_counts_from_elsewhere() -> None:
+    machine = standing()
+    machine.reach(20.0)
+    machine.on_bus = lambda value: []
+    machine.run(LONGEST_GAP + 5)
+    machine.on_bus = lambda value: [value]
+    machine.origin += 987654
+    assert not any(has(machine.run(100), DISAGREES))
+    machine.other += 60.0  # it is compared again, by twice the tolerance until it stands still
+    assert has(machine.run(6), DISAGREES)[-1]
+
+
+def test_without_a_pause_another_origin_is_a_disagreement() -> None:
+    machine = standing()
+    machine.origin += 987654
+    got = machine.run(20)
+    assert has(got, DISAGREES) == [False] * 3 + [True] * 17
+    assert all(feedback.valid for feedback in got)
+    machine.chain.use_second(machine.sensor)  # a write to 2014h
+    assert not any(has(machine.run(20), DISAGREES))
+
+
+def test_it_ends_well_within_the_tolerance() -> None:
+    machine = standing()
+    for revolutions, disagrees in ((0.0104, True), (-0.0014, True), (-0.002, False)):
+        machine.other += revolutions * N
+        assert has(machine.run(5), DISAGREES)[-1] is disagrees
+
+
+def test_values_that_are_late_for_good() -> None:
+    """After a SYNC without a value each may be that of the one before; at standstill that does not matter."""
+    machine = standing()
+    machine.reach(60.0)
+    queue: list[int] = []
+
+    def late(value: int) -> list[int]:
+        queue.append(value)
+        return [queue.pop(0)] if len(queue) > 1 else []
+
+    machine.on_bus = late
+    assert not any(has(machine.run(200), DISAGREES))
+    machine.reach(0.0)
+    machine.run(20)
+    machine.other += 0.011 * N
+    assert has(machine.run(6), DISAGREES)[-1]
+
+
+@each("slip", [0.0, 40.0])
+def test_after_a_pause_the_offset_is_that_of_before(slip: float) -> None:
+    machine = standing()
+    machine.chain.resume(1000.0)
+    machine.other += slip
+    got = machine.run(30)
+    assert got[-1].valid
+    assert has(got, DISAGREES)[-1] == bool(slip)
+
+
+def test_a_machine_that_turns_after_a_pause_did_not_stand_still() -> None:
+    machine = standing()
+    machine.chain.resume(1000.0)
+    machine.speed = 83.2
+    got = machine.run(400)
+    assert got[-1].status & LOST
+    assert not any(has(got, VALID))
+
+
+def test_it_must_be_a_sensor() -> None:
+    chain = SignalChain(ChainConfig())
+    with pytest.raises(TypeError, match="SecondSensor"):
+        chain.use_second({})  # type: ignore[arg-type]
+    chain.hear_second(1, 5)  # without one nothing happens
+    chain.use_second(SecondSensor(tolerance_revolutions=0.1))
+    chain.step(at(0.0))
+    chain.hear_second(-1, 7)
+    chain.use_second(None)
+    assert chain.second is None

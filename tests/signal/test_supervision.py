@@ -7,7 +7,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from supervision_kit import above, at, below, flags
+from witness_kit import above, at, below, flags
 
 from canfb.objects import StatusBit
 from canfb.signal import supervision

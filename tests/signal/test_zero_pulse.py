@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from supervision_kit import at, flags
+from witness_kit import Machine, flags, moving
 
 from canfb.objects import StatusBit
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
-from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.witness.zero_pulse import Pulse, PulseVerdict, ZeroPulse
 from folding import each
@@ -57,36 +54,10 @@ def test_the_error_put_right_leaves_less_than_half_a_cycle(
     assert zero.error_cycles(Pulse(cycles - error, phase)) == 0
 
 
-class Turning:
-    """A machine whose zero pulse comes at cycle 0 of each revolution; it has no coarse track."""
-
-    def __init__(self, speed: float, n: int) -> None:
-        self.speed, self.n = speed, n
-        self.chain = SignalChain(ChainConfig(cycles_per_revolution=n, coast_samples=5))
-        self.position = 0.3
-
-    def sample(self) -> Sample:
-        before = self.position
-        self.position += self.speed
-        place = None
-        low, high = sorted((before, self.position))
-        pulse = np.floor(high / self.n) * self.n
-        if low < pulse <= high:
-            place = round((pulse - before) / self.speed * 65535) / 65536
-        return at(self.position, zero_pulse=place)
-
-    def step(self) -> Feedback:
-        return self.chain.step(self.sample())
-
-
-def turning(speed: float, n: int) -> Turning:
-    """Started from rest, and the zero pulse seen."""
-    made = Turning(0.0, n)
-    while made.speed != speed:
-        assert made.step().valid
-        made.speed += max(-0.1, min(0.1, speed - made.speed))
-    for _ in range(int(3 * n / abs(speed)) + 5):
-        assert made.step().valid
+def turning(speed: float, n: int) -> Machine:
+    """Started from rest, and the zero pulse at cycle 0 of each revolution seen."""
+    words = {"position": 0.3, "mark": 0.0, "cycles_per_revolution": n, "coast_samples": 5}
+    made = moving(speed, int(3 * n / abs(speed)) + 5, **words)
     assert made.chain.reference.zero.referenced
     return made
 
@@ -97,7 +68,7 @@ def turning(speed: float, n: int) -> Turning:
 def test_a_wrong_count_is_set_right_at_the_pulse_in_both_directions(n: int, speed: float, error: int) -> None:
     made = turning(speed, n) if n < 100 else turning(30 * speed, n)
     good = made.step()
-    offset = good.cycles + good.phase - made.position
+    offset = made.error(good)
     made.chain.stages.estimator.found(error, 0)
     wrong = []
     while (got := made.step()).valid:
@@ -115,7 +86,7 @@ def test_a_wrong_count_is_set_right_at_the_pulse_in_both_directions(n: int, spee
     after = made.step()
     assert after.valid
     assert after.jump_cycles == 0
-    assert after.cycles + after.phase - made.position == pytest.approx(offset, abs=0.03)
+    assert made.error(after) == pytest.approx(offset, abs=0.03)
     assert made.chain.reference.set_right == 1
 
 
@@ -125,10 +96,10 @@ def test_a_wrong_count_is_set_right_at_the_pulse_in_both_directions(n: int, spee
 def test_one_false_pulse_never_makes_a_position_valid_and_wrong(n: int, when: float, first: str) -> None:
     """At any time after the start: as the first one, between the first two, and later."""
     for turns in (0, 1, 2, 3) if first == "true" else (0,):
-        made = Turning(0.0, n)
+        made = Machine(position=0.3, mark=0.0, cycles_per_revolution=n, coast_samples=5)
         speed = 1.3 if n < 100 else 39.0
         good = made.step()
-        offset = good.cycles + good.phase - made.position
+        offset = made.error(good)
         false = (turns + when) * n if first == "true" else 0.3 * n
         seen, pulses, sent = [], 0, False
         while made.position < 7 * n:
@@ -139,7 +110,7 @@ def test_one_false_pulse_never_makes_a_position_valid_and_wrong(n: int, when: fl
             got = made.chain.step(sample)
             seen.append(got)
             pulses += sample.zero_pulse is not None
-            assert not got.valid or abs(got.cycles + got.phase - made.position - offset) < 0.25
+            assert not got.valid or abs(made.error(got) - offset) < 0.25
             assert got.jump_cycles == 0, "the position was right all the time"
         assert sent
         assert flags(seen[-1]) == StatusBit.VALID | StatusBit.REFERENCED
@@ -156,7 +127,7 @@ def test_a_restart_forgets_the_place_and_a_pause_does_not() -> None:
     assert not any(one.jump_cycles for one in got)
 
 
-def until_pulse(made: Turning) -> Sample:
+def until_pulse(made: Machine) -> Sample:
     """The next sample that brings a pulse; those before it go through the chain."""
     while (sample := made.sample()).zero_pulse is None:
         made.chain.step(sample)
