@@ -49,28 +49,6 @@ def _check(result: Calibration, encoder: Encoder, goal: float) -> None:
     assert result.reason == "accepted"
 
 
-@pytest.mark.parametrize(
-    ("rpm", "kind", "noise_lsb", "goal"),
-    [
-        (10.0, random_encoder, 0.5, 0.002 * PERCENT),
-        (60.0, extreme_encoder, 1.2, 0.004 * PERCENT),
-        (2000.0, random_encoder, 1.2, 0.004 * PERCENT),
-        (3000.0, extreme_encoder, 0.5, 0.002 * PERCENT),
-    ],
-)
-def test_any_speed(rpm, kind, noise_lsb, goal):
-    encoder, sine, cosine = measured([int(rpm), int(10 * noise_lsb)], rpm, 20.0, kind, noise_lsb)
-    result = calibrate_from_motion(sine, cosine)
-    _check(result, encoder, goal)
-    # Half of the goal is reached with ease.
-    assert np.abs(table_error(result.table, encoder)).max() < goal / 2.0
-    assert result.before_rms > 50.0 * result.residual_rms
-    assert result.coverage == 1.0
-    assert result.samples_used == 20000
-    # Noise and rounding of a count.
-    assert result.noise_counts == pytest.approx(np.hypot(noise_lsb, np.sqrt(1.0 / 12.0)), rel=0.05)
-
-
 def _vibrating(size_cycles: float, frequency_hz: float) -> FloatArray:
     shaken = size_cycles * np.sin(2.0 * np.pi * frequency_hz * _time(6.0))
     return wandering(2000.0, np.random.default_rng(int(1000 * size_cycles)), 6.0) + shaken
@@ -91,6 +69,7 @@ MOTIONS = {
     "fast vibration": (_vibrating(0.01, 110.0), 0.01),
 }
 ENCODERS = {
+    "the extreme case of the paper": extreme_encoder(np.random.default_rng(5), 1.2),
     "7th, 9th and 11th harmonic": Encoder(harmonics=HIGH, noise_lsb=0.5),
     "large harmonics": Encoder(harmonics=LARGE, noise_lsb=0.5),
     "phase error of 40 degrees": Encoder(phase_error_rad=0.7, noise_lsb=0.5),
@@ -242,6 +221,9 @@ def test_uncertainty_is_what_the_error_is(several):
 
 def test_residuals_are_those_of_fresh_data(several):
     for encoder, result in several:
+        assert (result.coverage, result.samples_used) == (1.0, 5000)
+        # Noise and rounding of a count.
+        assert result.noise_counts == pytest.approx(np.hypot(encoder.noise_lsb, np.sqrt(1 / 12)), rel=0.05)
         rng = np.random.default_rng(1)
         position = wandering(333.0, rng, 2.0)
         raw = raw_phases(*(track.astype(float) for track in encoder.sample(position, rng)))
@@ -398,81 +380,74 @@ def _tracks(position: FloatArray, seed: int = 1, noise_lsb: float = 0.5):
     return random_encoder(rng, noise_lsb).sample(position, rng)
 
 
-def test_standstill_and_short_ways():
-    assert _reason(*_tracks(np.full(N, 0.3))) == "coverage"
-    assert _reason(*_tracks(np.linspace(0.0, 0.6, N))) == "coverage"
-    assert _reason(*_tracks(np.linspace(0.0, 6.0, N))) == "cycles"
-
-
-@pytest.mark.parametrize("speed", [1.0, 83.0, 1 / 2, 1 / 3, 2 / 7, 0.125, 1.0 / 16.0])
-def test_motion_locked_to_the_samples(speed):
-    # A whole number of cycles per sample cannot be told from standstill.
-    expected = "coverage" if speed == int(speed) else "locked"
-    assert _reason(*_tracks(speed * np.arange(N) + 0.1)) == expected
-
-
-@pytest.mark.parametrize("speed", [1.0, 0.5, 1 / 3])
-def test_motion_that_creeps_away_from_the_lock(speed):
-    assert _reason(*_tracks((speed + 2e-5) * np.arange(N))) in ("locked", "coverage", "cycles", "ellipse")
-
-
-def test_clipped_tracks():
+def _encoder_at_300_rpm(encoder: Encoder):
     rng = np.random.default_rng(2)
-    position = wandering(300.0, rng, 6.0)
-    for amplitude in (2070.0, 2600.0, 10000.0):
-        assert _reason(*Encoder(amplitude_counts=amplitude, noise_lsb=0.5).sample(position, rng)) == "clipped"
-    near = Encoder(amplitude_counts=2040.0, noise_lsb=0.5)
-    assert np.abs(table_error(calibrate_from_motion(*near.sample(position, rng)).table, near)).max() < 3e-5
-    small = Encoder(amplitude_counts=540.0, adc_bits=10, noise_lsb=0.5).sample(position, rng)
-    assert _reason(*small, adc_bits=10) == "clipped"
+    return encoder.sample(wandering(300.0, rng, 6.0), rng)
 
 
-def test_samples_beyond_the_converter_are_a_wrong_argument():
-    with pytest.raises(ValueError, match="adc_bits"):
-        calibrate_from_motion(*Encoder().sample(np.arange(1000) * 0.1), adc_bits=8)
+def _jittering(position: FloatArray, rms: float) -> FloatArray:
+    return position + np.random.default_rng(3).normal(0.0, rms, len(position))
 
 
-def test_noise():
-    rng = np.random.default_rng(3)
-    position = wandering(300.0, rng, 6.0)
-    assert _reason(*_tracks(position, noise_lsb=300.0)) == "noise"
-    assert _reason(*_tracks(position + rng.normal(0.0, 0.06, len(position)))) == "noise"
-    assert _reason(*_tracks(rng.uniform(0.0, 50.0, N))) == "noise"
-    # A jitter of 20 us of the samples is 1.7 cycles at 83 cycles per sample.
-    time = np.arange(N) / 1000.0 + rng.normal(0.0, 2e-5, N)
-    assert _reason(*_tracks(83000.0 * (time + 0.03 * np.sin(time)))) == "noise"
-
-
-def test_accelerations_that_no_tracker_follows():
+K = np.arange(float(N))
+AT_300_RPM = wandering(300.0, np.random.default_rng(5), 6.0)
+SMALL = Encoder(amplitude_counts=540.0, adc_bits=10, noise_lsb=0.5)
+LOCKED = (1 / 2, 1 / 3, 2 / 7, 0.125, 1 / 16)
+# Positions or tracks, and the reasons that may be given.
+REFUSED = {
+    "standstill": (np.full(N, 0.3), "coverage"),
+    "part of a cycle": (np.linspace(0.0, 0.6, N), "coverage"),
+    "few cycles": (np.linspace(0.0, 6.0, N), "cycles"),
+    # A whole number of cycles per sample cannot be told from standstill.
+    **{f"{speed} cycles per sample": (speed * K + 0.1, "coverage") for speed in (1.0, 83.0)},
+    **{f"{speed:.3f} cycles per sample": (speed * K + 0.1, "locked") for speed in LOCKED},
+    **{
+        f"nearly {speed:.3f}": ((speed + 2e-5) * K, "locked coverage cycles ellipse")
+        for speed in (1, 1 / 2, 1 / 3)
+    },
+    **{
+        f"amplitude {size:g}": (_encoder_at_300_rpm(Encoder(amplitude_counts=size)), "clipped")
+        for size in (2070.0, 2600.0, 1e4)
+    },
+    "noise of the tracks": (_tracks(AT_300_RPM, noise_lsb=300.0), "noise"),
+    "noise of the position": (_jittering(AT_300_RPM, 0.06), "noise"),
+    "no motion": (np.random.default_rng(3).uniform(0.0, 50.0, N), "noise"),
+    "jitter of 20 us, 1.7 cycles": (83.0 * (_jittering(K, 0.02) + 30.0 * np.sin(K / 1e3)), "noise"),
     # Eq. 10 at 1 kHz allows half a cycle per sample squared; this is three times as much, to and fro.
-    assert _reason(*_tracks(15.0 * np.sin(np.arange(N) * 0.317))) in ("noise", "locked")
+    "too much acceleration": (15.0 * np.sin(K * 0.317), "noise locked"),
+    "not around the origin": (
+        _encoder_at_300_rpm(Encoder(amplitude_counts=800.0, cosine_offset=1.15)),
+        "monotonic",
+    ),
+}
 
 
-def test_tracks_that_do_not_circle_the_origin():
-    rng = np.random.default_rng(4)
-    encoder = Encoder(amplitude_counts=800.0, cosine_offset=1.15, noise_lsb=0.5)
-    sine, cosine = encoder.sample(wandering(300.0, rng, 6.0), rng)
-    assert _reason(sine, cosine) == "monotonic"
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_calibrated_is_refused_with_the_reason(name):
+    shown, reasons = REFUSED[name]
+    assert _reason(*(shown if isinstance(shown, tuple) else _tracks(shown))) in reasons.split()
 
 
-def test_broken_tracks():
+def test_tracks_that_reach_the_end_of_the_converter():
+    near = Encoder(amplitude_counts=2040.0, noise_lsb=0.5)
+    assert np.abs(table_error(calibrate_from_motion(*_encoder_at_300_rpm(near)).table, near)).max() < 3e-5
+    assert _reason(*_encoder_at_300_rpm(SMALL), adc_bits=10) == "clipped"
+    with pytest.raises(ValueError, match="adc_bits"):
+        calibrate_from_motion(*_encoder_at_300_rpm(near), adc_bits=8)
+
+
+@pytest.mark.parametrize("method", [calibrate_from_motion, calibrate_from_zero_crossings])
+def test_broken_tracks_and_too_few_samples(method):
     rng = np.random.default_rng(5)
-    sine, cosine = _tracks(wandering(300.0, rng, 6.0))
-    for method in (calibrate_from_motion, calibrate_from_zero_crossings):
-        assert _reason(sine, 0 * cosine, method) == "ellipse"
-        assert _reason(sine, sine, method) == "ellipse"
-        assert _reason(sine, np.rint(rng.normal(-sine, 2.0)), method) == "ellipse"
-        assert _reason(rng.uniform(-1e3, 1e3, N), rng.uniform(-1e3, 1e3, N), method) == "ellipse"
-        assert _reason(rng.normal(0.0, 300.0, N), rng.normal(0.0, 300.0, N), method) == "ellipse"
-
-
-def test_too_few_samples():
-    sine, cosine = _tracks(np.arange(float(N)) * 0.31)
-    for method in (calibrate_from_motion, calibrate_from_zero_crossings):
-        assert _reason(sine[:150], cosine[:150], method) == "samples"
-        assert _reason([], [], method) == "samples"
-        assert _reason(sine, np.full(N, np.nan), method) == "samples"
-        assert _reason(sine, cosine, method, valid=np.zeros(N, np.bool_)) == "samples"
+    sine, cosine = _tracks(AT_300_RPM)
+    for other in (0 * cosine, sine, np.rint(rng.normal(-sine, 2.0))):
+        assert _reason(sine, other, method) == "ellipse"
+    for noise in (rng.uniform(-1e3, 1e3, (2, N)), rng.normal(0.0, 300.0, (2, N))):
+        assert _reason(noise[0], noise[1], method) == "ellipse"
+    for few in (sine[:150], sine[:0]):
+        assert _reason(few, few, method) == "samples"
+    assert _reason(sine, np.full(N, np.nan), method) == "samples"
+    assert _reason(sine, cosine, method, valid=np.zeros(N, np.bool_)) == "samples"
 
 
 def _random_motion(rng: np.random.Generator, n: int) -> FloatArray:
@@ -507,16 +482,18 @@ def test_what_is_accepted_is_as_good_as_it_says(seed):
 
 
 Changed = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
-NOISE_COUNTS, AMPLITUDE_COUNTS = 0.5, 1500.0
+NOISE_COUNTS = 0.5
+
+
+FIXED = Encoder(
+    sine_offset=0.02, cosine_offset=-0.01, cosine_amplitude=1.04, phase_error_rad=-0.04,
+    harmonics=(Harmonic(3, 0.01, 0.01),), noise_lsb=NOISE_COUNTS,
+)  # fmt: skip
 
 
 def tracks(position: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Counts of an encoder with offsets, phase error and a third harmonic."""
-    rng, angle = np.random.default_rng(seed), 2.0 * np.pi * position
-    sine = np.sin(angle) + 0.01 * np.sin(3.0 * angle) + 0.02
-    cosine = 1.04 * np.cos(angle + 0.04) + 0.01 * np.cos(3.0 * angle) - 0.01
-    noise = rng.normal(0.0, NOISE_COUNTS, (2, len(position)))
-    return AMPLITUDE_COUNTS * sine + noise[0], AMPLITUDE_COUNTS * cosine + noise[1]
+    sine, cosine = FIXED.sample(position, np.random.default_rng(seed))
+    return sine.astype(float), cosine.astype(float)
 
 
 def any_motion(n: int) -> FloatArray:
@@ -562,7 +539,7 @@ def test_no_accuracy_is_stated_that_the_end_of_the_measurement_contradicts(
     later = change(*tracks(position, 7), np.ones(4096))
     raw = canfb.phase_in_cycle(*found.conditioning.apply(*later))
     off = (found.table(raw) - position + 0.25) % 1.0
-    noise = 6.0 * NOISE_COUNTS / AMPLITUDE_COUNTS / (2.0 * np.pi)
+    noise = 6.0 * NOISE_COUNTS / FIXED.amplitude_counts / (2.0 * np.pi)
     assert np.abs(off - np.median(off)).max() < found.uncertainty_peak + noise
 
 
