@@ -18,10 +18,8 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.sample import Sample
-from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder, Harmonic, ShaftEncoder
-from canfb.simulation.motion import Motion, MotionSource, Ripple
-from canfb.simulation.sync_producer import REGULAR, SyncProducer, SyncTiming
+from canfb.simulation.embedded_bus import REGULAR, EmbeddedBus, SyncProducer, SyncTiming
+from canfb.simulation.encoder import Encoder, Harmonic, Motion, MotionSource, Ripple, ShaftEncoder
 from tools.soak import embedded_master
 
 MODULE_ID, INTERFACE_ID = 0x20, 0x10

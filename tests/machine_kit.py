@@ -14,8 +14,7 @@ from canfb.master.samples import TrackSamples
 from canfb.master.session import SupervisionLimits
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.phase import FloatArray, raw_phases
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple
 
 N, RATE_HZ = 2500, 1000.0
 BEFORE = {

@@ -17,11 +17,9 @@ from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import assumed_layout, known_layouts
 from canfb.monitoring.snapshot import ModuleSnapshot
 from canfb.signal.sample import Sample
-from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import ShaftEncoder, demo_encoder
-from canfb.simulation.motion import Motion, MotionSource, Ramp
+from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer
+from canfb.simulation.encoder import Motion, MotionSource, Ramp, ShaftEncoder, demo_encoder
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.sync_producer import SyncProducer
 from fake_bus import message
 
 BIT_RATE = 1_000_000

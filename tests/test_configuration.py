@@ -14,7 +14,7 @@ import canfb
 from canfb.configuration import Config, RealtimeConfig, parse_config
 from canfb.errors import ConfigError
 from canfb.signal.conditioning import Conditioning
-from canfb.simulation.motion import Ramp, Ripple
+from canfb.simulation.encoder import Ramp, Ripple
 from canfb.simulation.scenario import HarmonicConfig
 from drawing import examples
 

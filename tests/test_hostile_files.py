@@ -20,7 +20,7 @@ from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.tables import as_yaml, read_table
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.sources import tracks_file
+from canfb.sources import sample_files
 from canfb.sources.recording_source import RecordingLayout, open_recording
 
 LISTS = [f"&b{n} [{', '.join([f'*b{n - 1}' if n else '0.5'] * 9)}]" for n in range(9)]
@@ -112,7 +112,7 @@ def test_a_recording_that_unpacks_to_any_size(tmp_path: Path, monkeypatch: pytes
     path = tmp_path / "a.npz"
     path.write_bytes(GOOD)
     assert len(read_npz(path).sine) == 500
-    monkeypatch.setattr(tracks_file, "LARGEST_UNPACKED", 8000)
+    monkeypatch.setattr(sample_files, "LARGEST_UNPACKED", 8000)
     with pytest.raises(CanfbError, match=r"its arrays have 8256 bytes; at most 8000"):
         read_npz(path)
 

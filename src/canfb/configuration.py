@@ -21,7 +21,7 @@ import yaml
 from canfb.checks import flag, integer_in
 from canfb.errors import ConfigError
 from canfb.files import read_bytes
-from canfb.interface.interface_config import InterfaceConfig
+from canfb.interface.encoder_interface import InterfaceConfig
 from canfb.marked_yaml import YamlError, compose, construct, found_at, pairs
 from canfb.marked_yaml import line_of as yaml_line
 from canfb.module.module_config import UNCONFIGURED, ModuleConfig, SecondPositionConfig

@@ -29,10 +29,9 @@ from canfb.master.samples import TrackSamples
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.supervision import TABLE_ACTIVE, VALID
-from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer
+from canfb.simulation.encoder import Motion, Ramp, Ripple
 from canfb.simulation.set_up import source_of
-from canfb.simulation.sync_producer import SyncProducer
 from commissioning_kit import CYCLES, RATE_HZ, Bench, EmbeddedMaster, random_encoder
 
 

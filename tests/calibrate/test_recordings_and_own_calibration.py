@@ -23,9 +23,8 @@ from canfb.master.session import agreed_layout
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import NO_CORRECTION
-from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.motion import Motion, Ramp
-from canfb.simulation.sync_producer import SyncProducer, SyncTiming
+from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer, SyncTiming
+from canfb.simulation.encoder import Motion, Ramp
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, random_encoder
 from folding import each
 

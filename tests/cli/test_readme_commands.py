@@ -23,11 +23,9 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.limits import max_acceleration
 from canfb.signal.starts import START_SAMPLES
 from canfb.signal.supervision import VALID
-from canfb.simulation.demand import of_motion
-from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.motion import MotionSource
-from canfb.simulation.set_up import source_of
-from canfb.simulation.sync_producer import SyncProducer
+from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer
+from canfb.simulation.encoder import MotionSource
+from canfb.simulation.set_up import of_motion, source_of
 from canfb.sources.recording_source import RecordingSource
 from documentation import blocks, commands, page
 from judged_session import check, new_judge

@@ -19,7 +19,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.motion import MotionSource
+from canfb.simulation.encoder import MotionSource
 from canfb.simulation.set_up import Play, SimulatedAxis, SimulatedNetwork, set_up, simulated_axis, source_of
 from canfb.sources.recording_source import RecordingSource
 from commands import Command

@@ -25,8 +25,7 @@ from canfb.files import prepare_folder
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import Guard, put_in_force
 from canfb.master.session import AMPLITUDES, CORNER, SupervisionLimits, read_corners, write_limits
-from canfb.simulation.encoder import AnalogPath, Encoder
-from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.encoder import AnalogPath, Encoder, Motion, Ramp
 from commissioning_kit import Bench
 from documentation import commands, page
 from folding import each

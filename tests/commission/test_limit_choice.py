@@ -19,8 +19,7 @@ from canfb.master.session import SupervisionLimits
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration
 from canfb.signal.stream import process_stream
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple
 from machine_kit import RATE_HZ, N, SimulatedMachine, duty
 
 GOOD = Encoder(noise_lsb=0.5)

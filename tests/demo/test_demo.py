@@ -43,8 +43,7 @@ from canfb.rows import Row
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
 from canfb.signal.starts import MOST_WAITING
-from canfb.simulation.encoder import Encoder, Harmonic
-from canfb.simulation.motion import SCurve
+from canfb.simulation.encoder import Encoder, Harmonic, SCurve
 from commands import Command
 from folding import each
 from html_page import Page

@@ -18,9 +18,8 @@ from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.simulation.cia402.state_machine import State
-from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus
+from canfb.simulation.embedded_bus import REGULAR, BackgroundTraffic, EmbeddedBus, SyncProducer, SyncTiming
 from canfb.simulation.set_up import simulated_axis
-from canfb.simulation.sync_producer import REGULAR, SyncProducer, SyncTiming
 
 BIT_RATE = 1_000_000
 SYNC_TIMING = SyncTiming(sync_jitter_us=100.0, sync_drift_ppm=-50.0)

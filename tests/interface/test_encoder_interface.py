@@ -15,8 +15,7 @@ from canfb.cia301.frame import Frame
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_instants import SampleClock
 from canfb.signal.sample import Sample
-from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, MotionSource
+from canfb.simulation.encoder import Encoder, Motion, MotionSource, ShaftEncoder
 from canfb.sources.protocol import Source
 from drawing import examples
 from folding import each

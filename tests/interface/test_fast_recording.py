@@ -13,10 +13,8 @@ import canfb
 from canfb.demo.story import EmbeddedNetwork
 from canfb.eds_files import eds_path
 from canfb.interface.encoder_interface import EncoderInterface
-from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, MotionSource
-from canfb.simulation.sync_producer import SyncProducer
+from canfb.simulation.embedded_bus import EmbeddedBus, SyncProducer
+from canfb.simulation.encoder import Encoder, Motion, MotionSource, ShaftEncoder
 from canfb.sources.protocol import Source
 from folding import each
 from played import Still

@@ -24,8 +24,7 @@ import numpy as np
 
 from canfb.hosting.captured_source import REOPEN_S, CapturedSource
 from canfb.signal.sample import Sample
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.encoder import Encoder, Motion, Ramp
 from canfb.simulation.scenario import SimulationConfig
 from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.protocol import Surroundings

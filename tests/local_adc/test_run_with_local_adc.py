@@ -24,7 +24,7 @@ from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.supervision import MISSED, VALID
-from canfb.simulation.motion import Ramp
+from canfb.simulation.encoder import Ramp
 
 Iiod = Callable[..., EmulatedIiod]
 UNITS_PER_CYCLE = 8192

@@ -22,8 +22,7 @@ from canfb.errors import CanfbError
 from canfb.hosting.state_files import StateFiles
 from canfb.logs import log_replay
 from canfb.logs.log_replay import COLUMNS as ROW_COLUMNS
-from canfb.logs.log_replay import LogJob, ReplayOptions, Row, do_work, rows_of, work_of
-from canfb.logs.replay_files import read_rows
+from canfb.logs.log_replay import LogJob, LogRow, ReplayOptions, do_work, read_rows, rows_of, work_of
 from canfb.objects import StatusBit
 from canfb.replay.findings import COLUMNS
 from canfb.sdo.tables import as_yaml
@@ -288,7 +287,7 @@ def folder(tmp_path: Path) -> Path:
     return root
 
 
-def comparable(rows: Iterable[Row]) -> list[list[Any]]:
+def comparable(rows: Iterable[LogRow]) -> list[list[Any]]:
     return [
         [
             None if isinstance(row[name], float) and math.isnan(row[name]) else row[name]
@@ -355,7 +354,7 @@ def test_another_executor_and_an_interruption(folder: Path, tmp_path: Path) -> N
     assert comparable(do_work(*work, SETTINGS, out, 1)) == comparable(whole)
 
 
-def kill_first(job: LogJob, settings: ReplayOptions) -> list[Row]:
+def kill_first(job: LogJob, settings: ReplayOptions) -> list[LogRow]:
     """Like an end for lack of memory: the largest log ends its process whenever it is tried."""
     if job.name.endswith("3.blf"):
         os.kill(os.getpid(), signal.SIGKILL)

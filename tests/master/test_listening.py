@@ -23,7 +23,7 @@ from canfb.master.access import CommissioningError, NodeAccess
 from canfb.master.all_or_nothing import Guard
 from canfb.master.samples import PdoRecorder, TrackSamples, listen, read_npz, write_npz
 from canfb.master.session import agreed_layout
-from canfb.simulation.sync_producer import SyncTiming
+from canfb.simulation.embedded_bus import SyncTiming
 from canfb.view.module_view import PdoLayout, coarse_layout
 from commissioning_kit import RATE_HZ, Bench, random_encoder
 

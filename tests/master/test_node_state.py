@@ -10,10 +10,9 @@ import pytest
 
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtState
-from canfb.master.access import CommissioningError
+from canfb.master.access import CommissioningError, nmt_state, state_in, without_restart
 from canfb.master.all_or_nothing import check_unlocked
-from canfb.master.node_state import nmt_state, state_in, without_restart
-from canfb.simulation.motion import Motion, Ramp, Ripple
+from canfb.simulation.encoder import Motion, Ramp, Ripple
 from commissioning_kit import CYCLES, MODULE_ID, RATE_HZ, Bench, heard
 from node_commands import Commands
 

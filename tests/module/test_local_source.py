@@ -15,8 +15,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
 from canfb.signal.starts import START_SAMPLES
 from canfb.signal.supervision import MISSED, VALID
-from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, MotionSource, Ramp
+from canfb.simulation.encoder import Encoder, Motion, MotionSource, Ramp, ShaftEncoder
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import Source, SourceError
 from ideal_tracks import counts_at

@@ -22,8 +22,8 @@ from canfb.planning.plan_rows import analog_row
 from canfb.planning.planned_bus import PlannedModule
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.limits import narrowed_residual_limit, safe_deviation, samples_without_harm
-from canfb.simulation.demand import of_motion
 from canfb.simulation.scenario import MotionConfig
+from canfb.simulation.set_up import of_motion
 from drawing import examples
 
 LEGAL = (Path(__file__).parents[2] / "docs" / "supervision.md").read_text(encoding="utf-8")

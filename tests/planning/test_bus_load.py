@@ -20,7 +20,7 @@ from canfb.planning.planned_bus import (
     node_messages,
     sync_message,
 )
-from canfb.simulation.sync_producer import LONGEST_FRAME_BITS
+from canfb.simulation.embedded_bus import LONGEST_FRAME_BITS
 from drawing import examples
 
 NODE = 0x20

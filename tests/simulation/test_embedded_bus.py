@@ -18,20 +18,20 @@ from canfb.configuration import parse_config
 from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.interface.sample_instants import SampleClock
-from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus
-from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, MotionSource, Ramp
-from canfb.simulation.set_up import SlowMotion, simulated_axis, sync_rate
-from canfb.simulation.sync_producer import (
+from canfb.simulation.embedded_bus import (
     AGAIN_S,
     LONGEST_FRAME_BITS,
     POSITION_PDO,
+    BackgroundTraffic,
     Drive,
+    EmbeddedBus,
     SyncDeviation,
     SyncProducer,
     SyncTiming,
     WatchedSyncProducer,
 )
+from canfb.simulation.encoder import Encoder, Motion, MotionSource, Ramp, ShaftEncoder
+from canfb.simulation.set_up import SlowMotion, simulated_axis, sync_rate
 from fake_bus import FakeClock, FakeDevice
 from folding import each
 from played import Sender

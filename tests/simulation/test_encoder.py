@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from canfb.signal.phase import phase_in_cycle
 from canfb.simulation import faults
-from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, ShaftEncoder, demo_encoder
+from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, Motion, ShaftEncoder, demo_encoder
 from canfb.simulation.faults import Fault, Samples, Signal
-from canfb.simulation.motion import Motion
 from folding import each
 from tools.faults.samples import tracks as more
 

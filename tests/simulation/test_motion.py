@@ -24,12 +24,10 @@ from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.plant import MotorConfig
-from canfb.simulation.demand import of_drive, of_motion, of_recording
 from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.motion import Motion, Ramp, Ripple, StoppableMotion
+from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple, StoppableMotion
 from canfb.simulation.scenario import MotionConfig
-from canfb.simulation.set_up import Play, SampleRecorder, set_up, source_of
+from canfb.simulation.set_up import Play, SampleRecorder, of_drive, of_motion, of_recording, set_up, source_of
 from canfb.sources.protocol import SourceEnded
 from played import Listed, Still
 

@@ -10,10 +10,9 @@ import pytest
 from canfb.simulation import faults
 from canfb.simulation.cia402.drive import FeedbackModuleLink
 from canfb.simulation.cia402.plant import DriveConfig
-from canfb.simulation.embedded_bus import BackgroundTraffic, Wire
+from canfb.simulation.embedded_bus import BackgroundTraffic, SyncProducer, SyncTiming, Wire
 from canfb.simulation.encoder import Encoder
 from canfb.simulation.faults import Samples
-from canfb.simulation.sync_producer import SyncProducer, SyncTiming
 from folding import each
 
 # What is built, with which arguments besides, the argument that cannot be, its values, and what is said.

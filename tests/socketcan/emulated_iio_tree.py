@@ -21,8 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from canfb.simulation.encoder import Encoder
-from canfb.simulation.motion import Motion, Ramp
+from canfb.simulation.encoder import Encoder, Motion, Ramp
 
 INTERVAL_S = 1e-3  # of the motion
 MIDDLE, SHIFT = 2048, 4

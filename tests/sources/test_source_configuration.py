@@ -29,8 +29,7 @@ from canfb.master.samples import TrackSamples, write_npz
 from canfb.module.feedback_module import FeedbackModule
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import VALID
-from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.motion import Motion, MotionSource, Ramp, Ripple
+from canfb.simulation.encoder import Encoder, Motion, MotionSource, Ramp, Ripple, ShaftEncoder
 from canfb.sources.iio_source import ChannelScaling, IioCapture, IioSourceConfig
 from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, source_kinds

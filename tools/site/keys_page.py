@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from canfb.configuration import Config, RealtimeConfig
-from canfb.interface.interface_config import InterfaceConfig
+from canfb.interface.encoder_interface import InterfaceConfig
 from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.simulation.cia402.plant import DriveConfig

@@ -22,8 +22,7 @@ from canfb.module.parameters import apply_defaults
 from canfb.monitoring.bus_model import BusModel
 from canfb.objects import StatusBit
 from canfb.signal.feedback import Feedback
-from canfb.simulation.embedded_bus import EmbeddedBus
-from canfb.simulation.sync_producer import REGULAR, SyncProducer, SyncTiming
+from canfb.simulation.embedded_bus import REGULAR, EmbeddedBus, SyncProducer, SyncTiming
 from tools.soak.embedded_master import EmbeddedMaster
 from tools.soak.hosted import Hosted
 from tools.soak.parts import (

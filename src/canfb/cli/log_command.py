@@ -36,8 +36,15 @@ from canfb.errors import ConfigError
 from canfb.files import check_writable
 from canfb.hosting.readiness import Readiness
 from canfb.logfile.log_files import BusLog
-from canfb.logs.log_replay import ReplayOptions, check_table, do_work, replay_log, work_of
-from canfb.logs.replay_files import published, write_page
+from canfb.logs.log_replay import (
+    ReplayOptions,
+    check_table,
+    do_work,
+    published,
+    replay_log,
+    work_of,
+    write_page,
+)
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.findings import KINDS, Block, Overview
 from canfb.replay.module_replay import Begin
@@ -163,11 +170,7 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
         overview = Overview()
         takers: list[Callable[[Block], None]] = [] if options.report is None else [overview.take]
         takers += [] if options.out is None else [files.enter_context(published(options.out))]
-        sent = (
-            None
-            if options.frames is None
-            else files.enter_context(BusLog(options.frames, overwrite=True)).take
-        )
+        sent = options.frames and files.enter_context(BusLog(options.frames, overwrite=True)).take
         progress.step(f"replaying {options.log}")
         log, results = replay_log(options.log, settings, takers, sent, progress.part)
         if options.report is not None:
@@ -175,11 +178,7 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
     progress.clear()
     written = [path for path in (options.out, options.frames, options.report) if path is not None]
     about = log.counters.facts(log.trouble)
-    figures = {
-        "log": str(log.path),
-        **as_figures(about),
-        "modules": [one.figures() for one in results],
-    }
+    figures = {"log": str(log.path), **as_figures(about), "modules": [one.figures() for one in results]}
     lines = [*as_lines(about), *(line for one in results for line in one.lines())]
     say_result(options, Result(figures, [*lines, *(f"written  {path}" for path in written)]))
     return int(log.trouble is not None)

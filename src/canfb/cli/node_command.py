@@ -24,7 +24,7 @@ from canfb.cli.options import (
     option,
     positive,
 )
-from canfb.master.node_state import reset_nodes
+from canfb.master.access import reset_nodes
 from canfb.rows import Result
 
 WORDS = {

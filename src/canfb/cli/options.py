@@ -345,7 +345,7 @@ JITTER = jitter_of("have the SYNC jitter on purpose, uniformly")
 
 
 def jittered(config: Config, options: argparse.Namespace) -> Config:
-    from canfb.simulation.sync_producer import LARGEST_PART  # here: most commands simulate nothing
+    from canfb.simulation.embedded_bus import LARGEST_PART  # here: most commands simulate nothing
 
     if options.jitter is None:
         return config

@@ -24,11 +24,19 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import VALID
-from canfb.simulation.embedded_bus import BackgroundTraffic, EmbeddedBus
-from canfb.simulation.encoder import Encoder, ShaftEncoder, demo_encoder
-from canfb.simulation.motion import Motion, MotionSource, Ramp, Ripple, SCurve, ShaftMotion
+from canfb.simulation.embedded_bus import BackgroundTraffic, Drive, EmbeddedBus, SyncTiming
+from canfb.simulation.encoder import (
+    Encoder,
+    Motion,
+    MotionSource,
+    Ramp,
+    Ripple,
+    SCurve,
+    ShaftEncoder,
+    ShaftMotion,
+    demo_encoder,
+)
 from canfb.simulation.set_up import SampleRecorder
-from canfb.simulation.sync_producer import Drive, SyncTiming
 
 
 class EmbeddedNetwork(canopen.Network):

@@ -21,8 +21,15 @@ from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
 from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.errors import CanfbError
-from canfb.master.access import CommissioningError, Master, NodeAccess, RefusedError, subscribed
-from canfb.master.node_state import GUARD_TIME, state_in
+from canfb.master.access import (
+    GUARD_TIME,
+    CommissioningError,
+    Master,
+    NodeAccess,
+    RefusedError,
+    state_in,
+    subscribed,
+)
 from canfb.rows import those
 from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.sdo_tasks import Reading, described_by

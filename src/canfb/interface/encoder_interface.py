@@ -1,24 +1,121 @@
-"""The remote encoder interface: a CiA 401 analog input node that samples any source at every SYNC."""
+"""The remote encoder interface: a CiA 401 analog input node that samples any source at every SYNC and, in
+object 2050h, both tracks faster than SYNC; its parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
 
 from canfb import objects as od
-from canfb.checks import integer_in
+from canfb.checks import flag, integer_in, text, within
 from canfb.cia301 import cob
 from canfb.cia301.cob import CAN_ID
-from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister
+from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame, mapping_values
+from canfb.device.lss import UNCONFIGURED
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.device.pdo.mapping import COMMUNICATION, Direction, numbers
 from canfb.device.storage.storage import Store
 from canfb.eds_files import eds_path
-from canfb.interface.fast_recording import FastRecorder
-from canfb.interface.machine_node import MachineNode
-from canfb.interface.sample_instants import SampleClock, SeveralSamples
-from canfb.signal.sample import Sample
-from canfb.sources.protocol import Grouped, Machine, Source, SourceWatch
+from canfb.interface.sample_instants import MachineNode, SampleClock, SeveralSamples
+from canfb.signal.sample import MOST_PER_SYNC, Sample
+from canfb.sources.protocol import Grouped, Machine, Source, SourceConfig, SourceWatch
+
+BLOCK_SAMPLES = 1 << 16
+COMMANDS = frozenset(od.RecordingCommand)
+
+Block = npt.NDArray[np.int16]
+"""Sine and cosine in ADC counts, shape (n, 2)."""
+
+
+@runtime_checkable
+class Continuous(Protocol):
+    """A source that can be sampled at any time."""
+
+    def machine_time(self, now: float) -> float:
+        """The time of the machine, seconds, at the time ``now`` of the node."""
+
+    def fast_samples(self, times_s: npt.NDArray[np.float64], seed: tuple[int, int]) -> Block:
+        """Both tracks at these times of the machine; ``seed`` is that of the noise."""
+
+
+class FastRecorder:
+    """Samples the encoder from start (2050:01 = 1) to stop (2), or until the memory is full (2050:05).
+
+    The samples, at the rate of 2050:04, are a function of time, computed when 2050:03 is read. A reset of the
+    node drops them. Without a :class:`Continuous` source start is refused (08000022h).
+    """
+
+    def __init__(self, dictionary: Dictionary, source: object, now: Callable[[], float]) -> None:
+        self._source = source if isinstance(source, Continuous) else None
+        self._now = now
+        self._command = command = dictionary.entry(*od.RECORDING_COMMAND)
+        command.on_check = refuse_if(lambda value: value not in COMMANDS)
+        command.on_written = self._obey
+        command.on_read = lambda: int(self.is_recording)
+        dictionary.entry(*od.RECORDING_RECORDED).on_read = lambda: self.count
+        dictionary.entry(*od.RECORDING_SAMPLES).on_read = self.to_bytes
+        self._rate, self._capacity = (
+            dictionary.entry(*place) for place in (od.RECORDING_RATE, od.RECORDING_CAPACITY)
+        )
+        self._rate.on_check = refuse_if(lambda value: self.is_recording, AbortCode.DEVICE_STATE)
+        self._number = 0
+        self.reset()
+
+    def reset(self) -> None:
+        self._began_s: float | None = None  # time of the node, while it records
+        self._first_s = 0.0  # time of the machine
+        self._kept = 0
+        self._rate_hz = 1.0
+        self._blocks: list[bytes] = []
+
+    @property
+    def is_recording(self) -> bool:
+        return self._began_s is not None and self.count < self._capacity.value
+
+    @property
+    def count(self) -> int:
+        if self._began_s is None:
+            return self._kept
+        passed = max(0.0, self._now() - self._began_s)
+        # The first sample is taken at the start; a sum of times may fall short of a whole by rounding.
+        return min(int(passed * self._rate_hz + 1e-6) + 1, int(self._capacity.value))
+
+    def to_bytes(self) -> bytes:
+        count = self.count
+        whole, rest = divmod(count, BLOCK_SAMPLES)
+        while len(self._blocks) < whole:
+            self._blocks.append(self._block(len(self._blocks)))
+        tail = self._block(whole)[: 4 * rest] if rest else b""
+        return b"".join((*self._blocks[:whole], tail))
+
+    def _block(self, number: int) -> bytes:
+        """Whole blocks only, so that the noise does not depend on when it is read."""
+        if self._source is None:
+            return b""
+        places = np.arange(number * BLOCK_SAMPLES, (number + 1) * BLOCK_SAMPLES)
+        block = self._source.fast_samples(self._first_s + places / self._rate_hz, (self._number, number))
+        return block.astype("<i2").tobytes()
+
+    def _obey(self) -> None:
+        if self._command.value == od.RecordingCommand.START:
+            self._start()
+        else:
+            self._kept, self._began_s = self.count, None
+
+    def _start(self) -> None:
+        if self._source is None:
+            raise SdoAbort(AbortCode.DEVICE_STATE)
+        self.reset()
+        self._number += 1
+        self._rate_hz = float(self._rate.value)
+        self._began_s = self._now()
+        self._first_s = self._source.machine_time(self._began_s)
+
 
 EDS = "encoder-interface"
 PLACES = 65536  # 2000:03 counts the sample interval in 1/65536
@@ -165,3 +262,53 @@ def _adc_pdos(node_id: int, times: bool, samples_per_sync: int) -> dict[tuple[in
         number = index - od.TPDO_MAPPING
         values[od.TPDO + number, 1] = cob.TPDOS[number] + node_id
     return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class InterfaceConfig:
+    """One encoder interface: a node that sends the samples of its source, one PDO for each SYNC.
+
+    node_id                  of the interface, 1..127, required; 255: none yet, an LSS master assigns one. A
+                             node-ID stored by LSS in state_dir takes precedence
+    source                   of its samples, required: a converter (``kind: iio``), a recording, or the
+                             simulated machine
+    serial_number            of the device, 0..4294967295 (1018:04): an LSS master distinguishes equal devices
+                             by it
+    times                    True: the ADC PDO carries the sample time after sine and cosine, as ``times`` of
+                             the module expects it
+    samples_per_sync         1..8 pairs of sine and cosine for each SYNC, with ``times`` at most 7, as
+                             ``samples_per_sync`` of the module expects them
+    adc_bits                 of the simulated converter, 4..16; those of a real one are its own, and another
+                             number here is refused
+    cycles_per_revolution    of the simulated encoder, 1..1048576
+    state_dir                folder for the data of `save` (1010h) and LSS, created if missing; None: nothing
+                             is saved
+    autostart                True: OPERATIONAL without a master
+    """
+
+    node_id: int
+    source: SourceConfig
+    serial_number: int = 0
+    times: bool = False
+    samples_per_sync: int = 1
+    adc_bits: int = 12
+    cycles_per_revolution: int = 2500
+    state_dir: str | None = None
+    autostart: bool = False
+
+    def __post_init__(self) -> None:
+        if self.node_id != UNCONFIGURED or not isinstance(self.node_id, int):
+            integer_in("node_id", self.node_id, 1, 127)
+        if not isinstance(self.source, SourceConfig):
+            raise ValueError(f"source must be a configuration of a source, not {self.source!r}")
+        within(
+            self,
+            serial_number=(0, 0xFFFFFFFF),
+            samples_per_sync=(1, MOST_PER_SYNC - bool(self.times)),
+            adc_bits=(4, 16),
+            cycles_per_revolution=(1, 1048576),
+        )
+        if self.state_dir is not None:
+            text("state_dir", self.state_dir)
+        for name in ("times", "autostart"):
+            flag(name, getattr(self, name))

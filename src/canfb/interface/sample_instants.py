@@ -1,4 +1,4 @@
-"""When an encoder interface samples: time of its machine, its clock, several samples for each SYNC."""
+"""When a node beside a machine samples: time of its machine, its clock, several samples for each SYNC."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from typing import Protocol
 
 from canfb.cia301.frame import Frame
+from canfb.device.device_protocol import NodeDevice
 from canfb.signal.sample import TICKS, Sample
 from canfb.sources.protocol import Machine, Source
 from canfb.timing.grid import Grid
@@ -126,3 +127,35 @@ def _together(samples: list[Sample | None], passed_s: list[float] | None) -> Sam
         pulse = places[-1] if places else None
     pairs = tuple((one.sine, one.cosine) for one in reversed(earlier))
     return newest._replace(zero_pulse=pulse, earlier=pairs)
+
+
+class MachineNode(NodeDevice):
+    """``received_s``: when the frame was received that is handled now, in the time of the machine."""
+
+    time_base: TimeBase = TRUE_TIME
+    received_s = 0.0
+
+    def machine_now(self) -> float:
+        return self.time_base.at(self.now)
+
+    def start(self, now: float) -> list[Frame]:
+        self.received_s = self.time_base.at(now)
+        return super().start(now)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        self.call.now = now
+        self.received_s = self.time_base.received_at(frame, now)
+        self.overhear(frame)
+        return super().receive(frame, now)
+
+    def tick(self, now: float) -> list[Frame]:
+        self.call.now = now
+        self.received_s = self.time_base.at(now)
+        self.time_passed()
+        return super().tick(now)
+
+    def overhear(self, frame: Frame) -> None:
+        """Before :meth:`receive`."""
+
+    def time_passed(self) -> None:
+        """Before a tick."""

@@ -1,5 +1,6 @@
-"""A bus log through its modules, or through others; and all logs of a folder as one table, which a second run
-completes, on the processors of this machine: one log does not end the work on others.
+"""A bus log through its modules, or through others, and files of what that gives; all logs of a folder as one
+table, which a second run completes, on the processors of this machine: one log does not end the work on
+others.
 
 What outgrows it needs an ``executor``, such as ``dask.distributed.Client(address).get_executor()``, whose
 workers see the logs under the same names.
@@ -8,16 +9,19 @@ workers see the logs under the same names.
 from __future__ import annotations
 
 import contextlib
+import csv
 import hashlib
 import multiprocessing
 import os
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
@@ -26,12 +30,152 @@ from canfb.files import check_writable, replacing, writing
 from canfb.hosting.state_files import SavedParameters
 from canfb.logfile.log_files import LogError, is_log
 from canfb.logfile.log_reader import BusLogFile
-from canfb.logs.replay_files import read_rows, write_rows
 from canfb.module.module_config import ModuleConfig
-from canfb.replay.findings import KINDS, Block, DriftTracks
+from canfb.replay.findings import COLUMNS as SAMPLE_COLUMNS
+from canfb.replay.findings import KINDS, Block, DriftTracks, Overview
 from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.replay_result import ReplayResult
+from canfb.report.page import beside, figure, gallery, page, table
+from canfb.report.pictures import Curve, lissajous, over_time
+from canfb.rows import Row
 from canfb.signal.correction import Correction
+from canfb.signal.limits import RPM
+
+HINT = "Parquet needs pyarrow: pip install 'canfb[fleet]'"
+Take = Callable[[Block], None]
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise CanfbError(HINT) from error
+    return pyarrow, pyarrow.parquet
+
+
+@contextlib.contextmanager
+def _parquet(path: Path) -> Iterator[Take]:
+    arrow, parquet = _pyarrow()
+    schema = arrow.schema([(name, arrow.from_numpy_dtype(kind)) for name, kind in SAMPLE_COLUMNS.items()])
+    with parquet.ParquetWriter(str(path), schema) as writer:
+        yield lambda block: writer.write_table(
+            arrow.Table.from_arrays([arrow.array(block[name]) for name in SAMPLE_COLUMNS], schema=schema)
+        )
+
+
+@contextlib.contextmanager
+def _csv(path: Path) -> Iterator[Take]:
+    with path.open("w", newline="", encoding="ascii") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(SAMPLE_COLUMNS)
+        yield lambda block: rows.writerows(
+            zip(*(block[name].tolist() for name in SAMPLE_COLUMNS), strict=True)
+        )
+
+
+@contextlib.contextmanager
+def _npz(path: Path) -> Iterator[Take]:
+    """All blocks are in the memory until the end."""
+    blocks: list[Block] = []
+    yield blocks.append
+    columns: dict[str, Any] = {
+        name: np.concatenate([np.empty(0, kind), *(block[name] for block in blocks)])
+        for name, kind in SAMPLE_COLUMNS.items()
+    }
+    with path.open("wb") as file:
+        np.savez_compressed(file, **columns)
+
+
+WRITERS = {".csv": _csv, ".npz": _npz, ".parquet": _parquet}
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], types: Mapping[str, type]) -> None:
+    """One table from rows; ``types`` are the columns: str, int, float or bool, each may be None."""
+    arrow, parquet = _pyarrow()
+    kinds = {str: arrow.string(), int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_()}
+    schema = arrow.schema([(name, kinds[kind]) for name, kind in types.items()])
+    parquet.write_table(arrow.Table.from_pylist([dict(row) for row in rows], schema=schema), str(path))
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    _, parquet = _pyarrow()
+    rows: list[dict[str, Any]] = parquet.read_table(str(path)).to_pylist()
+    return rows
+
+
+@contextlib.contextmanager
+def published(path: Path) -> Iterator[Take]:
+    """What takes the blocks of samples; the file is there when it is whole.
+
+    ConfigError for a name or a place that cannot be; CanfbError when it cannot be written, or for Parquet
+    without pyarrow.
+    """
+    writer = WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ConfigError(f"--out {path}: the name must end with {', '.join(WRITERS)}")
+    check_writable(path, "--out")
+    with writing(path, "--out"), replacing(path) as part, writer(part) as take:
+        yield take
+
+
+MOST_FAULTS = 40
+
+
+def write_page(path: Path, log: BusLogFile, result: ReplayResult, overview: Overview) -> None:
+    replay = result.replay
+    whole = not (result.left_out or log.counters.damaged_lines or log.trouble)
+    tables = table("Margins", [*result.facts(), *log.counters.facts(log.trouble)])
+    compared = result.comparison()
+    if compared:
+        tables += table("The recorded module and the replay", compared)
+    conditioning = replay.module.chain.correction.conditioning
+    picture = lissajous(overview.sine, overview.cosine, conditioning, replay.module.limits.sample)
+    shown = figure("Lissajous figure", f"{len(overview.sine)} samples, evenly chosen", picture)
+    body = beside(tables, shown) + gallery("Over time", _pictures(replay, overview))
+    faults = result.faults()
+    if faults:
+        rows = [Row(f"{n}", text) for n, text in enumerate(faults[:MOST_FAULTS], 1)]
+        more = sum(replay.faults.times.values()) - MOST_FAULTS
+        body += table("Faults", [*rows, Row("", f"and {more} more" if more > 0 else None)])
+    other = any(one.different or one.only_recorded or one.only_replayed for one in replay.compared.values())
+    good = whole and not other and not any(replay.faults.times.values())
+    said = [f"{one[:1].upper()}{one[1:]}." for one in (*result.notes(), result.verdict())]
+    text = page(f"Replay of {log.path.name}", result.head(), said, body, "Margin: what is left of it", good)
+    with writing(path, "--report"):
+        path.write_text(text, encoding="utf-8")
+
+
+def _pictures(replay: ModuleReplay, overview: Overview) -> list[str]:
+    found = overview.stretches
+    time_s = found["begin_s"] - replay.first_s
+    if not len(time_s):
+        return []
+    residual = [
+        Curve(found["residual"], "after", "largest residual"),
+        Curve(found["residual_limit"], "limit dashed", "limit"),
+    ]
+    amplitude = [
+        Curve(found["amplitude_least"], "after", "lowest"),
+        Curve(found["amplitude_most"], "before", "highest"),
+        Curve(found["amplitude_low_counts"], "limit dashed", "limits"),
+        Curve(found["amplitude_high_counts"], "limit dashed", None),
+    ]
+    speed = [
+        Curve(RPM * found["speed_most"], "before", "highest"),
+        Curve(RPM * found["speed_least"], "after", "lowest"),
+    ]
+    faults = [
+        Curve(np.where(found["faults"] > 0.0, found["faults"], 0.0), "before", "intervals with a fault")
+    ]
+    stretch = f"in each of {len(time_s)} equal parts of the log"
+    extremes = f"lowest and highest {stretch}"
+    return [
+        figure("Residual", f"largest {stretch}", over_time("Residual", "cycles", time_s, residual, 0.0)),
+        figure("Amplitude", extremes, over_time("Amplitude", "counts", time_s, amplitude, 0.0)),
+        figure("Speed", f"{extremes}, while valid", over_time("Speed", "rpm", time_s, speed)),
+        figure("Faults", f"intervals {stretch}", over_time("Faults", "intervals", time_s, faults, 0.0)),
+    ]
 
 
 @dataclass(frozen=True)
@@ -169,7 +313,7 @@ COLUMNS: dict[str, type] = {
 ``..._margin`` is the part of the limit that was left. ``left_out``: frames of the module on other channels
 of the log than the chosen one. ``error`` says why there is nothing else."""
 
-Row = dict[str, Any]
+LogRow = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -199,7 +343,7 @@ def job_of(folder: Path, path: Path, settings: ReplayOptions) -> LogJob:
     return LogJob(str(path.relative_to(folder)), path, status.st_size, digest)
 
 
-def rows_of(job: LogJob, settings: ReplayOptions) -> list[Row]:
+def rows_of(job: LogJob, settings: ReplayOptions) -> list[LogRow]:
     """Its rows, also of a damaged log."""
     try:
         log, results = replay_log(job.path, settings)
@@ -209,18 +353,18 @@ def rows_of(job: LogJob, settings: ReplayOptions) -> list[Row]:
     return [_row(job, log, one.figures()) for one in results]
 
 
-def failed_rows(job: LogJob, settings: ReplayOptions, why: str) -> list[Row]:
-    empty: Row = dict.fromkeys(COLUMNS)
+def failed_rows(job: LogJob, settings: ReplayOptions, why: str) -> list[LogRow]:
+    empty: LogRow = dict.fromkeys(COLUMNS)
     return [
         empty | {"log": job.name, "module": module.node_id, "error": why, "fingerprint": job.fingerprint}
         for module in settings.modules
     ]
 
 
-def _row(job: LogJob, log: BusLogFile, figures: dict[str, Any]) -> Row:
+def _row(job: LogJob, log: BusLogFile, figures: dict[str, Any]) -> LogRow:
     faults, margins, drift = figures["faults"], figures["margins"], figures["drift"] or {}
     pairs = figures["compared"].values()
-    row: Row = {
+    row: LogRow = {
         "log": job.name,
         "module": figures["node_id"],
         "error": None,
@@ -250,7 +394,7 @@ def check_table(out: Path) -> Path:
     return out
 
 
-def work_of(folder: Path, settings: ReplayOptions, out: Path | None) -> tuple[list[LogJob], list[Row]]:
+def work_of(folder: Path, settings: ReplayOptions, out: Path | None) -> tuple[list[LogJob], list[LogRow]]:
     """The logs below ``folder`` that are to do, and the rows of the table ``out`` of the others.
 
     CanfbError for a folder without logs, and for a table that cannot be read.
@@ -267,13 +411,13 @@ def work_of(folder: Path, settings: ReplayOptions, out: Path | None) -> tuple[li
 
 def do_work(
     jobs: list[LogJob],
-    done: list[Row],
+    done: list[LogRow],
     settings: ReplayOptions,
     out: Path | None,
     workers: int | None = None,
     executor: Executor | None = None,
     progress: Callable[[float], None] = lambda part: None,
-) -> list[Row]:
+) -> list[LogRow]:
     """Do the logs, write the table, and give all its rows, by log and module; None: no table is written.
 
     In ``workers`` processes, None: one for each processor, 1: this one; or on ``executor``. A log whose
@@ -294,7 +438,7 @@ def do_work(
     return rows
 
 
-def _table(out: Path) -> list[Row]:
+def _table(out: Path) -> list[LogRow]:
     if not out.exists():
         return []
     try:
@@ -308,7 +452,7 @@ def _table(out: Path) -> list[Row]:
 
 def _done(
     jobs: deque[LogJob], settings: ReplayOptions, workers: int | None, executor: Executor | None
-) -> Iterator[tuple[LogJob, list[Row]]]:
+) -> Iterator[tuple[LogJob, list[LogRow]]]:
     number = min(len(jobs), workers or os.cpu_count() or 1)
     lost: list[LogJob] = []
     if executor is not None:
@@ -327,9 +471,9 @@ def _done(
 
 def _on(
     executor: Executor, jobs: deque[LogJob], settings: ReplayOptions, number: int
-) -> Generator[tuple[LogJob, list[Row]], None, list[LogJob]]:
+) -> Generator[tuple[LogJob, list[LogRow]], None, list[LogJob]]:
     """Takes ``jobs``, ``number`` at a time, until a process is killed; returns those in work then."""
-    running: dict[Future[list[Row]], LogJob] = {}
+    running: dict[Future[list[LogRow]], LogJob] = {}
     while jobs or running:
         while jobs and len(running) < number:
             running[executor.submit(rows_of, jobs[0], settings)] = jobs[0]

@@ -9,8 +9,14 @@ from collections.abc import Callable, Iterator, Sequence
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode
 from canfb.errors import CanfbError
-from canfb.master.access import CommissioningError, NodeAccess, ObjectAbsentError, RefusedError, as_real32
-from canfb.master.node_state import without_restart
+from canfb.master.access import (
+    CommissioningError,
+    NodeAccess,
+    ObjectAbsentError,
+    RefusedError,
+    as_real32,
+    without_restart,
+)
 from canfb.objects import Multiplexer
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable

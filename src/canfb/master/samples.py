@@ -30,7 +30,7 @@ from canfb.objects import MISSED_COUNTS
 from canfb.objects import RecordingCommand as Command
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import TICK_S, TICKS
-from canfb.sources.tracks_file import read_tracks, with_gaps
+from canfb.sources.sample_files import read_tracks, with_gaps
 from canfb.view.module_view import PdoLayout
 
 # The rate between pauses is known to about half a percent where receive times jitter.

@@ -11,7 +11,7 @@ from canfb.planning.plan import RPM, WEIGHTS, WELL, Limited, Margin, Plan
 from canfb.planning.planned_bus import BIT_RATES
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.tracker import RESIDUAL_LIMIT
-from canfb.simulation.demand import rounded_up
+from canfb.simulation.set_up import rounded_up
 from canfb.view.module_view import LIMIT_UNITS
 
 LEAVES = 0.95  # of the largest SYNC rate, of what is sharp

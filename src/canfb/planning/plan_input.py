@@ -23,10 +23,9 @@ from canfb.planning.planned_bus import PlannedModule, Values
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.tracker import check_residual_limit
 from canfb.simulation.cia402.plant import DriveConfig
-from canfb.simulation.demand import MotionDemand, of_motion
+from canfb.simulation.embedded_bus import CUT_OFF
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.set_up import drive_demand, sync_rate
-from canfb.simulation.sync_producer import CUT_OFF
+from canfb.simulation.set_up import MotionDemand, drive_demand, of_motion, sync_rate
 from canfb.view.module_view import LIMIT_UNITS
 
 

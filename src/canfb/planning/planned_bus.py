@@ -18,7 +18,7 @@ from canfb.cia301.frame import frame_bits, mapping_values
 from canfb.device.od.dcf import Place
 from canfb.device.pdo.mapping import EVENT_DRIVEN, SYNCHRONOUS
 from canfb.module.cia406.alarms import SHORTEST_S
-from canfb.simulation.sync_producer import LONGEST_FRAME_BITS
+from canfb.simulation.embedded_bus import LONGEST_FRAME_BITS
 from canfb.view.module_view import (
     MODULE_EARLIER,
     MODULE_TRACKS,

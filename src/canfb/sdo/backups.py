@@ -18,9 +18,8 @@ from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.device.od.writes import Write
 from canfb.files import read_bytes
 from canfb.marked_yaml import MarkedYaml
-from canfb.master.access import CommissioningError, NodeAccess
+from canfb.master.access import CommissioningError, NodeAccess, nmt_state
 from canfb.master.all_or_nothing import Guard, change, check_can_save
-from canfb.master.node_state import nmt_state
 from canfb.rows import Result, those
 from canfb.sdo.object_description import ObjectDescription, ObjectDescriptions, Place, listed, numbered
 from canfb.sdo.sdo_tasks import check_value, short_real

@@ -1,4 +1,5 @@
-"""A CAN bus inside the process, in simulated time: deterministic, without threads or sockets.
+"""A CAN bus inside the process, in simulated time: deterministic, without threads or sockets; producers of
+its SYNC: at n T plus a deviation that does not add up, jitter and the rest of the frame on the wire.
 
 With a bit rate the lowest CAN-ID that waits goes first, takes its bits / bit rate, and is received at its
 end.
@@ -6,18 +7,265 @@ end.
 
 from __future__ import annotations
 
+import math
+import struct
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import Any
 
 import numpy as np
 
-from canfb.checks import number_in
+from canfb.checks import number_in, within
+from canfb.cia301 import cob
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.device.core import NEVER
 from canfb.device.device_protocol import Computing, Device
-from canfb.simulation.sync_producer import PacedDevice
+
+LONGEST_FRAME_BITS = frame_bits(8)
+CUT_OFF = 4.0  # standard deviations
+LARGEST_PART = 0.45  # of the period: SYNCs keep their order
+
+
+@dataclass(frozen=True, kw_only=True)
+class SyncTiming:
+    """How far the SYNCs of a producer are from equidistant. Every field has a default: not at all.
+
+    sync_jitter_us      of the producer, uniform within +-, 0..1e6 us
+    sync_jitter_rms_us  of the producer, normal, cut off at 4 times that, 0..1e6 us; both add up
+    sync_drift_ppm      how much faster than true time its clock runs, -10000..10000 ppm
+    bus_load            part of the time at which the bus is busy with other frames, 0..1: the SYNC waits
+                        for the end of the one on the wire, up to 135 bit times
+    bus_bit_rate        bit/s of that bus, 10000..1000000
+
+    ValueError for anything else.
+    """
+
+    sync_jitter_us: float = 0.0
+    sync_jitter_rms_us: float = 0.0
+    sync_drift_ppm: float = 0.0
+    bus_load: float = 0.0
+    bus_bit_rate: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        within(
+            self,
+            sync_jitter_us=(0.0, 1e6),
+            sync_jitter_rms_us=(0.0, 1e6),
+            sync_drift_ppm=(-10_000.0, 10_000.0),
+            bus_load=(0.0, 1.0),
+            bus_bit_rate=(10_000, 1_000_000),
+        )
+
+
+REGULAR = SyncTiming()
+
+
+class SyncDeviation:
+    """Draws how far a SYNC is from its nominal time: at most 0.45 ``period_s``, so that they keep their
+    order.
+    """
+
+    def __init__(self, timing: SyncTiming, period_s: float, seed: int = 1) -> None:
+        self._timing = timing
+        self._rng = np.random.default_rng((seed, 0x80))
+        self._largest_s = LARGEST_PART * period_s
+        self.period_s = period_s / (1.0 + timing.sync_drift_ppm * 1e-6)
+        """The period in true time, seconds."""
+        self._none = timing.sync_jitter_us == timing.sync_jitter_rms_us == timing.bus_load == 0.0
+
+    def next_s(self) -> float:
+        """Seconds by which the next SYNC goes out late (or, negative, early)."""
+        if self._none:
+            return 0.0
+        timing, rng = self._timing, self._rng
+        off_us = timing.sync_jitter_us * float(rng.uniform(-1.0, 1.0))
+        off_us += timing.sync_jitter_rms_us * max(-CUT_OFF, min(CUT_OFF, float(rng.normal())))
+        blocked = float(rng.uniform()) < timing.bus_load
+        bits = LONGEST_FRAME_BITS * float(rng.uniform())
+        off_s = off_us * 1e-6 + (bits / timing.bus_bit_rate if blocked else 0.0)
+        return max(-self._largest_s, min(self._largest_s, off_s))
+
+
+class SilentDevice:
+    """A device that sends nothing and waits for no time; a subclass overrides what it does beyond that."""
+
+    def start(self, now: float) -> list[Frame]:
+        return []
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        return []
+
+    def tick(self, now: float) -> list[Frame]:
+        return []
+
+    def deadline(self) -> float | None:
+        return None
+
+
+class PacedDevice(SilentDevice):
+    """A device that sends at ``_next_s``; None: not at all."""
+
+    _next_s: float | None = None
+
+    def deadline(self) -> float | None:
+        return self._next_s
+
+    def tick(self, now: float) -> list[Frame]:
+        return [] if self._next_s is None or now < self._next_s else [self._due(self._next_s, now)]
+
+    def _due(self, due_s: float, now: float) -> Frame:
+        raise NotImplementedError
+
+
+class SyncProducer(PacedDevice):
+    """Sends a SYNC each ``period_s`` seconds from power-on; those that are overdue are left out."""
+
+    def __init__(self, period_s: float, timing: SyncTiming = REGULAR, seed: int = 1) -> None:
+        if not 0.0 < period_s < math.inf:
+            raise ValueError(f"period_s must be positive, not {period_s!r}")
+        self.period_s = period_s
+        self._deviation = SyncDeviation(timing, period_s, seed)
+
+    def start(self, now: float) -> list[Frame]:
+        self._start_s, self._number = now, 0
+        self._plan(now)
+        return []
+
+    def _due(self, due_s: float, now: float) -> Frame:
+        self._plan(now)
+        return Frame(cob.SYNC, b"")
+
+    def _plan(self, now: float) -> None:
+        period_s = self._deviation.period_s
+        # 1e-6: the rounding of times up to a day, in the shortest periods.
+        self._number = max(self._number, int((now - self._start_s) / period_s + 1e-6)) + 1
+        self._next_s = max(now, self._start_s + self._number * period_s + self._deviation.next_s())
+
+
+POSITION_PDO = struct.Struct("<IHH")  # 6004h, 2011:01 status word, 2011:02 residual
+
+
+@dataclass
+class Consumed:
+    """What came in the position PDOs, one entry each; positions are unwrapped measuring units."""
+
+    sync_number: list[int] = field(default_factory=list)
+    position_units: list[int] = field(default_factory=list)
+    status: list[int] = field(default_factory=list)
+    residual_cycles: list[float] = field(default_factory=list)
+
+
+class Drive(SyncProducer):
+    """A SYNC producer that begins when it is told to, and unwraps the positions of ``position_cob_id``."""
+
+    def __init__(
+        self,
+        sync_period_s: float,
+        position_cob_id: int,
+        total_range: int,
+        timing: SyncTiming = REGULAR,
+        seed: int = 1,
+    ) -> None:
+        super().__init__(sync_period_s, timing, seed)
+        self.total_range = total_range
+        self.syncs = 0
+        self.consumed = Consumed()
+        self._position_cob_id = position_cob_id
+        self._last_units: int | None = None
+
+    def start(self, now: float) -> list[Frame]:
+        return []
+
+    def start_sync(self, now: float) -> None:
+        self._start_s = self._next_s = now
+        self._number = self.syncs = 0
+
+    def _due(self, due_s: float, now: float) -> Frame:
+        self.syncs += 1
+        return super()._due(due_s, now)
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        if frame.can_id == self._position_cob_id and len(frame.data) == POSITION_PDO.size:
+            position, status, residual = POSITION_PDO.unpack(frame.data)
+            consumed = self.consumed
+            consumed.sync_number.append(self.syncs)
+            consumed.position_units.append(self._unwrap(position))
+            consumed.status.append(status)
+            consumed.residual_cycles.append(residual / 65536)
+        return []
+
+    def _unwrap(self, position: int) -> int:
+        half = self.total_range // 2
+        last = position if self._last_units is None else self._last_units
+        self._last_units = last + (position - last + half) % self.total_range - half
+        return self._last_units
+
+
+WINDOW_S, WINDOW_SYNCS = 2.0, 100  # over which the rate is taken, whichever is longer
+TOLERANCE = 0.02
+AGAIN_S = 60.0
+IN_TRUE_TIME = "; set a lower --rate, or --pace sync"
+IN_SLOW_MOTION = ", and the machine turns slower in proportion"
+
+
+class WatchedSyncProducer(SyncProducer):
+    """Calls ``report``, once a minute at most, if another node sends SYNC or its own rate is off by 2 %."""
+
+    def __init__(
+        self,
+        period_s: float,
+        report: Callable[[str], None],
+        advice: str = IN_TRUE_TIME,
+        timing: SyncTiming = REGULAR,
+        seed: int = 1,
+    ) -> None:
+        super().__init__(period_s, timing, seed)
+        self._report = report
+        self._advice = advice
+        self._window_s = max(WINDOW_S, WINDOW_SYNCS * period_s)
+        self._began_s: float | None = None
+        self._own = self._foreign = 0
+        self._said_s = -math.inf
+
+    def receive(self, frame: Frame, now: float) -> list[Frame]:
+        self._foreign += frame.can_id == cob.SYNC and not frame.rtr
+        return []
+
+    def bus_off(self, now: float) -> list[Frame]:
+        self._said_s = math.inf
+        return []
+
+    def bus_back(self, now: float) -> list[Frame]:
+        self._said_s, self._began_s = -math.inf, None
+        return []
+
+    def _due(self, due_s: float, now: float) -> Frame:
+        if self._began_s is None:
+            self._began_s, self._own, self._foreign = now, 0, 0
+        else:
+            self._own += 1
+            passed = now - self._began_s
+            if passed >= self._window_s:
+                self._judge(self._own / passed, self._foreign / passed, now)
+                self._began_s, self._own, self._foreign = now, 0, 0
+        return super()._due(due_s, now)
+
+    def _judge(self, own_hz: float, foreign_hz: float, now: float) -> None:
+        asked_hz = 1.0 / self.period_s
+        if foreign_hz:
+            said = f"another node sends it too, {foreign_hz:.4g} Hz beside the {asked_hz:.4g} Hz sent here; "
+            said += "end one of the two"
+        elif abs(own_hz / asked_hz - 1.0) > TOLERANCE:
+            said = f"{own_hz:.4g} Hz reached, {asked_hz:.4g} Hz requested: "
+            said += f"this computer does not keep up{self._advice}"
+        else:
+            return
+        if now - self._said_s >= AGAIN_S:
+            self._said_s = now
+            self._report(f"SYNC: {said}")
+
 
 CAN_ID = 0x6E0  # of background traffic: of no node and of no service of CiA 301
 MEAN_BITS = sum(frame_bits(size) for size in range(9)) / 9

@@ -9,9 +9,18 @@ from typing import Any
 from canfb.checks import within
 from canfb.interface.sample_instants import LARGEST_DRIFT_PPM, SampleClock
 from canfb.simulation.cia402.plant import DriveConfig
-from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, ShaftEncoder
-from canfb.simulation.motion import Motion, MotionSource, Ramp, Ripple, StoppableMotion
-from canfb.simulation.sync_producer import SyncTiming
+from canfb.simulation.embedded_bus import SyncTiming
+from canfb.simulation.encoder import (
+    AnalogPath,
+    Encoder,
+    Harmonic,
+    Motion,
+    MotionSource,
+    Ramp,
+    Ripple,
+    ShaftEncoder,
+    StoppableMotion,
+)
 
 PACES = ("time", "sync")
 

@@ -16,9 +16,8 @@ from canfb.errors import CanfbError, ConfigError
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import TICK_S, Sample
 from canfb.signal.tracks import goes_round_off_zero
-from canfb.sources.csv_file import Columns, read_columns
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, Surroundings, column
-from canfb.sources.tracks_file import read_tracks
+from canfb.sources.sample_files import Columns, read_columns, read_tracks
 
 LARGEST_TIME_S = 1e12
 """Of a time column: the times of a clock of any epoch have less."""

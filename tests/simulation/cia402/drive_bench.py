@@ -23,9 +23,8 @@ from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant, PlantSource
 from canfb.simulation.cia402.state_machine import State
-from canfb.simulation.embedded_bus import EmbeddedBus
+from canfb.simulation.embedded_bus import EmbeddedBus, SyncDeviation, SyncTiming
 from canfb.simulation.encoder import Encoder, ShaftEncoder
-from canfb.simulation.sync_producer import SyncDeviation, SyncTiming
 
 DRIVE_ID, MODULE_ID, INTERFACE_ID = 0x30, 0x20, 0x10
 UNITS = 1 << 20

@@ -20,7 +20,7 @@ from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
 from canfb.simulation.cia402.state_machine import POWERED, SWITCHED_ON, State
-from canfb.simulation.sync_producer import SyncTiming
+from canfb.simulation.embedded_bus import SyncTiming
 from drawing import examples
 from folding import each
 

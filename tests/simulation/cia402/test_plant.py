@@ -14,10 +14,19 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
-from canfb.simulation.cia402.axis import nearest, saturated, wrapped
+from canfb.simulation.cia402.axis import (
+    Demand,
+    Gains,
+    PositionLoop,
+    Trajectory,
+    approach,
+    chosen_gains,
+    nearest,
+    saturated,
+    wrapped,
+)
 from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.feedback_input import FeedbackInput, SyncInterval, Wrong
-from canfb.simulation.cia402.loop import Demand, Gains, PositionLoop, Trajectory, approach, chosen_gains
 from canfb.simulation.cia402.plant import SLIP_S, Coupling, Motor, MotorConfig, Plant, PlantSource
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 from folding import each

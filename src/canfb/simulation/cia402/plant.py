@@ -15,8 +15,8 @@ from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.interface.sample_instants import TRUE_TIME, TimeBase
 from canfb.signal.sample import Sample
+from canfb.simulation.embedded_bus import SilentDevice
 from canfb.simulation.encoder import ShaftEncoder
-from canfb.simulation.sync_producer import SilentDevice
 
 LONGEST_STEP_S = 1e-4
 LONG_S = 0.1
