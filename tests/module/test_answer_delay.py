@@ -19,7 +19,7 @@ from drawing import examples
 from ideal_tracks import counts_at
 
 PERIOD_S, SPREAD_S, JITTER_S, SPEED = 1e-3, 60e-6, 5e-6, 3.3
-SYNCS, LEARNED = 300, 40
+SYNCS, LEARNED = 200, 40
 UNITS_PER_CYCLE = 8192
 
 
@@ -61,7 +61,7 @@ def session(
     return statuses, errors
 
 
-@examples(60)
+@examples(40)
 @given(st.integers(0), st.floats(0.02, 2.5), st.booleans(), st.sampled_from([0.0, 0.02, 0.1]))
 def test_no_answer_is_that_of_another_sync(seed: int, delay: float, times: bool, lost: float) -> None:
     statuses, errors = session(seed, delay, lost, times=times, predict=1)

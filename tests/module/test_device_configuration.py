@@ -201,7 +201,7 @@ def begun(modules: tuple[FeedbackModule, FeedbackModule], *programs: list[Write]
 @example([], COUNTING)
 @example([*COUNTING[:2], write(0x1005, 0, 4, 0x40000090)], COUNTING)
 @example([*COUNTING, *MOVED_EMCY], [write(0x1014, 0, 4, 0xA1)])
-@examples(150)
+@examples(60)
 def test_the_writes_are_taken_whatever_the_module_held_and_make_it_the_same(
     modules: tuple[FeedbackModule, FeedbackModule], wanted: list[Write], before: list[Write]
 ) -> None:
@@ -214,7 +214,7 @@ def test_the_writes_are_taken_whatever_the_module_held_and_make_it_the_same(
 
 
 @given(PROGRAMS)
-@examples(50)
+@examples(25)
 def test_a_module_that_was_loaded_answers_the_same_frames_with_the_same_frames(
     modules: tuple[FeedbackModule, FeedbackModule], wanted: list[Write]
 ) -> None:
@@ -447,7 +447,7 @@ def test_the_concise_form_is_what_dcf_tools_make_of_the_values(name: str, tmp_pa
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))
-@examples(200)
+@examples(100)
 def test_every_real32_comes_back_from_both_ways(value: float) -> None:
     data = struct.pack("<f", value)
     assert struct.pack("<f", float(real_as_text(8, value, Reals.DECIMAL))) == data

@@ -83,7 +83,7 @@ def test_bad_values_are_refused_and_change_nothing(bench: Bench, index: int, sub
     assert bench.at(0.0)[1] == StatusBit.VALID
 
 
-@examples(300)
+@examples(50)
 @given(st.data())
 def test_no_frame_ever_raises_and_what_is_published_is_well_formed(data: st.DataObject) -> None:
     module = FeedbackModule(ModuleConfig(node_id=32, autostart=True))

@@ -16,11 +16,9 @@ from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
-from canfb.signal.limits import (
-    cycles_per_interval_squared,
-    narrowed_residual_limit,
-)
+from canfb.signal.limits import cycles_per_interval_squared, narrowed_residual_limit
 from canfb.signal.sample import Sample
+from drawing import examples
 from folding import each
 from servo_kit import IDEAL_TABLE
 
@@ -70,6 +68,7 @@ def test_zero_is_the_fixed_margin() -> None:
     assert machine.read(od.FEEDBACK_NOISE) > 0
 
 
+@examples(25)
 @given(margin=st.integers(0, 255), noise=st.floats(0.0, 40.0))
 def test_it_is_never_looser_than_the_fixed_limit(margin: int, noise: float) -> None:
     machine = Turning(margin, noise)
@@ -92,26 +91,21 @@ def test_it_begins_anew_with(event: str) -> None:
     assert machine.limit > 0.05
 
 
-@pytest.mark.parametrize("period", [2, 3, 7])
+@pytest.mark.parametrize("period", [2, 7])
 def test_a_fault_that_grows_below_the_limit_is_found_at_the_stated_bound(period: int) -> None:
-    """An error of the phase in every ``period``-th sample, larger by 2e-7 cycle each time."""
+    """An error of the phase in every ``period``-th sample, larger by 5e-7 cycle each time."""
     machine = Turning()
     machine.run(40 * 256)  # the reference is known: 32 blocks of 4 x 64 samples
     reference = machine.module._limits.noise.usable_cycles
     largest_limit = BOUND + 6.0 * 2.0 * reference
-    error = 0.0
-    for sync in range(60_000):
-        error += 2e-7
+    assert largest_limit < 0.05  # with the fixed margin it would not be found here
+    error, sync = 0.0, 0
+    while not machine.read(od.COUNTER_RESIDUAL):
+        error, sync = error + 5e-7, sync + 1
         machine.error_cycles = error if sync % period == 0 else 0.0
         machine.run()
         assert machine.limit <= largest_limit * 1.001
-        if machine.read(od.COUNTER_RESIDUAL):
-            break
-    else:
-        raise AssertionError("not found")
-    # Such an error is in the residual once or twice at least.
-    assert error < largest_limit
-    assert error < 0.05  # with the fixed margin it would not have been found here
+        assert error < largest_limit  # such an error is in the residual once or twice at least
 
 
 def test_no_false_alarm_at_any_speed_after_learning_at_one() -> None:

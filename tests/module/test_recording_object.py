@@ -10,6 +10,7 @@ from module_bench import Bench
 
 from canfb.cia301.frame import Frame
 from canfb.objects import MISSED_COUNTS
+from drawing import examples
 
 MISSED = (MISSED_COUNTS, MISSED_COUNTS)
 START, STOP = 1, 2
@@ -35,6 +36,7 @@ STATES = ["PRE-OPERATIONAL", "STOPPED", "RESET COMMUNICATION"]
 STEPS: st.SearchStrategy[int | str] = st.sampled_from([START, STOP, "sample", "sample", "sample", *STATES])
 
 
+@examples(50)
 @given(st.lists(STEPS, max_size=30), st.integers(1, 6))
 @example([START, *["sample"] * 9, START, "sample", START, "sample"], 5)
 @example([START, "sample", STOP, "sample", STOP, START, "sample"], 5)
@@ -67,6 +69,7 @@ def test_it_records_from_a_start_to_a_stop_a_full_memory_or_a_pause(
         assert bench.sdo[0x2050][1].raw == records
 
 
+@examples(30)
 @given(st.lists(st.one_of(st.none(), st.tuples(*[st.integers(-2048, 2047)] * 2)), max_size=60))
 def test_every_interval_has_its_place_and_publication_is_as_without_recording(samples) -> None:
     benches = Bench(), Bench()

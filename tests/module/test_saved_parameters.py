@@ -283,6 +283,7 @@ def test_without_a_store_nothing_is_counted(bench: Bench) -> None:
 WAYS = {"stop": 2, "pre-operational": 128, "reset": 129, "end": None}
 
 
+@examples(30)
 @given(st.lists(st.tuples(st.sampled_from([*WAYS]), st.integers(0, 200), st.booleans()), max_size=6))
 @example([(way, 20, True) for way in WAYS])
 def test_tenths_of_an_hour_go_on_in_the_next_process(runs: list[tuple[str, int, bool]]) -> None:

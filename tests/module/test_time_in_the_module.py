@@ -327,8 +327,9 @@ def test_an_interface_at_another_rate_than_sync_loses_the_position(
         stamped,
         lambda at: 0.3 + 0.01 * min(max(0.0, at - 50.0), ramp) ** 2 + speed * max(0.0, at - 50.0 - ramp),
     )
-    frames = [(float(k), True, 0.0) for k in range(1, 2000)]
-    frames += [(at, False, at) for k in range(1, 2010) if (at := k / (1.0 + faster) + 0.6) < 2000.0]
+    end = 500 + round(0.75 / abs(faster))  # the delay wraps when it has changed by 0.4 or 0.6 period
+    frames = [(float(k), True, 0.0) for k in range(1, end)]
+    frames += [(at, False, at) for k in range(1, 2 * end) if (at := k / (1.0 + faster) + 0.6) < end]
     machine.give_all(frames)
     assert machine.positions[-1].status & LOST
     assert not [one for one in machine.positions if one.valid and abs(one.cycles - one.truth) > 0.5]

@@ -120,16 +120,18 @@ def turning(begin_s: float, stamped: bool = True, sloppy_ms: float = 0.0) -> Des
 
 
 @pytest.mark.parametrize("host", [(True,), (False,), (True, 0.2)], ids=["stamped", "unstamped", "sloppy"])
-@pytest.mark.parametrize("begin_s", [0.0, 2.0, 10.0, 28.0], ids=lambda one: f"{one:g}s")
-@pytest.mark.parametrize("name", AS_RECORDED)
-def test_what_sample_times_determine_is_not_lost(name: str, begin_s: float, host: tuple[Any, ...]) -> None:
-    """At standstill, and at up to 22 cycles for each interval: only one that is late is ever in doubt."""
+@pytest.mark.parametrize("begin_s", [0.0, 2.0, 20.0], ids=lambda one: f"{one:g}s")
+def test_what_sample_times_determine_is_not_lost(begin_s: float, host: tuple[Any, ...]) -> None:
+    """At standstill, and at up to 30 cycles for each interval: only one that is late is ever in doubt."""
     desktop = turning(begin_s, *host)
-    for _ in range(3):
-        statuses = desktop.play([*AS_RECORDED[name], *EVEN])
-        assert not any(status & LOST for status in statuses), statuses
-    assert all(status & VALID for status in statuses[-30:])
-    assert desktop.wrong == 0
+    for name, cycles in AS_RECORDED.items():
+        if not begin_s:
+            desktop = turning(0.0, *host)
+        for _ in range(3):
+            statuses = desktop.play([*cycles, *EVEN])
+            assert not any(status & LOST for status in statuses), (name, statuses)
+        assert all(status & VALID for status in statuses[-30:]), name
+        assert desktop.wrong == 0, name
     assert desktop.answers > 100
 
 

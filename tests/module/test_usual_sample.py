@@ -18,6 +18,7 @@ from canfb.signal.feedback import Feedback
 from canfb.signal.sample import Sample
 from canfb.signal.stages import Stages
 from canfb.signal.supervision import VALID
+from drawing import examples
 from ideal_tracks import counts_at, wavy_table
 
 SYNC, ADC_PDO = 0x80, 0x190
@@ -59,17 +60,8 @@ FRAMES = {
     "bad length": Frame(ADC_PDO, b"\1\2\3"),
 }
 SAMPLES = (
-    "run",
-    "run",
-    "run",
-    "still",
-    "jump",
-    "weak",
-    "missed",
-    "lost SYNC",
-    "doubled",
-    "doubled SYNC",
-    "late",
+    *("run", "run", "run", "still", "jump", "weak"),
+    *("missed", "lost SYNC", "doubled", "doubled SYNC", "late"),
 )
 happenings = st.lists(
     st.tuples(
@@ -169,6 +161,7 @@ def read(entry: object) -> str:
 
 
 @pytest.mark.parametrize("times", [False, True])
+@examples(60)
 @given(happenings=happenings, speed=st.floats(0.05, 0.4))
 @example(  # the pace of the interface passes a limit in a usual sample
     happenings=[("lost SYNC", 0.0), ("run", 0.0), ("run", 0.0), ("run", 0.0)], speed=0.25

@@ -87,10 +87,8 @@ class Rogue:
     def __init__(self, run: Play, extra: Frame) -> None:
         device = run.device
         run.device = self  # type: ignore[assignment]
-        self.node, self.start, self.tick, self.deadline = (
-            *(device.node, device.start, device.tick),
-            device.deadline,
-        )
+        self.node, self.start = device.node, device.start
+        self.tick, self.deadline = device.tick, device.deadline
         self._receive, self._extra = device.receive, extra
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
