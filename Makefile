@@ -18,8 +18,8 @@ unexport PYTHONDONTWRITEBYTECODE
 INSTALLED := $(VENV)/.installed
 INSTALLED_TEST := $(VENV)/.installed-test
 LOWEST := .venv-lowest
-MUTATED ?= $(addprefix src/canfb/signal/,supervision.py frozen.py \
-	witness/witness.py witness/coarse.py witness/zero_pulse.py witness/reference.py)
+MUTATED ?= $(addprefix src/canfb/signal/,supervision.py \
+	witness/witness.py witness/zero_pulse.py witness/reference.py)
 
 PARTS ?= unit lint types socketcan site package $(MORE)
 VERDICTS := build/verdicts.txt

@@ -24,19 +24,16 @@ if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__
     from canfb.module.module_config import ModuleConfig, SecondPositionConfig
     from canfb.objects import StatusBit
     from canfb.signal.adaptation import AdaptConfig
-    from canfb.signal.batch import process
     from canfb.signal.chain import SignalChain
     from canfb.signal.chain_config import ChainConfig
     from canfb.signal.conditioning import Conditioning
     from canfb.signal.correction import CorrectionTable
-    from canfb.signal.feedback import Feedback
     from canfb.signal.limits import max_acceleration, max_speed
     from canfb.signal.phase import phase_in_cycle
-    from canfb.signal.sample import Sample
+    from canfb.signal.sample import Feedback, Sample
     from canfb.signal.second_position import SecondSensor
-    from canfb.signal.stream import ChainResult, process_stream
-    from canfb.signal.tracker import Track, Tracker, TrackResult
-    from canfb.signal.tracking import track
+    from canfb.signal.stream import ChainResult, process, process_stream
+    from canfb.signal.tracker import Track, Tracker, TrackResult, track
 
 __all__ = [
     "AdaptConfig",
@@ -91,19 +88,16 @@ _PLACES = {
     "module.module_config": ("ModuleConfig", "SecondPositionConfig"),
     "objects": ("StatusBit",),
     "signal.adaptation": ("AdaptConfig",),
-    "signal.batch": ("process",),
     "signal.chain": ("SignalChain",),
     "signal.chain_config": ("ChainConfig",),
     "signal.conditioning": ("Conditioning",),
     "signal.correction": ("CorrectionTable",),
-    "signal.feedback": ("Feedback",),
     "signal.limits": ("max_acceleration", "max_speed"),
     "signal.phase": ("phase_in_cycle",),
-    "signal.sample": ("Sample",),
+    "signal.sample": ("Feedback", "Sample"),
     "signal.second_position": ("SecondSensor",),
-    "signal.stream": ("ChainResult", "process_stream"),
-    "signal.tracker": ("Track", "Tracker", "TrackResult"),
-    "signal.tracking": ("track",),
+    "signal.stream": ("ChainResult", "process", "process_stream"),
+    "signal.tracker": ("Track", "Tracker", "TrackResult", "track"),
 }
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())

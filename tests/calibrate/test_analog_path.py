@@ -30,7 +30,7 @@ from canfb.master.session import read_corners
 from canfb.sdo.tables import as_yaml, read_table_file
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import NO_CORRECTION, Correction
-from canfb.signal.harmonics import NO_LOW_PASS
+from canfb.signal.front_end import NO_LOW_PASS
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, Motion, Ramp, Ripple
 from commissioning_kit import CYCLES, MODULE_ID, TABLE, Bench
 from folding import each

@@ -26,7 +26,7 @@ from canfb.calibration.path_fit import (
 from canfb.errors import CalibrationError
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.harmonics import Corners
+from canfb.signal.front_end import Corners
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic

@@ -15,7 +15,7 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
-from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Feedback
 from canfb.simulation.encoder import Encoder, MotionSource, ShaftEncoder
 from folding import each
 from servo_kit import IDEAL_TABLE, s_curve

@@ -14,8 +14,7 @@ from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
+from canfb.signal.sample import Feedback, Sample
 from canfb.signal.stages import Stages
 from canfb.signal.supervision import VALID
 from drawing import examples

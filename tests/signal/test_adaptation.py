@@ -19,8 +19,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
+from canfb.signal.sample import Feedback, Sample
 from canfb.simulation.encoder import Encoder, Harmonic
 from drawing import examples
 from folding import each

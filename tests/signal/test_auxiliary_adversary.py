@@ -17,8 +17,7 @@ from witness_kit import at
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
+from canfb.signal.sample import Feedback, Sample
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.witness.witness import DISAGREEING
 from folding import each

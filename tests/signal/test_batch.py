@@ -14,14 +14,12 @@ from hypothesis import strategies as st
 
 from canfb.objects import StatusBit
 from canfb.signal import blocks, stream
-from canfb.signal.batch import process
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.declared import Declared
 from canfb.signal.estimator import Estimator
+from canfb.signal.limits import Declared
 from canfb.signal.phase import phase_in_cycle
-from canfb.signal.stream import process_stream
-from canfb.signal.tracker import Tracker, TrackResult
-from canfb.signal.tracking import track
+from canfb.signal.stream import process, process_stream
+from canfb.signal.tracker import Tracker, TrackResult, track
 from folding import each
 
 PLACES = np.arange(64) / 64

@@ -12,9 +12,8 @@ from witness_kit import Machine, above, at, below, flags, has, moving
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.feedback import Feedback
-from canfb.signal.witness.coarse import CoarseTrack
-from canfb.signal.witness.witness import Pair
+from canfb.signal.sample import Feedback
+from canfb.signal.witness.witness import CoarseTrack, Pair
 from folding import each
 
 N = 4096  # with powers of two the limits are exact

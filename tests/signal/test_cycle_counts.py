@@ -5,7 +5,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.signal.blocks import Scratch
-from canfb.signal.tracking import EXACT, ROW, cycle_counts
+from canfb.signal.tracker import EXACT, ROW, cycle_counts
 
 sizes = st.sampled_from([0, 1, -1, 5, -(2**31), 2**40, EXACT - 1, EXACT, -EXACT, 2**55, -(2**60)])
 

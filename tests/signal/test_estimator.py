@@ -7,8 +7,8 @@ import math
 import pytest
 
 from canfb.objects import LossCause
-from canfb.signal.declared import Declared
 from canfb.signal.estimator import Estimator
+from canfb.signal.limits import Declared
 from canfb.signal.speeds import steady_speed
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 

@@ -15,8 +15,8 @@ from motion_oracles import ends_through
 
 import canfb
 from canfb.signal.chain import SignalChain
-from canfb.signal.declared import Declared as EstimatorDeclared
 from canfb.signal.estimator import Estimator
+from canfb.signal.limits import Declared as EstimatorDeclared
 from canfb.signal.limits import kept_samples
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, VALID

@@ -16,8 +16,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable
-from canfb.signal.front_end import FrontEnd
-from canfb.signal.harmonics import NO_LOW_PASS
+from canfb.signal.front_end import NO_LOW_PASS, FrontEnd
 from canfb.signal.sample import Sample
 from folding import each
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from witness_kit import Machine, above, at, below, flags, has, moving
 
 from canfb.objects import StatusBit
-from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.sample import Sample
+from canfb.signal.supervision import FrozenInput, repeats
 from folding import each
 
 NEVER = 600

@@ -7,8 +7,7 @@ import pytest
 
 from canfb.calibration.ellipse import with_track_harmonics
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.front_end import FrontEnd
-from canfb.signal.harmonics import NO_LOW_PASS, PLACES, SPEEDS, Corners, corrected, harmonic_rows
+from canfb.signal.front_end import NO_LOW_PASS, PLACES, SPEEDS, Corners, FrontEnd, corrected, harmonic_rows
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from folding import each
 

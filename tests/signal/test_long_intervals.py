@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL
-from canfb.signal.declared import Declared
 from canfb.signal.estimator import Estimator
+from canfb.signal.limits import Declared
 from canfb.signal.supervision import LOST, VALID
 
 SAMPLES = 400

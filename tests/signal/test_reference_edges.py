@@ -12,9 +12,8 @@ from canfb.objects import LossCause
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import COASTING, LOST, VALID
 from canfb.signal.tracker import Track
-from canfb.signal.witness.coarse import CoarseTrack
 from canfb.signal.witness.reference import Reference, pulse_between
-from canfb.signal.witness.witness import Pair
+from canfb.signal.witness.witness import CoarseTrack, Pair
 from canfb.signal.witness.zero_pulse import Pulse, ZeroPulse
 from folding import each
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.signal.feedback import Feedback
 from canfb.signal.residual_noise import BLOCK_SAMPLES, FEWEST_BLOCKS, REFERENCE_BLOCKS, ResidualNoise
+from canfb.signal.sample import Feedback
 from canfb.signal.supervision import AMPLITUDE, VALID
 from canfb.signal.tracker import Tracker
 

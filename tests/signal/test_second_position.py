@@ -15,8 +15,7 @@ from witness_kit import DEAD, Machine, at, has
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
+from canfb.signal.sample import Feedback, Sample
 from canfb.signal.second_position import SecondScale, SecondSensor, step_increments
 from canfb.signal.witness.second import LONGEST_GAP
 from canfb.signal.witness.witness import Pair, only_count

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import LEAST_APART, Sample, in_order
+from canfb.signal.sample import LEAST_APART, Feedback, Sample, in_order
 from canfb.signal.supervision import LOST, MISSED, REFERENCED
 from canfb.signal.witness.zero_pulse import Pulse, PulseVerdict
 from folding import each

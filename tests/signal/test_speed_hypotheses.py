@@ -11,7 +11,7 @@ import pytest
 from test_speed_set import TAU, declared, follower, motion, offsets, started_at
 
 from canfb.objects import LossCause
-from canfb.signal.declared import Declared
+from canfb.signal.limits import Declared
 from canfb.signal.speed_hypotheses import SpeedHypotheses
 from canfb.signal.starts import SpeedVerdict, Starts
 from canfb.signal.supervision import LOST

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from canfb.objects import LossCause
-from canfb.signal.declared import Declared
 from canfb.signal.estimator import Estimator
-from canfb.signal.speed_set import SpeedSet
+from canfb.signal.limits import Declared
+from canfb.signal.speed_hypotheses import SpeedSet
 from canfb.signal.supervision import COASTING, LOST, VALID
 
 TAU = 5e-5  # 50 ns of 1 ms

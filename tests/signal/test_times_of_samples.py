@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import TICKS, Sample
+from canfb.signal.sample import TICKS, Feedback, Sample
 from canfb.signal.sample_times import (
     HEARD_S,
     OLDEST,

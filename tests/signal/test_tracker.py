@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.signal.limits import max_acceleration, narrowed_residual_limit
-from canfb.signal.tracker import Tracker, TrackResult
-from canfb.signal.tracking import track
+from canfb.signal.tracker import Tracker, TrackResult, track
 
 phases = st.floats(0, 1, exclude_max=True)
 limits = st.floats(0.01, 0.5)

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
-from canfb.signal.batch import process
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import phase_in_cycle
-from canfb.signal.stream import process_stream
-from canfb.signal.tracking import track
+from canfb.signal.stream import process, process_stream
+from canfb.signal.tracker import track
 
 ANGLE = np.linspace(0.0, 40 * np.pi, 1000)
 SINE, COSINE = 1500 * np.sin(ANGLE), 1500 * np.cos(ANGLE)

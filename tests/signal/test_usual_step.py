@@ -16,9 +16,8 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.signal.feedback import Feedback
-from canfb.signal.harmonics import Corners
-from canfb.signal.sample import Sample
+from canfb.signal.front_end import Corners
+from canfb.signal.sample import Feedback, Sample
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Stages
 from canfb.signal.supervision import SampleLimits

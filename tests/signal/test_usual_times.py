@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import TICK_S, TICKS, Sample
+from canfb.signal.sample import TICK_S, TICKS, Feedback, Sample
 from ideal_tracks import counts_at
 
 PERIOD_S = 1e-3

@@ -15,7 +15,7 @@ import pytest
 import witness_kit
 
 from canfb.objects import StatusBit
-from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Feedback
 from canfb.signal.second_position import SecondSensor
 
 INCREMENTS = 1 << 22

@@ -9,8 +9,7 @@ from typing import Any
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
+from canfb.signal.sample import Feedback, Sample
 
 AMPLITUDE = 1500.0
 DEAD = Sample(0.0, 0.0)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Feedback
 from tools.soak.__main__ import Resources, as_figures, main
 from tools.soak.disturbances import disturbances_of
 from tools.soak.world import SETUPS, Findings, World

@@ -21,7 +21,7 @@ from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import apply_defaults
 from canfb.monitoring.bus_model import BusModel
 from canfb.objects import StatusBit
-from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Feedback
 from canfb.simulation.embedded_bus import REGULAR, EmbeddedBus, SyncProducer, SyncTiming
 from tools.soak.embedded_master import EmbeddedMaster
 from tools.soak.hosted import Hosted

@@ -35,8 +35,7 @@ from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction
-from canfb.signal.front_end import FrontEnd
-from canfb.signal.harmonics import NO_LOW_PASS, Corners
+from canfb.signal.front_end import NO_LOW_PASS, Corners, FrontEnd
 from canfb.signal.phase import FloatArray, wrap
 from canfb.signal.sample import TICK_S, TICKS, Sample
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL, VALID

@@ -24,7 +24,7 @@ from canfb.master.samples import TrackSamples, listening
 from canfb.master.session import CORNERS, read_corners
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
-from canfb.signal.harmonics import Corners
+from canfb.signal.front_end import Corners
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES
 from canfb.view.module_view import LIMIT_UNITS, PdoLayout
 

@@ -43,7 +43,7 @@ from canfb.calibration.result import (
 from canfb.calibration.solver import Progress, no_progress
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.harmonics import Corners
+from canfb.signal.front_end import Corners
 from canfb.signal.phase import FloatArray
 
 # What of a change within one speed does not count: no more than two measurements differ by anyway.

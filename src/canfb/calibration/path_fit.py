@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
-from canfb.signal.harmonics import Corners
+from canfb.signal.front_end import Corners
 from canfb.signal.phase import FloatArray
 
 AMPLITUDE_REPEATS = 1e-3  # relative, both tracks together, from one speed to the next

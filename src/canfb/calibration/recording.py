@@ -24,10 +24,9 @@ from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.objects import MISSED_COUNTS
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import FloatArray, check_counts, pair_of_tracks
 from canfb.signal.sample_recording import BYTES_PER_SAMPLE
-from canfb.signal.tracking import track
-from canfb.signal.tracks import check_counts, pair_of_tracks
+from canfb.signal.tracker import track
 
 MIN_SAMPLES = 200
 # Faults may hit the end of the range now and then; a track that is too large hits it in

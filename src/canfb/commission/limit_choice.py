@@ -41,7 +41,7 @@ from canfb.signal.limits import (
 )
 from canfb.signal.phase import raw_phases
 from canfb.signal.tracker import RESIDUAL_LIMIT
-from canfb.signal.witness.coarse import CoarseTrack
+from canfb.signal.witness.witness import CoarseTrack
 from canfb.timing.grid import UNDECLARED
 from canfb.timing.syncs import USUAL_JITTER_S
 from canfb.view.module_view import LIMIT_UNITS

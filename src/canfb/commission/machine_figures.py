@@ -25,7 +25,7 @@ from canfb.calibration.motion_blocks import (
 )
 from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass
 from canfb.master.samples import TrackSamples
-from canfb.signal.harmonics import Corners
+from canfb.signal.front_end import Corners
 from canfb.signal.phase import FloatArray
 from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 

@@ -20,9 +20,8 @@ from canfb.interface.sample_instants import SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import Correction
-from canfb.signal.feedback import Feedback
 from canfb.signal.phase import FloatArray
-from canfb.signal.sample import Sample
+from canfb.signal.sample import Feedback, Sample
 from canfb.signal.supervision import VALID
 from canfb.simulation.embedded_bus import BackgroundTraffic, Drive, EmbeddedBus, SyncTiming
 from canfb.simulation.encoder import (

@@ -16,8 +16,8 @@ from canfb.master.samples import Listener, TrackSamples, listen, record
 from canfb.objects import Multiplexer
 from canfb.signal.chain_config import ChainLimits
 from canfb.signal.correction import Correction
-from canfb.signal.declared import Declared
-from canfb.signal.harmonics import Corners
+from canfb.signal.front_end import Corners
+from canfb.signal.limits import Declared
 from canfb.signal.supervision import SampleLimits
 from canfb.view.module_view import (
     LIMIT_UNITS,

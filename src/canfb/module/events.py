@@ -17,7 +17,7 @@ from canfb.module.objects.publication import LastLoss
 from canfb.module.parameters import Limits
 from canfb.objects import PositionState
 from canfb.signal.correction import Correction
-from canfb.signal.feedback import FAULT_BITS, Feedback
+from canfb.signal.sample import FAULT_BITS, Feedback
 from canfb.signal.supervision import AMPLITUDE, MISSED, REFERENCED, RESIDUAL, SECOND_POSITION
 
 Value = bool | float | int | str | list[str] | None

@@ -31,7 +31,7 @@ from canfb.module.sampling import Sampling
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig, ChainLimits
 from canfb.signal.correction import Correction
-from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Feedback
 from canfb.sources.protocol import Source
 from canfb.timing.answers import Answers
 from canfb.timing.syncs import Syncs

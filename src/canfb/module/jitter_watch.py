@@ -8,8 +8,8 @@ from collections.abc import Callable
 from canfb.device.od.dictionary import Entry
 from canfb.module.interval import SamplingInterval
 from canfb.module.parameters import Limits
-from canfb.signal.feedback import Feedback
 from canfb.signal.limits import RPM, max_speed
+from canfb.signal.sample import Feedback
 from canfb.signal.supervision import VALID
 from canfb.timing.syncs import Syncs
 

@@ -20,8 +20,7 @@ from canfb.module.objects.second_input import SecondInput
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import TICK_S, Sample
+from canfb.signal.sample import TICK_S, Feedback, Sample
 from canfb.signal.supervision import VALID
 from canfb.timing.answers import Answers
 from canfb.timing.syncs import USUAL, Syncs, SyncVerdict

@@ -22,7 +22,7 @@ from canfb.module.objects.publication import SIXTEEN_BITS, LastLoss, Latest, Pub
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.signal.chain import SignalChain
-from canfb.signal.feedback import FLAGGED_BITS, Feedback
+from canfb.signal.sample import FLAGGED_BITS, Feedback
 from canfb.signal.supervision import COASTING, VALID
 
 TPDOS = (1, 2, 3, 4)

@@ -33,9 +33,9 @@ from canfb.planning.planned_bus import (
     node_messages,
     sync_message,
 )
-from canfb.signal.declared import Declared
 from canfb.signal.limits import (
     ROUNDING,
+    Declared,
     cycles_per_interval_squared,
     max_acceleration,
     max_speed,

@@ -23,8 +23,8 @@ from canfb.module.feedback_module import FeedbackModule
 from canfb.objects import StatusBit
 from canfb.signal.chain_config import ChainLimits
 from canfb.signal.correction import Correction
-from canfb.signal.feedback import Feedback
 from canfb.signal.phase import FloatArray
+from canfb.signal.sample import Feedback
 
 BLOCK_ROWS = 1 << 12
 
@@ -59,7 +59,7 @@ time_s             stamp of the log, seconds
 position           6004h
 sine_counts, ...   ADC counts as they came; those of before for a sample that was missed
 interval_s         the sampling interval, 0.0 while it is not known
-amplitude_counts to samples   the fields of :class:`canfb.signal.feedback.Feedback`
+amplitude_counts to samples   the fields of :class:`canfb.signal.sample.Feedback`
 residual_limit to cycles_per_revolution   the limits in force
 """
 

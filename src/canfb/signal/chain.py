@@ -13,10 +13,9 @@ from canfb.signal.adaptation import Adaptation, AdaptConfig, FollowedDrift
 from canfb.signal.bounded_motion import HOLE_INTERVALS
 from canfb.signal.chain_config import ChainConfig, ChainLimits, with_correction
 from canfb.signal.correction import AnyTable, Correction
-from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import SAME_INTERVAL
 from canfb.signal.pauses import Pauses
-from canfb.signal.sample import TICK_S, Sample, in_order
+from canfb.signal.sample import TICK_S, Feedback, Sample, in_order
 from canfb.signal.sample_times import CROWDED, REPEATED, SUSPECT, SampleTimes
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.stages import Extras, Stages

@@ -9,9 +9,14 @@ from canfb.checks import integer_in, number_in, within
 from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import AnyTable, CorrectionTable, correction_of
-from canfb.signal.declared import COAST_SAMPLES, DOUBT_ACCELERATION, MOST_BAD_SAMPLES, Declared
-from canfb.signal.harmonics import NO_LOW_PASS, Corners
-from canfb.signal.limits import PHASE_ERROR_CYCLES
+from canfb.signal.front_end import NO_LOW_PASS, Corners
+from canfb.signal.limits import (
+    COAST_SAMPLES,
+    DOUBT_ACCELERATION,
+    MOST_BAD_SAMPLES,
+    PHASE_ERROR_CYCLES,
+    Declared,
+)
 from canfb.signal.sample import MOST_PER_SYNC
 from canfb.signal.supervision import SampleLimits
 from canfb.signal.tracker import RESIDUAL_LIMIT, check_residual_limit

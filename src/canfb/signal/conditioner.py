@@ -8,9 +8,8 @@ from collections.abc import Callable
 
 from canfb.signal.adaptation import Adaptation, AdaptConfig, FollowedDrift
 from canfb.signal.correction import NO_CORRECTION, Correction, check_table
-from canfb.signal.feedback import Feedback
-from canfb.signal.front_end import FrontEnd
-from canfb.signal.harmonics import NO_LOW_PASS, Corners, corrected
+from canfb.signal.front_end import NO_LOW_PASS, Corners, FrontEnd, corrected
+from canfb.signal.sample import Feedback
 
 
 class Conditioner:

@@ -51,7 +51,7 @@ class Conditioning:
     harmonic_5_backward_imaginary  imaginary part of order -5 (2005:0E), -0.5..0.5
 
     The harmonics are those of cosine + i sine, conditioned, at standstill, relative to the fundamental. They
-    count with a low-pass or a cosine delay only: :mod:`canfb.signal.harmonics`.
+    count with a low-pass or a cosine delay only: :mod:`canfb.signal.front_end`.
 
     :meth:`apply` is what holds at standstill; :mod:`canfb.signal.front_end` has the speed. ``delay_s``
     leaves the tracks as they are: what is published is the position by so much later.

@@ -21,8 +21,8 @@ from collections.abc import Callable
 from canfb.objects import LossCause
 from canfb.signal import speeds
 from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL, ORDER, SHORT_INTERVAL, Spot
-from canfb.signal.declared import Declared
 from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
+from canfb.signal.limits import Declared
 from canfb.signal.speeds import STILL_SAMPLES, Place, StillPhase
 from canfb.signal.starts import START_SAMPLES, SpeedVerdict, Starts
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID

@@ -5,15 +5,154 @@ that turns it by d = 2 pi f cosine_delay: a phase error of ``phase_error - d``, 
 removes exactly. A low-pass with the corner frequency fc leaves A / sqrt(1 + (f / fc)^2); its inverse is a
 common gain, so that the limits of the amplitude are those of a slow machine. Where the corner frequencies
 differ, so do the gains, and d has arctan(f / fc of the sine) - arctan(f / fc of the cosine) besides.
+
+**Harmonics**: what a correction table leaves at speed. The tracks are z(x) = c + i s = sum z_k e^ikx, z_1
+= 1. A table removes what the others do to the phase at standstill. With the spectra C_k = (z_k + z_-k*) /
+2 and S_k = (z_k - z_-k*) / 2i of both tracks, their low-passes H and their phase error phi, at f cycles/s:
+
+    S_k(f) = S_k Hs(k f) / |Hs(f)| e^(i k lag),      lag = -arg Hs(f)
+    y_k(f) = (C_k cos phi + S_k sin phi) Hc(k f) / |Hc(f)| e^(i k (lag + d)),      d = 2 pi f cosine_delay
+    C_k(f) = (y_k(f) - S_k(f) sin a) / cos a,      a the phase error at f
+
+To first order the phase is then off by D(x, f) = Im sum (z_k(f) - z_k) e^(i (k - 1) x) / (2 pi), a small
+table over phase and speed.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import lru_cache
 from math import atan, sqrt, tan
 
-from canfb.signal.conditioning import Coefficients, Conditioning
-from canfb.signal.harmonics import Corners, Row, harmonic_rows
+import numpy as np
+import numpy.typing as npt
+
+from canfb.signal.conditioning import HARMONIC_ORDERS, Coefficients, Conditioning
+
+Row = tuple[tuple[float, float], ...]
+PLACES = 64  # in a cycle: the highest order of D is 6, and linear interpolation leaves 0.5 % of order 2
+SPEEDS = 192  # rows on either side of standstill
+MOST_CORNERS = 3.0  # the highest speed, in corner frequencies
+MOST_TURN_RAD = 1.2  # and from a sine to its cosine
+Complex = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Corner frequencies of the low-passes of both tracks, Hz, 0.0: none."""
+
+    corner_hz: float = 0.0
+    cosine_corner_hz: float = 0.0
+
+    @property
+    def are_there(self) -> bool:
+        return bool(self.corner_hz or self.cosine_corner_hz)
+
+    @property
+    def of_cosine_hz(self) -> float:
+        """That of the cosine: the same, unless it is given."""
+        return self.cosine_corner_hz or self.corner_hz
+
+
+NO_LOW_PASS = Corners()
+
+
+@dataclass(frozen=True)
+class HarmonicRows:
+    """D as lines over the phase, (value, slope to the next one) in cycles: ``rows[SPEEDS]`` at standstill.
+
+    From one to the next it is ``step_hz``.
+    """
+
+    rows: tuple[Row, ...]
+    step_hz: float
+
+    def row(self, hertz: float) -> Row:
+        """The nearest one; at the ends for what is beyond."""
+        place = hertz / self.step_hz
+        return self.rows[SPEEDS + round(max(-SPEEDS, min(place, SPEEDS)))]
+
+
+@lru_cache(maxsize=8)
+def harmonic_rows(used: Conditioning, path: Corners) -> HarmonicRows | None:
+    """Those of this encoder and path; None where there is nothing to correct."""
+    standing = np.array(used.harmonics)
+    corners = [hz for hz in (path.corner_hz, path.of_cosine_hz) if hz]
+    reaches = [MOST_CORNERS * hz for hz in corners]
+    if used.cosine_delay_s:
+        reaches.append(MOST_TURN_RAD / (2.0 * math.pi * abs(used.cosine_delay_s)))
+    if not reaches or not standing.any():
+        return None
+    step_hz = min(reaches) / SPEEDS
+    hertz = np.asarray(np.arange(-SPEEDS, SPEEDS + 1) * step_hz, np.float64)
+    moved = _deviation(standing, used, path, hertz)
+    slopes = np.roll(moved, -1, axis=1) - moved
+    rows = tuple(
+        tuple(zip(values, rises, strict=True))
+        for values, rises in zip(moved.tolist(), slopes.tolist(), strict=True)
+    )
+    return HarmonicRows(rows, step_hz)
+
+
+def _deviation(
+    standing: Complex, used: Conditioning, path: Corners, hertz: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """D, cycles, shape (speeds, PLACES); ``standing`` are the harmonics at standstill."""
+    z = dict(zip(HARMONIC_ORDERS, standing.tolist(), strict=True)) | {1: 1.0 + 0j}
+    f = np.asarray(hertz, np.float64)[:, None]
+    x = 2.0 * np.pi * np.arange(PLACES) / PLACES
+    moved = np.zeros((len(hertz), PLACES), np.complex128)
+    for k in sorted({abs(order) for order in z}):
+        ahead, behind = z.get(k, 0j), z.get(-k, 0j)
+        at_ahead, at_behind = harmonic_at(k, ahead, behind, used, path, f)
+        moved += (at_ahead - ahead) * np.exp(1j * (k - 1) * x) + (at_behind - behind) * np.exp(
+            -1j * (k + 1) * x
+        )
+    return np.asarray(moved.imag / (2.0 * np.pi), np.float64)
+
+
+def harmonic_at(
+    k: int,
+    ahead: complex,
+    behind: complex,
+    used: Conditioning,
+    path: Corners,
+    hertz: npt.NDArray[np.float64],
+) -> tuple[Complex, Complex]:
+    """z_k and z_-k at these speeds, any shape, of those at standstill."""
+    f = hertz
+    cosine, sine = (ahead + behind.conjugate()) / 2.0, (ahead - behind.conjugate()) / 2.0j
+    phi = used.phase_error_rad
+    lag_s, lag_c = (np.arctan(f / hz) if hz else 0.0 * f for hz in (path.corner_hz, path.of_cosine_hz))
+    turned = 2.0 * np.pi * f * used.cosine_delay_s
+    angle = phi - turned - lag_s + lag_c
+    s = sine * _left(k, f, path.corner_hz) * np.exp(1j * k * lag_s)
+    y = (cosine * math.cos(phi) + sine * math.sin(phi)) * _left(k, f, path.of_cosine_hz)
+    c = (y * np.exp(1j * k * (lag_s + turned)) - s * np.sin(angle)) / np.cos(angle)
+    return c + 1j * s, c.conj() + 1j * s.conj()
+
+
+def _left(k: int, f: npt.NDArray[np.float64], corner_hz: float) -> Complex:
+    """H(k f) / |H(f)|."""
+    if not corner_hz:
+        return np.ones(f.shape, np.complex128)
+    ratio = f / corner_hz
+    return np.asarray(np.sqrt(1.0 + ratio * ratio) / (1.0 + 1j * k * ratio), np.complex128)
+
+
+def corrected(row: Row, phase: float) -> float:
+    """``phase``, 0 <= phase < 1, less D."""
+    place = phase * PLACES
+    index = int(place)
+    first, slope = row[index]
+    phase -= first + (place - index) * slope
+    if phase < 0.0:
+        phase += 1.0
+    if phase >= 1.0:
+        phase -= 1.0
+    return phase
+
 
 LARGEST_RAD = 1.47  # |d - phase_error|: beyond it the tracks are less than 6 degrees from being the same one
 AHEAD_INTERVALS = 1.5  # from the middle of the last interval, whose speed is known, to the next sample

@@ -11,7 +11,7 @@ import math
 import statistics
 from collections import deque
 
-from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Feedback
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, COASTING, FROZEN, LOST, MISSED, RESIDUAL, VALID
 
 BLOCK_SAMPLES = 64

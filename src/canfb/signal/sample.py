@@ -1,4 +1,5 @@
-"""One sample: what the encoder interface measured at one instant, and several in one interval of SYNC.
+"""One sample: what the encoder interface measured at one instant, several in one interval of SYNC, and
+what the signal chain gives for each.
 
 Of several (2000:08..0D, 0F..16) it takes m in an interval, by its own clock, and sends the pairs together.
 The chain then works in intervals of a sample, 1/m of that of SYNC.
@@ -6,7 +7,9 @@ The chain then works in intervals of a sample, 1/m of that of SYNC.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+from canfb.objects import FAULT_WORDS, StatusBit
 
 TICK_S, TICKS = 1e-7, 1 << 32
 """Sample times are U32 in 100 ns (2000:05)."""
@@ -68,3 +71,46 @@ def _place(pulse: float | None, begin: float, elapsed: float) -> tuple[float | N
     if pulse is None or pulse > begin + elapsed:
         return None, pulse
     return (pulse - begin) / elapsed, None
+
+
+FAULT_BITS: Final = sum(FAULT_WORDS)
+"""Of the status word: what is wrong with a sample."""
+FLAGGED_BITS: Final = FAULT_BITS | StatusBit.COASTING.value | StatusBit.LOST.value
+"""Those, and that the position coasts or is lost."""
+
+
+class Feedback(NamedTuple):
+    """Every stage of the chain for one sample.
+
+    sine, cosine     conditioned tracks, counts
+    amplitude        of the conditioned tracks, counts
+    raw_phase        Table 1, cycles, 0..1; NaN without a phase
+    cycles, phase    the position: cycle count and phase (cycles, 0..1). The measured one when
+                     the sample was taken, the predicted one while coasting
+    residual         eq. 12, cycles, 0..0.5; 0.5 when there was nothing to compare
+    status           status word 2011:01 (:class:`canfb.signal.supervision.StatusBit`)
+    speed_cycles     speed between the last two good samples, cycles per sampling interval:
+                     the speed of half an interval ago
+    acceleration_cycles  its change since the sample before, cycles per interval squared: the
+                     acceleration of one interval ago
+    jump_cycles      cycles that the position will be set right by, with the next sample; else 0
+    samples          samples processed since the start: moves with every call
+    """
+
+    sine: float
+    cosine: float
+    amplitude: float
+    raw_phase: float
+    cycles: int
+    phase: float
+    residual: float
+    status: int
+    speed_cycles: float
+    acceleration_cycles: float
+    jump_cycles: int
+    samples: int
+
+    @property
+    def valid(self) -> bool:
+        """Status bit 0: the position may be used."""
+        return bool(self.status & 1)

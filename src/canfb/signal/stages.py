@@ -17,11 +17,9 @@ from canfb.signal.chain_config import ChainConfig, ChainLimits, check_config
 from canfb.signal.conditioner import Conditioner
 from canfb.signal.correction import Correction, CorrectionTable
 from canfb.signal.estimator import Estimator
-from canfb.signal.feedback import Feedback
 from canfb.signal.front_end import AHEAD_INTERVALS
-from canfb.signal.frozen import FrozenInput, repeats
 from canfb.signal.phase import AnyArray, raw_phase
-from canfb.signal.sample import Sample
+from canfb.signal.sample import Feedback, Sample
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.supervision import (
     FROZEN,
@@ -31,13 +29,14 @@ from canfb.signal.supervision import (
     RESIDUAL,
     TABLE_ACTIVE,
     VALID,
+    FrozenInput,
     Supervision,
+    repeats,
 )
-from canfb.signal.tracker import NOT_USUAL, Track, TrackResult
-from canfb.signal.tracking import continues, steady_run
-from canfb.signal.witness.coarse import CoarseTrack
+from canfb.signal.tracker import NOT_USUAL, Track, TrackResult, continues, steady_run
 from canfb.signal.witness.reference import Reference
 from canfb.signal.witness.second import SecondPosition
+from canfb.signal.witness.witness import CoarseTrack
 from canfb.signal.witness.zero_pulse import Pulse, ZeroPulse
 
 _new = tuple.__new__  # makes a named tuple in half the time that its own constructor takes

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 
-from canfb.signal.declared import Declared
-from canfb.signal.speed_hypotheses import SpeedHypotheses, longest_decidable_row
-from canfb.signal.speed_set import Found
+from canfb.signal.limits import Declared
+from canfb.signal.speed_hypotheses import Found, SpeedHypotheses, longest_decidable_row
 from canfb.signal.speeds import Place
 
 # At q = 0.7 a second difference is below TELLING with a probability of 0.43, below SILENT with 0.11. So times

@@ -13,9 +13,8 @@ import numpy.typing as npt
 
 from canfb.checks import flag, integer_in, number, text
 from canfb.errors import CanfbError, ConfigError
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import FloatArray, goes_round_off_zero
 from canfb.signal.sample import TICK_S, Sample
-from canfb.signal.tracks import goes_round_off_zero
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, Surroundings, column
 from canfb.sources.sample_files import Columns, read_columns, read_tracks
 

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.objects import Multiplexer
-from canfb.signal.declared import DOUBT_ACCELERATION, Declared
-from canfb.signal.harmonics import NO_LOW_PASS, Corners
+from canfb.signal.front_end import NO_LOW_PASS, Corners
 from canfb.signal.limits import (
+    DOUBT_ACCELERATION,
     PHASE_ERROR_CYCLES,
+    Declared,
     cycles_per_interval_squared,
     narrowed_residual_limit,
 )

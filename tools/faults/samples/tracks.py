@@ -19,7 +19,7 @@ from canfb.planning.coverage import KINDS as COMPUTED
 from canfb.signal.adaptation import FollowedDrift
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.declared import DOUBT_ACCELERATION
+from canfb.signal.limits import DOUBT_ACCELERATION
 from canfb.simulation import faults
 from canfb.simulation.encoder import Encoder, demo_encoder
 from canfb.simulation.faults import Fault, Samples, Signal

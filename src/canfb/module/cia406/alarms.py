@@ -15,7 +15,7 @@ from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.module.objects.publication import LastLoss, Latest
-from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Feedback
 from canfb.signal.supervision import LOST, REFERENCED, SECOND_POSITION, VALID
 
 REGISTER = ErrorRegister.GENERIC | ErrorRegister.DEVICE_PROFILE

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.module.interval import SamplingInterval
-from canfb.signal.feedback import Feedback
+from canfb.signal.sample import Feedback
 
 PHASE_UNITS = 1 << 32  # 2011:03 counts the phase in 1/2^32 cycle
 PHASE_SCALE = float(PHASE_UNITS)

@@ -30,9 +30,8 @@ from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.signal.chain import SignalChain
 from canfb.signal.correction import Correction
-from canfb.signal.feedback import Feedback
-from canfb.signal.harmonics import Corners
-from canfb.signal.sample import TICKS, Sample
+from canfb.signal.front_end import Corners
+from canfb.signal.sample import TICKS, Feedback, Sample
 from canfb.signal.sample_recording import SampleRecording
 from canfb.signal.supervision import AMPLITUDE, CLIPPED, FROZEN, LOST, RESIDUAL
 

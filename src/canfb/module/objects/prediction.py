@@ -9,8 +9,7 @@ from canfb.device.od.dictionary import Dictionary
 from canfb.module.cia406.profile import EncoderProfile
 from canfb.module.interval import SamplingInterval
 from canfb.signal.chain import SignalChain
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import TICK_S
+from canfb.signal.sample import TICK_S, Feedback
 from canfb.signal.supervision import COASTING, EXTRAPOLATED, VALID
 
 OFF, CONSTANT_SPEED, CONSTANT_ACCELERATION = 0, 1, 2  # 2013:01

@@ -17,7 +17,7 @@ from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
 from canfb.objects import LossCause
 from canfb.signal.chain import SignalChain
-from canfb.signal.feedback import FAULT_BITS, FLAGGED_BITS, Feedback
+from canfb.signal.sample import FAULT_BITS, FLAGGED_BITS, Feedback
 from canfb.signal.supervision import (
     AMPLITUDE,
     CALIBRATING,

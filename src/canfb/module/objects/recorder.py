@@ -8,8 +8,7 @@ from typing import Protocol
 from canfb import objects as od
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.module.interval import SamplingInterval
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import TICKS, Sample
+from canfb.signal.sample import TICKS, Feedback, Sample
 from canfb.signal.sample_recording import SampleRecording
 
 

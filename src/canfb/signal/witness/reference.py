@@ -12,12 +12,10 @@ from collections.abc import Sequence
 from canfb.objects import LossCause
 from canfb.signal import speeds
 from canfb.signal.estimator import Estimator
-from canfb.signal.feedback import Feedback
-from canfb.signal.sample import Sample
+from canfb.signal.sample import Feedback, Sample
 from canfb.signal.supervision import COARSE, COASTING, LOST, VALID
 from canfb.signal.tracker import Track
-from canfb.signal.witness.coarse import CoarseTrack
-from canfb.signal.witness.witness import Pair, Witness
+from canfb.signal.witness.witness import CoarseTrack, Pair, Witness
 from canfb.signal.witness.zero_pulse import Pulse, PulseVerdict, ZeroPulse
 
 MOVED_CYCLES = 0.05  # what the errors of two phases do not show: twice the largest one, and once more as much

@@ -1,8 +1,20 @@
 """A sensor that knows the position without counting, held against the counted one.
 
-It has a value and a tolerance, and is believed k times in a row. What it may take away: three values beyond
-the tolerance contradict the position. What it may give: the speed that the count lacks
-(:mod:`.speed_search`), and the count, where just one is within the tolerance, eight times.
+It has a value and a tolerance, and is believed k times in a row. What it may take away: three values
+beyond the tolerance contradict the position. What it may give: the speed that the count lacks
+(:class:`SpeedSearch`), and the count, where just one is within the tolerance, eight times.
+
+**Speed**: by how many whole cycles per interval eq. 9 counts wrongly. The truth is y + c + s t with y as
+eq. 9 counts it, and whole numbers c and s. An absolute sensor shows how far the machine has really moved,
+with an error. Each pair of its values cuts the range of s,
+
+    |ahead_j - ahead_i - s (t_j - t_i)| <= error_ij,
+
+where ``ahead`` is its displacement less the counted one. One value may be false, by any d: beyond the
+error E of a pair a neighbour gives s >= d - E, and a value t intervals away s <= (d + E) / t, so that
+nothing is left once t >= 2 E + 1. The values that agree must span that long.
+
+The coarse track, one cycle per revolution (paper, section 4), is one with a value at every sample.
 """
 
 from __future__ import annotations
@@ -10,7 +22,68 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
-from canfb.signal.witness.speed_search import PHASE_CYCLES, SpeedSearch
+import numpy as np
+
+MOST_VALUES = 512  # remembered; when there are more, every second one is forgotten, which only costs time
+LEAST_VALUES = 3
+PHASE_CYCLES = 0.05  # of the counted displacement: noise and an uncorrected phase at both ends
+
+
+class SpeedSearch:
+    """Finds the whole cycles per interval that the counted speed lacks.
+
+    Two values differ from the truth by at most ``most_cycles``, or ``slope`` times the way between them,
+    and ``noise_cycles``.
+    """
+
+    def __init__(self, slope: float, most_cycles: float, noise_cycles: float) -> None:
+        self._slope, self._most_cycles = slope, most_cycles
+        self._noise_cycles = noise_cycles + PHASE_CYCLES
+        self._values = np.empty((3, MOST_VALUES))  # time, ahead, moved
+        self.restart()
+
+    def restart(self) -> None:
+        """The next value is the first. Eq. 9 must count without a gap from there on."""
+        self._known = 0
+        self._first_time = 0.0
+        self._seen = 0
+        self._error = 0.0  # the largest of a pair, cycles
+        self._low, self._high = -math.inf, math.inf
+
+    def feed(self, time: float, ahead_cycles: float, moved_cycles: float) -> int | None:
+        """The number, None as long as it is not certain. ``time`` in intervals; ``moved_cycles`` by the
+        sensor since any instant, ``ahead_cycles`` that less the counted one.
+        """
+        known = self._known
+        if known and time > self._values[0, known - 1]:
+            times, ahead, moved = self._values[:, :known]
+            apart = time - times
+            error = (
+                np.minimum(self._slope * np.abs(moved_cycles - moved), self._most_cycles) + self._noise_cycles
+            )
+            self._error = max(self._error, float(error.max()))
+            self._low = max(self._low, float(((ahead_cycles - ahead - error) / apart).max()))
+            self._high = min(self._high, float(((ahead_cycles - ahead + error) / apart).min()))
+        self._remember(time, ahead_cycles, moved_cycles)
+        if self._seen < LEAST_VALUES or not math.isfinite(self._high - self._low):
+            return None
+        least, most = math.ceil(self._low), math.floor(self._high)
+        if least > most:
+            self.restart()
+            self._remember(time, ahead_cycles, moved_cycles)
+        spans = time - self._first_time >= 2.0 * self._error + 1.0
+        return least if least == most and spans else None
+
+    def _remember(self, time: float, ahead_cycles: float, moved_cycles: float) -> None:
+        if self._known == MOST_VALUES:
+            self._values[:, : MOST_VALUES // 2] = self._values[:, ::2]
+            self._known = MOST_VALUES // 2
+        if not self._seen:
+            self._first_time = time
+        self._values[:, self._known] = time, ahead_cycles, moved_cycles
+        self._known += 1
+        self._seen += 1
+
 
 DISAGREEING = 3  # values in a row: a single one may be a fault of the bus
 HYSTERESIS = 0.75  # a disagreement ends below this part of the tolerance
@@ -133,3 +206,63 @@ def only_count(away_cycles: float, limit_cycles: float) -> int | None:
     """Whole cycles that bring the rest within the limit; None unless just one."""
     low, high = -(-(away_cycles - limit_cycles) // 1), (away_cycles + limit_cycles) // 1
     return int(low) if low == high else None
+
+
+LOWEST_AMPLITUDE = 0.1  # of the full scale: a coarse track below it is ignored
+NOISE_LSB = 4.0  # of the angle
+HARMONIC = 2  # of the revolution, the highest that the error of the coarse track may have
+
+
+class CoarseScale:
+    """Revolutions in cycles; the coarse track itself must be right within ``limit_revolutions`` (2010:05)."""
+
+    step_cycles = 0.0
+    steady_cycles = math.inf  # its error changes along the revolution
+
+    def __init__(self, cycles_per_revolution: int, full_scale_counts: int, limit_revolutions: float) -> None:
+        self.given = cycles_per_revolution, full_scale_counts, limit_revolutions
+        self.period_cycles = float(cycles_per_revolution)
+        self.tolerance_cycles = limit_revolutions * cycles_per_revolution
+        self.slope = 2.0 * math.pi * HARMONIC * limit_revolutions
+        self.noise_cycles = NOISE_LSB / (math.pi * full_scale_counts) * cycles_per_revolution
+
+    def moved_cycles(self, since: Pair, now: Pair) -> float:
+        return (now.value - since.value) * self.period_cycles
+
+    def difference_cycles(self, since: Pair, now: Pair) -> float:
+        return self.moved_cycles(since, now) - (now.cycles - since.cycles) - (now.phase - since.phase)
+
+
+class CoarseTrack(Witness):
+    """Of ``cycles_per_revolution``, that may differ by ``limit_revolutions``."""
+
+    scale: CoarseScale
+
+    def __init__(self, cycles_per_revolution: int, full_scale_counts: int, limit_revolutions: float) -> None:
+        self._turns = self._angle = 0.0  # whole revolutions, and the part of one at the last value
+        super().__init__(CoarseScale(cycles_per_revolution, full_scale_counts, limit_revolutions))
+        self.firm = True
+
+    def limit(self, full_scale_counts: int, limit_revolutions: float) -> None:
+        scale = CoarseScale(self.scale.given[0], full_scale_counts, limit_revolutions)
+        if scale.given != self.scale.given:
+            self.use(scale)
+
+    def forget(self) -> None:
+        super().forget()
+        self.firm = True
+
+    def angle(self, sine: float, cosine: float) -> float | None:
+        """Angle, 0..1 revolution; None if its amplitude is too small."""
+        lowest = LOWEST_AMPLITUDE * self.scale.given[1]
+        if not sine * sine + cosine * cosine > lowest * lowest:
+            return None
+        return math.atan2(sine, cosine) / (2.0 * math.pi) % 1.0 % 1.0
+
+    def pair(self, angle: float | None, cycles: int, phase: float, time: float) -> Pair | None:
+        if angle is None:
+            self.restart_search()
+            return None
+        self._turns += math.floor(self._angle - angle + 0.5)
+        self._angle = angle
+        return Pair(cycles, phase, self._turns + angle, time)
