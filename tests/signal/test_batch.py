@@ -90,13 +90,18 @@ def test_a_speed_that_is_none_is_refused(speed: object) -> None:
             run()
 
 
+PHASES = st.floats(0, 1, exclude_max=True)
+
+
 @given(
-    st.lists(st.one_of(st.floats(0, 1, exclude_max=True), st.just(math.nan)), max_size=40), st.integers(1, 9)
+    st.lists(st.one_of(PHASES, PHASES, st.just(math.nan)), max_size=60),
+    st.floats(0.01, 0.5),
+    st.integers(1, 9),
 )
-def test_track_does_not_depend_on_the_blocks(phases: list[float], samples: int) -> None:
-    whole = track(phases)
+def test_track_gives_the_bits_of_a_tracker(phases: list[float], limit: float, samples: int) -> None:
+    tracker = Tracker(limit)
     with blocks_of(samples):
-        assert bits(track(phases)) == bits(whole)
+        assert bits(track(phases, limit)) == columns([(*tracker.update(phase),) for phase in phases])
 
 
 @each("table", TABLES.values())

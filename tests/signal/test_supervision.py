@@ -42,29 +42,18 @@ CLIPPING_AFTER_FAULT = [
 
 
 @each("track", [0, 1])
-@each("counts, bits", CLIPPING)
-def test_either_end_of_the_converter_is_clipped(counts: float, bits: int, track: int) -> None:
-    pair = (counts, 0.0) if track == 0 else (0.0, counts)
-    assert Supervision(LIMITS).faults(*pair, 1000.0) == bits
-
-
-@each("track", [0, 1])
-@each("fault", [(0.0, 2047.0, 1000.0), (-2048.0, 0.0, 1000.0), (0.0, 0.0, 0.0)])
-@each("counts, bits", CLIPPING_AFTER_FAULT)
-def test_after_a_fault_the_converter_ends_two_counts_earlier(
-    counts: float, bits: int, fault: tuple[float, float, float], track: int
+@each("fault, table", [
+    (None, CLIPPING),
+    *((fault, CLIPPING_AFTER_FAULT) for fault in ((0.0, 2047.0, 1e3), (-2048.0, 0.0, 1e3), (0.0, 0.0, 0.0))),
+])  # fmt: skip
+def test_either_end_of_the_converter_is_clipped_and_two_counts_earlier_after_a_fault(
+    fault: tuple[float, float, float] | None, table: list[tuple[float, int]], track: int
 ) -> None:
-    checks = Supervision(LIMITS)
-    assert checks.faults(*fault)
-    pair = (counts, 0.0) if track == 0 else (0.0, counts)
-    assert checks.faults(*pair, 1000.0) == bits
-
-
-AMPLITUDES = [
-    (0.0, AMPLITUDE_BIT), (below(400.0), AMPLITUDE_BIT), (400.0, OK), (above(400.0), OK), (1000.0, OK),
-    (below(2400.0), OK), (2400.0, OK), (above(2400.0), AMPLITUDE_BIT), (math.inf, AMPLITUDE_BIT),
-    (math.nan, AMPLITUDE_BIT),
-]  # fmt: skip
+    for counts, bits in table:
+        checks = Supervision(LIMITS)
+        assert fault is None or checks.faults(*fault)
+        pair = (counts, 0.0) if track == 0 else (0.0, counts)
+        assert checks.faults(*pair, 1000.0) == bits, counts
 
 
 @pytest.mark.parametrize(
