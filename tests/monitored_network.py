@@ -11,7 +11,7 @@ import can
 import canfb
 from canfb.cia301.frame import Frame
 from canfb.configuration import Config
-from canfb.device.device_protocol import Device
+from canfb.device.node import Device
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import assumed_layout, known_layouts

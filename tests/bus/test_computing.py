@@ -14,7 +14,7 @@ from computing_jobs import Crash, Forever, Raise, Sum, Where
 from canfb.bus.computing import Computation
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
-from canfb.device.device_protocol import Computing
+from canfb.device.node import Computing
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import CalibrationJob, Outcome

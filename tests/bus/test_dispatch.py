@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from canfb.bus.frame_bus import REMOTE, FrameBus, Received
 from canfb.bus.runner import Runner
 from canfb.device.core import CanIds
-from canfb.device.device_protocol import Device, Selective
+from canfb.device.node import Device, Selective
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from drawing import examples

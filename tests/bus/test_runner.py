@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED, LASTING_S, RETRY_S, SETTLED_S
 from canfb.bus.runner import LONGEST_BLIND_DRAIN_S, LONGEST_WAIT_S, DeviceFailure, Runner
 from canfb.cia301.frame import Frame
-from canfb.device.device_protocol import Device, Inhibited
+from canfb.device.node import Device, Inhibited
 from canfb.errors import reason
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

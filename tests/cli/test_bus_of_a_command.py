@@ -11,8 +11,8 @@ import can
 import can.cli
 import pytest
 
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.cli.options import BUS_HELP
 from canfb.eds_files import eds_path
 from canfb.module.feedback_module import FeedbackModule

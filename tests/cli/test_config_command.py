@@ -20,7 +20,7 @@ from canfb.cli import config_file
 from canfb.cli.main import main
 from canfb.configuration import load_config
 from canfb.demo.story import EmbeddedNetwork
-from canfb.device.od.writes import decode_concise
+from canfb.device.od.dcf import decode_concise
 from canfb.device.storage.storage import MemoryStore, Store
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError, ConfigError

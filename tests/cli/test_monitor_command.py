@@ -18,7 +18,7 @@ from canfb.hosting.trying import NetworkOnBus
 from canfb.module.module_config import ModuleConfig
 from canfb.monitoring.snapshot import BusSnapshot
 from canfb.monitoring.watching import Watching
-from canfb.scope.live_page import LivePage
+from canfb.scope.page_server import LivePage
 from commands import Command
 from fake_bus import message
 from monitored_network import MonitoredNetwork
@@ -157,7 +157,7 @@ def test_a_log_is_shown_without_a_bus(log: Path, command: Command, monkeypatch: 
 def test_the_help_loads_no_server() -> None:
     code = (
         "from canfb.cli.main import build_parser; build_parser('monitor').format_help(); import sys\n"
-        "print(sorted({'http.server', 'canfb.scope.live_page', 'canopen'} & set(sys.modules)))"
+        "print(sorted({'http.server', 'canfb.scope.page_server', 'canopen'} & set(sys.modules)))"
     )
     assert python("-c", code).stdout == "[]\n"
 

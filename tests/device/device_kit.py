@@ -12,10 +12,10 @@ from sample_eds import I16, U8, U32
 
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
-from canfb.device.application import Application, ProcessData
+from canfb.device.core import Application, ProcessData
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import Store
 
 ID = 32

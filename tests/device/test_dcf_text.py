@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.device.od import eds
-from canfb.device.od.dcf import Commissioning, FileInfo, Place, dcf_text
+from canfb.device.od.dcf import Commissioning, FileInfo, Write, dcf_text, decode_concise, encode_concise
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.writes import Write, decode_concise, encode_concise
 
 INFO = FileInfo(file_name="node.dcf", description="A node", date="11-21-2026", time="08:15PM")
 PLACE = Commissioning(
@@ -57,7 +56,7 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def written(path: Path, values: dict[Place, Any], **more: Any) -> eds.Contents:
+def written(path: Path, values: dict[tuple[int, int], Any], **more: Any) -> eds.Contents:
     """The DCF, read again as an EDS is."""
     dcf = path.with_suffix(".dcf")
     dcf.write_bytes(dcf_text(path, INFO, PLACE, values, **more).encode("ascii"))

@@ -12,10 +12,10 @@ from device_kit import RESET_COMMUNICATION, StoringBench, hexes, write_eds
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.device.lss import LssState
-from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import MemoryStore
 
 ADDRESS = (0x11223344, 0x55667788, 0x00010002, 0xDEADBEEF)

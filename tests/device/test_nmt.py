@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
+from math import inf
 from pathlib import Path
 
 import pytest
-from device_kit import ID, OK, Bench
+from device_kit import ID, OK, Bench, hexes
+from hypothesis import given
+from hypothesis import strategies as st
 
-from canfb.cia301.codes import AbortCode, EmergencyCode
+from canfb.cia301.codes import AbortCode, EmergencyCode, NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.device.od.dictionary import Dictionary, Entry
 from folding import each
 
@@ -139,3 +142,256 @@ def test_without_optional_objects(register: bool) -> None:
     assert bench.send(0x700 + ID, rtr=True) == [], "no guarding"
     assert bench.send(0x680, "4001120100000000") == [], "half a second channel is none"
     assert bench.read(0x1201, 1) == 0x680
+
+
+WATCHED = 0x47
+LOST, GUARD_LOST, GOOD = "0A0#3081114700000000", "0A0#3081110000000000", "0A0#0000000000000000"
+BUS_BACK = ["0A0#4081110000000000", GOOD]
+
+
+def guard(bench: Bench) -> list[str]:
+    return bench.send(0x700 + ID, rtr=True)
+
+
+def guarded(bench: Bench, guard_time_ms: int = 100, factor: int = 3) -> None:
+    assert bench.write(0x100C, 0, guard_time_ms, 2) == OK
+    assert bench.write(0x100D, 0, factor, 1) == OK
+
+
+def beat(bench: Bench) -> list[str]:
+    return bench.send(0x700 + WATCHED, "05")
+
+
+def watching(bench: Bench, milliseconds: int) -> None:
+    bench.write(0x1016, 1, WATCHED << 16 | milliseconds, 4)
+
+
+class ErrorControlModel:
+    """Two watchers, seconds from sign to loss, and what the node sends; it is PRE-OPERATIONAL at first."""
+
+    def __init__(self, limits_s: dict[int, float], stays: bool) -> None:
+        self.limits_s, self.stays = limits_s, stays
+        self.sent: list[tuple[float, str]] = []
+        self.held = deque[str](maxlen=8)  # in STOPPED
+        self.reset()
+
+    def reset(self) -> None:
+        self.ends, self.lost = dict.fromkeys(self.limits_s, inf), set[int]()
+        self.held.clear()
+        self.state, self.toggle = 0x7F, 0x00
+
+    def advance(self, now: float) -> None:
+        while min(self.ends.values()) <= now:
+            at, node = min((end, node) for node, end in self.ends.items())
+            self.ends[node] = inf
+            self.lost.add(node)
+            self.tell(at, f"308111{node:02X}00000000")
+            self.state = 0x7F if self.state == 0x05 and not self.stays else self.state
+
+    def sign(self, node: int, now: float) -> None:
+        """A heartbeat of a node, or a remote frame of the master (0), which is answered."""
+        if not node:
+            self.sent.append((now, f"720#{self.state | self.toggle:02X}"))
+            self.toggle ^= 0x80
+        self.ends[node] = now + self.limits_s[node] if self.limits_s[node] else inf
+        if node in self.lost:
+            self.lost.discard(node)
+            self.tell(now, f"0000{0x11 if self.lost else 0:02X}0000000000")
+
+    def command(self, command: int, now: float) -> None:
+        """An NMT command; after a reset each watcher waits for its first sign."""
+        if command in (129, 130):
+            self.reset()
+            self.sent.append((now, "720#00"))
+        self.state = {1: 0x05, 2: 0x04}.get(command, 0x7F)
+        while self.held and self.state != 0x04:
+            self.tell(now, self.held.popleft())
+
+    def tell(self, now: float, emergency: str) -> None:
+        if self.state == 0x04:
+            self.held.append(emergency)
+        else:
+            self.sent.append((now, f"0A0#{emergency}"))
+
+
+SIGNS = st.lists(
+    st.tuples(
+        st.integers(0, 150),
+        st.sampled_from(["none", "beat", "guard"]) | st.sampled_from([1, 1, 2, 128, 129, 130]),
+    ),
+    max_size=25,
+)
+
+
+@given(st.integers(1, 120), st.integers(0, 60), st.integers(0, 3), st.booleans(), SIGNS)
+def test_whatever_comes_and_does_not_come(
+    sample_path: Path,
+    beat_ms: int,
+    guard_ms: int,
+    factor: int,
+    stays: bool,
+    signs: list[tuple[int, str | int]],
+) -> None:
+    dictionary = Dictionary.load(sample_path, ID)
+    for place, value in (
+        ((0x100C, 0), guard_ms),
+        ((0x100D, 0), factor),
+        ((0x1016, 1), WATCHED << 16 | beat_ms),
+        ((0x1029, 1), int(stays)),
+    ):
+        entry = dictionary.entry(*place)
+        entry.default = entry.value = value  # as saved: it is there after a reset
+    bench = Bench(dictionary)
+    bench.start()
+    model = ErrorControlModel({WATCHED: beat_ms / 1000, 0: guard_ms * factor / 1000}, stays)
+    seen: list[tuple[float, str]] = []
+    for wait_ms, sign in signs:
+        seen += bench.run(wait_ms / 1000)
+        model.advance(bench.now)
+        frames: list[str] = []
+        if isinstance(sign, int):
+            model.command(sign, bench.now)
+            frames = bench.nmt(sign)
+        elif sign != "none":
+            model.sign(0 if sign == "guard" else WATCHED, bench.now)
+            frames = guard(bench) if sign == "guard" else beat(bench)
+        seen += [(bench.now, text) for text in frames]
+    rounded = [[(round(at, 5), text) for at, text in frames] for frames in (seen, model.sent)]
+    assert sorted(rounded[0]) == sorted(rounded[1])
+    assert bench.node.state == model.state
+    assert dictionary.entry(0x1001).value == (0x11 if model.lost else 0)
+
+
+def test_a_new_life_time_runs_from_the_write_on_and_ends_no_error(bench: Bench) -> None:
+    guarded(bench)
+    guard(bench)
+    bench.run(0.2)
+    assert bench.write(0x100C, 0, 200, 2) == OK
+    assert bench.run(10.0) == [(0.8, GUARD_LOST)]
+    assert bench.write(0x100C, 0, 100, 2) == OK
+    assert bench.read(0x1001) == 0x11
+    assert bench.node.deadline() is None
+    assert guard(bench) == ["720#FF", GOOD]
+
+
+def test_heartbeats_neither_drift_nor_catch_up(bench: Bench) -> None:
+    bench.write(0x1017, 0, 100, 2)
+    bench.run(0.0)
+    for late in [*(number * 0.1 + 0.03 for number in range(1, 20)), 5.03]:
+        bench.now = late
+        assert bench.tick() == ["720#7F"]
+        assert bench.node.deadline() == pytest.approx(5.13 if late == 5.03 else late + 0.07)
+
+
+def test_the_program_hears_of_a_loss_before_the_state_changes(bench: Bench) -> None:
+    heard: list[tuple[float, NmtState]] = []
+    bench.application.react(communication_failed=lambda now: heard.append((now, bench.node.state)))
+    watching(bench, 1000)
+    bench.operational()
+    beat(bench)
+    assert bench.run(3.0) == [(1.0, LOST)]
+    assert heard == [(1.0, NmtState.OPERATIONAL)]
+    assert bench.read(0x1003, 1) == 0x00478130
+    bench.node.bus_off(bench.now)
+    assert heard[1:] == [(bench.now, NmtState.PRE_OPERATIONAL)]
+
+
+def test_a_malformed_heartbeat_does_not_count_and_a_watch_that_ends_ends_its_error(bench: Bench) -> None:
+    watching(bench, 100)
+    for data in ("", "0505"):
+        bench.send(0x700 + WATCHED, data)
+    assert bench.node.counters.malformed_frames == 2
+    assert bench.node.deadline() is None
+    beat(bench)
+    assert len(bench.run(1.0)) == 1
+    assert GOOD in bench.send(0x620, "2316100100000000")
+    assert bench.read(0x1001) == 0
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "before", "after"),
+    [
+        (0, 1, NmtState.PRE_OPERATIONAL),
+        (0, 2, NmtState.STOPPED),
+        (1, 1, NmtState.OPERATIONAL),
+        (2, 1, NmtState.STOPPED),
+        (2, 128, NmtState.STOPPED),
+    ],
+)
+def test_bus_off_is_a_communication_error_and_its_end_is_told(
+    bench: Bench, behaviour: int, before: int, after: NmtState
+) -> None:
+    assert bench.write(0x1029, 1, behaviour, 1) is OK
+    bench.nmt(before)
+    for now in (1.0, 1.1):
+        assert bench.node.bus_off(now) == []
+        assert bench.node.state is after
+    told = [] if after is NmtState.STOPPED else BUS_BACK
+    assert hexes(bench.node.bus_back(2.0)) == told
+    assert bench.node.state is after, "a master starts it again"
+    if told:
+        assert (bench.read(0x1001), bench.read(0x1003, 1)) == (0, 0x8140)
+    bench.node.bus_off(4.0)
+    assert hexes(bench.node.bus_back(5.0)) == told
+    assert bench.run(10.0) == []
+
+
+SENSOR, DATA_SET = EmergencyCode.SENSOR, EmergencyCode.DATA_SET
+
+
+def sent(bench: Bench) -> list[str]:
+    """What an error outside of a call left to send; the deadline must say so."""
+    assert bench.node.deadline() == bench.now
+    return bench.tick()
+
+
+def test_frame_register_and_history(bench: Bench) -> None:
+    bench.now = 3.0
+    bench.node.emergency(SENSOR, 0x20, b"\x01\x02\x03\x04\x05", bench.now)
+    assert sent(bench) == ["0A0#0073210102030405"]
+    assert bench.read(0x1001) == 0x21
+    assert bench.read(0x1003) == 1
+    assert bench.read(0x1003, 1) == 0x02017300
+    bench.node.clear_emergency(SENSOR, bench.now)
+    assert sent(bench) == ["0A0#0000000000000000"]
+    assert bench.read(0x1001) == 0
+    assert bench.read(0x1003) == 1
+
+
+def test_the_history_is_newest_first_and_bounded(bench: Bench) -> None:
+    for number in range(6):
+        bench.node.emergency(0x1000 + number, 0, now=0.0)
+    assert len(sent(bench)) == 6
+    assert bench.read(0x1003) == 4
+    assert [bench.read(0x1003, sub) for sub in range(1, 5)] == [0x1005, 0x1004, 0x1003, 0x1002]
+
+
+def test_waiting_frames_are_bounded(bench: Bench) -> None:
+    bench.write(0x1015, 0, 1000, 2)
+    for number in range(1, 21):
+        bench.node.emergency(0x1000 + number, 0, now=0.0)
+    times, frames = zip(*bench.run(10.0), strict=True)
+    assert times == pytest.approx([0.1 * number for number in range(9)])
+    assert frames[-1].startswith("0A0#1410")
+    assert bench.node.counters.lost_emergencies == 11
+
+
+def test_an_error_raised_at_reset_follows_the_boot_up(bench: Bench) -> None:
+    bench.application.react(reset_done=lambda only, now: bench.node.emergency(SENSOR, 0x20, now=now))
+    assert bench.nmt(129) == ["720#00", "0A0#0073210000000000"]
+
+
+def test_wrong_emergencies(bench: Bench) -> None:
+    with pytest.raises(ValueError, match="1001h"):
+        bench.node.emergency(SENSOR, 0x100, now=0.0)
+    with pytest.raises(ValueError, match="5 manufacturer bytes"):
+        bench.node.emergency(SENSOR, 0, bytes(6), 0.0)
+    with pytest.raises(ValueError, match="clear_emergency"):
+        bench.node.emergency(EmergencyCode.NO_ERROR, 0, now=0.0)
+
+
+def test_an_active_error_is_told_again_if_its_details_have_changed(bench: Bench) -> None:
+    for detail, again in ((b"\x01", False), (b"\x02", False), (b"\x03", True)):
+        bench.node.emergency(SENSOR, 0x20, detail, now=0.0, again=again)
+    bench.node.clear_emergency(SENSOR, 0.0)
+    assert [text[4:10] + text[10:12] for text in sent(bench)] == ["00732101", "00732103", "00000000"]

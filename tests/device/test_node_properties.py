@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from canfb.cia301 import cob
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import COMMUNICATION, LONGEST_BITS, MAPPING, Direction, numbers, resolve

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.sdo.block import BURST, DOWNLOAD_BLOCK, PAUSE_S
+from canfb.device.sdo.transfer import BURST, DOWNLOAD_BLOCK, PAUSE_S
 from drawing import examples
 
 TABLE = "202000"

@@ -27,7 +27,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.storage.image import (
+from canfb.device.storage.kept import (
     Identity,
     ImageError,
     ParameterGroup,

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode
-from canfb.device.application import FOLLOWED, IGNORED, REVOKED, HeldRpdo
+from canfb.device.core import FOLLOWED, IGNORED, REVOKED, HeldRpdo
 from canfb.device.od.dictionary import Dictionary
 
 PRODUCES = 0x40000080

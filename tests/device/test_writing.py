@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from canfb.cia301.frame import Frame
-from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import MOST_WAITING, POLL_S, Changes, MemoryStore
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig

@@ -10,8 +10,8 @@ from typing import Any
 import network_file
 
 import master
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.configuration import load_config
 from canfb.demo.story import EmbeddedNetwork
 from canfb.hosting.simulating import fed_module

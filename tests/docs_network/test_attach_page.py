@@ -10,8 +10,8 @@ from typing import Any
 import canopen
 import pytest
 
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.feedback_module import FeedbackModule

@@ -10,7 +10,7 @@ import pytest
 from network_bench import EDS_FOLDER, MODULE_ID, TEXT, Network, write
 from story_bench import StoryNetwork
 
-from canfb.cia301.nmt import NmtState
+from canfb.cia301.codes import NmtState
 from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.storage import MemoryStore
 from canfb.simulation.embedded_bus import EmbeddedBus

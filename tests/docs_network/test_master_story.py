@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from story_bench import FOLDER, DriveNetwork, assert_all_quiet
 
 import master
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.module.events import Event, EventKind
 from canfb.objects import StatusBit
 from canfb.simulation.cia402.drive import DriveError

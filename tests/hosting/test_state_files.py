@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from canfb.device.storage.image import ParameterGroup as Group
+from canfb.device.storage.kept import ParameterGroup as Group
 from canfb.device.storage.storage import BackgroundStore, Changes, MemoryStore
 from canfb.errors import CanfbError
 from canfb.hosting import state_files

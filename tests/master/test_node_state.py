@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.master.access import CommissioningError, nmt_state, state_in, without_restart
 from canfb.master.all_or_nothing import check_unlocked
 from canfb.simulation.encoder import Motion, Ramp, Ripple

@@ -20,9 +20,17 @@ from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
-from canfb.device.od.dcf import Commissioning, FileInfo, Reals, dcf_text, real_as_text
+from canfb.device.od.dcf import (
+    Commissioning,
+    FileInfo,
+    Reals,
+    Write,
+    dcf_text,
+    decode_concise,
+    encode_concise,
+    real_as_text,
+)
 from canfb.device.od.dictionary import Entry
-from canfb.device.od.writes import Write, decode_concise, encode_concise
 from canfb.eds_files import eds_path
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of, configuration_read
 from canfb.module.feedback_module import FeedbackModule

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from module_bench import Bench
 
-from canfb.cia301.nmt import NmtState
+from canfb.cia301.codes import NmtState
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample

@@ -9,8 +9,8 @@ import canopen.lss
 import pytest
 from module_bench import Bench
 
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.demo.story import EmbeddedNetwork
 from canfb.device.lss import UNCONFIGURED
 from canfb.eds_files import eds_path

@@ -17,7 +17,7 @@ from module_bench import Bench
 
 from canfb.cia301.frame import Frame
 from canfb.demo.story import EmbeddedNetwork
-from canfb.device.storage.image import Identity, ParameterGroup, Record, decode_image, encode_image
+from canfb.device.storage.kept import Identity, ParameterGroup, Record, decode_image, encode_image
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.hosting import state_files

@@ -25,7 +25,6 @@ from canfb.monitoring.lines import MachineUnits
 from canfb.monitoring.sdo_reading import ModuleReading
 from canfb.monitoring.snapshot import ModuleSnapshot
 from canfb.scope import page_server
-from canfb.scope.live_page import LivePage
 from canfb.scope.page_server import (
     FILES,
     HEADERS,
@@ -33,6 +32,7 @@ from canfb.scope.page_server import (
     MOST_WAITING,
     OPEN_ADDRESS,
     STREAM,
+    LivePage,
     PageServer,
     event,
 )

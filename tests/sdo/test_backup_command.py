@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301 import datatypes
+from canfb.cia301.codes import NmtState
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.cli import node_command
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path

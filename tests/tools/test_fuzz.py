@@ -11,9 +11,8 @@ from random import Random
 import pytest
 from hypothesis import given
 
-from canfb.cia301.codes import SdoAbort
+from canfb.cia301.codes import NmtState, SdoAbort
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.device.sdo.server import SdoServer
 from canfb.errors import CanfbError
 from drawing import examples

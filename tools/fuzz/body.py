@@ -14,10 +14,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from canfb.cia301 import cob
-from canfb.cia301.codes import SdoAbort
+from canfb.cia301.codes import NmtState, SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.nmt_slave import COMMUNICATING
 from canfb.device.od.dictionary import Entry

@@ -22,8 +22,8 @@ import numpy as np
 
 from canfb.cia301.frame import Frame
 from canfb.configuration import ANY_NODES, changed_module, load_config
+from canfb.device.od.dcf import decode_concise, encode_concise
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.od.writes import decode_concise, encode_concise
 from canfb.device.storage.storage import MemoryStore
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from canfb import objects as od
+from canfb.cia301.codes import NmtCommand
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtCommand
 from canfb.signal.correction import CorrectionTable
 from tools.soak.hosted import Hosted
 from tools.soak.parts import rests

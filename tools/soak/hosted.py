@@ -18,7 +18,7 @@ from canfb.bus.bus_state import ERROR_BUS_OFF, ERROR_RESTARTED
 from canfb.bus.frame_bus import ERROR, REMOTE, Received
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
-from canfb.device.device_protocol import Device
+from canfb.device.node import Device
 
 SOCKET_FRAMES = 270  # that wait in a socket of Linux by default, with 212 992 bytes; those beyond are lost
 WALL_S = 1.7e9

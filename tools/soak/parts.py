@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Collection
 
 from canfb.cia301.frame import Frame
-from canfb.device.device_protocol import Device
+from canfb.device.node import Device
 from canfb.device.storage.storage import Changes, MemoryStore, Store
 from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from canfb import objects as od
+from canfb.cia301.codes import NmtCommand, NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.errors import CanfbError
 from canfb.hosting.event_log import EventLog
 from canfb.master.access import NodeAccess

@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from canfb.cia301.frame import Frame
-from canfb.device.device_protocol import Computing
+from canfb.device.node import Computing
 
 log = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from canfb.bus.frame_bus import FrameBus
 from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER, CanIds
-from canfb.device.device_protocol import Device, Inhibited, Selective
+from canfb.device.node import Device, Inhibited, Selective
 
 Ports = tuple["Port", ...]
 _NOTHING = CanIds(frozenset(), frozenset())

@@ -29,7 +29,7 @@ from canfb.bus.dispatch import RETRY_S, BusCounters, Dispatch, FrameSender, Port
 from canfb.bus.frame_bus import ERROR, EXTENDED, FrameBus, Received
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.device.core import NEVER
-from canfb.device.device_protocol import BusWatching, Computing, Device, Ending
+from canfb.device.node import BusWatching, Computing, Device, Ending
 from canfb.errors import CanfbError
 
 log = logging.getLogger(__name__)

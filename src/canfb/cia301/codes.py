@@ -1,4 +1,4 @@
-"""Abort codes, emergency codes and error register bits of CiA 301, each defined once."""
+"""Abort and EMCY codes, error register bits, NMT states and commands of CiA 301, each defined once."""
 
 from __future__ import annotations
 
@@ -121,3 +121,22 @@ class SdoAbort(Exception):
     def __init__(self, code: AbortCode) -> None:
         super().__init__(f"{code:08X}h {code.text}")
         self.code = code
+
+
+class NmtState(IntEnum):
+    """NMT state, with the value that a heartbeat shows."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class NmtCommand(IntEnum):
+    """Command specifier of the NMT node control protocol (CiA 301, 7.2.8.3.1)."""
+
+    START = 1
+    STOP = 2
+    ENTER_PRE_OPERATIONAL = 128
+    RESET_NODE = 129
+    RESET_COMMUNICATION = 130

@@ -37,7 +37,7 @@ from canfb.monitoring.snapshot import BusSnapshot
 from canfb.monitoring.watching import MessageReader, Watching
 
 if TYPE_CHECKING:
-    from canfb.scope.live_page import LivePage
+    from canfb.scope.page_server import LivePage
 
 IDLE = (
     (["frames"], "web", False, "not with --web"),
@@ -206,7 +206,7 @@ def _page(options: argparse.Namespace, title: str) -> Iterator[Show]:
 
 
 def _serve_page(options: argparse.Namespace) -> int:
-    from canfb.scope.live_page import LivePage  # here: the server is for the page alone
+    from canfb.scope.page_server import LivePage  # here: the server is for the page alone
 
     if not 0 <= options.port <= 65535:
         raise ConfigError(f"--port {options.port}: must be 0 to 65535")

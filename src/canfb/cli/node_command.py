@@ -9,7 +9,7 @@ import argparse
 
 from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus
-from canfb.cia301.nmt import NmtCommand
+from canfb.cia301.codes import NmtCommand
 from canfb.cli import node_options
 from canfb.cli.options import (
     JSON,

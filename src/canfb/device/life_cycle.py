@@ -11,14 +11,19 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 
 from canfb.cia301.cob import ERROR_CONTROL
-from canfb.cia301.codes import EmergencyCode, ErrorRegister
-from canfb.cia301.nmt import NmtState
-from canfb.device.application import Application
-from canfb.device.core import NEVER, CanIds, Core, Handler, Reactions, Timed
+from canfb.cia301.codes import EmergencyCode, ErrorRegister, NmtState
+from canfb.device.core import NEVER, Application, CanIds, Core, Handler, Reactions, Timed
 from canfb.device.emergency import Emergency
-from canfb.device.error_control import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
 from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave
-from canfb.device.nmt_slave import COMMUNICATING, ErrorBehaviour, Nmt, Startup
+from canfb.device.nmt_slave import (
+    COMMUNICATING,
+    ErrorBehaviour,
+    HeartbeatConsumer,
+    HeartbeatProducer,
+    Nmt,
+    NodeGuarding,
+    Startup,
+)
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.sdo.server import SdoChannel, channel_indices
 from canfb.device.storage.storage import Storage, Store

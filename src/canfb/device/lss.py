@@ -12,7 +12,7 @@ from enum import IntEnum
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.core import Core
-from canfb.device.storage.image import ParameterGroup, Record
+from canfb.device.storage.kept import ParameterGroup, Record
 from canfb.device.storage.storage import Storage
 
 REQUEST_ID, RESPONSE_ID = 0x7E5, 0x7E4

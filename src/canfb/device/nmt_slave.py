@@ -1,10 +1,16 @@
-"""NMT slave: the state machine (CiA 301, 7.3.2) and the reaction to communication errors."""
+"""NMT slave: the state machine (CiA 301, 7.3.2), the reaction to communication errors, and error control
+(7.2.8.3.2): heartbeat 1017h and 1016h, node guarding 100Ch and 100Dh.
+"""
 
 from __future__ import annotations
 
-from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.device.core import Core
-from canfb.device.od.dictionary import Dictionary, refuse_if
+from collections.abc import Callable, Iterable
+
+from canfb.cia301.cob import ERROR_CONTROL
+from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, NmtCommand, NmtState, SdoAbort
+from canfb.cia301.frame import Frame
+from canfb.device.core import NEVER, Core, Timed
+from canfb.device.od.dictionary import Dictionary, Entry, refuse_if
 
 # The states with SDO, SYNC and EMCY.
 COMMUNICATING = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
@@ -78,3 +84,174 @@ class ErrorBehaviour:
 
     def reaction(self, state: NmtState) -> NmtState:
         return REACTION.get(self._entry.value, REACTION[0]).get(state, state)
+
+
+class HeartbeatProducer(Timed):
+    """Sends the NMT state every 1017h milliseconds, 0 for off; the boot-up is the first heartbeat."""
+
+    def __init__(self, core: Core) -> None:
+        self.deadline = NEVER
+        self._core = core
+        self._can_id = ERROR_CONTROL + core.node_id
+        self._entry = core.dictionary.assumed(0x1017)
+        self._entry.on_written = self._written
+
+    @property
+    def is_active(self) -> bool:
+        return self._period_s > 0
+
+    @property
+    def _period_s(self) -> float:
+        return float(self._entry.value / 1000)
+
+    def boot_up(self, now: float) -> None:
+        self._core.emit(Frame(self._can_id, b"\x00"))
+        period = self._period_s
+        self.deadline = now + period if period else NEVER
+
+    def stop(self) -> None:
+        self.deadline = NEVER
+
+    def tick(self, now: float) -> None:
+        """Send one heartbeat, also for several that were missed."""
+        if now < self.deadline:
+            return
+        self._core.emit(Frame(self._can_id, bytes([self._core.state])))
+        period = self._period_s
+        following = self.deadline + period if period else NEVER
+        self.deadline = following if following > now else now + period
+
+    def _written(self) -> None:
+        self.deadline = self._core.call.now if self._period_s else NEVER
+        self._core.reactions.heartbeat_changed()
+
+
+class HeartbeatMonitor(Timed):
+    """A sub-index of 1016h: watches a node from its first heartbeat on."""
+
+    def __init__(self, core: Core, entry: Entry, watched: Callable[[], Iterable[HeartbeatMonitor]]) -> None:
+        self.entry = entry
+        self.deadline = NEVER
+        self._core = core
+        self._emergency = core.emergency
+        self._source = entry.index, entry.subindex
+        self._watched = watched
+        entry.on_check = self._check
+        entry.on_written = self._written
+
+    @property
+    def node_id(self) -> int:
+        return watched_node(self.entry.value)
+
+    def forget(self, now: float) -> None:
+        self.deadline = NEVER
+        self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
+
+    def handle(self, data: bytes, now: float) -> None:
+        if len(data) != 1:
+            self._core.counters.malformed_frames += 1
+            return
+        self.deadline = now + (self.entry.value & 0xFFFF) / 1000
+        self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
+
+    def tick(self, now: float) -> None:
+        self.deadline = NEVER
+        lost = bytes([self.node_id])
+        self._emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, lost, now, self._source)
+        self._core.reactions.communication_error(f"no heartbeat of node {self.node_id}", now)
+
+    def _check(self, value: int) -> None:
+        if value >> 24:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        others = [other.node_id for other in self._watched() if other is not self]
+        if watched_node(value) and watched_node(value) in others:
+            raise SdoAbort(AbortCode.PARAMETER_INCOMPATIBLE)
+
+    def _written(self) -> None:
+        self.forget(self._core.call.now)
+        self._core.reactions.routes_changed()
+
+
+class HeartbeatConsumer:
+    """Object 1016h."""
+
+    def __init__(self, core: Core) -> None:
+        entries = [entry for entry in core.dictionary if entry.index == 0x1016 and entry.subindex]
+        self.monitors = [HeartbeatMonitor(core, entry, lambda: self.monitors) for entry in entries]
+
+    def configure(self, now: float) -> None:
+        for monitor in self.monitors:
+            monitor.forget(now)
+
+    def routes(self) -> dict[int, Callable[[bytes, float], None]]:
+        return {ERROR_CONTROL + one.node_id: one.handle for one in self.monitors if one.node_id}
+
+
+def watched_node(value: int) -> int:
+    node_id = value >> 16 & 0xFF
+    return node_id if value & 0xFFFF and 1 <= node_id <= 127 else 0
+
+
+_TOGGLE = 0x80
+_GUARDING = 0x100C
+
+
+class NodeGuarding(Timed):
+    """Answers the remote frames of a master with the NMT state, and watches that they come.
+
+    The toggle bit is 0 in the first answer after a reset. The life time, 100Ch milliseconds times 100Dh, runs
+    from the first remote frame on. When it is over: EMCY 8130h and a communication error, once. No guarding
+    with a `heartbeat`, or without 100Ch.
+    """
+
+    def __init__(self, core: Core, heartbeat: HeartbeatProducer) -> None:
+        self.deadline = NEVER
+        self._core = core
+        self._can_id = ERROR_CONTROL + core.node_id
+        self._emergency = core.emergency
+        self._heartbeat = heartbeat
+        self._can_guard = (0x100C, 0) in core.dictionary
+        self._guard_time = core.dictionary.assumed(0x100C)
+        self._factor = core.dictionary.assumed(0x100D)
+        self._toggle = 0
+        self._guarded = False
+        for entry in (self._guard_time, self._factor):
+            entry.on_written = self._written
+
+    @property
+    def can_id(self) -> int | None:
+        return self._can_id if self._can_guard and not self._heartbeat.is_active else None
+
+    @property
+    def life_time_s(self) -> float:
+        """How long a master may be silent, 0 for ever."""
+        return int(self._guard_time.value) * int(self._factor.value) / 1000
+
+    def configure(self, now: float) -> None:
+        self._toggle = 0
+        self._guarded = False
+        self.deadline = NEVER
+        self._emergency.clear(EmergencyCode.HEARTBEAT, now, _GUARDING)
+
+    def request(self, now: float) -> None:
+        self._core.emit(Frame(self._can_id, bytes([self._toggle | self._core.state])))
+        self._toggle ^= _TOGGLE
+        self._guarded = True
+        self._start(now)
+
+    def tick(self, now: float) -> None:
+        if now < self.deadline:
+            return
+        self.deadline = NEVER
+        self._guarded = False  # the next remote frame starts the life time again
+        self._emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, b"", now, _GUARDING)
+        self._core.reactions.communication_error("the guarding master is silent", now)
+
+    def _start(self, now: float) -> None:
+        life_time = self.life_time_s
+        self.deadline = now + life_time if life_time else NEVER
+        self._emergency.clear(EmergencyCode.HEARTBEAT, now, _GUARDING)
+
+    def _written(self) -> None:
+        if self._guarded or not self.life_time_s:
+            self._start(self._core.call.now)

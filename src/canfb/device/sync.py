@@ -13,8 +13,7 @@ from collections.abc import Callable
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame
-from canfb.device.application import REVOKED
-from canfb.device.core import NEVER, Core, Routes, Timed
+from canfb.device.core import NEVER, REVOKED, Core, Routes, Timed
 from canfb.device.pdo.mapping import Direction, numbers
 from canfb.device.pdo.rpdo import Rpdo
 from canfb.device.pdo.tpdo import Tpdo

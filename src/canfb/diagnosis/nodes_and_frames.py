@@ -16,10 +16,9 @@ from typing import Any, NamedTuple
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.cia301.codes import EMERGENCY, EmergencyCode, emergency_text
+from canfb.cia301.codes import EMERGENCY, EmergencyCode, NmtCommand, NmtState, emergency_text
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.errors import CanfbError
 from canfb.master.access import (
     GUARD_TIME,

@@ -13,8 +13,8 @@ from canfb import objects as od
 from canfb.bus.clocks import local_time
 from canfb.cia301.datatypes import encode
 from canfb.device.core import NEVER
-from canfb.device.device_protocol import NodeDevice
 from canfb.device.lss import UNCONFIGURED
+from canfb.device.node import NodeDevice
 from canfb.module.events import DETAILS, Event, NodeEvents
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.parameters import configured_defaults

@@ -16,8 +16,8 @@ from canfb.bus.dispatch import BusCounters
 from canfb.bus.opening import check_device_bus, check_words, describe
 from canfb.bus.runner import DeviceFailure
 from canfb.configuration import Config, NodeConfig, RealtimeConfig, line_of
-from canfb.device.device_protocol import Device
-from canfb.device.storage.image import ParameterGroup
+from canfb.device.node import Device
+from canfb.device.storage.kept import ParameterGroup
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.captured_source import CapturedSource
 from canfb.hosting.event_log import (

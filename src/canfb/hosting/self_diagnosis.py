@@ -30,7 +30,7 @@ from canfb.bus.runner import on_signals
 from canfb.cia301.codes import SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.configuration import Config
-from canfb.device.device_protocol import NodeDevice
+from canfb.device.node import NodeDevice
 from canfb.errors import reason
 from canfb.files import replacing
 from canfb.hosting.event_log import title_of

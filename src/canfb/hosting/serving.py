@@ -17,7 +17,7 @@ from canfb.bus.runner import Runner, outside_collections
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
 from canfb.configuration import RealtimeConfig
-from canfb.device.device_protocol import Device
+from canfb.device.node import Device
 from canfb.errors import CanfbError
 from canfb.hosting.realtime import apply_realtime
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from canfb.bus.opening import describe
 from canfb.configuration import RealtimeConfig
-from canfb.device.device_protocol import Device
+from canfb.device.node import Device
 from canfb.hosting.serving import OnBus
 from canfb.module.module_config import ModuleConfig
 from canfb.module.parameters import configured_defaults

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Self
 
 from canfb.bus.sdo_channel import lock_file
-from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import PARAMETERS, Changes, Store
 from canfb.errors import CanfbError
 

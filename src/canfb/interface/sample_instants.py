@@ -6,7 +6,7 @@ import math
 from typing import Protocol
 
 from canfb.cia301.frame import Frame
-from canfb.device.device_protocol import NodeDevice
+from canfb.device.node import NodeDevice
 from canfb.signal.sample import TICKS, Sample
 from canfb.sources.protocol import Machine, Source
 from canfb.timing.grid import Grid

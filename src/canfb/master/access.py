@@ -19,8 +19,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.cia301.codes import AbortCode
-from canfb.cia301.nmt import NmtCommand, NmtState
+from canfb.cia301.codes import AbortCode, NmtCommand, NmtState
 from canfb.errors import CanfbError
 from canfb.objects import StatusBit
 

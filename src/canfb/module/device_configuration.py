@@ -13,9 +13,19 @@ from typing import Any, NamedTuple, Protocol
 from canfb import objects as od
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
-from canfb.device.od.dcf import Commissioning, FileInfo, Place, Reals, dcf_text
+from canfb.device.od.dcf import (
+    TURNS,
+    Commissioning,
+    FileInfo,
+    Place,
+    Reals,
+    Write,
+    dcf_text,
+    encode_concise,
+    switched_off,
+    turn,
+)
 from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.device.od.writes import TURNS, Write, encode_concise, switched_off, turn
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.files import write_whole

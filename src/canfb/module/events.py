@@ -8,11 +8,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from canfb import objects as od
-from canfb.cia301.codes import emergency_text
-from canfb.cia301.nmt import NmtState
-from canfb.device.application import Application, Groups
+from canfb.cia301.codes import NmtState, emergency_text
+from canfb.device.core import Application, Groups
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.kept import ParameterGroup
 from canfb.module.objects.publication import LastLoss
 from canfb.module.parameters import Limits
 from canfb.objects import PositionState

@@ -6,11 +6,11 @@ from collections.abc import Callable, Collection, Mapping
 from math import inf
 
 from canfb import objects as od
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
-from canfb.device.device_protocol import NodeDevice
+from canfb.device.node import NodeDevice
 from canfb.device.od.dictionary import Entry
-from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import Store
 from canfb.module.cia406.alarms import REGISTER
 from canfb.module.cia406.profile import OperatingTime, make_cyclic_timer
@@ -20,8 +20,7 @@ from canfb.module.jitter_watch import JitterWatch
 from canfb.module.module_config import ModuleConfig
 from canfb.module.objects.calibrating import Calibrating, CalibrationJob, Outcome
 from canfb.module.objects.recorder import Recorder, SampleObservers
-from canfb.module.objects.sample_input import NO_RPDO, LocalSource, SampleInput
-from canfb.module.objects.second_input import SecondInput
+from canfb.module.objects.sample_input import NO_RPDO, LocalSource, SampleInput, SecondInput
 from canfb.module.objects.table_store import Adapting, TableStore
 from canfb.module.objects.write_lock import WriteLock
 from canfb.module.pairing import Pairing

@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from canfb import objects as od
-from canfb.device.application import FOLLOWED, IGNORED, REVOKED, HeldRpdo, ProcessData
-from canfb.device.core import NEVER
+from canfb.device.core import FOLLOWED, IGNORED, NEVER, REVOKED, HeldRpdo, ProcessData
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.module.interval import InterfaceGrid, SamplingInterval
 from canfb.module.objects.recorder import SampleObservers
-from canfb.module.objects.sample_input import NO_RPDO, LocalSource, SampleInput
-from canfb.module.objects.second_input import SecondInput
+from canfb.module.objects.sample_input import NO_RPDO, LocalSource, SampleInput, SecondInput
 from canfb.module.parameters import Limits
 from canfb.module.publishing import Publishing
 from canfb.signal.chain import SignalChain

@@ -11,9 +11,8 @@ from functools import partial
 
 from canfb import objects as od
 from canfb.cia301 import cob
-from canfb.cia301.codes import EMERGENCY, EmergencyCode, emergency_text
+from canfb.cia301.codes import EMERGENCY, EmergencyCode, NmtCommand, NmtState, emergency_text
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame, frame_bits
-from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.monitoring.layout import NodeLayout, Recognition
 from canfb.monitoring.module_model import LoadMeter, ModuleModel, SyncMeter
 from canfb.monitoring.snapshot import BusSnapshot, EmergencySnapshot, NodeSnapshot

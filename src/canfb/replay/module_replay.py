@@ -17,8 +17,8 @@ from itertools import islice
 from canfb import objects as od
 from canfb.cia301 import cob, datatypes
 from canfb.cia301.cob import ERROR_CONTROL
+from canfb.cia301.codes import NmtCommand, NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtCommand, NmtState
 from canfb.device.lss import UNCONFIGURED
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.storage.storage import Store

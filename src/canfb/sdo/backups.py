@@ -14,8 +14,8 @@ import yaml
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
-from canfb.cia301.nmt import NmtCommand, NmtState
-from canfb.device.od.writes import Write
+from canfb.cia301.codes import NmtCommand, NmtState
+from canfb.device.od.dcf import Write
 from canfb.files import read_bytes
 from canfb.marked_yaml import MarkedYaml
 from canfb.master.access import CommissioningError, NodeAccess, nmt_state

@@ -21,7 +21,7 @@ from canfb.checks import number_in, within
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.device.core import NEVER
-from canfb.device.device_protocol import Computing, Device
+from canfb.device.node import Computing, Device
 
 LONGEST_FRAME_BITS = frame_bits(8)
 CUT_OFF = 4.0  # standard deviations

@@ -18,8 +18,8 @@ from canfb.checks import number_in
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode
 from canfb.cia301.frame import Frame
-from canfb.device.device_protocol import Device
 from canfb.device.lss import UNCONFIGURED
+from canfb.device.node import Device
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.errors import ConfigError
 from canfb.interface.encoder_interface import EncoderInterface

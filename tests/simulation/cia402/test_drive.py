@@ -14,8 +14,8 @@ from drive_bench import DRIVE_ID, MODULE_ID, SYNC, UNITS, DriveBench, cruising
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
+from canfb.cia301.codes import NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant

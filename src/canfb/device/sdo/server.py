@@ -10,14 +10,16 @@ from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.cia301.frame import Frame
 from canfb.device.core import NEVER, Core, Pending, Timed
 from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.device.sdo.block import CRC_SUPPORTED, BlockDownload, BlockUpload
 from canfb.device.sdo.transfer import (
     ABORT,
     ABORT_COMMAND,
     BLOCK_DOWNLOAD,
     BLOCK_UPLOAD,
+    CRC_SUPPORTED,
     INITIATE_DOWNLOAD,
     INITIATE_UPLOAD,
+    BlockDownload,
+    BlockUpload,
     SegmentedDownload,
     SegmentedUpload,
     Transfer,

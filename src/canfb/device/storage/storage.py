@@ -15,15 +15,16 @@ from typing import Protocol, runtime_checkable
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.core import NEVER, Core, Pending, Timed
 from canfb.device.od.dictionary import refuse_if
-from canfb.device.storage.image import (
+from canfb.device.storage.kept import (
     Identity,
     ImageError,
+    KeptEntries,
     ParameterGroup,
     Record,
     decode_image,
     encode_image,
+    restore,
 )
-from canfb.device.storage.kept import KeptEntries, restore
 
 POLL_S = 0.002  # from one question whether it is done to the next
 MOST_WAITING = 4  # changes that a store may have before it; a peer that sends more is refused

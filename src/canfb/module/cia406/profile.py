@@ -9,7 +9,7 @@ from functools import partial
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary, Entry, refuse_if
-from canfb.device.storage.image import ParameterGroup, Record
+from canfb.device.storage.kept import ParameterGroup, Record
 from canfb.device.storage.storage import Storage
 from canfb.module.cia406.cams import Cams, show_work_area
 from canfb.module.cia406.position import (

@@ -13,7 +13,7 @@ from functools import partial
 from canfb import objects as od
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.device.storage.image import ParameterGroup
+from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import Storage
 from canfb.module.parameters import ADAPTATION_BOUNDS, ADAPTATION_UNIT, Limits
 from canfb.objects import AdaptationState as State

@@ -6,8 +6,7 @@ CAN knows no sender, so a lock keeps away mistakes only; who sends frames also h
 from __future__ import annotations
 
 from canfb import objects as od
-from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.cia301.nmt import NmtState
+from canfb.cia301.codes import AbortCode, NmtState, SdoAbort
 from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Entry, refuse_if

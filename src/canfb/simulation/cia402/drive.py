@@ -7,9 +7,8 @@ from enum import IntEnum
 
 from canfb.checks import within
 from canfb.cia301 import cob
-from canfb.cia301.codes import ErrorRegister
+from canfb.cia301.codes import ErrorRegister, NmtState
 from canfb.cia301.frame import Frame
-from canfb.cia301.nmt import NmtState
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.eds_files import eds_path
