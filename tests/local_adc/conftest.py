@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +18,7 @@ from emulated_iiod import LIMIT_S, EmulatedAdc, EmulatedIiod, iio_source
 from canfb.errors import BusError
 from canfb.hosting.captured_source import CapturedSource
 from canfb.sources.iio_source import IioSourceConfig
+from processes import Process
 
 
 def _missing() -> str:
@@ -65,7 +64,7 @@ def opened() -> Iterator[Callable[..., CapturedSource]]:
 class Running:
     """`canfb run` as a process on a multicast bus."""
 
-    def __init__(self, process: subprocess.Popen[str], bus: can.BusABC) -> None:
+    def __init__(self, process: Process, bus: can.BusABC) -> None:
         self.process, self.bus = process, bus
 
     def heard(self, can_id: int) -> bytes:
@@ -77,40 +76,24 @@ class Running:
     def hear(self, can_id: int, patience_s: float) -> bytes | None:
         """The next frame with this CAN-ID, if one comes."""
         end = time.monotonic() + patience_s
-        while time.monotonic() < end:
+        while time.monotonic() < end and not self.process.has_ended():
             message = self.bus.recv(0.2)
             if message is not None and message.arbitration_id == can_id:
                 return bytes(message.data)
-            if self.process.poll() is not None:
-                pytest.fail(f"ended: {self.process.communicate()}")
         return None
 
     def send(self, can_id: int, data: bytes = b"") -> None:
         self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
-    def ended(self) -> tuple[int, str, str]:
-        self.process.send_signal(signal.SIGTERM)
-        output, errors = self.process.communicate(timeout=LIMIT_S)
-        return self.process.returncode, output, errors
-
 
 @pytest.fixture
-def command(multicast_bus: can.BusABC, multicast_words: dict[str, Any], tmp_path: Path) -> Iterator[Any]:
+def command(started: Any, multicast_bus: can.BusABC, multicast_words: dict[str, Any], tmp_path: Path) -> Any:
     """Starts the command with these nodes of its configuration, and these options."""
-    with contextlib.ExitStack() as stack:
 
-        def start(nodes: str, *options: str) -> Running:
-            config = tmp_path / "nodes.yaml"
-            config.write_text(f"bus: {json.dumps(multicast_words)}\n{nodes}\n")
-            process = subprocess.Popen(
-                [sys.executable, "-W", "error", "-m", "canfb", "run", str(config), *options],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            stack.enter_context(process)
-            stack.callback(process.kill)
-            return Running(process, multicast_bus)
+    def start(nodes: str, *options: str) -> Running:
+        config = tmp_path / "nodes.yaml"
+        config.write_text(f"bus: {json.dumps(multicast_words)}\n{nodes}\n")
+        python = (sys.executable, "-W", "error", "-m")
+        return Running(started(*python, "canfb", "run", str(config), *options), multicast_bus)
 
-        yield start
+    return start
