@@ -20,23 +20,42 @@ from canfb.calibration.recording import (
     recording,
 )
 from canfb.calibration.result import Reason
+from canfb.signal import sample_recording
 from canfb.signal.correction import NO_CORRECTION
 from canfb.signal.phase import FloatArray, raw_phases
-from canfb.signal.sample_recording import SampleRecording
+from canfb.signal.sample_recording import BYTES_PER_SAMPLE, SampleRecording
 from canfb.simulation.encoder import Encoder
 
+COUNTS = st.integers(-0x8000, 0x7FFF)
 
-def test_what_was_recorded_comes_back() -> None:
+
+@given(st.lists(st.one_of(st.none(), st.tuples(COUNTS, COUNTS)), max_size=40), st.integers(1, 50))
+def test_what_was_recorded_comes_back(samples: list[tuple[int, int] | None], capacity: int) -> None:
+    made = SampleRecording(capacity)
+    for one in samples:
+        made.miss() if one is None else made.take(*one)
+    kept = [one or (np.nan, np.nan) for one in samples][:capacity]
+    kept = [(np.nan, np.nan) if one == (-0x8000, -0x8000) else one for one in kept]
+    np.testing.assert_array_equal(recorded_tracks(made.to_bytes()), np.reshape(kept, (-1, 2)).T)
+    assert len(made) == len(kept) == len(made.to_bytes()) // BYTES_PER_SAMPLE
+    assert made.is_full == (len(kept) == capacity)
+    made.clear()
+    assert (len(made), made.to_bytes(), made.is_full) == (0, b"", False)
+
+
+def test_the_bytes_of_a_recording(monkeypatch: pytest.MonkeyPatch) -> None:
     made = SampleRecording()
-    made.take(1, -32768)
+    made.take(0x0102, 0x0304)
     made.miss()
-    made.take(-32768, 32767)
-    tracks = [1.0, np.nan, -32768.0], [-32768.0, np.nan, 32767.0]
-    np.testing.assert_array_equal(recorded_tracks(made.to_bytes()), tracks)
-    assert [len(track) for track in recorded_tracks(b"")] == [0, 0]
+    assert made.to_bytes() == b"\x02\x01\x04\x03\x00\x80\x00\x80"
+    monkeypatch.setattr(sample_recording.sys, "byteorder", "big")
+    assert made.to_bytes() == b"\x01\x02\x03\x04\x80\x00\x80\x00"
     for cut_off in (1, 2, 3, 7):
         with pytest.raises(ValueError, match="4 bytes per sample"):
             recorded_tracks(bytes(cut_off))
+    for capacity in (0, -1):
+        with pytest.raises(ValueError, match="1 or more"):
+            SampleRecording(capacity)
 
 
 def test_the_mark_is_neither_valid_nor_clipped() -> None:

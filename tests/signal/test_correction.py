@@ -1,3 +1,5 @@
+"""Correction tables, a whole calibration in place of its table, and tracks that begin in motion."""
+
 from __future__ import annotations
 
 import math
@@ -10,7 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canfb.signal.correction import CorrectionTable
+import canfb
+from canfb.signal.correction import Correction, CorrectionTable
+from canfb.signal.phase import FloatArray
 
 SIZES = [16, 17, 200, 256, 4096]
 
@@ -91,3 +95,84 @@ def test_bad_tables_are_refused_with_the_reason(change: Callable[[Any], Any], re
     good = np.arange(64) / 64
     with pytest.raises(ValueError, match=reason):
         CorrectionTable(change(good))
+
+
+USED = canfb.Conditioning(30.0, -20.0, 1.02, 0.98, 0.03)
+RAW = np.arange(64) / 64
+CORRECTION = Correction(canfb.CorrectionTable(RAW + 0.01 * np.sin(2 * np.pi * RAW)).made_for(USED), USED)
+
+
+class Calibrated:
+    correction = CORRECTION
+
+
+def counts(position: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return np.rint(1500 * np.sin(2 * np.pi * position)), np.rint(1500 * np.cos(2 * np.pi * position))
+
+
+TRACKS = counts(np.cumsum(np.linspace(0.0, 0.3, 500)))
+TABLE: Any = CORRECTION.table
+CONFIG = canfb.ChainConfig(conditioning=USED)
+
+
+def in_one_block(config: canfb.ChainConfig, table: object) -> list[float]:
+    (got,) = canfb.process_stream([TRACKS], config, table)  # type: ignore[arg-type]
+    return list(got.cycles + got.phase)
+
+
+def one_by_one(config: canfb.ChainConfig, table: object) -> list[float]:
+    chain = canfb.SignalChain(config, table)  # type: ignore[arg-type]
+    got = [chain.step(canfb.Sample(s, c)) for s, c in zip(*(track.tolist() for track in TRACKS), strict=True)]
+    return [one.cycles + one.phase for one in got]
+
+
+def over_arrays(config: canfb.ChainConfig, table: object) -> list[float]:
+    known = None if config.conditioning.is_identity else config.conditioning
+    got = canfb.process(*TRACKS, table, conditioning=known)  # type: ignore[arg-type]
+    return list(got.cycles + got.phase)
+
+
+@pytest.mark.parametrize("run", [over_arrays, in_one_block, one_by_one])
+def test_a_calibration_brings_its_conditioning(run: Callable[..., list[float]]) -> None:
+    wanted = run(CONFIG, TABLE)
+    for whole in (CORRECTION, Calibrated()):
+        assert run(canfb.ChainConfig(), whole) == wanted
+        assert run(CONFIG, whole) == wanted
+        with pytest.raises(ValueError, match="another one already"):
+            run(canfb.ChainConfig(conditioning=canfb.Conditioning(1.0)), whole)
+    with pytest.raises(ValueError, match="pass the whole calibration"):
+        run(canfb.ChainConfig(), TABLE)
+    assert run(canfb.ChainConfig(), canfb.CorrectionTable(TABLE.entries)) != wanted
+
+
+def test_a_calibration_says_what_its_table_belongs_to() -> None:
+    rng, angle = np.random.default_rng(1), 2 * np.pi * np.cumsum(np.linspace(0.0, 0.4, 6000))
+    sine, cosine = 1500 * np.sin(angle) + 60 + rng.normal(0, 1, 6000), 1400 * np.cos(angle + 0.05)
+    found = canfb.calibrate_from_motion(sine, cosine, "fit")
+    with pytest.raises(ValueError, match="pass the whole calibration"):
+        canfb.process(sine, cosine, found.table)
+    got = canfb.process(sine, cosine, found)
+    off = got.cycles + got.phase - angle / 2 / np.pi
+    assert 1e-5 < np.std(off) < 3e-4
+    assert canfb.process(sine, cosine, found.table, conditioning=found.conditioning).ok.all()
+
+
+@given(st.integers(-1000, 1000), st.floats(0.13, 0.32), st.sampled_from([1, 2, 100]))
+def test_several_starts_that_fit_are_not_ok(whole: int, part: float, length: int) -> None:
+    tracks = counts((whole + part) * np.arange(40.0) + 0.3)
+    blocks = [tuple(track[at : at + length] for track in tracks) for at in range(0, 40, length)]
+    with pytest.warns(UserWarning, match="speed_cycles"):
+        assert not canfb.process(*tracks).ok.any()
+    with pytest.warns(UserWarning, match="speed_cycles"):
+        results = list(canfb.process_stream(blocks))  # type: ignore[arg-type]
+    # The first two samples show no motion yet.
+    assert not np.concatenate([one.valid for one in results])[2 // length * length :].any()
+    for result in (canfb.process(*tracks, speed_cycles=whole + part + 0.1),):
+        assert result.ok.all()
+        assert result.cycles[-1] - result.cycles[0] == pytest.approx((whole + part) * 39, abs=1.0)
+
+
+@given(st.floats(-0.09, 0.09), st.floats(0.0, 1.0))
+def test_a_start_from_standstill_is_ok(acceleration: float, part: float) -> None:
+    time = np.maximum(np.arange(12) - part, 0.0)
+    assert canfb.process(*counts(acceleration * time**2 / 2 + 0.1)).ok[:2].all()
