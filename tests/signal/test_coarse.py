@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 from witness_kit import Machine, above, at, below, flags, has, moving
 
 from canfb.objects import StatusBit
@@ -50,17 +52,13 @@ def test_the_amplitude_below_which_it_tells_nothing_is_a_tenth_of_the_full_scale
         assert track.angle(sine, cosine) is None
 
 
-@each("sine, cosine, angle",
-    [
-        (0.0, 1.0, 0.0), (1.0, 1.0, 0.125), (1.0, 0.0, 0.25), (1.0, -1.0, 0.375), (0.0, -1.0, 0.5),
-        (-1.0, -1.0, 0.625), (-1.0, 0.0, 0.75), (-1.0, 1.0, 0.875), (-1e-300, 1.0, 0.0),
-    ],
-)  # fmt: skip
-def test_the_angle_is_in_revolutions(sine: float, cosine: float, angle: float) -> None:
-    got = coarse().angle(1500 * sine, 1500 * cosine)
-    assert got == pytest.approx(angle, abs=1e-15)
+@given(st.floats(0.0, 1.0))
+@example(-1e-300)
+def test_the_angle_is_in_revolutions(turn: float) -> None:
+    got = coarse().angle(1500 * math.sin(2 * math.pi * turn), 1500 * math.cos(2 * math.pi * turn))
     assert got is not None
     assert 0.0 <= got < 1.0
+    assert math.remainder(got - turn, 1.0) == pytest.approx(0.0, abs=1e-15)
 
 
 @each("turned", [0.0, 0.25, 0.5, 0.9])

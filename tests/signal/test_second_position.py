@@ -153,16 +153,6 @@ def test_a_drive_that_restarts_counts_from_elsewhere() -> None:
     assert has(machine.run(6), DISAGREES)[-1]
 
 
-def test_without_a_pause_another_origin_is_a_disagreement() -> None:
-    machine = standing()
-    machine.origin += 987654
-    got = machine.run(20)
-    assert has(got, DISAGREES) == [False] * 3 + [True] * 17
-    assert all(feedback.valid for feedback in got)
-    machine.chain.use_second(machine.sensor)  # a write to 2014h
-    assert not any(has(machine.run(20), DISAGREES))
-
-
 def test_it_ends_well_within_the_tolerance() -> None:
     machine = standing()
     for revolutions, disagrees in ((0.0104, True), (-0.0014, True), (-0.002, False)):
