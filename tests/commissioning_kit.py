@@ -10,8 +10,7 @@ import numpy as np
 
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import Store
-from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.sample_instants import SampleClock
+from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.master.access import NodeAccess
 from canfb.master.samples import TrackSamples
 from canfb.module.feedback_module import FeedbackModule

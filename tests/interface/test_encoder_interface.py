@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
-from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.sample_instants import SampleClock
+from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import Encoder, Motion, MotionSource, ShaftEncoder
 from canfb.sources.protocol import Source

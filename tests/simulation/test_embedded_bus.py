@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame, frame_bits
 from canfb.configuration import parse_config
 from canfb.hosting.simulating import fed_module
-from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.sample_instants import SampleClock
+from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.simulation.embedded_bus import (
     AGAIN_S,
     LONGEST_FRAME_BITS,

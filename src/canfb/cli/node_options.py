@@ -11,7 +11,7 @@ from canfb.bus.bus_master import BusMaster
 from canfb.bus.opening import open_bus, open_sync_bus
 from canfb.bus.runner import ending_on_signals
 from canfb.cli.options import JSON, TIMEOUT, add_bus_options, bus_options, chosen_bus, node_number, option
-from canfb.cli.printing import report
+from canfb.cli.printing import shown_progress
 from canfb.configuration import Config
 from canfb.errors import ConfigError
 from canfb.master.access import Master
@@ -46,13 +46,9 @@ def sync_master(options: argparse.Namespace, config: Config) -> Iterator[tuple[B
 @contextlib.contextmanager
 def guarded() -> Iterator[Guard]:
     """For what changes a node: a signal puts back what was."""
-    guard = Guard()
-    try:
-        with ending_on_signals(guard.interrupt):
-            yield guard
-    except KeyboardInterrupt:
-        report("interrupted; the node is as it was")
-        raise
+    guard, as_before = Guard(), "the node is as it was"
+    with shown_progress(quiet=True, interrupted=as_before), ending_on_signals(guard.interrupt):
+        yield guard
 
 
 def say_result(options: argparse.Namespace, result: Result) -> int:

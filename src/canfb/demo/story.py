@@ -15,8 +15,7 @@ from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.result import Calibration
 from canfb.cia301.frame import Frame
 from canfb.eds_files import eds_path
-from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.sample_instants import SampleClock
+from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.correction import Correction

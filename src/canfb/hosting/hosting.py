@@ -33,8 +33,7 @@ from canfb.hosting.event_log import (
 from canfb.hosting.self_diagnosis import SelfDiagnosis
 from canfb.hosting.serving import OnBus
 from canfb.hosting.state_files import SavedParameters, StateFiles, ThreadedStore
-from canfb.interface.encoder_interface import EncoderInterface, InterfaceConfig
-from canfb.interface.sample_instants import SampleClock
+from canfb.interface.encoder_interface import EncoderInterface, InterfaceConfig, SampleClock
 from canfb.module.device_configuration import DeviceConfiguration, configuration_of
 from canfb.module.events import NodeEvents
 from canfb.module.feedback_module import FeedbackModule

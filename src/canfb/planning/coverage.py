@@ -178,12 +178,9 @@ def _judged(window: SampleWindow, name: str, truth: Floats, sine: Floats, cosine
     moved -= np.rint(moved)
     harmful: Any = ((np.abs(moved[:, ORDER:]) > HARM_CYCLES) | (np.abs(error) > HARM_CYCLES)).any(axis=1)
     second = by_residual | (np.abs(error) > window.tolerance_cycles)
-    shares = Shares(*(_share(seen, harmful) for seen in (by_amplitude, by_residual, second)))
+    detected = [np.any(seen, axis=1)[harmful] for seen in (by_amplitude, by_residual, second)]
+    shares = Shares(*(float(part.mean()) if harmful.any() else 1.0 for part in detected))
     return FaultCoverage(name, int(harmful.sum()), shares, _within(by_residual[harmful]))
-
-
-def _share(detected: Bits, harmful: Bits) -> float:
-    return float(np.any(detected, axis=1)[harmful].mean()) if harmful.any() else 1.0
 
 
 def _within(detected: Bits) -> int | None:
@@ -209,11 +206,6 @@ def _drift(rng: Rng, what: str, size: float) -> Fault:
     return faults.track_drift(**{f"{track}_{what}": size}, ramp_samples=ramp)
 
 
-def _phase(rng: Rng, nominal: float) -> Fault:
-    size = float(rng.uniform(0.1, 1.0)) * math.pi * _sign(rng)
-    return faults.track_drift(phase_rad=size, ramp_samples=_ramp(rng))
-
-
 def _oscillation(rng: Rng, nominal: float) -> Fault:
     signal = (Signal.SINE, Signal.COSINE, Signal.BOTH)[int(rng.integers(3))]
     size, rate = float(rng.uniform(0.1, 1.2)) * nominal, float(rng.uniform(0.0, 0.5))
@@ -234,7 +226,9 @@ KINDS: dict[str, Callable[[Rng, float], Fault] | None] = {
         rng, "offset", float(rng.uniform(0.3, 1.5)) * nominal * _sign(rng)
     ),
     "gain drift": lambda rng, nominal: _drift(rng, "gain", float(rng.uniform(-0.2, 1.4))),
-    "phase drift": _phase,
+    "phase drift": lambda rng, nominal: faults.track_drift(
+        phase_rad=float(rng.uniform(0.1, 1.0)) * math.pi * _sign(rng), ramp_samples=_ramp(rng)
+    ),
     "oscillation": _oscillation,
     "tracks swapped": lambda rng, nominal: faults.swapped_tracks(),
     "one track inverted": lambda rng, nominal: faults.inverted_tracks(_one(rng)),

@@ -187,13 +187,6 @@ class Plan:
     def holds(self) -> bool:
         return all(margin.holds for margin in self.margins)
 
-    def acceleration_of(self, module: PlannedModule) -> float | None:
-        """What this module has to follow: the largest acceleration of its machine counts, too."""
-        known = module.settings.acceleration_rad_s2
-        if self.is_final or not known:
-            return self.acceleration_rad_s2
-        return max(known, self.acceleration_rad_s2 or 0.0)
-
     def _beating(self, node_id: int, values: Values, *, sampled: bool) -> list[Message]:
         found = node_messages(values, node_id, sampled=sampled)
         if self.heartbeat_s and not values.get(HEARTBEAT):
@@ -232,11 +225,7 @@ class ResidualBudget:
     def limit_cycles(self) -> float:
         """In force at the given speed: uncertain sample times widen a narrowed one."""
         uncertain = WEIGHTS * self._cycles_per_s * self.known_uncertainty_s
-        return min(self.slow_limit_cycles + uncertain, self.module.settings.widest_cycles)
-
-    @cached_property
-    def slow_limit_cycles(self) -> float:
-        return self.declared.residual_limit
+        return min(self.declared.residual_limit + uncertain, self.module.settings.widest_cycles)
 
     @cached_property
     def declared(self) -> Declared:
@@ -254,7 +243,7 @@ class ResidualBudget:
 
     @property
     def is_narrowed(self) -> bool:
-        return self.slow_limit_cycles < self.module.settings.widest_cycles
+        return self.declared.residual_limit < self.module.settings.widest_cycles
 
     @cached_property
     def measured_noise_cycles(self) -> float:
@@ -270,7 +259,9 @@ class ResidualBudget:
 
     @property
     def asked_rad_s2(self) -> float | None:
-        return self.plan.acceleration_of(self.module)
+        """What this module has to follow: the largest acceleration of its machine counts, too."""
+        given, known = self.plan.acceleration_rad_s2, self.module.settings.acceleration_rad_s2
+        return given if self.plan.is_final or not known else max(known, given or 0.0)
 
     @cached_property
     def sync_jitter_s(self) -> float:
@@ -324,7 +315,7 @@ class ResidualBudget:
     @property
     def largest_acceleration_rad_s2(self) -> float:
         """With the speed as given, unless that alone is too much; 0.0 if the errors need the whole limit."""
-        left = self.left_cycles(self.limit_cycles, self.slow_limit_cycles)
+        left = self.left_cycles(self.limit_cycles, self.declared.residual_limit)
         return self._acceleration(left, 1.0 / self.worst_interval_s)
 
     @property
@@ -339,14 +330,14 @@ class ResidualBudget:
         0.0 if the errors need the whole limit, inf if the sampling instants are known.
         """
         motion = self.motion_cycles
-        if self.slow_limit_cycles - motion < self.rest_cycles(0.0) - ROUNDING_CYCLES:
+        if self.declared.residual_limit - motion < self.rest_cycles(0.0) - ROUNDING_CYCLES:
             motion = 0.0
         return self._speed_beside(motion + self.phase_cycles)
 
     def _speed_beside(self, needed_cycles: float) -> float:
         own_s = self.uncertainty_s - self.known_uncertainty_s
         return min(
-            self.speed_rad_s(self.slow_limit_cycles - needed_cycles, own_s),
+            self.speed_rad_s(self.declared.residual_limit - needed_cycles, own_s),
             self.speed_rad_s(self.module.settings.widest_cycles - needed_cycles, self.uncertainty_s),
         )
 

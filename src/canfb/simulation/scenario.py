@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from canfb.checks import within
-from canfb.interface.sample_instants import LARGEST_DRIFT_PPM, SampleClock
+from canfb.interface.encoder_interface import LARGEST_DRIFT_PPM, SampleClock
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.embedded_bus import SyncTiming
 from canfb.simulation.encoder import (
@@ -160,7 +160,7 @@ class SimulationConfig(SyncTiming):
                                  its samples (2000:01), -10000..10000 ppm
     aperture_jitter_ns           rms of the instant at which the tracks are held, 0..1e6 ns
     pace                         "time": the machine turns in true time; "sync": it goes on by one interval
-                                 with each SYNC, however late (:mod:`canfb.interface.sample_instants`)
+                                 with each SYNC, however late (:mod:`canfb.interface.encoder_interface`)
     sync_period_us               of the SYNC of the bus, 10..1e7 us; ``--rate`` takes precedence
     seed                         of everything that is random, 0..2^63 - 1
     """

@@ -15,8 +15,7 @@ from canopen.profiles.p402 import BaseNode402
 from canfb.cia301.frame import Frame
 from canfb.demo.story import EmbeddedNetwork
 from canfb.eds_files import eds_path
-from canfb.interface.encoder_interface import EncoderInterface
-from canfb.interface.sample_instants import SampleClock
+from canfb.interface.encoder_interface import EncoderInterface, SampleClock
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample

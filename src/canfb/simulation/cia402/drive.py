@@ -12,7 +12,7 @@ from canfb.cia301.frame import Frame
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.eds_files import eds_path
-from canfb.interface.sample_instants import MachineNode
+from canfb.interface.encoder_interface import MachineNode
 from canfb.simulation.cia402.axis import Axis, saturated
 from canfb.simulation.cia402.feedback_input import FeedbackInput, SyncInterval, Wrong
 from canfb.simulation.cia402.plant import MotorConfig, Plant

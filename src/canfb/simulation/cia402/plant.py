@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from canfb.checks import flag, within
 from canfb.cia301 import cob
 from canfb.cia301.frame import Frame
-from canfb.interface.sample_instants import TRUE_TIME, TimeBase
+from canfb.interface.encoder_interface import TRUE_TIME, TimeBase
 from canfb.signal.sample import Sample
 from canfb.simulation.embedded_bus import SilentDevice
 from canfb.simulation.encoder import ShaftEncoder
