@@ -296,7 +296,9 @@ def calibrate_from_zero_crossings(
     with contextlib.suppress(CalibrationError):  # too few
         # Real tracks have the same shape there; inverted or exchanged, the motion seems to turn.
         parts.append(_Cycles.of(chosen, back))
-    change = _change_of_parts([part.take(part.agreeing()) for part in parts], measured * np.sqrt(len(good)))
+    parts = [part.take(part.agreeing()) for part in parts]
+    noise = measured * np.sqrt([len(good) / len(part) for part in parts])
+    change = largest_change(np.array([part.table().entries for part in parts]), noise)
     report(0.9)
     samples_left_out = int(record.valid.sum()) - len(good.phase)
     amplitude = root_mean(np.hypot(s[usable], c[usable]))
@@ -416,11 +418,6 @@ def _interpolate(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
                 part = part * (at - x[..., other]) / (x[..., one] - x[..., other])
         value += part
     return value
-
-
-def _change_of_parts(parts: list[_Cycles], noise_of_cycle: float) -> Drift:
-    tables = np.array([part.table().entries for part in parts])
-    return largest_change(tables, np.array([noise_of_cycle / np.sqrt(len(part)) for part in parts]))
 
 
 def _finish(

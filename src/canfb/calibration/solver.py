@@ -99,10 +99,11 @@ class Solver:
     def solve(self, angle: FloatArray) -> Solution:
         """Tracks and motion from the ellipse's ``angle`` (cycles). CalibrationError if there are none."""
         first = Start(self._positions(angle), None)
-        check_distance(coverage(angle[self.record.valid]), self._distance(first.position))
+        seen = first.position[self.record.valid][::DISTANCE_SAMPLES]
+        check_distance(coverage(angle[self.record.valid]), float(np.abs(np.diff(seen)).sum()))
         shape, lively = self._choose_shape(first, STIFF)
         self.report(0.3)
-        fit = self._fit(self._cut(shape), first)
+        fit = self._fit(self.record.cut(*shape), first)
         loss = self._loss(fit.blocks, first.position)
         if (off := self._off_cycles(fit)) > MAX_OFF_CYCLES:
             raise no_fit(f"the positions are {off:.2f} cycle rms away from any smooth motion", loss)
@@ -115,7 +116,7 @@ class Solver:
             better = self._start(angle, fit.waveform)
             if many or lively:
                 shape = self._choose_again(better, shape)
-            fit = self._more_orders(self._fit(self._cut(shape), better))
+            fit = self._more_orders(self._fit(self.record.cut(*shape), better))
         self.report(0.7)
         all_orders = uncertainty(fit, self.ellipse)
         mixed = fit.noise_cycles * float(np.sqrt(len(fit.covariance) / fit.blocks.samples))
@@ -127,23 +128,16 @@ class Solver:
         telling = fit.blocks.used[fit.informative].sum()
         if self._curve(fit.waveform) is None or off > MAX_OFF_CYCLES or telling < MIN_SAMPLES:
             raise no_fit("tracks and motion cannot be separated", loss)
-        return Solution(fit, self._cut(shape), loss, undetermined)
+        return Solution(fit, self.record.cut(*shape), loss, undetermined)
 
     def _off_cycles(self, fit: JointFit) -> float:
         return fit.noise.along / (2.0 * np.pi * self.amplitude_counts)
 
     def _loss(self, blocks: Blocks, position: FloatArray) -> float:
+        circle = np.zeros((2, 1 + 2 * len(FIRST_ORDERS)))
+        circle[0, 2] = circle[1, 1] = self.amplitude_counts
         motion = blocks.smooth(position[blocks.index])
-        return information_loss(blocks, self._circle(), motion)
-
-    def _distance(self, position: FloatArray) -> float:
-        seen = position[self.record.valid][::DISTANCE_SAMPLES]
-        return float(np.abs(np.diff(seen)).sum())
-
-    def _circle(self) -> Waveform:
-        track = np.zeros((2, 1 + 2 * len(FIRST_ORDERS)))
-        track[0, 2] = track[1, 1] = self.amplitude_counts
-        return Waveform(FIRST_ORDERS, track)
+        return information_loss(blocks, Waveform(FIRST_ORDERS, circle), motion)
 
     def _positions(self, phase: FloatArray) -> FloatArray:
         return self.record.positions(np.where(self.record.valid, phase, np.nan))
@@ -159,9 +153,6 @@ class Solver:
         curve = np.unwrap(np.arctan2(s, c) / (2.0 * np.pi), period=1.0)
         rises = abs(curve[-1] - curve[0] - 1.0) < 1e-6 and np.diff(curve).min() > 0.0
         return curve if rises else None
-
-    def _cut(self, shape: Shape) -> Blocks:
-        return self.record.cut(*shape)
 
     def _choose_shape(self, start: Start, shapes: tuple[Shape, ...]) -> tuple[Shape, bool]:
         """Blocks that promise the least error: long and stiff ones know more, others follow the motion.
@@ -186,7 +177,7 @@ class Solver:
 
     def _promise(self, start: Start, shape: Shape) -> tuple[float, bool]:
         """Expected rms error of the table in cycles; True if the motion is more than the blocks follow."""
-        blocks, length = self._cut(shape), shape.length
+        blocks, length = self.record.cut(*shape), shape.length
         if len(blocks) > TRIAL_SAMPLES // length:
             few = np.linspace(0, len(blocks) - 1, TRIAL_SAMPLES // length).astype(np.int64)
             blocks = blocks.take(few)

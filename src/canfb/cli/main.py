@@ -32,7 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; the exit code. Without a command: the help."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if "_ARGCOMPLETE" in os.environ:
-        return _complete()
+        from canfb.cli import completion  # here: it serves the shell, not a command
+
+        completion.answer(build_parser, os.environ)
+        return FAILED
     try:
         code = _run(arguments or ["--help"])
         sys.stdout.flush()
@@ -48,13 +51,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _drop_output()
         return FAILED
     return code
-
-
-def _complete() -> int:
-    from canfb.cli import completion  # here: it serves the shell, not a command
-
-    completion.answer(build_parser, os.environ)
-    return FAILED
 
 
 def _run(arguments: Sequence[str]) -> int:

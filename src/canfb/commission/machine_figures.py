@@ -261,13 +261,14 @@ def track_figures(
     along = _radial_noise(supervised, valid)
     across = 2.0 * math.pi * mean * phase_noise_cycles
     counts = min(along, across) / gain
+    same = (np.diff(samples.sine) == 0.0) & (np.diff(samples.cosine) == 0.0)
     return TrackFigures(
         mean=mean,
         least=float(amplitude.min()),
         most=float(amplitude.max()),
         over_phase=_over_phase(amplitude, phase),
         noise_counts=math.sqrt(max(0.0, counts * counts - ROUNDING_VARIANCE)),
-        longest_repeat=_longest_repeat(samples),
+        longest_repeat=int(np.max(np.diff(runs(same)), initial=0)),
     )
 
 
@@ -316,11 +317,6 @@ def _over_phase(amplitude: FloatArray, phase: FloatArray) -> FloatArray:
     mean = mean_in_bins(phase, amplitude)
     found: FloatArray = np.where(np.isnan(mean), np.nan, np.array([lowest, mean, highest]))
     return found
-
-
-def _longest_repeat(samples: TrackSamples) -> int:
-    same = (np.diff(samples.sine) == 0.0) & (np.diff(samples.cosine) == 0.0)
-    return int(np.max(np.diff(runs(same)), initial=0))
 
 
 @dataclass(frozen=True, eq=False)

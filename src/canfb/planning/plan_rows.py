@@ -172,7 +172,13 @@ def _heading(names: str, budget: ResidualBudget) -> list[str]:
 
 
 def _module_rows(budget: ResidualBudget) -> list[Row]:
-    module, speed = budget.module, budget.plan.speed_rad_s
+    module, speed, largest = budget.module, budget.plan.speed_rad_s, budget.largest_speed_rad_s
+    speed_figures = {
+        "stated_rpm": None if speed is None else finite(speed * RPM),
+        "largest_rpm": finite(largest * RPM),
+        "equation_rpm": finite(budget.equation_speed_rad_s * RPM),
+        "margin": _margin(largest, speed),
+    }
     return [
         Row(
             node_id=module.node_id,
@@ -186,7 +192,7 @@ def _module_rows(budget: ResidualBudget) -> list[Row]:
             measured_noise_cycles=finite(budget.measured_noise_cycles),
             sync_jitter_s=budget.sync_jitter_s,
         ),
-        _speed_row(budget, speed),
+        _limited_row("speed", "rpm", speed and speed * RPM, largest * RPM, speed=speed_figures),
         analog_row(module, speed),
         Row("", _instants(budget)),
         *_motion_rows(budget),
@@ -203,17 +209,6 @@ def _module_rows(budget: ResidualBudget) -> list[Row]:
         Row("", " + ".join(f"{what} {cycles:.3f}" for what, cycles in budget.parts_cycles.items())),
         *_detection_rows(budget),
     ]
-
-
-def _speed_row(budget: ResidualBudget, given: float | None) -> Row:
-    largest = budget.largest_speed_rad_s
-    figures = {
-        "stated_rpm": None if given is None else finite(given * RPM),
-        "largest_rpm": finite(largest * RPM),
-        "equation_rpm": finite(budget.equation_speed_rad_s * RPM),
-        "margin": _margin(largest, given),
-    }
-    return _limited_row("speed", "rpm", given and given * RPM, largest * RPM, speed=figures)
 
 
 def _limited_row(name: str, unit: str, given: float | None, largest: float, **figures: Any) -> Row:

@@ -411,11 +411,8 @@ class ModuleReplay:
             if can_id == self._emergency.value & cob.CAN_ID:
                 self.emergencies += 1
             elif data == BOOT_UP and can_id > cob.ERROR_CONTROL:
-                self._rebooted(now)
+                self._boot_up_s = now  # the replayed module has started: with the table that is to be tried
+                if self._correction is not None:
+                    self.module.use_correction(self._correction)
             if self._on_sent is not None:
                 self._on_sent(Frame(can_id, data, rtr, now + self.samples.origin_s))
-
-    def _rebooted(self, now: float) -> None:
-        self._boot_up_s = now
-        if self._correction is not None:
-            self.module.use_correction(self._correction)

@@ -111,9 +111,11 @@ class _BackupReader:
             )
         known = ("canfb_backup", "date", "canfb", "device_name", "node_id", "identity", "parameters")
         self._check_keys(content, (*known, "not_restored", "table"), known)
+        identity, fields = content["identity"], NodeIdentity._fields
+        self._check_keys(identity, fields, fields, "identity")
         return Backup(
             self._integer(content["node_id"], 127, "node_id", low=1),
-            self._identity(content["identity"]),
+            NodeIdentity(*(self._integer(identity[key], 0xFFFFFFFF, "identity", key) for key in fields)),
             str(content["date"]),
             str(content["canfb"]),
             str(content["device_name"]),
@@ -122,11 +124,6 @@ class _BackupReader:
             self._values(content.get("not_restored") or {}, "not_restored"),
             tuple(self._unknown),
         )
-
-    def _identity(self, content: Any) -> NodeIdentity:
-        self._check_keys(content, NodeIdentity._fields, NodeIdentity._fields, "identity")
-        values = (self._integer(content[key], 0xFFFFFFFF, "identity", key) for key in NodeIdentity._fields)
-        return NodeIdentity(*values)
 
     def _values(self, content: Any, section: str) -> dict[Place, Any]:
         if not isinstance(content, dict):

@@ -178,12 +178,8 @@ def in_words(product: str, place: Place, value: object) -> str:
     return ", ".join(names.get(1 << bit, f"bit {bit}") for bit in bits) or "nothing set"
 
 
-def from_words(product: str, place: Place, text: str) -> int | None:
-    """The number of a word such as start, or None."""
-    return words_of(product, place).get(text.strip().lower().replace("_", " "))
-
-
 def words_of(product: str, place: Place) -> Mapping[str, int]:
+    """The numbers of words such as start."""
     if place[0] in SIGNATURES and place[1]:
         return SIGNATURES[place[0]]
     kind = _kind(product, place)
@@ -370,15 +366,16 @@ class SdoTasks:
         raise CommissioningError(f"{meant[0].number} {meant[0].title} is read only")
 
     def _encoded(self, entry: ObjectDescription, text: str, raw: bool) -> bytes:
-        value: Any = from_words(self._described.product, entry.place, text)
+        words = words_of(self._described.product, entry.place)
+        value: Any = words.get(text.strip().lower().replace("_", " "))
         try:
             if value is None:
                 number = text if raw else raw_text(entry.unit, text)
                 value = parse_value(entry.data_type, number, entry.least, entry.most)
         except (ValueError, OverflowError) as error:
             reason = str(error)
-            if words := ", ".join(words_of(self._described.product, entry.place)):
-                reason += f"; or one of the words {words}"
+            if words:
+                reason += f"; or one of the words {', '.join(words)}"
             elif (part := _part(entry.unit)) and not raw:
                 low, high = (end / part[0] for end in value_range(entry.data_type, entry.least, entry.most))
                 reason = f"must be {low:.6g}..{high:.6g} {part[1]}, not {text!r} ({entry.unit} with --raw)"

@@ -211,10 +211,6 @@ class TableState:
         saved_crc32 = module.integer_if_there(od.TABLE_SAVED_CRC, "I")
         return cls(module.name, used, cycles, False, staged, saved_crc32, waiting)
 
-    @classmethod
-    def of_file(cls, file: TableFile) -> TableState:
-        return cls(str(file.path), file.used, file.cycles_per_revolution, True)
-
     @property
     def saved(self) -> bool | None:
         """Whether a reset brings this table back; None: not known."""

@@ -173,7 +173,9 @@ class Axis:
         self._error_window, self._error_time = entry(0x6065), entry(0x6066)
         self._target.on_written = self._target_written
         self._supported = entry(0x6502)
-        self._mode.on_check = refuse_if(lambda value: not self._supports(value))
+        self._mode.on_check = refuse_if(
+            lambda mode: mode and not (0 < mode <= 32 and self._supported.value >> (mode - 1) & 1)
+        )
         self._mode.on_written = self._mode_written
         for gain in (*self._gains[:4], self._gains[5]):
             gain.on_check = refuse_if(lambda value: not 0.0 <= value <= 1e9)
@@ -228,12 +230,13 @@ class Axis:
 
     def control(self, period_s: float) -> float:
         scaling, feedback = self.scaling, self._feedback
-        gains = chosen_gains(self._read_gains(), period_s)
+        position, velocity, integral_s, forward, inertia, acceleration = (one.value for one in self._gains)
+        set_by_hand = Gains(position, velocity, integral_s, forward, acceleration, inertia * KG_M2_PER_G_CM2)
         torque = self._loop.step(
             self._demand,
             feedback.revolutions,
             2.0 * math.pi * feedback.speed,
-            gains,
+            chosen_gains(set_by_hand, period_s),
             period_s=period_s,
             torque_limit_nm=scaling.largest_torque_nm,
             speed_limit_rad_s=2.0 * math.pi * scaling.largest_speed,
@@ -314,13 +317,6 @@ class Axis:
     def _place(self, speed: float = 0.0) -> None:
         self._trajectory.place(self._feedback.revolutions * self.scaling.units, speed)
         self._demand_entry.value = wrapped(round(self._trajectory.position))
-
-    def _read_gains(self) -> Gains:
-        position, velocity, integral_s, forward, inertia, acceleration = (gain.value for gain in self._gains)
-        return Gains(position, velocity, integral_s, forward, acceleration, inertia * KG_M2_PER_G_CM2)
-
-    def _supports(self, mode: int) -> bool:
-        return mode == NO_MODE or (0 < mode <= 32 and bool(self._supported.value >> (mode - 1) & 1))
 
     def _mode_written(self) -> None:
         if self.mode != self._display.value:
