@@ -17,8 +17,8 @@ from canfb.cia301 import cob
 from canfb.cia301.cob import CAN_ID
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame, mapping_values
-from canfb.device.device_protocol import NodeDevice
 from canfb.device.lss import UNCONFIGURED
+from canfb.device.node import NodeDevice
 from canfb.device.od.dictionary import Dictionary, refuse_if
 from canfb.device.pdo.mapping import COMMUNICATION, Direction, numbers
 from canfb.device.storage.storage import Store
