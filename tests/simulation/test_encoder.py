@@ -14,6 +14,7 @@ from canfb.signal.phase import phase_in_cycle
 from canfb.simulation import faults
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, Motion, ShaftEncoder, demo_encoder
 from canfb.simulation.faults import Fault, Samples, Signal
+from drawing import examples
 from folding import each
 from tools.faults.samples import tracks as more
 
@@ -184,6 +185,7 @@ def injected(fault: Fault, samples: Samples | None = None, start: int = START, s
 
 
 @pytest.mark.parametrize("fault", ALL.values(), ids=ALL)
+@examples(25)
 @example(START, STOP - START)
 @given(st.integers(0, LENGTH - 1), st.integers(1, LENGTH))
 def test_within_the_span_are_other_counts_of_a_converter_and_nothing_happens_outside(

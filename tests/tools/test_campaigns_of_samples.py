@@ -51,11 +51,11 @@ def test_the_judge_of_the_tracks_sees_what_is_planted(
 
 def test_the_goals_of_the_tracks_hold() -> None:
     one = campaign.campaign(Player("tracks"))
-    results = one.run([2], 10, 1)
+    results = one.run([2], 6, 1)
     assert [miss for miss in one.missed(results) if not miss.startswith(" ")] == []
     for name in ("both open", "short to a supply", "lost", "lost, 1", "lost, 3"):
         sums = total(results, name)
-        assert sums["soon"] == sums["episodes"] == 30, name
+        assert sums["soon"] == sums["episodes"] == 18, name
     excused = {name: total(results, setup=name)["excused"] for name in SETTINGS}
     assert min(excused["default"], excused["accelerating"]) > 10 * excused["commissioned"]
 

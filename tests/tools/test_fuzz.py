@@ -37,7 +37,7 @@ def test_a_kept_input(text: str) -> None:
     body.play(Input.parse(text))
 
 
-@examples(200)
+@examples(120)
 @given(one=INPUTS["frames"] | INPUTS["sdo"])
 def test_any_input(one: Input) -> None:
     assert Input.parse(str(one)) == one

@@ -14,7 +14,7 @@ from tools.soak.__main__ import Resources, as_figures, main
 from tools.soak.disturbances import disturbances_of
 from tools.soak.world import SETUPS, Findings, World
 
-CYCLES = 2000
+CYCLES = 1000
 BY_NAME = {one.name: one for one in SETUPS}
 HAPPENS = sorted({(name, setup.name) for setup in SETUPS for name in disturbances_of(setup)})
 ONCE = dict(HAPPENS)  # each disturbance in one of the set-ups that have it
