@@ -56,13 +56,21 @@ class Harmonic(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Encoder:
+class TrackErrors:
+    """Of both tracks, relative to their nominal amplitude A; the cosine track is A cos(x - phase_error)."""
+
+    sine_offset: float = 0.0
+    cosine_offset: float = 0.0
+    sine_amplitude: float = 1.0
+    cosine_amplitude: float = 1.0
+    phase_error_rad: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Encoder(TrackErrors):
     """Two tracks as functions of the phase, sampled by an ADC.
 
     amplitude_counts                nominal amplitude A of the tracks
-    sine_offset, cosine_offset      relative to A
-    sine_amplitude, cosine_amplitude  relative to A
-    phase_error_rad                 the cosine track is A cos(x - phase_error)
     harmonics                       of either track, relative to its amplitude
     adc_bits                        4..16; counts are rounded and held at the ends
     noise_lsb                       rms of Gaussian noise before the ADC, counts
@@ -70,11 +78,6 @@ class Encoder:
     """
 
     amplitude_counts: float = 1500.0
-    sine_offset: float = 0.0
-    cosine_offset: float = 0.0
-    sine_amplitude: float = 1.0
-    cosine_amplitude: float = 1.0
-    phase_error_rad: float = 0.0
     harmonics: tuple[Harmonic, ...] = field(default=())
     adc_bits: int = 12
     noise_lsb: float = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from canfb.checks import within
@@ -20,6 +20,7 @@ from canfb.simulation.encoder import (
     Ripple,
     ShaftEncoder,
     StoppableMotion,
+    TrackErrors,
 )
 
 PACES = ("time", "sync")
@@ -48,7 +49,7 @@ class HarmonicConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EncoderScenario:
+class EncoderScenario(AnalogPath, TrackErrors):
     """Errors of the simulated encoder.
 
     amplitude          of both tracks, 0..2 of the full scale
@@ -66,17 +67,8 @@ class EncoderScenario:
     """
 
     amplitude: float = 0.75
-    sine_offset: float = 0.0
-    cosine_offset: float = 0.0
-    sine_amplitude: float = 1.0
-    cosine_amplitude: float = 1.0
-    phase_error_rad: float = 0.0
     noise_lsb: float = 0.5
     harmonics: list[HarmonicConfig] = field(default_factory=list)
-    sine_corner_hz: float = 0.0
-    cosine_corner_hz: float = 0.0
-    cosine_delay_s: float = 0.0
-    delay_s: float = 0.0
 
     def __post_init__(self) -> None:
         within(
@@ -97,20 +89,11 @@ class EncoderScenario:
     def encoder(self, adc_bits: int) -> Encoder:
         return Encoder(
             amplitude_counts=self.amplitude * (1 << (adc_bits - 1)),
-            sine_offset=self.sine_offset,
-            cosine_offset=self.cosine_offset,
-            sine_amplitude=self.sine_amplitude,
-            cosine_amplitude=self.cosine_amplitude,
-            phase_error_rad=self.phase_error_rad,
+            **{one.name: getattr(self, one.name) for one in fields(TrackErrors)},
             harmonics=tuple(Harmonic(h.order, h.sine, h.cosine) for h in self.harmonics),
             adc_bits=adc_bits,
             noise_lsb=self.noise_lsb,
-            path=AnalogPath(
-                sine_corner_hz=self.sine_corner_hz,
-                cosine_corner_hz=self.cosine_corner_hz,
-                cosine_delay_s=self.cosine_delay_s,
-                delay_s=self.delay_s,
-            ),
+            path=AnalogPath(**{one.name: getattr(self, one.name) for one in fields(AnalogPath)}),
         )
 
 
