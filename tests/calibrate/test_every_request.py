@@ -31,7 +31,7 @@ from canfb.master.samples import TrackSamples
 from canfb.module.device_configuration import configuration_of, read_configuration, restored_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.objects import Multiplexer
-from canfb.sdo.backups import Backup, Restored, RestoreOptions, restore_backup
+from canfb.sdo.backups import Backup, Restored, restore_backup
 from canfb.sdo.tables import TableFile, TableTasks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
@@ -240,6 +240,6 @@ def restore_from(kept: Backup, bench: Bench) -> Restored:
         kept,
         lambda: read_configuration(NodeAccess(bench.master, MODULE_ID, "module")),
         lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),
-        RestoreOptions(keep=True),
         Guard(),
+        keep=True,
     )

@@ -34,7 +34,6 @@ from canfb.module.parameters import EDS
 from canfb.sdo.backups import (
     Backup,
     NodeIdentity,
-    RestoreOptions,
     backup_result,
     backup_text,
     read_backup,
@@ -107,7 +106,6 @@ def restore(options: argparse.Namespace) -> int:
     path = required_file(options.file)
     kept = read_backup(path, ObjectDescriptions(eds_path(EDS), 1), options.force)
     node = options.module or kept.node_id
-    wishes = RestoreOptions(options.save, options.force, options.preop, options.dry_run)
     with node_options.guarded() as guard, node_options.master_of(options) as master:
         module = NodeAccess(master, node, "module")
         done = restore_backup(
@@ -115,8 +113,11 @@ def restore(options: argparse.Namespace) -> int:
             kept,
             lambda: read_configuration(module),
             lambda before: restored_configuration(kept.values, before, kept.table, kept.node_id, node),
-            wishes,
             guard,
+            keep=options.save,
+            force=options.force,
+            preop=options.preop,
+            dry_run=options.dry_run,
         )
     described = ObjectDescriptions(eds_path(EDS), node)
     return node_options.say_result(options, restored_result(path, kept, done, described))

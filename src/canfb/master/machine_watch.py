@@ -60,7 +60,8 @@ class LockWatch:
             raise self.found
 
     def _error(self, lock: Lock, speed: float, rate_hz: float | None) -> CalibrationError:
-        step = away_from(lock.numerator / lock.denominator)
+        part = lock.numerator / lock.denominator
+        step, near = away_from(part), round(speed - part) + part
         rpm = 60.0 * rate_hz / self._cycles_per_revolution if rate_hz else 0.0  # of one cycle per sample
         faster = f"{step * rpm:.3g} rpm faster" if rpm else f"by {step} of a cycle per sample faster"
         if lock.denominator == 1 and speed < HALF_CYCLE:
@@ -69,18 +70,13 @@ class LockWatch:
                 f"cycles per sample. Let it turn {faster}",
                 Reason.COVERAGE,
             )
-        known = "" if speed < HALF_CYCLE else f", for example at {(_near(speed, lock) + step) * rpm:.5g} rpm"
+        known = "" if speed < HALF_CYCLE else f", for example at {(near + step) * rpm:.5g} rpm"
         count = "a whole number" if lock.denominator == 1 else f"n + {lock.numerator}/{lock.denominator}"
         return CalibrationError(
             f"the motion is locked to the samples: {count} of cycles per sample, so that the same phases "
             f"repeat. Let it turn {faster}{known}",
             Reason.LOCKED,
         )
-
-
-def _near(speed: float, lock: Lock) -> float:
-    part = lock.numerator / lock.denominator
-    return round(speed - part) + part
 
 
 def _latest(samples: TrackSamples, from_s: float) -> tuple[FloatArray, FloatArray]:

@@ -238,16 +238,6 @@ class Configured(Protocol):
 
 
 @dataclass(frozen=True)
-class RestoreOptions:
-    """Save, accept what is unknown, PRE-OPERATIONAL first, write nothing."""
-
-    keep: bool = False
-    force: bool = False
-    preop: bool = False
-    dry_run: bool = False
-
-
-@dataclass(frozen=True)
 class Restored:
     """``changes``: values before and of the backup; ``untouched``: not in it."""
 
@@ -255,8 +245,9 @@ class Restored:
     identity: NodeIdentity
     changes: dict[Place, tuple[Any, Any]]
     untouched: list[Place]
-    wishes: RestoreOptions
     saved_as: str | None
+    dry_run: bool
+    preop: bool
 
 
 def restore_backup(
@@ -264,19 +255,23 @@ def restore_backup(
     backup: Backup,
     read: Callable[[], Configured],
     made: Callable[[dict[Place, Any]], Configured],
-    wishes: RestoreOptions,
     guard: Guard,
+    *,
+    keep: bool = False,
+    force: bool = False,
+    preop: bool = False,
+    dry_run: bool = False,
 ) -> Restored:
     """Write, prove, save. CommissioningError if anything fails; all is then as before.
 
     ``read`` gives the configuration of the module, or CanfbError. ``made`` makes that of the backup over the
-    values of before.
+    values of before. ``keep``: save; ``force``: also of another major revision.
     """
-    identity = _checked_identity(module, backup, wishes.force)
+    identity = _checked_identity(module, backup, force)
     before = read()
     after = made(before.values())
     changes = differences(before, after)
-    if wishes.keep:
+    if keep:
         check_can_save(module, STORES)
 
     def prove(configured: Configured, wrong: str) -> None:
@@ -287,9 +282,9 @@ def restore_backup(
                 raise CommissioningError(f"{module.name}: {wrong}: {shown(left)}")
 
     saved_as = None
-    if not wishes.dry_run:
+    if not dry_run:
         if changes:
-            _leave_operational(module, wishes.preop)
+            _leave_operational(module, preop)
         saved_as = change(
             module,
             guard,
@@ -297,12 +292,12 @@ def restore_backup(
             lambda: prove(before, "not as before"),
             what="what was before",
             undone=lambda: f"the parameters and the table from before are in {module.name} again",
-            keep=wishes.keep,
+            keep=keep,
             stores=STORES,
         )
     tables = {od.TABLE_STAGED, od.TABLE_ACTIVATE}
     untouched = sorted(before.values().keys() - backup.values.keys() - tables)
-    return Restored(module, identity, changes, untouched, wishes, saved_as)
+    return Restored(module, identity, changes, untouched, saved_as, dry_run, preop)
 
 
 def _checked_identity(module: NodeAccess, backup: Backup, force: bool) -> NodeIdentity:
@@ -381,7 +376,7 @@ def backup_result(backup: Backup, path: Path) -> Result:
 
 
 def restored_result(path: Path, backup: Backup, done: Restored, described: ObjectDescriptions) -> Result:
-    name, dry_run, saved_as = done.module.name, done.wishes.dry_run, done.saved_as
+    name, dry_run, saved_as = done.module.name, done.dry_run, done.saved_as
     count = f"{len(done.changes)} of {len(backup.values) + 1} values"
     written = f"{count} changed to those of {path}, proven by reading all of them back"
     nothing = f"all values are those of {path} already; nothing was written"
@@ -412,9 +407,9 @@ def restored_result(path: Path, backup: Backup, done: Restored, described: Objec
 
 
 def _notes(backup: Backup, done: Restored) -> list[str]:
-    ours, theirs, wishes = done.identity.serial_number, backup.identity.serial_number, done.wishes
+    ours, theirs = done.identity.serial_number, backup.identity.serial_number
     untouched = ", ".join(od.place_text(place) for place in done.untouched)
-    sent = wishes.preop and done.changes and not wishes.dry_run
+    sent = done.preop and done.changes and not done.dry_run
     notes = those(
         (ours != theirs, f"the backup is of serial number {theirs}, this module has {ours}"),
         (

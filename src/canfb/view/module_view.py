@@ -45,10 +45,6 @@ def place_of(entry: int) -> Multiplexer:
     return Multiplexer(entry >> 16, entry >> 8 & 0xFF)
 
 
-def _low_bits(value: int, bits: int) -> bytes:
-    return (value & (1 << bits) - 1).to_bytes((bits + 7) // 8, "little")
-
-
 class Pdo(NamedTuple):
     """Valid; ``number`` from 1, ``entries`` as in 1600h."""
 
@@ -65,7 +61,11 @@ class Pdo(NamedTuple):
         if len(data) < self.length_bytes:
             return {}
         whole = int.from_bytes(data, "little")
-        return {place_of(entry): _low_bits(whole >> bit, entry & 0xFF) for entry, bit in self.bits_of()}
+        widths = [(entry, whole >> bit, entry & 0xFF) for entry, bit in self.bits_of()]
+        return {
+            place_of(entry): (value & (1 << bits) - 1).to_bytes((bits + 7) // 8, "little")
+            for entry, value, bits in widths
+        }
 
     def bits_of(self) -> Iterator[tuple[int, int]]:
         begins = itertools.accumulate((entry & 0xFF for entry in self.entries), initial=0)

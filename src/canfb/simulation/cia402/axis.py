@@ -92,13 +92,11 @@ class PositionLoop:
     """From demand and position to the torque."""
 
     def __init__(self) -> None:
-        self._integral_nm = 0.0
-        self.limited = False
-        """Whether the torque or the speed was limited in the last step."""
+        self.reset()
 
     def reset(self) -> None:
         self._integral_nm = 0.0
-        self.limited = False
+        self.limited = False  # the torque, or the speed, in the last step
 
     def step(
         self,
