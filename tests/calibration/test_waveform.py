@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from measurements import random_encoder, refusal, true_phases
+from measurements import random_encoder, refusal
 
 from canfb.calibration.ellipse import fit_ellipse
 from canfb.calibration.joint import (
@@ -15,10 +15,9 @@ from canfb.calibration.joint import (
     grid_phases,
     raw_phase_curve,
     table_from_phases,
-    table_of,
     table_sensitivity,
 )
-from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.conditioning import Conditioning
 from canfb.simulation.encoder import Encoder
 
 ORDERS = (1, 2, 3, 5)
@@ -30,34 +29,6 @@ def _waveform(encoder: Encoder) -> Waveform:
     tracks = np.column_stack(encoder.tracks(position))
     solution = np.linalg.lstsq(basis(position, ORDERS), tracks, rcond=None)[0].astype(np.float64)
     return Waveform(ORDERS, solution.T)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_tracks_and_slope_are_the_encoders(seed):
-    rng = np.random.default_rng(seed)
-    encoder = random_encoder(rng, 0.0)
-    waveform, position = _waveform(encoder), rng.random(100)
-    step = 1e-5
-    for track, slope, ahead, behind in zip(
-        waveform.tracks(position),
-        waveform.slope().tracks(position),
-        encoder.tracks(position + step),
-        encoder.tracks(position - step),
-        strict=True,
-    ):
-        np.testing.assert_allclose(track, (ahead + behind) / 2.0, atol=1e-3)
-        np.testing.assert_allclose(slope, (ahead - behind) / (2.0 * step), rtol=1e-4, atol=0.1)
-
-
-@pytest.mark.parametrize("conditioning", [IDENTITY, Conditioning(20.0, -10.0, 1.1, 0.9, 0.1)])
-@pytest.mark.parametrize("seed", range(3))
-def test_table_is_the_inverse_of_the_raw_phase(seed, conditioning):
-    encoder = random_encoder(np.random.default_rng(seed), 0.0)
-    table = table_of(raw_phase_curve(_waveform(encoder), conditioning), 256)
-    assert table.entries[0] == 0.0
-    true = true_phases(encoder, 256, conditioning)
-    # REAL32 has steps of 6e-8 below 1.
-    np.testing.assert_allclose(table.entries, true - true[0], atol=1e-7)
 
 
 def test_sensitivity_is_the_change_of_the_table():

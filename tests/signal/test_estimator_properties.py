@@ -20,6 +20,7 @@ from canfb.signal.limits import Declared as EstimatorDeclared
 from canfb.signal.limits import kept_samples
 from canfb.signal.sample import Sample
 from canfb.signal.supervision import LOST, VALID
+from ideal_tracks import counts_at
 from tools.faults.machine import AMPLITUDE_COUNTS, positions, table_of
 from tools.faults.samples.episodes import Episode, chain_for, draw, play
 from tools.faults.samples.judge import judge
@@ -163,7 +164,7 @@ def test_a_change_of_the_samples_per_sync_in_a_doubt_never_gives_a_wrong_positio
             if k == 19 and later is not None:
                 chain.miss()
                 continue
-            newest, *earlier = (_counts(one) for one in reversed(here))
+            newest, *earlier = (counts_at(one, AMPLITUDE_COUNTS) for one in reversed(here))
             feedback = chain.step(Sample(*newest, earlier=tuple(earlier)))
             error = here[-1] - feedback.cycles - feedback.phase
             offset = round(error) if offset is None else offset
@@ -199,15 +200,10 @@ def test_a_change_of_the_period_in_a_doubt_never_gives_a_wrong_position(missed: 
                 chain.miss()
                 continue
             ticks = round(float(instants[k]) * 1e4)
-            feedback = chain.step(Sample(*_counts(position), time_100ns=ticks))
+            feedback = chain.step(Sample(*counts_at(position, AMPLITUDE_COUNTS), time_100ns=ticks))
             error = position - feedback.cycles - feedback.phase
             offset = round(error) if offset is None else offset
             assert not feedback.valid or abs(error - offset) < 0.5
-
-
-def _counts(position: float) -> tuple[int, int]:
-    angle = 2.0 * np.pi * (position % 1.0)
-    return round(AMPLITUDE_COUNTS * float(np.sin(angle))), round(AMPLITUDE_COUNTS * float(np.cos(angle)))
 
 
 GRID = 60  # steps of a cycle: 0.1 cycle per interval^2 are 6 of them
@@ -235,12 +231,12 @@ def test_every_motion_of_a_small_grid_over_missing_samples(missed: int, speed: i
         chain = make_chain(machine, table)
         chain.restart(0, speed / GRID)
         for position in motion[:12]:
-            assert chain.step(Sample(*_counts(position / GRID))).valid
+            assert chain.step(Sample(*counts_at(position / GRID, AMPLITUDE_COUNTS))).valid
         phases: list[int | None] = [None] * missed
         for _ in range(missed):
             chain.miss()
         for position in motion[12 + missed : 12 + missed + 3]:
-            feedback = chain.step(Sample(*_counts(position / GRID)))
+            feedback = chain.step(Sample(*counts_at(position / GRID, AMPLITUDE_COUNTS)))
             phases.append(position % GRID)
             narrow = ends_through(motion[10:12], phases, GRID, 2, bound)
             assert position in narrow

@@ -10,25 +10,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import canfb
 from canfb.calibration.ellipse import with_track_harmonics
 from canfb.objects import StatusBit
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import CorrectionTable
 from canfb.signal.front_end import NO_LOW_PASS, PLACES, SPEEDS, Corners, FrontEnd, corrected, harmonic_rows
 from canfb.signal.sample import Sample
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from folding import each
+from servo_kit import IDEAL_TABLE
 
 INTERVAL_S = 1e-3
 TICKS = 10_000  # of 100 ns in it
 DELAY_S = 1e-6
 FAST = 125.037  # cycles per interval: 3000 rpm with 2500 cycles per revolution, and not locked
-GRID = np.arange(4096) / 4096
-RAW = canfb.phase_in_cycle(np.sin(2 * np.pi * GRID), np.cos(2 * np.pi * GRID))
-TABLE = CorrectionTable(np.interp(np.arange(1024) / 1024, RAW, GRID))  # undoes Table 1
 ELLIPSE = Conditioning(20.0, -30.0, 1.02, 0.97, 0.06, DELAY_S)
 
 
@@ -48,7 +44,7 @@ def counts(
 
 def chain_of(used: Conditioning, **others: float) -> SignalChain:
     config = ChainConfig(conditioning=used, interval_s=INTERVAL_S, **others)  # type: ignore[arg-type]
-    return SignalChain(config, TABLE)
+    return SignalChain(config, IDEAL_TABLE)
 
 
 def ramp(acceleration: float, top: float, samples: int = 3000) -> tuple[np.ndarray, np.ndarray]:
@@ -87,7 +83,7 @@ def test_the_delay_is_removed_at_each_speed(top: float, delay_s: float) -> None:
 def test_the_interval_may_come_with_the_samples(kind: str) -> None:
     """Sample times, uneven by 3 us, say how long an interval is; without them the owner of the chain does."""
     rng = np.random.default_rng(1)
-    chain = SignalChain(ChainConfig(conditioning=ELLIPSE), TABLE)
+    chain = SignalChain(ChainConfig(conditioning=ELLIPSE), IDEAL_TABLE)
     if kind == "timed":
         chain.sync_interval_s = INTERVAL_S
     else:
@@ -145,7 +141,7 @@ def test_uneven_times_do_not_tell_speeds_by_phases_that_depend_on_them() -> None
     rng = np.random.default_rng(2)
     found = {}
     for name, used in (("with", ELLIPSE), ("without", replace(ELLIPSE, cosine_delay_s=0.0))):
-        chain = SignalChain(ChainConfig(conditioning=used, max_acceleration_cycles=0.01), TABLE)
+        chain = SignalChain(ChainConfig(conditioning=used, max_acceleration_cycles=0.01), IDEAL_TABLE)
         chain.sync_interval_s = INTERVAL_S
         searched = False
         for k in range(40):

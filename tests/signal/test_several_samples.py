@@ -17,6 +17,7 @@ from canfb.signal.sample import LEAST_APART, Feedback, Sample, in_order
 from canfb.signal.supervision import LOST, MISSED, REFERENCED
 from canfb.signal.witness.zero_pulse import Pulse, PulseVerdict
 from folding import each
+from ideal_tracks import counts_at
 from servo_kit import IDEAL_TABLE, RATE_HZ, cycles_of, s_curve
 
 AMPLITUDE = 1800.0
@@ -30,14 +31,9 @@ def chain(per_sync: int, acceleration: float | None = None) -> SignalChain:
     return made
 
 
-def counts(position: float) -> tuple[float, float]:
-    angle = 2.0 * math.pi * math.fmod(position, 1.0)
-    return float(round(AMPLITUDE * math.sin(angle))), float(round(AMPLITUDE * math.cos(angle)))
-
-
 def group(positions: list[float], **parts: float | int | None) -> Sample:
     """One sample of these positions, oldest first."""
-    *earlier, newest = (counts(one) for one in positions)
+    *earlier, newest = (counts_at(one, AMPLITUDE) for one in positions)
     return Sample(*newest, earlier=tuple(reversed(earlier)), **parts)  # type: ignore[arg-type]
 
 
@@ -54,11 +50,12 @@ spoilt = st.sampled_from([None, None, None, None, None, (0.0, 0.0), (2047.0, 0.0
 def test_groups_give_the_same_bits_as_samples_one_by_one(per_sync: int, data: st.DataObject) -> None:
     accelerations = data.draw(st.lists(steps, min_size=4 * per_sync, max_size=16 * per_sync))
     del accelerations[len(accelerations) // per_sync * per_sync :]
-    pairs, position, speed = [], 0.0, 0.0
+    position = speed = 0.0
+    pairs: list[tuple[float, float]] = []
     for acceleration in accelerations:
         speed += acceleration
         position += speed
-        pairs.append(data.draw(spoilt) or counts(position))
+        pairs.append(data.draw(spoilt) or counts_at(position, AMPLITUDE))
     flat, grouped = chain(1), chain(per_sync)
     flat.set_limits(replace(ChainConfig().chain_limits, coast_samples=3 * per_sync))
     for start in range(0, len(pairs), per_sync):
