@@ -11,7 +11,7 @@ import numpy as np
 from canfb.calibrate.calibration_summary import coverage_warning, findings
 from canfb.calibrate.measurement import Measurement
 from canfb.calibrate.procedure import Installation
-from canfb.calibration.motion_blocks import BINS, samples_in_bins
+from canfb.calibration.result import BINS, samples_in_bins
 from canfb.errors import CalibrationError
 from canfb.files import writing
 from canfb.master.machine_watch import Provenance, origins

@@ -13,11 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from canfb.calibration.motion_blocks import (
+from canfb.calibration.recording import Blocks, Recording, check_clipped
+from canfb.calibration.result import (
     BINS,
-    Blocks,
     BoolArray,
+    Calibration,
     IntArray,
+    Reason,
     about_mean,
     coverage,
     mean_in_bins,
@@ -27,8 +29,6 @@ from canfb.calibration.motion_blocks import (
     runs,
     samples_in_bins,
 )
-from canfb.calibration.recording import Recording, check_clipped
-from canfb.calibration.result import Calibration, Reason
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable, check_table

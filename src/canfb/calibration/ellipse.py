@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.motion_blocks import robust_rms
-from canfb.calibration.result import Reason
+from canfb.calibration.result import Reason, robust_rms
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import HARMONIC_ORDERS, LARGEST_HARMONIC, Conditioning
 from canfb.signal.phase import FloatArray

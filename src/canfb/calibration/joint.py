@@ -23,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.motion_blocks import Blocks, BoolArray, root_mean, solve_blocks
-from canfb.calibration.result import Reason
+from canfb.calibration.recording import Blocks, solve_blocks
+from canfb.calibration.result import BoolArray, Reason, root_mean
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import MAX_DEVIATION_CYCLES, CorrectionTable

@@ -35,21 +35,25 @@ from canfb.calibration.joint import (
     table_of,
     table_sensitivity,
 )
-from canfb.calibration.motion_blocks import (
-    Blocks,
+from canfb.calibration.recording import Blocks, Recording, prepared
+from canfb.calibration.result import (
+    PEAK_SIGMAS,
+    TRACK_POINTS,
     BoolArray,
+    Calibration,
     ErrorCurve,
     ErrorHarmonic,
     IntArray,
+    Method,
+    Reason,
     about_mean,
     coverage,
     error_curve,
+    judge,
     peak,
     root_mean,
     samples_in_bins,
 )
-from canfb.calibration.recording import Recording, prepared
-from canfb.calibration.result import PEAK_SIGMAS, TRACK_POINTS, Calibration, Method, Reason, judge
 from canfb.calibration.solver import MIN_BLOCKS, ORDER_STEPS, Progress, Solution, Solver, no_progress, reject
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning

@@ -1,4 +1,4 @@
-"""A recording of both tracks, checked; its positions; motion that is locked to its samples.
+"""A recording of both tracks, checked; blocks of it; its positions; motion that is locked to its samples.
 
 At p/q cycles per sample only q places of the cycle are sampled. The mean of cosine + i sine, amplitude A, at
 a place that moves by d cycles in a window is A |sin(pi d) / (pi d)|; locked is d < 0.36 / q in 256 samples.
@@ -12,15 +12,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb.calibration.ellipse import angle_cycles, as_real32, fit_ellipse
-from canfb.calibration.motion_blocks import CUBIC, SPARE, Blocks, BoolArray, IntArray, samples_in_bins
-from canfb.calibration.result import Reason
+from canfb.calibration.result import BoolArray, IntArray, Reason, samples_in_bins
 from canfb.errors import CalibrationError
 from canfb.objects import MISSED_COUNTS
 from canfb.signal.conditioning import IDENTITY, Conditioning
@@ -39,6 +38,81 @@ ADC_BITS = (12, 14, 16)
 UNEVEN = 1e-6
 SECONDS_PER_TICK = 1e-7  # sample times, 2000:05
 NO_TIME = -1
+CUBIC = 4
+SPARE = 2  # a block with fewer samples than coefficients and these says nothing about the tracks
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Samples in rows, one row a block.
+
+    index   sample numbers, shape (blocks, length), filled up where a block is shorter
+    used    False for filling and for samples left out
+    terms   Legendre polynomials of time -1..1 over the block, shape (blocks, length, coefficients)
+    tracks  counts, shape (2, blocks, length), sine first
+    """
+
+    index: IntArray
+    used: BoolArray
+    terms: FloatArray
+    tracks: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def take(self, rows: IntArray | BoolArray) -> Blocks:
+        return Blocks(self.index[rows], self.used[rows], self.terms[rows], self.tracks[:, rows])
+
+    def using(self, used: BoolArray) -> Blocks:
+        """The same blocks with other samples left out; blocks with too few samples give none."""
+        enough = used.sum(axis=1) >= self.coefficients + SPARE
+        return replace(self, used=used & enough[:, None])
+
+    @property
+    def coefficients(self) -> int:
+        return int(self.terms.shape[2])
+
+    @property
+    def samples(self) -> int:
+        return int(self.used.sum())
+
+    @property
+    def freedom(self) -> int:
+        return self.samples - self.coefficients * int(self.used.any(axis=1).sum())
+
+    @property
+    def correct(self) -> float:
+        return float(np.sqrt(self.samples / max(1, self.freedom)))
+
+    def informative(self, position: FloatArray) -> BoolArray:
+        """Blocks whose samples meet at least four eighths of the cycle.
+
+        ``position`` in cycles, (blocks, length). At standstill, or locked to the samples,
+        any table looks good.
+        """
+        eighth = (position % 1.0 * 8.0).astype(np.int64) % 8
+        met = np.zeros((len(self), 8), np.bool_)
+        rows = np.broadcast_to(np.arange(len(self))[:, None], eighth.shape)
+        met[rows[self.used], eighth[self.used]] = True
+        return np.asarray(met.sum(axis=1) >= 4, np.bool_)
+
+    def smooth(self, values: FloatArray) -> FloatArray:
+        weighted = np.where(self.used[..., None], self.terms, 0.0)
+        right = np.einsum("blt,bl->bt", weighted, np.where(self.used, values, 0.0))
+        return solve_blocks(np.matmul(weighted.transpose(0, 2, 1), weighted), right[..., None])[..., 0]
+
+    def evaluate(self, coefficients: FloatArray) -> FloatArray:
+        return np.asarray(np.matmul(self.terms, coefficients[..., None])[..., 0], np.float64)
+
+
+def solve_blocks(matrices: FloatArray, right: FloatArray) -> FloatArray:
+    """Solutions of many small positive systems; a block without samples gives zero."""
+    size = np.trace(matrices, axis1=1, axis2=2)
+    # The small ridge only matters where samples are too few or too close together.
+    ridge = np.where(size > 0.0, size * 1e-13, 1.0)
+    return np.asarray(
+        np.linalg.solve(matrices + ridge[:, None, None] * np.eye(matrices.shape[1]), right), np.float64
+    )
 
 
 @dataclass(frozen=True, eq=False)

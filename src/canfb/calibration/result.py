@@ -1,17 +1,26 @@
-"""What a reference measurement gives, and when it is refused. A bad one is never returned as good."""
+"""What a reference measurement gives, with its errors over the phase, and when it is refused.
+
+A bad one is never returned as good.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import NamedTuple
 
-from canfb.calibration.motion_blocks import ErrorCurve, ErrorHarmonic
+import numpy as np
+import numpy.typing as npt
+
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
-from canfb.signal.phase import FloatArray
+from canfb.signal.phase import FloatArray, wrap
+
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 class Reason(StrEnum):
@@ -68,6 +77,94 @@ class Method(StrEnum):
 
     MOTION = "motion"
     ZERO_CROSSINGS = "zero crossings"
+
+
+BINS = 64  # of the cycle
+MIN_PER_BIN = 2
+
+
+def bins_of(phase: FloatArray) -> npt.NDArray[np.int64]:
+    return (phase % 1.0 * BINS).astype(np.int64) % BINS
+
+
+def samples_in_bins(phase: FloatArray) -> npt.NDArray[np.int64]:
+    return np.bincount(bins_of(phase), minlength=BINS)
+
+
+def mean_in_bins(phase: FloatArray, values: FloatArray) -> FloatArray:
+    """Mean of the values at these phases in each bin, NaN in one without."""
+    count = samples_in_bins(phase)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(bins_of(phase), values, BINS) / np.where(count, count, np.nan)
+    return np.asarray(mean, np.float64)
+
+
+def coverage(phase: FloatArray) -> float:
+    """Part of the cycle that is sampled: bins of 1/64 with two of these phases (cycles) in or beside them."""
+    return covered(samples_in_bins(phase))
+
+
+def covered(counts: Sequence[int] | npt.NDArray[np.int64]) -> float:
+    here = np.asarray(counts)
+    return float(np.mean(np.roll(here, 1) + here + np.roll(here, -1) >= MIN_PER_BIN))
+
+
+def about_mean(
+    off: FloatArray, of: FloatArray | None = None, weights: FloatArray | None = None
+) -> FloatArray:
+    """Differences of phases (cycles) within half a cycle about their mean, or that of other ones, ``of``.
+
+    The mean is the angle of the mean of the unit vectors, weighted by ``weights`` if given.
+    """
+    vectors = np.exp(2j * np.pi * (off if of is None else of))
+    middle = np.angle(np.average(vectors, weights=weights)) / (2.0 * np.pi)
+    return wrap(off - middle)
+
+
+def root_mean(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+def robust_rms(values: FloatArray) -> float:
+    """Standard deviation, by the median."""
+    return 1.4826 * float(np.median(np.abs(values))) if len(values) else 0.0
+
+
+def runs(marked: BoolArray) -> IntArray:
+    """First and end of runs of True, shape (n, 2)."""
+    return np.flatnonzero(np.diff(marked, prepend=False, append=False)).reshape(-1, 2)
+
+
+def peak(values: FloatArray) -> float:
+    return float(np.abs(values).max()) if len(values) else 0.0
+
+
+class ErrorHarmonic(NamedTuple):
+    """One harmonic of the error: amplitude cos(2 pi order phase + angle), amplitude in cycles."""
+
+    order: int
+    amplitude_cycles: float
+    angle_rad: float
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorCurve:
+    """Mean deviation from smooth motion over the phase, in cycles, on data not used for the fit.
+
+    phase    middle of each bin, cycles
+    before   identity table, its mean removed
+    after    correction table
+    NaN in a bin without samples.
+    """
+
+    phase: FloatArray
+    before: FloatArray
+    after: FloatArray
+
+
+def error_curve(position: FloatArray, before: FloatArray, after: FloatArray) -> ErrorCurve:
+    middle = (np.arange(BINS) + 0.5) / BINS
+    return ErrorCurve(middle, mean_in_bins(position, before), mean_in_bins(position, after))
 
 
 TRACK_POINTS = 1024

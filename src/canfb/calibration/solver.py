@@ -25,9 +25,17 @@ from canfb.calibration.joint import (
     phase_at_raw,
     table_sensitivity,
 )
-from canfb.calibration.motion_blocks import CUBIC, Blocks, BoolArray, coverage, robust_rms
-from canfb.calibration.recording import MIN_SAMPLES, Recording
-from canfb.calibration.result import LOCKED_LOSS, MAX_OFF_CYCLES, Reason, check_distance, no_fit
+from canfb.calibration.recording import CUBIC, MIN_SAMPLES, Blocks, Recording
+from canfb.calibration.result import (
+    LOCKED_LOSS,
+    MAX_OFF_CYCLES,
+    BoolArray,
+    Reason,
+    check_distance,
+    coverage,
+    no_fit,
+    robust_rms,
+)
 from canfb.errors import CalibrationError
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.phase import FloatArray

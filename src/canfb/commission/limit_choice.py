@@ -14,10 +14,9 @@ import numpy as np
 
 from canfb import objects as od
 from canfb.calibrate.measurement import SupervisedSamples, supervise
-from canfb.calibration.motion_blocks import about_mean, robust_rms
 from canfb.calibration.path_fit import LowPass
 from canfb.calibration.recording import positions
-from canfb.calibration.result import MOST_CHANGE_CYCLES, changed
+from canfb.calibration.result import MOST_CHANGE_CYCLES, about_mean, changed, robust_rms
 from canfb.commission.machine_figures import (
     MachineFigures,
     MotionFigures,

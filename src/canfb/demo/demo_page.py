@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from canfb.calibration.motion_blocks import peak, root_mean
+from canfb.calibration.result import peak, root_mean
 from canfb.demo.story import (
     ACCELERATION_RAD_S2,
     CLOCK_DRIFT_PPM,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.motion_blocks import BINS, root_mean
+from canfb.calibration.result import BINS, root_mean
 from canfb.report.plot import Plot, Scale, nice_limit, size_around
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import CorrectionTable

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from canfb import objects as od
-from canfb.calibration.motion_blocks import peak, root_mean
+from canfb.calibration.result import peak, root_mean
 from canfb.errors import CanfbError
 from canfb.files import read_bytes, write_whole
 from canfb.marked_yaml import MarkedYaml

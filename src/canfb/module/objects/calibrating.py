@@ -16,10 +16,9 @@ from canfb import objects as od
 from canfb.calibration.deviation import Drift, drift
 from canfb.calibration.ellipse import without_harmonics
 from canfb.calibration.methods import calibrate_from_motion
-from canfb.calibration.motion_blocks import BINS, covered
 from canfb.calibration.over_speeds import counts_at, tracks_of_job
 from canfb.calibration.recording import NO_TIME
-from canfb.calibration.result import Calibration, Reason
+from canfb.calibration.result import BINS, Calibration, Reason, covered
 from canfb.calibration.solver import no_progress
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary, refuse_if
