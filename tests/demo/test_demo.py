@@ -185,13 +185,17 @@ WORSE = Encoder(
     harmonics=(Harmonic(3, 0.03, 0.03), Harmonic(4, 0.01, 0.0, 0.3)),
     noise_lsb=0.3,
 )
-BETTER = Encoder(amplitude_counts=1900.0, noise_lsb=0.3)
 TRUSTED_AGAIN = 9  # samples
 NOISY = Encoder(amplitude_counts=1500.0, noise_lsb=15.0)
 
 
-# Shorter than the demo, which `run` has as it is.
-TRACK_SAMPLES, REFERENCE_SAMPLES = 1500, 7000
+SHORT = 1500, 7000  # samples of track and reference; `make package` runs the demo as it is
+PROGRAM = f"""\
+from canfb.cli.main import main
+from canfb.demo import demo_page, story
+story.TRACK_SAMPLES, story.REFERENCE_SAMPLES = {SHORT}
+raise SystemExit(main())
+"""
 
 
 class Told(NamedTuple):
@@ -199,12 +203,14 @@ class Told(NamedTuple):
     story: Story
 
 
-def told(
-    network: DemoNetwork, track_samples: int = TRACK_SAMPLES, reference_samples: int = REFERENCE_SAMPLES
-) -> Told:
+def shorten(patch: pytest.MonkeyPatch, samples: tuple[int, int] = SHORT) -> None:
+    patch.setattr(story_module, "TRACK_SAMPLES", samples[0])
+    patch.setattr(story_module, "REFERENCE_SAMPLES", samples[1])
+
+
+def told(network: DemoNetwork, samples: tuple[int, int] = SHORT) -> Told:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(story_module, "TRACK_SAMPLES", track_samples)
-        patch.setattr(story_module, "REFERENCE_SAMPLES", reference_samples)
+        shorten(patch, samples)
         return Told(network, run_story(network))
 
 
@@ -219,7 +225,7 @@ def test_the_machine_turns_as_told(case: Told) -> None:
     assert 1940 < rpm < 2060, "2000 rpm, give or take 3 %"
     assert 83 <= story.cycles_per_sample < 84
     assert story.samples == pytest.approx(len(case.network.drive.consumed.status), abs=20)
-    assert len(story.error_before) == len(story.error_after) == TRACK_SAMPLES
+    assert len(story.error_before) == len(story.error_after) == SHORT[0]
 
 
 def test_the_error_with_the_table_is_the_noise_of_single_samples_and_not_less(case: Told) -> None:
@@ -278,7 +284,7 @@ def test_the_account_for_people_has_the_figures(case: Told) -> None:
 
 
 def test_with_an_encoder_too_noisy_the_story_does_not_hold_and_says_so() -> None:
-    story = told(DemoNetwork(NOISY, 4), 500, 3000).story
+    story = told(DemoNetwork(NOISY, 4), (500, 3000)).story
     assert not story.held
     failed = {name for name, held in story.checks.items() if not held}
     assert failed == {"error at least 50 times smaller", "error below 0.05 % of a cycle"}
@@ -287,7 +293,7 @@ def test_with_an_encoder_too_noisy_the_story_does_not_hold_and_says_so() -> None
 
 
 def test_with_a_module_that_calls_everything_valid_the_story_does_not_hold() -> None:
-    network = DemoNetwork(BETTER, 5)
+    network = DemoNetwork(Encoder(amplitude_counts=1900.0, noise_lsb=0.3), 5)
     receive = network.drive.receive
 
     def gullible(frame: Frame, now: float) -> list[Frame]:
@@ -296,7 +302,7 @@ def test_with_a_module_that_calls_everything_valid_the_story_does_not_hold() -> 
         return answer
 
     network.drive.receive = gullible  # type: ignore[method-assign]
-    story = told(network, 500, 3000).story
+    story = told(network, (500, 3000)).story
     assert not story.held
     assert story.faults.flagged_at_once == story.faults.flagged_samples == 0
     assert not story.checks["every fault flagged in the same sample"]
@@ -312,8 +318,6 @@ def test_an_untold_story_does_not_hold() -> None:
 
 
 PICTURES = ["tracks.svg", "error-over-phase.svg", "residual-over-time.svg", "servo-move.svg"]
-
-
 EPOCH = "1700000000"
 
 
@@ -326,10 +330,10 @@ class Run(NamedTuple):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """One run in a process of its own, as users do it, with pictures into a folder that is not there yet."""
+    """One run in a process of its own, with pictures into a folder that is not there yet."""
     folder = tmp_path_factory.mktemp("demo") / "new" / "pictures"
     dated = {**os.environ, "SOURCE_DATE_EPOCH": EPOCH}
-    done = python("-m", "canfb", "demo", "--json", "--out", str(folder), env=dated)
+    done = python("-c", PROGRAM, "demo", "--json", "--out", str(folder), env=dated)
     return Run(done.returncode, json.loads(done.stdout), done.stderr, folder)
 
 
@@ -350,6 +354,7 @@ def test_it_tells_the_same_each_time(
 ) -> None:
     """The figures, and the files byte for byte."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", EPOCH)
+    shorten(monkeypatch)
     said = command("demo --json --out", tmp_path)
     assert said.err == ""
     places = ("figures", "report")

@@ -40,7 +40,7 @@ def frames(draw: random.Random, load: float) -> list[tuple[float, float | None]]
     return sent
 
 
-@examples(25)
+@examples(15)
 @example(1_413_611_192_142, 0.1, False, True)
 @given(st.integers(0), st.sampled_from([0.01, 0.03, 0.1]), st.booleans(), st.booleans())
 def test_no_position_is_valid_and_wrong(seed: int, load: float, stamped: bool, lost: bool) -> None:

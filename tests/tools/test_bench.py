@@ -82,21 +82,20 @@ def test_check_reports_a_missed_goal_by_the_exit_status(
     assert f"< 1: {verdict}" in capsys.readouterr().out
 
 
-NODES = ["stock", "python-can", "canfb", "floor"]
-
-
 def test_each_node_answers_on_a_pair_of_sockets(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bus_others, "WARM_UP", 50)
     arguments = ["--cycles", "20", "--rounds", "1", "--rate", "100", "--loads", "full"]
-    assert bus.main([*arguments, "--nodes", ",".join(NODES)]) == 0
+    assert bus.main([*arguments, "--nodes", ",".join(bus.NODES)]) == 0
     out, err = capsys.readouterr()
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in out.splitlines()[2:-2]]
     of_sync = [[*row[:3], row[5] == "-"] for row in rows]
-    assert of_sync == [["full", kind, "no", kind == "stock"] for kind in NODES], "the stock node has no TPDO2"
+    assert of_sync == [["full", kind, "no", kind == "stock"] for kind in bus.NODES], (
+        "the stock node has no TPDO2"
+    )
     assert all(len(row[6].split(" / ")) == 4 for row in rows)
-    assert err.splitlines() == [f"round 1 of 1: full, {kind}, no" for kind in NODES]
+    assert err.splitlines() == [f"round 1 of 1: full, {kind}, no" for kind in bus.NODES]
 
 
 def test_each_percentile_is_a_value_that_so_many_do_not_exceed() -> None:

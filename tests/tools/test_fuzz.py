@@ -63,9 +63,8 @@ def test_memory_is_bounded(begin: str, segments: Sequence[int]) -> None:
         for _ in range(24_000 // len(frames)):
             for frame in frames:
                 run.device.receive(frame, run.now)
-        assert (
-            tracemalloc.get_traced_memory()[1] < 100_000
-        )  # 65536 for the data, the most that a download may have
+        peak = tracemalloc.get_traced_memory()[1]
+        assert peak < 100_000, "65536 for the data, the most that a download may have"
     finally:
         tracemalloc.stop()
     run.check_alive()
@@ -188,9 +187,6 @@ def test_an_input_is_shown_and_what_it_finds(
 
 # The target `files`.
 
-FILES_EACH = 25
-"""Some seconds for all; atheris plays thousands of each."""
-
 
 def changed(random: Random, data: bytes, other: bytes) -> bytes:
     """Bytes that are dropped, doubled or set, and a part of another input."""
@@ -209,7 +205,7 @@ def test_inputs_that_were_changed_find_nothing(number: int, tmp_path: Path) -> N
     random, kind = Random(28), bytes([number])
     seeds = READERS[number].begin()
     assert sum(files.play(kind + seed, tmp_path) for seed in seeds) > 0
-    for _ in range(FILES_EACH):
+    for _ in range(25):  # atheris plays thousands
         data = changed(random, *(random.choice(seeds) for _ in range(2)))
         files.play(kind + data, tmp_path)
 
