@@ -110,7 +110,7 @@ FOREIGN: dict[str, set[str]] = {
     "cli": {"can", "argcomplete", "rich"},
 }
 # Clocks, threads and sockets have two places, and the files beyond them that wait for a bus or a browser.
-WITH_A_CLOCK = {"logfile/log_files.py", "logs/log_replay.py", "monitoring/watching.py",
+WITH_A_CLOCK = {"logfile/bus_logs.py", "logs/log_replay.py", "monitoring/watching.py",
                 "monitoring/sdo_reading.py", "scope/page_server.py"}  # fmt: skip
 OUTSIDE_WORLD = {"time", "threading", "socket", "select", "selectors", "asyncio", "datetime", "signal",
                  "multiprocessing", "concurrent", "sched", "queue", "subprocess"}  # fmt: skip

@@ -12,7 +12,7 @@ import pytest
 
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.readiness import Readiness
-from canfb.logfile.log_files import BusLog
+from canfb.logfile.bus_logs import BusLog
 from commands import Command
 from fake_bus import FakeBus, FakeClock, message
 
@@ -71,7 +71,7 @@ def test_a_bus_that_fails_is_tried_again(tmp_path: Path) -> None:
 def test_senders_of_udp_multicast_are_one_channel(
     tmp_path: Path, of_udp: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("canfb.logfile.log_files.brings_own_frames_back", lambda bus: of_udp)
+    monkeypatch.setattr("canfb.logfile.bus_logs.brings_own_frames_back", lambda bus: of_udp)
     plan = [message(0x180 + n, channel=f"sender{n % 3}") for n in range(6)]
     recorded(tmp_path / "bus.log", plan)
     channels = {one.channel for one in can.LogReader(tmp_path / "bus.log")}

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.cia301.frame import Frame
-from canfb.logfile import log_reader
+from canfb.logfile import bus_logs
+from canfb.logfile.bus_logs import WINDOW_S, BusLogFile, in_order
 from canfb.logfile.log_files import LogCounters, LogError
-from canfb.logfile.log_reader import WINDOW_S, BusLogFile, in_order
 from drawing import examples
 from fake_bus import message
 
@@ -205,12 +205,12 @@ def test_an_object_without_a_length_ends_a_blf(tmp_path: Path) -> None:
 
 
 def test_a_line_that_does_not_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log_reader, "BLOCK_BYTES", 1000)
+    monkeypatch.setattr(bus_logs, "BLOCK_BYTES", 1000)
     path = tmp_path / "a.log.gz"
     path.write_bytes(gzip.compress(b"(1.0) can0 080#\n" + bytes(100_000) + b"\n(2.0) can0 081#\n"))
     log = BusLogFile(path)
     with gzip.open(path) as file:
-        assert max(len(block) for _, block in log_reader.blocks_of(file, log.counters)) <= 2002
+        assert max(len(block) for _, block in bus_logs.blocks_of(file, log.counters)) <= 2002
     assert [frame.can_id for frame in log] == [0x80, 0x81]
     assert log.counters.damaged_lines > 50
 

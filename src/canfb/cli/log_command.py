@@ -35,7 +35,7 @@ from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
 from canfb.files import check_writable
 from canfb.hosting.readiness import Readiness
-from canfb.logfile.log_files import BusLog
+from canfb.logfile.bus_logs import BusLog
 from canfb.logs.log_replay import (
     ReplayOptions,
     check_table,

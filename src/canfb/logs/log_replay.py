@@ -28,8 +28,8 @@ from canfb.device.storage.storage import MemoryStore
 from canfb.errors import CanfbError, ConfigError, reason
 from canfb.files import check_writable, replacing, writing
 from canfb.hosting.state_files import SavedParameters
+from canfb.logfile.bus_logs import BusLogFile
 from canfb.logfile.log_files import LogError, is_log
-from canfb.logfile.log_reader import BusLogFile
 from canfb.module.module_config import ModuleConfig
 from canfb.replay.findings import COLUMNS as SAMPLE_COLUMNS
 from canfb.replay.findings import KINDS, Block, DriftTracks, Overview

@@ -14,8 +14,8 @@ import can
 from canfb.bus.clocks import ReceiveTimes
 from canfb.bus.frame_bus import ERROR, Reception, flagged_id
 from canfb.cia301.frame import HIGHEST_ID, Frame
+from canfb.logfile.bus_logs import BusLogFile
 from canfb.logfile.log_files import LogError
-from canfb.logfile.log_reader import BusLogFile
 from canfb.monitoring.bus_model import BusModel
 from canfb.monitoring.layout import ModuleReading, Recognition, assumed_objects
 from canfb.monitoring.snapshot import BusSnapshot
