@@ -12,9 +12,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # what type checkers and readers see; at run time __getattr__ does it
-    from canfb.calibration.deviation import Drift, drift
     from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
-    from canfb.calibration.result import Calibration
+    from canfb.calibration.result import Calibration, Drift, drift
     from canfb.cia301.frame import Frame
     from canfb.configuration import Config, load_config
     from canfb.eds_files import eds_path
@@ -77,9 +76,8 @@ __all__ = [
 # The same names for __getattr__; a test compares both.
 _PLACES = {
     "hosting.state_files": ("StateFiles",),
-    "calibration.deviation": ("Drift", "drift"),
     "calibration.methods": ("calibrate_from_motion", "calibrate_from_zero_crossings"),
-    "calibration.result": ("Calibration",),
+    "calibration.result": ("Calibration", "Drift", "drift"),
     "cia301.frame": ("Frame",),
     "configuration": ("Config", "load_config"),
     "eds_files": ("eds_path",),

@@ -13,9 +13,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from measurements import extreme_encoder, measured, paper_motion, random_encoder, true_phases, wandering
 
-from canfb.calibration.deviation import drift
 from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
-from canfb.calibration.result import Calibration
+from canfb.calibration.result import Calibration, drift
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.simulation.encoder import Encoder

@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from module_bench import Bench
 
-from canfb.calibration.deviation import drift
-from canfb.calibration.result import Calibration, Reason
+from canfb.calibration.result import Calibration, Reason, drift
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.objects.calibrating import CalibrationJob, Outcome

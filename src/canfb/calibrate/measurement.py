@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.deviation import Deviation, best_deviation, best_of_phases, drift
+from canfb.calibration.deviation import Deviation, best_deviation, best_of_phases
 from canfb.calibration.ellipse import fit_ellipse, without_harmonics
 from canfb.calibration.methods import calibrate_from_motion, calibrate_from_zero_crossings
 from canfb.calibration.over_speeds import (
@@ -26,7 +26,7 @@ from canfb.calibration.over_speeds import (
     measured_at_standstill,
 )
 from canfb.calibration.path_fit import NO_PATH, PathFit
-from canfb.calibration.result import Calibration, Method, Reason, about_mean, naming_speed
+from canfb.calibration.result import Calibration, Method, Reason, about_mean, drift, naming_speed
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, Progress, as_real32
 from canfb.master.samples import TrackSamples

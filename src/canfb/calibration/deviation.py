@@ -1,4 +1,4 @@
-"""How far positions are from smooth motion, with a table not made of them; drift from the active table.
+"""How far positions are from smooth motion, with a table not made of them.
 
 A cubic is fitted to the corrected positions in each block of samples: noise is left, and what the table does
 not correct. Blocks that meet few phases are left out (:meth:`.Blocks.informative`); shorter ones are tried,
@@ -9,16 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from canfb.calibration.recording import Blocks, Recording, check_clipped
 from canfb.calibration.result import (
     BINS,
-    BoolArray,
-    Calibration,
-    IntArray,
     Reason,
     about_mean,
     coverage,
@@ -26,13 +22,11 @@ from canfb.calibration.result import (
     peak,
     robust_rms,
     root_mean,
-    runs,
     samples_in_bins,
 )
 from canfb.errors import CalibrationError
-from canfb.signal.conditioning import IDENTITY, Conditioning
-from canfb.signal.correction import Correction, CorrectionTable, check_table
-from canfb.signal.phase import FloatArray, raw_phases, wrap
+from canfb.signal.correction import Correction
+from canfb.signal.phase import FloatArray, raw_phases
 
 # A few samples may be faulty; they do not belong to what the table does.
 FAULTY_SIGMAS = 8.0
@@ -165,74 +159,3 @@ def _sound_blocks(blocks: Blocks, error: FloatArray) -> np.ndarray[tuple[int, ..
     bad = size > FAULTY_BLOCK * float(np.median(size))
     few = bad.sum() <= max(1.0, FAULTY_BLOCKS_PART * len(blocks))
     return np.asarray(~bad if few else np.ones_like(bad), np.bool_)
-
-
-class Drift(NamedTuple):
-    """Difference of two tables, in cycles, without its constant part; of the active one, its present error.
-
-    rms    over the cycle, weighted by distance
-    peak   the largest
-    Both include the uncertainty of the new measurement
-    (``uncertainty_rms`` and ``uncertainty_peak`` of :class:`canfb.Calibration`).
-    """
-
-    rms: float = 0.0
-    peak: float = 0.0
-
-
-def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Conditioning = IDENTITY) -> Drift:
-    """Drift of the encoder measured by ``fresh`` from ``table`` and ``conditioning``.
-
-    ``table`` and ``conditioning`` are the active ones; None is the identity. The constant part of
-    the difference is removed, because the origin of the phase is a convention; phases by
-    other conditionings are compared on the tracks. TypeError for arguments of another type.
-    """
-    check_table(table)
-    if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning):
-        raise TypeError(
-            "drift takes a Calibration, a CorrectionTable and a Conditioning, not "
-            f"{type(fresh).__name__}, {type(table).__name__} and {type(conditioning).__name__}"
-        )
-    active = CorrectionTable.identity() if table is None else table
-    if conditioning == fresh.conditioning:  # straight between the entries of both
-        was = raw = np.unique(
-            np.concatenate([np.arange(len(one) + 1) / len(one) for one in (active, fresh.table)])
-        )
-    else:
-        sine, cosine = np.append(fresh.tracks, fresh.tracks[:, :1], axis=1)
-        was, raw = (raw_phases(*one.apply(sine, cosine)) for one in (conditioning, fresh.conditioning))
-    now = fresh.table(raw)
-    moved = np.abs(wrap(np.diff(now)))
-    weights = (np.append(moved, 0.0) + np.append(0.0, moved)) / 2.0
-    off = active(was) - now
-    nowhere = np.isnan(off)  # the tracks as conditioned go through zero: no phase at all
-    off[nowhere] = 0.0
-    off = about_mean(off, weights=weights)
-    off -= np.average(off, weights=weights)
-    off[nowhere] = 0.5
-    first, last = off[:-1], off[1:]
-    square = np.average((first * first + first * last + last * last) / 3.0, weights=moved)
-    return Drift(float(np.sqrt(square)), float(np.abs(off).max()))
-
-
-SIGNIFICANT = 3.0
-THIRDS, FINE = 3, 9  # parts: thirds see a slow drift best, shorter ones what happens near either end
-MIN_RUN = 3
-
-
-def lasting(out: BoolArray) -> list[IntArray]:
-    """Runs of blocks or cycles that were left out: faults do not last, changed tracks do."""
-    return [np.arange(first, last) for first, last in runs(out) if last - first >= MIN_RUN]
-
-
-def largest_change(tables: FloatArray, noise: FloatArray) -> Drift:
-    """The largest significant one of tables (parts, phases), uncertain by ``noise`` (parts,); cycles."""
-    centred = tables - tables.mean(axis=1, keepdims=True)
-    found = Drift()
-    for first, second in zip(*np.triu_indices(len(centred), 1), strict=True):
-        off = centred[first] - centred[second]
-        square, expected = float(np.mean(off**2)), float(noise[first] ** 2 + noise[second] ** 2)
-        if square > SIGNIFICANT**2 * expected:
-            one = Drift(float(np.sqrt(square - expected)), float(np.abs(off).max()))
-            found = max(found, one)
-    return found

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.deviation import FINE, THIRDS, Drift, largest_change, lasting
 from canfb.calibration.ellipse import with_track_harmonics
 from canfb.calibration.joint import (
     JointFit,
@@ -37,10 +36,13 @@ from canfb.calibration.joint import (
 )
 from canfb.calibration.recording import Blocks, Recording, prepared
 from canfb.calibration.result import (
+    FINE,
     PEAK_SIGMAS,
+    THIRDS,
     TRACK_POINTS,
     BoolArray,
     Calibration,
+    Drift,
     ErrorCurve,
     ErrorHarmonic,
     IntArray,
@@ -50,6 +52,8 @@ from canfb.calibration.result import (
     coverage,
     error_curve,
     judge,
+    largest_change,
+    lasting,
     peak,
     root_mean,
     samples_in_bins,

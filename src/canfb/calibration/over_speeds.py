@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from canfb.calibration.deviation import SIGNIFICANT, Drift, drift
 from canfb.calibration.ellipse import angle_cycles, fit_ellipse, with_track_harmonics
 from canfb.calibration.joint import Waveform, grid_phases, raw_phase_curve, series_of, table_of
 from canfb.calibration.methods import calibrate_from_motion, mean_tracks_of
@@ -34,10 +33,13 @@ from canfb.calibration.path_fit import (
 from canfb.calibration.recording import NO_TIME, SECONDS_PER_TICK, Recording, recorded_tracks, recording
 from canfb.calibration.result import (
     MOST_CHANGE_CYCLES,
+    SIGNIFICANT,
     TRACK_POINTS,
     Calibration,
+    Drift,
     Reason,
     changed,
+    drift,
     naming_speed,
 )
 from canfb.calibration.solver import Progress, no_progress

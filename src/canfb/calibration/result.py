@@ -1,4 +1,5 @@
-"""What a reference measurement gives, with its errors over the phase, and when it is refused.
+"""What a reference measurement gives, with its errors over the phase, and when it is refused; drift from
+the active table.
 
 A bad one is never returned as good.
 """
@@ -15,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb.errors import CalibrationError
-from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import Correction, CorrectionTable
-from canfb.signal.phase import FloatArray, wrap
+from canfb.signal.conditioning import IDENTITY, Conditioning
+from canfb.signal.correction import Correction, CorrectionTable, check_table
+from canfb.signal.phase import FloatArray, raw_phases, wrap
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -320,4 +321,79 @@ def judge(found: Calibration, loss: float = 1.0) -> Calibration:
     except CalibrationError as error:
         refused = replace(found, reason=Reason(error.reason))
         raise CalibrationError(str(error), error.reason, refused) from None
+    return found
+
+
+class Drift(NamedTuple):
+    """Difference of two tables, in cycles, without its constant part; of the active one, its present error.
+
+    rms    over the cycle, weighted by distance
+    peak   the largest
+    Both include the uncertainty of the new measurement
+    (``uncertainty_rms`` and ``uncertainty_peak`` of :class:`canfb.Calibration`).
+    """
+
+    rms: float = 0.0
+    peak: float = 0.0
+
+
+def drift(fresh: Calibration, table: CorrectionTable | None, conditioning: Conditioning = IDENTITY) -> Drift:
+    """Drift of the encoder measured by ``fresh`` from ``table`` and ``conditioning``.
+
+    ``table`` and ``conditioning`` are the active ones; None is the identity. The constant part of
+    the difference is removed, because the origin of the phase is a convention; phases by
+    other conditionings are compared on the tracks. TypeError for arguments of another type.
+    """
+    check_table(table)
+    if not isinstance(fresh, Calibration) or not isinstance(conditioning, Conditioning):
+        raise TypeError(
+            "drift takes a Calibration, a CorrectionTable and a Conditioning, not "
+            f"{type(fresh).__name__}, {type(table).__name__} and {type(conditioning).__name__}"
+        )
+    active = CorrectionTable.identity() if table is None else table
+    if conditioning == fresh.conditioning:  # straight between the entries of both
+        was = raw = np.unique(
+            np.concatenate([np.arange(len(one) + 1) / len(one) for one in (active, fresh.table)])
+        )
+    else:
+        sine, cosine = np.append(fresh.tracks, fresh.tracks[:, :1], axis=1)
+        was, raw = (raw_phases(*one.apply(sine, cosine)) for one in (conditioning, fresh.conditioning))
+    now = fresh.table(raw)
+    moved = np.abs(wrap(np.diff(now)))
+    weights = (np.append(moved, 0.0) + np.append(0.0, moved)) / 2.0
+    off = active(was) - now
+    nowhere = np.isnan(off)  # the tracks as conditioned go through zero: no phase at all
+    off[nowhere] = 0.0
+    off = about_mean(off, weights=weights)
+    off -= np.average(off, weights=weights)
+    off[nowhere] = 0.5
+    first, last = off[:-1], off[1:]
+    square = np.average((first * first + first * last + last * last) / 3.0, weights=moved)
+    return Drift(float(np.sqrt(square)), float(np.abs(off).max()))
+
+
+SIGNIFICANT = 3.0
+
+
+THIRDS, FINE = 3, 9  # parts: thirds see a slow drift best, shorter ones what happens near either end
+
+
+MIN_RUN = 3
+
+
+def lasting(out: BoolArray) -> list[IntArray]:
+    """Runs of blocks or cycles that were left out: faults do not last, changed tracks do."""
+    return [np.arange(first, last) for first, last in runs(out) if last - first >= MIN_RUN]
+
+
+def largest_change(tables: FloatArray, noise: FloatArray) -> Drift:
+    """The largest significant one of tables (parts, phases), uncertain by ``noise`` (parts,); cycles."""
+    centred = tables - tables.mean(axis=1, keepdims=True)
+    found = Drift()
+    for first, second in zip(*np.triu_indices(len(centred), 1), strict=True):
+        off = centred[first] - centred[second]
+        square, expected = float(np.mean(off**2)), float(noise[first] ** 2 + noise[second] ** 2)
+        if square > SIGNIFICANT**2 * expected:
+            one = Drift(float(np.sqrt(square - expected)), float(np.abs(off).max()))
+            found = max(found, one)
     return found

@@ -30,7 +30,13 @@ from canfb.commission.machine_figures import (
 from canfb.master.access import CommissioningError, as_real32
 from canfb.master.machine_watch import PERCENT, SpeedReading, in_words
 from canfb.master.samples import TrackSamples
-from canfb.master.session import AMPLITUDES, CORNER, JITTER, SupervisionLimits
+from canfb.master.session import (
+    AMPLITUDES,
+    CORNER,
+    JITTER,
+    KINDS,
+    SupervisionLimits,
+)
 from canfb.objects import Multiplexer
 from canfb.signal.correction import Correction
 from canfb.signal.limits import (
@@ -433,3 +439,34 @@ def _grid(samples: TrackSamples, interval_s: float) -> tuple[float | None, float
             line = np.polynomial.Polynomial.fit(place[part], times[part], 1)
             off.append(float(np.abs(times[part] - line(place[part])).max()))
     return rms, max(off, default=None)
+
+
+# What a limit of 0 says.
+NOTHING = {
+    od.SUPERVISION_ACCELERATION: "not known",
+    od.SUPERVISION_FROZEN: "off",
+    JITTER.place: f"{1e3 * USUAL_JITTER_S:g} ms",
+}
+
+
+PARTS = {
+    od.SUPERVISION_RESIDUAL_LIMIT: (1.0, " cycle"),
+    od.SUPERVISION_PHASE_ERROR: (1.0, " cycle"),
+    od.SUPERVISION_COARSE_LIMIT: (360.0, "°"),
+}
+"""Limits in 1/65536: of what, and its unit."""
+
+
+def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revolution: int) -> str:
+    place = choice.place
+    if not value and place in NOTHING:
+        return f"0, {NOTHING[place]}"
+    if place == od.SUPERVISION_ACCELERATION:
+        cycles = value * cycles_per_revolution / (2.0 * math.pi) * interval_s**2
+        return f"{value:.3g} rad/s² ({cycles:.2g} cycle)"
+    if place == JITTER.place:
+        return f"{1e6 * value:.0f} µs"
+    if place in PARTS:
+        whole, unit = PARTS[place]
+        return f"{value:.0f} ({whole * value / LIMIT_UNITS:.3g}{unit})"
+    return f"{value:.0f} {KINDS[place].unit}"

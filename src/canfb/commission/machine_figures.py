@@ -13,9 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from canfb.calibrate.measurement import SupervisedSamples
-from canfb.calibration.deviation import THIRDS, largest_change
 from canfb.calibration.path_fit import AMPLITUDE_REPEATS, LowPass, fit_low_pass
-from canfb.calibration.result import BINS, bins_of, mean_in_bins, peak, robust_rms, root_mean, runs
+from canfb.calibration.result import (
+    BINS,
+    THIRDS,
+    bins_of,
+    largest_change,
+    mean_in_bins,
+    peak,
+    robust_rms,
+    root_mean,
+    runs,
+)
 from canfb.master.samples import TrackSamples
 from canfb.signal.front_end import Corners
 from canfb.signal.phase import FloatArray

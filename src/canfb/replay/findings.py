@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb import objects as od
-from canfb.calibration.deviation import drift
 from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.over_speeds import sampled_together
 from canfb.calibration.recording import recording
+from canfb.calibration.result import drift
 from canfb.errors import CalibrationError
 from canfb.module.feedback_module import FeedbackModule
 from canfb.objects import StatusBit

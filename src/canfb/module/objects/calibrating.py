@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from canfb import objects as od
-from canfb.calibration.deviation import Drift, drift
 from canfb.calibration.ellipse import without_harmonics
 from canfb.calibration.methods import calibrate_from_motion
 from canfb.calibration.over_speeds import counts_at, tracks_of_job
 from canfb.calibration.recording import NO_TIME
-from canfb.calibration.result import BINS, Calibration, Reason, covered
+from canfb.calibration.result import BINS, Calibration, Drift, Reason, covered, drift
 from canfb.calibration.solver import no_progress
 from canfb.cia301.codes import AbortCode, SdoAbort
 from canfb.device.od.dictionary import Dictionary, refuse_if
