@@ -139,7 +139,7 @@ def test_a_silent_error_is_a_goal_missed_where_what_is_declared_holds() -> None:
 
 
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["count", "--episodes", "20", "--kind", "missing 3", "stays *", "--setup", "0.01", "--jobs", "1"]
+    words = ["count", "--episodes", "20", "--class", "missing 3", "stays *", "--setup", "0.01", "--jobs", "1"]
     assert campaign.main(words) == 0
     assert "| missing 3 | 0 100 3.0 |" in capsys.readouterr().out.splitlines()
     assert campaign.main([*words, "--json"]) == 0
@@ -147,6 +147,6 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert (missing["kept"], missing["not valid"]) == (20, 60)
     assert campaign.main(["count", "--show", "one bad:0.05:24:7"]) == 0
     assert "BAD" in capsys.readouterr().out
-    for wrong in (["--episodes", "0"], ["--exceed", "0"], ["--kind", "none of these"], ["--adapt"]):
+    for wrong in (["--episodes", "0"], ["--exceed", "0"], ["--class", "none of these"], ["--adapt"]):
         with pytest.raises(SystemExit, match="2"):
             campaign.main(["count", *wrong])

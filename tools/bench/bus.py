@@ -4,8 +4,8 @@
                               [--cycles N] [--rounds N] [--rate HZ]
     python3 -m tools.vcan run -- .venv/bin/python -m tools.bench.bus --channel vcan0 --rate 100
 
-Each node is a process of its own: `canfb` is `canfb run`, `python-can` the same on python-can, `stock` a
-canopen.LocalNode that answers with atan2, `floor` answers and does nothing else: what machine and bus take.
+Each node is a process of its own: `canfb` is `canfb run`, `stock` a canopen.LocalNode that answers with
+atan2, `floor` answers and does nothing else: what machine and bus take.
 This program plays SYNC producer, encoder interface and a load: nothing (alone), correction tables by SDO
 block transfer (sdo), or frames of other nodes up to 1 Mbit/s (full). The bus is a pair of datagram sockets
 that carry struct can_frame, or with --channel a SocketCAN interface. Each SYNC is answered by TPDO2 (type 1;
@@ -34,6 +34,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 
+import numpy as np
+
 from canfb.configuration import RealtimeConfig
 from canfb.hosting.realtime import apply_realtime
 from tools.bench.bus_load import LOADS
@@ -42,7 +44,7 @@ from tools.bench.bus_others import Others
 from tools.site.markdown import table
 
 Combination = tuple[str, str, str]
-NODES = ("stock", "python-can", "canfb", "floor")
+NODES = ("stock", "canfb", "floor")
 PRIORITY = 90  # of this program, above that of the node
 PATIENCE_S = 20.0
 PARTS = (0.5, 0.99, 0.999, 1.0)
@@ -110,8 +112,7 @@ class Found:
 
 def percentiles(values: Sequence[float]) -> str:
     """p50, p99, p99.9 and the largest; nearest rank, so each is one of the values."""
-    ordered = sorted(values)
-    found = [ordered[math.ceil(part * len(ordered)) - 1] for part in PARTS] if ordered else []
+    found = np.quantile(values, PARTS, method="inverted_cdf") if values else ()
     return " / ".join(f"{value:.0f}" if value >= 10 else f"{value:.1f}" for value in found) or "-"
 
 

@@ -2,9 +2,9 @@
 
     python -m tools.bench.bus_node KIND (--fd N | --channel vcan0) [--realtime yes|busy]
 
-KIND: `stock` is a canopen.LocalNode that answers with atan2, on python-can; `canfb` is `canfb run`,
-`python-can` the same on python-can; `floor` answers SYNC and ADC PDO as the module does, with an angle and
-without anything else: what machine and bus take. It prints a line with READY when it is on the bus.
+KIND: `stock` is a canopen.LocalNode that answers with atan2, on python-can; `canfb` is `canfb run`; `floor`
+answers SYNC and ADC PDO as the module does, with an angle and without anything else: what machine and bus
+take. It prints a line with READY when it is on the bus.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ import can
 import canopen
 from can.interfaces.socketcan import SocketcanBus, socketcan
 
-from canfb.bus.frame_bus import FrameBus, PythonCanBus
 from canfb.bus.raw_can_bus import RawCanBus
 from canfb.bus.runner import LONGEST_WAIT_S, outside_collections
 from canfb.cli.main import main as canfb
@@ -44,7 +43,7 @@ from tools.bench.cycle import (
     stock_node,
 )
 
-KINDS = ("stock", "python-can", "canfb", "floor")
+KINDS = ("stock", "canfb", "floor")
 READY = "end with Ctrl-C"
 PRIORITY = 80
 REALTIME = ("no", "yes", "busy")
@@ -98,7 +97,7 @@ def serve_floor(bus: RawCanBus, realtime: RealtimeConfig) -> None:
                 bus.send(POSITION_PDO, units, False)
 
 
-def serve_module(bus: FrameBus, realtime: dict[str, Any]) -> int:
+def serve_module(bus: RawCanBus, realtime: dict[str, Any]) -> int:
     setattr(serving, "open_device_bus", lambda words: bus)  # noqa: B010
     module = {"node_id": NODE_ID, "encoder_interface": ENCODER_INTERFACE, "autostart": True}
     words = {"interface": "socketcan", "channel": "handed-down"}
@@ -124,8 +123,6 @@ def main() -> int:
         serve_stock(python_can_bus(options), RealtimeConfig(**realtime))
     elif options.kind == "floor":
         serve_floor(raw_bus(options), RealtimeConfig(**realtime))
-    elif options.kind == "python-can":
-        return serve_module(PythonCanBus(python_can_bus(options)), realtime)
     else:
         return serve_module(raw_bus(options), realtime)
     return 0

@@ -25,6 +25,7 @@ import pyperf
 
 import canfb
 from canfb.eds_files import eds_path
+from tools.faults.machine import exact_table
 from tools.site.markdown import table
 
 NODE_ID, ENCODER_INTERFACE = 32, 16
@@ -123,9 +124,7 @@ def stock_node(network: canopen.Network) -> None:
 
 def encoder_table(entries: int = TABLE_ENTRIES, error_cycles: float = 0.01) -> canfb.CorrectionTable:
     """Corrects what Table 1 of the paper leaves, and an encoder with this error."""
-    phase = np.arange(4096) / 4096
-    raw = canfb.phase_in_cycle(np.sin(2 * np.pi * phase), np.cos(2 * np.pi * phase))
-    ideal = np.interp(np.arange(entries) / entries, raw, phase)
+    ideal = exact_table(entries=entries).entries
     return canfb.CorrectionTable(ideal + error_cycles * np.sin(2 * np.pi * (ideal + 0.1)))
 
 

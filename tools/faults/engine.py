@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from typing import NamedTuple
 
+from tools.site import markdown
+
 EXAMPLES = 5
 
 
@@ -162,11 +164,9 @@ def parser(prog: str, doc: str | None, episodes: int, seed: int) -> argparse.Arg
     options = argparse.ArgumentParser(prog=f"python -m {prog}", description=(doc or "").partition("\n")[0])
     options.add_argument("--episodes", type=_positive, default=episodes, metavar="N", help="of each cell")
     options.add_argument("--seed", type=int, nargs="+", default=[seed], metavar="S")
-    options.add_argument(
-        "--class", "--kind", dest="faults", nargs="+", default=["*"], metavar="FAULT", help="with * and ?"
-    )
-    options.add_argument("--setup", nargs="+", default=["*"], metavar="NAME", help="with * and ?")
-    options.add_argument("--jobs", "--processes", dest="processes", type=_positive, default=2, metavar="N")
+    for option, into in (("--class", "faults"), ("--setup", "setup")):
+        options.add_argument(option, dest=into, nargs="+", default=["*"], metavar="NAME", help="with * and ?")
+    options.add_argument("--jobs", dest="processes", type=_positive, default=2, metavar="N")
     options.add_argument("--json", action="store_true", help="all sums as JSON in place of the table")
     return options
 
@@ -190,8 +190,7 @@ def run(campaign: Campaign, said: argparse.Namespace, table: Callable[[Results],
         print(json.dumps(cells, indent=1))
     else:
         head, *body = table(results)
-        for row in (head, ["---"] * len(head), *body):
-            print(f"| {' | '.join(row)} |")
+        print(*markdown.table(head, body), sep="\n")
         print(f"goals missed: {sum(not line.startswith(' ') for line in missed)}")
     for line in missed:
         print(line, file=sys.stderr)

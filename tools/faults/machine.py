@@ -187,20 +187,25 @@ def counts(
     return sine, cosine
 
 
-def exact_table(tracks: Callable[[Array], tuple[Array, Array]]) -> CorrectionTable:
+def ideal_tracks(phase: Array) -> tuple[Array, Array]:
+    angle = 2.0 * np.pi * phase
+    return np.sin(angle), np.cos(angle)
+
+
+def exact_table(
+    tracks: Callable[[Array], tuple[Array, Array]] = ideal_tracks, entries: int = TABLE_ENTRIES
+) -> CorrectionTable:
     """What a reference measurement without error gives for these tracks of a phase."""
     truth = np.arange(-8192, 65536 + 8192) / 65536.0
     raw = phase_in_cycle(*tracks(truth))
     raw = raw - np.rint(raw - truth)
-    return CorrectionTable(np.interp(np.arange(TABLE_ENTRIES) / TABLE_ENTRIES, raw, truth))
+    return CorrectionTable(np.interp(np.arange(entries) / entries, raw, truth))
 
 
 @cache
 def table_of(phase_error: float) -> CorrectionTable | None:
     """None where Table 1 alone keeps this error; else the table that corrects it."""
-    if phase_error >= UNCORRECTED:
-        return None
-    return exact_table(lambda truth: (np.sin(2.0 * np.pi * truth), np.cos(2.0 * np.pi * truth)))
+    return None if phase_error >= UNCORRECTED else exact_table()
 
 
 def phases(sine: Counts, cosine: Counts, table: CorrectionTable | None) -> Array:

@@ -102,8 +102,6 @@ class Play:
         self._client = Follower()
         places = (*TPDOS, EMERGENCY, SYNC, *SECOND_CHANNEL)
         self._cob_ids = [self.dictionary.find(*place) or _ABSENT for place in places]
-        self._known: list[int] = []  # what the services below were made of
-        self._may = Services.of(UNCONFIGURED, *[cob.NOT_VALID] * len(places))
 
     @property
     def state(self) -> NmtState:
@@ -184,10 +182,7 @@ class Play:
         return frame.can_id == ERROR_CONTROL + self.node_id and frame.data == b"\x00"
 
     def _services(self) -> Services:
-        values = [self.device.node.node_id, *[entry.value for entry in self._cob_ids]]
-        if values != self._known:
-            self._known, self._may = values, Services.of(*values)
-        return self._may
+        return Services.of(self.node_id, *[entry.value for entry in self._cob_ids])
 
     def _check_sent(self, sent: list[Frame], before: NmtState, may_before: Services) -> None:
         after, may_after = self.state, self._services()

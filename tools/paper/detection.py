@@ -10,6 +10,7 @@ import numpy as np
 from canfb import max_acceleration, track
 from canfb.simulation import faults
 from canfb.simulation.faults import Fault, Samples, Signal
+from tools.faults.machine import exact_table
 from tools.paper.claim import Claim, Effort, Verdict, grouped, percent, verdict
 from tools.paper.plant import (
     CYCLES_PER_REVOLUTION,
@@ -18,7 +19,6 @@ from tools.paper.plant import (
     Way,
     bare,
     cycles_per_sample,
-    exact_table,
     followed,
     sampled,
 )
@@ -148,7 +148,7 @@ def never_forgets(effort: Effort) -> Iterator[Claim]:
     at += len(ramp)
     sine, cosine = sampled(USUAL, way, rng)
     sine[at], cosine[at] = USUAL.sample(way.phase[at] + glitch, rng)
-    result = bare(sine, cosine, exact_table(USUAL))
+    result = bare(sine, cosine, exact_table(USUAL.tracks))
     error = way.error(result.cycles, result.phase)
     later = abs(float(error[at + 1001] - error[at + 1]))
     flagged = int(np.count_nonzero(~result.ok))
@@ -190,7 +190,7 @@ def cables(effort: Effort) -> Iterator[Claim]:
 def _detected(fault: Fault, cases: int, top_speed: float, rng: np.random.Generator) -> float:
     """Part of the faults that are flagged within 20 samples; they begin at a random phase."""
     found = 0
-    table = exact_table(USUAL)
+    table = exact_table(USUAL.tracks)
     for _ in range(cases):
         speed = rng.uniform(-top_speed, top_speed)
         ramp = np.full(300, speed / 300)

@@ -10,6 +10,7 @@ import numpy as np
 from canfb import CalibrationError, CorrectionTable, calibrate_from_zero_crossings, phase_in_cycle
 from canfb.signal.phase import wrap
 from canfb.simulation.encoder import Encoder
+from tools.faults.machine import exact_table
 from tools.paper.claim import Claim, Effort, Verdict, grouped, percent, verdict
 from tools.paper.plant import (
     CYCLES_PER_REVOLUTION,
@@ -17,9 +18,7 @@ from tools.paper.plant import (
     IDEAL,
     USUAL,
     FloatArray,
-    exact_table,
     phase_error,
-    positions_over_raw_phase,
 )
 
 GRID = 1 << 18
@@ -65,12 +64,12 @@ def phases(effort: Effort) -> Iterator[Claim]:
 
 
 def _arc_tangent(position: FloatArray) -> Claim:
-    arc_tangent = exact_table(IDEAL, PAPER_TABLE_ENTRIES)
+    arc_tangent = exact_table(IDEAL.tracks, PAPER_TABLE_ENTRIES)
     slight = Encoder(sine_offset=0.05, cosine_offset=0.05)
     ideal = peak_error(IDEAL, arc_tangent, position)
     offset = peak_error(slight, arc_tangent, position)
     extreme = peak_error(EXTREME, arc_tangent, position)
-    individual = peak_error(EXTREME, exact_table(EXTREME, PAPER_TABLE_ENTRIES), position)
+    individual = peak_error(EXTREME, exact_table(EXTREME.tracks, PAPER_TABLE_ENTRIES), position)
     size = len(arc_tangent.to_bytes())
     return Claim(
         "arc-tangent",
@@ -166,7 +165,7 @@ def calibrated_error(encoder: Encoder, way: FloatArray) -> float:
     except CalibrationError:
         return np.inf
     n = 4096
-    off = wrap(found.table(np.arange(n) / n) - positions_over_raw_phase(encoder, n))
+    off = wrap(found.table(np.arange(n) / n) - exact_table(encoder.tracks, n).entries)
     return float(np.abs(off - off.mean()).max())
 
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from canfb import CorrectionTable, TrackResult, phase_in_cycle, track
 from canfb.signal.phase import wrap
 from canfb.simulation.encoder import Encoder, Harmonic, demo_encoder
+from tools.faults.machine import exact_table
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -36,20 +37,6 @@ EXTREME = Encoder(
 def cycles_per_sample(rpm: float, rate_hz: float) -> float:
     """Speed in cycles per sampling interval."""
     return rpm / 60.0 * CYCLES_PER_REVOLUTION / rate_hz
-
-
-def positions_over_raw_phase(encoder: Encoder, n: int) -> FloatArray:
-    """Position in the cycle at raw phase k/n, from the equations of the encoder."""
-    position = np.arange(1 << 17) / (1 << 17)
-    raw = np.unwrap(phase_in_cycle(*encoder.tracks(position)), period=1.0)
-    raw -= np.rint(raw[0])
-    around = np.concatenate([raw - 1.0, raw, raw + 1.0])
-    cycles = np.concatenate([position - 1.0, position, position + 1.0])
-    return np.asarray(np.interp(np.arange(n) / n, around, cycles), np.float64)
-
-
-def exact_table(encoder: Encoder, entries: int = 1024) -> CorrectionTable:
-    return CorrectionTable(positions_over_raw_phase(encoder, entries))
 
 
 def phase_error(raw: FloatArray, position: FloatArray) -> FloatArray:
@@ -164,7 +151,7 @@ def followed(
     encoder: Encoder, way: Way, rng: np.random.Generator | None, limit: float = 1 / 3
 ) -> TrackResult:
     """The way through encoder, converter, individual table and tracker."""
-    return bare(*sampled(encoder, way, rng), exact_table(encoder), limit)
+    return bare(*sampled(encoder, way, rng), exact_table(encoder.tracks), limit)
 
 
 def bare(

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tools.faults.wire import clocks
-from tools.faults.wire.line import Plan
+from tools.faults.wire.line import TICK_S, Plan
 from tools.faults.wire.setups import Setup
 from tools.faults.wire.stalls import RATES_HZ, WHO, stalls
 
@@ -219,7 +219,7 @@ def one_bad_stamp(plan: Plan) -> None:
     if kind < 2:
         slot.stamp = 0 if kind else any_stamp(plan)
     elif kind == 2:
-        slot.stamp_add = int(plan.rng.integers(-3, 4)) * round(plan.options.interval_s / clocks.TICK_S)
+        slot.stamp_add = int(plan.rng.integers(-3, 4)) * round(plan.options.interval_s / TICK_S)
     else:
         slot.stamp_add = int(10.0 ** plan.rng.uniform(1.0, 7.0)) * int(plan.rng.choice((-1, 1)))
 

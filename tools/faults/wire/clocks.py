@@ -10,11 +10,10 @@ import math
 
 from tools.faults.machine import Motion
 from tools.faults.wire.draw import UNKNOWN_LIMIT
-from tools.faults.wire.line import Plan, Slot
+from tools.faults.wire.line import TICK_S, Plan, Slot
 from tools.faults.wire.physics import stamp_tolerance, step_note
 
 REST, STEADY = 14, 40  # slots at rest, and at speed before the fault
-TICK_S = 1e-7
 PHASE_ERROR = 0.0125  # cycles, of an uncorrected encoder
 RESTARTED_T = 3.0  # a reset, its configuration and the start, T
 

@@ -140,9 +140,7 @@ def draw_servo(setup: Setup, rng: np.random.Generator, after: int) -> Plan:
     fault = int(end) - int(rng.integers(10, 200))
     plan = Plan(setup, options, motion, rng, [Slot() for _ in range(fault + after)], max(fault, SERVO_REST))
     plan.accelerating = True
-    plan.drift = float(rng.uniform(-1e-4, 1e-4))
-    plan.gaussian = bool(rng.integers(2))
-    plan.jitter_us = float(rng.uniform(0.0, 100.0))
+    _draw_wire(plan, TOP_CYCLES, options.limit)
     return plan
 
 
