@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from unittest.mock import Mock
 
 import numpy as np
@@ -17,7 +16,6 @@ from canfb.objects import LossCause
 from canfb.signal.estimator import Estimator
 from canfb.signal.limits import Declared
 from canfb.signal.speed_hypotheses import SpeedHypotheses, SpeedSet
-from canfb.signal.starts import SpeedVerdict, Starts
 from canfb.signal.supervision import COASTING, LOST, VALID
 
 TAU = 5e-5  # 50 ns of 1 ms
@@ -184,6 +182,33 @@ def test_bad_samples_in_a_start_leave_no_wrong_position(
     assert resolved > 30 or spoil is with_one_bad
 
 
+def first_speed(
+    machine: Declared,
+    elapsed: np.ndarray,
+    given: np.ndarray,
+    unit: float = 1.0,
+    changed: int = 0,
+    later: Declared | None = None,
+) -> tuple[int, float]:
+    """The sample at which a lost position has its speed, per interval of the begin; 0 and NaN: none.
+
+    From sample ``changed`` on intervals are ``unit`` times as long, and ``later`` is declared.
+    """
+    estimator, factor = follower(machine), 1.0
+    estimator.good(0.3, 1.0)
+    estimator.lose(LossCause.COASTED)
+    estimator.on_speed = known = Mock()
+    for n, (one, position) in enumerate(zip(elapsed, given, strict=True)):
+        if n == changed and later is not None:
+            factor = unit
+            estimator.rescale(unit)
+            estimator.declare(later)
+        assert estimator.good(position % 1.0, one * factor)[1] & LOST
+        if known.called:
+            return n, estimator.tracker.step_cycles * factor
+    return 0, float("nan")
+
+
 @pytest.mark.parametrize("acceleration", [0.01, 0.1])
 @pytest.mark.parametrize("spoilt", [False, True])
 def test_a_lost_position_gets_its_speed_and_no_count(acceleration: float, spoilt: bool) -> None:
@@ -192,18 +217,28 @@ def test_a_lost_position_gets_its_speed_and_no_count(acceleration: float, spoilt
         speed = float(generator.choice([1.0, -2.0, generator.uniform(-125.0, 125.0)]))
         elapsed, shown = motion(machine, speed, jitter_at(1.0, machine), 80, generator)
         given = with_bad_row(shown, machine, generator, first=0)[0] if spoilt else shown
-        estimator = follower(machine)
-        estimator.good(0.3, 1.0)
-        estimator.lose(LossCause.COASTED)
-        estimator.on_speed = known = Mock()
-        for n, (one, position) in enumerate(zip(elapsed, given, strict=True)):
-            assert estimator.good(position % 1.0, one)[1] & LOST
-            if known.called:
-                true_speed = (shown[n] - shown[n - 1]) / one
-                assert abs(estimator.tracker.step_cycles - true_speed) < 0.2, "not by whole cycles"
-                found += 1
-                break
+        n, known = first_speed(machine, elapsed, given)
+        if n:
+            assert abs(known - (shown[n] - shown[n - 1]) / elapsed[n]) < 0.2, "not by whole cycles"
+            found += 1
     assert found > 40
+
+
+@pytest.mark.parametrize("changed", [2, 3, 7])
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_search_means_the_same_in_another_unit(factor: float, changed: int) -> None:
+    machine, later = declared(0.05), replace(declared(0.05 / factor**2), instant_error=TAU * factor)
+    generator, resolved = np.random.default_rng(24), 0
+    for _ in range(15):
+        speed = float(generator.uniform(-60.0, 60.0))
+        elapsed, shown = motion(machine, speed, jitter_at(1.0, machine), 60, generator)
+        n, known = first_speed(machine, elapsed, shown)
+        assert first_speed(machine, elapsed, shown, factor, changed, later) == (
+            n,
+            pytest.approx(known, nan_ok=True),
+        )
+        resolved += n > changed
+    assert resolved > 3
 
 
 @pytest.mark.parametrize("jitter", [0.1, 0.03])
@@ -269,54 +304,3 @@ def test_the_first_interval_may_be_the_unit_of_the_limits() -> None:
                     search.limit(limit, TAU)
             kept.append(search.holds(int(np.floor(shown[-1]))))
         assert all(kept) is (limit is not None)
-
-
-def verdicts(
-    machine: Declared,
-    elapsed: np.ndarray,
-    shown: np.ndarray,
-    factor: float = 1.0,
-    changed: int | None = None,
-    later: Declared | None = None,
-) -> tuple[list[SpeedVerdict], float]:
-    """Of the samples of a search while lost, and the speed found, per interval of the begin; NaN: none.
-
-    At sample ``changed`` all intervals are ``factor`` times as long, and ``later`` is declared.
-    """
-    starts, given, unit = Starts(), machine, 1.0
-    found: list[SpeedVerdict] = []
-    for number, (interval, phase) in enumerate(zip(elapsed, shown % 1.0, strict=True)):
-        if number == changed:
-            unit, given = factor, later or machine
-            starts.rescale(factor)
-        time = float(interval) * unit
-        if starts.begin(given, True, time, True, [], 0.0):
-            found.append(starts.take(float(phase), time, True, None))
-    before, last, apart = starts.last_two
-    speed = (last[0] - before[0] + last[1] - before[1]) / apart * unit
-    return found, speed if SpeedVerdict.FOUND in found else float("nan")
-
-
-@cache
-def searches_in_one_unit() -> list[tuple[np.ndarray, np.ndarray, list[SpeedVerdict], float]]:
-    """Elapsed times and positions, and what a search says of them."""
-    machine = declared(0.05)
-    generator = np.random.default_rng(24)
-    motions = [
-        motion(machine, float(generator.uniform(-60.0, 60.0)), jitter_at(1.0, machine), 60, generator)
-        for _ in range(30)
-    ]
-    return [(elapsed, shown, *verdicts(machine, elapsed, shown)) for elapsed, shown in motions]
-
-
-@pytest.mark.parametrize("changed", [2, 3, 7])
-@pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_a_search_means_the_same_in_another_unit(factor: float, changed: int) -> None:
-    later = replace(declared(0.05 / factor**2), instant_error=TAU * factor)
-    resolved = 0
-    for elapsed, shown, known, speed in searches_in_one_unit():
-        other, same = verdicts(declared(0.05), elapsed, shown, factor, changed, later)
-        assert known == other
-        assert same == pytest.approx(speed, nan_ok=True)
-        resolved += speed == speed
-    assert resolved > 3
