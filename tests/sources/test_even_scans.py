@@ -9,8 +9,7 @@ from collections.abc import Iterable, Sequence
 import pytest
 
 from canfb.signal.sample import Sample
-from canfb.sources.even_scans import EvenScans, NewestScan
-from canfb.sources.protocol import SourceError
+from canfb.sources.protocol import EvenScans, NewestScan, SourceError
 
 TICKS_PER_S = 10_000_000
 SYNC_S = 1e-3

@@ -9,8 +9,7 @@ from canfb.errors import reason
 from canfb.hosting.realtime import RealtimeThread
 from canfb.hosting.state_files import Closing
 from canfb.signal.sample import Sample
-from canfb.sources.even_scans import EvenScans, NewestScan
-from canfb.sources.protocol import Capture, SourceError
+from canfb.sources.protocol import Capture, EvenScans, NewestScan, SourceError
 
 REOPEN_S = 1.0
 CLOSE_S = 5.0

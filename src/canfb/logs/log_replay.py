@@ -239,10 +239,9 @@ def replay_log(
             replay.feed(batch)
         progress(log.part_read)
     _check_frames(log)
-    for replay in replays:
-        replay.close()
     results = []
     for replay, track, module in zip(replays, tracks, settings.modules, strict=True):
+        replay.close()
         active = replay.module.chain.correction
         drift = track.drift(active, module.adc_bits) if settings.drift else None
         results.append(ReplayResult(replay, drift, log.counters.left_out_of(replay.own_can_ids)))

@@ -13,10 +13,9 @@ from canfb.calibration.recording import WINDOW, Lock, away_from, find_lock
 from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, NodeAccess, Progress
-from canfb.master.samples import Listener, TrackSamples
+from canfb.master.samples import Listener
 from canfb.objects import PositionState, StatusBit, fault_words, position_state
 from canfb.rows import Row
-from canfb.signal.phase import FloatArray
 
 FIRST_S = 1.0
 STANDSTILL_S = 3.0  # somebody may be about to let the machine turn
@@ -39,7 +38,9 @@ class LockWatch:
         if listening.elapsed_s < self._next_s or listening.intervals < WINDOW:
             return False
         samples = listening.result()
-        lock = find_lock(*_latest(samples, self._next_s - FIRST_S))
+        from_s, most = self._next_s - FIRST_S, max(0, len(samples) - WINDOW)
+        first = min(int(from_s * (samples.rate_hz or 0.0)), most)
+        lock = find_lock(samples.sine[first:], samples.cosine[first:])
         if lock is None:
             self._next_s = math.inf
             return False
@@ -77,11 +78,6 @@ class LockWatch:
             f"repeat. Let it turn {faster}{known}",
             Reason.LOCKED,
         )
-
-
-def _latest(samples: TrackSamples, from_s: float) -> tuple[FloatArray, FloatArray]:
-    first = min(int(from_s * (samples.rate_hz or 0.0)), max(0, len(samples) - WINDOW))
-    return samples.sine[first:], samples.cosine[first:]
 
 
 MISSED, LOST = "missed samples", "position lost"

@@ -16,8 +16,14 @@ from typing import Any
 from canfb.checks import flag, integer_in, number, text, within
 from canfb.errors import BusError, CanfbError, ConfigError, reason
 from canfb.signal.sample import MOST_PER_SYNC, Sample
-from canfb.sources.even_scans import LEAST_SCANS_PER_SYNC, MOST_SCANS_PER_SYNC, EvenScans
-from canfb.sources.protocol import Source, SourceConfig, Surroundings
+from canfb.sources.protocol import (
+    LEAST_SCANS_PER_SYNC,
+    MOST_SCANS_PER_SYNC,
+    EvenScans,
+    Source,
+    SourceConfig,
+    Surroundings,
+)
 
 TIMESTAMP = "timestamp"
 FIRE = "trigger_now"  # attribute of a sysfs trigger
