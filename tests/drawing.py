@@ -8,7 +8,7 @@ from hypothesis import settings
 
 
 def examples(count: int, **more: Any) -> settings:
-    """``count`` where hypothesis draws 100 by default; in CI and in ``make check`` as many fewer as there."""
+    """``count`` where hypothesis draws 100 by itself: a half, in CI and ``make check`` fewer."""
     usual = settings.default
     assert usual is not None
     return settings(max_examples=max(5, count * usual.max_examples // 100), **more)
