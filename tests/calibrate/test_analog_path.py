@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ from canfb.errors import CalibrationError, ConfigError
 from canfb.master.access import CommissioningError
 from canfb.master.all_or_nothing import put_in_force, read_active, read_conditioning
 from canfb.master.machine_watch import Provenance
-from canfb.master.samples import TrackSamples
 from canfb.master.session import read_corners
 from canfb.sdo.tables import as_yaml, read_table_file
 from canfb.signal.conditioning import Conditioning
@@ -147,26 +145,6 @@ def test_an_older_module_has_no_delays(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 # The arithmetic.
-
-
-@each("hertz", [2541.0, 62_543.0, 125_041.0, -125_041.0])
-def test_samples_as_if_taken_at_once(hertz: float) -> None:
-    rng = np.random.default_rng(1)
-    rate, n = 1000.0, 4000
-    time = np.arange(n) / rate
-    turned = hertz * time + 0.3 * np.sin(2.0 * time)
-    speed = hertz + 0.6 * np.cos(2.0 * time)
-    pure = replace(ENCODER, harmonics=())
-    sine, cosine = pure.sample(turned, rng, speed)
-    samples = TrackSamples.of(sine, cosine, rate, "a simulated machine")
-    samples.sine[7] = samples.cosine[7] = np.nan
-    together = samples.together(DELAY_S, hertz + 3.0)
-    _, wanted = replace(pure, path=AnalogPath()).sample(turned)
-    off = together.cosine - wanted
-    assert np.isnan(off[7])
-    assert np.nanstd(off) < 2.0, "half a count of noise in each track"
-    assert np.array_equal(together.sine, samples.sine, equal_nan=True)
-    assert samples.together(0.0, hertz) is samples
 
 
 def test_a_clipped_cosine_stays_clipped() -> None:

@@ -1,24 +1,27 @@
 """Windows and junctions hold every legal sample, and no more: against a linear program.
 
-The linear program (tools/faults/samples/legal.py) shares nothing with the estimator.
+The linear program (tools/faults/samples/legal.py) shares nothing with the estimator. It agrees with another
+oracle, the enumeration of all motions over small grids, with the bounds of docs/supervision.md, and with the
+generator of the campaigns.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
+from itertools import pairwise, product
+from math import comb
 
 import numpy as np
 import pytest
 
 from canfb.signal.bounded_motion import BoundedMotion, Spot, Window
 from tools.faults.machine import positions
-from tools.faults.samples.legal import least_bound
+from tools.faults.samples.episodes import draw
+from tools.faults.samples.kinds import KINDS, Declared, State
+from tools.faults.samples.legal import LegalMotions, is_legal, least_bound, window
 
 TRIALS = 30
-START_ERROR = 0.05
 BOUND = 0.1
-
-
 MOTION = BoundedMotion(BOUND, 0.0125)
 
 
@@ -32,14 +35,14 @@ def instants_of(rng: np.random.Generator, k: int, uneven: bool, missed: int) -> 
     return np.concatenate(([0.0], np.cumsum([*before, hole, *after])))
 
 
-def true_samples(rng: np.random.Generator, at: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, float]:
+def true_samples(rng: np.random.Generator, at: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """A motion within the bound at these instants, with errors up to ``errors``; whole speeds, too."""
     extreme = rng.uniform() < 0.5
     u = rng.choice((-1.0, 1.0), (1, 20)) if extreme else rng.uniform(-1.0, 1.0, (1, 20))
     speed = np.array([rng.uniform(-30.0, 30.0)])
     truth = positions(BOUND * u, speed, rng, at[None, :] + 3.0)[0]
     part = rng.choice((-1.0, 1.0), len(at)) if extreme else rng.uniform(-1.0, 1.0, len(at))
-    return truth + part * errors, float(speed[0])
+    return np.asarray(truth + part * errors)
 
 
 def spots_of(at: np.ndarray, samples: np.ndarray, errors: np.ndarray, phase_error: float) -> tuple[Spot, ...]:
@@ -50,7 +53,7 @@ def spots_of(at: np.ndarray, samples: np.ndarray, errors: np.ndarray, phase_erro
     )
 
 
-@pytest.mark.parametrize("start_error", [0.0, START_ERROR])
+@pytest.mark.parametrize("start_error", [0.0, 0.05])
 @pytest.mark.parametrize("uneven", [False, True])
 @pytest.mark.parametrize("missed", [0, 1, 2, 5])
 @pytest.mark.parametrize("k", [1, 2, 3])
@@ -63,7 +66,7 @@ def test_a_junction_has_every_legal_sample_and_ends_at_the_bound(
         at = instants_of(rng, k, uneven, missed)
         errors = np.full(len(at), MOTION.phase_error)
         errors[0] += start_error
-        samples, _ = true_samples(rng, at, errors)
+        samples = true_samples(rng, at, errors)
         spots = spots_of(at, samples, errors, MOTION.phase_error)
         window = MOTION.beyond(spots[:2], spots[2:-1], float(at[-1]))
         low, high = window.base + window.low, window.base + window.high
@@ -83,7 +86,7 @@ def test_a_window_has_every_legal_sample(uneven: bool) -> None:
         apart = rng.uniform(0.1, 1.5, 7) if uneven else np.ones(7)
         at = np.concatenate(([0.0], np.cumsum(apart)))
         errors = np.full(len(at), MOTION.phase_error)
-        samples, _ = true_samples(rng, at, errors)
+        samples = true_samples(rng, at, errors)
         spots = spots_of(at, samples, errors, MOTION.phase_error)
         window = MOTION.window(spots[:-1], float(at[-1]))
         low, high = window.base + window.low, window.base + window.high
@@ -121,3 +124,119 @@ def test_meet_is_where_both_are() -> None:
     widths = [w.width for w in (both, one, Window(0, 0.5, 0.25))]
     assert all(later >= 0.0 for later in widths)
     assert [a < b for a, b in pairwise(widths)] == [True, False]
+
+
+# A motion of order r on a grid of q steps per cycle: whole numbers at successive instants whose r-th
+# differences are at most B q. Every one is listed: what holds for all holds for each machine that moves so.
+
+Motion = tuple[int, ...]
+
+
+def next_of(motion: Sequence[int], order: int, bound: int) -> Iterator[int]:
+    """Every next position, grid steps: ``bound`` around the one with no difference of this order."""
+    centre = -sum((-1) ** n * comb(order, n) * motion[-n] for n in range(1, order + 1))
+    return iter(range(centre - bound, centre + bound + 1))
+
+
+def ends_through(
+    known: Sequence[int], phases: Sequence[int | None], steps_per_cycle: int, order: int, bound: int
+) -> set[int]:
+    """Where the motions through ``known`` and these phases (None: any) are at the last instant.
+
+    Motions with the same last positions have the same future: one of them stands for all.
+    """
+    lasts: set[Motion] = {tuple(known[-order:])}
+    for phase in phases:
+        lasts = {
+            (*last[1:], position)
+            for last in lasts
+            for position in next_of(last, order, bound)
+            if phase is None or position % steps_per_cycle == phase
+        }
+    return {last[-1] for last in lasts}
+
+
+def all_motions(known: Sequence[int], samples: int, order: int, bound: int) -> Iterator[Motion]:
+    """All that a machine can do in so many intervals that follow, with differences -B, 0 and B."""
+    for differences in product((-bound, 0, bound), repeat=samples):
+        motion = list(known)
+        for one in differences:
+            centre = -sum((-1) ** n * comb(order, n) * motion[-n] for n in range(1, order + 1))
+            motion.append(centre + one)
+        yield tuple(motion)
+
+
+Q = 24  # grid steps per cycle
+
+
+@pytest.mark.parametrize("missed", [1, 2, 3, 4, 5])
+def test_a_whole_cycle_over_a_gap_takes_the_bound_of_the_proof(missed: int) -> None:
+    """docs/supervision.md: one cycle more and the same speed; A + a = 1 / floor((n + 2)^2 / 4)."""
+    at = np.array([0.0, 1.0, missed + 2.0, missed + 3.0])
+    least = least_bound(at, np.array([0.0, 0.0, 1.0, 1.0]), 0.0, 2)
+    assert least == pytest.approx(1.0 / ((missed + 2) ** 2 // 4))
+    if missed == 2:  # the divided differences of the received samples alone are too loose
+        assert least > 1.0 / 12.0 + 0.1
+
+
+@pytest.mark.parametrize(
+    ("order", "missed", "bound"), [(2, 1, 4), (2, 2, 3), (2, 3, 2), (3, 1, 2), (3, 2, 1)]
+)
+def test_every_motion_on_the_grid_is_legal_and_the_others_are_not(
+    order: int, missed: int, bound: int
+) -> None:
+    """Enumeration against the linear program: the end counts of all motions over a gap are feasible ones.
+
+    And a motion of the program is one of the grid where the bound has a grid step to spare.
+    """
+    known = [0] * order
+    for phase in (0, 7, 12):
+        phases = [None] * missed + [phase]
+        found = ends_through(known, phases, Q, order, bound)
+        at = np.array([*range(order), order + missed], float)
+        for count in range(-3, 4):
+            end = count + phase / Q
+            samples = np.array([*np.zeros(order), end])
+            least = least_bound(at, samples, 0.0, order) * Q
+            if count * Q + phase in found:
+                assert least <= bound + 1e-6, (phase, count)
+            else:
+                assert least > bound - 1, (phase, count)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_the_window_holds_every_next_position(order: int) -> None:
+    bound = 3
+    for motion in all_motions([0] * order, 4, order, bound):
+        weights, reach = window([0.0, 1.0, 2.0][:order], float(order), 0.0, bound)
+        centre = float(np.dot(weights, motion[:order]))
+        assert abs(motion[order] - centre) <= reach + 1e-9
+
+
+MACHINES = (
+    Declared(0.01),
+    Declared(0.1),
+    Declared(0.2),
+    Declared(0.05, samples_per_sync=3),
+    Declared(0.05, 0.002),
+)
+
+
+@pytest.mark.parametrize("kind", [one for one in KINDS.values() if one.bad == 0], ids=lambda one: one.name)
+@pytest.mark.parametrize("machine", MACHINES, ids=str)
+def test_the_true_motion_is_a_legal_one(kind, machine: Declared) -> None:
+    """Of the whole episode: the generator keeps what is declared, and the judge never drops the truth."""
+    if machine.samples_per_sync > 1 and (kind.jitter or kind.stall):
+        pytest.skip("uneven instants are those of one sample for each SYNC")
+    for episode in draw(kind, machine, 2, np.random.default_rng(24)):
+        received = ~np.isin(episode.state, (State.MISSING, State.FLAGGED))
+        right = episode.phase + np.rint(episode.truth - episode.phase)
+        assert np.abs(right - episode.truth)[received].max() < machine.phase_error
+        part = slice(max(0, episode.fault - 6), episode.fault + 14)
+        at, samples = episode.instants[part][received[part]], right[part][received[part]]
+        assert is_legal(at, samples, machine.phase_error, 2, machine.acceleration)
+        motions = LegalMotions(machine.phase_error, 2, machine.acceleration)
+        motions.begin(at[:4].tolist(), samples[:4].tolist())
+        for instant, sample in zip(at[4:].tolist(), samples[4:].tolist(), strict=True):
+            motions.add(instant, sample % 1.0)
+            assert any(abs(path[-1] - sample) < 0.01 for path in motions.paths)

@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from test_motion_oracles import ends_through
+from test_bounded_motion import ends_through
 
 import canfb
 from canfb.signal.chain import SignalChain
