@@ -341,12 +341,3 @@ def test_nothing_is_learned_while_the_interval_is_not_known() -> None:
     chain.use_interval(INTERVAL_S)
     taken(chain, drifted(motion(5000)[-1] + 3.1371 * np.arange(1, 5001), 0.05))
     assert chain.adaptation.drift != NO_DRIFT
-
-
-@each(
-    "words",
-    [{"offset": -0.1}, {"gain": 0.6}, {"phase_rad": math.nan}, {"rate_per_hour": 10.1}, {"offset": "a"}],
-)
-def test_bounds_that_are_none_are_refused(words: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=next(iter(words))):
-        AdaptConfig(**words)

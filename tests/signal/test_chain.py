@@ -10,6 +10,7 @@ import pytest
 from witness_kit import AMPLITUDE, Machine, at, flags, moving
 
 from canfb.objects import LossCause, StatusBit
+from canfb.signal.adaptation import AdaptConfig
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.conditioning import Conditioning
@@ -17,6 +18,7 @@ from canfb.signal.correction import Correction
 from canfb.signal.sample import Sample
 from canfb.signal.second_position import SecondSensor
 from canfb.signal.speeds import STILL_SAMPLES
+from canfb.signal.tracker import Tracker
 
 
 def test_a_gap_that_the_caller_counted_is_stepped_over_and_flagged() -> None:
@@ -52,6 +54,12 @@ def test_the_amplitude_is_checked_after_conditioning() -> None:
         (Conditioning, "phase_error_rad", 1.1),
         *((Conditioning, name, value) for name in ("cosine_delay_s", "delay_s")
           for value in (0.011, -0.011, math.nan, math.inf, "1e-6")),
+        (AdaptConfig, "offset", -0.1), (AdaptConfig, "offset", "a"), (AdaptConfig, "gain", 0.6),
+        (AdaptConfig, "phase_rad", math.nan), (AdaptConfig, "rate_per_hour", 10.1),
+        *((SecondSensor, "increments", value) for value in (0, 2**32, 1.0)),
+        *((SecondSensor, "tolerance_revolutions", value) for value in (-0.1, 0.26, math.nan)),
+        (SecondSensor, "revolutions", 0), (SecondSensor, "reversed", 1), (SecondSensor, "invalidates", "no"),
+        *((Tracker, "residual_limit", value) for value in (0.0, -1.0, 0.51, math.nan)),
     ],
 )  # fmt: skip
 def test_a_bad_parameter_raises_at_once_and_is_named(kind: type, field: str, value: Any) -> None:

@@ -54,16 +54,6 @@ def test_one_count_and_no_other_is_within_the_limit(difference: Fraction, limit:
         assert only_count(d, within) == (fitting[0] if len(fitting) == 1 else None)
 
 
-@each("field, value", [
-    ("increments", 0), ("increments", 2**32), ("increments", 1.0), ("revolutions", 0),
-    ("tolerance_revolutions", -0.1), ("tolerance_revolutions", 0.26), ("tolerance_revolutions", math.nan),
-    ("reversed", 1), ("invalidates", "no"),
-])  # fmt: skip
-def test_a_sensor_that_cannot_be(field: str, value: object) -> None:
-    with pytest.raises(ValueError, match=field):
-        SecondSensor(**{field: value})  # type: ignore[arg-type]
-
-
 DISAGREES, VALID, LOST = StatusBit.SECOND_POSITION, StatusBit.VALID, StatusBit.LOST
 N = 2500
 INCREMENTS = 1 << 20

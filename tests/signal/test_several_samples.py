@@ -122,23 +122,6 @@ def test_a_missed_interval_at_constant_speed_keeps_the_count(per_sync: int, spee
     )
 
 
-@each("early_s", [-8e-5, -1e-5, 0.0, 3e-5, 9e-5])
-def test_with_sample_times_the_newest_may_be_early_or_late(early_s: float) -> None:
-    """The earlier pair is half a nominal interval before it, wherever that is."""
-    speed_per_s, made = 12500.0, chain(2)
-    made.sync_interval_s = 1e-3
-    made.restart(0, speed_per_s * 0.5e-3)
-    for sync in range(60):
-        newest_s = sync * 1e-3 + (early_s if sync % 3 == 1 else 0.0)
-        positions = [speed_per_s * (newest_s + 1.0 - 0.5e-3), speed_per_s * (newest_s + 1.0)]
-        newest = made.step(group(positions, time_100ns=round((newest_s + 1.0) * 1e7)))
-        assert newest.valid
-        assert max(one.residual for one in (*made.between, newest)) < 0.02
-    first_s = 1.0 - 0.5e-3
-    whole = speed_per_s * (newest_s + 1.0) - math.floor(speed_per_s * first_s)
-    assert newest.cycles + newest.phase == pytest.approx(whole, abs=0.05)
-
-
 def turning(sync: int, per_sync: int, speed: float, *, pulse_from: float = 0.0) -> Sample:
     """At a constant speed in cycles per SYNC, with coarse track and zero pulse."""
     end = sync * speed
@@ -182,18 +165,3 @@ def test_a_zero_pulse_under_acceleration_is_where_it_was() -> None:
         made.step(group(positions, zero_pulse=0.375 if sync == 20 else None))
     expected = acceleration / 2.0 * 19.375**2
     assert seen == [pytest.approx(expected, abs=0.01)]
-
-
-def test_the_number_of_samples_may_change_while_it_turns() -> None:
-    made, speed, position = chain(1), 3.3, 0.0
-    made.restart(0, speed)
-    config = ChainConfig()
-    for per_sync in (1, 4, 2, 3, 1):
-        made.set_limits(replace(config.chain_limits, samples_per_sync=per_sync))
-        for _ in range(8):
-            positions = [position + speed * (k + 1) / per_sync for k in range(per_sync)]
-            position = positions[-1]
-            newest = made.step(group(positions))
-    start = 3.3  # the first sample was there
-    assert newest.valid
-    assert newest.cycles + newest.phase == pytest.approx(position - math.floor(start), abs=0.01)

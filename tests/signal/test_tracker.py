@@ -68,12 +68,6 @@ def test_a_phase_out_of_range_raises_at_once(phase: float) -> None:
         track([0.5, phase])
 
 
-@pytest.mark.parametrize("limit", [0.0, -1.0, 0.51, math.nan])
-def test_a_residual_limit_out_of_range_raises_at_once(limit: float) -> None:
-    with pytest.raises(ValueError, match="residual_limit"):
-        Tracker(limit)
-
-
 def test_eq_10_and_two_thirds_of_it() -> None:
     assert max_acceleration(2500, 25_000) == pytest.approx(785_398, abs=1)
     assert max_acceleration(2500, 25_000, 1 / 3) == pytest.approx(785_398 * 2 / 3, abs=1)
