@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +11,6 @@ from hypothesis import strategies as st
 from witness_kit import Machine, above, at, below, flags, has, moving
 
 from canfb.objects import StatusBit
-from canfb.signal.chain import SignalChain
-from canfb.signal.chain_config import ChainConfig
 from canfb.signal.sample import Feedback
 from canfb.signal.witness.witness import CoarseTrack, Pair
 from folding import each
@@ -148,36 +145,20 @@ def test_a_slope_between_two_whole_numbers_is_no_answer(slope: float, found: int
     assert (got and got[1]) == found
 
 
-class Coarse:
-    """A chain with a coarse track, at standstill, that has confirmed the position."""
-
-    def __init__(self, **config: Any) -> None:
-        self.chain = SignalChain(
-            ChainConfig(cycles_per_revolution=N, coarse_limit_revolutions=0.125, **config)
-        )
-        for _ in range(30):
-            got = self.step(0.0)
-        assert flags(got) == StatusBit.VALID
-
-    def step(self, revolutions: float, amplitude: float = 1500.0, **rest: object) -> Feedback:
-        """The fine track at rest, the coarse one turned away."""
-        angle = 2 * math.pi * (0.3 + revolutions)
-        sine, cosine = amplitude * math.sin(angle), amplitude * math.cos(angle)
-        return self.chain.step(at(0.25, coarse_sine=sine, coarse_cosine=cosine, **rest))
-
-
-@pytest.mark.parametrize("amplitude", [1500.0, 0.0], ids=["turned away", "dead"])
-def test_three_disagreements_in_a_row_lose_the_position(amplitude: float) -> None:
-    machine = Coarse()
+@pytest.mark.parametrize("away", [(1427.0, -463.0), (0.0, 0.0)], ids=["turned away", "dead"])
+def test_three_disagreements_in_a_row_lose_the_position(away: tuple[float, float]) -> None:
+    machine = Machine(position=0.25, coarse=0.0, cycles_per_revolution=N, coarse_limit_revolutions=0.125)
+    wrong = at(0.25, coarse_sine=away[0], coarse_cosine=away[1])
+    assert flags(machine.run(30)[-1]) == StatusBit.VALID
     for _ in range(3):  # two, and an agreement: begins anew each time
-        got = [machine.step(0.3, amplitude), machine.step(0.3, amplitude), machine.step(0.0)]
+        got = [machine.spoil(wrong), machine.spoil(wrong), machine.step()]
         assert has(got, StatusBit.COARSE) == [True, True, False]
         assert has(got, StatusBit.VALID) == [False, False, True]
-    got = [machine.step(0.3, amplitude) for _ in range(3)]
+    got = [machine.spoil(wrong) for _ in range(3)]
     assert has(got, StatusBit.COARSE) == [True] * 3
     assert has(got, StatusBit.LOST) == [False, False, True]
     assert flags(got[2]) == StatusBit.COARSE | StatusBit.LOST
-    assert not has([machine.step(0.0)], StatusBit.VALID)[0]
+    assert not machine.step().valid
 
 
 def errors(machine: Machine, samples: int) -> list[tuple[Feedback, float]]:

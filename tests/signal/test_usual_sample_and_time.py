@@ -290,9 +290,7 @@ class Interface:
         sample = Sample(*counts_at(position(at), 1800.0), time_100ns=time_100ns)
         jitter_s = 20e-6 * abs(math.sin(1.3 * self.n))
         synced_s = self.n * PERIOD_S + jitter_s if taken_s is None else taken_s
-        usual, chain = self.chain.times.in_turn(time_100ns, None, synced_s), self.chain
-        known = sample.sine, sample.cosine, usual, True
-        return chain.stages.take(*known) if usual else chain.step(sample, None, synced_s)
+        return at_once(self.chain, sample, None, synced_s)
 
     def error_cycles(self, feedback: Feedback) -> float:
         return abs(feedback.cycles + feedback.phase - position(self.n))
