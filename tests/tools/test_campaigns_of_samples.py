@@ -128,7 +128,7 @@ def test_two_runs_are_the_same_and_the_number_of_processes_changes_nothing() -> 
 
 
 def test_a_silent_error_is_a_goal_missed_where_what_is_declared_holds() -> None:
-    one = campaign.campaign(Player("count"), ["missing 1", "random"], ["0.01"])
+    one = campaign.campaign(Player("count"), ["missing 1", "two glitches"], ["0.01"])
     results = {cell: Sums() for cell in one.cells()}
     verdict = Verdict(False, {3: Cause.GUESSED}, True, 0, False)
     for cell, sums in results.items():
@@ -139,7 +139,7 @@ def test_a_silent_error_is_a_goal_missed_where_what_is_declared_holds() -> None:
 
 
 def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["count", "--episodes", "20", "--class", "missing 3", "stays *", "--setup", "0.01", "--jobs", "1"]
+    words = ["count", "--episodes", "20", "--class", "missing 3", "two *", "--setup", "0.01", "--jobs", "1"]
     assert campaign.main(words) == 0
     assert "| missing 3 | 0 100 3.0 |" in capsys.readouterr().out.splitlines()
     assert campaign.main([*words, "--json"]) == 0

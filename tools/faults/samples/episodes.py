@@ -121,15 +121,9 @@ def _spread(state: npt.NDArray[np.int8], per_sync: int) -> npt.NDArray[np.int8]:
 
 def _faulty(state: npt.NDArray[np.int8], sine: Counts, cosine: Counts, rng: Rng) -> tuple[Counts, Counts]:
     """The counts with the faults in them; flagged samples have any counts."""
-    swapped, frozen = state == State.SWAPPED, state == State.FROZEN
-    sine, cosine = np.where(swapped, cosine, sine), np.where(swapped, sine, cosine)
     replaced = (state == State.BAD) | (state == State.FLAGGED)
     for_all = counts(rng.uniform(size=state.shape), rng)
-    sine, cosine = np.where(replaced, for_all[0], sine), np.where(replaced, for_all[1], cosine)
-    for n in np.flatnonzero(frozen.any(axis=1)):
-        first = int(np.argmax(frozen[n]))
-        sine[n, first:], cosine[n, first:] = sine[n, first - 1], cosine[n, first - 1]
-    return sine, cosine
+    return np.where(replaced, for_all[0], sine), np.where(replaced, for_all[1], cosine)
 
 
 def chain_for(episode: Episode, declared: Setup | None = None) -> SignalChain:

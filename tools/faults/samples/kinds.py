@@ -82,8 +82,6 @@ class State(IntEnum):
     MISSING = 1
     FLAGGED = 2
     BAD = 3
-    SWAPPED = 4
-    FROZEN = 5
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,6 @@ class Kind:
     draw        the states of the samples of one episode, from the one where the fault begins: (rng, samples)
     bad         the most neighbouring samples that are bad without a sign of it; None: more than one row of
                 them in one doubt, or more than can be declared
-    lasting     the fault stays to the end: only positions that are valid and wrong count
     jitter      of all instants, intervals, uniform
     stall       a pause of so many intervals before the first sample of the fault: shortest and longest
     """
@@ -101,7 +98,6 @@ class Kind:
     name: str
     draw: Callable[[Rng, int], States]
     bad: int | None = 0
-    lasting: bool = False
     jitter: float = 0.0
     stall: tuple[float, float] | None = None
 
@@ -147,10 +143,6 @@ def _near(rng: Rng, samples: int) -> States:
     return _row(samples, parts[0], (State.GOOD, int(rng.integers(0, 6))), parts[1])
 
 
-def _lasting(name: str, state: State) -> Kind:
-    return Kind(name, lambda _, samples: np.full(samples, state, np.int8), bad=None, lasting=True)
-
-
 KINDS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
@@ -165,9 +157,6 @@ KINDS: dict[str, Kind] = {
         Kind("two glitches", _two_glitches, bad=None),
         Kind("glitch near a gap", _near, bad=None),
         Kind("jitter and a glitch", _of(State.BAD, 1, 2, 3), bad=3, jitter=0.03),
-        _lasting("stays swapped", State.SWAPPED),
-        _lasting("frozen", State.FROZEN),
-        _lasting("random", State.BAD),
         Kind("jitter", _of(State.GOOD, 1), jitter=0.03),
         Kind("jitter and a gap", _of(State.MISSING, 1, 2, 3), jitter=0.03),
         Kind("stall", _of(State.GOOD, 1), stall=(1.5, 10.0)),
