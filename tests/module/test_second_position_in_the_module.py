@@ -146,6 +146,7 @@ def test_it_may_end_the_validity() -> None:
 @each("what", ["a SYNC too many", "a sample missed"])
 def test_no_value_is_paired_with_the_sample_of_another_sync(what: str) -> None:
     axis = Axis()
+    axis.stamped = True
     for k in range(200):
         axis.cycle(min(0.2 * k, 30.0))
     for _ in range(10):
@@ -154,7 +155,11 @@ def test_no_value_is_paired_with_the_sample_of_another_sync(what: str) -> None:
             axis.sync()
             axis.sent(Frame(VALUE_ID, struct.pack("<HBi", 0, 0, math.floor(axis.place / N * INCREMENTS))))
         else:
+            axis.bus.run_until(axis.bus.now + 1e-4)
             axis.sent(SYNC)
+            axis.interval_s = 9e-4
+            axis.cycle(30.0)
+            axis.interval_s = 1e-3
         assert not any(status & DISAGREES for status in axis.run(12, 30.0))
     assert axis.sdo[0x2012][15].raw == 0
     axis.slip = 100.0

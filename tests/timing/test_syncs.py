@@ -101,25 +101,14 @@ def test_syncs_that_stay_late_are_missing_and_nobody_knows_where(lost: int) -> N
     assert (doubt.lost, doubt.doubt) == (lost, pytest.approx(lost, abs=0.2))
 
 
-@given(early=st.floats(0.451, 0.499), jitter=st.lists(st.floats(0.05, 0.25), min_size=60, max_size=60))
-def test_one_that_is_no_extra_one_is_not_taken_for_it_for_good(early: float, jitter: list[float]) -> None:
-    """It jittered by more than is declared: the SYNCs behind it are where they were, and lose a machine."""
-    producer = Producer(stamped=False)
-    assert producer.sync(60.0 - early).extra
-    doubt = 0.0
-    for n, later in enumerate(jitter, 61):
-        doubt += producer.sync(n - early + later).doubt
-        assert doubt or producer.syncs.late_s
-    assert doubt >= 1.0
-
-
 @BOTH
 @COUNTERS
 def test_a_second_one_at_a_place_brings_no_sample(stamped: bool, overflow: int) -> None:
     producer = Producer(stamped, overflow)
     producer.sync(60)
     again = producer.sync(60.3, 60)
-    assert (again.extra, again.repeated) == (True, bool(overflow))
+    doubt = float(not stamped and not overflow)  # it may be the next one, on a line that is late
+    assert (again.extra, again.repeated, again.doubt) == (True, bool(overflow), doubt)
     assert producer.sync(61) == ON_TIME
 
 

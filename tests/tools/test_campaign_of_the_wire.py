@@ -24,7 +24,9 @@ from tools.faults.wire.stalls import RATES_HZ, WHO
 SPEED = 7.0  # cycles/T
 FOUND = (
     "PDO lost, late host:plain:23303000002",
+    "PDO lost, late host:plain:77000046",
     "healthy, late host:plain:23501000000",
+    "healthy, late host:plain:77000012",
     "SYNC, second producer:plain:34001000000",
     "SYNC, second producer:plain:54001000007",
     "SYNC, second producer:plain/rx:54001000007",

@@ -236,8 +236,8 @@ class Syncs:
     def _extra(self, time_s: float) -> Judged:
         self._received_s, self.extra_came = time_s, True
         self.extra_after = abs(time_s - self.synced_s) / self.grid.period
-        # Its answer came before it.
-        return EXTRA._replace(doubt=float(self._assumed or (self.stamped and not self.grid.locked))), 0, 0.0
+        # Its answer came before it; or it is the next one, and the line is late.
+        return EXTRA._replace(doubt=float(self._assumed or not (self.stamped and self.grid.locked))), 0, 0.0
 
     def _set_again(self, places: int, off_s: float, missing: int | None) -> Judged:
         grid, before_s = self.grid, self.grid.period
