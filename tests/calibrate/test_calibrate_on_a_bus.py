@@ -302,15 +302,11 @@ def refused(bench: Bench) -> tuple[CalibrationError, float]:
     return error.value, bench.bus.now - began
 
 
-def ramped(rpm: float) -> Motion:
-    return Motion((Ramp(0.2, 0.0), Ramp(0.5, rpm)))
-
-
 @pytest.mark.parametrize(
     ("cycles", "words"), [(25.0, "a whole number"), (12.5, "n + 1/2"), (-12.5, "n + 1/2")]
 )
 def test_a_lock_is_refused_after_a_second_with_a_speed_that_does(cycles: float, words: str) -> None:
-    bench = Bench(motion=ramped(cycles * RPM_OF_A_CYCLE))
+    bench = Bench(motion=Motion((Ramp(0.2, 0.0), Ramp(0.5, cycles * RPM_OF_A_CYCLE))))
     bench.bus.run_until(1.5)
     error, took_s = refused(bench)
     assert took_s < 2.0

@@ -31,7 +31,7 @@ from canfb.master.samples import TrackSamples
 from canfb.module.device_configuration import configuration_of, read_configuration, restored_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.objects import Multiplexer
-from canfb.sdo.backups import Backup, Restored, restore_backup
+from canfb.sdo.backups import Backup, restore_backup
 from canfb.sdo.tables import TableFile, TableTasks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
@@ -187,7 +187,15 @@ def backup() -> Backup:
 
 
 def restore(bench: Bench) -> object:
-    return restore_from(backup(), bench)
+    kept = backup()
+    return restore_backup(
+        bench.access,
+        kept,
+        lambda: read_configuration(NodeAccess(bench.master, MODULE_ID, "module")),
+        lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),
+        Guard(),
+        keep=True,
+    )
 
 
 def upload(bench: Bench) -> object:
@@ -231,15 +239,3 @@ def test_a_calibration(
     wanted, last = task.undisturbed()
     for at in {*requests(fault, last, 11), last}:  # the last one saves
         task.check(fault, at, wanted)
-
-
-def restore_from(kept: Backup, bench: Bench) -> Restored:
-    """The account of a restore that has succeeded."""
-    return restore_backup(
-        bench.access,
-        kept,
-        lambda: read_configuration(NodeAccess(bench.master, MODULE_ID, "module")),
-        lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),
-        Guard(),
-        keep=True,
-    )

@@ -76,7 +76,6 @@ def test_small_integers_do_not_overflow() -> None:
 
 ANGLE = np.linspace(0.0, 40 * np.pi, 1000)
 SINE, COSINE = 1500 * np.sin(ANGLE), 1500 * np.cos(ANGLE)
-MANY = tuple(track(np.arange(20_000) * 0.0411) * 1500 + 2048 for track in (np.sin, np.cos))
 TAKERS = {
     "process": process,
     "process_stream": lambda s, c: list(process_stream([(s, c)])),
