@@ -56,14 +56,33 @@ def encoder(path: AnalogPath) -> Encoder:
 
 
 ENCODER = encoder(AnalogPath(cosine_delay_s=DELAY_S))
+PATH = AnalogPath(sine_corner_hz=250e3, cosine_corner_hz=255e3, cosine_delay_s=1e-7)
+MULTIPLEXER = AnalogPath(cosine_delay_s=1e-6)
+STAY_S = 6.0
+SHORT = ("--seconds", "2", "--least-samples", "2000", "--verify", "0.8", "--wait", "30")
+ALL = "61,703,3001"
+
+
+def bench(path: AnalogPath = PATH, rpm: tuple[float, ...] = (61.0, 703.0, 3001.0), **config: Any) -> Bench:
+    """From standstill up to each of these speeds, where it stays for a while; then at the last one."""
+    ramps: list[Ramp] = [Ramp(0.3, 0.0)]
+    for one in rpm:
+        ramps += [Ramp(2.0, one), Ramp(STAY_S, one)]
+    made = Bench(
+        encoder(path),
+        motion=Motion(tuple(ramps), (Ripple(0.3, 0.31), Ripple(0.2, 1.7))),
+        store=MemoryStore(),
+        config=config,
+    )
+    made.bus.run_until(0.2)
+    return made
 
 
 def bench_at(rpm: float, **config: Any) -> Bench:
-    """Up to this speed from standstill, and steady but for a ripple: the module knows the speed."""
-    motion = Motion((Ramp(0.3, 0.0), Ramp(2.0, rpm)), (Ripple(0.3, 0.31), Ripple(0.2, 1.7)))
-    bench = Bench(ENCODER, motion=motion, config=DELAYS | {"corner_hz": 0.0} | config)
-    bench.bus.run_until(3.0)
-    return bench
+    """It has reached this speed, and is steady but for a ripple: the module knows the speed."""
+    made = bench(ENCODER.path, (rpm,), **DELAYS | {"corner_hz": 0.0} | config)
+    made.bus.run_until(3.0)
+    return made
 
 
 def delays(bench: Bench) -> tuple[float, ...]:
@@ -152,28 +171,6 @@ def test_a_clipped_cosine_stays_clipped() -> None:
     cosine[100] = 2047
     record = recording(sine, cosine, None, None, 12)
     assert sampled_together(record, np.full(1000, 0.3))[100] == 2047
-
-
-PATH = AnalogPath(sine_corner_hz=250e3, cosine_corner_hz=255e3, cosine_delay_s=1e-7)
-MULTIPLEXER = AnalogPath(cosine_delay_s=1e-6)
-STAY_S = 6.0
-SHORT = ("--seconds", "2", "--least-samples", "2000", "--verify", "0.8", "--wait", "30")
-ALL = "61,703,3001"
-
-
-def bench(path: AnalogPath = PATH, rpm: tuple[float, ...] = (61.0, 703.0, 3001.0), **config: Any) -> Bench:
-    """From standstill up to each of these speeds, where it stays for a while; then at the last one."""
-    ramps: list[Ramp] = [Ramp(0.3, 0.0)]
-    for one in rpm:
-        ramps += [Ramp(2.0, one), Ramp(STAY_S, one)]
-    made = Bench(
-        encoder(path),
-        motion=Motion(tuple(ramps), (Ripple(0.3, 0.31), Ripple(0.2, 1.7))),
-        store=MemoryStore(),
-        config=config,
-    )
-    made.bus.run_until(0.2)
-    return made
 
 
 def over_speeds(bench: Bench, *arguments: str, speeds: str = ALL, **words: Any) -> int:

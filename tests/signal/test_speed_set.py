@@ -54,13 +54,21 @@ def motion(
 
 
 def offsets(
-    estimator: Estimator, elapsed: np.ndarray, shown: np.ndarray
+    estimator: Estimator, elapsed: np.ndarray, shown: np.ndarray, missed: tuple[int, ...] = ()
 ) -> tuple[list[int], list[int | None]]:
     """Status bits, and cycles between what is shown and what is counted, where it is valid."""
     bits: list[int] = []
     off: list[int | None] = []
-    for one, position in zip(elapsed, shown, strict=True):
-        track, status = estimator.good(position % 1.0, one)
+    waited = 0.0
+    for n, (one, position) in enumerate(zip(elapsed, shown, strict=True)):
+        waited += one
+        if n in missed:
+            bits.append(estimator.bad(1.0, missed=True)[1])
+            off.append(None)
+            waited -= 1.0
+            continue
+        track, status = estimator.good(position % 1.0, waited)
+        waited = 0.0
         bits.append(status)
         off.append(round(track.cycles + track.phase - position) if status & VALID else None)
     return bits, off
@@ -275,16 +283,8 @@ def test_missed_samples_in_a_start_in_motion_make_no_wrong_position_valid(
     generator = np.random.default_rng(8)
     for _ in range(30):
         elapsed, shown = motion(machine, float(generator.uniform(-125.0, 125.0)), 0.1, 44, generator)
-        estimator, waited = follower(machine), 0.0
-        for n, (one, position) in enumerate(zip(elapsed, shown, strict=True)):
-            if n in missed:
-                estimator.bad(1.0, missed=True)
-                waited += 1.0 - one
-                continue
-            track, bits = estimator.good(position % 1.0, one - waited)
-            waited = 0.0
-            if bits & VALID:
-                assert round(track.cycles + track.phase - position) == started_at(shown)
+        _, off = offsets(follower(machine), elapsed, shown, missed)
+        assert {one for one in off if one is not None} <= {started_at(shown)}
 
 
 def test_the_first_interval_may_be_the_unit_of_the_limits() -> None:
