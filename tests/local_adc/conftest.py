@@ -48,15 +48,16 @@ def iiod() -> Iterator[Callable[..., EmulatedIiod]]:
 
 
 @pytest.fixture
-def opened() -> Iterator[Callable[..., CapturedSource]]:
-    """Opens sources on a server; all are closed at the end."""
+def opened(iiod: Callable[..., EmulatedIiod]) -> Iterator[Callable[..., tuple[EmulatedIiod, CapturedSource]]]:
+    """Opens sources, each on a server of its own; all are closed at the end."""
     with contextlib.ExitStack() as stack:
 
-        def open_one(server: EmulatedIiod, **keys: Any) -> CapturedSource:
+        def open_one(adc: EmulatedAdc | None = None, **keys: Any) -> tuple[EmulatedIiod, CapturedSource]:
+            server = iiod(adc)
             config = IioSourceConfig(**{"device": "ads7950", "uri": server.uri} | keys)
             source = stack.enter_context(iio_source(config, reopen_s=0.05))
             assert server.opened.wait(10.0)
-            return source
+            return server, source
 
         yield open_one
 

@@ -28,16 +28,15 @@ from canfb.sources.iio_source import IioSourceConfig
 from canfb.sources.protocol import SourceError
 
 Iiod = Callable[..., EmulatedIiod]
-Opened = Callable[..., CapturedSource]
+Opened = Callable[..., tuple[EmulatedIiod, CapturedSource]]
 
 
 def adc(first: str, second: str | None = None) -> EmulatedAdc:
     return EmulatedAdc(channels=[voltage(0, first), voltage(1, second or first), time_stamp(2)])
 
 
-def test_a_sync_takes_the_newest_scan_and_takes_it_once(iiod: Iiod, opened: Opened) -> None:
-    server = iiod()
-    source = opened(server)
+def test_a_sync_takes_the_newest_scan_and_takes_it_once(opened: Opened) -> None:
+    server, source = opened()
     assert source.next() is None
     deliver(server, source, reading(2048, 4000, 1_000_000))
     assert source.next() == sample(0, 1952, 10_000)
@@ -47,17 +46,15 @@ def test_a_sync_takes_the_newest_scan_and_takes_it_once(iiod: Iiod, opened: Open
     assert source.next() is None
 
 
-def test_only_sine_cosine_and_time_are_captured_and_the_buffer_is_small(iiod: Iiod, opened: Opened) -> None:
-    server = iiod()
-    opened(server, buffer_scans=8)
+def test_only_sine_cosine_and_time_are_captured_and_the_buffer_is_small(opened: Opened) -> None:
+    server, _ = opened(buffer_scans=8)
     assert "OPEN iio:device0 1 0000000b" in server.commands
     assert "SET iio:device0 BUFFERS_COUNT 8" in server.commands
     assert server.adc.attributes["current_timestamp_clock"] == "monotonic"
 
 
-def test_channels_may_be_any_of_a_device_by_its_id(iiod: Iiod, opened: Opened) -> None:
-    server = iiod()
-    source = opened(server, device="iio:device0", sine="voltage2", cosine="voltage0", time_stamps=False)
+def test_channels_may_be_any_of_a_device_by_its_id(opened: Opened) -> None:
+    server, source = opened(device="iio:device0", sine="voltage2", cosine="voltage0", time_stamps=False)
     deliver(server, source, reading(2050, 0, 5))
     assert source.next() == sample(77 - 2048, 2, None)
 
@@ -81,20 +78,16 @@ FORMATS = {
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_readings_of_any_format_become_counts(format: str, iiod: Iiod, opened: Opened) -> None:
+def test_readings_of_any_format_become_counts(format: str, opened: Opened) -> None:
     (sine, cosine), counts, bits = FORMATS[format]
-    server = iiod(adc(format))
-    source = opened(server)
+    server, source = opened(adc(format))
     deliver(server, source, reading(sine, cosine, 100))
     assert source.next() == sample(*counts, 1)
     assert source.adc_bits == bits
 
 
-def test_mid_scale_is_subtracted_and_a_reading_at_the_end_stays_at_the_end(
-    iiod: Iiod, opened: Opened
-) -> None:
-    server = iiod()
-    source = opened(server, mid_scale=2000.5, time_stamps=False)
+def test_mid_scale_is_subtracted_and_a_reading_at_the_end_stays_at_the_end(opened: Opened) -> None:
+    server, source = opened(mid_scale=2000.5, time_stamps=False)
     for readings, counts in (
         ((2000, 2001), (0, 0)),
         ((1, 4094), (-2000, 2047)),
@@ -105,9 +98,8 @@ def test_mid_scale_is_subtracted_and_a_reading_at_the_end_stays_at_the_end(
         assert source.next() == sample(*counts, None)
 
 
-def test_a_scan_that_is_not_later_than_the_one_before_is_invalid(iiod: Iiod, opened: Opened) -> None:
-    server = iiod()
-    source = opened(server)
+def test_a_scan_that_is_not_later_than_the_one_before_is_invalid(opened: Opened) -> None:
+    server, source = opened()
     wraps_ns = (1 << 32) * 100
     for time_ns, invalid in (
         *((5_000, False), (5_000, True), (4_000, True), (4_100, False)),
@@ -118,11 +110,10 @@ def test_a_scan_that_is_not_later_than_the_one_before_is_invalid(iiod: Iiod, ope
         assert source.next() == sample(0, 0, time_100ns)._replace(invalid=invalid)
 
 
-def test_stated_bits_are_those_of_the_converter(iiod: Iiod, opened: Opened) -> None:
-    server = iiod(adc("be:s24/32>>8"))
-    assert opened(server, adc_bits=16).adc_bits == 16
+def test_stated_bits_are_those_of_the_converter(opened: Opened) -> None:
+    assert opened(adc("be:s24/32>>8"), adc_bits=16)[1].adc_bits == 16
     with pytest.raises(ConfigError, match=r"^adc_bits is 12, but the converter of 'ads7950' has 24$"):
-        opened(server, adc_bits=12)
+        opened(adc("be:s24/32>>8"), adc_bits=12)
 
 
 REFUSED: dict[str, tuple[EmulatedAdc, dict[str, Any], str]] = {
@@ -167,10 +158,10 @@ REFUSED: dict[str, tuple[EmulatedAdc, dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_the_device_does_not_have_is_told_with_its_key(case: str, iiod: Iiod, opened: Opened) -> None:
+def test_what_the_device_does_not_have_is_told_with_its_key(case: str, opened: Opened) -> None:
     adc, keys, words = REFUSED[case]
     with pytest.raises(ConfigError, match=re.escape(words)) as caught:
-        opened(iiod(adc), **keys)
+        opened(adc, **keys)
     assert "\n" not in str(caught.value)
 
 
@@ -183,9 +174,9 @@ def test_what_the_device_does_not_have_is_told_with_its_key(case: str, iiod: Iio
         (errno.ENODEV, "No such device"),
     ],
 )
-def test_a_device_that_cannot_be_opened_is_told(number: int, words: str, iiod: Iiod, opened: Opened) -> None:
+def test_a_device_that_cannot_be_opened_is_told(number: int, words: str, opened: Opened) -> None:
     with pytest.raises(BusError, match=rf"^IIO device 'ads7950' of ip:.*{re.escape(words)}") as caught:
-        opened(iiod(EmulatedAdc(open_error=number)))
+        opened(EmulatedAdc(open_error=number))
     assert "\n" not in str(caught.value)
 
 
@@ -196,44 +187,34 @@ def test_a_context_that_is_not_there_is_told(uri: str) -> None:
 
 
 @pytest.mark.parametrize(("trigger", "where"), [("tick", "trigger"), (None, "device")])
-def test_the_rate_is_set_where_it_can_be(trigger: str | None, where: str, iiod: Iiod, opened: Opened) -> None:
-    server = iiod()
-    opened(server, trigger=trigger, rate_hz=4000)
+def test_the_rate_is_set_where_it_can_be(trigger: str | None, where: str, opened: Opened) -> None:
+    server, _ = opened(trigger=trigger, rate_hz=4000)
     adc = server.adc
     rates = {"trigger": adc.triggers["tick"], "device": adc.attributes}
     assert rates[where]["sampling_frequency"] == "4000"
     assert adc.trigger == trigger
 
 
-def fired(iiod: Iiod, scans: list[dict[str, int]]) -> EmulatedIiod:
-    """A server whose ADC gives one of the scans each time it is fired."""
-    server = iiod()
-    left = iter(scans)
+def test_a_trigger_is_fired_at_the_sync_and_its_scan_is_the_sample(opened: Opened) -> None:
+    server, source = opened(trigger="sysfstrig7", wait_us=1_000_000)
+    left = iter([reading(2048 + n, 0, n * 1000) for n in range(5)])
     server.adc.on_fire = lambda: server.deliver(next(left))
-    return server
-
-
-def test_a_trigger_is_fired_at_the_sync_and_its_scan_is_the_sample(iiod: Iiod, opened: Opened) -> None:
-    server = fired(iiod, [reading(2048 + n, 0, n * 1000) for n in range(5)])
-    source = opened(server, trigger="sysfstrig7", wait_us=1_000_000)
     assert server.adc.trigger == "sysfstrig7"
     assert source.scans == 0, "nothing is sampled before the first SYNC"
     for n in range(5):
         assert source.next() == sample(n, -2048, n * 10)
 
 
-def test_a_scan_that_comes_too_late_is_missed_and_not_taken_for_the_next(iiod: Iiod, opened: Opened) -> None:
-    server = iiod()
-    source = opened(server, trigger="sysfstrig7", wait_us=200_000)
+def test_a_scan_that_comes_too_late_is_missed_and_not_taken_for_the_next(opened: Opened) -> None:
+    server, source = opened(trigger="sysfstrig7", wait_us=200_000)
     assert source.next() is None
     deliver(server, source, reading(1, 1, 0))
     server.adc.on_fire = lambda: server.deliver(reading(2049, 2050, 100))
     assert source.next() == sample(1, 2, 1)
 
 
-def test_a_trigger_that_cannot_be_fired_is_a_failure(iiod: Iiod, opened: Opened) -> None:
-    server = iiod(EmulatedAdc(fire_error=errno.EIO))
-    source = opened(server, trigger="sysfstrig7")
+def test_a_trigger_that_cannot_be_fired_is_a_failure(opened: Opened) -> None:
+    server, source = opened(EmulatedAdc(fire_error=errno.EIO), trigger="sysfstrig7")
     with pytest.raises(SourceError, match="the trigger cannot be fired: Input/output error"):
         source.next()
     server.adc.fire_error = 0
@@ -250,9 +231,8 @@ def failing(source: CapturedSource, words: str = "") -> bool:
 
 
 @pytest.mark.parametrize("number", [errno.EPIPE, errno.EOVERFLOW, errno.ENODEV, errno.EIO])
-def test_a_capture_that_ends_is_begun_again(number: int, iiod: Iiod, opened: Opened) -> None:
-    server = iiod()
-    source = opened(server)
+def test_a_capture_that_ends_is_begun_again(number: int, opened: Opened) -> None:
+    server, source = opened()
     deliver(server, source, reading(1, 2))
     server.adc.open_error = errno.ENODEV
     server.deliver(number)
@@ -264,18 +244,16 @@ def test_a_capture_that_ends_is_begun_again(number: int, iiod: Iiod, opened: Ope
     assert source.next() == sample(1, 2, 0)
 
 
-def test_another_converter_in_its_place_is_not_taken(iiod: Iiod, opened: Opened) -> None:
-    server = iiod()
-    source = opened(server)
+def test_another_converter_in_its_place_is_not_taken(opened: Opened) -> None:
+    server, source = opened()
     server.adc.channels = adc("le:s16/16>>0").channels
     server.cut()
     until(lambda: failing(source, "the converter has 16 bits now, not 12"), "refused")
 
 
-def test_a_device_without_scans_is_no_failure(iiod: Iiod, opened: Opened) -> None:
+def test_a_device_without_scans_is_no_failure(opened: Opened) -> None:
     """The server says after a while that there was nothing, and is asked again."""
-    server = iiod()
-    source = opened(server)
+    server, source = opened()
     until(lambda: server.commands.count("READBUF iio:device0 16") > 1, "asked again")
     assert source.next() is None
     deliver(server, source, reading(2048, 2048))

@@ -26,6 +26,7 @@ from canfb.signal.supervision import MISSED, VALID
 from canfb.simulation.encoder import Ramp
 
 Iiod = Callable[..., EmulatedIiod]
+Opened = Callable[..., tuple[EmulatedIiod, CapturedSource]]
 UNITS_PER_CYCLE = 8192
 NO_ADC = "{kind: iio, uri: 'ip:127.0.0.1:9', device: x}"
 PERIOD_S = 0.02
@@ -272,18 +273,14 @@ def on_its_own(source: CapturedSource) -> FeedbackModule:
     return module
 
 
-def test_with_time_stamps_the_position_is_right(iiod: Iiod, opened: Callable[..., CapturedSource]) -> None:
-    server = iiod()
-    source = opened(server)
+def test_with_time_stamps_the_position_is_right(opened: Opened) -> None:
+    server, source = opened()
     module = on_its_own(source)
     follow(server, source, module, lambda now: module.receive(SYNC, now), scanned(ADC_S, SLOW_RPM))
 
 
-def test_without_them_it_is_lost_and_nobody_is_told_a_wrong_one(
-    iiod: Iiod, opened: Callable[..., CapturedSource]
-) -> None:
-    server = iiod()
-    source = opened(server, time_stamps=False)
+def test_without_them_it_is_lost_and_nobody_is_told_a_wrong_one(opened: Opened) -> None:
+    server, source = opened(time_stamps=False)
     module, machine = on_its_own(source), scanned(ADC_S, SLOW_RPM)
     for number in range(1, SYNCS + 1):
         deliver(server, source, *machine.scans_until(number * SYNC_S))
