@@ -20,7 +20,7 @@ from canfb.signal.sample import Sample
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import MotionSource
-from canfb.simulation.set_up import Play, SimulatedAxis, SimulatedNetwork, set_up, simulated_axis, source_of
+from canfb.simulation.set_up import Play, SimulatedNetwork, set_up, simulated_axis, source_of
 from canfb.sources.recording_source import RecordingSource
 from commands import Command
 from documentation import blocks, page
@@ -129,7 +129,7 @@ def parsed(drive: str, modules: str = MODULES) -> Config:
     return parse_config(f"{modules}simulation:\n  drive: {drive}\n", "drive.yaml")
 
 
-def axis_of(config: Config, module: int = 0) -> SimulatedAxis | None:
+def axis_of(config: Config, module: int = 0) -> object:
     return simulated_axis(config.simulation, fed_module(config.modules[module]), autostart=True)
 
 

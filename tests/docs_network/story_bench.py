@@ -84,11 +84,10 @@ class DriveNetwork:
         config = dataclasses.replace(config, played=dataclasses.replace(config.simulation, drive=changed))
         simulated = simulated_axis(config.simulation, fed_module(config.modules[0]))
         assert simulated is not None
-        self.plant, self.drive = simulated.plant, simulated.drive
+        self.drive, source = simulated
+        self.plant = self.drive.plant
         module, clock = config.modules[0], config.simulation.sample_clock()
-        self.interface = EncoderInterface(
-            module.encoder_interface, simulated.source, times=module.times, clock=clock
-        )
+        self.interface = EncoderInterface(module.encoder_interface, source, times=module.times, clock=clock)
         self.module = FeedbackModule(module)
         others = BackgroundTraffic(0.2, BIT_RATE)
         for device in (self.plant, self.interface, self.module, self.drive, others):

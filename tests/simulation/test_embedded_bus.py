@@ -521,18 +521,19 @@ def test_the_plant_turns_one_interval_with_each_sync() -> None:
     config = parse_config("modules: [{node_id: 32}]\nsimulation: {drive: {load_torque_nm: -0.1}}\n")
     axis = simulated_axis(config.simulation, fed_module(config.modules[0]), autostart=True)
     assert axis is not None
-    interface = EncoderInterface(NODE, axis.source, autostart=True)
+    drive, source = axis
+    interface = EncoderInterface(NODE, source, autostart=True)
     hearing = SlowMotion(interface.dictionary, 0.01)
-    interface.time_base = axis.plant.time_base = axis.drive.time_base = hearing
+    interface.time_base = drive.plant.time_base = drive.time_base = hearing
     bus = EmbeddedBus()
-    for device in (hearing, axis.plant, interface, axis.drive):
+    for device in (hearing, drive.plant, interface, drive):
         bus.attach(device)
     for at in LATE_S:
         bus.run_until(at)
         bus.send(SYNC)
-    assert axis.plant.motor.time_s == pytest.approx(0.06), "the first SYNC begins"
-    assert axis.plant.motor.speed_rad_s > 1.0
-    assert axis.drive.interval_s == pytest.approx(0.01)
+    assert drive.plant.motor.time_s == pytest.approx(0.06), "the first SYNC begins"
+    assert drive.plant.motor.speed_rad_s > 1.0
+    assert drive.interval_s == pytest.approx(0.01)
 
 
 def test_the_interval_is_that_of_the_rate_or_of_the_configuration() -> None:

@@ -116,8 +116,8 @@ def simulate(options: argparse.Namespace) -> int:
     say(f"{network.interface.samples} samples sent{'; end of the recording' * network.interface.ended}")
     if record is not None:
         say(f"written  {record}")
-    if network.axis is not None:
-        say(network.axis.summary())
+    if network.drive is not None:
+        say(network.drive.summary())
     return 0
 
 

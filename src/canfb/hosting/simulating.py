@@ -59,8 +59,8 @@ class Simulating(OnBus):
         return list(self.network.devices)
 
     def _node_ids(self) -> list[int]:
-        axis = self.network.axis
-        return [self._interface_id, *([] if axis is None else [axis.drive.node_id])]
+        drive = self.network.drive
+        return [self._interface_id, *([] if drive is None else [drive.node_id])]
 
     def run(self, ready: Callable[[], None] = lambda: None) -> None:
         """Until the end; ``ready`` is called on the bus."""
@@ -68,8 +68,8 @@ class Simulating(OnBus):
 
         def on_the_bus() -> None:
             log.info(f"encoder interface: node {self._node} on {describe(self.words)}; end with Ctrl-C")
-            if network.axis is not None:
-                log.info(network.axis.describe())
+            if network.drive is not None:
+                log.info(network.drive.describe())
             if network.demand is not None:
                 log.info(network.demand.describe())
                 warning = network.demand.warning()

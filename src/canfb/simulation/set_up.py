@@ -212,28 +212,10 @@ class FedModule:
     total_range: int
 
 
-@dataclass(frozen=True)
-class SimulatedAxis:
-    """A drive with its motor, and the encoder on the shaft; ``module_id`` is the module it listens to."""
-
-    plant: Plant
-    source: PlantSource
-    drive: ServoDrive
-    module_id: int
-
-    def describe(self) -> str:
-        node, module = self.drive.node_id, self.module_id
-        return f"drive: node {node} ({node:02X}h), position from node {module} ({module:02X}h)"
-
-    def summary(self) -> str:
-        state = self.drive.power.name.replace("_", " ").capitalize()
-        error = f", error {self.drive.error:04X}h" if self.drive.error else ""
-        return f"drive: {state}{error}; the shaft is at {self.plant.motor.revolutions:.3f} revolutions"
-
-
 def simulated_axis(
     simulation: SimulationConfig, module: FedModule, *, autostart: bool = False
-) -> SimulatedAxis | None:
+) -> tuple[ServoDrive, PlantSource] | None:
+    """A drive with its motor, and the encoder on the shaft."""
     settings = simulation.drive
     if settings is None:
         return None
@@ -252,7 +234,7 @@ def simulated_axis(
     drive = ServoDrive(
         settings.node_id, plant, link, autostart=autostart, motor_increments=settings.motor_increments
     )
-    return SimulatedAxis(plant, source, drive, module.node_id)
+    return drive, source
 
 
 def drive_demand(
@@ -367,7 +349,7 @@ class SimulatedNetwork:
 
     interface: EncoderInterface
     devices: list[Device]
-    axis: SimulatedAxis | None
+    drive: ServoDrive | None
     demand: MotionDemand | None
     recorder: SampleRecorder
     rate_hz: float
@@ -382,7 +364,7 @@ def set_up(
     """
     rate_hz = sync_rate(simulation, play.rate_hz)
     axis = simulated_axis(simulation, module, autostart=play.autostart or module.autostart)
-    source = source_of(simulation, module, play) if axis is None else axis.source
+    drive, source = axis or (None, source_of(simulation, module, play))
     interface = EncoderInterface(
         module.encoder_interface,
         source,
@@ -393,21 +375,21 @@ def set_up(
     )
     MachineSwitch(interface)
     # The machine first: it must have moved when the SYNC comes to the others.
-    devices: list[Device] = [interface] if axis is None else [axis.plant, interface, axis.drive]
+    devices: list[Device] = [interface] if drive is None else [drive.plant, interface, drive]
     advice = IN_TRUE_TIME
     if simulation.pace == "sync":
         slow_motion, advice = SlowMotion(interface.dictionary, 1.0 / rate_hz), IN_SLOW_MOTION
         interface.time_base = slow_motion
-        if axis is not None:
-            axis.plant.time_base = axis.drive.time_base = slow_motion
+        if drive is not None:
+            drive.plant.time_base = drive.time_base = slow_motion
         devices.insert(0, slow_motion)
     recorder = SampleRecorder(interface)
     if play.recorded:
         devices.append(recorder)
     if play.rate_hz is not None:
         devices.append(WatchedSyncProducer(1.0 / play.rate_hz, report, advice, simulation, simulation.seed))
-    demand = _demand(simulation, module, play, interface, axis)
-    return SimulatedNetwork(interface, devices, axis, demand, recorder, rate_hz)
+    demand = _demand(simulation, module, play, interface, drive)
+    return SimulatedNetwork(interface, devices, drive, demand, recorder, rate_hz)
 
 
 def sync_rate(simulation: SimulationConfig, rate_hz: float | None) -> float:
@@ -434,14 +416,14 @@ def _demand(
     module: FedModule,
     play: Play,
     interface: EncoderInterface,
-    axis: SimulatedAxis | None,
+    drive: ServoDrive | None,
 ) -> MotionDemand | None:
     per_sync, source = module.samples_per_sync, interface.source
     rate_hz = sync_rate(simulation, play.rate_hz) * per_sync
-    if axis is not None:
+    if drive is not None:
         if play.rate_hz is None:
             return None
-        demand = drive_demand(axis.plant.motor.config, axis.drive.dictionary, module.chain, rate_hz)
+        demand = drive_demand(drive.plant.motor.config, drive.dictionary, module.chain, rate_hz)
     elif isinstance(source, RecordingSource):
         demand = of_recording(*source.tracks(), module.chain, rate_hz, str(play.file))
     else:

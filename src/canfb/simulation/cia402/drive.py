@@ -76,6 +76,15 @@ class ServoDrive(MachineNode):
     def error(self) -> int:
         return int(self._error.value)
 
+    def describe(self) -> str:
+        node, module = self.node_id, self._emergency_id.value & 0x7F
+        return f"drive: node {node} ({node:02X}h), position from node {module} ({module:02X}h)"
+
+    def summary(self) -> str:
+        state = self.power.name.replace("_", " ").capitalize()
+        error = f", error {self.error:04X}h" if self.error else ""
+        return f"drive: {state}{error}; the shaft is at {self.plant.motor.revolutions:.3f} revolutions"
+
     @property
     def interval_s(self) -> float:
         """Seconds from SYNC to SYNC: 1006h, else measured; 0.0 while it is not known."""
