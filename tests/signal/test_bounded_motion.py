@@ -132,10 +132,9 @@ def test_meet_is_where_both_are() -> None:
 Motion = tuple[int, ...]
 
 
-def next_of(motion: Sequence[int], order: int, bound: int) -> Iterator[int]:
-    """Every next position, grid steps: ``bound`` around the one with no difference of this order."""
-    centre = -sum((-1) ** n * comb(order, n) * motion[-n] for n in range(1, order + 1))
-    return iter(range(centre - bound, centre + bound + 1))
+def centre_of(motion: Sequence[int], order: int) -> int:
+    """The next position, grid steps, with no difference of this order."""
+    return -sum((-1) ** n * comb(order, n) * motion[-n] for n in range(1, order + 1))
 
 
 def ends_through(
@@ -150,7 +149,7 @@ def ends_through(
         lasts = {
             (*last[1:], position)
             for last in lasts
-            for position in next_of(last, order, bound)
+            for position in (centre_of(last, order) + off for off in range(-bound, bound + 1))
             if phase is None or position % steps_per_cycle == phase
         }
     return {last[-1] for last in lasts}
@@ -161,8 +160,7 @@ def all_motions(known: Sequence[int], samples: int, order: int, bound: int) -> I
     for differences in product((-bound, 0, bound), repeat=samples):
         motion = list(known)
         for one in differences:
-            centre = -sum((-1) ** n * comb(order, n) * motion[-n] for n in range(1, order + 1))
-            motion.append(centre + one)
+            motion.append(centre_of(motion, order) + one)
         yield tuple(motion)
 
 

@@ -54,25 +54,17 @@ def ramp(acceleration: float, top: float, samples: int = 3000) -> tuple[np.ndarr
     return math.copysign(1.0, top) * position + 0.1, math.copysign(1.0, top) * speed
 
 
-def errors(
-    chain: SignalChain, positions: np.ndarray, speeds: np.ndarray, encoder: Conditioning
-) -> np.ndarray:
-    """Of each sample, cycles; all must be valid."""
-    found = []
-    for position, speed in zip(positions, speeds, strict=True):
-        got = chain.step(Sample(*counts(position, speed, encoder)))
-        assert got.valid, got
-        found.append((got.cycles - position) + got.phase)
-    return np.array(found) - round(float(np.median(found)))
-
-
 @each("delay_s", [1e-6, -1e-6, 1e-7])
 @each("top", [FAST, -FAST, 2.513])
 def test_the_delay_is_removed_at_each_speed(top: float, delay_s: float) -> None:
     """Also on the ramp, and with an ellipse: what is left is the interpolation of the table."""
     encoder = replace(ELLIPSE, cosine_delay_s=delay_s)
-    positions, speeds = ramp(0.1, top)
-    found = errors(chain_of(encoder), positions, speeds, encoder)
+    chain, away = chain_of(encoder), []
+    for position, speed in zip(*ramp(0.1, top), strict=True):
+        got = chain.step(Sample(*counts(position, speed, encoder)))
+        assert got.valid, got
+        away.append((got.cycles - position) + got.phase)
+    found = np.array(away) - round(float(np.median(away)))
     assert 1e-10 < np.abs(found[-500:]).max() < 2e-6
     assert np.abs(found).max() < 2e-4, "where the acceleration begins or ends it is not known yet"
 
