@@ -22,11 +22,12 @@ from tools.faults.wire.setups import RANGE_CYCLES, SDO_TX, SETUPS, TPDO1_ID, UNI
 from tools.faults.wire.stalls import RATES_HZ, WHO
 
 SPEED = 7.0  # cycles/T
-FOUND = (
+FOUND = (  # each was valid and wrong
     "PDO lost, late host:plain:23303000002",
     "PDO lost, late host:plain:77000046",
     "healthy, late host:plain:23501000000",
     "healthy, late host:plain:77000012",
+    "deaf, late host:plain:1300001000009",
     "SYNC, second producer:plain:34001000000",
     "SYNC, second producer:plain:54001000007",
     "SYNC, second producer:plain/rx:54001000007",
@@ -36,7 +37,6 @@ FOUND = (
     "1006h wrong:counter:515001000000",
     "PDOs late by 1 and 2:counter/rx:737001000002",
 )
-"""Each was valid and wrong."""
 SEEN = ("healthy, zero pulses", "PDO lost, 5", "PDO lost, every n-th", "SYNC unheard by interface")
 AIMED = ("stamp, bad again", "stamp, bad again after reset", "stamp, bad at the start")
 

@@ -78,6 +78,7 @@ class Pairing(ProcessData):
         # So far off the grid was the last sample taken, intervals; and its tracks came then.
         self._off, self._came_s = 0.0, -NEVER
         self._ambiguous = False  # the last tracks came when another SYNC was due, which decides
+        self._moves = False  # and it moved since, by a speed that a wrong interval does not hide
         self._elapsed = 1.0  # intervals up to the tracks that have come, before the other parts
         # The RPDO that may bring a usual sample of the last SYNC; CAME: it has, and nothing since.
         self.usual = NO_RPDO
@@ -87,8 +88,7 @@ class Pairing(ProcessData):
     @property
     def timed(self) -> bool:
         """Each sample brings its time, better than any reception."""
-        source = self._source
-        return self._input.timed if source is None else source.source_time_s is not None
+        return self._input.timed if self._source is None else self._source.source_time_s is not None
 
     def count_bad_frame(self) -> None:
         _count(self._bad_frames)
@@ -440,16 +440,16 @@ class Pairing(ProcessData):
     def _take(self, sample: Sample, elapsed: float, now: float) -> None:
         placed = not (self._off and self._chain.slips(self._off))
         is_open = self._ambiguous or self.syncs.late_s > 0.0 or self.syncs.grid.early > 0
+        self._moves = is_open and (self._moves or self._chain.slips(1.0))
         feedback = self._chain.after(sample, elapsed, placed=placed)
-        if self.unconfirmed or (is_open and self._chain.slips(1.0)):
+        if self.unconfirmed or self._moves or (is_open and self._chain.slips(1.0)):
             feedback = self._withheld(feedback)
         self._out(sample, feedback, now)
 
     def _withheld(self, feedback: Feedback) -> Feedback:
         if not feedback.status & VALID:
             return feedback
-        if self.unconfirmed:
-            self.unconfirmed -= 1
+        self.unconfirmed = max(0, self.unconfirmed - 1)
         return self._chain.withheld(feedback)
 
     def _out(self, sample: Sample, feedback: Feedback, now: float) -> None:
