@@ -128,10 +128,7 @@ def test_a_machine_that_is_well_is_never_contradicted() -> None:
                 assert got == without, (seed, k)
 
 
-KINDS = ["slip forward", "slip backward", "swapped tracks", "frozen tracks", "broken shaft"]
-
-
-@each("kind", KINDS)
+@each("kind", ["slip forward", "slip backward", "swapped tracks", "frozen tracks", "broken shaft"])
 def test_what_the_tracks_cannot_show_is_reported(kind: str) -> None:
     """A valid position is further from the other sensor than the tolerance for three samples, no longer."""
     reported = 0

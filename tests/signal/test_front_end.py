@@ -21,9 +21,8 @@ from servo_kit import IDEAL_TABLE
 
 INTERVAL_S = 1e-3
 TICKS = 10_000  # of 100 ns in it
-DELAY_S = 1e-6
 FAST = 125.037  # cycles per interval: 3000 rpm with 2500 cycles per revolution, and not locked
-ELLIPSE = Conditioning(20.0, -30.0, 1.02, 0.97, 0.06, DELAY_S)
+ELLIPSE = Conditioning(20.0, -30.0, 1.02, 0.97, 0.06, 1e-6)
 
 
 def counts(

@@ -111,16 +111,16 @@ def test_what_two_pulses_tell_of_the_speed(counted: float, later: float, told: l
     assert recovery.told == told
 
 
-def test_what_two_pulses_have_told_the_third_confirms_and_sets_the_place() -> None:
-    recovery = Noted(lost=True)
+def test_a_loss_forgets_what_pulses_have_said() -> None:
+    recovery = Noted(lost=False)
     made = reference(recovery)
-    for turn in range(3):
-        assert recovery.confirmed == 0
-        pulse(made, 83.4, 100.0 + turn * N / 83.4)
-    assert recovery.told == [(0, 0), (0, 0)]
-    assert recovery.confirmed == 1
-    assert made.zero.referenced
-    assert made.set_right == 0
+    passes_at(made, 70.5, VALID)
+    passes_at(made, 300.5, VALID)
+    assert made.in_doubt
+    recovery.lose(LossCause.COASTED)
+    assert not made.in_doubt
+    assert passes_at(made, 300.5 + N, VALID) == (VALID, 0)
+    assert not made.zero.referenced
 
 
 def test_two_pulses_say_where_it_is_and_two_more_what_is_wrong() -> None:

@@ -58,6 +58,15 @@ def test_either_end_of_the_converter_is_clipped_and_two_counts_earlier_after_a_f
         assert checks.faults(*pair, 1000.0) == bits, counts
 
 
+@each("full, margin", [(8, 0), (63, 0), (64, 1), (127, 1), (128, 2), (129, 2), (192, 2), (32768, 2)])
+def test_a_small_converter_keeps_its_range(full: int, margin: int) -> None:
+    for counts, bits in ((margin, CLIPPED_BIT), (margin + 0.01, OK)):
+        for at_end in (-full + counts, full - 1 - counts):
+            checks = Supervision(SampleLimits(full, 1, 2))
+            assert checks.faults(-full, 0, 1.5) == CLIPPED_BIT
+            assert checks.faults(at_end, 0, 1.5) == bits
+
+
 @pytest.mark.parametrize(
     ("low", "high", "narrow_low", "narrow_high"),
     [
