@@ -56,7 +56,7 @@ def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER, steady
             fault = int(REST + ramp + 10.0 + max(ramp + float(rng.uniform(-5.0, 5.0)), STEADY))
     plan = Plan(setup, options, motion, rng, [Slot() for _ in range(fault + after)], fault)
     plan.accelerating = kind < 0.3
-    _draw_wire(plan, _fastest(plan), limit)
+    _draw_wire(plan)
     return plan
 
 
@@ -77,7 +77,7 @@ def _speed(rng: np.random.Generator, limit: float) -> float:
     return size * float(rng.choice((-1.0, 1.0)))
 
 
-def _draw_wire(plan: Plan, speed: float, limit: float) -> None:
+def _draw_wire(plan: Plan) -> None:
     rng, setup = plan.rng, plan.setup
     plan.drift = float(rng.uniform(-1e-4, 1e-4))
     plan.gaussian = bool(rng.integers(2))
@@ -86,14 +86,14 @@ def _draw_wire(plan: Plan, speed: float, limit: float) -> None:
         plan.jitter_us, plan.gaussian, plan.busy = plan.jitter_us * 0.25, False, 0.0
     if not setup.times:
         plan.locked = bool(rng.uniform() < 0.7)
-        _keep_regular(plan, speed, limit)
+        keep_regular(plan)
 
 
-def _keep_regular(plan: Plan, speed: float, limit: float) -> None:
-    """Without sample times only a locked timer may jitter, or a slow machine (docs/evidence.md)."""
+def keep_regular(plan: Plan) -> None:
+    """Without sample times only a locked timer may jitter, or a slow machine (P6)."""
     if not (plan.setup.times or plan.locked):
         room = 0.05 if plan.options.limit is None else 0.02
-        most_us = room / 16.0 / max(speed, limit) / plan.us
+        most_us = room / 16.0 / max(_fastest(plan), plan.options.limit or UNKNOWN_LIMIT) / plan.us
         plan.jitter_us = 0.0 if most_us < 0.5 else min(plan.jitter_us, most_us)
         plan.busy = plan.busy if most_us > 135.0 else 0.0
 
@@ -114,7 +114,6 @@ def torque(plan: Plan, share: float = 0.7) -> None:
     else:
         frequency = min(float(rng.uniform(10.0, 200.0)) * plan.options.interval_s, 0.2)
         plan.motion.vibrations.append((begin - 20.0, size, frequency, plan.end))
-    _keep_regular(plan, _fastest(plan), limit)
 
 
 def draw_servo(setup: Setup, rng: np.random.Generator, after: int) -> Plan:
@@ -140,7 +139,7 @@ def draw_servo(setup: Setup, rng: np.random.Generator, after: int) -> Plan:
     fault = int(end) - int(rng.integers(10, 200))
     plan = Plan(setup, options, motion, rng, [Slot() for _ in range(fault + after)], max(fault, SERVO_REST))
     plan.accelerating = True
-    _draw_wire(plan, TOP_CYCLES, options.limit)
+    _draw_wire(plan)
     return plan
 
 

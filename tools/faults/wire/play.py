@@ -9,7 +9,7 @@ import numpy as np
 
 from canfb import Frame, StatusBit
 from tools.faults.wire.classes import CLASSES, STALLS
-from tools.faults.wire.draw import UNKNOWN_LIMIT, draw_plan, torque
+from tools.faults.wire.draw import UNKNOWN_LIMIT, draw_plan, keep_regular, torque
 from tools.faults.wire.host import STAMP_NOISE_S, Sent, drive
 from tools.faults.wire.judge import ACCELERATION_ID, Judge, Verdict
 from tools.faults.wire.line import Line, Plan, Slot, lay
@@ -60,6 +60,7 @@ def plan_of(episode: Episode) -> Plan:
         plan.note = unseen(plan)
     if pushed:
         torque(plan)
+    keep_regular(plan)
     if not setup.servo:
         declare(plan)
     plan.options.jitter_s = jitter_s(plan)
