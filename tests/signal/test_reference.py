@@ -111,6 +111,17 @@ def test_what_two_pulses_tell_of_the_speed(counted: float, later: float, told: l
     assert recovery.told == told
 
 
+def test_a_missed_sample_ends_what_two_pulses_have_told() -> None:
+    recovery, confirmed = Noted(lost=True), []
+    made = reference(recovery)
+    for turn in range(5):
+        if turn == 2:
+            made.missed()
+        pulse(made, 83.4, 100.0 + turn * N / 83.4)
+        confirmed.append(recovery.confirmed)
+    assert confirmed == [0, 0, 0, 0, 1]
+
+
 def test_a_loss_forgets_what_pulses_have_said() -> None:
     recovery = Noted(lost=False)
     made = reference(recovery)

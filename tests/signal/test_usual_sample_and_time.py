@@ -72,12 +72,11 @@ SAMPLES: dict[str, Callable[[float, float, int], Sample]] = {
     "pulse": lambda at, x, ticks: Sample(*counts_at(at), zero_pulse=abs(x)),
     "coarse": lambda at, x, ticks: Sample(*counts_at(at), 1.0, False, *counts_at(at / 2500)),
 }
-WEAKER = SampleLimits(2048, 300, 2048)
 SECOND = SecondSensor(increments=4096, tolerance_revolutions=0.01)
 CHANGES: dict[str, Callable[[SignalChain, float], object]] = {
     "missed": lambda chain, x: chain.miss(),
     "limits": lambda chain, x: chain.set_limits(
-        replace(LIMITS, residual_limit=0.2 + 0.1 * abs(x), sample=WEAKER)
+        replace(LIMITS, residual_limit=0.2 + 0.1 * abs(x), sample=SampleLimits(2048, 300, 2048))
     ),
     "several": lambda chain, x: chain.set_limits(replace(LIMITS, samples_per_sync=2 if x > 0 else 1)),
     "table": lambda chain, x: chain.activate(
@@ -175,9 +174,6 @@ def test_nearly_each_sample_of_a_healthy_machine_takes_the_short_way(
 PERIOD_S = 1e-3
 LEARNED = 60  # samples
 
-errors_us = st.floats(-400.0, 400.0)
-jitters_us = st.sampled_from([0.0, 0.1, 5.0, 60.0])
-
 
 class Line:
     """An interface on a SYNC that jitters: sample time, and when it and its SYNC were received."""
@@ -213,13 +209,13 @@ def at_once(chain: SignalChain, sample: Sample, received_s: float | None, synced
 
 @given(
     st.integers(0, TICKS - 1),
-    jitters_us,
+    st.sampled_from([0.0, 0.1, 5.0, 60.0]),
     st.sampled_from([None, False, True]),
     st.floats(-1.0, 1.0),
     st.lists(
         st.tuples(
             st.sampled_from(["good", "good", "off", "late", "rate", "twice", "lost", "miss", "bad"]),
-            errors_us,
+            st.floats(-400.0, 400.0),
         ),
         max_size=150,
     ),

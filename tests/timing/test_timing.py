@@ -282,13 +282,6 @@ def test_a_pdo_that_fits_none_is_not_used_until_it_is_the_usual_one(delay: float
     assert answers.place((delay + late) * T, syncs.grid) == 0
 
 
-def test_a_pdo_that_comes_again_and_again_is_no_other_delay() -> None:
-    answers, syncs = learned(0.3 * T)
-    for _ in range(2 * ROW):
-        assert answers.place(0.3 * T, syncs.grid, answered=0) == 0
-        assert not answers.has_moved(syncs.grid)
-
-
 @given(early=st.floats(0.15, 0.4))
 def test_a_pdo_before_the_place_of_its_sync_is_not_that_of_a_timer(early: float) -> None:
     answers, syncs = learned(0.3 * T)
