@@ -204,7 +204,10 @@ def test_started_on_a_turning_machine(speed: float, fault: str) -> None:
         machine.spoil()
     for _ in range({"missed": 1, "long gap": 3}.get(fault, 0)):
         machine.miss()
-    found = of_valid(errors(machine, 1500))
+    after = errors(machine, 1500)
+    if fault == "none" and speed != 0.4:  # the first position keeps its count, but for eq. 9 at 0.53
+        assert not any(has((got for got, _ in after), StatusBit.LOST))
+    found = of_valid(after)
     assert len(found) > 700
     assert np.ptp(found) < 0.03
 

@@ -291,11 +291,6 @@ def test_a_pdo_before_the_place_of_its_sync_is_not_that_of_a_timer(early: float)
     assert not answers.is_early((early + 0.3) * T, syncs.grid)
 
 
-def test_sooner_than_the_interface_can_measure_it_answers_the_sync_before() -> None:
-    answers, syncs = learned(0.5 * T)
-    assert answers.place(-0.4 * T, syncs.grid) == -1
-
-
 @given(places=st.integers(1, 3), early=st.floats(0.02, 0.08))
 def test_no_pdo_answers_a_sync_that_may_still_come(places: int, early: float) -> None:
     answers, syncs = learned(0.05 * T)
