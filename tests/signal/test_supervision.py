@@ -56,6 +56,7 @@ def test_either_end_of_the_converter_is_clipped_and_two_counts_earlier_after_a_f
         assert fault is None or checks.faults(*fault)
         pair = (counts, 0.0) if track == 0 else (0.0, counts)
         assert checks.faults(*pair, 1000.0) == bits, counts
+        assert checks.faults(0.0, 0.0, 1000.0) == checks.faults(2046.0, 0.0, 1000.0) == OK
 
 
 @each("full, margin", [(8, 0), (63, 0), (64, 1), (127, 1), (128, 2), (129, 2), (192, 2), (32768, 2)])
