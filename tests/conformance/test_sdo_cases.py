@@ -22,7 +22,6 @@ from conformance_kit import (
 NAME = "08 10 00"  # 1008h: longer than 4 bytes
 HEARTBEAT = "17 10 00"
 GUARD_TIME = "0C 10 00"
-NO_BLOCK = "05040001"
 
 
 def the_name(tester: Tester) -> bytes:

@@ -290,9 +290,7 @@ ODD: dict[str, Callable[[str], bytes]] = {
     "blank numbers": lambda text: text.replace(
         "[DeviceInfo]", "[DeviceInfo]\nVendorNumber=\nProductNumber=\n[DeviceComissioning]\nNodeID=\n[Other]"
     ).encode(),
-    "types of its own": lambda text: (
-        f"{text}[0040]\nParameterName=x\nObjectType=6\n[0041]\nObjectType=5\n".encode()
-    ),
+    "types of its own": lambda text: f"{text}[0040]\nObjectType=6\n[0041]\nObjectType=5\n".encode(),
 }
 
 

@@ -177,9 +177,7 @@ def test_of_a_file_that_was_cut_off_the_begin_is_used(tmp_path: Path, suffix: st
 def test_a_blf_that_was_never_closed_says_so(tmp_path: Path) -> None:
     writer = can.BLFWriter(str(tmp_path / "a.blf"))
     for n in range(9000):
-        writer.on_message_received(
-            can.Message(timestamp=1.7e9 + n * 1e-3, arbitration_id=n % 0x7FF, data=bytes(8))
-        )
+        writer.on_message_received(can.Message(1.7e9 + n * 1e-3, n % 0x7FF, data=bytes(8)))
     writer.file.flush()
     (tmp_path / "b.blf").write_bytes((tmp_path / "a.blf").read_bytes())
     writer.stop()

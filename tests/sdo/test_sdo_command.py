@@ -141,10 +141,7 @@ def test_for_programs(canfb: Commands, bench: Bench) -> None:
 
 WRONG = [
     (("read", "resid"), "'resid' means several objects: 2010:01 Supervision: Residual limit, 2011:02"),
-    (
-        ("read", "command"),
-        "'command' means several objects: 2030:01 Reference measurement in the module: Command",
-    ),
+    (("read", "command"), "'command' means several objects: 2030:01 Reference measurement in the module"),
     (("read", "largest amplitude"), "has no object of this name; did you mean 2001:03 Encoder and ADC"),
     (("read", "residul limit"), "no object of this name; did you mean 2010:01 Supervision: Residual limit?"),
     (("read", "zebra"), "canfb drive feedback module has no object of this name; canfb-module.eds has"),
@@ -154,10 +151,7 @@ WRONG = [
     (("write", "supervision", "1"), "'supervision' has several entries; which one: 2010:01 Residual limit"),
     (("write", "2010:03", "300"), "Supervision: Samples to coast must be a whole number 0..255, not 300"),
     (("write", "2010:06", "1"), "must be a whole number 2..255, not 1"),
-    (
-        ("write", "2010:01", "7"),
-        "Supervision: Residual limit must be 1.52588e-05..0.5 cycle, not '7' (1/65536",
-    ),
+    (("write", "2010:01", "7"), "Residual limit must be 1.52588e-05..0.5 cycle, not '7' (1/65536"),
     (("write", "2010:01", "7 rad"), "..0.5 cycle, not '7 rad' (1/65536 cycle with --raw)"),
     (("write", "2010:01", "inf"), "cycle, not 'inf'"),
     (("write", "2010:03", "x"), "Samples to coast must be a whole number, not 'x'"),

@@ -46,6 +46,7 @@ class Noted:
     def __init__(self, lost: bool) -> None:
         self.lost = lost
         self.on_lost: Callable[[], None] = lambda: None
+        self.on_speed: Callable[[], None] = lambda: None
         self.told: list[tuple[int, int]] = []
         self.confirmed = 0
 
@@ -89,12 +90,15 @@ def passes_at(made: Reference, position: float, bits: int, **coarse: Any) -> tup
     return passed(made, position - 0.1, position + 0.1, 0.5, bits, **coarse)
 
 
-def test_a_search_begins_anew_at_a_sample_that_was_not_taken() -> None:
-    """At rest it takes 6 samples; the one that was not taken is none of them."""
+@each("not_taken, itself", [(None, False), (1, False), (2, False), (1, True), (2, True)])
+def test_a_search_begins_anew_at_a_sample_that_was_not_taken(not_taken: int | None, itself: bool) -> None:
+    """At rest samples must span five intervals; each is the second of two, the first has no coarse track."""
     made, sample = reference(Noted(lost=False)), Sample(1.0, 0.0, coarse_sine=1500.0, coarse_cosine=0.0)
-    elapsed = [1.0] * 5 + [0.0] + [1.0] * 6
-    valid = [made.apply(sample, track(3.0), VALID, None, one)[0] & VALID for one in elapsed]
-    assert valid == [0] * 11 + [VALID]
+    for number in range(7):
+        bad = number == not_taken
+        made.passed(1.0, itself or not bad)
+        bits, _ = made.apply(sample, track(3.0), VALID, None, 0.0 if bad and itself else 1.0)
+        assert bool(bits & VALID) == (number >= (4 if not_taken is None else not_taken + 5) - 1)
 
 
 @each("counted, later, told", [
@@ -190,13 +194,21 @@ def test_a_pulse_without_an_angle_does_not_align_the_coarse_track(coarse: dict[s
     assert made.zero.error_cycles(Pulse(72, 0.5)) == 2
 
 
-def test_a_count_that_was_lost_is_not_known_by_a_pulse_whose_place_never_was() -> None:
+@each("how", ["pulses", "sample times"])
+def test_a_count_that_was_lost_is_not_known_by_a_pulse_whose_place_never_was(how: str) -> None:
+    """Nor by one whose place is known, before they have told the speed."""
     recovery = Noted(lost=True)
     made = reference(recovery)
-    made.range_known = made.had_position = True
-    assert [passes_at(made, 70.5 + turn * N, LOST) for turn in range(3)] == [(LOST, 0)] * 3
+    made.had_position = True
+    if how == "pulses":
+        made.range_known = True
+        assert [passes_at(made, 70.5 + turn * N, LOST) for turn in range(3)] == [(LOST, 0)] * 3
+        made.zero.set_place(Pulse(72, 0.5))
+    else:
+        made.zero.set_place(Pulse(72, 0.5))
+        assert passes_at(made, 70.5, LOST) == (LOST, 0)
+        recovery.on_speed()
     assert (recovery.told, recovery.confirmed) == ([], 0)
-    made.zero.set_place(Pulse(72, 0.5))
     assert passes_at(made, 70.5, LOST) == (LOST, 2)
     assert recovery.confirmed == 1
 
