@@ -129,11 +129,11 @@ def test_a_missed_sample_ends_what_two_pulses_have_told() -> None:
 def test_a_loss_forgets_what_pulses_have_said() -> None:
     recovery = Noted(lost=False)
     made = reference(recovery)
-    passes_at(made, 70.5, VALID)
-    passes_at(made, 300.5, VALID)
-    assert made.in_doubt
+    assert [passes_at(made, place, VALID)[0] for place in (70.5, 300.5)] == [VALID, COASTING]
+    made.coarse.disagreeing = 2
     recovery.lose(LossCause.COASTED)
-    assert not made.in_doubt
+    assert (made.in_doubt, made.coarse.disagreeing) == (False, 0)
+    recovery.confirm_count()
     assert passes_at(made, 300.5 + N, VALID) == (VALID, 0)
     assert not made.zero.referenced
 
