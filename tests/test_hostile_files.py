@@ -134,11 +134,11 @@ def test_an_object_with_a_long_name_is_refused_in_a_short_line() -> None:
         assert len(str(raised.value)) < 300
 
 
-@pytest.mark.parametrize("value", ["1e308", "-1e300", "inf", "nan"])
-def test_a_recording_with_a_time_beyond_any(tmp_path: Path, value: str) -> None:
+@pytest.mark.parametrize("value", ["1e308", "-1e300", "inf", "nan", "0.5"])
+def test_a_recording_with_a_time_beyond_any_or_one_that_goes_back(tmp_path: Path, value: str) -> None:
     path = tmp_path / "a.csv"
     path.write_text(f"t,s,c\n{value},1,2\n1e-320,3,4\n")
-    with pytest.raises(CanfbError, match="is not a time in seconds"):
+    with pytest.raises(CanfbError, match=":3: .* back" if value == "0.5" else "is not a time in seconds"):
         open_recording(path, RecordingLayout(("s", "c"), 0.0, "t", time_stamps=True, paced=True))
 
 

@@ -137,8 +137,7 @@ def open_recording(file: str | Path, layout: RecordingLayout) -> RecordingSource
     """A recording: an NPZ file of ours by its name, which needs no layout, else CSV. CanfbError."""
     path = Path(file)
     if path.suffix == ".npz":
-        tracks = read_tracks(path)
-        return RecordingSource(tracks.sine, tracks.cosine)
+        return RecordingSource(*read_tracks(path)[:2])
     timed = () if layout.time_column is None else (layout.time_column,)
     columns = read_columns(path, [str(name) for name in (*layout.columns, *timed)])
     pairs = _counts(path, columns, layout)
@@ -146,6 +145,7 @@ def open_recording(file: str | Path, layout: RecordingLayout) -> RecordingSource
     if timed:
         seconds = columns.values[:, 2]
         _check(path, columns, ~(np.abs(seconds) <= LARGEST_TIME_S), "{2} is not a time in seconds")
+        _check(path, columns, np.diff(seconds, prepend=-np.inf) < 0.0, "the time goes back to {2:g} s")
     played = np.ones(len(pairs), np.int64)
     before_gap = np.flatnonzero(np.diff(seconds) > layout.gap_s) if timed else np.zeros(0, np.int64)
     played[before_gap], pairs[before_gap] = max(layout.gap_samples, 1), np.nan
