@@ -12,14 +12,7 @@ from hypothesis import strategies as st
 from canfb.signal.chain import SignalChain
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.sample import TICKS, Feedback, Sample
-from canfb.signal.sample_times import (
-    HEARD_S,
-    OLDEST,
-    REPEATED,
-    RESTARTED,
-    SUSPECT,
-    SampleTimes,
-)
+from canfb.signal.sample_times import HEARD_S, OLDEST, REPEATED, RESTARTED, SUSPECT, SampleTimes
 from canfb.timing.grid import ROW
 
 T = 10_000  # ticks: 1 ms
@@ -54,6 +47,15 @@ class Clock:
         got = self.times.elapsed(time, self.counted + skip, *received[self.known], speed)
         self.counted = self.counted + 1.0 + skip if got < 0.0 and got != RESTARTED else 1.0
         return got
+
+
+def test_a_time_is_right_by_its_call_before_there_is_a_grid() -> None:
+    """Over parts of an interval: its unit has changed meanwhile."""
+    times, speeds = SampleTimes(), (5.0, 0.3, 5.0, 0.3, 0.3, 0.3)
+    sent, counted = (30, 30, 40, 53, 67, 80), (1.0, 1.0, 2.6, 1.0, 1.6, 2.6)
+    calls = zip(sent, counted, (1.19, 2.96, 4.0, 6.46, 7.0, 8.0), speeds, strict=True)
+    got = [times.elapsed(1000 * at, n, None, call * 1e-3, speed) for at, n, call, speed in calls]
+    assert (got[-2], got[-1]) == (REPEATED, pytest.approx(2.7 / 1.15))
 
 
 @knowledge

@@ -185,7 +185,7 @@ class SampleTimes:
                 and (apart_s is None or grid.deviation * TICK_S < self._heard_s)
             )
         kind = REPEATED if heard_apart_s is None and places < counted - 0.5 else SUSPECT
-        if not right or (by_call and kind == REPEATED):
+        if not right or (by_call and kind == REPEATED and grid.period):
             return self._refused(
                 time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
             )
