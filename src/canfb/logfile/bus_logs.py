@@ -71,9 +71,7 @@ def in_order(batches: Iterable[list[Frame]], counters: LogCounters) -> Iterator[
 def _ready(frames: list[Frame], end: bool, counters: LogCounters) -> tuple[list[Frame], list[Frame], bool]:
     """Frames that are in order, those held back, and whether the first of these begins a set clock."""
     stamps = _stamps(frames)
-    if not all(map(le, stamps, stamps[1:])):
-        _bring_back(frames, stamps, counters)
-    if all(map(le, stamps, stamps[1:])):
+    if all(map(le, stamps, stamps[1:])) or _bring_back(frames, stamps, counters):
         cut = len(frames) if end else bisect_left(stamps, stamps[-1] - WINDOW_S)
         return frames[:cut], frames[cut:], False
     newest, looked_to = -math.inf, 0
@@ -90,8 +88,8 @@ def _ready(frames: list[Frame], end: bool, counters: LogCounters) -> tuple[list[
     return ready, held, False
 
 
-def _bring_back(frames: list[Frame], stamps: list[float], counters: LogCounters) -> None:
-    """Single frames far ahead of all around them, by another clock, get the stamp of the next."""
+def _bring_back(frames: list[Frame], stamps: list[float], counters: LogCounters) -> bool:
+    """Give single frames far ahead the stamp of the next; whether all are in order then."""
     line = -math.inf
     for n, stamp in enumerate(stamps):
         if stamp > line + WINDOW_S:
@@ -102,6 +100,7 @@ def _bring_back(frames: list[Frame], stamps: list[float], counters: LogCounters)
                 counters.late += 1
                 continue
         line = max(line, stamp)
+    return all(map(le, stamps, stamps[1:]))
 
 
 def _sorted(
