@@ -86,9 +86,7 @@ def test_one_wrong_position_is_found(cycles: float, at: int) -> None:
     assert result.first_wrong.error == pytest.approx(cycles, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("periods", "outcome"), [(1.5, "kept"), (2.9, "kept"), (3.2, "wrong"), (20.0, "wrong")]
-)
+@pytest.mark.parametrize(("periods", "outcome"), [(2.9, "kept"), (3.2, "wrong"), (20.0, "wrong")])
 def test_a_frozen_valid_position_is_wrong_after_the_deadline(periods: float, outcome: str) -> None:
     plan = plan_at(SPEED, slots=80)
     for slot in plan.slots[50:]:
@@ -106,9 +104,8 @@ def test_after_a_reset_the_module_counts_from_where_it_starts_and_not_twice() ->
     sent, start = honest(line), line.positions[35] - line.positions[35] % 1.0
     back = line.positions[0] - line.positions[0] % 1.0 - start
     restarted = sent[:30] + [moved(one, back) for one in sent[35:]]
-    jumped = [*restarted[:-1], moved(restarted[-1], 7.0)]
     assert Judge(plan, line).judge(restarted).wrong == 0
-    assert Judge(plan, line).judge(jumped).wrong == 1
+    assert Judge(plan, line).judge([*restarted[:-1], moved(restarted[-1], 7.0)]).wrong == 1
     assert Judge(replace(plan, actions=[]), line).judge(restarted).wrong > 0
 
 
@@ -171,8 +168,7 @@ def test_an_aimed_time_is_off_by_whole_cycles_and_by_more_than_physics_excuses(n
 def test_an_episode_is_the_same_each_time_and_on_a_module_that_was_reset() -> None:
     episode = Episode.parse("PDO lost, 2:times+counter/rx:11")
     play(Episode.parse("NMT pause:counter:3"))
-    first, second, fresh = play(episode), play(episode), play(episode, fresh=True)
-    frames = [[one.frame for one in played.sent] for played in (first, second, fresh)]
+    frames = [[one.frame for one in play(episode, fresh=fresh).sent] for fresh in (False, False, True)]
     assert frames[0] == frames[1] == frames[2]
     assert str(episode) == "PDO lost, 2:times+counter/rx:11"
 
@@ -186,6 +182,10 @@ def test_nothing_is_silent(name: str) -> None:
 @pytest.mark.parametrize("episode", FOUND)
 def test_what_was_found_is_not_silent(episode: str) -> None:
     assert play(Episode.parse(episode)).verdict.outcome in ("lost", "flagged", "kept")
+
+
+def test_a_speed_over_doubtful_intervals_does_not_excuse_the_next_doubt() -> None:
+    assert play(Episode.parse("deaf, late host:plain:1700003000488")).verdict.outcome == "lost"
 
 
 @pytest.mark.parametrize("setup", ["times", "times-free", "times+counter", "times/rx"])

@@ -465,7 +465,9 @@ class Pairing(ProcessData):
 
     def _lose_count(self, intervals: float, now: float) -> None:
         """So many intervals may or may not have passed: the position is lost if the machine moves."""
-        feedback = self._chain.uncertain(intervals)
+        feedback = (  # by its speed now, or by that before a doubt that is still open
+            self._chain.lose() if self._moves and not self._chain.lost else self._chain.uncertain(intervals)
+        )
         if feedback is not None:
             self._publishing.publish(feedback, now)
 
