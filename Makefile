@@ -71,7 +71,8 @@ package: $(INSTALLED_TEST) ## Build sdist and wheel into dist, check them, and r
 	$(PY) -m tools.suite.package
 
 site: $(INSTALLED_TEST) ## Build the documentation site, strictly, in build/site/html
-	$(PY) -m tools.site.build
+	rm -rf build/site
+	$(PY) -m sphinx -E -q -W --keep-going -c tools/site -d build/site/doctrees . build/site/html
 
 # A wheel of each for Python 3.11 and 3.12; newer Pythons need newer versions anyway.
 lowest: $(LOWEST)/.installed ## Run a part of the tests with the lowest versions that pyproject.toml allows

@@ -1,4 +1,9 @@
-"""Sphinx: how the pages of the repository become the site (tools/site/build.py calls it)."""
+"""Sphinx: how the pages of the repository become the site (`make site`).
+
+The pages in docs/ in the order of docs/index.md; those of docs/reference are made of the EDS files, the
+configuration classes, the command line and the docstrings. A page that is not in the order, a link or an
+anchor that leads nowhere, and anything else that Sphinx warns of is an error. It needs no server.
+"""
 
 from __future__ import annotations
 
