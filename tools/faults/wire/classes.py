@@ -8,17 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from tools.faults.wire import clocks
+from tools.faults.wire.clocks import RATES_HZ, WHO, stalls
 from tools.faults.wire.line import TICK_S, Plan
 from tools.faults.wire.setups import Setup
-from tools.faults.wire.stalls import RATES_HZ, WHO, stalls
 
 Change = Callable[[Plan], object]
 
 
-def one_of(*values: float) -> Callable[[Plan], int]:
-    return lambda plan: int(plan.rng.choice(values))
+def one_of(*values: float) -> Callable[[Plan], Any]:
+    return lambda plan: plan.rng.choice(values).item()
 
 
 def between(least: int, most: int) -> Callable[[Plan], int]:
@@ -30,29 +31,37 @@ def periods_us(least: float, most: float) -> Callable[[Plan], float]:
     return lambda plan: float(plan.rng.uniform(least, most)) / plan.us
 
 
+def drawn(value: Any, plan: Plan) -> Any:
+    return value(plan) if callable(value) else value
+
+
+def put(thing: object, fields: dict[str, Any], plan: Plan) -> None:
+    vars(thing).update({name: drawn(value, plan) for name, value in fields.items()})
+
+
 def slots(
-    count: int | Callable[[Plan], int] | None, step: int | Callable[[Plan], int] = 1, **fields: object
+    count: int | Callable[[Plan], int] | None,
+    step: int | Callable[[Plan], int] = 1,
+    skip: int = 0,
+    **fields: Any,
 ) -> Change:
     """Set these fields of slots, from the fault on; None: of all. A value may be drawn for each slot."""
 
     def change(plan: Plan) -> None:
-        apart = step(plan) if callable(step) else step
-        number = count(plan) if callable(count) else count
-        last = None if number is None else plan.fault + number * apart
-        for slot in plan.slots[plan.fault : last : apart]:
-            vars(slot).update(
-                {name: value(plan) if callable(value) else value for name, value in fields.items()}
-            )
+        apart, number, first = drawn(step, plan), drawn(count, plan), plan.fault + skip
+        last = None if number is None else first + number * apart
+        for slot in plan.slots[first:last:apart]:
+            put(slot, fields, plan)
 
     return change
 
 
-def options(**fields: object) -> Change:
-    return lambda plan: vars(plan.options).update(fields)
+def options(**fields: Any) -> Change:
+    return lambda plan: put(plan.options, fields, plan)
 
 
-def wire(**fields: object) -> Change:
-    return lambda plan: vars(plan).update(fields)
+def wire(**fields: Any) -> Change:
+    return lambda plan: put(plan, fields, plan)
 
 
 def any_of(*changes: Change) -> Change:
@@ -177,12 +186,6 @@ def period_changes(plan: Plan) -> None:
         slot.produced = number % keep == 0
 
 
-def wrong_1006(plan: Plan) -> None:
-    """1006h is not the period of the bus."""
-    factor = float(plan.rng.choice((0.5, 2.0, 0.25, 4.0, 1.5, 0.9)))
-    options(period=True, period_factor=factor)(plan)
-
-
 def pdo_again(plan: Plan) -> list[float]:
     soon = plan.rng.integers(2)
     return [float(plan.rng.uniform(60.0, 200.0)) if soon else periods_us(0.2, 1.6)(plan)]
@@ -202,10 +205,6 @@ def pdos_swapped(plan: Plan) -> None:
     gap = int(plan.rng.integers(1, 4))
     for at, late in zip((0, gap), lates, strict=True):
         plan.slots[plan.fault + at].pdo_late_us = (late - float(plan.rng.uniform(0.0, 0.1))) / plan.us
-
-
-def lose_the_next(plan: Plan) -> None:
-    plan.slots[plan.fault + 1].pdo_lost = True
 
 
 def any_stamp(plan: Plan) -> int:
@@ -241,10 +240,6 @@ def interface_restarts(plan: Plan) -> None:
     slots(back, stamp_add=0, pdo_lost=True)(plan)
 
 
-def false_pulse(plan: Plan) -> None:
-    plan.slots[plan.fault].false_pulse = float(plan.rng.uniform())
-
-
 def first_pulse_false(plan: Plan) -> None:
     plan.slots[6 + int(plan.rng.integers(4))].false_pulse = float(plan.rng.uniform())
 
@@ -265,18 +260,15 @@ def bus_off(plan: Plan) -> None:
         slot.to_module, slot.pdo_lost = False, True
 
 
-def predict(plan: Plan) -> None:
-    """Synchronous PDOs with the position of their SYNC (2013h), which does not jitter here."""
-    plan.options.rpdo_type, plan.options.tpdo_type = int(plan.rng.choice((1, 255))), 1
-    plan.options.predict = int(plan.rng.choice((1, 2)))
-
-
 SOME = one_of(1, 1, 1, 2, 3, 10)
 LATE_HOST = wire(host="late")
 ZERO_PULSES, COARSE = options(extra=True), options(coarse=True)
 PDO_LATE = slots(one_of(1, 2, 5), step=3, pdo_late_us=periods_us(0.85, 1.4))
 UNHEARD_BY_MODULE, UNHEARD_BY_INTERFACE = slots(SOME, to_module=False), slots(SOME, to_interface=False)
 SYNC_DOUBLED = doubled(47.0, lambda _: 120.0)
+FALSE_PULSE = slots(1, false_pulse=lambda plan: float(plan.rng.uniform()))
+# Synchronous PDOs with the position of their SYNC (2013h), which does not jitter here.
+PREDICTED = options(rpdo_type=one_of(1, 255), tpdo_type=1, predict=one_of(1, 2))
 
 
 def lost(count: int | Callable[[Plan], int]) -> Change:
@@ -363,14 +355,20 @@ _TABLE = (
     wire_class("SYNC doubled, late host", LATE_HOST, SYNC_DOUBLED),
     wire_class("SYNC, second producer", second_producer),
     wire_class("SYNC period changes", period_changes, after=150),
-    wire_class("1006h wrong", wrong_1006, torque=0.0),
+    wire_class(
+        "1006h wrong",
+        options(period=True, period_factor=one_of(0.5, 2.0, 0.25, 4.0, 1.5, 0.9)),
+        torque=0.0,
+    ),
     wire_class("PDO doubled", slots(one_of(1, 1, 2, 5), step=3, pdo_again_us=pdo_again)),
     wire_class("PDO replayed", pdo_replayed),
     wire_class("PDOs slow", slots(40, pdo_late_us=periods_us(0.4, 0.9))),
     wire_class("PDOs late for good", slots(None, pdo_late_us=lambda plan: 1.0 / plan.us)),
     wire_class("PDO late", PDO_LATE),
     wire_class("PDOs late by 1 and 2", pdos_swapped),
-    wire_class("PDO late, next lost", slots(1, pdo_late_us=periods_us(0.9, 1.0)), lose_the_next),
+    wire_class(
+        "PDO late, next lost", slots(1, pdo_late_us=periods_us(0.9, 1.0)), slots(1, skip=1, pdo_lost=True)
+    ),
     wire_class("stamp, one bad", one_bad_stamp, of="times"),
     wire_class(
         "stamps, 10 % bad",
@@ -381,8 +379,8 @@ _TABLE = (
     wire_class("stamp, clock stands", clock_stands, of="times"),
     wire_class("receive times off", wire(bad_rx=0.1), of="stamps"),
     wire_class("coarse track, any loss", COARSE, any_loss),
-    wire_class("zero pulse false, coarse", COARSE, ZERO_PULSES, false_pulse, after=260),
-    wire_class("zero pulse false", ZERO_PULSES, false_pulse, after=260),
+    wire_class("zero pulse false, coarse", COARSE, ZERO_PULSES, FALSE_PULSE, after=260),
+    wire_class("zero pulse false", ZERO_PULSES, FALSE_PULSE, after=260),
     wire_class("zero pulse, first false", ZERO_PULSES, first_pulse_false, after=200),
     wire_class(
         "RPDO2 doubled",
@@ -403,7 +401,7 @@ _TABLE = (
     wire_class("RPDO 1, TPDO 254", options(rpdo_type=1, tpdo_type=254), any_loss),
     wire_class("RPDO 255, TPDO 1", options(rpdo_type=255, tpdo_type=1), any_loss),
     wire_class("RPDO 1, TPDO 1", options(rpdo_type=1, tpdo_type=1), any_loss),
-    wire_class("TPDO 1, predict", predict, wire(jitter_us=0.0, busy=0.0, tolerance=1.3), any_loss),
+    wire_class("TPDO 1, predict", PREDICTED, wire(jitter_us=0.0, busy=0.0, tolerance=1.3), any_loss),
     aimed("stamp, bad again", clocks.bad_stamp_again, "times !servo", survives=True),
     aimed("stamp, bad again after reset", clocks.bad_stamp_after_reset, "times !servo", survives=True),
     aimed("stamp, bad at the start", clocks.bad_stamp_early, "times !servo"),

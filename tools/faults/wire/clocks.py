@@ -2,14 +2,19 @@
 
 The faults here are aimed: an error of a time is that which a cycle takes at the speed of the machine (v e is
 a whole number), so that the phases alone show nothing. Each needs a machine of its own (:func:`machine`).
+
+Last come stalls of a computer, 1 to 500 ms, at 100, 500 and 1000 Hz, with sample times (:func:`stalls`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+
+import numpy as np
 
 from tools.faults.machine import Motion
-from tools.faults.wire.draw import UNKNOWN_LIMIT
+from tools.faults.wire.draw import UNKNOWN_LIMIT, torque
 from tools.faults.wire.line import TICK_S, Plan, Slot
 from tools.faults.wire.physics import stamp_tolerance, step_note
 
@@ -223,12 +228,10 @@ def everything_stalls(plan: Plan) -> None:
     plan.gaussian, plan.busy = False, 0.0
     long = float(plan.rng.uniform(1.0, most))
     begin = plan.fault + 0.7 + float(plan.rng.uniform(0.0, 0.3))
-    end = begin + long
-    producer_stalls(plan, begin, end)
-    plan.stalls.append((begin, end))
+    _put(plan, "all", begin, begin + long)
 
 
-def producer_stalls(plan: Plan, begin: float, end: float) -> None:
+def _producer_stalls(plan: Plan, begin: float, end: float) -> None:
     """SYNCs due meanwhile are not sent but for the last one, at the end."""
     last = int(end - 1.0)  # slot n is due at n + 1
     for slot in plan.slots[int(begin) : last]:
@@ -270,3 +273,65 @@ def clock_set_in_a_burst(plan: Plan) -> None:
     periods = int(plan.rng.integers(1, int(long) + 2))
     for slot in plan.slots[first:last]:
         slot.stamp_add = round(periods * plan.options.interval_s / TICK_S)
+
+
+WHO = ("module", "module, queue", "producer", "all")
+RATES_HZ = (100, 500, 1000)
+SHORTEST_S, LONGEST_S = 1e-3, 0.5
+IN_A_ROW = 8
+BETWEEN = 40  # periods from one stall to the next
+QUEUES = (20, 64, 277)  # frames; a slot is two of them
+LIMITS = (0.02, 0.05, 0.1)  # cycles/T^2
+SPARE = 1.1  # a torque pulse on top of a vibration, which is declared then
+
+
+def stalls(who: str, rate_hz: int, is_short: bool) -> Callable[[Plan], None]:
+    """A stalled module's frames wait, or are dropped beyond its queue; a stall alone hides nothing.
+
+    ``is_short``: one motion only fits behind each of several stalls, and the position has to be kept. Behind
+    a longer one it may be lost, but is never valid and wrong; the rest of them would show nothing.
+    """
+
+    def change(plan: Plan) -> None:
+        rng = plan.rng
+        plan.options.interval_s = 1.0 / rate_hz
+        limit = float(rng.choice(LIMITS))
+        bridged = longest_bridged(limit * SPARE)
+        lengths = _lengths(rng, who, rate_hz, bridged, is_short)
+        after = int(sum(lengths)) + BETWEEN * (len(lengths) + 1)
+        machine(plan, a_speed(plan, 0.0, 40.0), after, limit=limit)
+        plan.options.coast = min(int(max(lengths)) + 4, 255)
+        plan.jitter_us = float(rng.uniform(0.0, 0.05)) * plan.options.interval_s * 1e6
+        plan.gaussian, plan.busy = False, 0.0
+        begin = plan.fault + 0.7 + float(rng.uniform(0.0, 0.3))
+        for length in lengths:
+            _put(plan, who, begin, begin + length, bridged if is_short else 0)
+            begin = float(int(begin + length) + BETWEEN) + float(rng.uniform(0.0, 1.0))
+        if rng.integers(2):
+            torque(plan)
+
+    return change
+
+
+def _lengths(rng: np.random.Generator, who: str, rate_hz: int, bridged: int, is_short: bool) -> list[float]:
+    most = LONGEST_S * rate_hz
+    if is_short and who in ("producer", "all"):
+        most = min(most, bridged)
+    least = min(SHORTEST_S * rate_hz, most / 2.0)
+    lengths = np.exp(rng.uniform(np.log(least), np.log(most), IN_A_ROW if is_short else 1))
+    return [float(one) for one in lengths]
+
+
+def _put(plan: Plan, who: str, begin: float, end: float, bridged: int = 0) -> None:
+    """One stall; ``bridged``: so many samples at most are dropped, 0: as many as the queue drops."""
+    first, last = int(begin), int(end - 1.0)  # slot n is due at n + 1
+    if who != "producer":
+        plan.stalls.append((begin, end))
+    if who in ("producer", "all"):
+        _producer_stalls(plan, begin, end)
+    elif who == "module, queue":
+        heard = first + int(plan.rng.choice(QUEUES)) // 2
+        if bridged:
+            heard = max(heard, last - bridged + 1)
+        for slot in plan.slots[heard:last]:
+            slot.to_module, slot.pdo_lost = False, True

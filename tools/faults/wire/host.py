@@ -6,10 +6,12 @@ and then looks at its deadline. Frames keep their order.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from canfb import FeedbackModule, Frame
 from tools.faults.wire.line import Event, Plan
@@ -26,27 +28,17 @@ class Sent(NamedTuple):
     newest: int  # number of the newest sample that the module has heard; -1: none
 
 
-def latencies(kind: str, rng: np.random.Generator) -> Callable[[], float]:
-    """How late the process wakes up, seconds; drawn in blocks."""
+BLOCK = 256
+LATENCIES_S: dict[str, Callable[[np.random.Generator], npt.NDArray[np.float64]]] = {
+    "quick": lambda rng: rng.uniform(10e-6, 80e-6, BLOCK),
+    "late": lambda rng: np.minimum(rng.exponential(0.7e-3, BLOCK), 5e-3),  # under load
+}
+"""How late the process wakes up."""
 
-    def block() -> list[float]:
-        if kind == "quick":
-            values = rng.uniform(10e-6, 80e-6, 256)
-        elif kind == "late":  # 0.1 to 5 ms under load
-            values = np.minimum(rng.exponential(0.7e-3, 256), 5e-3)
-        else:
-            raise ValueError(f"no host is {kind!r}")
-        drawn: list[float] = values.tolist()
-        return drawn
 
-    store: list[float] = []
-
-    def draw() -> float:
-        if not store:
-            store.extend(block())
-        return store.pop()
-
-    return draw
+def latencies_s(host: str, rng: np.random.Generator) -> Iterator[float]:
+    while True:
+        yield from reversed(LATENCIES_S[host](rng).tolist())
 
 
 def _noise(plan: Plan, count: int) -> list[float]:
@@ -64,7 +56,7 @@ def drive(
 ) -> tuple[list[Sent], float]:
     """Run the module over the events; what it sent, and the time of the end, seconds."""
     interval_s, rng, stamps = plan.options.interval_s, plan.rng, plan.setup.stamps
-    latency = latencies(plan.host, rng)
+    latency = latencies_s(plan.host, rng)
     noise = _noise(plan, len(events)) if stamps else []
     stalls = [(begin_s + a * interval_s, begin_s + b * interval_s) for a, b in plan.stalls]
     end_s = begin_s + plan.end * interval_s
@@ -74,14 +66,10 @@ def drive(
     newest = -1
     while True:
         due = module.deadline()
-        trigger = times[at] if at < count else end_s
-        if due is not None and due < trigger:
-            trigger = due
-        elif at >= count:
-            break
+        trigger = min(times[at] if at < count else end_s, math.inf if due is None else due)
         if trigger >= end_s:
             break
-        wake = max(trigger, now) + latency()
+        wake = max(trigger, now) + next(latency)
         for begin, end in stalls:
             if begin <= wake < end:
                 wake = end

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +80,7 @@ def jitter_s(plan: Plan) -> float:
 
 
 def play_plan(plan: Plan, fresh: bool = False, bench: Bench = _bench) -> Played:
-    module = bench.begin(plan.setup, plan.options, fresh or bool(os.environ.get("CANFB_FRESH")))
+    module = bench.begin(plan.setup, plan.options, fresh)
     begin = bench.now + 0.01
     module.receive(_START, bench.now + 0.005)
     line = lay(plan)
