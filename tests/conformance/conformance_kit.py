@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 from conformance_eds import Eds
 
+import sdo_client
 from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.interface.encoder_interface import EncoderInterface
@@ -55,16 +57,6 @@ def m(index: int, sub: int = 0) -> str:
 
 def little(value: int, size: int) -> str:
     return hexes(value.to_bytes(size, "little"))
-
-
-def crc(data: bytes) -> int:
-    """CRC of block transfers, bit by bit: polynomial 1021h, start 0."""
-    register = 0
-    for byte in data:
-        register ^= byte << 8
-        for _ in range(8):
-            register = (register << 1 ^ (0x1021 if register & 0x8000 else 0)) & 0xFFFF
-    return register
 
 
 def only(frames: Iterable[Heard], can_id: int) -> list[str]:
@@ -180,39 +172,36 @@ class Tester:
         """Expedited upload of a number."""
         return int.from_bytes(self.upload(m(index, sub)), "little")
 
+    def answers(self, request: bytes, wait: float = 0.0) -> list[bytes]:
+        """As `sdo`, in bytes."""
+        return [bytes.fromhex(answer) for answer in self.sdo(hexes(request), wait)]
+
     def upload(self, multiplexer: str) -> bytes:
         """A whole object, expedited or segmented."""
-        first = self.ask("40 " + multiplexer)
-        raw = bytes.fromhex(first)
-        assert hexes(raw[1:4]) == multiplexer, first
-        if raw[0] & 0xF3 == 0x43:
-            return raw[4 : 8 - (raw[0] >> 2 & 3)]
-        assert raw[0] == 0x41, first
-        data, toggle = b"", 0x00
-        while True:
-            segment = bytes.fromhex(self.ask(f"{0x60 | toggle:02X}"))
-            assert segment[0] & 0xF0 == toggle
-            data += segment[1 : 8 - (segment[0] >> 1 & 7)]
-            if segment[0] & 1:
-                break
-            toggle ^= 0x10
-        assert len(data) == int.from_bytes(raw[4:], "little")
-        return data
+        return sdo_client.upload(self.answers, bytes.fromhex(multiplexer))
 
     def download_segmented(self, multiplexer: str, data: bytes) -> str:
-        """The last answer of a segmented download."""
-        answer = self.ask(f"21 {multiplexer} {little(len(data), 4)}")
-        if answer != filled("60 " + multiplexer):
-            return answer
-        toggle = 0x00
-        for start in range(0, max(len(data), 1), 7):
-            part = data[start : start + 7]
-            last = start + 7 >= len(data)
-            answer = self.ask(f"{toggle | (7 - len(part)) << 1 | last:02X} {hexes(part)}")
-            if answer != filled(f"{0x20 | toggle:02X}"):
-                return answer
-            toggle ^= 0x10
-        return "ok"
+        """The abort, or "ok"."""
+        abort = sdo_client.download(self.answers, bytes.fromhex(multiplexer), data)
+        return hexes(abort) or "ok"
+
+    def block_upload(self, multiplexer: str, **options: Any) -> bytes:
+        """A whole object."""
+        ask = partial(self.answers, wait=0.2)
+        return sdo_client.block_upload(ask, bytes.fromhex(multiplexer), **options)
+
+    def block_download(self, multiplexer: str, data: bytes, **options: Any) -> str:
+        """The abort, or "ok"."""
+        abort = sdo_client.block_download(self.answers, bytes.fromhex(multiplexer), data, **options)
+        return hexes(abort) or "ok"
+
+    def begin_block_upload(self, multiplexer: str, block_size: int = 0x14) -> None:
+        answer = self.ask(f"A0 {multiplexer} {block_size:02X}")
+        assert answer[:11] in (f"C2 {multiplexer}", f"C6 {multiplexer}")
+
+    def begin_block_download(self, multiplexer: str, size: int | None) -> str:
+        """The answer to the first frame of one with a CRC, of a size that may be announced."""
+        return self.ask(f"{0xC4 if size is None else 0xC6:02X} {multiplexer} {little(size or 0, 4)}")
 
     # -- NMT ----------------------------------------------------------------------------------------
 

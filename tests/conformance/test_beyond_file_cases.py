@@ -6,7 +6,6 @@ from configparser import RawConfigParser
 from pathlib import Path
 
 import pytest
-from conformance_blocks import block_upload
 from conformance_eds import DOMAIN, FOLDER
 from conformance_kit import INTERFACE_ID, Tester, little, only
 
@@ -51,6 +50,6 @@ def test_beyond_24_the_size_of_the_stored_eds(tester: Tester) -> None:
     file = (FOLDER / f"{tester.eds.name}.eds").read_bytes()
     assert tester.ask("40 21 10 00") == f"41 21 10 00 {little(len(file), 4)}"
     assert tester.upload("21 10 00") == file
-    assert block_upload(tester, "21 10 00", with_crc=True)[0] == file
+    assert tester.block_upload("21 10 00") == file
     if tester.kind == "module":
         assert f"({round(len(file) / 1000)} kB: use block transfer)" in CHOICES.read_text(encoding="utf-8")

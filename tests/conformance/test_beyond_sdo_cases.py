@@ -5,8 +5,9 @@ from __future__ import annotations
 import struct
 
 import pytest
-from conformance_blocks import begin_download, begin_upload, block_download, block_upload, end_frame, segments
-from conformance_kit import Tester, crc, filled, hexes, little, only
+from conformance_kit import Tester, filled, hexes, little, only
+
+from sdo_client import crc
 
 NAME, HEARTBEAT, EDS_FILE, TABLE = "08 10 00", "17 10 00", "21 10 00", "20 20 01"
 ANY_SEGMENT = "05040001"
@@ -63,30 +64,30 @@ def start_segmented_download(tester: Tester) -> str:
 
 
 def start_block_download(tester: Tester) -> str:
-    begin_download(tester, HEARTBEAT, 2)
+    tester.begin_block_download(HEARTBEAT, 2)
     return HEARTBEAT
 
 
 def start_block_download_end(tester: Tester) -> str:
-    begin_download(tester, HEARTBEAT, 2)
+    tester.begin_block_download(HEARTBEAT, 2)
     assert tester.ask("81 E8 03")[:5] == "A2 01"
     return HEARTBEAT
 
 
 def start_block_upload(tester: Tester) -> str:
-    begin_upload(tester, EDS_FILE, 0x7F)
+    tester.begin_block_upload(EDS_FILE, 0x7F)
     return EDS_FILE
 
 
 def start_block_upload_segments(tester: Tester) -> str:
     """Amid a block: the server is still sending."""
-    begin_upload(tester, EDS_FILE, 0x7F)
+    tester.begin_block_upload(EDS_FILE, 0x7F)
     assert tester.sdo("A3")
     return EDS_FILE
 
 
 def start_block_upload_acknowledge(tester: Tester) -> str:
-    begin_upload(tester, EDS_FILE, 0x04)
+    tester.begin_block_upload(EDS_FILE, 0x04)
     assert len(tester.sdo("A3", wait=0.2)) == 4
     return EDS_FILE
 
@@ -123,49 +124,16 @@ def test_beyond_03_a_new_request_amid_a_transfer(tester: Tester, start: object, 
     is_idle(tester)
 
 
-def send_block(tester: Tester, parts: list[bytes], numbers: list[int], last: int) -> list[str]:
-    """Segments by their numbers (from 1); the answers to the last one sent."""
-    answers: list[str] = []
-    for number in numbers:
-        mark = 0x80 if number == last else 0
-        answers = tester.sdo(f"{mark | number:02X} {hexes(parts[number - 1])}")
-    return answers
-
-
-def test_beyond_04_a_lost_segment_is_sent_again(module: Tester) -> None:
-    data = IDENTITY[:64]  # 16 entries: 10 segments
-    parts = list(segments(data))
-    for lost in (1, 3, len(parts) - 1):
-        begin_download(module, TABLE, len(data))
-        numbers = [number for number in range(1, len(parts) + 1) if number != lost]
-        (answer,) = send_block(module, parts, numbers, len(parts))
-        assert answer[:5] == f"A2 {lost - 1:02X}"
-        rest = parts[lost - 1 :]
-        (answer,) = send_block(module, rest, list(range(1, len(rest) + 1)), len(rest))
-        assert answer[:5] == f"A2 {len(rest):02X}"
-        answer = module.ask(end_frame(data))
-        assert answer[:2] == "A1" or answer[12:] == "30 00 09 06"  # the CRC was right; the table is not one
-
-
-def test_beyond_04_a_table_arrives_whole_in_spite_of_gaps(module: Tester) -> None:
-    _, block_size = begin_download(module, TABLE, len(IDENTITY))
-    parts, turn = list(segments(IDENTITY)), 0
-    while parts:
-        block = parts[:block_size]
-        lost = turn % 4 if turn < 8 else 0  # 0: none
-        turn += 1
-        for sequence, part in enumerate(block, 1):
-            last = 0x80 if sequence == len(parts) else 0
-            answers = [] if sequence == lost else module.sdo(f"{last | sequence:02X} {hexes(part)}")
-        (answer,) = answers
-        accepted, block_size = int(answer[3:5], 16), int(answer[6:8], 16)
-        assert accepted == (lost - 1 if lost else len(block))
-        parts = parts[accepted:]
-    assert module.ask(end_frame(IDENTITY)) == filled("A1")
+def test_beyond_04_lost_segments_are_sent_again(module: Tester) -> None:
+    for lost in ({1}, {3}, {72}, {2, 33, 34, 35, 70}):  # of 74, in blocks of 31
+        assert module.block_download(TABLE, IDENTITY, lost=lost) == "ok"
+    checksum = module.read(0x2020, 2)
+    module.write(0x2020, 3, checksum, 4)
+    assert module.block_upload(TABLE) == IDENTITY
 
 
 def test_beyond_05_wrong_crc(tester: Tester) -> None:
-    begin_download(tester, HEARTBEAT, 2)
+    tester.begin_block_download(HEARTBEAT, 2)
     tester.ask("81 E8 03")
     wrong = crc(bytes.fromhex("E8 03")) ^ 0x0001
     tester.aborted(tester.ask(f"D5 {little(wrong, 2)}"), HEARTBEAT, "05040004")
@@ -190,41 +158,25 @@ def test_beyond_05_wrong_sizes(
         answer = tester.ask(f"{(7 - len(raw)) << 1 | 1:02X} {data}")
     tester.aborted(answer, HEARTBEAT, *codes)
     # by block
-    answer, _ = begin_download(tester, HEARTBEAT, announced)
+    answer = tester.begin_block_download(HEARTBEAT, announced)
     if answer[:2] != "80":
         answer = tester.ask(f"81 {data}")
     if answer[:2] != "80":
-        answer = tester.ask(end_frame(raw))
+        unused = 7 - len(raw)
+        answer = tester.ask(f"{0xC1 | unused << 2:02X} {little(crc(raw), 2)}")
     tester.aborted(answer, HEARTBEAT, *codes)
     assert heartbeat_ms(tester) == 0
     is_idle(tester)
 
 
 def test_beyond_06_segments_after_a_gap_are_sent_again(tester: Tester) -> None:
-    size = begin_upload(tester, EDS_FILE, 10, with_crc=True)
-    answers, data, block_size = tester.sdo("A3", wait=0.5), b"", 10
-    for turn in range(2000):
-        assert len(answers) <= block_size
-        numbers = [int(answer[:2], 16) & 0x7F for answer in answers]
-        assert numbers == list(range(1, len(answers) + 1))
-        accepted = max(0, len(answers) - turn % 3)  # now and then some are lost
-        data += b"".join(bytes.fromhex(answer)[1:] for answer in answers[:accepted])
-        complete = accepted == len(answers) and int(answers[-1][:2], 16) & 0x80
-        block_size = 3 + turn * 7 % 125
-        answers = tester.sdo(f"A2 {accepted:02X} {block_size:02X}", wait=0.5)
-        if complete:
-            break
-    (end,) = answers
-    data = data[: len(data) - (int(end[:2], 16) >> 2 & 7)]
-    assert len(data) == size
-    assert end[3:8] == little(crc(data), 2)
-    assert tester.sdo("A1") == []
-    assert block_upload(tester, EDS_FILE, block_size=0x7F)[0] == data
+    sizes, lost = [10, 3, 127, 64], {0: 10, 1: 2, 2: 1, 5: 3, 10: 126}
+    assert tester.block_upload(EDS_FILE, sizes=sizes, lost=lost) == tester.upload(EDS_FILE)
 
 
 @pytest.mark.parametrize("size", ["00", "80", "FF"])
 def test_beyond_06_another_block_size_out_of_range(tester: Tester, size: str) -> None:
-    begin_upload(tester, EDS_FILE, 4)
+    tester.begin_block_upload(EDS_FILE, 4)
     tester.sdo("A3", wait=0.2)
     tester.aborted(tester.ask(f"A2 04 {size}"), EDS_FILE, "05040002")
     is_idle(tester)
@@ -270,7 +222,7 @@ def test_beyond_09_two_servers_at_the_same_time(module: Tester) -> None:
     assert module.ask("60")[:2] == "00"
     assert second("81 E8 03")[0][:5] == "A2 01"
     assert module.ask("70")[:2] == "10"
-    assert second(end_frame(bytes.fromhex("E8 03"))) == [filled("A1")]
+    assert second(f"D5 {little(crc(bytes.fromhex('E8 03')), 2)}") == [filled("A1")]
     assert second(f"40 {NAME}")[0][:2] == "41"
     got: dict[int, bytes] = {0: name_of(module)[:14], 1: b""}
     toggles = {0: 0x00, 1: 0x00}
@@ -311,11 +263,3 @@ def test_beyond_10_reset_or_stop_amid_a_transfer(tester: Tester, start: object, 
         tester.nmt("80")
     assert heartbeat_ms(tester) == 0
     is_idle(tester)
-
-
-def test_a_table_in_blocks_is_read_back(module: Tester) -> None:
-    assert block_download(module, TABLE, IDENTITY) == "ok"
-    checksum = module.read(0x2020, 2)
-    assert checksum != 0
-    module.write(0x2020, 3, checksum, 4)
-    assert block_upload(module, TABLE, with_crc=True)[0] == IDENTITY

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from conformance_blocks import begin_download, begin_upload, block_upload
 from conformance_kit import (
     COMMAND,
     NO_INDEX,
@@ -13,11 +12,12 @@ from conformance_kit import (
     SAVE,
     G,
     Tester,
-    crc,
     filled,
     little,
     m,
 )
+
+from sdo_client import crc
 
 NAME = "08 10 00"  # 1008h: longer than 4 bytes
 HEARTBEAT = "17 10 00"
@@ -105,12 +105,10 @@ def test_sdo_13_upload_with_a_client_ready_for_segments(tester: Tester) -> None:
     assert tester.upload("00 10 00") == entry.raw(entry.default)
 
 
-GUARD_TIME_AND_HEARTBEAT = pytest.mark.parametrize(
-    ("multiplexer", "value"), [(GUARD_TIME, "E8 03"), (HEARTBEAT, "10 27")]
-)
+TWO_BYTES = [(GUARD_TIME, "E8 03"), (HEARTBEAT, "10 27")]
 
 
-@GUARD_TIME_AND_HEARTBEAT
+@pytest.mark.parametrize(("multiplexer", "value"), TWO_BYTES)
 def test_sdo_14_and_15_segmented_download(tester: Tester, multiplexer: str, value: str) -> None:
     tester.accept(f"21 {multiplexer} 02")
     assert tester.ask(f"0B {value}") == filled("20")
@@ -118,20 +116,8 @@ def test_sdo_14_and_15_segmented_download(tester: Tester, multiplexer: str, valu
 
 
 def test_sdo_16_segmented_upload(tester: Tester) -> None:
-    data = the_name(tester)
-    assert tester.ask(f"40 {NAME}") == filled(f"41 {NAME} {little(len(data), 4)}")
-    toggle, got = 0, b""
-    while len(got) < len(data):
-        answer = bytes.fromhex(tester.ask(f"{0x60 | toggle:02X}"))
-        unused = max(0, 7 - (len(data) - len(got)))
-        last = len(data) - len(got) <= 7
-        assert answer[0] == toggle | unused << 1 | last
-        assert answer[8 - unused :] == bytes(unused)
-        got += answer[1 : 8 - unused]
-        toggle ^= 0x10
-    assert got == data
-    # the transfer is over: a further request belongs to none
-    tester.aborted(tester.ask(f"{0x60 | toggle:02X}"), None, "05040001")
+    assert tester.upload(NAME) == the_name(tester)
+    tester.aborted(tester.ask("60"), None, "05040001")  # the transfer is over: it belongs to none
 
 
 def test_sdo_17_wrong_toggle_bit(tester: Tester) -> None:
@@ -153,39 +139,12 @@ def test_sdo_19_block_upload_of_four_bytes(tester: Tester) -> None:
     assert tester.sdo("A1", wait=2.0) == []
 
 
-def block_download_of_two(tester: Tester, multiplexer: str, value: str, *, with_crc: bool) -> None:
-    command, answer = ("C6", "A4") if with_crc else ("C2", "A0")
-    first = tester.ask(f"{command} {multiplexer} 02")
-    assert first[:11] in (f"{answer} {multiplexer}", f"A4 {multiplexer}")
-    assert 1 <= int(first[12:14], 16) <= 127
-    second = tester.ask(f"81 {value}")
-    assert second[:5] == "A2 01"
-    assert 1 <= int(second[6:8], 16) <= 127
-    checksum = little(crc(bytes.fromhex(value)), 2) if with_crc else "00 00"
-    assert tester.ask(f"D5 {checksum}") == filled("A1")
-    assert tester.ask(f"40 {multiplexer}") == filled(f"4B {multiplexer} {value}")
-
-
-@GUARD_TIME_AND_HEARTBEAT
-def test_sdo_20_and_21_block_download(tester: Tester, multiplexer: str, value: str) -> None:
-    block_download_of_two(tester, multiplexer, value, with_crc=False)
-
-
-@GUARD_TIME_AND_HEARTBEAT
-def test_sdo_24_and_25_block_download_with_crc(tester: Tester, multiplexer: str, value: str) -> None:
-    block_download_of_two(tester, multiplexer, value, with_crc=True)
-
-
-def test_sdo_22_block_upload(tester: Tester) -> None:
-    data, end = block_upload(tester, NAME)
-    assert data == the_name(tester)
-    assert end == filled(f"{0xC1 | (-len(data) % 7) << 2:02X}")  # no CRC asked for, none given
-
-
-def test_sdo_23_block_upload_with_crc(tester: Tester) -> None:
-    data, end = block_upload(tester, NAME, with_crc=True)
-    assert data == the_name(tester)
-    assert end[3:8] == little(crc(data), 2)
+@pytest.mark.parametrize("with_crc", [False, True])
+def test_sdo_20_to_25_block_transfers(tester: Tester, with_crc: bool) -> None:
+    for multiplexer, value in TWO_BYTES:
+        assert tester.block_download(multiplexer, bytes.fromhex(value), with_crc=with_crc) == "ok"
+        assert tester.ask(f"40 {multiplexer}") == filled(f"4B {multiplexer} {value}")
+    assert tester.block_upload(NAME, with_crc=with_crc) == the_name(tester)
 
 
 @pytest.mark.parametrize("size", ["80", "FF", "00"])
@@ -195,7 +154,7 @@ def test_sdo_26_block_size_out_of_range(tester: Tester, size: str) -> None:
 
 @pytest.mark.parametrize("sequence", ["80", "FF", "05"])
 def test_sdo_27_acknowledge_of_a_segment_never_sent(tester: Tester, sequence: str) -> None:
-    begin_upload(tester, NAME)
+    tester.begin_block_upload(NAME)
     tester.sdo("A3", wait=0.2)
     tester.aborted(tester.ask(f"A2 {sequence} 14"), NAME, "05040003")
     assert tester.sdo("A1") != [filled("A1")]  # given up; the server is free again
@@ -238,9 +197,3 @@ def test_sdo_30_clients_keep_what_was_saved(tester: Tester) -> None:
     tester.wait(0.5)
     tester.nmt("82")
     assert tester.read(0x1280, 1) == 0x6C0
-
-
-def test_a_block_download_names_its_block_size(tester: Tester) -> None:
-    answer, block_size = begin_download(tester, HEARTBEAT, 2)
-    assert answer[:11] == f"A4 {HEARTBEAT}"
-    assert 1 <= block_size <= 127

@@ -8,7 +8,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from conformance_blocks import block_download, block_upload
 from conformance_kit import MODULE, Tester, filled, make_tester
 from test_beyond_sdo_cases import IDENTITY
 
@@ -27,8 +26,8 @@ def sdo_session(tester: Tester) -> None:
     tester.refuse("40 00 10 01", "06090011")
     tester.upload("08 10 00")
     assert tester.download_segmented("17 10 00", bytes.fromhex("E8 03")) == "ok"
-    assert block_download(tester, "20 20 01", IDENTITY) == "ok"
-    block_upload(tester, "08 10 00", with_crc=True)
+    assert tester.block_download("20 20 01", IDENTITY) == "ok"
+    tester.block_upload("08 10 00")
 
 
 def process_session(tester: Tester) -> None:
