@@ -1,13 +1,14 @@
-"""reference/commands.md: every command with its options, from the parser of the command line."""
+"""reference/commands.md: the help of every command, from the parser of the command line."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from functools import partial
 
-from canfb.cli.commands import build_parser, examples_of
-from tools.site.markdown import plain, table
+from canfb.cli.commands import build_parser
 
+WIDTH = 100
 INTRODUCTION = """# Commands
 
 Made from the parser of `canfb`; `canfb COMMAND --help` prints the same. Exit status: 0 done, 1 the job
@@ -28,15 +29,15 @@ The second line is for bash and zsh: put it into `~/.bashrc` or `~/.zshrc`. For 
 `.venv/bin/pip install -e '.[completion]'`, and activate the environment first.
 
 ## canfb
+
 """
 
 
 def commands_page() -> str:
     parser = build_parser()
-    lines = [INTRODUCTION, *_one(parser)]
-    for command in commands_of(parser):
-        lines += ["", f"## {command.prog}", "", *_one(command)]
-    return "\n".join(lines) + "\n"
+    parts = [INTRODUCTION, _help(parser)]
+    parts += [f"\n## {command.prog}\n\n{_help(command)}" for command in commands_of(parser)]
+    return "".join(parts)
 
 
 def commands_of(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
@@ -49,66 +50,6 @@ def commands_of(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentPa
                     yield from commands_of(command)
 
 
-def _one(parser: argparse.ArgumentParser) -> Iterator[str]:
-    if parser.description:
-        yield from (plain(parser.description[0].upper() + parser.description[1:]).rstrip(".") + ".", "")
-    usage = " ".join(["canfb", *_usage(parser)])
-    yield from ("```text", usage, "```", "")
-    rows = [row for action in parser._actions if (row := _row(parser, action))]
-    if rows:
-        yield from table(("argument", "default", "meaning"), rows)
-    examples = examples_of(parser.prog)
-    if examples:
-        yield from ("", "```sh", *(line.removeprefix("  ") for line in examples.splitlines()[1:]), "```")
-
-
-def _usage(parser: argparse.ArgumentParser) -> Iterator[str]:
-    yield from parser.prog.split()[1:]
-    options = [action for action in parser._actions if action.option_strings]
-    for action in options:
-        if action.required:
-            yield f"{action.option_strings[-1]} {_value(action)}".rstrip()
-    yield "[options]"
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            yield "COMMAND ..."
-        elif not action.option_strings:
-            name = _value(action)
-            yield {"?": f"[{name}]", "*": f"[{name} ...]", "+": f"{name} ..."}.get(str(action.nargs), name)
-
-
-def _row(parser: argparse.ArgumentParser, action: argparse.Action) -> tuple[str, str, str] | None:
-    if (
-        isinstance(action, argparse._SubParsersAction)
-        or action.help == argparse.SUPPRESS
-        or action.dest == "help"
-    ):
-        return None
-    value = _value(action)
-    names = [f"`{name} {value}`" if value else f"`{name}`" for name in action.option_strings] or [
-        f"`{value}`"
-    ]
-    text = plain(_help(parser, action))
-    if action.choices is not None:
-        text += f" One of {', '.join(f'`{one}`' for one in action.choices)}."
-    return ", ".join(names), _default(action), text.strip()
-
-
-def _help(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
-    formatter = parser._get_formatter()
-    return formatter._expand_help(action) if action.help else ""
-
-
-def _value(action: argparse.Action) -> str:
-    """The word for its value, "" for a switch."""
-    if action.nargs == 0:
-        return ""
-    word = action.metavar or action.dest.upper()
-    return " ".join(word) if isinstance(word, tuple) else str(word)
-
-
-def _default(action: argparse.Action) -> str:
-    default = action.default
-    if default in (None, False, argparse.SUPPRESS) or action.nargs == 0 or default == []:
-        return ""
-    return f"`{default}`"
+def _help(parser: argparse.ArgumentParser) -> str:
+    parser.formatter_class = partial(argparse.RawDescriptionHelpFormatter, width=WIDTH)
+    return f"```text\n{parser.format_help()}```\n"

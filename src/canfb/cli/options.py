@@ -301,7 +301,7 @@ COLUMNS = (
         "--columns",
         default="sine,cosine",
         metavar="SINE,COSINE",
-        help="names or numbers (from 0) of the two columns",
+        help="names or numbers (from 0) of the two columns (sine,cosine)",
     ),
     option("--mid-scale", type=float, default=0.0, metavar="READING", help="reading of a zero signal (0)"),
     option(
