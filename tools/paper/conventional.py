@@ -11,7 +11,18 @@ import numpy as np
 from canfb.signal.phase import FloatArray, raw_phases
 from canfb.simulation.encoder import Encoder
 from tools.paper.claim import Claim, Effort, grouped, verdict
-from tools.paper.plant import CYCLES_PER_REVOLUTION, EXTREME, IDEAL, USUAL, WRONG_CYCLES, Way, followed
+from tools.paper.plant import (
+    CYCLES_PER_REVOLUTION,
+    EXTREME,
+    IDEAL,
+    USUAL,
+    WRONG_CYCLES,
+    Way,
+    bisected,
+    followed,
+    score,
+    turning,
+)
 
 RATE_HZ = 1000.0
 SPEEDS_RPM = (20.0, 200.0, 2000.0)
@@ -55,19 +66,17 @@ def wrong_per_million(encoder: Encoder, rpm: float, shift: float, fix: bool, sam
 def ours_wrong(samples: int) -> int:
     """Wrong positions of the tracker at 2000 rpm and 1 kHz: there is no counter to disagree."""
     speed = SPEEDS_RPM[-1] / 60.0 * CYCLES_PER_REVOLUTION / RATE_HZ
-    way = Way.from_steps(np.concatenate([[0.0], np.full(300, speed / 300), np.zeros(samples)]))
-    result = followed(USUAL, way, np.random.default_rng(22))
-    return int(np.count_nonzero(np.abs(way.error(result.cycles, result.phase)) > WRONG_CYCLES))
+    way = Way.from_steps(turning(speed, samples))
+    return score(way, followed(USUAL, way, np.random.default_rng(22))).wrong
 
 
 def fix_bears(encoder: Encoder, samples: int) -> float:
     """Largest shift between counter and converters (cycles) with which the fix makes no error."""
-    low, high = 0.0, 0.5
-    while high - low > 1e-4:
-        middle = (low + high) / 2.0
-        good = all(wrong_per_million(encoder, 2000.0, s, True, samples) == 0.0 for s in (middle, -middle))
-        low, high = (middle, high) if good else (low, middle)
-    return low
+
+    def good(shift: float) -> bool:
+        return all(wrong_per_million(encoder, 2000.0, s, True, samples) == 0.0 for s in (shift, -shift))
+
+    return bisected(0.0, 0.5, 1e-4, good)
 
 
 def extremes() -> Iterator[Encoder]:

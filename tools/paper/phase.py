@@ -10,16 +10,9 @@ import numpy as np
 from canfb import CalibrationError, CorrectionTable, calibrate_from_zero_crossings, phase_in_cycle
 from canfb.signal.phase import wrap
 from canfb.simulation.encoder import Encoder
-from tools.faults.machine import exact_table
+from tools.faults.machine import exact_table, ideal_tracks
 from tools.paper.claim import Claim, Effort, Verdict, grouped, percent, verdict
-from tools.paper.plant import (
-    CYCLES_PER_REVOLUTION,
-    EXTREME,
-    IDEAL,
-    USUAL,
-    FloatArray,
-    phase_error,
-)
+from tools.paper.plant import CYCLES_PER_REVOLUTION, EXTREME, IDEAL, USUAL, FloatArray
 
 GRID = 1 << 18
 PAPER_TABLE_ENTRIES = 200  # 800 bytes on the paper's processor
@@ -43,7 +36,7 @@ def introduction(effort: Effort) -> Iterator[Claim]:
 
 def phases(effort: Effort) -> Iterator[Claim]:
     position = np.arange(GRID) / GRID
-    raw = phase_in_cycle(*_circle(position))
+    raw = phase_in_cycle(*ideal_tracks(position))
     error = _largest(raw - position)
     yield Claim("table-1-error", f"{percent(error, 4)} of a cycle", verdict(0.011 < error < 0.0125))
     steps = np.diff(raw) * GRID  # slope: 1 for the true phase
@@ -111,7 +104,7 @@ def reference_measurement(effort: Effort) -> Iterator[Claim]:
 
 def conclusion(effort: Effort) -> Iterator[Claim]:
     position = np.arange(0, GRID, 7) / GRID
-    sine, cosine = _circle(position)
+    sine, cosine = ideal_tracks(position)
     raw = phase_in_cycle(sine, cosine)
     common = max(
         float(np.abs(wrap(phase_in_cycle(k * sine, k * cosine) - raw)).max()) for k in (0.1, 0.5, 1.3, 7)
@@ -133,17 +126,19 @@ def conclusion(effort: Effort) -> Iterator[Claim]:
 
 def phases_as_printed(position: FloatArray) -> FloatArray:
     """Table 1 with the last column as it is printed."""
-    sine, cosine = _circle(position)
+    sine, cosine = ideal_tracks(position)
     return np.where(position > 7 / 8, 1.0 + sine / cosine, phase_in_cycle(sine, cosine))
 
 
 def peak_error(encoder: Encoder, table: CorrectionTable, position: FloatArray) -> float:
-    return float(np.abs(phase_error(table(phase_in_cycle(*encoder.tracks(position))), position)).max())
+    """Of the phases, their mean taken off: where phase 0 lies is a convention."""
+    off = wrap(table(phase_in_cycle(*encoder.tracks(position))) - position)
+    return float(np.abs(off - off.mean()).max())
 
 
 def resolution_step() -> float:
     """Largest change of the raw phase for one LSB on either track, at full scale of 12 bits."""
-    sine, cosine = _circle(np.arange(4096) / 4096, 2048.0)
+    sine, cosine = (2048.0 * track for track in ideal_tracks(np.arange(4096) / 4096))
     raw = phase_in_cycle(sine, cosine)
     return max(
         _largest(phase_in_cycle(sine + ds, cosine + dc) - raw)
@@ -171,8 +166,3 @@ def calibrated_error(encoder: Encoder, way: FloatArray) -> float:
 
 def _largest(difference: FloatArray) -> float:
     return float(np.abs(wrap(difference)).max())
-
-
-def _circle(position: FloatArray, amplitude: float = 1.0) -> tuple[FloatArray, FloatArray]:
-    angle = 2.0 * np.pi * position
-    return amplitude * np.sin(angle), amplitude * np.cos(angle)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from canfb import CorrectionTable, TrackResult, phase_in_cycle, track
-from canfb.signal.phase import wrap
 from canfb.simulation.encoder import Encoder, Harmonic, demo_encoder
 from tools.faults.machine import exact_table
 
@@ -39,10 +40,17 @@ def cycles_per_sample(rpm: float, rate_hz: float) -> float:
     return rpm / 60.0 * CYCLES_PER_REVOLUTION / rate_hz
 
 
-def phase_error(raw: FloatArray, position: FloatArray) -> FloatArray:
-    """Error of phases, its mean taken off: where phase 0 lies is a convention."""
-    off = wrap(raw - position)
-    return np.asarray(off - off.mean(), np.float64)
+def turning(speed: float, samples: int) -> FloatArray:
+    """From rest to this speed, cycles per sample, in 300 samples; then these."""
+    return np.concatenate([[0.0], np.full(300, speed / 300), np.zeros(samples)])
+
+
+def bisected(low: float, high: float, within: float, good: Callable[[float], bool]) -> float:
+    """The largest value that is ``good``, as ``low`` is."""
+    while high - low > within:
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if good(middle) else (low, middle)
+    return low
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +113,6 @@ class Way:
     def top_speed(self) -> float:
         return float(np.abs(np.diff(self.units)).max()) / UNIT
 
-    def part(self, start: int) -> Way:
-        """One block of samples."""
-        return Way(self.units[start : start + BLOCK])
-
     def error(self, cycles: IntArray, phase: FloatArray) -> FloatArray:
         """Error of a position in cycles."""
         return (cycles - self.cycles) + (phase - self.phase)
@@ -121,30 +125,22 @@ def sampled(
     sine, cosine = np.empty(len(way), np.int16), np.empty(len(way), np.int16)
     for start in range(0, len(way), BLOCK):
         part = slice(start, start + BLOCK)
-        sine[part], cosine[part] = encoder.sample(way.part(start).phase, rng)
+        sine[part], cosine[part] = encoder.sample(Way(way.units[part]).phase, rng)
     return sine, cosine
 
 
-@dataclass(frozen=True)
-class Score:
+class Score(NamedTuple):
     """What came out along a way: samples in the wrong cycle, flagged samples, errors of the others."""
 
-    samples: int
     wrong: int
     flagged: int
     peak_error: float
 
 
 def score(way: Way, result: TrackResult) -> Score:
-    """Compare a result with the way, block by block."""
-    wrong, peak = 0, 0.0
-    for start in range(0, len(way), BLOCK):
-        part = slice(start, start + BLOCK)
-        error = np.abs(way.part(start).error(result.cycles[part], result.phase[part]))
-        off = error > WRONG_CYCLES
-        wrong += int(off.sum())
-        peak = max(peak, float(error[~off].max(initial=0.0)))
-    return Score(len(way), wrong, int(np.count_nonzero(~result.ok)), peak)
+    error = np.abs(way.error(result.cycles, result.phase))
+    off = error > WRONG_CYCLES
+    return Score(int(off.sum()), int((~result.ok).sum()), float(error[~off].max(initial=0.0)))
 
 
 def followed(

@@ -9,7 +9,7 @@ import numpy as np
 
 from canfb import TrackResult, max_acceleration, track
 from tools.paper.claim import Claim, Effort, grouped, verdict
-from tools.paper.plant import CYCLES_PER_REVOLUTION, USUAL, Way, cycles_per_sample, followed, score
+from tools.paper.plant import CYCLES_PER_REVOLUTION, USUAL, Way, bisected, cycles_per_sample, followed, score
 
 RATE_HZ = 25_000.0
 SLOW_RATE_HZ = 1000.0
@@ -58,7 +58,7 @@ def _long_run(key: str, top_speed: float, change: float, effort: Effort) -> Clai
     got = score(way, followed(USUAL, way, rng))
     return Claim(
         key,
-        f"{grouped(got.samples)} samples, {grouped(way.reversals)} reversals, up to {way.top_speed:.2f} "
+        f"{grouped(len(way))} samples, {grouped(way.reversals)} reversals, up to {way.top_speed:.2f} "
         f"cycles per sample, changing by up to {change:.2g} from sample to sample: {got.wrong} wrong cycle "
         f"counts, {got.flagged} flagged, largest error {100 * got.peak_error:.3f} % of a cycle (12 bits, "
         "noise)",
@@ -159,11 +159,10 @@ def largest_acceleration(
 
     Exact phases, or those of 12-bit converters with noise and an individual table.
     """
-    low, high = 0.0, 1.2 * EQ_10_RAD_S2
-    while high - low > 1.0:
-        middle = (low + high) / 2.0
-        change = acceleration_step(middle, RATE_HZ)
+
+    def is_good(rad_s2: float) -> bool:
+        change = acceleration_step(rad_s2, RATE_HZ)
         way = Way.from_steps(np.concatenate([[0.0, change / 2.0], np.full(samples, change)]))
-        result = followed(USUAL, way, np.random.default_rng(6)) if converted else track(way.phase)
-        low, high = (middle, high) if good(way, result) else (low, middle)
-    return low
+        return good(way, followed(USUAL, way, np.random.default_rng(6)) if converted else track(way.phase))
+
+    return bisected(0.0, 1.2 * EQ_10_RAD_S2, 1.0, is_good)
