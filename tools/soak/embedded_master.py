@@ -38,6 +38,8 @@ class EmbeddedMaster:
         self.bus = bus
         self.network = EmbeddedNetwork(bus)
         self.network.subscribers = {}
+        self.subscribe: Any = self.network.subscribe
+        self.unsubscribe: Any = self.network.unsubscribe
         self.clients: dict[int, EmbeddedClient] = {}
         self._answer_s = answer_s
 
@@ -45,12 +47,6 @@ class EmbeddedMaster:
         if node_id not in self.clients:
             self.clients[node_id] = EmbeddedClient(self, node_id, self._answer_s)
         return self.clients[node_id]
-
-    def subscribe(self, can_id: int, hear: Any) -> None:
-        self.network.subscribe(can_id, hear)
-
-    def unsubscribe(self, can_id: int, hear: Any) -> None:
-        self.network.unsubscribe(can_id, hear)
 
     def send(self, can_id: int, data: bytes) -> None:
         self.bus.send(Frame(can_id, data))

@@ -25,53 +25,30 @@ WALL_S = 1.7e9
 LONGEST_TURN_S = 60.0  # of this computer, from one wait of the runner to the next
 
 
-class _Over(BaseException):
-    """Ends the thread of the runner."""
-
-
 class _Turns:
     """Two threads of which one runs: that of the embedded bus, and that of the runner."""
 
     def __init__(self, work: Callable[[], None]) -> None:
-        self._work = work
         self._world, self._runner = threading.Semaphore(0), threading.Semaphore(0)
         self._error: BaseException | None = None
-        self._over = False
-        self._thread = threading.Thread(target=self._run, name="runner of the soak", daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
-        self._wait()
+        self.thread = threading.Thread(target=self._run, args=(work,), daemon=True)
 
     def go_on(self) -> None:
         """A turn of the runner, until it waits again. What has ended it is raised."""
         self._runner.release()
-        self._wait()
-
-    def give_back(self) -> None:
-        self._world.release()
-        self._runner.acquire()
-        if self._over:
-            raise _Over
-
-    def end(self) -> None:
-        """No turn comes any more."""
-        if self._thread.is_alive():
-            self._over = True
-            self._runner.release()
-            self._thread.join()
-
-    def _wait(self) -> None:
         if not self._world.acquire(timeout=LONGEST_TURN_S):
             raise TimeoutError("the runner does not come back to its bus")
         if self._error is not None:
             raise self._error
 
-    def _run(self) -> None:
+    def give_back(self) -> None:
+        self._world.release()
+        self._runner.acquire()
+
+    def _run(self, work: Callable[[], None]) -> None:
+        self._runner.acquire()
         try:
-            self._work()
-        except _Over:
-            return
+            work()
         except BaseException as error:
             self._error = error
         self._world.release()
@@ -102,11 +79,14 @@ class Hosted:
         self._turns = _Turns(self.runner.run)
 
     def close(self) -> None:
-        self._turns.end()
+        self.runner.stop()
+        if self._turns.thread.is_alive():
+            self._turns.go_on()
 
     def start(self, now: float) -> list[Frame]:
         self._now = now
-        self._turns.start()
+        self._turns.thread.start()
+        self._turns.go_on()
         return self.bus.taken()
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:

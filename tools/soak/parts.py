@@ -14,6 +14,7 @@ from canfb.interface.encoder_interface import EncoderInterface
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.signal.sample import Sample
+from canfb.simulation.embedded_bus import PacedDevice
 from canfb.sources.protocol import SourceError
 
 AMPLITUDE_COUNTS = 1500.0
@@ -131,30 +132,25 @@ class WatchedModule(FeedbackModule):
         return super().receive(frame, now)
 
 
-class OtherNode:
+class OtherNode(PacedDevice):
     """A node with a heartbeat and nothing else; it comes and goes."""
 
     def __init__(self, node_id: int, period_s: float) -> None:
         self.is_there = True
         self._heartbeat = Frame(0x700 + node_id, b"\x05")
         self._period_s = period_s
-        self._next_s = 0.0
 
     def start(self, now: float) -> list[Frame]:
         self._next_s = now + self._period_s
         return []
 
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
-        return []
-
-    def deadline(self) -> float | None:
-        return self._next_s
-
     def tick(self, now: float) -> list[Frame]:
-        if now < self._next_s:
-            return []
+        frames = super().tick(now)
+        return frames if self.is_there else []
+
+    def _due(self, due_s: float, now: float) -> Frame:
         self._next_s = now + self._period_s
-        return [self._heartbeat] if self.is_there else []
+        return self._heartbeat
 
 
 class SlowStore(MemoryStore):
