@@ -33,12 +33,18 @@ TIMED_OUT, FAILED = 124, 125
 GRACE_S = 10.0
 ARPHRD_CAN = "280"
 IFF_UP = 1
+NETWORK = Path(__file__).with_name("network.sh")
+# Words before a command that run it in a network of its own, with the channel, without root.
+PREFIX = ("unshare", "--map-root-user", "--net", "sh", str(NETWORK), CHANNEL)
 
 
 @dataclass(frozen=True)
 class Kernel:
     detail: str
     prefix: tuple[str, ...] = ()
+
+    def interface(self) -> contextlib.AbstractContextManager[None]:
+        return contextlib.nullcontext() if self.prefix else interface(CHANNEL)
 
 
 def interface_state(name: str, folder: Path = Path("/sys/class/net")) -> str | None:
@@ -53,18 +59,6 @@ def interface_state(name: str, folder: Path = Path("/sys/class/net")) -> str | N
     return "up" if flags & IFF_UP else "down"
 
 
-def namespace_prefix(channel: str) -> tuple[str, ...]:
-    """Words before a command that run it in a network of its own, with the channel, without root."""
-    script = f"""\
-set -e
-{uml.NETWORK}
-ip link add dev {channel} type vcan
-ip link set {channel} up
-exec "$@"
-"""
-    return ("unshare", "--map-root-user", "--net", "sh", "-c", script, "sh")
-
-
 def find_kernel() -> Kernel | None:
     if interface_state(CHANNEL) == "up":
         return Kernel(f"{CHANNEL} is up")
@@ -73,9 +67,8 @@ def find_kernel() -> Kernel | None:
     if _succeeds("ip", "link", "add", "dev", PROBE, "type", "vcan"):
         _succeeds("ip", "link", "del", "dev", PROBE)
         return Kernel(f"{CHANNEL} is made for the run")
-    prefix = namespace_prefix(CHANNEL)
-    if which("unshare") is not None and _succeeds(*prefix, "true"):
-        return Kernel(f"{CHANNEL} is made for the run, in a network namespace", prefix)
+    if which("unshare") is not None and _succeeds(*PREFIX, "true"):
+        return Kernel(f"{CHANNEL} is made for the run, in a network namespace", PREFIX)
     return None
 
 
@@ -114,9 +107,7 @@ def find() -> Kernel | Machine:
 
 def run_in_kernel(kernel: Kernel, command: Sequence[str], timeout_s: float | None) -> int:
     """Run a command beside the kernel's own vcan; returns its exit status."""
-    with contextlib.ExitStack() as stack:
-        if not kernel.prefix:
-            stack.enter_context(interface(CHANNEL))
+    with kernel.interface():
         process = subprocess.Popen(
             [*kernel.prefix, *command], stdin=subprocess.DEVNULL, start_new_session=True
         )
@@ -136,9 +127,7 @@ def run_in_kernel(kernel: Kernel, command: Sequence[str], timeout_s: float | Non
 
 def shell_in_kernel(kernel: Kernel, command: Sequence[str]) -> int:
     """Run an interactive command beside the kernel's own vcan; returns its exit status."""
-    with contextlib.ExitStack() as stack:
-        if not kernel.prefix:
-            stack.enter_context(interface(CHANNEL))
+    with kernel.interface():
         return shell_status(subprocess.run([*kernel.prefix, *command], check=False).returncode)
 
 

@@ -17,12 +17,11 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 from typing import BinaryIO
 
 MODULE_ROOT = Path("/usr/lib/uml/modules")
-MODULES = ("can", "can-raw", "can-bcm", "can-dev", "vcan")
-OPTIONAL_MODULES = ("vxcan",)
 MEMORY_MIB = 1024
 BOOT_SILENCE_S = 60.0
 POLL_S = 0.02
@@ -37,6 +36,7 @@ PACKAGES = {
     "taskset": "util-linux",
 }
 FPREGS_SOURCE = Path(__file__).with_name("fpregs.c")
+SCRIPTS = [Path(__file__).with_name(name) for name in ("init.sh", "network.sh")]
 FPREGS_FIXED_IN = (6, 13)
 
 
@@ -93,7 +93,7 @@ def find_machine() -> Machine:
 # --- the text that boots it
 
 
-def kernel_arguments(kernel: str, init: Path, console: str, *, quiet: bool) -> list[str]:
+def kernel_arguments(kernel: str, folder: Path, channel: str, console: str, *, quiet: bool) -> list[str]:
     """Command line of the kernel; console is where its log and /dev/tty0 go, in its own words."""
     talk = ["quiet", "loglevel=0"] if quiet else ["loglevel=7"]
     # The kernel and its programs are processes here that stop each other at each system call and page fault:
@@ -109,18 +109,13 @@ def kernel_arguments(kernel: str, init: Path, console: str, *, quiet: bool) -> l
         "rootflags=/",
         "rw",
         *talk,
-        f"uml_dir={init.parent}/",
+        f"uml_dir={folder}/",
         "con=null",
         f"con0={console}",
         "ssl=null",
         "init=/bin/sh",
-        "--",
-        str(init),
+        *("--", str(folder / "init.sh"), channel),
     ]
-
-
-# Loopback, multicast too: without the route a process cannot join a group.
-NETWORK = "ip link set lo up multicast on; ip route add 224.0.0.0/4 dev lo"
 
 
 @dataclass(frozen=True)
@@ -137,51 +132,6 @@ class Place:
     def line(self, command: Sequence[str]) -> str:
         pairs = [f"{name}={value}" for name, value in self.environment.items()]
         return shlex.join(["env", "-i", f"--chdir={self.folder}", *pairs, *command])
-
-
-def init_script(folder: Path, channel: str, run: str) -> str:
-    """Text of the first process: makes the machine ready and runs the command.
-
-    `run` is lines of shell. When their files are written, folder/status holds their exit status; it holds
-    "failed" when the machine could not be made ready.
-    """
-    started = shlex.quote(str(folder / "started"))
-    status = shlex.quote(str(folder / "status"))
-    load = f"modprobe -d {shlex.quote(str(folder))} -a"
-    return f"""\
-export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
-finish() {{
-    sync
-    echo "$1" >{status}.new
-    mv {status}.new {status}
-    sleep 5 # it is ended from outside, as soon as there is a status
-    echo o >/proc/sysrq-trigger
-    while :; do sleep 1; done
-}}
-set_up() {{
-    set -e
-    mkdir -p /dev/pts /dev/shm
-    mount -t devpts -o mode=620,ptmxmode=666 devpts /dev/pts
-    mount -t tmpfs -o mode=1777 tmpfs /dev/shm
-    ln -s /proc/self/fd /dev/fd
-    ln -s /proc/self/fd/0 /dev/stdin
-    ln -s /proc/self/fd/1 /dev/stdout
-    ln -s /proc/self/fd/2 /dev/stderr
-    {load} {" ".join(MODULES)}
-    {load} {" ".join(OPTIONAL_MODULES)} || :
-    {NETWORK}
-    ip link add dev {channel} type vcan
-    ip link set {channel} up
-}}
-: >{started}
-mount -t proc proc /proc
-echo vcan >/proc/sys/kernel/hostname
-mount -t sysfs sysfs /sys
-(set_up)
-[ $? -eq 0 ] || finish failed
-{run}
-finish $?
-"""
 
 
 def run_line(command: Sequence[str], place: Place, output: Path, errors: Path) -> str:
@@ -210,19 +160,11 @@ def memory_folder(candidates: Sequence[str] = ("/dev/shm", "/tmp", "/var/tmp")) 
 # --- a run
 
 
-class Tail:
-    def __init__(self, path: Path, sink: BinaryIO) -> None:
-        path.touch()
-        self._source = path.open("rb", buffering=0)
-        self._sink = sink
-
-    def pump(self) -> None:
-        while chunk := self._source.read(1 << 16):
-            self._sink.write(chunk)
-            self._sink.flush()
-
-    def close(self) -> None:
-        self._source.close()
+def pump(source: FileIO, sink: BinaryIO) -> None:
+    """Copy what was written meanwhile."""
+    while chunk := source.read(1 << 16):
+        sink.write(chunk)
+        sink.flush()
 
 
 class Booting:
@@ -256,14 +198,15 @@ def _host_environment(machine: Machine, folder: Path) -> dict[str, str]:
     return environment
 
 
-def _write_init(folder: Path, channel: str, run: str) -> Path:
+def _prepare(folder: Path, run: str) -> None:
+    """What init.sh needs: the modules, and the lines of shell that it runs."""
+    for script in SCRIPTS:
+        shutil.copy(script, folder)
     for modules in ("lib/modules", "usr/lib/modules"):  # below -d, by the version of modprobe
         (folder / modules).parent.mkdir(parents=True)
         (folder / modules).symlink_to(MODULE_ROOT)
-    init = folder / "init"
     # Arguments and environment may hold bytes that are no UTF-8: keep them as they are.
-    init.write_text(init_script(folder, channel, run), encoding="utf-8", errors="surrogateescape")
-    return init
+    (folder / "command").write_text(f"{run}\n", encoding="utf-8", errors="surrogateescape")
 
 
 def _exit_status(folder: Path) -> int:
@@ -300,39 +243,41 @@ def run(machine: Machine, command: Sequence[str], channel: str, timeout_s: float
         output = folder / "output"
         # One file for both where both go to the same place: their order is kept.
         errors = output if os.path.sameopenfile(1, 2) else folder / "errors"
-        line = run_line(command, Place.here(), output, errors)
-        init = _write_init(folder, channel, line)
-        tails = [Tail(output, sys.stdout.buffer)]
-        if errors != output:
-            tails.append(Tail(errors, sys.stderr.buffer))
+        _prepare(folder, run_line(command, Place.here(), output, errors))
+        sinks = {errors: sys.stderr.buffer, output: sys.stdout.buffer}
+        for path in sinks:
+            path.touch()
         with (folder / "console").open("wb") as console:
             process = subprocess.Popen(
-                kernel_arguments(machine.kernel, init, "null,fd:1", quiet=False),
+                kernel_arguments(machine.kernel, folder, channel, "null,fd:1", quiet=False),
                 stdin=subprocess.DEVNULL,
                 stdout=console,
                 stderr=console,
                 env=_host_environment(machine, folder),
                 start_new_session=True,
             )
-        try:
+        with contextlib.ExitStack() as stack:
+            stack.callback(kill_group, process)
+            tails = [
+                (stack.enter_context(path.open("rb", buffering=0)), sink) for path, sink in sinks.items()
+            ]
             _relay(process, folder, tails, timeout_s)
-        finally:
-            kill_group(process)
-            for tail in tails:
-                tail.close()
         return _exit_status(folder)
 
 
 def _relay(
-    process: subprocess.Popen[bytes], folder: Path, tails: Sequence[Tail], timeout_s: float | None
+    process: subprocess.Popen[bytes],
+    folder: Path,
+    tails: Sequence[tuple[FileIO, BinaryIO]],
+    timeout_s: float | None,
 ) -> None:
     """Copy the output until the command has ended, or the kernel stops before it has started."""
     start = time.monotonic()
     booting = Booting(folder / "console", start)
     while True:
         over = _is_over(process, folder)  # asked first: what was written until then is copied
-        for tail in tails:
-            tail.pump()
+        for source, sink in tails:
+            pump(source, sink)
         now = time.monotonic()
         if over or (not (folder / "started").exists() and booting.silence_s(now) > BOOT_SILENCE_S):
             return
@@ -353,9 +298,8 @@ def shell(machine: Machine, command: Sequence[str], channel: str) -> int:
 
     settings = termios.tcgetattr(0)
     with run_folder() as folder:
-        line = shell_line(command, Place.here(), os.get_terminal_size(0))
-        init = _write_init(folder, channel, line)
-        arguments = kernel_arguments(machine.kernel, init, "fd:0,fd:1", quiet=True)
+        _prepare(folder, shell_line(command, Place.here(), os.get_terminal_size(0)))
+        arguments = kernel_arguments(machine.kernel, folder, channel, "fd:0,fd:1", quiet=True)
         process = subprocess.Popen(arguments, env=_host_environment(machine, folder), process_group=0)
         try:
             _to_foreground(process.pid)
