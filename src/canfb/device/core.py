@@ -269,7 +269,7 @@ class Routes:
         self.changes = 0
         self.on_change: Callable[[], None] = lambda: None
         self.data: dict[int, Handler] = {}
-        self.remote: dict[int, RemoteHandler] = {}
+        self.remote: dict[int | None, RemoteHandler] = {}
         self.sent: dict[int | None, Callable[[float], None]] = {}
 
     def clear(self) -> None:
@@ -284,14 +284,6 @@ class Routes:
         if can_id is not None:
             other = self.data.get(can_id)
             self.data[can_id] = handler if other is None else _both(other, handler)
-
-    def add_remote(self, can_id: int | None, handler: RemoteHandler) -> None:
-        if can_id is not None:
-            self.remote[can_id] = handler
-
-    def add_sent(self, can_id: int | None, follow: Callable[[float], None]) -> None:
-        if can_id is not None:
-            self.sent[can_id] = follow
 
 
 def _both(first: Handler, second: Handler) -> Handler:

@@ -24,11 +24,7 @@ class Emergency(Timed):
 
     def __init__(self, core: Core) -> None:
         dictionary = core.dictionary
-        self.deadline = NEVER
-        self._emit = core.emit
-        self._application = core.application
-        self._counters = core.counters
-        self._changed = core.reactions.routes_changed
+        self._core = core
         self._register = dictionary.assumed(0x1001)
         self._history_count = dictionary.assumed(0x1003)
         self._history = [entry for entry in dictionary if entry.index == 0x1003 and entry.subindex]
@@ -89,9 +85,9 @@ class Emergency(Timed):
             self._waiting.clear()
         while self._waiting and self._allowed and now >= self._not_before:
             data = self._waiting.popleft()
-            self._emit(Frame(self._can_id(), data))
+            self._core.emit(Frame(self._can_id(), data))
             code, register, detail = EMERGENCY.unpack(data)
-            self._application.emergency_sent(code, register, detail, now)
+            self._core.application.emergency_sent(code, register, detail, now)
             inhibit = self._inhibit_s()
             self._not_before = now + inhibit if inhibit else -NEVER
         self.deadline = self._not_before if self._waiting and self._allowed else NEVER
@@ -106,7 +102,7 @@ class Emergency(Timed):
     def _send(self, code: int, manufacturer: bytes, now: float) -> None:
         if len(self._waiting) == _WAITING:
             self._waiting.popleft()
-            self._counters.lost_emergencies += 1
+            self._core.counters.lost_emergencies += 1
         self._waiting.append(EMERGENCY.pack(code, self._bits(), manufacturer))
         self.tick(now)
 
@@ -138,7 +134,7 @@ class Emergency(Timed):
 
     def _install(self) -> None:
         self._cob_id.on_check = self._check_cob_id
-        self._cob_id.on_written = self._changed
+        self._cob_id.on_written = self._core.reactions.routes_changed
         self._history_count.on_check = refuse_if(bool)  # 0 clears the history
         for entry in self._history:
             self._install_history(entry)

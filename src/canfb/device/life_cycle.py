@@ -36,7 +36,6 @@ class Silence(Timed):
     def __init__(self, core: Core) -> None:
         self.active = False
         self.boot_up_pending = False
-        self.deadline = NEVER
         self._reactions = core.reactions
 
     def begin(self, until: float) -> None:
@@ -44,11 +43,10 @@ class Silence(Timed):
         self.active = True
 
     def tick(self, now: float) -> None:
-        if now >= self.deadline:
-            self.deadline = NEVER
-            self.active = False
-            self._reactions.silence_ended(now)
-            self.boot_up_pending = False
+        self.deadline = NEVER
+        self.active = False
+        self._reactions.silence_ended(now)
+        self.boot_up_pending = False
 
 
 _DUPLICATE = "duplicate node-ID"
@@ -62,9 +60,7 @@ class DuplicateWatch:
     """
 
     def __init__(self, core: Core) -> None:
-        self._counters = core.counters
-        self._emergency = core.emergency
-        self._application = core.application
+        self._core = core
         self._reported = False
 
     def reset(self) -> None:
@@ -72,22 +68,15 @@ class DuplicateWatch:
 
     def handler(self, can_id: int) -> Handler:
         def handle(data: bytes, now: float) -> None:
-            self._counters.duplicate_frames += 1
-            if not self._reported:
-                self._reported = True
-                self._report(can_id, now)
+            self._core.counters.duplicate_frames += 1
+            if self._reported:
+                return
+            self._reported = True
+            code, detail = EmergencyCode.CAN_ID_COLLISION, can_id.to_bytes(2, "little")
+            self._core.emergency.report(code, ErrorRegister.COMMUNICATION, detail, now, _DUPLICATE)
+            self._core.application.duplicate_received(can_id, now)
 
         return handle
-
-    def _report(self, can_id: int, now: float) -> None:
-        self._emergency.report(
-            EmergencyCode.CAN_ID_COLLISION,
-            ErrorRegister.COMMUNICATION,
-            can_id.to_bytes(2, "little"),
-            now,
-            _DUPLICATE,
-        )
-        self._application.duplicate_received(can_id, now)
 
 
 NMT_COMMAND = 0x000
@@ -172,11 +161,11 @@ class Services:
         state, routes = self._core.state, self._core.routes
         self.pdos.choose()
         routes.clear()
-        routes.add_sent(self.emergency.can_id, self.emergency.sent)
+        routes.sent[self.emergency.can_id] = self.emergency.sent
         if state is NmtState.INITIALISING:
             return
         routes.add(NMT_COMMAND, self.nmt.handle)
-        routes.add_remote(self.guarding.can_id, self.guarding.request)
+        routes.remote[self.guarding.can_id] = self.guarding.request
         for can_id, handler in self.consumer.routes().items():
             routes.add(can_id, handler)
         if state in COMMUNICATING:

@@ -90,7 +90,6 @@ class HeartbeatProducer(Timed):
     """Sends the NMT state every 1017h milliseconds, 0 for off; the boot-up is the first heartbeat."""
 
     def __init__(self, core: Core) -> None:
-        self.deadline = NEVER
         self._core = core
         self._can_id = ERROR_CONTROL + core.node_id
         self._entry = core.dictionary.assumed(0x1017)
@@ -114,8 +113,6 @@ class HeartbeatProducer(Timed):
 
     def tick(self, now: float) -> None:
         """Send one heartbeat, also for several that were missed."""
-        if now < self.deadline:
-            return
         self._core.emit(Frame(self._can_id, bytes([self._core.state])))
         period = self._period_s
         following = self.deadline + period if period else NEVER
@@ -131,7 +128,6 @@ class HeartbeatMonitor(Timed):
 
     def __init__(self, core: Core, entry: Entry, watched: Callable[[], Iterable[HeartbeatMonitor]]) -> None:
         self.entry = entry
-        self.deadline = NEVER
         self._core = core
         self._emergency = core.emergency
         self._source = entry.index, entry.subindex
@@ -205,7 +201,6 @@ class NodeGuarding(Timed):
     """
 
     def __init__(self, core: Core, heartbeat: HeartbeatProducer) -> None:
-        self.deadline = NEVER
         self._core = core
         self._can_id = ERROR_CONTROL + core.node_id
         self._emergency = core.emergency
@@ -240,8 +235,6 @@ class NodeGuarding(Timed):
         self._start(now)
 
     def tick(self, now: float) -> None:
-        if now < self.deadline:
-            return
         self.deadline = NEVER
         self._guarded = False  # the next remote frame starts the life time again
         self._emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, b"", now, _GUARDING)

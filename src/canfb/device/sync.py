@@ -47,9 +47,9 @@ class Pdos:
         for rpdo in self.rpdos.values():
             routes.add(rpdo.can_id, rpdo.handle)
         for tpdo in self.tpdos.values():
-            routes.add_remote(tpdo.remote_can_id, tpdo.request)
+            routes.remote[tpdo.remote_can_id] = tpdo.request
             if tpdo.is_inhibited:
-                routes.add_sent(tpdo.configured_can_id, tpdo.sent)
+                routes.sent[tpdo.configured_can_id] = tpdo.sent
 
     def choose(self) -> None:
         self.sync_rpdos = [rpdo for rpdo in self.rpdos.values() if rpdo.is_synchronous]
@@ -65,11 +65,7 @@ class Sync(Timed):
 
     def __init__(self, core: Core, pdos: Pdos) -> None:
         dictionary = core.dictionary
-        self.deadline = NEVER
         self._core = core
-        self._emit = core.emit
-        self._counters = core.counters
-        self._emergency = core.emergency
         self._pdos = pdos
         self._cob_id = dictionary.assumed(0x1005, value=cob.SYNC)
         self._period = dictionary.assumed(0x1006)
@@ -112,22 +108,20 @@ class Sync(Timed):
                 process.tpdos_sampled()
 
     def drop(self, data: bytes, now: float) -> None:
-        self._counters.malformed_frames += 1
+        self._core.counters.malformed_frames += 1
 
     def _has_length(self, data: bytes, now: float) -> bool:
         self._length_error = wrong = len(data) != self._length
         if wrong:
-            self._counters.malformed_frames += 1
+            self._core.counters.malformed_frames += 1
             code, length = EmergencyCode.SYNC_LENGTH, bytes([len(data)])
-            self._emergency.report(code, ErrorRegister.COMMUNICATION, length, now, _SYNC_OBJECT)
+            self._core.emergency.report(code, ErrorRegister.COMMUNICATION, length, now, _SYNC_OBJECT)
         else:
-            self._emergency.clear(EmergencyCode.SYNC_LENGTH, now, _SYNC_OBJECT)
+            self._core.emergency.clear(EmergencyCode.SYNC_LENGTH, now, _SYNC_OBJECT)
         return not wrong
 
     def tick(self, now: float) -> None:
         """Produce the SYNC that is due; missed periods are left out."""
-        if now < self.deadline:
-            return
         period = self._period_s
         following = self.deadline + period
         self.deadline = following if following > now else now + period
@@ -135,7 +129,7 @@ class Sync(Timed):
         if self._length:
             self._counter = self._counter % self._overflow.value + 1
             data = bytes([self._counter])
-        self._emit(Frame(self.can_id, data))
+        self._core.emit(Frame(self.can_id, data))
         self.handle(data, now)
 
     @property
@@ -197,8 +191,7 @@ class TimeStamp:
 
     def __init__(self, core: Core) -> None:
         self._entry = entry = core.dictionary.assumed(0x1012)
-        self._counters = core.counters
-        self._application = core.application
+        self._core = core
         entry.on_check = lambda value: _check_time_cob_id(value, entry.value)
         entry.on_written = core.reactions.routes_changed
 
@@ -210,9 +203,9 @@ class TimeStamp:
     def handle(self, data: bytes, now: float) -> None:
         milliseconds = int.from_bytes(data[:4], "little") & _MILLISECOND_BITS
         if len(data) != _TIME_LENGTH or milliseconds >= MILLISECONDS_PER_DAY:
-            self._counters.malformed_frames += 1
+            self._core.counters.malformed_frames += 1
             return
-        self._application.time_received(int.from_bytes(data[4:], "little"), milliseconds, now)
+        self._core.application.time_received(int.from_bytes(data[4:], "little"), milliseconds, now)
 
 
 def _check_time_cob_id(value: int, old: int) -> None:

@@ -36,7 +36,6 @@ class Rpdo(Timed):
 
     def __init__(self, core: Core, number: int) -> None:
         self.number = number
-        self.deadline = NEVER
         self._core = core
         self._counters = core.counters
         self._emergency = core.emergency
@@ -95,9 +94,8 @@ class Rpdo(Timed):
             self._core.process.rpdo_received(self.number, now)
 
     def tick(self, now: float) -> None:
-        if now >= self.deadline:
-            self.deadline = NEVER
-            self._report(EmergencyCode.RPDO_TIMEOUT, bytes([self.number & 0xFF]), now)
+        self.deadline = NEVER
+        self._report(EmergencyCode.RPDO_TIMEOUT, bytes([self.number & 0xFF]), now)
 
     def _keep(self, data: bytes, now: float) -> None:
         if now <= self._core.window_end:

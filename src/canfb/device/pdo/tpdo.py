@@ -44,7 +44,6 @@ class Tpdo(Timed):
     """
 
     def __init__(self, core: Core, number: int) -> None:
-        self.deadline = NEVER
         self._core = core
         self._emit = core.emit
         self._parameters = PdoParameters(core.dictionary, number, Direction.TRANSMIT, self._written)

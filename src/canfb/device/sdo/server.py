@@ -39,14 +39,9 @@ class SdoServer(Timed):
     """
 
     def __init__(self, core: Core) -> None:
-        self.deadline = NEVER
         # The CAN-ID of the answers; that of the first channel, unless another one is given.
         self.response_id = cob.SDO_RESPONSE + core.node_id
         self._core = core
-        self._dictionary = core.dictionary
-        self._emit = core.emit
-        self._counters = core.counters
-        self._timeout_s = core.sdo_timeout_s
         self._transfer: Transfer | None = None
         self._pending: Pending | None = None
         self._multiplexer = b""  # of the running call
@@ -64,10 +59,9 @@ class SdoServer(Timed):
 
     def handle(self, data: bytes, now: float) -> None:
         if len(data) != _FRAME_LENGTH:
-            self._counters.malformed_frames += 1
+            self._core.counters.malformed_frames += 1
             return
-        if self._pending is not None:
-            self._forget_answer()
+        self._forget_answer()
         self._core.pending = None
         transfer, self._transfer = self._transfer, None
         self._multiplexer = data[1:4] if transfer is None else transfer.multiplexer
@@ -89,7 +83,7 @@ class SdoServer(Timed):
 
     def tick(self, now: float) -> None:
         transfer = self._transfer
-        if transfer is None or now < self.deadline:
+        if transfer is None:
             return
         if transfer.pause < NEVER:
             transfer.proceed()
@@ -100,7 +94,7 @@ class SdoServer(Timed):
 
     def _schedule(self, now: float) -> None:
         transfer = self._transfer
-        self.deadline = NEVER if transfer is None else now + min(transfer.pause, self._timeout_s)
+        self.deadline = NEVER if transfer is None else now + min(transfer.pause, self._core.sdo_timeout_s)
 
     def _reply(self, payload: bytes) -> None:
         pending = self._core.pending
@@ -108,7 +102,7 @@ class SdoServer(Timed):
             self._core.pending, self._pending = None, pending
             pending.on_end = partial(self._written, self._multiplexer, payload)
             return
-        self._emit(Frame(self.response_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
+        self._core.emit(Frame(self.response_id, payload.ljust(_FRAME_LENGTH, b"\x00")))
 
     def _written(self, multiplexer: bytes, payload: bytes, code: AbortCode | None) -> None:
         self._pending = None
@@ -123,11 +117,11 @@ class SdoServer(Timed):
             pending.on_end = None
 
     def _abort(self, multiplexer: bytes, code: AbortCode) -> None:
-        self._counters.sdo_aborts += 1
+        self._core.counters.sdo_aborts += 1
         self._reply(bytes([ABORT_COMMAND]) + multiplexer + code.to_bytes(4, "little"))
 
     def _entry(self, data: bytes) -> Entry:
-        return self._dictionary.lookup(data[1] | data[2] << 8, data[3])
+        return self._core.dictionary.lookup(data[1] | data[2] << 8, data[3])
 
     def _writable(self, data: bytes) -> Entry:
         entry = self._entry(data)

@@ -58,7 +58,6 @@ class Writing(Timed):
     """Gives changes to a store one by one."""
 
     def __init__(self, store: Store, now: Callable[[], float]) -> None:
-        self.deadline = NEVER
         self._store = store
         self._background = store if isinstance(store, BackgroundStore) else None
         self._now = now
