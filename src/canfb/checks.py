@@ -21,12 +21,15 @@ def number_in(name: str, value: object, low: float, high: float) -> None:
 
 
 def within(config: object, **ranges: tuple[float, float]) -> None:
-    """Each of these attributes is within its range: a whole number where that is given in whole numbers."""
+    """Each of these attributes is in its range, one of whole numbers too; or None, if that is its default."""
     for name, (low, high) in ranges.items():
+        value = getattr(config, name)
+        if value is None and getattr(type(config), name, 0) is None:
+            continue
         if isinstance(low, int) and isinstance(high, int):
-            integer_in(name, getattr(config, name), low, high)
+            integer_in(name, value, low, high)
         else:
-            number_in(name, getattr(config, name), low, high)
+            number_in(name, value, low, high)
 
 
 def number(name: str, value: object) -> None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from canfb.checks import flag, integer_in
+from canfb.checks import flag, within
 from canfb.errors import ConfigError
 from canfb.files import read_bytes
 from canfb.interface.encoder_interface import InterfaceConfig
@@ -56,10 +56,8 @@ class RealtimeConfig:
     busy_poll: bool = False
 
     def __post_init__(self) -> None:
-        integer_in("priority", self.priority, 0, 99)
+        within(self, priority=(0, 99), cpu=(0, 65535))
         flag("lock_memory", self.lock_memory)
-        if self.cpu is not None:
-            integer_in("cpu", self.cpu, 0, 65535)
         flag("busy_poll", self.busy_poll)
         if self.busy_poll and self.cpu is None:
             raise ValueError("busy_poll needs a processor of its own: set cpu, for example cpu: 3")

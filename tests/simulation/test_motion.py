@@ -16,6 +16,8 @@ from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser
 from canfb.cli.simulate import check_record, chosen, write_record
 from canfb.configuration import load_config, parse_config
+from canfb.device.od.dictionary import Dictionary
+from canfb.eds_files import eds_path
 from canfb.errors import CanfbError, ConfigError
 from canfb.hosting.simulating import fed_module
 from canfb.interface.encoder_interface import EncoderInterface
@@ -120,8 +122,7 @@ def test_the_warning_names_a_rate_that_is_enough() -> None:
         "motion: 600 rpm: the module will lose the position: acceleration 31.4 rad/s^2, it follows 8.38 at "
         "100 Hz: set --rate to 220 or more, or a longer ramp_s"
     )
-    assert of_motion(motion, MODULE, 220.0).warning() is None
-    assert of_motion(motion, MODULE, 205.0).warning() is not None
+    assert [of_motion(motion, MODULE, hz).warning() is None for hz in (205.0, 220.0)] == [False, True]
 
 
 def test_a_step_of_the_speed_and_a_start_in_motion() -> None:
@@ -131,16 +132,16 @@ def test_a_step_of_the_speed_and_a_start_in_motion() -> None:
     moving = of_motion(MotionConfig(rpm=60, standstill_s=0.0, ramp_s=0.0), MODULE, 100.0)
     assert moving.acceleration_rad_s2 == 0.0
     assert "turns by 25 cycles per sample from the first sample on" in (moving.warning() or "")
-    slow = of_motion(MotionConfig(rpm=1, standstill_s=0.0, ramp_s=0.0), MODULE, 100.0)
-    assert slow.warning() is None
+    assert of_motion(MotionConfig(rpm=1, standstill_s=0.0, ramp_s=0.0), MODULE, 100.0).warning() is None
 
 
 def test_a_drive_has_its_torque_and_its_friction() -> None:
-    demand = of_drive(MotorConfig(rated_torque_nm=0.5, coulomb_friction_nm=0.01), MODULE, 500.0, 10.0)
+    objects = Dictionary.load(eds_path("drive"), 0x30)
+    demand = of_drive(MotorConfig(rated_torque_nm=0.5, coulomb_friction_nm=0.01), objects, MODULE, 500.0)
     assert demand.acceleration_rad_s2 == pytest.approx(510.0)
-    assert demand.speed_cycles == pytest.approx(50.0)
+    assert demand.speed_cycles == pytest.approx(250.0), "6080h: 3000 rpm"
     assert "write 336 or less to 6072h" in (demand.warning() or "")
-    assert of_drive(MotorConfig(), MODULE, 1000.0, 10.0).warning() is None
+    assert of_drive(MotorConfig(), objects, MODULE, 1000.0).warning() is None
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 400.0])

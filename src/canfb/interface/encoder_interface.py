@@ -254,12 +254,9 @@ class FastRecorder:
         return block.astype("<i2").tobytes()
 
     def _obey(self) -> None:
-        if self._command.value == od.RecordingCommand.START:
-            self._start()
-        else:
+        if self._command.value != od.RecordingCommand.START:
             self._kept, self._began_s = self.count, None
-
-    def _start(self) -> None:
+            return
         if self._source is None:
             raise SdoAbort(AbortCode.DEVICE_STATE)
         self.reset()
@@ -353,7 +350,11 @@ class EncoderInterface(MachineNode):
     def sync_received(self, counter: int | None, now: float) -> None:
         sample = self._watch.sample(now)
         if self._watch.failing is not self._reported:
-            self._report_source(now)
+            self._reported = self._watch.failing
+            if self._reported:
+                self.emergency(EmergencyCode.HARDWARE, ErrorRegister.GENERIC, b"", now)
+            else:
+                self.clear_emergency(EmergencyCode.HARDWARE, now)
         if sample is None:
             self._silent = True
             self.missed += not self.ended
@@ -363,13 +364,6 @@ class EncoderInterface(MachineNode):
         for number, kind in self._types.items():
             if kind.value == 0:  # FEh and FFh have their event timer; a sample of each SYNC would be too much
                 self.trigger_tpdo(number, now)
-
-    def _report_source(self, now: float) -> None:
-        self._reported = self._watch.failing
-        if self._reported:
-            self.emergency(EmergencyCode.HARDWARE, ErrorRegister.GENERIC, b"", now)
-        else:
-            self.clear_emergency(EmergencyCode.HARDWARE, now)
 
     def _ask(self) -> Sample | None:
         if self._several is not None:

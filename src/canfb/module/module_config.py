@@ -34,9 +34,7 @@ class SecondPositionConfig(SecondSensor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.cob_id is not None:
-            integer_in("cob_id", self.cob_id, LOWEST_COB_ID, HIGHEST_COB_ID)
-        within(self, before_bytes=(0, MOST_GAP_BYTES))
+        within(self, cob_id=(LOWEST_COB_ID, HIGHEST_COB_ID), before_bytes=(0, MOST_GAP_BYTES))
         within(self, after_bytes=(0, MOST_GAP_BYTES - self.before_bytes))
 
     @property

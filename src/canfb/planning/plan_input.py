@@ -25,7 +25,7 @@ from canfb.signal.tracker import check_residual_limit
 from canfb.simulation.cia402.plant import DriveConfig
 from canfb.simulation.embedded_bus import CUT_OFF
 from canfb.simulation.scenario import SimulationConfig
-from canfb.simulation.set_up import MotionDemand, drive_demand, of_motion, sync_rate
+from canfb.simulation.set_up import MotionDemand, of_drive, of_motion, sync_rate
 from canfb.view.module_view import LIMIT_UNITS
 
 
@@ -159,7 +159,7 @@ def _motion(
 
 def _demand(simulation: SimulationConfig, config: ModuleConfig, rate_hz: float) -> MotionDemand | None:
     if simulation.drive is not None:
-        return drive_demand(simulation.drive, _drive_objects(simulation.drive), config, rate_hz)
+        return of_drive(simulation.drive, _drive_objects(simulation.drive), config, rate_hz)
     if simulation.motion == SimulationConfig().motion:
         return None
     return of_motion(simulation.motion, config, rate_hz)

@@ -173,7 +173,6 @@ class Drive(SyncProducer):
         self.syncs = 0
         self.consumed = Consumed()
         self._position_cob_id = position_cob_id
-        self._last_units: int | None = None
 
     def start(self, now: float) -> list[Frame]:
         return []
@@ -189,18 +188,13 @@ class Drive(SyncProducer):
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         if frame.can_id == self._position_cob_id and len(frame.data) == POSITION_PDO.size:
             position, status, residual = POSITION_PDO.unpack(frame.data)
-            consumed = self.consumed
+            consumed, half = self.consumed, self.total_range // 2
+            last = consumed.position_units[-1] if consumed.position_units else position
+            consumed.position_units.append(last + (position - last + half) % self.total_range - half)
             consumed.sync_number.append(self.syncs)
-            consumed.position_units.append(self._unwrap(position))
             consumed.status.append(status)
             consumed.residual_cycles.append(residual / 65536)
         return []
-
-    def _unwrap(self, position: int) -> int:
-        half = self.total_range // 2
-        last = position if self._last_units is None else self._last_units
-        self._last_units = last + (position - last + half) % self.total_range - half
-        return self._last_units
 
 
 WINDOW_S, WINDOW_SYNCS = 2.0, 100  # over which the rate is taken, whichever is longer
@@ -380,17 +374,11 @@ class EmbeddedBus:
                 if first is not None:
                     self._put(first, first.tick(at))
                     self._deliver()
-                elif wire is not None:
-                    self._advance(wire)
+                elif wire is not None and (ended := wire.advance(at)) is not None:
+                    self._hand_out(*ended)
+                    self._compute()
         finally:
             self._running = False
-
-    def _advance(self, wire: Wire) -> None:
-        ended = wire.advance(self.now)
-        if ended is not None:
-            frame, sender = ended
-            self._hand_out(frame, sender)
-            self._compute()
 
     def _compute(self) -> None:
         for participant, computing in self._computing:

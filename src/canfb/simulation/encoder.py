@@ -131,8 +131,9 @@ def _left(
     wave: np.ufunc, order: int, x: FloatArray, shift_rad: float, hertz: npt.ArrayLike, corner_hz: float
 ) -> FloatArray:
     ratio = order * np.asarray(hertz, np.float64) / corner_hz if corner_hz else np.float64(0.0)
-    left: FloatArray = wave(order * x + shift_rad - np.arctan(ratio)) / np.sqrt(1.0 + ratio * ratio)
-    return left
+    return np.asarray(
+        wave(order * x + shift_rad - np.arctan(ratio)) / np.sqrt(1.0 + ratio * ratio), np.float64
+    )
 
 
 def demo_encoder() -> Encoder:
@@ -257,8 +258,7 @@ class PiecewiseCubic:
         places = np.maximum(np.searchsorted(self._starts, times, "right") - 1, 0)
         passed = times - np.array(self._starts)[places]
         value, speed, half, sixth = np.moveaxis(np.array(self._pieces)[places], -1, 0)
-        found: FloatArray = value + passed * (speed + passed * (half + passed * sixth))
-        return found
+        return np.asarray(value + passed * (speed + passed * (half + passed * sixth)), np.float64)
 
     def go_on(
         self, from_s: float, speed: float | None = None, acceleration: float = 0.0, jerk: float = 0.0

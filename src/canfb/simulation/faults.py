@@ -162,8 +162,7 @@ def track_drift(
         sine, cosine = tracks
         part = np.minimum(np.arange(1, len(sine) + 1) / ramp_samples, 1.0)
         turned = np.stack([sine, cosine * np.cos(part * phase_rad) + sine * np.sin(part * phase_rad)])
-        found: Tracks = turned * (1.0 + part * (gain - 1.0)) + part * offset
-        return found
+        return np.asarray(turned * (1.0 + part * (gain - 1.0)) + part * offset, np.float64)
 
     return changed(drifted)
 
@@ -178,8 +177,7 @@ def oscillation(
 
     def change(tracks: Tracks, full: int, rng: Rng) -> Tracks:
         angle = 2.0 * math.pi * periods_per_sample * np.arange(tracks.shape[1]) + shift_rad
-        found: Tracks = tracks + amplitude_counts * np.sin(angle)
-        return found
+        return np.asarray(tracks + amplitude_counts * np.sin(angle), np.float64)
 
     return changed(change, signal)
 

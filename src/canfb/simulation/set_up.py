@@ -144,10 +144,10 @@ def of_motion(motion: MotionConfig, module: ChainConfig, rate_hz: float) -> Moti
     )
 
 
-def of_drive(motor: MotorConfig, module: ChainConfig, rate_hz: float, revolutions_s: float) -> MotionDemand:
-    """A motor, which may accelerate, or brake, with all its torque; ``revolutions_s`` is its speed."""
+def of_drive(motor: MotorConfig, objects: Dictionary, module: ChainConfig, rate_hz: float) -> MotionDemand:
+    """What a drive with these objects asks at most: its largest speed; all its torque, to brake as well."""
     able = (motor.rated_torque_nm + motor.coulomb_friction_nm) / motor.inertia_kg_m2
-    speed = revolutions_s * module.cycles_per_revolution / rate_hz
+    speed = objects.entry(*MOST_RPM).value / 60.0 * module.cycles_per_revolution / rate_hz
     errors = 4.0 * module.phase_error_cycles
     demand = MotionDemand("drive", module, rate_hz, speed, able, errors_cycles=errors)
     followed = demand.left_rad_s2 * motor.inertia_kg_m2  # torque, Nm
@@ -235,13 +235,6 @@ def simulated_axis(
         settings.node_id, plant, link, autostart=autostart, motor_increments=settings.motor_increments
     )
     return drive, source
-
-
-def drive_demand(
-    motor: MotorConfig, dictionary: Dictionary, chain: ChainConfig, rate_hz: float
-) -> MotionDemand:
-    """What a drive with this dictionary asks of the module at most: its largest speed, and all its torque."""
-    return of_drive(motor, chain, rate_hz, dictionary.entry(*MOST_RPM).value / 60.0)
 
 
 class SampleRecorder(SilentDevice):
@@ -423,7 +416,7 @@ def _demand(
     if drive is not None:
         if play.rate_hz is None:
             return None
-        demand = drive_demand(drive.plant.motor.config, drive.dictionary, module.chain, rate_hz)
+        demand = of_drive(drive.plant.motor.config, drive.dictionary, module.chain, rate_hz)
     elif isinstance(source, RecordingSource):
         demand = of_recording(*source.tracks(), module.chain, rate_hz, str(play.file))
     else:

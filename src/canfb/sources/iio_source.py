@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from canfb.checks import flag, integer_in, number, text, within
+from canfb.checks import flag, number, text, within
 from canfb.errors import BusError, CanfbError, ConfigError, reason
 from canfb.signal.sample import MOST_PER_SYNC, Sample
 from canfb.sources.protocol import (
@@ -94,11 +94,15 @@ def open_context(iio: Any, uri: str) -> Any:
     return context
 
 
-def find_device(iio: Any, context: Any, name: str, uri: str) -> Any:
+def find_device(iio: Any, context: Any, key: str, name: str, uri: str) -> Any:
+    """The device, or by the ``key`` "trigger" the trigger, with this name or id."""
+
+    def fits(one: Any) -> bool:
+        return isinstance(one, iio.Trigger) == (key == "trigger")
+
     device = context.find_device(name) if name.isascii() else None
-    if device is None or isinstance(device, iio.Trigger):
-        names = [_name(one) for one in context.devices if not isinstance(one, iio.Trigger)]
-        raise _missing("device", name, f"in {uri}", names)
+    if device is None or not fits(device):
+        raise _missing(key, name, f"in {uri}", [_name(one) for one in context.devices if fits(one)])
     return device
 
 
@@ -131,16 +135,6 @@ def common_scaling(tracks: Mapping[str, Any], mid_scale: float | None) -> Channe
     if (sine.bits, bool(sine.is_signed)) != (cosine.bits, bool(cosine.is_signed)):
         raise ConfigError(f"source: cosine: the format of {second!r} differs from that of {first!r}")
     return ChannelScaling(sine.bits, bool(sine.is_signed), mid_scale)
-
-
-def give_trigger(iio: Any, context: Any, device: Any, name: str, uri: str) -> Any:
-    """The trigger with this name or id; the device has it from now on."""
-    trigger = context.find_device(name) if name.isascii() else None
-    if not isinstance(trigger, iio.Trigger):
-        names = [_name(one) for one in context.devices if isinstance(one, iio.Trigger)]
-        raise _missing("trigger", name, f"in {uri}", names)
-    device.trigger = trigger
-    return trigger
 
 
 def set_rate(trigger: Any, device: Any, rate_hz: int) -> None:
@@ -230,22 +224,16 @@ class IioSourceConfig(SourceConfig):
             raise ValueError(f"cosine must differ from sine, {self.sine!r}")
         if self.mid_scale is not None:
             number("mid_scale", self.mid_scale)
-        if self.rate_hz is not None:
-            integer_in("rate_hz", self.rate_hz, 1, 10_000_000)
         flag("time_stamps", self.time_stamps)
         within(
             self,
+            rate_hz=(1, 10_000_000),
             buffer_scans=(2, 65536),
             wait_us=(10, 1_000_000),
+            adc_bits=(4, 16),
+            scans_per_sync=(LEAST_SCANS_PER_SYNC, MOST_SCANS_PER_SYNC),
+            samples_per_sync=(1, MOST_PER_SYNC),
         )
-        if self.adc_bits is not None:
-            integer_in("adc_bits", self.adc_bits, 4, 16)
-        if self.scans_per_sync is not None:
-            integer_in("scans_per_sync", self.scans_per_sync, LEAST_SCANS_PER_SYNC, MOST_SCANS_PER_SYNC)
-        self._check_samples_per_sync()
-
-    def _check_samples_per_sync(self) -> None:
-        integer_in("samples_per_sync", self.samples_per_sync, 1, MOST_PER_SYNC)
         scans, samples = self.scans_per_sync, self.samples_per_sync
         if samples > 1 and (scans is None or scans % samples):
             raise ValueError(
@@ -283,7 +271,7 @@ class IioCapture:
             raise BusError(f"{where}: {hint(error)}") from error
 
     def _open(self, iio: Any, config: IioSourceConfig) -> None:
-        device = self._device = find_device(iio, self._context, config.device, config.uri)
+        device = self._device = find_device(iio, self._context, "device", config.device, config.uri)
         tracks = {
             key: find_channel(device, key, name)
             for key, name in (("sine", config.sine), ("cosine", config.cosine))
@@ -299,7 +287,8 @@ class IioCapture:
             )
         self._trigger = None
         if config.trigger is not None:
-            self._trigger = give_trigger(iio, self._context, device, config.trigger, config.uri)
+            self._trigger = find_device(iio, self._context, "trigger", config.trigger, config.uri)
+            device.trigger = self._trigger
         if config.scans_per_sync is not None and self.is_fired:
             raise ConfigError(
                 f"source: trigger: {config.trigger!r} gives one scan for each SYNC; scans_per_sync needs one "

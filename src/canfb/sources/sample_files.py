@@ -134,21 +134,17 @@ def read_tracks(path: Path) -> Tracks:
     """
     try:
         with path.open("rb") as file:
-            _check_size(file)
+            with zipfile.ZipFile(file) as packed:
+                size = sum(one.file_size for one in packed.infolist())
+            if size > LARGEST_UNPACKED:
+                raise ValueError(f"its arrays have {size} bytes; at most {LARGEST_UNPACKED} are read")
+            file.seek(0)
             return _tracks(file)
     except OSError as error:
         raise CanfbError(f"{path}: cannot be read: {error.strerror or error}") from None
     except Exception as error:
         said = " ".join(str(error).split())[:LONGEST_MESSAGE]
         raise CanfbError(f"{path}: this is not a file of samples: {said or type(error).__name__}") from None
-
-
-def _check_size(file: IO[bytes]) -> None:
-    with zipfile.ZipFile(file) as packed:
-        size = sum(one.file_size for one in packed.infolist())
-    if size > LARGEST_UNPACKED:
-        raise ValueError(f"its arrays have {size} bytes; at most {LARGEST_UNPACKED} are read")
-    file.seek(0)
 
 
 def _tracks(file: IO[bytes]) -> Tracks:

@@ -136,7 +136,7 @@ def approach(error: float, gain: float, braking: float) -> float:
     return math.copysign(math.sqrt(2.0 * braking * (abs(error) - near / 2.0)), error)
 
 
-NO_MODE, CYCLIC_SYNCHRONOUS_POSITION = 0, 8
+CYCLIC_SYNCHRONOUS_POSITION = 8
 OFF = 0xFFFFFFFF
 """6065h: no window."""
 KG_M2_PER_G_CM2 = 1e-7
@@ -148,16 +148,22 @@ class Axis:
 
     Positions are in units of 608Fh, of any size; the objects show them as INTEGER32, which wraps. A target is
     the nearest to the demand of all positions with its value.
+
+    ``motor_increments``: of an encoder on the motor in a revolution, which 6063h is of then; 0: none.
+    ``on_mode`` is called when 6060h was written.
     """
 
-    def __init__(self, dictionary: Dictionary, feedback: FeedbackInput) -> None:
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        feedback: FeedbackInput,
+        motor_increments: int,
+        on_mode: Callable[[], None],
+    ) -> None:
         self.scaling = Scaling(dictionary)
         self._feedback = feedback
         self._loop = PositionLoop()
-        self.motor_increments = 0
-        """Of an encoder on the motor in a revolution, which 6063h is of then; 0: there is none."""
-        self.on_mode: Callable[[], None] = lambda: None
-        """Called when 6060h was written."""
+        self._motor_increments, self._on_mode = motor_increments, on_mode
         self._trajectory = Trajectory()
         self._too_far_since_s: float | None = None
         entry = dictionary.entry
@@ -217,14 +223,14 @@ class Axis:
 
     def measure(self) -> None:
         feedback, units = self._feedback, self.scaling.units
-        if not self.motor_increments:
+        if not self._motor_increments:
             self._internal.value = wrapped(feedback.position)
         self._actual.value = wrapped(round(feedback.revolutions * units))
         self._speed.value = saturated(feedback.speed * units, 32)
 
     def measure_motor(self, revolutions: float) -> None:
-        if self.motor_increments:
-            self._internal.value = wrapped(math.floor(revolutions * self.motor_increments))
+        if self._motor_increments:
+            self._internal.value = wrapped(math.floor(revolutions * self._motor_increments))
 
     def control(self, period_s: float) -> float:
         scaling, feedback = self.scaling, self._feedback
@@ -320,7 +326,7 @@ class Axis:
         if self.mode != self._display.value:
             self._trajectory.drop_target()
             self._new_target = False
-        self.on_mode()
+        self._on_mode()
 
     def _target_written(self) -> None:
         self._new_target = True

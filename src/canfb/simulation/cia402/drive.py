@@ -48,8 +48,7 @@ class ServoDrive(MachineNode):
         super().__init__(dictionary, node_id, autostart=autostart, store=None, bit_rates_kbit_s=())
         self.plant = plant
         self.feedback = FeedbackInput(self.dictionary)
-        self.axis = Axis(self.dictionary, self.feedback)
-        self.axis.motor_increments = motor_increments
+        self.axis = Axis(self.dictionary, self.feedback, motor_increments, self._show)
         self._machine = StateMachine()
         self._interval = SyncInterval()
         self._watched_from_s = 0.0
@@ -66,7 +65,6 @@ class ServoDrive(MachineNode):
         self._controlword = entry(0x6040)
         self._controlword.on_written = self._controlled
         self._fault_option.on_check = refuse_if(lambda value: value not in (COAST, QUICK_STOP_RAMP))
-        self.axis.on_mode = self._show
 
     @property
     def power(self) -> State:
@@ -191,7 +189,10 @@ class ServoDrive(MachineNode):
         if command is not Command.FAULT_RESET or not self.feedback.wrong:
             self._switch(command)
         if before is State.FAULT and self.power is not State.FAULT:
-            self._clear_error()
+            for error in DriveError:
+                if error is not DriveError.NONE:
+                    self.clear_emergency(error)
+            self._error.value = int(DriveError.NONE)
         self._supervise()
         self._show()
 
@@ -215,12 +216,6 @@ class ServoDrive(MachineNode):
     def _power_off(self) -> None:
         self.plant.drive(0.0, False, self.received_s)
         self.axis.power_off()
-
-    def _clear_error(self) -> None:
-        for error in DriveError:
-            if error is not DriveError.NONE:
-                self.clear_emergency(error)
-        self._error.value = int(DriveError.NONE)
 
     def communication_failed(self, now: float) -> None:
         self._abort_connection(DriveError.HEARTBEAT)
