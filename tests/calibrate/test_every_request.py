@@ -24,14 +24,15 @@ from canfb.cia301.frame import Frame
 from canfb.cli.backup_command import backup_of
 from canfb.commission.commission_run import set_limits
 from canfb.device.storage.storage import MemoryStore
+from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
-from canfb.master.access import NodeAccess
 from canfb.master.all_or_nothing import Guard, put_in_force, save
 from canfb.master.samples import TrackSamples
 from canfb.module.device_configuration import configuration_of, read_configuration, restored_configuration
 from canfb.module.feedback_module import FeedbackModule
 from canfb.objects import Multiplexer
 from canfb.sdo.backups import Backup, restore_backup
+from canfb.sdo.object_description import ObjectDescriptions
 from canfb.sdo.tables import TableFile, TableTasks
 from canfb.signal.conditioning import Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
@@ -183,7 +184,7 @@ def backup() -> Backup:
     bench = prepared(NEW, operational=False)
     bench.access.write(0x1017, 0, "H", 500)
     bench.access.write(0x2010, 2, "f", 12.5)
-    return backup_of(bench.master, MODULE_ID, "2026-03-01")
+    return backup_of(bench.access, ObjectDescriptions(eds_path("canfb-module"), MODULE_ID), "2026-03-01")
 
 
 def restore(bench: Bench) -> object:
@@ -191,7 +192,7 @@ def restore(bench: Bench) -> object:
     return restore_backup(
         bench.access,
         kept,
-        lambda: read_configuration(NodeAccess(bench.master, MODULE_ID, "module")),
+        lambda: read_configuration(bench.access),
         lambda before: restored_configuration(kept.values, before, kept.table, MODULE_ID, MODULE_ID),
         Guard(),
         keep=True,

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+from dataclasses import replace
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +20,7 @@ import pytest
 from canfb.cia301.frame import Frame
 from canfb.demo import demo_page
 from canfb.demo import story as story_module
-from canfb.demo.demo_page import account, error_after, error_before, residual, servo, servo_facts, tracks
+from canfb.demo.demo_page import account, position_error, residual, servo, servo_facts, tracks
 from canfb.demo.demo_page import figures as figures_of
 from canfb.demo.story import (
     ACCELERATION_RAD_S2,
@@ -38,7 +39,6 @@ from canfb.demo.story import (
     servo_move,
 )
 from canfb.objects import StatusBit
-from canfb.report.plot import Plot
 from canfb.rows import Row
 from canfb.signal.conditioning import IDENTITY
 from canfb.signal.correction import Correction
@@ -90,9 +90,9 @@ def test_the_names_of_the_faults_do_not_cross() -> None:
     assert all(below - above > 14.0 for (_, above), (_, below) in pairwise(found))
 
 
-@pytest.mark.parametrize("draw", [error_before, error_after])
-def test_no_error_is_beyond_the_picture(draw: Any) -> None:
-    plot: Plot = draw(some_story())
+def test_no_error_is_beyond_the_picture() -> None:
+    told = some_story()
+    plot = position_error(told.phase_before, told.error_before, "before", "without a table")
     points = re.findall(r"M([\d.]+) ([\d.]+)h0", plot.drawing())
     assert len(points) == 100
     top, bottom = plot.y(plot.y.high), plot.y(plot.y.low)
@@ -103,8 +103,7 @@ def test_a_story_that_did_not_hold_is_shown_as_one(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(demo_page, "run_facts", lambda told: [Row("samples", "3")])
     told = some_story()
     told.checks = {"it flies": True, "it <floats>": False}
-    pictures = residual(told), error_before(told), error_after(told), residual(told), servo(told)
-    page = Page(demo_page.demo_page(told, "canfb 1.2.3, 2026-11-22 <b>", pictures))
+    page = Page(demo_page.demo_page(told, "canfb 1.2.3, 2026-11-22 <b>", (residual(told),) * 5))
     assert "canfb 1.2.3, 2026-11-22 <b>" in page.text
     assert "Failed: it <floats>." in page.text
     assert ("class", "verdict bad") in page.attributes
@@ -145,11 +144,10 @@ def test_what_is_said(runs: list[ServoRun]) -> None:
     assert runs[0].figures()["counted_exactly"] is True
 
 
-def test_a_run_that_was_wrong_once_is_not_exact() -> None:
-    assert ServoRun(2, valid=True).exact
-    assert not ServoRun(2, valid=True, wrong_and_valid=1).exact
-    assert not ServoRun(2, valid=True, cycles_off=-1).exact
-    assert not ServoRun(2).exact
+def test_a_run_that_was_wrong_once_is_not_exact(runs: list[ServoRun]) -> None:
+    assert not replace(runs[0], wrong_and_valid=1).exact
+    assert not replace(runs[0], cycles_off=-1).exact
+    assert not replace(runs[0], valid=False).exact
 
 
 def test_the_move_is_limited_in_jerk() -> None:
@@ -241,13 +239,12 @@ def test_the_error_with_the_table_is_the_noise_of_single_samples_and_not_less(ca
 
 
 def test_counts_are_right_and_faults_are_flagged_at_once(case: Told) -> None:
-    story, faults = case.story, case.story.faults
-    assert story.wrong_counts == 0
-    assert (faults.provoked, faults.flagged_at_once) == (len(FAULTS), len(FAULTS))
-    assert (faults.wrong_and_valid, faults.wrong_counts_after) == (0, 0)
+    story = case.story
+    assert story.flagged_at_once == len(FAULTS)
+    assert (story.wrong_counts, story.wrong_and_valid, story.wrong_counts_after) == (0, 0, 0)
     # Each fault itself, and after it as many samples as it takes to trust the phase again: more than on a
     # bus without jitter, for a sample time of 100 ns is 0.008 of a cycle.
-    assert len(FAULTS) < faults.flagged_samples <= TRUSTED_AGAIN * len(FAULTS)
+    assert len(FAULTS) < story.flagged_samples <= TRUSTED_AGAIN * len(FAULTS)
 
 
 def test_status_and_residual_tell_of_the_faults_and_of_nothing_else(case: Told) -> None:
@@ -304,7 +301,7 @@ def test_with_a_module_that_calls_everything_valid_the_story_does_not_hold() -> 
     network.drive.receive = gullible  # type: ignore[method-assign]
     story = told(network, (500, 3000)).story
     assert not story.held
-    assert story.faults.flagged_at_once == story.faults.flagged_samples == 0
+    assert story.flagged_at_once == story.flagged_samples == 0
     assert not story.checks["every fault flagged in the same sample"]
 
 

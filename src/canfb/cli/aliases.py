@@ -30,21 +30,19 @@ COMMANDS = {
 SHORT = {"demo": "try --story"}
 """Short forms that stay."""
 
-EVERYWHERE = ""
-POSITIONAL = "NODE"
 OPTIONS: dict[str, dict[str, str | None]] = {
-    EVERYWHERE: {"--answer-within": "--timeout"},
+    "": {"--answer-within": "--timeout"},  # of all commands
     "try": {"--no-scope": "--no-page"},
     "monitor": {"--rate": "--updates"},
-    "simulate": {"--module": POSITIONAL},
-    "config dcf": {"--module": POSITIONAL, "--node": POSITIONAL},
-    "log replay": {"--module": POSITIONAL},
-    "backup restore": {"--node": POSITIONAL},
+    "simulate": {"--module": NODE},
+    "config dcf": {"--module": NODE, "--node": NODE},
+    "log replay": {"--module": NODE},
+    "backup restore": {"--node": NODE},
     "calibrate --samples": {"--rate": "--sample-rate"},
-    "calibrate": {"--module": POSITIONAL, "--sync": "--rate", "--no-save": None},
-    "commission": {"--module": POSITIONAL, "--sync": "--rate"},
+    "calibrate": {"--module": NODE, "--sync": "--rate", "--no-save": None},
+    "commission": {"--module": NODE, "--sync": "--rate"},
 }
-"""By command: an old option and the new one; POSITIONAL: its value alone; None: now the default.
+"""By command: an old option and the new one; NODE: its value alone; None: now the default.
 
 An option behind the command is a condition: with ``--samples`` there is no SYNC, and ``--rate`` is the old
 spelling for the rate of the file.
@@ -85,7 +83,7 @@ def _renamed(line: Sequence[str], length: int, options: dict[str, str | None]) -
         new = options.get(option, option)
         if option not in options:
             done.append(word)
-        elif new == POSITIONAL:
+        elif new == NODE:
             nodes += [value if equals else next(words, "")]
         elif new is not None:
             done.append(f"{new}{equals}{value}")

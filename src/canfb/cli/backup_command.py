@@ -23,7 +23,7 @@ from canfb.cli.options import (
 )
 from canfb.eds_files import eds_path
 from canfb.files import check_writable, write_whole
-from canfb.master.access import Master, NodeAccess
+from canfb.master.access import NodeAccess
 from canfb.module.device_configuration import (
     OF_THE_MACHINE,
     backup_values,
@@ -54,12 +54,18 @@ def register(commands: Commands) -> None:
         *node_options.ACCESS,
         summary="write table and all parameters of a module to a file (YAML)",
     )
-    text = "what canfb backup save wrote; and NODE, the module (default: that of the file)"
     add_command(
         parts,
         "restore",
         restore,
-        nodes(text, least=1, most=1, kind=node_or_file, file="file", name="FILE"),
+        nodes(
+            "what canfb backup save wrote; and NODE, the module (default: that of the file)",
+            least=1,
+            most=1,
+            kind=node_or_file,
+            file="file",
+            name="FILE",
+        ),
         option("--save", action="store_true", help="save all parameters at the end (1010h)"),
         option("--preop", action="store_true", help="send the node to PRE-OPERATIONAL first; it stays there"),
         option("--dry-run", action="store_true", help="only say what would change"),
@@ -79,19 +85,17 @@ def save(options: argparse.Namespace) -> int:
     check_writable(options.file)
     described = ObjectDescriptions(eds_path(EDS), options.node)
     with node_options.master_of(options) as master:
-        found = backup_of(master, options.node, date_and_time())
+        found = backup_of(NodeAccess(master, options.node, "module"), described, date_and_time())
     write_whole(options.file, backup_text(found, described).encode())
     return node_options.say_result(options, backup_result(found, options.file))
 
 
-def backup_of(master: Master, node_id: int, date: str) -> Backup:
-    module = NodeAccess(master, node_id, "module")
+def backup_of(module: NodeAccess, described: ObjectDescriptions, date: str) -> Backup:
     configuration = read_configuration(module)
-    template = ObjectDescriptions(eds_path(EDS), node_id)
-    entries = [entry for place in OF_THE_MACHINE if (entry := template.find(*place)) is not None]
+    entries = [entry for place in OF_THE_MACHINE if (entry := described.find(*place)) is not None]
     machine = {entry.place: entry.decode(module.upload_domain(*entry.place)) for entry in entries}
     return Backup(
-        node_id,
+        module.node_id,
         NodeIdentity(*(module.integer(*place, "I") for place in od.IDENTITY)),
         date,
         version("canfb"),
@@ -119,5 +123,6 @@ def restore(options: argparse.Namespace) -> int:
             preop=options.preop,
             dry_run=options.dry_run,
         )
-    described = ObjectDescriptions(eds_path(EDS), node)
-    return node_options.say_result(options, restored_result(path, kept, done, described))
+    return node_options.say_result(
+        options, restored_result(path, kept, done, ObjectDescriptions(eds_path(EDS), node))
+    )

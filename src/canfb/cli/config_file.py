@@ -77,15 +77,24 @@ EXAMPLE_BUS = "{interface: socketcan, channel: vcan0}"  # in it
 
 def register(commands: Commands) -> None:
     parts = add_group(commands, "config")
-    config = option("config", metavar="CONFIG.yaml")
-    add_command(parts, "check", check, config, summary="check a configuration")
+    add_command(
+        parts,
+        "check",
+        check,
+        option("config", metavar="CONFIG.yaml"),
+        summary="check a configuration",
+    )
     add_command(parts, "example", example, summary="print an example")
-    text = "CONFIG.yaml, and which of its modules, if there are several; NODE alone is read on the bus"
     add_command(
         parts,
         "dcf",
         write_dcf,
-        nodes(text, least=1, most=1, file="subject"),
+        nodes(
+            "CONFIG.yaml, and which of its modules, if there are several; NODE alone is read on the bus",
+            least=1,
+            most=1,
+            file="subject",
+        ),
         option("--out", type=Path, metavar="FILE", help="the DCF (module-20h.dcf), overwritten"),
         option("--concise", type=Path, metavar="FILE", help="the concise form, for object 1F22h"),
         option(

@@ -41,11 +41,19 @@ def _node(text: str) -> int:
 
 
 def register(commands: Commands) -> None:
-    description = "Nodes of a bus. NMT is not confirmed: a node reports its state in its heartbeat."
-    parts = add_group(commands, "node", description)
-    summary = "list the nodes with NMT state and identity (1018h)"
-    seconds = option("--seconds", metavar="S", type=positive, default=SCAN_S, help="to listen (1.2)")
-    add_command(parts, "list", listed, seconds, JSON, node_options.CONFIG, add_bus_options, summary=summary)
+    parts = add_group(
+        commands, "node", "Nodes of a bus. NMT is not confirmed: a node reports its state in its heartbeat."
+    )
+    add_command(
+        parts,
+        "list",
+        listed,
+        option("--seconds", metavar="S", type=positive, default=SCAN_S, help="to listen (1.2)"),
+        JSON,
+        node_options.CONFIG,
+        add_bus_options,
+        summary="list the nodes with NMT state and identity (1018h)",
+    )
     named = nodes("node-IDs such as 32 or 0x20, or all", least=1, kind=_node)
     for word, (command, summary) in WORDS.items():
         add_command(parts, word, send, named, add_bus_options, summary=summary, command_specifier=command)

@@ -337,8 +337,12 @@ def jitter_s(options: argparse.Namespace, rate_hz: float | None) -> float:
 
 
 def jitter_of(text: str) -> Row:
-    help_text = f"{text}, ±: 20us, 2e-5 (seconds), 30%% of the period"
-    return option("--jitter", type=jitter, metavar="TIME", help=help_text)
+    return option(
+        "--jitter",
+        type=jitter,
+        metavar="TIME",
+        help=f"{text}, ±: 20us, 2e-5 (seconds), 30%% of the period",
+    )
 
 
 JITTER = jitter_of("have the SYNC jitter on purpose, uniformly")

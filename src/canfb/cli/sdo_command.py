@@ -23,14 +23,23 @@ LOST = "the position is lost: canfb why {:#04x} says why, and what brings it bac
 
 
 def register(commands: Commands) -> None:
-    description = "Objects of a node by SDO. Names, types and units are those of its EDS."
-    parts = add_group(commands, "sdo", description)
+    parts = add_group(
+        commands, "sdo", "Objects of a node by SDO. Names, types and units are those of its EDS."
+    )
     node, access = node_options.NODE, node_options.ACCESS
     named = option("object", metavar="OBJECT", help=OBJECT)
     eds = option("--eds", type=Path, metavar="FILE", help="EDS or DCF of a node that is not of canfb")
-    out = option("--out", type=Path, metavar="FILE", help="write the bytes to a file; replaced")
-    summary = "read an object; without :sub, all of a record"
-    add_command(parts, "read", read, node, named, out, eds, *access, summary=summary)
+    add_command(
+        parts,
+        "read",
+        read,
+        node,
+        named,
+        option("--out", type=Path, metavar="FILE", help="write the bytes to a file; replaced"),
+        eds,
+        *access,
+        summary="read an object; without :sub, all of a record",
+    )
     add_command(
         parts,
         "list",

@@ -19,8 +19,9 @@ FILES = "FILE.yaml, or the bytes of 2020:01 under any other name"
 
 
 def register(commands: Commands) -> None:
-    description = "The correction table (2020h) and the conditioning (2002h) of a module."
-    parts = add_group(commands, "table", description)
+    parts = add_group(
+        commands, "table", "The correction table (2020h) and the conditioning (2002h) of a module."
+    )
     node, access = node_options.NODE, node_options.ACCESS
     force = option("--force", action="store_true", help="although the amplitude then leaves its limits")
     save = option("--save", action="store_true", help="save it (1010h)")
@@ -54,8 +55,9 @@ def register(commands: Commands) -> None:
         *access,
         summary="read the active table of the module into a file",
     )
-    summary = "put the staged table in force"
-    add_command(parts, "activate", activate, node, force, save, *access, summary=summary)
+    add_command(
+        parts, "activate", activate, node, force, save, *access, summary="put the staged table in force"
+    )
     add_command(
         parts,
         "clear",

@@ -20,8 +20,13 @@ from canfb.files import write_whole
 
 
 def register(commands: Commands) -> None:
-    forget = option("--forget", action="store_true", help="no default bus any more")
-    add_command(commands, "use", use, forget, add_bus_options)
+    add_command(
+        commands,
+        "use",
+        use,
+        option("--forget", action="store_true", help="no default bus any more"),
+        add_bus_options,
+    )
 
 
 def use(options: argparse.Namespace) -> int:

@@ -38,20 +38,21 @@ ERROR_HEADS = "position error, % of a cycle", "before the table", "with the tabl
 
 def account(story: Story) -> str:
     """One line a fact. ValueError if the demo has not run yet."""
-    lines = [
-        TITLE,
-        "",
-        *_indented(run_facts(story)),
-        "",
-        *(f"  {line}" for line in as_columns(error_facts(story), ERROR_HEADS)),
-        "",
-        *_indented(fault_facts(story)),
-        "",
-        *_indented(servo_facts(story)),
-        "",
-    ]
-    lines += [f"  {verdict(held):6}  {name}" for name, held in story.checks.items()]
-    return "\n".join(lines)
+    return "\n".join(
+        [
+            TITLE,
+            "",
+            *_indented(run_facts(story)),
+            "",
+            *(f"  {line}" for line in as_columns(error_facts(story), ERROR_HEADS)),
+            "",
+            *_indented(fault_facts(story)),
+            "",
+            *_indented(servo_facts(story)),
+            "",
+            *(f"  {verdict(held):6}  {name}" for name, held in story.checks.items()),
+        ]
+    )
 
 
 def _indented(facts: list[Row]) -> list[str]:
@@ -119,20 +120,19 @@ def run_facts(story: Story) -> list[Row]:
 
 
 def fault_facts(story: Story) -> list[Row]:
-    faults = story.faults
     return [
         Row("faults", ", ".join(name for name, _ in FAULTS.values())),
         Row(
             "",
-            f"{faults.flagged_at_once} of {faults.provoked} flagged at once (the lost one at the next SYNC)",
-            faults_provoked=faults.provoked,
-            faults_flagged_in_the_same_sample=faults.flagged_at_once,
+            f"{story.flagged_at_once} of {len(FAULTS)} flagged at once (the lost one at the next SYNC)",
+            faults_provoked=len(FAULTS),
+            faults_flagged_in_the_same_sample=story.flagged_at_once,
         ),
         Row(
             "",
-            f"wrong positions published as valid {faults.wrong_and_valid}, "
-            f"cycles lost {faults.wrong_counts_after}",
-            wrong_positions_called_valid=faults.wrong_and_valid,
+            f"wrong positions published as valid {story.wrong_and_valid}, "
+            f"cycles lost {story.wrong_counts_after}",
+            wrong_positions_called_valid=story.wrong_and_valid,
         ),
         Row("bus load", f"{100 * story.bus_load:.0f} % of 1 Mbit/s", bus_load=story.bus_load),
     ]
@@ -176,15 +176,7 @@ def tracks(network: DemoNetwork, story: Story) -> Plot:
     return plot
 
 
-def error_before(story: Story) -> Plot:
-    return _error(story.phase_before, story.error_before, "before", "without a table")
-
-
-def error_after(story: Story) -> Plot:
-    return _error(story.phase_after, story.error_after, "after", "with the table")
-
-
-def _error(phase: FloatArray, error: FloatArray, style: str, which: str) -> Plot:
+def position_error(phase: FloatArray, error: FloatArray, style: str, which: str) -> Plot:
     most = PERCENT * nice_limit(error)
     plot = Plot(
         f"Position error over the phase, {which}",
@@ -192,8 +184,7 @@ def _error(phase: FloatArray, error: FloatArray, style: str, which: str) -> Plot
         (-most, most),
         ("phase, cycles", "error, % of a cycle"),
     )
-    plot.dots(phase, PERCENT * error, style)
-    return plot
+    return plot.dots(phase, PERCENT * error, style)
 
 
 def residual(story: Story) -> Plot:
@@ -211,8 +202,7 @@ def residual(story: Story) -> Plot:
     number = story.residual_number.astype(np.float64)
     plot.line(number, story.residual, "after thin", "residual (eq. 12)")
     plot.dots(number, story.residual, "after large")
-    plot.level(RESIDUAL_LIMIT, "limit dashed", "limit 1/3")
-    return plot
+    return plot.level(RESIDUAL_LIMIT, "limit dashed", "limit 1/3")
 
 
 def servo(story: Story) -> Plot:
@@ -229,8 +219,7 @@ def servo(story: Story) -> Plot:
     plot.line(*_shown(eq_9), "before thin", eq_9.name)
     plot.line(*_shown(ours), "after thin", ours.name)
     plot.dots(*_shown(ours), "after")
-    plot.level(ours.limit_cycles, "limit dashed", f"limit {ours.limit_cycles:.2f}")
-    return plot
+    return plot.level(ours.limit_cycles, "limit dashed", f"limit {ours.limit_cycles:.2f}")
 
 
 def _shown(run: ServoRun) -> tuple[FloatArray, FloatArray]:
@@ -254,25 +243,25 @@ def write_files(
 
     ``version`` of canfb and ``date`` are for the page: the same arguments give the same bytes.
     """
-    shown, before, after, faults = (
+    shown, before, after, faults, moved = pictures = (
         tracks(network, story),
-        error_before(story),
-        error_after(story),
+        position_error(story.phase_before, story.error_before, "before", "without a table"),
+        position_error(story.phase_after, story.error_after, "after", "with the table"),
         residual(story),
+        servo(story),
     )
-    moved = servo(story)
     files = {
         "tracks.svg": svg_file([(TRACKS, shown)]),
         "error-over-phase.svg": svg_file([(BEFORE, before), (AFTER, after)]),
         "residual-over-time.svg": svg_file([(RESIDUAL, faults)]),
         "servo-move.svg": svg_file([(SERVO, moved)]),
-        REPORT: demo_page(story, f"canfb {version}, {date}", (shown, before, after, faults, moved)),
+        REPORT: demo_page(story, f"canfb {version}, {date}", pictures),
     }
     with writing(folder):
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
-    *pictures, report = (folder / name for name in files)
-    return pictures, report
+    *drawings, report = (folder / name for name in files)
+    return drawings, report
 
 
 def demo_page(story: Story, made: str, pictures: tuple[Plot, Plot, Plot, Plot, Plot]) -> str:

@@ -94,8 +94,10 @@ class FaultySource(MotionSource):
 
 def demo_motion() -> Motion:
     """A ramp to 2000 rpm within eq. 10 at 1 kHz, then speed that wanders by 3 %."""
-    ramps = (Ramp(0.5, 0.0), Ramp(1.5, DRIVE_RPM))
-    return Motion(ramps, (Ripple(0.02 * DRIVE_RPM, 0.31), Ripple(0.01 * DRIVE_RPM, 1.7)))
+    return Motion(
+        (Ramp(0.5, 0.0), Ramp(1.5, DRIVE_RPM)),
+        (Ripple(0.02 * DRIVE_RPM, 0.31), Ripple(0.01 * DRIVE_RPM, 1.7)),
+    )
 
 
 class DemoNetwork:
@@ -153,8 +155,7 @@ class DemoNetwork:
         number = np.array(consumed.sync_number) - 1
         chosen = (number >= first) & (number < last)
         position = np.array(consumed.position_units, dtype=np.float64)[chosen] / UNITS_PER_CYCLE
-        error: FloatArray = position - np.array(self.source.truth_cycles)[number[chosen]]
-        return error
+        return np.asarray(position - np.array(self.source.truth_cycles)[number[chosen]], np.float64)
 
 
 RPM, ACCELERATION_RAD_S2, JERK_RAD_S3 = 3000.0, 7850.0, 785_000.0
@@ -166,7 +167,7 @@ WRONG_CYCLES = 0.25
 WAYS = (4, 2, 1)
 
 
-@dataclass
+@dataclass(frozen=True)
 class ServoRun:
     """What came of the move.
 
@@ -178,12 +179,12 @@ class ServoRun:
     """
 
     samples_per_sync: int
-    time_s: FloatArray = field(default_factory=lambda: np.zeros(0))
-    residual: FloatArray = field(default_factory=lambda: np.zeros(0))
-    valid: bool = False
-    cycles_off: int = 0
-    limit_cycles: float = 0.0
-    wrong_and_valid: int = 0
+    limit_cycles: float
+    time_s: FloatArray
+    residual: FloatArray
+    valid: bool
+    cycles_off: int
+    wrong_and_valid: int
 
     @property
     def exact(self) -> bool:
@@ -216,12 +217,13 @@ class ServoRun:
 
 
 def servo_move(encoder: Encoder, correction: Correction, seed: int) -> list[ServoRun]:
-    return [_run(encoder, correction, seed, ServoRun(way)) for way in WAYS]
+    return [_run(encoder, correction, seed, way) for way in WAYS]
 
 
-def _run(encoder: Encoder, correction: Correction, seed: int, run: ServoRun) -> ServoRun:
+def _run(encoder: Encoder, correction: Correction, seed: int, samples_per_sync: int) -> ServoRun:
+    """The zero of the count is where the module started: in the cycle in which it stood."""
     move = SCurve(RPM * 2.0 * math.pi / 60.0, ACCELERATION_RAD_S2, JERK_RAD_S3, AT_REST_S)
-    network = DemoNetwork(encoder, seed, move, run.samples_per_sync)
+    network = DemoNetwork(encoder, seed, move, samples_per_sync)
     module, source = network.module, network.source
     module.use_correction(correction)
     feedbacks: list[tuple[float, Feedback]] = []
@@ -230,7 +232,7 @@ def _run(encoder: Encoder, correction: Correction, seed: int, run: ServoRun) -> 
     def listen(feedback: Feedback, now: float) -> None:
         """With each SYNC: all its samples, each in its part of the interval."""
         all_of_it = (*module.chain.between, feedback)
-        apart_s = SYNC_PERIOD_S / run.samples_per_sync
+        apart_s = SYNC_PERIOD_S / samples_per_sync
         begin = source.machine_time(now) - AT_REST_S - SYNC_PERIOD_S
         feedbacks.extend((begin + (k + 1) * apart_s, one) for k, one in enumerate(all_of_it))
         away.append(feedback.cycles + feedback.phase - source.position_cycles)
@@ -239,21 +241,18 @@ def _run(encoder: Encoder, correction: Correction, seed: int, run: ServoRun) -> 
     network.canopen.nmt.state = "OPERATIONAL"  # all nodes
     network.drive.start_sync(network.bus.now)
     network.bus.run_until(network.bus.now + SYNC_PERIOD_S * 2 + move.end_s + AT_SPEED_S)
-    run.limit_cycles = module.limits.residual_limit
-    return _judged(run, feedbacks, away)
-
-
-def _judged(run: ServoRun, feedbacks: list[tuple[float, Feedback]], away: list[float]) -> ServoRun:
-    """The zero of the count is where the module started: in the cycle in which it stood."""
     error = np.array(away) - away[0]
-    newest = [one for _, one in feedbacks][run.samples_per_sync - 1 :: run.samples_per_sync]
-    run.time_s = np.array([time for time, _ in feedbacks])
-    run.residual = np.array([one.residual for _, one in feedbacks])
-    run.valid = all(one.valid for _, one in feedbacks)
-    wrong = np.abs(error) > WRONG_CYCLES
-    run.wrong_and_valid = int(np.count_nonzero(wrong & [one.valid for one in newest]))
-    run.cycles_off = round(float(error[-1]))
-    return run
+    newest = [one for _, one in feedbacks][samples_per_sync - 1 :: samples_per_sync]
+    wrong = (np.abs(error) > WRONG_CYCLES) & [one.valid for one in newest]
+    return ServoRun(
+        samples_per_sync,
+        limit_cycles=module.limits.residual_limit,
+        time_s=np.array([time for time, _ in feedbacks]),
+        residual=np.array([one.residual for _, one in feedbacks]),
+        valid=all(one.valid for _, one in feedbacks),
+        cycles_off=round(float(error[-1])),
+        wrong_and_valid=int(np.count_nonzero(wrong)),
+    )
 
 
 RUN_UP_SAMPLES = 2500
@@ -276,17 +275,6 @@ MAX_ERROR_AFTER = 5e-4  # cycles, noise of a single 12-bit sample included
 
 
 @dataclass
-class Faults:
-    """What the provoked faults did."""
-
-    provoked: int = 0
-    flagged_at_once: int = 0
-    flagged_samples: int = 0
-    wrong_and_valid: int = 0
-    wrong_counts_after: int = 0
-
-
-@dataclass
 class Story:
     """The content of the report, the figures and ``--json``."""
 
@@ -299,7 +287,10 @@ class Story:
     phase_after: FloatArray = field(default_factory=lambda: np.zeros(0))
     calibration: Calibration | None = None
     table_crc32: int = 0
-    faults: Faults = field(default_factory=Faults)
+    flagged_at_once: int = 0
+    flagged_samples: int = 0
+    wrong_and_valid: int = 0
+    wrong_counts_after: int = 0
     residual_number: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     residual: FloatArray = field(default_factory=lambda: np.zeros(0))
     fault_window: tuple[int, int] = (0, 0)
@@ -371,11 +362,9 @@ def _provoke_faults(network: DemoNetwork, story: Story) -> None:
     story.residual = np.array(consumed.residual_cycles)[numbers >= first]
     flagged = {n for n, status in zip(numbers.tolist(), consumed.status, strict=True) if not status & VALID}
     lost = first + LOST_SAMPLE
-    faults = story.faults
-    faults.provoked = len(FAULTS)
     # A sample that never came can be missed only when the next SYNC comes.
-    faults.flagged_at_once = sum((n + 1 if n == lost else n) in flagged for n in network.source.faults)
-    faults.flagged_samples = sum(n in flagged for n in range(first, first + FAULT_SAMPLES))
+    story.flagged_at_once = sum((n + 1 if n == lost else n) in flagged for n in network.source.faults)
+    story.flagged_samples = sum(n in flagged for n in range(first, first + FAULT_SAMPLES))
 
 
 def _error(network: DemoNetwork, first: int, last: int) -> tuple[FloatArray, FloatArray]:
@@ -390,17 +379,17 @@ def _finish(network: DemoNetwork, story: Story) -> None:
     zero = float(np.median(error))
     wrong = np.abs(error - zero) > 0.25
     story.wrong_counts = int(np.count_nonzero(np.rint(error - zero)[valid]))
-    story.faults.wrong_and_valid = int(np.count_nonzero(wrong & valid))
-    story.faults.wrong_counts_after = int(np.count_nonzero(wrong[-10:]))
+    story.wrong_and_valid = int(np.count_nonzero(wrong & valid))
+    story.wrong_counts_after = int(np.count_nonzero(wrong[-10:]))
     story.bus_load = network.bus.bits / BIT_RATE / network.bus.now
     before, after = np.abs(story.error_before).max(), np.abs(story.error_after).max()
     story.checks |= {
         "no wrong cycle count": story.wrong_counts == 0,
         f"error at least {MIN_IMPROVEMENT:.0f} times smaller": bool(before > MIN_IMPROVEMENT * after),
         f"error below {100 * MAX_ERROR_AFTER:g} % of a cycle": bool(after < MAX_ERROR_AFTER),
-        "every fault flagged in the same sample": story.faults.flagged_at_once == story.faults.provoked,
-        "no wrong position called valid": story.faults.wrong_and_valid == 0,
-        "position right after the faults": story.faults.wrong_counts_after == 0,
+        "every fault flagged in the same sample": story.flagged_at_once == len(FAULTS),
+        "no wrong position called valid": story.wrong_and_valid == 0,
+        "position right after the faults": story.wrong_counts_after == 0,
         "the bus is not overloaded": story.bus_load < 0.8,
     }
 
