@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 
-LARGEST = sys.float_info.max
-"""Beyond it are infinity, and whole numbers that are no float."""
+LARGEST = sys.float_info.max  # Beyond it are infinity, and whole numbers that are no float.
 
 
 def integer_in(name: str, value: object, low: int, high: int) -> None:

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from canfb.simulation.scenario import SimulationConfig
 
 MODULES, INTERFACES = ("modules",), ("interfaces",)
-ANY_NODES = MODULES + INTERFACES
-"""The lists of nodes; a command needs one of several."""
+ANY_NODES = MODULES + INTERFACES  # The lists of nodes; a command needs one of several.
 _NODES = {"modules": "module", "interfaces": "encoder interface"}
 NodeConfig = ModuleConfig | InterfaceConfig
 
@@ -202,8 +201,8 @@ def _short(text: str) -> str:
 
 
 _SEVERAL = "leave it out; a servo takes several samples for each SYNC (samples_per_sync)"
+# Keys of older versions, and what to do.
 GONE = dict.fromkeys(("prediction_order", "max_jerk_rad_s3"), _SEVERAL)
-"""Keys of older versions, and what to do."""
 
 
 def _unknown(key: str, known: list[str], where: str) -> str:

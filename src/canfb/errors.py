@@ -13,8 +13,7 @@ from __future__ import annotations
 
 from typing import Any
 
-LONGEST_REASON = 300
-"""Characters: the messages of others quote what they were given, of any length."""
+LONGEST_REASON = 300  # Characters: the messages of others quote what they were given, of any length.
 
 
 class CanfbError(Exception):

@@ -50,8 +50,7 @@ IDENTITY: Final = record(0x1018, 4)
 STORE_ALL_PARAMETERS: Final = Multiplexer(0x1010, 1)
 STORE_MANUFACTURER_PARAMETERS: Final = Multiplexer(0x1010, 4)
 
-RPDO: Final = 0x1400
-"""Index of the communication parameters of RPDO1; the other RPDOs follow."""
+RPDO: Final = 0x1400  # Index of the communication parameters of RPDO1; the other RPDOs follow.
 RPDO_MAPPING: Final = 0x1600
 TPDO: Final = 0x1800
 TPDO_MAPPING: Final = 0x1A00
@@ -66,10 +65,10 @@ TPDO_MAPPING: Final = 0x1A00
     SAMPLE_FLAGS,
     SAMPLE_ZERO_PULSE_PLACE,
 ) = record(0x2000, 7)
+# Sine and cosine of earlier pairs in the same interval of SYNC, the newest first.
 SAMPLE_EARLIER: Final = tuple(
     (Multiplexer(0x2000, first), Multiplexer(0x2000, first + 1)) for first in (8, 10, 12, 15, 17, 19, 21)
 )
-"""Sine and cosine of earlier pairs in the same interval of SYNC, the newest first."""
 SAMPLE_SECOND_POSITION: Final = Multiplexer(0x2000, 14)
 
 
@@ -126,8 +125,8 @@ class SampleFlag(IntFlag):
     ENCODER_COSINE_CORNER_FREQUENCY,
 ) = record(0x2001, 6)
 
+# 2002:01..07 and 2005:01..0E, in the order of the fields of :class:`canfb.Conditioning`.
 CONDITIONING: Final = record(0x2002, 7) + record(0x2005, 14)
-"""2002:01..07 and 2005:01..0E, in the order of the fields of :class:`canfb.Conditioning`."""
 
 (
     ADAPTATION,
@@ -138,8 +137,8 @@ CONDITIONING: Final = record(0x2002, 7) + record(0x2005, 14)
     ADAPTATION_STATE,
     ADAPTATION_USED,
 ) = record(0x2002, 7, 8)
+# 2002:0F..12, in the order of the fields of :class:`canfb.signal.adaptation.FollowedDrift`.
 DRIFT: Final = record(0x2002, 4, 15)
-"""2002:0F..12, in the order of the fields of :class:`canfb.signal.adaptation.FollowedDrift`."""
 
 
 class AdaptationState(IntEnum):
@@ -214,6 +213,7 @@ class StatusBit(IntFlag):
     SECOND_POSITION = 1 << 13
 
 
+# Bits of the status word for what is wrong, in words. All but the last take the valid bit.
 FAULT_WORDS: Final[dict[int, str]] = {
     StatusBit.MISSED.value: "sample missed",
     StatusBit.RESIDUAL.value: "residual over its limit",
@@ -223,7 +223,6 @@ FAULT_WORDS: Final[dict[int, str]] = {
     StatusBit.COARSE.value: "coarse track disagrees",
     StatusBit.SECOND_POSITION.value: "second position disagrees",
 }
-"""Bits of the status word for what is wrong, in words. All but the last take the valid bit."""
 
 
 def fault_words(status: int) -> list[str]:
@@ -278,8 +277,8 @@ class EncoderEmergency(CodeWithText):
     DRIFT = 0xFF1D, "drift of the tracks at its limit"
 
 
+# What the emergency error codes of the module mean, beyond those of CiA 301.
 EMERGENCY_TEXTS: Final = {int(code): code.text for code in EncoderEmergency}
-"""What the emergency error codes of the module mean, beyond those of CiA 301."""
 
 
 (
@@ -352,6 +351,7 @@ COUNTED: Final[dict[Multiplexer, int]] = {
     SECOND_DIFFERENCE,
 ) = record(0x2014, 6)
 
+# The values of :data:`CONDITIONING` in force, REAL32 each; 2002h and 2005h: those of the next activation.
 (
     TABLE_STAGED,
     TABLE_STAGED_CRC,
@@ -361,7 +361,6 @@ COUNTED: Final[dict[Multiplexer, int]] = {
     TABLE_SAVED_CRC,
     TABLE_ACTIVE_CONDITIONING,
 ) = record(0x2020, 7)
-"""The values of :data:`CONDITIONING` in force, REAL32 each; 2002h and 2005h: those of the next activation."""
 
 (
     MEASUREMENT_COMMAND,
@@ -424,9 +423,9 @@ class MeasurementState(IntEnum):
     RECORDING_CAPACITY,
 ) = record(0x2050, 5)
 
+# Sine and cosine in 2050:03 where a sample is missing. As a sample it would be clipped on both tracks, and
+# so nothing that could be used is mistaken for it.
 MISSED_COUNTS: Final = -32768
-"""Sine and cosine in 2050:03 where a sample is missing. As a sample it would be clipped on both tracks, and
-so nothing that could be used is mistaken for it."""
 
 
 class RecordingCommand(IntEnum):

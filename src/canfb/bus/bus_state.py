@@ -29,8 +29,8 @@ class FailureWatch:
         self._trouble = trouble
         self._recovered = recovered
         self._reported = False
+        # When it last failed; None once its end is reported: :meth:`worked` need not be called then.
         self.failed_s: float | None = None
-        """When it last failed; None once its end is reported: :meth:`worked` need not be called then."""
 
     def failed(self, error: Exception, now: float, *, known: bool = False) -> bool:
         """Note a failure, ``known``: reported already; True if the one before was just now."""
@@ -59,8 +59,7 @@ class BusState:
         self._reading = FailureWatch(report, BUS_FAILS, BUS_WORKS)
         self._sending = FailureWatch(report, "a frame could not be sent", "frames can be sent again")
         self.gone = False
-        self.troubled = False
-        """Whether `reading_worked` and `sending_worked` must be called."""
+        self.troubled = False  # Whether `reading_worked` and `sending_worked` must be called.
         self._notified = True
         self._bus_off = False
         self._recovered = ""  # what is to be reported at the end of what was reported

@@ -59,8 +59,7 @@ class Dispatch:
     def __init__(self, devices: list[Device], bus: FrameBus) -> None:
         self.ports = tuple(Port(number, device) for number, device in enumerate(devices))
         self.moved = True
-        self.data: dict[int, Ports] = {}
-        """Who gets a data frame; ``everyone`` gets those of other CAN-IDs."""
+        self.data: dict[int, Ports] = {}  # Who gets a data frame; ``everyone`` gets those of other CAN-IDs.
         self.remote: dict[int, Ports] = {}
         self.everyone = tuple(port for port in self.ports if not port.moved)
         self._bus = bus
@@ -163,10 +162,10 @@ class FrameSender:
         self._clock = clock
         self._bus_state = bus_state
         self._counters = counters
+        # Frames that the bus did not take yet, and since when.
         self.waiting: deque[tuple[Port, Frame, float]] = deque()
-        """Frames that the bus did not take yet, and since when."""
+        # Boot-ups that failed, by their CAN-ID: for :meth:`retry_owed`.
         self.owed: dict[int, tuple[Port, Frame]] = {}
-        """Boot-ups that failed, by their CAN-ID: for :meth:`retry_owed`."""
 
     def send(self, port: Port, frame: Frame) -> None:
         if self.owed:

@@ -37,10 +37,10 @@ def flagged_id(message: can.Message) -> int:
     return message.arbitration_id | (EXTENDED if message.is_extended_id or message.is_fd else 0)
 
 
+# A frame: its CAN-ID with these flags, its data, and its receive time by the time of day, seconds.
+#
+# 0.0, or any time of another clock, where the bus has none. One with EXTENDED is not of CANopen.
 Received = tuple[int, bytes, float]
-"""A frame: its CAN-ID with these flags, its data, and its receive time by the time of day, seconds.
-
-0.0, or any time of another clock, where the bus has none. One with EXTENDED is not of CANopen."""
 
 
 class FrameBus(Protocol):
@@ -125,8 +125,7 @@ class Reception:
         self._bus, self._clock, self._sleep, self._lasts = bus, clock, sleep, lasts
         self._interface = NamedInterface(bus)
         self._watch = FailureWatch(report, BUS_FAILS, BUS_WORKS)
-        self.failures = 0
-        """How often it failed until now."""
+        self.failures = 0  # How often it failed until now.
 
     def receive(self, wait_s: float) -> can.Message | None:
         try:

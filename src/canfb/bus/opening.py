@@ -23,8 +23,8 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from canfb.bus.frame_bus import FrameBus, PythonCanBus, enlarge_queue_of
 from canfb.errors import BusError, ConfigError, reason
 
+# The key in ``bus:`` that is not python-can's: true for python-can on SocketCAN as well.
 FORCE_PYTHON_CAN = "python_can"
-"""The key in ``bus:`` that is not python-can's: true for python-can on SocketCAN as well."""
 
 # What the raw socket does, or what does not matter for it: the bit rate is set in the interface.
 _RAW_WORDS = frozenset({"interface", "channel", "bitrate", "receive_own_messages", FORCE_PYTHON_CAN})

@@ -24,8 +24,8 @@ from canfb.cia301 import cob
 from canfb.errors import BusError
 
 POLL_S = 0.001
+# A transfer of the longest recording (64 KiB in segments at 125 kbit/s) takes about 20 s.
 LONGEST_TURN_S = 30.0
-"""A transfer of the longest recording (64 KiB in segments at 125 kbit/s) takes about 20 s."""
 
 
 @contextlib.contextmanager

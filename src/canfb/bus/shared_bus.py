@@ -13,8 +13,8 @@ import can
 
 from canfb.cia301 import cob
 
+# Client command specifiers that do not download: upload, segments, abort, block (CiA 301, 7.2.4.3).
 READING = (2, 3, 4, 5)
-"""Client command specifiers that do not download: upload, segments, abort, block (CiA 301, 7.2.4.3)."""
 SDO_BYTES = 8
 Item = can.Message | Exception
 

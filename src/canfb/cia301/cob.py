@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from canfb.cia301.codes import AbortCode, SdoAbort
 
-NOT_VALID = 1 << 31
-"""Bit 31 of PDO, SDO and EMCY COB-IDs: the object does not exist."""
-NO_RTR = 1 << 30
-"""Bit 30 of a TPDO COB-ID: no remote frame allowed."""
-GENERATE = 1 << 30
-"""Bit 30 of 1005h: the device produces SYNC."""
+NOT_VALID = 1 << 31  # Bit 31 of PDO, SDO and EMCY COB-IDs: the object does not exist.
+NO_RTR = 1 << 30  # Bit 30 of a TPDO COB-ID: no remote frame allowed.
+GENERATE = 1 << 30  # Bit 30 of 1005h: the device produces SYNC.
 
-EXTENDED = 1 << 29
-"""Bit 29 of a COB-ID: a CAN-ID of 29 bits, which a classic CANopen device does not use."""
+EXTENDED = 1 << 29  # Bit 29 of a COB-ID: a CAN-ID of 29 bits, which a classic CANopen device does not use.
 
 CAN_ID = 0x7FF
 

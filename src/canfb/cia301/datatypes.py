@@ -37,6 +37,7 @@ class DataType(IntEnum):
     UNSIGNED64 = 0x1B
 
 
+# The types that `struct` knows; little-endian ("<") throughout.
 FORMATS: dict[int, str] = {
     DataType.BOOLEAN: "?",
     DataType.INTEGER8: "b",
@@ -50,7 +51,6 @@ FORMATS: dict[int, str] = {
     DataType.REAL32: "f",
     DataType.REAL64: "d",
 }
-"""The types that `struct` knows; little-endian ("<") throughout."""
 
 _ODD_SIGNED: dict[int, int] = {
     DataType.INTEGER24: 24,
@@ -67,6 +67,7 @@ _ODD_UNSIGNED: dict[int, int] = {
 _FIXED_BYTES: dict[int, int] = {DataType.TIME_OF_DAY: 48, DataType.TIME_DIFFERENCE: 48}
 _STRUCTS = {code: struct.Struct("<" + letter) for code, letter in FORMATS.items()}
 
+# Width of the signed integers, bits.
 SIGNED_BITS: dict[int, int] = {
     DataType.INTEGER8: 8,
     DataType.INTEGER16: 16,
@@ -74,7 +75,6 @@ SIGNED_BITS: dict[int, int] = {
     DataType.INTEGER64: 64,
     **_ODD_SIGNED,
 }
-"""Width of the signed integers, bits."""
 
 FLOATS = frozenset({DataType.REAL32, DataType.REAL64})
 STRINGS = frozenset({DataType.VISIBLE_STRING, DataType.UNICODE_STRING})

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-NODE = "NODE"
-"""Among the words of an old command: a node-ID, which stays."""
+NODE = "NODE"  # Among the words of an old command: a node-ID, which stays.
 
 COMMANDS = {
     "dump": "monitor --frames",
@@ -27,9 +26,12 @@ COMMANDS = {
     "restore": "backup restore",
     f"backup {NODE}": "backup save",
 }
-SHORT = {"demo": "try --story"}
-"""Short forms that stay."""
+SHORT = {"demo": "try --story"}  # Short forms that stay.
 
+# By command: an old option and the new one; NODE: its value alone; None: now the default.
+#
+# An option behind the command is a condition: with ``--samples`` there is no SYNC, and ``--rate`` is the old
+# spelling for the rate of the file.
 OPTIONS: dict[str, dict[str, str | None]] = {
     "": {"--answer-within": "--timeout"},  # of all commands
     "try": {"--no-scope": "--no-page"},
@@ -42,11 +44,6 @@ OPTIONS: dict[str, dict[str, str | None]] = {
     "calibrate": {"--module": NODE, "--sync": "--rate", "--no-save": None},
     "commission": {"--module": NODE, "--sync": "--rate"},
 }
-"""By command: an old option and the new one; NODE: its value alone; None: now the default.
-
-An option behind the command is a condition: with ``--samples`` there is no SYNC, and ``--rate`` is the old
-spelling for the rate of the file.
-"""
 
 
 def current(words: Sequence[str]) -> tuple[list[str], str]:

@@ -125,6 +125,7 @@ def examples_of(command: str) -> str | None:
     return None if lines is None else f"examples:{lines}"
 
 
+# By name: its file in this folder, and the summary for ``canfb --help``.
 COMMANDS = {
     "try": ("try_it", "a module, its encoder and its page on a private bus"),
     "plan": ("plan_command", "what bit rate, SYNC rate, speed and acceleration allow"),
@@ -145,7 +146,6 @@ COMMANDS = {
     "log": ("log_command", "record the bus; put a recorded log through the same module"),
     "use": ("use", "the bus that commands use by default"),
 }
-"""By name: its file in this folder, and the summary for ``canfb --help``."""
 SUMMARIES = {name: summary for name, (_, summary) in COMMANDS.items()}
 
 

@@ -14,8 +14,7 @@ from typing import Any
 from canfb.cli.commands import named_command
 from canfb.errors import CanfbError
 
-ASKED = "_ARGCOMPLETE"
-"""Environment: the shell asks; which word of its line is the program, from 1."""
+ASKED = "_ARGCOMPLETE"  # Environment: the shell asks; which word of its line is the program, from 1.
 CAN_HARDWARE = "280"  # ARPHRD_CAN of Linux
 NETWORK = Path("/sys/class/net")
 YAML_FILES = ("yaml", "yml")

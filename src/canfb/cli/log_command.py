@@ -58,18 +58,12 @@ OF_A_FOLDER = ("workers",), "is for a folder of logs"
 
 def register(commands: Commands) -> None:
     parts = add_group(commands, "log")
+    text = "what canfb log record or candump -L wrote; and NODE, to replay only this module"
     add_command(
         parts,
         "replay",
         replay,
-        nodes(
-            "what canfb log record or candump -L wrote; and NODE, to replay only this module",
-            least=1,
-            most=1,
-            kind=node_or_file,
-            file="log",
-            name="LOG|FOLDER",
-        ),
+        nodes(text, least=1, most=1, kind=node_or_file, file="log", name="LOG|FOLDER"),
         group(
             "module",
             option("--encoder-interface", type=whole_number, metavar="ID", help="sends the ADC counts"),

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from canfb.module.module_config import ModuleConfig
 
 Commands = Any  # argparse's sub-parser action has no public name
-Row = Callable[[Any], object]
-"""Adds to a parser, or to a group of one."""
+Row = Callable[[Any], object]  # Adds to a parser, or to a group of one.
+# These options go with another one (True) or without it (False), and why.
 Idle = tuple[Sequence[str], str, bool, str]
-"""These options go with another one (True) or without it (False), and why."""
 BUS_WORDS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 BUS_METAVARS = {"interface": "NAME", "bitrate": "BIT/S", "data_bitrate": "BIT/S", "channel": "CHANNEL"}
 ARGUMENTS = {"config": "CONFIG.yaml", "nodes": "NODE"}  # the rest are options
+# In place of the texts of python-can, which take half a page.
 BUS_HELP = {
     "channel": "its channel: can0, vcan0, PCAN_USBBUS1; default: canfb use",
     "interface": "of python-can: socketcan, pcan, kvaser, udp_multicast; default: CAN_INTERFACE, canfb use",
@@ -37,9 +37,7 @@ BUS_HELP = {
     "timing": "bit timing, such as f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1",
     "bus_kwargs": "further keys of the interface, such as serial=1234",
 }
-"""In place of the texts of python-can, which take half a page."""
-OFTEN = ("interface", "channel", "bitrate")
-"""Those that each help shows; --help-bus shows all."""
+OFTEN = ("interface", "channel", "bitrate")  # Those that each help shows; --help-bus shows all.
 
 
 def add_command(
@@ -285,6 +283,7 @@ def node_or_yaml(text: str) -> int | str:
     return text if text.endswith((".yaml", ".yml")) else node_number(text)
 
 
+# Of the commands that measure.
 MEASURED_NODES = (
     nodes("node-ID of the module (32), or CONFIG.yaml, whose first module is meant", most=1),
     option(
@@ -294,8 +293,8 @@ MEASURED_NODES = (
         help="node-ID of the encoder interface (default: the node that sends the samples to the module)",
     ),
 )
-"""Of the commands that measure."""
 
+# Of a CSV file of samples; :func:`canfb.sources.recording_source.chosen_layout` checks them.
 COLUMNS = (
     option(
         "--columns",
@@ -309,7 +308,6 @@ COLUMNS = (
     ),
     option("--time-column", metavar="NAME", help="column of times in seconds; gaps become missed samples"),
 )
-"""Of a CSV file of samples; :func:`canfb.sources.recording_source.chosen_layout` checks them."""
 
 UNITS_S = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "%": 0.01}
 

@@ -137,10 +137,8 @@ def _output(stream: TextIO, printing: _Printing) -> LineOutput | None:
 
 WIDTH = 30
 CLEAR = "\r\x1b[K"
-SOONEST_S = 2.0
-"""A rest is estimated from what has taken at least so long."""
-LINE_EVERY_S = 5.0
-"""Without a terminal a step that takes longer says so often how far it is."""
+SOONEST_S = 2.0  # A rest is estimated from what has taken at least so long.
+LINE_EVERY_S = 5.0  # Without a terminal a step that takes longer says so often how far it is.
 
 
 @contextlib.contextmanager

@@ -449,12 +449,12 @@ NOTHING = {
 }
 
 
+# Limits in 1/65536: of what, and its unit.
 PARTS = {
     od.SUPERVISION_RESIDUAL_LIMIT: (1.0, " cycle"),
     od.SUPERVISION_PHASE_ERROR: (1.0, " cycle"),
     od.SUPERVISION_COARSE_LIMIT: (360.0, "°"),
 }
-"""Limits in 1/65536: of what, and its unit."""
 
 
 def value_words(choice: Choice, value: float, interval_s: float, cycles_per_revolution: int) -> str:

@@ -29,8 +29,8 @@ MEANINGS = {
     StatusBit.EXTRAPOLATED: "position extrapolated to its SYNC (2013h)",
     StatusBit.SECOND_POSITION: "the other sensor disagrees",
 }
+# At most one of them is set in the word of one sample.
 APART = (StatusBit.VALID, StatusBit.COASTING, StatusBit.LOST)
-"""At most one of them is set in the word of one sample."""
 
 
 def decoded(word: int) -> Result:

@@ -39,12 +39,9 @@ class CapturedSource(Closing):
         self._capture: Capture | None = opened()
         self._picked = picked or NewestScan()
         self._trouble = ""
-        self.scans = 0
-        """Scans that have come, those included that no SYNC took."""
-        self.adc_bits = self._capture.adc_bits
-        """Bits of a count."""
-        self.samples_per_sync = self._picked.per_sync
-        """Pairs of sine and cosine in a sample."""
+        self.scans = 0  # Scans that have come, those included that no SYNC took.
+        self.adc_bits = self._capture.adc_bits  # Bits of a count.
+        self.samples_per_sync = self._picked.per_sync  # Pairs of sine and cosine in a sample.
         self._stopping = threading.Event()
         self._thread = RealtimeThread(target=self._run, name=name, daemon=True)
         self._thread.start()

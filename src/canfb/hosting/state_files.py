@@ -218,9 +218,9 @@ def _sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
+# How long a thread may keep the interpreter from the one that serves the bus, seconds; 5 ms are usual.
+# System calls of some microseconds give it back too soon for the other one to take it.
 SWITCH_S = 2e-4
-"""How long a thread may keep the interpreter from the one that serves the bus, seconds; 5 ms are usual.
-System calls of some microseconds give it back too soon for the other one to take it."""
 STACK_BYTES = 1 << 18  # a locked memory would hold all of the usual 8 MB
 
 

@@ -98,8 +98,7 @@ class SeveralSamples:
         self._grid = Grid(LOCK_SYNCS)
         self._last_s: float | None = None
         self._taken_s: float | None = None
-        self.newest_s = 0.0
-        """When the newest sample was taken, in the time of the machine, seconds."""
+        self.newest_s = 0.0  # When the newest sample was taken, in the time of the machine, seconds.
 
     def at_sync(self, received_s: float) -> Sample | None:
         """The samples for the SYNC that was received at this time; None where one of them is missing.
@@ -180,8 +179,7 @@ class MachineNode(NodeDevice):
 BLOCK_SAMPLES = 1 << 16
 COMMANDS = frozenset(od.RecordingCommand)
 
-Block = npt.NDArray[np.int16]
-"""Sine and cosine in ADC counts, shape (n, 2)."""
+Block = npt.NDArray[np.int16]  # Sine and cosine in ADC counts, shape (n, 2).
 
 
 @runtime_checkable
@@ -318,10 +316,8 @@ class EncoderInterface(MachineNode):
         self._several = SeveralSamples(source, samples_per_sync) if several else None
         self._watch = SourceWatch(self._ask, lambda text: self.on_source(text))
         self._reported = False  # EMCY of the source is active
-        self.samples = 0
-        """Samples sent."""
-        self.missed = 0
-        """SYNCs in OPERATIONAL for which the source had none, before its end."""
+        self.samples = 0  # Samples sent.
+        self.missed = 0  # SYNCs in OPERATIONAL for which the source had none, before its end.
         self._silent = False
         entry = self.dictionary.entry
         self._sine, self._cosine = entry(*od.INTERFACE_SINE), entry(*od.INTERFACE_COSINE)

@@ -42,8 +42,8 @@ from canfb.logfile.log_files import (
     opened,
 )
 
+# A frame later than this does not get its place; it is taken as if it had come when it was written.
 WINDOW_S = 1.0
-"""A frame later than this does not get its place; it is taken as if it had come when it was written."""
 MOST_LATE = 100  # frames behind a longer step back that may be late as well
 LOOK_BEHIND = 8  # older frames: late ones stand among those before a step
 MOST_HELD = 1 << 16  # frames: stamps that stand still come to an end as well

@@ -34,8 +34,8 @@ from canfb.rows import Row, those
 GZIP = ".gz"
 # python-can's binary writers seek back to their header, which gzip cannot; asammdf reads files only.
 NOT_ZIPPED = frozenset({".blf", ".db", ".mf4"})
+# A folder may hold other files with these suffixes: one that is a bus log is named by itself.
 IN_NO_FOLDER = frozenset({".csv", ".db"})
-"""A folder may hold other files with these suffixes: one that is a bus log is named by itself."""
 NEEDS_PACKAGE = "this format needs another package: pip install 'canfb[mf4]'"
 
 
@@ -48,8 +48,7 @@ def log_suffix(path: Path) -> tuple[str, bool]:
 
 
 READABLE = sorted(MESSAGE_READERS)
-WRITABLE = sorted(set(MESSAGE_WRITERS) & set(MESSAGE_READERS))
-"""What can be written, and read again."""
+WRITABLE = sorted(set(MESSAGE_WRITERS) & set(MESSAGE_READERS))  # What can be written, and read again.
 
 
 def is_log(path: Path) -> bool:
@@ -69,8 +68,7 @@ def check_suffix(path: Path, known: list[str]) -> str:
     raise ConfigError(f"{path}: {what}; bus logs end with {', '.join(known)}, or {GZIP} behind one of text")
 
 
-UNREADABLE = (OSError, EOFError, zlib.error)
-"""What reading a file raises, compressed or not."""
+UNREADABLE = (OSError, EOFError, zlib.error)  # What reading a file raises, compressed or not.
 
 
 @contextlib.contextmanager

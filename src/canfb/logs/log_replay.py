@@ -279,6 +279,9 @@ MARGINS = {
     "speed_rad_s": "speed_rad_s",
 }
 
+# The columns. A column named as a kind of fault counts intervals, ``..._times`` how often it began;
+# ``..._margin`` is the part of the limit that was left. ``left_out``: frames of the module on other channels
+# of the log than the chosen one. ``error`` says why there is nothing else.
 COLUMNS: dict[str, type] = {
     "log": str,
     "module": int,
@@ -308,9 +311,6 @@ COLUMNS: dict[str, type] = {
     "gaps": int,
     "fingerprint": str,
 }
-"""The columns. A column named as a kind of fault counts intervals, ``..._times`` how often it began;
-``..._margin`` is the part of the limit that was left. ``left_out``: frames of the module on other channels
-of the log than the chosen one. ``error`` says why there is nothing else."""
 
 LogRow = dict[str, Any]
 

@@ -23,8 +23,8 @@ from canfb.cia301.codes import AbortCode, NmtCommand, NmtState
 from canfb.errors import CanfbError
 from canfb.objects import StatusBit
 
+# :class:`canfb.bus.sdo_channel.SharedClient`: canopen's client, with its turn and what disturbed it.
 Client = Any
-""":class:`canfb.bus.sdo_channel.SharedClient`: canopen's client, with its turn and what disturbed it."""
 SEGMENT = 7
 
 
@@ -64,14 +64,13 @@ def _opened(client: Client, *place: Any, **options: Any) -> Iterator[Any]:
     stream.close()
 
 
-OnFrame = Callable[[int, bytes, float], None]
-"""Gets CAN-ID, data and time stamp (s) of a data frame."""
-Progress = Callable[[float], None]
-"""Gets the part that is done, 0..1."""
+OnFrame = Callable[[int, bytes, float], None]  # Gets CAN-ID, data and time stamp (s) of a data frame.
+Progress = Callable[[float], None]  # Gets the part that is done, 0..1.
 ABSENT = (AbortCode.NO_OBJECT, AbortCode.NO_SUBINDEX)
+# What a server says of a transfer that another client has ended by a request of its own.
 BROKEN = (AbortCode.TOGGLE, AbortCode.COMMAND, AbortCode.SEQUENCE_NUMBER, AbortCode.TIMEOUT)
-"""What a server says of a transfer that another client has ended by a request of its own."""
 ATTEMPTS = 6
+# REAL32 that :meth:`NodeAccess.read_known` reads.
 REALS = frozenset(
     {
         od.ENCODER_CORNER_FREQUENCY,
@@ -86,7 +85,6 @@ REALS = frozenset(
         od.SECOND_DIFFERENCE,
     }
 )
-"""REAL32 that :meth:`NodeAccess.read_known` reads."""
 REAL32 = struct.Struct("<f")
 SETTLE_S = 0.05  # for frames of an aborted block transfer that are still in transit
 

@@ -81,6 +81,7 @@ class LockWatch:
 
 
 MISSED, LOST = "missed samples", "position lost"
+# Counters of 2012h of what is flagged.
 COUNTERS = {
     MISSED: od.COUNTER_MISSED,
     "residual": od.COUNTER_RESIDUAL,
@@ -91,7 +92,6 @@ COUNTERS = {
     "frozen": od.COUNTER_FROZEN,
     "coarse track": od.COUNTER_COARSE_DISAGREEMENTS,
 }
-"""Counters of 2012h of what is flagged."""
 U32 = 1 << 32
 READINGS_EVERY_S = 0.3
 SHORTEST_S = 1e-6  # a rest of rounding is nothing to wait for

@@ -51,8 +51,8 @@ LIMITS = (
     LimitObject(od.SUPERVISION_COARSE_LIMIT, "H", "coarse track limit", "1/65536 revolution"),
     LimitObject(od.SUPERVISION_PERIODS, "B", "periods without SYNC or sample", "periods"),
 )
+# Not a limit, but the limits of the amplitude hold for it; an older module does not have it.
 CORNER = LimitObject(od.ENCODER_CORNER_FREQUENCY, "f", "corner frequency", "Hz")
-"""Not a limit, but the limits of the amplitude hold for it; an older module does not have it."""
 JITTER = LimitObject(od.SUPERVISION_SYNC_JITTER, "f", "jitter of the SYNC", "s")
 KINDS = {one.place: one for one in (*LIMITS, CORNER, JITTER)}
 
@@ -162,8 +162,8 @@ def _about_the_corner(
     return [*first, *(place for place in places if place not in first)]
 
 
+# Collects samples: seconds, least number of samples, and a callable that gets 0..1.
 Source = Callable[[float, int, Progress], TrackSamples]
-"""Collects samples: seconds, least number of samples, and a callable that gets 0..1."""
 DEFAULT_INTERFACE = 0x10
 SAMPLE_LIMITS = (od.ENCODER_FULL_SCALE, *AMPLITUDES)
 CORNERS = (od.ENCODER_CORNER_FREQUENCY, od.ENCODER_COSINE_CORNER_FREQUENCY)

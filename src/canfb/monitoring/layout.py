@@ -28,6 +28,7 @@ from canfb.view.module_view import (
 if TYPE_CHECKING:
     from canfb.signal.correction import Correction
 
+# The objects of a module that are looked at, and their types as struct has them.
 VALUES: dict[Multiplexer, str] = {
     od.POSITION_VALUE: "I",
     od.FEEDBACK_STATUS: "H",
@@ -40,11 +41,11 @@ VALUES: dict[Multiplexer, str] = {
     od.COUNTER_LOSS_CAUSE: "I",
     **dict.fromkeys(od.COUNTERS, "I"),
 }
-"""The objects of a module that are looked at, and their types as struct has them."""
 
+# The same, of the PDOs that it receives.
 INPUTS: dict[Multiplexer, str] = {od.SAMPLE_SINE: "h", od.SAMPLE_COSINE: "h"}
-"""The same, of the PDOs that it receives."""
 
+# Values of a snapshot that depend on settings of the module: assumed unless all of these were read.
 NEEDED: dict[str, tuple[Multiplexer, ...]] = {
     "position_revolutions": (od.UNITS_PER_REVOLUTION,),
     "velocity_rad_s": (od.UNITS_PER_REVOLUTION, od.TOTAL_RANGE),
@@ -57,7 +58,6 @@ NEEDED: dict[str, tuple[Multiplexer, ...]] = {
     "amplitude_limits_counts": (od.ENCODER_LOWEST_AMPLITUDE, od.ENCODER_HIGHEST_AMPLITUDE),
     "full_scale_counts": (od.ENCODER_FULL_SCALE,),
 }
-"""Values of a snapshot that depend on settings of the module: assumed unless all of these were read."""
 
 
 class Origin(StrEnum):

@@ -57,8 +57,7 @@ class MachineUnits:
 STALE_S = 1.0
 NEAR = 0.8  # of the residual limit: shown as doubtful
 ASSUMED = "assumed"
-Tone = str
-"""How a text is shown: good, doubtful, bad, faint, or "" as usual."""
+Tone = str  # How a text is shown: good, doubtful, bad, faint, or "" as usual.
 TONES = {PositionState.VALID: "good", PositionState.COASTING: "doubtful"}
 Parts = tuple[tuple[str, Tone], ...]
 

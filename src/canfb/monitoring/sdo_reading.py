@@ -29,6 +29,7 @@ CYCLE_S, LAYOUT_S = 2.0, 30.0
 QUIET_S = 5.0  # after a node that does not answer
 ANSWER_S = 1.0
 LOOK_S = 0.1
+# What is read every CYCLE_S where no PDO carries it.
 REPEATED = (
     od.FEEDBACK_STATUS,
     od.FEEDBACK_AMPLITUDE,
@@ -38,7 +39,6 @@ REPEATED = (
     od.COUNTER_LOSS_CAUSE,
     *od.COUNTERS,
 )
-"""What is read every CYCLE_S where no PDO carries it."""
 
 
 class ModuleReader:

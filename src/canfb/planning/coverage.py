@@ -212,6 +212,7 @@ def _oscillation(rng: Rng, nominal: float) -> Fault:
     return faults.oscillation(signal, size, rate, float(rng.uniform(0.0, 2.0 * math.pi)))
 
 
+# By name: draws one of given nominal amplitude, counts. None: not in the tracks.
 KINDS: dict[str, Callable[[Rng, float], Fault] | None] = {
     "one track open": lambda rng, nominal: faults.open_track(_one(rng), float(rng.uniform(0.0, 5.0))),
     "both open": lambda rng, nominal: faults.open_track(Signal.BOTH, float(rng.uniform(0.0, 5.0))),
@@ -235,4 +236,3 @@ KINDS: dict[str, Callable[[Rng, float], Fault] | None] = {
     "both inverted": lambda rng, nominal: faults.inverted_tracks(Signal.BOTH),
     "coupling lost": None,
 }
-"""By name: draws one of given nominal amplitude, counts. None: not in the tracks."""

@@ -23,8 +23,7 @@ NOISE_MARGIN = 6  # docs/supervision.md
 NARROWED = 0.95  # of the residual limit: a gain
 DETECTION = "detection"
 NUMBERS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven", 8: "eight"}
-Ways = Iterator[tuple[str, Plan]]
-"""What to do in one line, and the plan then."""
+Ways = Iterator[tuple[str, Plan]]  # What to do in one line, and the plan then.
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,7 @@ from canfb.view.module_view import (
     valid_pdos,
 )
 
-Values = Mapping[Place, Any]
-"""Objects of a node by index and sub-index."""
+Values = Mapping[Place, Any]  # Objects of a node by index and sub-index.
 
 HEARTBEAT = (0x1017, 0)
 EMCY_COB_ID, EMCY_INHIBIT = (0x1014, 0), (0x1015, 0)
@@ -166,8 +165,8 @@ def _tpdo(values: Values, pdo: Pdo, node_id: int, sampled: bool) -> Message:
     )
 
 
+# Bit rates of CiA 301, bit/s.
 BIT_RATES = (10_000, 20_000, 50_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
-"""Bit rates of CiA 301, bit/s."""
 _HALVINGS = 60
 
 

@@ -28,9 +28,16 @@ from canfb.signal.sample import Feedback
 
 BLOCK_ROWS = 1 << 12
 
-Block = npt.NDArray[np.void]
-"""A structured array: a column by its name, ``block["status"]``."""
+Block = npt.NDArray[np.void]  # A structured array: a column by its name, ``block["status"]``.
 
+# One row for each sampling interval, also for one without a sample (status bit 6), and the types.
+#
+# time_s             stamp of the log, seconds
+# position           6004h
+# sine_counts, ...   ADC counts as they came; those of before for a sample that was missed
+# interval_s         the sampling interval, 0.0 while it is not known
+# amplitude_counts to samples   the fields of :class:`canfb.signal.sample.Feedback`
+# residual_limit to cycles_per_revolution   the limits in force
 COLUMNS: dict[str, Any] = {
     "time_s": np.float64,
     "position": np.int64,
@@ -53,15 +60,6 @@ COLUMNS: dict[str, Any] = {
     "acceleration_limit_cycles": np.float64,
     "cycles_per_revolution": np.int64,
 }
-"""One row for each sampling interval, also for one without a sample (status bit 6), and the types.
-
-time_s             stamp of the log, seconds
-position           6004h
-sine_counts, ...   ADC counts as they came; those of before for a sample that was missed
-interval_s         the sampling interval, 0.0 while it is not known
-amplitude_counts to samples   the fields of :class:`canfb.signal.sample.Feedback`
-residual_limit to cycles_per_revolution   the limits in force
-"""
 
 _DTYPE = np.dtype(list(COLUMNS.items()))
 _CYCLES = Feedback._fields.index("cycles") - 2
@@ -130,6 +128,7 @@ def _limit_values(limits: ChainLimits) -> tuple[float, ...]:
     )
 
 
+# Kinds of faults, and the bit of the status word that shows each.
 KINDS = {
     "missed": StatusBit.MISSED,
     "residual": StatusBit.RESIDUAL,
@@ -141,9 +140,7 @@ KINDS = {
     "coasting": StatusBit.COASTING,
     "lost": StatusBit.LOST,
 }
-"""Kinds of faults, and the bit of the status word that shows each."""
-MOST_LISTED = 1000
-"""Of each kind; all are counted."""
+MOST_LISTED = 1000  # Of each kind; all are counted.
 
 
 @dataclass
@@ -219,10 +216,8 @@ class Margins:
     def __init__(self, max_speed_rad_s: Callable[[], float]) -> None:
         names = ("residual", "amplitude_low", "amplitude_high", "acceleration_cycles")
         self.nearest = dict.fromkeys((*names, "machine_acceleration_cycles", "speed_rad_s"), Extreme())
-        self.acceleration_rad_s2 = 0.0
-        """The largest."""
-        self.begin_cycles = NAN
-        """Distance of the first samples, without whole cycles between two of them."""
+        self.acceleration_rad_s2 = 0.0  # The largest.
+        self.begin_cycles = NAN  # Distance of the first samples, without whole cycles between two of them.
         self._max_speed_rad_s = max_speed_rad_s  # what the jitter allows, as the module knows it
 
     def take(self, block: Block) -> None:
@@ -276,8 +271,7 @@ def _units(block: Block) -> tuple[FloatArray, FloatArray]:
     )
 
 
-MOST_MEASURED = 1 << 15
-"""So many samples of a log are measured: enough for a table, and of bounded time."""
+MOST_MEASURED = 1 << 15  # So many samples of a log are measured: enough for a table, and of bounded time.
 LEAST_SAMPLES = 1000
 
 

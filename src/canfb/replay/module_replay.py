@@ -30,8 +30,7 @@ from canfb.signal.correction import Correction
 from canfb.view.module_view import place_of, valid_pdos, values_of
 
 UPLOADED = (b"\x43", b"\x47", b"\x4b", b"\x4f")  # expedited, size indicated (CiA 301, 7.2.4.3.6)
-LONGEST_DELAY_S = 1.0
-"""Longest time between a frame and its counterpart, s."""
+LONGEST_DELAY_S = 1.0  # Longest time between a frame and its counterpart, s.
 
 
 class OwnFrames:
@@ -155,11 +154,10 @@ def pdo_fields(dictionary: Dictionary, can_id: int) -> list[FieldDifference]:
     ]
 
 
+# A longer silence is cut to this: the module has lost everything by then that it can lose.
 LONGEST_GAP_S = 60.0
-"""A longer silence is cut to this: the module has lost everything by then that it can lose."""
 
-HEAD_FRAMES = 20_000
-"""So many frames from the beginning of a log are asked."""
+HEAD_FRAMES = 20_000  # So many frames from the beginning of a log are asked.
 BOOT_UP = b"\0"
 
 

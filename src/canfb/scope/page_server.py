@@ -36,6 +36,7 @@ MOST_WAITING = 64  # events that a page has not taken: it is cut off, and connec
 IDLE_S = 10.0  # for a request to come, and for a peer to take what is sent
 OPEN_ADDRESS = "open the address that canfb has printed at its last start, with all that follows the #"
 
+# What is served to anybody: nothing secret is in it.
 FILES = {
     "/": ("page.html", "text/html"),
     "/page.js": ("page.js", "text/javascript"),
@@ -43,8 +44,8 @@ FILES = {
     "/uPlot.js": ("uPlot.iife.min.js", "text/javascript"),
     "/uPlot.css": ("uPlot.min.css", "text/css"),
 }
-"""What is served to anybody: nothing secret is in it."""
 
+# Of every response.
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -55,7 +56,6 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
-"""Of every response."""
 
 Event = bytes
 Events = queue.Queue[Event | None]
@@ -77,8 +77,7 @@ class PageServer:
         self._first = first
         self._viewers: list[Events] = []
         self._lock = threading.Lock()
-        self.stopped = threading.Event()
-        """For who waits for the end; set it from a signal handler, too."""
+        self.stopped = threading.Event()  # For who waits for the end; set it from a signal handler, too.
         try:
             self._server = _Server((LOOPBACK, port), self)
         except (OSError, OverflowError) as error:

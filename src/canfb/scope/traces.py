@@ -28,18 +28,17 @@ PERCENT = 100.0
 MOST_DOTS = 600
 SHOWN = (PositionState.VALID, None)  # positions and velocities with these states are drawn
 NOTHING = np.zeros(0)
+# Time (s), position, velocity (units of the machine), residual and its limit (cycles), amplitude
+# after and before conditioning (counts), new faults, 1 while the position is not valid.
 Point = tuple[float | None, ...]
-"""Time (s), position, velocity (units of the machine), residual and its limit (cycles), amplitude
-after and before conditioning (counts), new faults, 1 while the position is not valid."""
 
 
+# Deviation of the last samples from smooth motion, % of a cycle, over the phase (0..1), for JSON.
+#
+# phase, deviation       single samples
+# centers, before, mean  means over the phase, without any table and with that of the module
+# text                   rms with and without, or why there is nothing to see
 Curve = dict[str, Any]
-"""Deviation of the last samples from smooth motion, % of a cycle, over the phase (0..1), for JSON.
-
-phase, deviation       single samples
-centers, before, mean  means over the phase, without any table and with that of the module
-text                   rms with and without, or why there is nothing to see
-"""
 
 
 class ModuleTraces:
@@ -47,8 +46,7 @@ class ModuleTraces:
 
     def __init__(self, units: MachineUnits) -> None:
         self.points: deque[Point] = deque(maxlen=MOST_POINTS)
-        self.correction: Correction | None = None
-        """The active one; None while it is not known."""
+        self.correction: Correction | None = None  # The active one; None while it is not known.
         self._units = units
         self._read: Correction | None = None
         self._module: ModuleSnapshot | None = None

@@ -21,8 +21,7 @@ from canfb.master.access import CommissioningError
 Place = tuple[int, int]
 MOST_LISTED = 12
 LONGEST_NAME = 80  # in a message
-EXPEDITED = 4
-"""Bytes of an SDO answer in one frame (CiA 301, 7.2.4.3.3)."""
+EXPEDITED = 4  # Bytes of an SDO answer in one frame (CiA 301, 7.2.4.3.3).
 _COMMUNICATION = range(0x1000, 0x2000)
 _NUMBERED = re.compile(r"(?:0x)?([0-9a-f]{4})h?(?:[:.](?:0x)?([0-9a-f]{1,2})h?)?", re.IGNORECASE)
 

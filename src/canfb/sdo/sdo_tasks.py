@@ -148,6 +148,7 @@ _TO_DO: dict[int, str] = {
 }
 
 _NO_PRESET = "a preset needs a valid position at standstill: stop the machine (canfb why, if it is not valid)"
+# What to do where an object of ours is refused in this state of the node (08000022h).
 _OF_PLACE: dict[str, dict[Place, str]] = {
     MODULE: {
         od.PRESET_VALUE: _NO_PRESET,
@@ -159,7 +160,6 @@ _OF_PLACE: dict[str, dict[Place, str]] = {
         od.RECORDING_COMMAND: "what is sampled is a file: it has no samples between two SYNCs",
     },
 }
-"""What to do where an object of ours is refused in this state of the node (08000022h)."""
 
 
 def in_words(product: str, place: Place, value: object) -> str:
@@ -395,8 +395,8 @@ class SdoTasks:
         return CommissioningError(f"{self._node.name}: {what} is refused: {said}")
 
 
+# Objects whose sub-index 0 says more than how many there are.
 _COUNTED = frozenset({0x1003, *range(0x1600, 0x1800), *range(0x1A00, 0x1C00)})
-"""Objects whose sub-index 0 says more than how many there are."""
 
 
 def described_by(node: NodeAccess, known: Iterable[Path], text: str) -> ObjectDescriptions:

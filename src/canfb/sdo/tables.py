@@ -39,12 +39,12 @@ from canfb.signal.correction import Correction, CorrectionTable
 
 DELAYS = frozenset({"cosine_delay_s", "delay_s"})
 _KNOWN = ", ".join(IDENTITY.words)
+# Keys of a table file that say with which encoder and analog path the table was measured.
 NOTED = {
     "cycles_per_revolution": od.ENCODER_CYCLES_PER_REVOLUTION,
     "corner_hz": od.ENCODER_CORNER_FREQUENCY,
     "cosine_corner_hz": od.ENCODER_COSINE_CORNER_FREQUENCY,
 }
-"""Keys of a table file that say with which encoder and analog path the table was measured."""
 
 
 def as_yaml(used: Correction, meta: dict[str, Any]) -> str:

@@ -71,8 +71,7 @@ class SyncDeviation:
         self._timing = timing
         self._rng = np.random.default_rng((seed, 0x80))
         self._largest_s = LARGEST_PART * period_s
-        self.period_s = period_s / (1.0 + timing.sync_drift_ppm * 1e-6)
-        """The period in true time, seconds."""
+        self.period_s = period_s / (1.0 + timing.sync_drift_ppm * 1e-6)  # The period in true time, seconds.
         self._none = timing.sync_jitter_us == timing.sync_jitter_rms_us == timing.bus_load == 0.0
 
     def next_s(self) -> float:
@@ -267,8 +266,8 @@ HIGHEST_LOAD = 0.95
 INTERFRAME_BITS = 3  # the bus is silent for this long after the end of a frame
 
 
+# A frame that waits, and its sender: the lowest CAN-ID first, then the oldest, by a number.
 Waiting = tuple[int, int, Frame, Any]
-"""A frame that waits, and its sender: the lowest CAN-ID first, then the oldest, by a number."""
 
 
 class Wire:

@@ -16,8 +16,8 @@ from canfb.checks import integer_in
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import Sample
 
+# Position of the shaft in revolutions as a function of its time in seconds.
 RevolutionsAt = Callable[[float], float]
-"""Position of the shaft in revolutions as a function of its time in seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,8 +178,7 @@ class ShaftEncoder:
         self._others = np.random.default_rng((seed, 0xA9))  # coarse track and aperture: noise of their own
         self._aperture_jitter_s = aperture_jitter_s
         self._last: tuple[float, float] | None = None  # time and revolutions of the sample before
-        self.position_cycles = 0.0
-        """True position of the last sample, cycles."""
+        self.position_cycles = 0.0  # True position of the last sample, cycles.
 
     def sample(self, time_s: float, revolutions_at: RevolutionsAt) -> Sample:
         held_s = time_s
@@ -360,8 +359,7 @@ class StoppableMotion:
         self._motion, self._ramp_s = motion, ramp_s
         self._own_time = PiecewiseCubic(1.0)
         self._changed_s = 0.0
-        self.running = True
-        """It runs, or is to run."""
+        self.running = True  # It runs, or is to run.
 
     def run(self, running: bool, time_s: float) -> None:
         """Begin to run, or to stop, at ``time_s`` of the machine."""

@@ -19,11 +19,11 @@ import numpy.typing as npt
 from canfb.checks import integer_in
 
 Counts = npt.NDArray[np.int64]
+# Sine and cosine while the fault is present, before the converter, shape (2, n).
 Tracks = npt.NDArray[np.float64]
-"""Sine and cosine while the fault is present, before the converter, shape (2, n)."""
 Rng = np.random.Generator
+# The faulty tracks, from those of the encoder and the full scale of the converter, counts.
 Change = Callable[[Tracks, int, Rng], npt.ArrayLike]
-"""The faulty tracks, from those of the encoder and the full scale of the converter, counts."""
 
 
 class Signal(Enum):

@@ -278,8 +278,7 @@ class SlowMotion(SilentDevice):
         self._interval_s = interval_s
         self._cob_id = dictionary.entry(*od.SYNC_COB_ID)
         self._period = dictionary.entry(*od.CYCLE_PERIOD)
-        self.time_s = 0.0
-        """The time of the machine."""
+        self.time_s = 0.0  # The time of the machine.
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         if frame.can_id == self._cob_id.value & cob.CAN_ID and not frame.rtr:

@@ -188,8 +188,7 @@ class SourceWatch:
         self._ask = ask
         self._report = report
         self._failed_s: float | None = None
-        self.ended = False
-        """The source has no sample left."""
+        self.ended = False  # The source has no sample left.
 
     @property
     def failing(self) -> bool:

@@ -18,16 +18,12 @@ from canfb.signal.sample import TICK_S, Sample
 from canfb.sources.protocol import Source, SourceConfig, SourceEnded, Surroundings, column
 from canfb.sources.sample_files import Columns, read_columns, read_tracks
 
-LARGEST_TIME_S = 1e12
-"""Of a time column: the times of a clock of any epoch have less."""
-MOST_SAMPLES = 1 << 25
-"""Nine hours at 1 kHz: a few rows with gaps can ask for any number."""
+LARGEST_TIME_S = 1e12  # Of a time column: the times of a clock of any epoch have less.
+MOST_SAMPLES = 1 << 25  # Nine hours at 1 kHz: a few rows with gaps can ask for any number.
+# Values with a fraction that are all below: no converter of 4 bits or more has so few counts.
 LARGEST_VOLTS = 32.0
-"""Values with a fraction that are all below: no converter of 4 bits or more has so few counts."""
-NEAR = 0.25
-"""Part of the amplitude: the offset of an encoder is less."""
-SHORTEST_STEP_S = 1e-9
-"""Rows that are closer have no rate to which they could be stretched."""
+NEAR = 0.25  # Part of the amplitude: the offset of an encoder is less.
+SHORTEST_STEP_S = 1e-9  # Rows that are closer have no rate to which they could be stretched.
 
 
 @dataclass(frozen=True)

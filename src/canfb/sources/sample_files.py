@@ -98,8 +98,8 @@ def _numbers(path: Path, line: int, row: list[str], places: Iterable[int]) -> li
         raise CanfbError(f"{path}:{line}: a value in one of the selected columns is not a number") from None
 
 
+# Bytes, of all arrays: a few kB of ZIP can hold any number of zeros. Six hours at 1 kHz, with times.
 LARGEST_UNPACKED = 1 << 28
-"""Bytes, of all arrays: a few kB of ZIP can hold any number of zeros. Six hours at 1 kHz, with times."""
 LONGEST_MESSAGE = 200
 
 

@@ -24,8 +24,7 @@ from canfb.signal.residual_noise import RESIDUAL_WEIGHTS
 from canfb.signal.sample import TICK_S
 
 Number = int | float
-Read = Callable[[Multiplexer], Number | None]
-"""Gives the value of an object, None where it is not known."""
+Read = Callable[[Multiplexer], Number | None]  # Gives the value of an object, None where it is not known.
 
 
 def values_of(find: Callable[[int, int], Any]) -> Read:

@@ -21,8 +21,7 @@ from typing import Any
 from canfb.cia301 import datatypes
 from canfb.cia301.datatypes import DataType
 
-Contents = dict[str, dict[str, str]]
-"""The keys of a file and their texts, by section."""
+Contents = dict[str, dict[str, str]]  # The keys of a file and their texts, by section.
 
 
 class ObjectKind(IntEnum):

@@ -137,8 +137,7 @@ def approach(error: float, gain: float, braking: float) -> float:
 
 
 CYCLIC_SYNCHRONOUS_POSITION = 8
-OFF = 0xFFFFFFFF
-"""6065h: no window."""
+OFF = 0xFFFFFFFF  # 6065h: no window.
 KG_M2_PER_G_CM2 = 1e-7
 STANDSTILL_REV_S = 0.02
 
@@ -148,9 +147,6 @@ class Axis:
 
     Positions are in units of 608Fh, of any size; the objects show them as INTEGER32, which wraps. A target is
     the nearest to the demand of all positions with its value.
-
-    ``motor_increments``: of an encoder on the motor in a revolution, which 6063h is of then; 0: none.
-    ``on_mode`` is called when 6060h was written.
     """
 
     def __init__(
@@ -163,7 +159,9 @@ class Axis:
         self.scaling = Scaling(dictionary)
         self._feedback = feedback
         self._loop = PositionLoop()
-        self._motor_increments, self._on_mode = motor_increments, on_mode
+        # Of an encoder on the motor in a revolution, which 6063h is of then; 0: there is none.
+        self._motor_increments = motor_increments
+        self._on_mode = on_mode  # Called when 6060h was written.
         self._trajectory = Trajectory()
         self._too_far_since_s: float | None = None
         entry = dictionary.entry

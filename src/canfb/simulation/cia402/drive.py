@@ -23,8 +23,7 @@ POSITION = (0x60E4, 1)
 COAST, QUICK_STOP_RAMP = 0, 2  # 605Eh
 U32 = 0xFFFFFFFF
 G_CM2_PER_KG_M2 = 1e7
-STOP_TIMEOUT_S = 0.5
-"""After a ramp the shaft has this time to come to rest; then the power goes off."""
+STOP_TIMEOUT_S = 0.5  # After a ramp the shaft has this time to come to rest; then the power goes off.
 
 
 class ServoDrive(MachineNode):

@@ -8,8 +8,7 @@ from enum import IntFlag
 from canfb.device.od.dictionary import Dictionary
 
 U32_RANGE = 1 << 32
-SENSOR_CODES = 0x7300
-"""EMCY codes 73xxh are those of a sensor (CiA 301, table of error codes)."""
+SENSOR_CODES = 0x7300  # EMCY codes 73xxh are those of a sensor (CiA 301, table of error codes).
 MOST_OPEN = 256
 
 
@@ -41,10 +40,8 @@ class FeedbackInput:
         self._increments, self._turns = entry(0x60E6, 1), entry(0x60EB, 1)
         self._wrong_entry, self._used, self._missed = (entry(0x2111, sub) for sub in (1, 2, 3))
         entry(0x2110, 4)  # the residual: there to be read
-        self.position = 0
-        """Increments of the feedback, unwrapped."""
-        self.speed = 0.0
-        """Revolutions per second, the mean over the last interval, in true time."""
+        self.position = 0  # Increments of the feedback, unwrapped.
+        self.speed = 0.0  # Revolutions per second, the mean over the last interval, in true time.
         self.reset()
 
     @property

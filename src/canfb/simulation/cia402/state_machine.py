@@ -53,12 +53,13 @@ class Control(IntFlag):
     FAULT_RESET = 0x0080
 
 
+# Where the motor may have torque.
 POWERED = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE})
-"""Where the motor may have torque."""
 
+# States in which an error of the supervision is a fault; in the others the axis is off.
 SWITCHED_ON = frozenset({State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE})
-"""States in which an error of the supervision is a fault; in the others the axis is off."""
 
+# The transitions with their numbers in the standard; any other command does nothing.
 TRANSITIONS: dict[tuple[State, Command], State] = {
     (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 2
     (State.READY_TO_SWITCH_ON, Command.SWITCH_ON): State.SWITCHED_ON,  # 3
@@ -81,7 +82,6 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
     (State.FAULT_REACTION_ACTIVE, Command.RAMP_DONE): State.FAULT,  # 14
     (State.FAULT, Command.FAULT_RESET): State.SWITCH_ON_DISABLED,  # 15, when the error is gone
 }
-"""The transitions with their numbers in the standard; any other command does nothing."""
 
 
 def command_of(controlword: int, before: int = 0) -> Command:
