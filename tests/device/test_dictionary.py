@@ -38,18 +38,6 @@ def abort_of(call: object, *arguments: object) -> AbortCode:
     return caught.value.code
 
 
-def test_defaults_with_node_id_sign_float_and_boolean(dictionary: Dictionary) -> None:
-    assert dictionary.entry(0x1014).value == 0xA0
-    assert dictionary.entry(0x1800, 1).value == 0x400001A0
-    assert dictionary.entry(0x2010, 7).value == -5
-    assert dictionary.entry(0x2027).value == -2
-    assert dictionary.entry(0x2023).value == 1.5
-    assert dictionary.entry(0x2028).value is True
-    assert dictionary.entry(0x2010, 4).value is False
-    assert dictionary.entry(0x1008).value == "a sample device!"
-    assert dictionary.entry(0x2020).value == b""
-
-
 def test_what_is_there_and_what_is_missing(dictionary: Dictionary) -> None:
     kinds = {info.index: info.kind for info in dictionary.objects()}
     wanted = {0x1000: ObjectKind.VAR, 0x1018: ObjectKind.RECORD, 0x2020: ObjectKind.DOMAIN}
@@ -87,45 +75,18 @@ def test_refused_values(dictionary: Dictionary, index: int, data: bytes, code: A
         assert entry.value == before
 
 
-def test_a_check_has_no_effect_and_a_write_has_its_own_behind_the_store(dictionary: Dictionary) -> None:
-    entry = dictionary.entry(0x2025)
-    entry.value, entry.high = 3, 10
-    seen: list[object] = []
-    entry.on_check = lambda value: seen.append(("before", value, entry.value))
-    entry.on_written = lambda: seen.append(("after", entry.value))
-    entry.check(9)
-    assert abort_of(entry.check, 11) is AbortCode.VALUE_TOO_HIGH
-    assert (seen, entry.value) == ([("before", 9, 3)], 3)
-    entry.download(b"\x09")
-    assert seen[1:] == [("before", 9, 3), ("after", 9)]
-
-
-def test_an_act_that_is_not_possible_leaves_the_value(dictionary: Dictionary) -> None:
-    entry = dictionary.entry(0x2025)
-    entry.value = 3
-    seen: list[int] = []
-
-    def act() -> None:
-        seen.append(entry.value)
-        raise SdoAbort(AbortCode.DEVICE_STATE)
-
-    entry.on_written = act
-    entry.on_download = lambda: pytest.fail("the write was refused")
-    assert abort_of(entry.download, b"\x09") is AbortCode.DEVICE_STATE
-    assert seen == [9]
-    assert entry.value == 3
-
-
 def test_compact_arrays_are_expanded(tmp_path: Path) -> None:
     dictionary = load_text(
         tmp_path,
         "[2100]\nParameterName=Level\nObjectType=8\nDataType=6\nAccessType=rw\nDefaultValue=7\n"
         "PDOMapping=1\nCompactSubObj=12\n"
-        "[2100Name]\nNrOfEntries=1\n2=Second\n[2100Value]\nNrOfEntries=1\n12=0x10\n",
+        "[2100Name]\nNrOfEntries=1\n2=Second\n[2100Value]\nNrOfEntries=1\n12=0x10\n"
+        + variable("2100sub3", 7, DefaultValue="99"),  # wins
     )
+    assert [dictionary.entry(0x2100, sub).data_type for sub in (2, 3)] == [6, 7]
     assert dictionary.entry(0x2100, 0).value == 12
     assert dictionary.entry(0x2100, 0).access == "ro"
-    assert [dictionary.entry(0x2100, sub).value for sub in (1, 2, 11, 12)] == [7, 7, 7, 16]
+    assert [dictionary.entry(0x2100, sub).value for sub in (1, 2, 3, 11, 12)] == [7, 7, 99, 7, 16]
     assert dictionary.entry(0x2100, 2).name == "Second"
     assert dictionary.entry(0x2100, 12).pdo_mappable
     assert abort_of(dictionary.lookup, 0x2100, 13) is AbortCode.NO_SUBINDEX
@@ -169,6 +130,7 @@ def test_text_time_bytes_limits_and_a_domain(tmp_path: Path) -> None:
         + variable("2101", 0x0C)
         + variable("2102", 0x0A, DefaultValue="01 02 FF")
         + variable("2103", 0x10, LowLimit="0x800000", HighLimit="-1")
+        + variable("2105", 0x01, DefaultValue="1")
         + "[2104]\nParameterName=Table\nObjectType=0x2\n"
     )
     dictionary = load_text(tmp_path, text)
@@ -181,6 +143,7 @@ def test_text_time_bytes_limits_and_a_domain(tmp_path: Path) -> None:
     assert dictionary.entry(0x2101).value == b"\x01\x02\x03\x04\x05\x06"
     assert dictionary.entry(0x2102).value == b"\x01\x02\xff"
     assert (dictionary.entry(0x2103).low, dictionary.entry(0x2103).high) == (-(1 << 23), -1)
+    assert dictionary.entry(0x2105).value is True
     domain = dictionary.entry(0x2104)
     assert (domain.data_type, domain.access, domain.value) == (15, "rw", b"")
 
@@ -196,14 +159,6 @@ def test_a_file_without_dummies(tmp_path: Path) -> None:
     path = tmp_path / "plain.eds"
     path.write_text("[DeviceInfo]\nVendorName=x\n" + variable("2100", 5))
     assert Dictionary.load(path, 1).dummies == frozenset()
-
-
-def test_an_explicit_section_wins_over_a_compact_one(tmp_path: Path) -> None:
-    text = "[2100]\nParameterName=Level\nObjectType=8\nDataType=6\nAccessType=rw\nCompactSubObj=2\n"
-    text += variable("2100sub2", 7, DefaultValue="99")
-    dictionary = load_text(tmp_path, text)
-    assert [dictionary.entry(0x2100, sub).data_type for sub in (1, 2)] == [6, 7]
-    assert dictionary.entry(0x2100, 2).value == 99
 
 
 SHIPPED = sorted((Path(__file__).parents[2] / "eds").glob("*.eds"))

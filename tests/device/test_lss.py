@@ -254,21 +254,6 @@ def test_activation_is_told_with_the_delay(bench: LssBench) -> None:
 # Storing.
 
 
-def test_what_is_stored_comes_before_the_node_id_of_the_program(make: Callable[..., LssBench]) -> None:
-    store = MemoryStore()
-    bench = make(32, store)
-    bench.configure().lss(0x11, 40)
-    bench.lss(0x13, 0, 4)
-    assert bench.lss(0x17) == ["17"]
-    again = make(32, store)
-    assert again.first == ["728#00"]
-    assert again.node.lss.bit_rate_kbit_s == 125
-    again.configure().lss(0x11, NONE)
-    assert again.lss(0x17) == ["17"]
-    assert make(32, store).first == []
-    assert set(store.images) == {ParameterGroup.LSS}
-
-
 def test_parameters_follow_the_stored_node_id_and_load_does_not_take_it_away(
     make: Callable[..., LssBench],
 ) -> None:
@@ -277,9 +262,11 @@ def test_parameters_follow_the_stored_node_id_and_load_does_not_take_it_away(
     bench.write(0x1017, 0, 500, 2)
     bench.save()
     bench.configure().lss(0x11, 40)
+    bench.lss(0x13, 0, 4)
     bench.lss(0x17)
     bench.nmt(RESET_COMMUNICATION)
     for device in (bench, make(32, store)):
+        assert device.node.lss.bit_rate_kbit_s == 125
         assert device.value(0x1017) == 500
         assert device.value(0x1800, 1) == 0x400001A8
     again = make(NONE, store)
@@ -304,12 +291,6 @@ def test_a_stored_node_id_that_is_none_is_refused(make: Callable[..., LssBench],
 
 
 # In every state, with any frame.
-
-
-def test_a_short_frame_is_dropped_and_counted(bench: LssBench) -> None:
-    assert bench.send(0x7E5, b"\x04\x01") == []
-    assert bench.node.lss.state is LssState.WAITING
-    assert bench.node.counters.malformed_frames == 1
 
 
 @given(st.lists(st.binary(max_size=8) | st.binary(min_size=8, max_size=8), max_size=40), st.booleans())

@@ -36,36 +36,12 @@ def test_autostart_is_the_default_of_1f80(sample_path: Path, autostart: bool) ->
         assert bench.node.state is starting[-1]
 
 
-def test_nothing_is_served_before_start_and_what_was_set_before_is_kept(silent: Bench) -> None:
-    assert silent.nmt(1) == silent.sdo("40001000") == silent.sync() == []
-    assert silent.node.state is NmtState.INITIALISING
-    assert silent.node.counters.unknown_cob_ids == 3
-    silent.dictionary.entry(0x2010, 7).value = 99
-    silent.start()
-    assert silent.application.told("reset_done") == [(False, silent.now)]
-    assert silent.dictionary.entry(0x2010, 7).value == 99
-
-
-def test_a_reset_has_its_order_and_one_of_communication_keeps_the_application(bench: Bench) -> None:
-    bench.dictionary.entry(0x2010, 7).value = 99
-    bench.write(0x1006, 0, 5000, 4)
-    seen: list[object] = []
-    bench.application.react(
-        state_changed=lambda old, new, now, why: seen.append(new),
-        reset_done=lambda only, now: seen.append((only, bench.dictionary.entry(0x1006).value)),
-    )
-    for command, kept in ((130, 99), (129, -5)):
-        bench.nmt(command)
-        assert seen == [NmtState.INITIALISING, (command == 130, 0), NmtState.PRE_OPERATIONAL]
-        assert bench.dictionary.entry(0x2010, 7).value == kept
-        seen.clear()
-
-
 # What is dropped, what raises, and when the node wants to be called.
 
 
 DROPPED = [(can_id, bytes(9)) for can_id in (0x000, 0x080, 0x190, 0x620, 0x123)]
 DROPPED += [(can_id, bytes.fromhex(UPLOAD)) for can_id in (0x800, 0x1FFFFFFF, -1)]
+DROPPED += [(0x7E5, b"\x04\x01")]  # LSS has 8 bytes
 UNKNOWN = (0x123, 0x621, 0x5A1, 0x721, 0x1A1)
 
 

@@ -23,7 +23,7 @@ from device_kit import (
     StoringBench,
     write_eds,
 )
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canfb.cia301.codes import AbortCode
@@ -125,6 +125,7 @@ def chosen(places: tuple[int, ...], there: list[int], elsewhere: list[int]) -> l
 
 
 @given(STEPS)
+@example([("write", ALL), (RESET_COMMUNICATION, ALL)])
 def test_what_is_saved_comes_back_and_what_is_not_or_was_forgotten_does_not(
     path: Path, steps: list[tuple[str | int, int]]
 ) -> None:
@@ -174,20 +175,6 @@ def test_stored_values_are_checked_and_nothing_acts_on_them(power_on: Callable[.
     assert values(bench) == CHANGED
 
 
-def test_process_data_history_and_constants_are_not_kept(
-    power_on: Callable[..., StoringBench], store: MemoryStore
-) -> None:
-    bench = power_on()
-    assert bench.write(0x2000, 1, 77, 2) == OK  # rww: process data
-    bench.node.emergency(0x7300, 0x20, now=0.0)
-    bench.dictionary.entry(0x6001).value = 5  # ro
-    bench.save()
-    bench = power_on()
-    assert bench.value(0x2000, 1) == 0
-    assert bench.value(0x1003, 0) == 0
-    assert bench.value(0x6001) == 0
-
-
 def test_every_type_comes_back(power_on: Callable[..., StoringBench]) -> None:
     entries = {
         0x2020: b"\x01\x02\x03" * 100,
@@ -207,50 +194,6 @@ def test_every_type_comes_back(power_on: Callable[..., StoringBench]) -> None:
 
 
 # COB-IDs and PDOs.
-
-
-def test_cob_ids_follow_the_node_id_unless_they_were_set(power_on: Callable[..., StoringBench]) -> None:
-    bench = power_on()
-    assert bench.write(0x1401, 1, 0x320, 4) == OK  # the default, made valid
-    assert bench.write(0x1801, 1, 0x800002A0, 4) == OK
-    assert bench.write(0x1801, 1, 0x800001F0, 4) == OK  # another CAN-ID
-    assert bench.write(0x1400, 1, 0x80000190, 4) == OK  # never had the node-ID in it
-    bench.save()
-    assert bench.value(0x1014) == 0xA0
-    other = power_on(33)
-    assert other.value(0x1401, 1) == 0x321
-    assert other.value(0x1801, 1) == 0x800001F0
-    assert other.value(0x1400, 1) == 0x80000190
-    assert other.value(0x1800, 1) == 0x400001A1
-    assert other.value(0x1014) == 0xA1
-    assert other.faults == []
-
-
-def test_heartbeat_consumers_may_change_places(power_on: Callable[..., StoringBench]) -> None:
-    bench = power_on()
-    for value, sub in ((0x000A0064, 1), (0x000B0064, 2)):
-        assert bench.write(0x1016, sub, value, 4) == OK
-    bench.save()
-    for value, sub in ((0, 1), (0x000A0064, 2), (0x000B0064, 1)):
-        assert bench.write(0x1016, sub, value, 4) == OK
-    bench.save()
-    bench.nmt(RESET_NODE)
-    assert bench.faults == []
-    assert (bench.value(0x1016, 1), bench.value(0x1016, 2)) == (0x000B0064, 0x000A0064)
-
-
-def test_a_further_sdo_channel_comes_back_or_not(power_on: Callable[..., StoringBench]) -> None:
-    bench = power_on()
-    bench.write(0x1201, 1, 0x640 + 0x80, 4)
-    bench.write(0x1201, 2, 0x6C1, 4)
-    bench.nmt(RESET_COMMUNICATION)
-    assert bench.value(0x1201, 1) == 0x80000000
-    bench.write(0x1201, 1, 0x6C0, 4)
-    bench.write(0x1201, 2, 0x6C1, 4)
-    bench.save()
-    bench.nmt(RESET_COMMUNICATION)
-    assert (bench.value(0x1201, 1), bench.value(0x1201, 2)) == (0x6C0, 0x6C1)
-    assert bench.send(0x6C0, "4017100000000000") == ["6C1#4B17100000000000"]
 
 
 # Stored parameters that must not be used.
@@ -381,20 +324,6 @@ def test_an_image_with_fewer_entries_leaves_the_others_alone(path: Path) -> None
 # How long a fault lasts.
 
 
-def test_a_fault_is_told_at_each_reset_until_the_group_is_saved(path: Path, saved: MemoryStore) -> None:
-    saved.images[GROUP] = b"?"
-    bench = StoringBench(path, saved)
-    bench.nmt(RESET_NODE)
-    told = {COMMUNICATION: "no stored parameters, or truncated"}
-    assert bench.faults == [told, told]
-    bench.save(MANUFACTURER)
-    assert bench.faults == [told, told]
-    assert bench.save(COMMUNICATION) == OK
-    assert bench.faults == [told, told, {}]
-    bench.nmt(RESET_NODE)
-    assert bench.faults == [told, told, {}]
-
-
 @pytest.mark.parametrize("whole", [False, True])
 def test_a_store_that_cannot_be_read_is_a_fault(path: Path, saved: MemoryStore, whole: bool) -> None:
     error = OSError(5, "Input/output error")
@@ -439,18 +368,35 @@ numbers = st.one_of(
 )
 
 
-@examples(150)
-@given(st.lists(st.tuples(places, numbers), max_size=40))
-def test_what_a_master_could_write_can_be_restored(
-    path: Path, writes: list[tuple[tuple[int, int], int]]
-) -> None:
-    store = MemoryStore()
-    bench = StoringBench(path, store)
+WRITES = st.lists(st.tuples(places, numbers), max_size=40)
+CONSUMERS = [((0x1016, 1), 0x000A0064), ((0x1016, 2), 0x000B0064)]
+CHANGED_PLACES = [((0x1016, 1), 0), ((0x1016, 2), 0x000A0064), ((0x1016, 1), 0x000B0064)]
+SECOND_CHANNEL = [((0x1201, 1), 0x6C0), ((0x1201, 2), 0x6C1)]
+
+
+def write_all(bench: StoringBench, writes: list[tuple[tuple[int, int], int]]) -> None:
     for (index, subindex), number in writes:
         size = bench.dictionary.entry(index, subindex).byte_length
         bench.write(index, subindex, number & (1 << 8 * size) - 1, size)
+
+
+@examples(150)
+@given(WRITES, WRITES)
+@example(CONSUMERS, CHANGED_PLACES)
+@example(SECOND_CHANNEL, [((0x1201, 1), 0x800006C0)])
+def test_what_a_master_could_write_can_be_restored(
+    path: Path, writes: list[tuple[tuple[int, int], int]], later: list[tuple[tuple[int, int], int]]
+) -> None:
+    """After a power-off, and at a reset of the node, whatever it has held since."""
+    store = MemoryStore()
+    bench = StoringBench(path, store)
+    write_all(bench, writes)
     assert bench.save() == OK
-    again = StoringBench(path, store)
-    assert again.faults == []
-    kept = all_values(again)
-    assert kept == all_values(bench) | {place: kept[place] for place in ((0x1010, 1), (0x1001, 0))}
+    saved, answers = all_values(bench), bench.send(0x6C0, "4017100000000000")
+    write_all(bench, later)
+    bench.nmt(RESET_NODE)
+    for restored in (bench, StoringBench(path, store)):
+        assert restored.faults == []
+        kept = all_values(restored)
+        assert kept == saved | {place: kept[place] for place in ((0x1010, 1), (0x1001, 0))}
+        assert restored.send(0x6C0, "4017100000000000") == answers

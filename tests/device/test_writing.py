@@ -116,22 +116,6 @@ def test_the_answer_comes_when_the_values_are_kept_or_not(
     assert machine.answers(machine.later()) == [SAVED]
 
 
-def test_no_sample_is_missed_meanwhile() -> None:
-    machine = Machine()
-    machine.module.receive(Frame(0x000, b"\x01\x20"), 0.0)
-    published = 0
-    for cycle in range(200):
-        if cycle == 50:
-            assert machine.send(SAVE) == []
-        if cycle == 150:
-            machine.store.finish()
-        published += len(machine.answers(machine.module.receive(SYNC, machine.now), 0x2A0))
-        machine.module.receive(SAMPLE, machine.now)
-        machine.later(0.001)
-    assert published == 200
-    assert machine.value(0x2012, 1) == 0
-
-
 @pytest.mark.parametrize(
     ("can_id", "data"),
     [
