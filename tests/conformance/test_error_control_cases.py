@@ -23,11 +23,6 @@ def guarded(tester: Tester, guard_ms: int = 100, factor: int = 3) -> None:
 # -- guarding ---------------------------------------------------------------------------------------
 
 
-def test_guard_01_defaults(tester: Tester) -> None:
-    assert tester.ask("40 0C 10 00") == filled("4B 0C 10 00")
-    assert tester.ask("40 0D 10 00") == filled("4F 0D 10 00")
-
-
 @pytest.mark.parametrize(("command", "state"), [("80", 0x7F), ("01", 0x05), ("02", 0x04)])
 def test_guard_02_the_answer_tells_the_state(tester: Tester, command: str, state: int) -> None:
     guarded(tester)
@@ -52,13 +47,6 @@ def test_guard_04_only_the_own_id_answers(tester: Tester) -> None:
         assert bool(heard) == (node_id == tester.id)
 
 
-def test_guard_05_values_are_kept(tester: Tester) -> None:
-    tester.accept("2B 0C 10 00 F4 01")
-    tester.accept("2F 0D 10 00 03")
-    assert tester.ask("40 0C 10 00") == filled("4B 0C 10 00 F4 01")
-    assert tester.ask("40 0D 10 00") == filled("4F 0D 10 00 03")
-
-
 @pytest.mark.parametrize(("behaviour", "state"), [(None, "7F"), ("00", "7F"), ("01", "05"), ("02", "04")])
 def test_guard_06_life_guarding(tester: Tester, behaviour: str | None, state: str) -> None:
     guarded(tester, 100, 3)
@@ -81,10 +69,6 @@ def test_guard_06_life_guarding(tester: Tester, behaviour: str | None, state: st
 # -- heartbeat --------------------------------------------------------------------------------------
 
 
-def test_hb_01_no_heartbeat(tester: Tester) -> None:
-    tester.accept("2B 17 10 00 00 00")
-
-
 def test_hb_02_heartbeat_every_100_ms(tester: Tester) -> None:
     heard = tester.send(0x600 + tester.id, filled("2B 17 10 00 64 00")) + tester.wait(10.0)
     assert 99 <= len(tester.beats(heard)) <= 102
@@ -98,11 +82,6 @@ def test_hb_03_heartbeat_off(tester: Tester) -> None:
     tester.wait(0.55)
     tester.accept("2B 17 10 00 00 00")
     assert tester.beats(tester.wait(5.0)) == []
-
-
-def test_hb_04_one_node_twice(tester: Tester) -> None:
-    tester.accept("23 16 10 01 34 12 05 00")
-    tester.refuse("23 16 10 02 34 12 05 00", "06040043")
 
 
 def subs(tester: Tester) -> range:
@@ -165,11 +144,6 @@ def test_hb_07_the_error_leads_to_pre_operational(tester: Tester) -> None:
 
 
 # -- one of both ------------------------------------------------------------------------------------
-
-
-def test_hvg_01_one_of_both_is_there(tester: Tester) -> None:
-    answers = [tester.ask("40 17 10 00"), tester.ask("40 0C 10 00")]
-    assert any(answer[:2] == "4B" for answer in answers)
 
 
 def test_hvg_02_no_heartbeat_with_time_0(tester: Tester) -> None:
