@@ -93,7 +93,6 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         ("bus.xyz", {}, r"unknown suffix '\.xyz'; bus logs end with \.asc, \.blf, "),
         ("bus", {}, "no suffix; "),
         ("bus.blf.gz", {}, r"\.blf cannot be compressed with gzip"),
-        ("bus.txt", {}, r"unknown suffix '\.txt'"),
         ("bus.trc", {"max_bytes": 100}, r"--max-size: python-can divides \.asc, \.blf, \.log, not \.trc"),
         ("nowhere/bus.log", {}, "there is no folder"),
         ("there.log", {}, "is there already; take another name, or --force"),

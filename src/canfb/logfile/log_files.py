@@ -172,6 +172,8 @@ def _names(channels: Collection[str]) -> str:
 
 LONGEST_LINE = 1 << 16  # bytes
 BLF_OBJECT, BLF_OBJECT_PLACES = b"LOBJ", 8  # an object begins in the first 4 bytes behind the one before
+BLF_HEAD, BLF_LONGEST = 16, 1 << 24  # bytes: of an object's head, of an object
+BLF_CONTAINER, BLF_ZLIB = 10, b"\2"
 
 
 def messages_of(path: Path, suffix: str, counters: LogCounters) -> Iterator[can.Message]:
@@ -180,7 +182,7 @@ def messages_of(path: Path, suffix: str, counters: LogCounters) -> Iterator[can.
         if suffix in TEXT:
             messages: Iterable[can.Message] = TEXT[suffix](file, counters).messages()
         elif suffix == ".blf":
-            messages = _blf_messages(file)
+            messages = _BlfReader(file)
         else:
             messages = closing.enter_context(can.LogReader(path))
         for message in messages:
@@ -209,15 +211,14 @@ class _Lines:
 
     def messages(self) -> Iterator[can.Message]:
         reader = self.opened()
-        is_over = False
-        while not is_over:
+        while True:
             number = self._number
             try:
                 for message in reader:
                     if self._is_whole(message):
                         self._pending = False
                         yield message
-                is_over = True
+                break
             except Exception:  # a line that it cannot read
                 if number == self._number:
                     raise
@@ -251,8 +252,7 @@ class _Lines:
                 self._pending = bool(self.frame.match(line))
                 return kept
             if self.cut.fullmatch(line.strip()):
-                self._pending = True
-                self._count_damaged()
+                self._counters.damaged(self._number)
 
     def kept(self, line: str) -> str | None:
         return line if self.frame.match(line) else None
@@ -281,8 +281,9 @@ class _Lines:
         if message.is_error_frame or message.is_fd or message.is_remote_frame:
             return True
         length = len(message.data)
-        by_words = self.has_words_of_bytes and length > 0
-        return length == message.dlc and not (by_words and self.is_cut_in_byte(self._line, length))
+        return length == message.dlc and not (
+            self.has_words_of_bytes and length > 0 and self.is_cut_in_byte(self._line, length)
+        )
 
     def is_cut_in_byte(self, line: str, length: int) -> bool:
         return len(line.rsplit(None, 1)[-1]) == 1
@@ -293,7 +294,7 @@ class _AscLines(_Lines):
 
     reader = can.ASCReader
     frame = re.compile(r"\s*\d+\.\d+\s+(\d+\s+(\w+\s+(Tx|Rx)\s|ErrorFrame)|CANFD\s+\d+\s+(Rx|Tx)\s)", re.I)
-    cut = re.compile(r"\d+(\.\d*(\s+(\d+(\s+[0-9A-Fa-f]+x?(\s+[RT])?)?)?)?)?")
+    cut = re.compile(r"\d+(\.\d*(\s+(\d+(\s+[0-9A-Fa-f]+x?(\s+[RT]x?)?)?)?)?)?")
     first = "internal events logged\n"
     header = re.compile(r"\s*base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?", re.I)
     event = re.compile(r"\s*(\d+\.\d+)(\s.*)", re.S)
@@ -364,51 +365,47 @@ class CandumpLines(_Lines):
         return self.error.sub(" 20000080#", line) if self.form.fullmatch(line) else "no frame\n"
 
 
-TEXT: dict[str, type[_Lines]] = {".asc": _AscLines, ".trc": _TrcLines}
+class _CsvLines(_Lines):
+    """python-can's own."""
+
+    reader = can.CSVReader
+    has_words_of_bytes = False
+    frame = re.compile(r"(?!\s*(timestamp|$))")
+    first = "timestamp\n"
 
 
-class _WholeReads:
-    """A file that notes whether it ended within what was asked for."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self.is_short = False
-
-    def read(self, length: int) -> bytes:
-        data = self._file.read(length)
-        # There may be no padding, of up to 3 bytes, behind the last object.
-        self.is_short |= len(data) < length and (length > 16 or (length >= 4 and bool(data)))
-        return data
-
-    def close(self) -> None:
-        """The reader calls it."""
+TEXT: dict[str, type[_Lines]] = {".asc": _AscLines, ".trc": _TrcLines, ".csv": _CsvLines}
 
 
 class _BlfReader(can.BLFReader):
+    """python-can goes on silently behind damage; ValueError here."""
+
+    def __iter__(self) -> Iterator[can.Message]:  # type: ignore[override]
+        while head := self.file.read(BLF_HEAD):
+            length, kind = (int.from_bytes(head[n : n + 4], "little") for n in (8, 12))
+            content = self.file.read(max(0, length - BLF_HEAD))
+            self.file.read(length % 4)
+            is_packed = content[:1] == BLF_ZLIB
+            if head[:4] != BLF_OBJECT or kind != BLF_CONTAINER or not (is_packed or content[:1] == b"\0"):
+                raise ValueError("an object is damaged")
+            data = content[BLF_HEAD:]
+            yield from self._parse_container(zlib.decompressobj().decompress(data) if is_packed else data)
+            if len(content) < length - BLF_HEAD or len(self._tail) > BLF_LONGEST:
+                raise ValueError("it was cut off")
+        size = self.file.tell()
+        if BLF_OBJECT in self._tail or size < self.file_size:
+            raise ValueError("it was cut off")
+        if not self.object_count and size > self.file_size:
+            raise ValueError("it was never closed, its end may be missing")
+
     def _parse_data(self, data: bytes) -> Iterator[can.Message]:
         """What is before an object without a length; ValueError behind it."""
         place = data.find(BLF_OBJECT, 0, BLF_OBJECT_PLACES)
-        while place >= 0:
+        while place >= 0 and len(data) >= place + 12:
             length = int.from_bytes(data[place + 8 : place + 12], "little")
-            if not length and len(data) >= place + 12:
+            if not length:
                 yield from super()._parse_data(data[:place])
                 raise ValueError("an object has no length")
             place += length
             place = data.find(BLF_OBJECT, place, place + BLF_OBJECT_PLACES)
         yield from super()._parse_data(data)
-
-
-def _blf_messages(file: IO[bytes]) -> Iterator[can.Message]:
-    """ValueError behind what can be read of a file that was cut off, or never closed."""
-    size = file.seek(0, 2)
-    file.seek(0)
-    whole = _WholeReads(file)
-    reader = _BlfReader(whole)  # type: ignore[arg-type]
-    has_frames = False
-    for message in reader:
-        has_frames = True
-        yield message
-    if whole.is_short or size < reader.file_size:
-        raise ValueError("it was cut off")
-    if has_frames and not reader.object_count:
-        raise ValueError("it was never closed, its end may be missing")
