@@ -81,7 +81,8 @@ def test_compact_arrays_are_expanded(tmp_path: Path) -> None:
         "[2100]\nParameterName=Level\nObjectType=8\nDataType=6\nAccessType=rw\nDefaultValue=7\n"
         "PDOMapping=1\nCompactSubObj=12\n"
         "[2100Name]\nNrOfEntries=1\n2=Second\n[2100Value]\nNrOfEntries=1\n12=0x10\n"
-        + variable("2100sub3", 7, DefaultValue="99"),  # wins
+        + variable("2100sub3", 7, DefaultValue="99")  # wins
+        + variable("2100sub103", 7),  # is none
     )
     assert [dictionary.entry(0x2100, sub).data_type for sub in (2, 3)] == [6, 7]
     assert dictionary.entry(0x2100, 0).value == 12
@@ -233,7 +234,8 @@ ODD: dict[str, Callable[[str], bytes]] = {
     "Unicode of Windows": lambda text: text.encode("utf-16"),
     "Ctrl-Z": lambda text: text.encode() + b"\x1a\x00[nonsense",
     "Windows-1252": lambda text: f"; M\u00fcller GmbH, 20 \u00b5s, \u20ac\n{text}".encode("cp1252"),
-    "lines of DOS": lambda text: text.replace("\n", "\r\n").encode(),
+    "lines of DOS and Mac": lambda text: text.replace("\n", "\r\n").replace("=0\r\n", "=0\r").encode(),
+    "separators of Unicode": lambda text: text.replace("=", "=\u2028").encode(),
     "indented": lambda text: text.replace("\n", "\n\t ").encode(),
     "upper-case keys": lambda text: cased(str.upper, r"^\w+=", text),
     "lower-case keys": lambda text: cased(str.lower, r"^\w+=", text),

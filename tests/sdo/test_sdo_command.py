@@ -225,7 +225,7 @@ def test_a_node_of_another_maker(canfb: Commands, bench: Bench, tmp_path: Path) 
         "[DeviceInfo]\nProductName=their drive\n"
         "[2010]\nParameterName=Something\nObjectType=0x9\nSubNumber=2\n"
         "[2010sub3]\nParameterName=Gain\nDataType=0x0006\nAccessType=rw\nUnit=apples\n"
-        "[2020]\nParameterName=Blob\nObjectType=0x2\n"
+        "[2020]\nParameterName=Blob\nObjectType=0x2\nDefaultValue=none\n"
     )
     out = canfb(bench, "sdo", "read", NODE, "gain", "--eds", eds)[0]
     assert out == "2010:03 Something: Gain: 03 (1 bytes, the EDS has UNSIGNED16)\n"

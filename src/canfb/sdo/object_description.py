@@ -158,5 +158,5 @@ def _described(content: bytes, node_id: int) -> dict[Place, ObjectDescription]:
     return {
         (one.index, one.subindex): ObjectDescription(**asdict(one), least=low, most=high)
         for one in eds.content_described(content).entries
-        for _, low, high in [one.values(node_id)]
+        for low, high in [one.limits(node_id)]
     }

@@ -290,7 +290,8 @@ def _template(content: bytes, node_id: int) -> tuple[Entry, ...]:
 
 
 def _entry(described: Description, node_id: int) -> Entry:
-    default, low, high = described.values(node_id)
+    default = described.value_of("DefaultValue", described.default, node_id)
+    low, high = described.limits(node_id)
     try:
         entry = Entry(
             described.index,

@@ -71,16 +71,13 @@ class Description:
     def follows_node_id(self) -> bool:
         return "$NODEID" in self.default.upper()
 
-    def values(self, node_id: int) -> tuple[Any, Any, Any]:
-        """Default, lowest and highest value; None for none. ValueError that names section and key."""
-        limits = self.data_type not in _WITHOUT_LIMITS
-        return (
-            self._number("DefaultValue", self.default, node_id),
-            self._number("LowLimit", self.low, node_id) if limits else None,
-            self._number("HighLimit", self.high, node_id) if limits else None,
-        )
+    def limits(self, node_id: int) -> tuple[Any, Any]:
+        """Lowest and highest value; None for none. ValueError that names section and key."""
+        if self.data_type in _WITHOUT_LIMITS:
+            return None, None
+        return self.value_of("LowLimit", self.low, node_id), self.value_of("HighLimit", self.high, node_id)
 
-    def _number(self, key: str, text: str, node_id: int) -> Any:
+    def value_of(self, key: str, text: str, node_id: int) -> Any:
         try:
             return number(text, self.data_type, node_id)
         except ValueError as error:
@@ -106,7 +103,7 @@ LONGEST_MESSAGE = 200
 _FIRST_OWN_TYPE, _LAST_OWN_TYPE = 0x20, 0x025F
 _WITHOUT_LIMITS = datatypes.STRINGS | datatypes.BYTES
 _INDEX = re.compile(r"^[0-9A-Fa-f]{4}$")
-_SUBINDEX = re.compile(r"^([0-9A-Fa-f]{4})sub([0-9A-Fa-f]+)$", re.IGNORECASE)
+_SUBINDEX = re.compile(r"^([0-9A-Fa-f]{4})sub(0*[0-9A-Fa-f]{1,2})$", re.IGNORECASE)
 _LIST = re.compile(r"^([0-9A-Fa-f]{4})(Name|Value)$", re.IGNORECASE)
 _DUMMY = re.compile(r"^Dummy([0-9A-Fa-f]{4})$", re.IGNORECASE)
 _HEADER = re.compile(r"^\[([^\]\n]*)\]", re.MULTILINE)
@@ -165,7 +162,7 @@ def _text(content: bytes) -> str:
     except UnicodeDecodeError:
         text = content.decode("cp1252", "replace")
     text, _, _ = text.partition("\x1a")  # the end of a text file, once
-    return "\n".join(line.strip() for line in text.splitlines())
+    return "\n".join(line.strip() for line in re.split(r"\r\n?|\n", text))
 
 
 def _spelled(name: str) -> str:
@@ -345,7 +342,10 @@ def _expand_compact(contents: Contents, section: str) -> None:
         raise ValueError(f"[{section}] CompactSubObj is {count}; an object has 1 to 254 sub-indices")
     shared = {option: text for option, text in options.items() if option in _SHARED}
     name = options.get("ParameterName", "")
-    names, values = (_listed(contents, f"{section}{what}") for what in ("Name", "Value"))
+    names, values = (
+        {int(sub): text for sub, text in contents.pop(f"{section}{what}", {}).items() if sub.isdigit()}
+        for what in ("Name", "Value")
+    )
     var = {"ObjectType": f"0x{ObjectKind.VAR:X}"}
     head = {"ParameterName": "Highest sub-index supported", "DataType": f"0x{DataType.UNSIGNED8:04X}"}
     contents.setdefault(f"{section}sub0", {**var, **head, "AccessType": "ro", "DefaultValue": str(count)})
@@ -354,7 +354,3 @@ def _expand_compact(contents: Contents, section: str) -> None:
         if subindex in values:
             own["DefaultValue"] = values[subindex]
         contents.setdefault(f"{section}sub{subindex:X}", {**var, **shared, **own})
-
-
-def _listed(contents: Contents, section: str) -> dict[int, str]:
-    return {int(option): text for option, text in contents.pop(section, {}).items() if option.isdigit()}
