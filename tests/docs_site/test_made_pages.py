@@ -18,7 +18,7 @@ from canfb.sources.motion_source import MotionSourceConfig
 from canfb.sources.protocol import source_kinds
 from tools.site.commands_page import commands_of, commands_page
 from tools.site.docstrings import as_rst
-from tools.site.keys_page import SECTIONS, Key, keys_of, keys_page
+from tools.site.keys_page import SECTIONS, keys_of, keys_page
 from tools.site.objects_page import objects_page
 
 EDS = Path(__file__).parents[2] / "eds"
@@ -35,6 +35,18 @@ DIMENSIONLESS = {
 }
 DIMENSIONLESS |= {"sine_gain", "cosine_gain", "bus_load", "cob_id"}
 DIMENSIONLESS |= {name for name in canfb.Conditioning().words if name.startswith("harmonic")}
+# A unit is the end of a name, or stands in the text.
+UNIT_OF_A_NAME = re.compile(
+    r"(?:^|_)(?:rad_per_s|rad(?:_s[23]?)?|kg_m2|nm(?:_s)?|counts|scale|cycles_per_revolution|samples|scans|bits"
+    r"|samples_per_sync|scans_per_sync|noise_margin|periods|lsb|rpm|hz|[un]?s|ppm|revolutions|increments|bytes)$"
+)
+UNIT = re.compile(r"\b(?:cycles?|bit/s|of the (?:full scale|amplitude)|counts|V)\b")
+NUMBER = r"-?(?:\d+(?:\.\d+)?(?:e-?\d+)?|pi/3)(?:\^\d+(?: - \d+)?)?"
+RANGE = re.compile(
+    rf"{NUMBER}\.\.{NUMBER}(?: or its negative)?|{NUMBER} < \w+ <= {NUMBER}"
+    rf"|above {NUMBER}(?:, at most {NUMBER})?|more than {NUMBER}"
+    r"|any finite value|any number of counts"
+)
 KINDS = [kind for _, kind, _ in SECTIONS] + list(source_kinds().values())
 
 
@@ -72,7 +84,7 @@ def test_every_object_is_there_with_its_unit_and_default(name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_every_key_is_there_with_unit_range_and_meaning(kind: type) -> None:
+def test_every_key_is_there_and_a_number_has_unit_and_range(kind: type) -> None:
     every = list(keys_of(kind))
     assert [key.name for key in every] == [
         f.name for f in dataclasses.fields(kind) if f.metadata.get("key", True)
@@ -80,14 +92,14 @@ def test_every_key_is_there_with_unit_range_and_meaning(kind: type) -> None:
     for key in every:
         assert f"| `{key.name}` | {key.default or 'required'} |" in keys()
         assert key.text, f"{kind.__name__}.{key.name}: its docstring says nothing of it"
-        if key.is_number and key.name not in ("time_column", "columns"):
-            assert key.range, f"{kind.__name__}.{key.name}: no range in its docstring"
-            assert key.unit or key.name in DIMENSIONLESS, f"{kind.__name__}.{key.name}: no unit"
+        if key.name in numbers_of(kind) and key.name not in ("time_column", "columns"):
+            assert RANGE.search(key.text), f"{kind.__name__}.{key.name}: no range in its docstring"
+            unit = UNIT_OF_A_NAME.search(key.name) or UNIT.search(key.text) or key.name in DIMENSIONLESS
+            assert unit, f"{kind.__name__}.{key.name}: no unit"
 
 
-def ends_of(key: Key) -> tuple[float, float] | None:
-    found = re.fullmatch(r"(-?[\d.e-]+)\.\.([\d.e-]+)", key.range)
-    return (float(found[1]), float(found[2])) if found and key.is_number else None
+def numbers_of(kind: type) -> set[str]:
+    return {f.name for f in dataclasses.fields(kind) if re.search(r"\b(int|float)\b", str(f.type))}
 
 
 REQUIRED = {"node_id": 5, "order": 3, "device": "x", "file": "x", "source": MotionSourceConfig()}
@@ -101,8 +113,11 @@ def test_the_ranges_are_those_that_the_classes_hold(kind: type) -> None:
         if f.default is f.default_factory is dataclasses.MISSING
     }
     for key in keys_of(kind):
-        if (ends := ends_of(key)) and key.name not in ("bus_load", "node_id"):
-            whole = "." not in key.range.replace("..", "") and "e" not in key.range
+        said = RANGE.search(key.text)
+        found = re.fullmatch(r"(-?[\d.e-]+)\.\.([\d.e-]+)", said[0]) if said else None
+        if found and key.name in numbers_of(kind) - {"bus_load", "node_id"}:
+            ends = float(found[1]), float(found[2])
+            whole = not re.search(r"[.e]", found[1] + found[2])
             for outside in (ends[0] - 1, ends[1] + max(1, abs(ends[1]) * 0.01)):
                 value = int(outside) if whole else outside
                 with pytest.raises((ValueError, TypeError), match=key.name):

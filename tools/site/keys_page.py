@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -50,61 +49,14 @@ python-can's own words: `interface`, `channel`, `bitrate` (bit/s), and what else
 may be left to the command line (`-i`, `-c`, `-b`), to the environment or to the configuration file of
 python-can.
 """
-# The unit is the end of the name; of other names it stands behind the range.
-SUFFIXES = {
-    "rad_per_s": "rad/s",
-    "rad_s2": "rad/s²",
-    "rad_s": "rad/s",
-    "rad_s3": "rad/s³",
-    "kg_m2": "kg m²",
-    "nm_s": "Nm s/rad",
-    "nm": "Nm",
-    "rad": "rad",
-    "counts": "ADC counts",
-    "scale": "ADC counts",
-    "cycles_per_revolution": "cycles",
-    "samples_per_sync": "samples",
-    "noise_margin": "standard deviations",
-    "scans_per_sync": "scans",
-    "periods": "SYNC periods",
-    "lsb": "LSB",
-    "rpm": "1/min",
-    "hz": "Hz",
-    "us": "µs",
-    "ns": "ns",
-    "s": "s",
-    **{name: name for name in ("revolutions", "increments", "bytes", "samples", "scans", "bits", "ppm")},
-}
-UNITS = (
-    "cycles",
-    "cycle",
-    "bit/s",
-    "Hz",
-    "µs",
-    "us",
-    "Nm",
-    "of the full scale",
-    "of the amplitude",
-    "counts",
-    "V",
-)
-NUMBER = r"-?(?:\d+(?:\.\d+)?(?:e-?\d+)?|pi/3)(?:\^\d+(?: - \d+)?)?"
-RANGE = re.compile(
-    rf"{NUMBER}\.\.{NUMBER}(?: or its negative)?|{NUMBER} < \w+ <= {NUMBER}"
-    rf"|above {NUMBER}(?:, at most {NUMBER})?|more than {NUMBER}"
-    r"|any finite value|any number of counts"
-)
 
 
 class Key(NamedTuple):
-    """One row: range, unit and default as text; an empty default for a key that is required."""
+    """One row, as text; an empty default for a key that is required."""
 
     name: str
     default: str
-    unit: str
-    range: str
     text: str
-    is_number: bool
 
 
 def described(kind: type) -> dict[str, str]:
@@ -126,19 +78,8 @@ def described(kind: type) -> dict[str, str]:
 def keys_of(kind: type) -> Iterator[Key]:
     texts = described(kind)
     for field in dataclasses.fields(kind):
-        if not field.metadata.get("key", True):
-            continue
-        text = texts.get(field.name, "")
-        limits = RANGE.search(text)
-        is_flag = str(field.type) == "bool"
-        yield Key(
-            field.name,
-            _default(field),
-            _unit(field.name, text, limits),
-            "true, false" if is_flag else limits[0] if limits else "",
-            text,
-            bool(re.search(r"\b(int|float)\b", str(field.type))),
-        )
+        if field.metadata.get("key", True):
+            yield Key(field.name, _default(field), texts.get(field.name, ""))
 
 
 def keys_page() -> str:
@@ -146,11 +87,8 @@ def keys_page() -> str:
     kinds = [(f"modules: source, kind {name}", kind, _summary(kind)) for name, kind in source_kinds().items()]
     for title, kind, about in (*SECTIONS[:2], *kinds, *SECTIONS[2:]):
         lines += [f"\n## {title}", "", about[0].upper() + about[1:].rstrip(".") + ".", ""]
-        rows = (
-            (f"`{key.name}`", key.default or "required", key.unit, key.range, plain(key.text))
-            for key in keys_of(kind)
-        )
-        lines += table(("key", "default", "unit", "range", "meaning"), rows)
+        rows = ((f"`{key.name}`", key.default or "required", plain(key.text)) for key in keys_of(kind))
+        lines += table(("key", "default", "meaning"), rows)
     return "\n".join(lines) + "\n"
 
 
@@ -181,14 +119,3 @@ def _default(field: dataclasses.Field[object]) -> str:
     if isinstance(field.default, tuple):
         return f"`[{', '.join(map(str, field.default))}]`"
     return f"`{field.default:.6g}`" if isinstance(field.default, float) else f"`{field.default}`"
-
-
-def _unit(name: str, text: str, limits: re.Match[str] | None) -> str:
-    for ending, unit in SUFFIXES.items():
-        if name == ending or name.endswith(f"_{ending}"):
-            return unit
-    behind = text[limits.end() :].lstrip() if limits else ""
-    unit = next((unit for unit in UNITS if re.match(rf"{re.escape(unit)}(?!\w)", behind)), "")
-    if unit:
-        return unit
-    return next((unit for unit in UNITS if text.startswith(f"{unit} ")), "")
