@@ -1,4 +1,4 @@
-"""docs/drive-network/configuring.py against our devices, and against python canopen's own LocalNode."""
+"""docs/drive-network/configuring.py against our devices."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from pathlib import Path
 import configuring
 import network_file
 import pytest
-from network_bench import EDS_FOLDER, MODULE_ID, TEXT, Network, write
-from story_bench import StoryNetwork
+from network_bench import MODULE_ID, TEXT, Network, write
 
 from canfb.cia301.codes import NmtState
-from canfb.demo.story import EmbeddedNetwork
 from canfb.device.storage.storage import MemoryStore
-from canfb.simulation.embedded_bus import EmbeddedBus
 
 
 def configuration(network: Network, folder: Path, text: str = TEXT) -> configuring.Configuration:
@@ -38,6 +35,23 @@ def test_everything_is_as_the_file_says(tmp_path: Path) -> None:
     assert made.compare() == []
 
 
+def uploads_only(network: Network) -> bool:
+    return {frame.data[0] >> 5 for frame in network.sent if 0x600 < frame.can_id < 0x680} <= {2, 3}
+
+
+def test_another_mapping_type_and_cob_id_are_written_once(tmp_path: Path) -> None:
+    """The PDO is off meanwhile, or the module would refuse it."""
+    network = Network()
+    text = TEXT.replace("[6004, 2011:01]", "[2011:02, 6004]").replace("0x1A1", "0x2B5")
+    text = text.replace("type: 254", "type: 3")
+    assert configuration(network, tmp_path, text).apply() > 0
+    assert [network.value(0x1A00, n) for n in range(3)] == [2, 0x20110210, 0x60040020]
+    assert [network.value(0x1800, n) for n in (1, 2, 3)] == [0x400002B5, 3, 5]
+    network.sent.clear()
+    assert configuration(network, tmp_path, text).apply() == 0
+    assert uploads_only(network)
+
+
 def test_identity_and_compare_write_nothing(tmp_path: Path) -> None:
     network = Network()
     before = network.values()
@@ -47,8 +61,7 @@ def test_identity_and_compare_write_nothing(tmp_path: Path) -> None:
     assert "module (21h) 2001:01 is 000009C4h, not 00000400h" in lines
     assert not any("1801:01 is 800" in line for line in lines)
     assert network.values() == before
-    requests = [frame for frame in network.sent if 0x600 < frame.can_id < 0x680]
-    assert {frame.data[0] >> 5 for frame in requests} <= {2, 3}, "uploads only"
+    assert uploads_only(network)
     assert not [frame for frame in network.sent if frame.can_id == 0]
 
 
@@ -133,51 +146,3 @@ def test_saved_parameters_survive_a_reset(tmp_path: Path) -> None:
     kept = dict(store.images)
     made.apply()
     assert store.images == kept
-
-
-class Nodes:
-    """Two canopen.LocalNode with our EDS files; ``written`` is what the module was told, in order."""
-
-    def __init__(self) -> None:
-        bus = EmbeddedBus()
-        self.network = EmbeddedNetwork(bus)
-        slaves = [StoryNetwork(bus), StoryNetwork(bus)]
-        self.interface = slaves[0].create_node(0x11, str(EDS_FOLDER / "encoder-interface.eds"))
-        self.module = slaves[1].create_node(0x21, str(EDS_FOLDER / "canfb-module.eds"))
-        self.written: list[tuple[int, int, int]] = []
-        self.module.add_write_callback(
-            lambda index, subindex, od, data: self.written.append(
-                (index, subindex, int.from_bytes(data, "little"))
-            )
-        )
-
-
-def made(nodes: Nodes, folder: Path, text: str = TEXT) -> configuring.Configuration:
-    return configuring.Configuration(nodes.network, network_file.load(write(folder, text)))
-
-
-def test_all_is_written_in_order_and_read_back(tmp_path: Path) -> None:
-    """Another mapping, type and COB-ID than before: the PDO is off meanwhile."""
-    nodes = Nodes()
-    text = TEXT.replace("[6004, 2011:01]", "[2011:02, 6004]").replace("0x1A1", "0x2B5")
-    text = text.replace("type: 254", "type: 3")
-    configuration = made(nodes, tmp_path, text)
-    configuration.check_identity()
-    configuration.apply()
-    assert nodes.module.get_data(0x2001, 1) == (1024).to_bytes(4, "little")
-    assert nodes.module.get_data(0x1400, 1) == (0x191).to_bytes(4, "little")
-    pdo = [one for one in nodes.written if one[0] in (0x1800, 0x1A00)]
-    assert pdo == [
-        (0x1800, 1, 0xC00001A1),
-        (0x1A00, 0, 0),
-        (0x1A00, 1, 0x20110210),
-        (0x1A00, 2, 0x60040020),
-        (0x1A00, 0, 2),
-        (0x1800, 2, 3),
-        (0x1800, 3, 5),
-        (0x1800, 1, 0x400002B5),
-    ]
-    assert configuration.compare() == []
-    nodes.written.clear()
-    assert made(nodes, tmp_path, text).apply() == 0
-    assert nodes.written == []

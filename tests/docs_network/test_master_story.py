@@ -32,9 +32,9 @@ def figure(said: str, what: str, move: int = 0) -> float:
     return float(re.findall(rf"{what} (-?[0-9.]+)", said)[move])
 
 
-@pytest.mark.parametrize("revolutions", [1.0, -2.5])
-def test_a_move(revolutions: float, capsys: pytest.CaptureFixture[str]) -> None:
-    network = DriveNetwork()
+def test_a_move(capsys: pytest.CaptureFixture[str]) -> None:
+    """One of another length than that of the page."""
+    network, revolutions = DriveNetwork(), -2.5
     assert network.run("--revolutions", str(revolutions)) == 0
     said = capsys.readouterr().out
     assert 1e-5 < figure(said, "rms") < 1e-3
