@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
+import pytest
 from network import (
     INTERFACE_ID,
     NODE_ID,
@@ -41,45 +42,32 @@ QUICK_MS = 50
 CLOSE_UNITS = 400  # of 8192 in a cycle
 
 
-class Outage:
-    """:meth:`link_down` or :meth:`removed`, and then :meth:`up`, in which all that is sent is heard."""
+def link_down(channel: str) -> None:
+    ip("set", channel, "down")
 
-    def __init__(self, channel: str) -> None:
-        self._channel = channel
 
-    @contextlib.contextmanager
-    def link_down(self) -> Iterator[None]:
-        """`ip link set down`."""
-        ip("set", self._channel, "down")
-        try:
-            yield
-        except BaseException:
-            ip("set", self._channel, "up")
-            raise
+def removed(channel: str) -> None:
+    """As an adapter that is unplugged: it comes back under another index, down."""
+    ip("del", "dev", channel)
 
-    @contextlib.contextmanager
-    def removed(self) -> Iterator[None]:
-        """As an adapter that is unplugged: it comes back under another index, down."""
-        ip("del", "dev", self._channel)
-        try:
-            yield
-        except BaseException:
-            self._made()
-            ip("set", self._channel, "up")
-            raise
-        self._made()
 
-    @contextlib.contextmanager
-    def up(self) -> Iterator[can.BusABC]:
-        """A listener, and then the link is up."""
-        with can.Bus(interface="socketcan", channel=self._channel) as bus:
-            with contextlib.suppress(can.CanError):
-                bus.recv(0.0)  # that it is down is said once
-            ip("set", self._channel, "up")
-            yield bus
+@contextlib.contextmanager
+def up(channel: str) -> Iterator[can.BusABC]:
+    """A listener, and then the link is up: all that is sent is heard."""
+    if not Path("/sys/class/net", channel).exists():
+        ip("add", "dev", channel, "type", "vcan")
+    with can.Bus(interface="socketcan", channel=channel) as bus:
+        with contextlib.suppress(can.CanError):
+            bus.recv(0.0)  # that it is down is said once
+        ip("set", channel, "up")
+        yield bus
 
-    def _made(self) -> None:
-        ip("add", "dev", self._channel, "type", "vcan")
+
+@pytest.fixture(autouse=True)
+def up_at_the_end(can_channel: str) -> Iterator[None]:
+    yield
+    with up(can_channel):
+        """Whatever has failed."""
 
 
 def heard(bus: can.BusABC, pace: Pace, can_id: int, start: bytes) -> None:
@@ -109,23 +97,22 @@ def watch_heartbeat(bus: can.BusABC, pace: Pace, period_ms: int) -> None:
 def test_an_outage_has_one_line_an_emcy_and_a_reason_for_each_state(
     process: Callable[..., Process], tmp_path: Path, can_channel: str, pace: Pace
 ) -> None:
-    outage = Outage(can_channel)
     config = write_config(tmp_path, f"{TIMES}    autostart: true\n", slow_motion(pace, STANDS))
-    with outage.link_down():
-        run = process("run", config)
-        run.wait_for(GONE)
-    with outage.up() as bus:
+    link_down(can_channel)
+    run = process("run", config)
+    run.wait_for(GONE)
+    with up(can_channel) as bus:
         heard(bus, pace, BOOT_UP, b"\0")
         run.wait_for(BACK)
         simulate = process("simulate", config)
         heard(bus, pace, 0x700 + INTERFACE_ID, b"\0")
         begin(bus, pace)
         before = position(bus, pace)
-    for gone in (outage.link_down, outage.removed):
-        with gone():
-            for one in (run, simulate):
-                one.wait_for(GONE)
-        with outage.up() as bus:
+    for gone in (link_down, removed):
+        gone(can_channel)
+        for one in (run, simulate):
+            one.wait_for(GONE)
+        with up(can_channel) as bus:
             heard(bus, pace, EMERGENCY, BUS_BACK)
             for one in (run, simulate):
                 one.wait_for(BACK)
