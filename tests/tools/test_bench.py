@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -10,8 +9,9 @@ import pytest
 
 import canfb
 from canfb.cia301.frame import Frame
+from canfb.simulation.embedded_bus import EmbeddedBus
 from tools.bench import bus, bus_others, cycle
-from tools.bench.bus_load import SDO_REQUEST, SdoClient, set_up
+from tools.bench.bus_load import SdoClient, set_up
 from tools.bench.cycle import NODE_ID
 
 COMPARISON = cycle.Comparison("name", "ours", "other", 1.0)
@@ -104,36 +104,17 @@ def test_each_percentile_is_a_value_that_so_many_do_not_exceed() -> None:
     assert bus.percentiles([]) == "-"
 
 
-class Module:
-    """A module that is given requests, in simulated time."""
-
-    def __init__(self) -> None:
-        self.module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE_ID))
-        self.module.start(0.0)
-        self.now = 0.0
-
-    def answers(self, request: bytes) -> Iterator[Frame]:
-        self.now += 1e-4
-        yield from self.module.receive(Frame(SDO_REQUEST, request), self.now)
-        while (deadline := self.module.deadline()) is not None and deadline < self.now + 0.1:
-            self.now = max(self.now, deadline)
-            yield from self.module.tick(self.now)
-
-
-def transfer(load: SdoClient, module: Module) -> None:
+def test_a_module_is_set_up_with_a_table() -> None:
+    bus, load = EmbeddedBus(), SdoClient(set_up())
+    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=NODE_ID))
+    bus.attach(module)
+    bus.observers.append(lambda frame, now: load.take(frame.can_id, frame.data))
     while load.waits:
         can_id, request = load.frame
-        assert can_id == SDO_REQUEST
         load.sent()
-        for answer in module.answers(request):
-            load.take(answer.can_id, answer.data)
-
-
-def test_a_module_is_set_up_with_a_table() -> None:
-    load, module = SdoClient(set_up()), Module()
-    transfer(load, module)
+        bus.send(Frame(can_id, request))
     assert load.done
-    assert module.module.dictionary.entry(0x2020, 5).value == 256
+    assert module.dictionary.entry(0x2020, 5).value == 256
 
 
 @pytest.mark.parametrize(
