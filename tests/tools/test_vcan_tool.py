@@ -25,13 +25,19 @@ def test_registers_are_filled_up_only_where_needed(flags: str, release: str, nee
     assert uml.needs_preload(cpuinfo, release) is needed
 
 
-def test_command_gets_its_words_folder_and_environment_unchanged(tmp_path: Path) -> None:
+def test_command_gets_its_words_folder_and_environment_unchanged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "with space"
     folder.mkdir()
     output, errors = tmp_path / "out put", tmp_path / "errors"
-    place = uml.Place(str(folder), {"PATH": os.defpath, "ODD": "a'b\nc $d", "dots.in.name": "1"})
+    monkeypatch.chdir(folder)
+    given = {"PATH": os.defpath, "ODD": "a'b\nc $d", "dots.in.name": "1"}
     script = 'printf "%s|" "$@"; pwd; env >&2'
-    line = uml.run_line(["sh", "-c", script, "sh", "one two", "it's", "*"], place, output, errors)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "environ", given)
+        line = uml.run_line(["sh", "-c", script, "sh", "one two", "it's", "*"], output, errors)
+    monkeypatch.chdir(tmp_path)
     subprocess.run(["sh", "-c", line], env={"LEAK": "1", "PATH": os.environ["PATH"]}, check=True)
     assert output.read_text() == f"one two|it's|*|{folder}\n"
     assert "ODD=a'b\nc $d\n" in errors.read_text()

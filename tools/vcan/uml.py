@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
@@ -118,32 +118,22 @@ def kernel_arguments(kernel: str, folder: Path, channel: str, console: str, *, q
     ]
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a command runs: its working directory and its whole environment."""
-
-    folder: str
-    environment: Mapping[str, str]
-
-    @classmethod
-    def here(cls) -> Place:
-        return cls(os.getcwd(), dict(os.environ))
-
-    def line(self, command: Sequence[str]) -> str:
-        pairs = [f"{name}={value}" for name, value in self.environment.items()]
-        return shlex.join(["env", "-i", f"--chdir={self.folder}", *pairs, *command])
+def as_here(command: Sequence[str]) -> str:
+    """Words of shell that run the command with this working directory and this whole environment."""
+    pairs = [f"{name}={value}" for name, value in os.environ.items()]
+    return shlex.join(["env", "-i", f"--chdir={os.getcwd()}", *pairs, *command])
 
 
-def run_line(command: Sequence[str], place: Place, output: Path, errors: Path) -> str:
+def run_line(command: Sequence[str], output: Path, errors: Path) -> str:
     """Line of shell that runs the command, its output into files."""
     target = "2>&1" if errors == output else f"2>{shlex.quote(str(errors))}"
-    return f"{place.line(command)} </dev/null >{shlex.quote(str(output))} {target}"
+    return f"{as_here(command)} </dev/null >{shlex.quote(str(output))} {target}"
 
 
-def shell_line(command: Sequence[str], place: Place, size: os.terminal_size) -> str:
+def shell_line(command: Sequence[str], size: os.terminal_size) -> str:
     """Lines of shell that run an interactive command on the terminal, with job control."""
     stty = f"stty rows {size.lines} cols {size.columns} </dev/tty0"
-    return f"{stty}\nsetsid -w -c {place.line(command)} </dev/tty0 >/dev/tty0 2>&1"
+    return f"{stty}\nsetsid -w -c {as_here(command)} </dev/tty0 >/dev/tty0 2>&1"
 
 
 def memory_folder(candidates: Sequence[str] = ("/dev/shm", "/tmp", "/var/tmp")) -> str:
@@ -165,20 +155,6 @@ def pump(source: FileIO, sink: BinaryIO) -> None:
     while chunk := source.read(1 << 16):
         sink.write(chunk)
         sink.flush()
-
-
-class Booting:
-    """A kernel that boots, by its log: a slow machine takes long, but goes on writing."""
-
-    def __init__(self, console: Path, now: float) -> None:
-        self._console, self._size, self._grown = console, 0, now
-
-    def silence_s(self, now: float) -> float:
-        """For how long the log has not grown, seconds."""
-        size = self._console.stat().st_size if self._console.exists() else 0
-        if size != self._size:
-            self._size, self._grown = size, now
-        return now - self._grown
 
 
 @contextlib.contextmanager
@@ -243,7 +219,7 @@ def run(machine: Machine, command: Sequence[str], channel: str, timeout_s: float
         output = folder / "output"
         # One file for both where both go to the same place: their order is kept.
         errors = output if os.path.sameopenfile(1, 2) else folder / "errors"
-        _prepare(folder, run_line(command, Place.here(), output, errors))
+        _prepare(folder, run_line(command, output, errors))
         sinks = {errors: sys.stderr.buffer, output: sys.stdout.buffer}
         for path in sinks:
             path.touch()
@@ -272,16 +248,16 @@ def _relay(
     timeout_s: float | None,
 ) -> None:
     """Copy the output until the command has ended, or the kernel stops before it has started."""
-    start = time.monotonic()
-    booting = Booting(folder / "console", start)
+    start, console = time.monotonic(), folder / "console"
     while True:
         over = _is_over(process, folder)  # asked first: what was written until then is copied
         for source, sink in tails:
             pump(source, sink)
-        now = time.monotonic()
-        if over or (not (folder / "started").exists() and booting.silence_s(now) > BOOT_SILENCE_S):
+        # A slow machine takes long to boot, but goes on writing.
+        silence_s = time.time() - console.stat().st_mtime
+        if over or (not (folder / "started").exists() and silence_s > BOOT_SILENCE_S):
             return
-        if timeout_s is not None and now - start > timeout_s:
+        if timeout_s is not None and time.monotonic() - start > timeout_s:
             raise TimedOutError(f"ended after {timeout_s:g} s (--timeout)")
 
 
@@ -298,7 +274,7 @@ def shell(machine: Machine, command: Sequence[str], channel: str) -> int:
 
     settings = termios.tcgetattr(0)
     with run_folder() as folder:
-        _prepare(folder, shell_line(command, Place.here(), os.get_terminal_size(0)))
+        _prepare(folder, shell_line(command, os.get_terminal_size(0)))
         arguments = kernel_arguments(machine.kernel, folder, channel, "fd:0,fd:1", quiet=True)
         process = subprocess.Popen(arguments, env=_host_environment(machine, folder), process_group=0)
         try:

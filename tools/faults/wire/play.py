@@ -100,15 +100,13 @@ def play(episode: Episode, fresh: bool = False, confirm: bool = True) -> Played:
 def trace(episode: Episode, every: bool) -> int:
     """Print one episode: what was planned, heard and sent; 1 if a valid position was wrong."""
     played = play(episode, fresh=True)
-    plan, motion = played.plan, played.plan.motion
+    plan = played.plan
     print(f"{episode}: {played.verdict.outcome}")
-    print(f"  {plan.setup}\n  {plan.options}")
-    print(f"  {motion.speed(plan.fault):.3f} cycles/T in slot {plan.fault}, SYNC at {plan.fault + 1} T")
-    print(f"  pieces {[(round(a, 2), round(b, 4)) for a, b in motion.pieces]} vibrations {motion.vibrations}")
-    kind = "sigma" if plan.gaussian else "+-"
-    wire = f"jitter {kind} {plan.jitter_us:.1f} us, locked {plan.locked}, drift {plan.drift * 1e6:.0f} ppm"
-    print(f"  {wire}, host {plan.host}")
-    print(f"  stalls {plan.stalls} actions {plan.actions} {plan.note}")
+    speed = plan.motion.speed(plan.fault)
+    print(f"  {speed:.3f} cycles/T in slot {plan.fault}, SYNC at {plan.fault + 1} T")
+    for name, value in vars(plan).items():
+        if name not in ("rng", "slots"):
+            print(f"  {name}: {value}")
     healthy = vars(Slot())
     for number, slot in enumerate(plan.slots):
         changes = [f"{name}={value}" for name, value in vars(slot).items() if value != healthy[name]]
