@@ -104,12 +104,6 @@ def mutants(path: Path) -> list[Mutant]:
     return sorted(found, key=lambda mutant: mutant.line)
 
 
-def names(path: Path) -> list[str]:
-    """Those of all changes of a module: far quicker than :func:`mutants`."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return [name for name, _, _ in named_changes(path.stem, tree)]
-
-
 def named_changes(stem: str, tree: ast.Module) -> Iterator[tuple[str, Place, ast.AST]]:
     """Name, place and what could stand there, of all changes of a module."""
     seen: Counter[str] = Counter()
