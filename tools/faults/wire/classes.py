@@ -7,7 +7,6 @@ head of this page; an aimed class brings its own machine (:mod:`tools.faults.wir
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from tools.faults.wire import clocks
@@ -283,7 +282,6 @@ def deaf(count: Callable[[Plan], int]) -> Change:
 any_loss = any_of(UNHEARD_BY_MODULE, UNHEARD_BY_INTERFACE, lost(between(1, 3)), deaf(between(1, 7)), PDO_LATE)
 
 
-@dataclass(frozen=True)
 class WireClass:
     """A class of wire faults; the set-ups of ``of`` and ``valid`` are those that fit (:meth:`Setup.fits`).
 
@@ -293,139 +291,133 @@ class WireClass:
     valid       in these set-ups each sample after the start is to be valid
     """
 
-    name: str
-    changes: tuple[Change, ...]
-    torque: float = 0.5
-    after: int = 70
-    of: str = ""
-    survives: bool = False
-    valid: str | None = None
+    def __init__(
+        self,
+        *changes: Change,
+        torque: float = 0.5,
+        after: int = 70,
+        of: str = "",
+        survives: bool = False,
+        valid: str | None = None,
+    ) -> None:
+        self._changes, self._valid = changes, valid
+        self.torque, self.after, self.of, self.survives = torque, after, of, survives
 
     def change(self, plan: Plan) -> None:
-        for change in self.changes:
+        for change in self._changes:
             change(plan)
 
     def demands_validity(self, setup: Setup) -> bool:
-        return self.valid is not None and setup.fits(self.valid)
+        return self._valid is not None and setup.fits(self._valid)
 
 
-def wire_class(
-    name: str, *changes: Change, torque: float = 0.5, after: int = 70, of: str = "", valid: str | None = None
-) -> WireClass:
-    return WireClass(name, changes, torque, after, of, False, valid)
-
-
-def aimed(name: str, change: Change, of: str, survives: bool = False) -> WireClass:
-    return WireClass(name, (change,), torque=0.0, of=of, survives=survives)
-
-
-_TABLE = (
-    wire_class("healthy", valid=""),
+CLASSES = {
+    "healthy": WireClass(valid=""),
     # Without a time, what a host takes a period late may be of the next SYNC until a later frame shows it.
-    wire_class("healthy, late host", LATE_HOST, valid="stamps|times"),
-    wire_class("healthy, zero pulses", ZERO_PULSES, valid=""),
-    wire_class("healthy, at the limit", at_the_limit, torque=0.0, of="times !servo", valid=""),
-    wire_class("stall", stall, after=220),
-    wire_class("stall, one lost", stall, lose_one_in_the_burst, after=220),
-    wire_class("pulse, 1..3 lost", pulse_and_some_lost, torque=0.0, of="!servo"),
-    wire_class("pulse in the gap", pulse_in_the_gap, torque=0.0, of="!servo"),
-    *(wire_class(f"PDO lost, {n}", lost(n)) for n in (1, 2, 3, 5)),
-    wire_class("PDO with the time lost", time_lost, of="servo"),
-    wire_class("PDOs lost, 15 %", slots(40, pdo_lost=lambda plan: plan.rng.uniform() < 0.15)),
-    wire_class("PDO lost, every n-th", slots(None, step=one_of(3, 6, 8, 12), pdo_lost=True)),
-    wire_class("PDO lost, late host", LATE_HOST, lost(between(1, 3))),
-    wire_class("deaf, 1..30", deaf(between(1, 30)), after=100),
-    wire_class("deaf, late host", LATE_HOST, deaf(between(1, 11)), after=100),
-    wire_class("deaf, whole turn", deaf(whole_turns), after=300, of="counter"),
-    wire_class("deaf, event timer", event_timer, deaf(between(3, 49)), after=110),
-    wire_class("SYNC unheard by module", UNHEARD_BY_MODULE),
-    wire_class("SYNC unheard by interface", UNHEARD_BY_INTERFACE),
-    wire_class("SYNC unheard by both", slots(SOME, to_module=False, to_interface=False)),
-    wire_class("SYNC unheard, 8 % each", unheard_now_and_then),
-    wire_class("SYNC stops, SDO", sync_stops, read_outage),
-    wire_class("SYNC stops, event timer", event_timer, sync_stops),
-    wire_class("SYNC of odd kind", odd_sync, read_outage, after=120),
-    wire_class(
-        "SYNC counter wrong once",
+    "healthy, late host": WireClass(LATE_HOST, valid="stamps|times"),
+    "healthy, zero pulses": WireClass(ZERO_PULSES, valid=""),
+    "healthy, at the limit": WireClass(at_the_limit, torque=0.0, of="times !servo", valid=""),
+    "stall": WireClass(stall, after=220),
+    "stall, one lost": WireClass(stall, lose_one_in_the_burst, after=220),
+    "pulse, 1..3 lost": WireClass(pulse_and_some_lost, torque=0.0, of="!servo"),
+    "pulse in the gap": WireClass(pulse_in_the_gap, torque=0.0, of="!servo"),
+    **{f"PDO lost, {n}": WireClass(lost(n)) for n in (1, 2, 3, 5)},
+    "PDO with the time lost": WireClass(time_lost, of="servo"),
+    "PDOs lost, 15 %": WireClass(slots(40, pdo_lost=lambda plan: plan.rng.uniform() < 0.15)),
+    "PDO lost, every n-th": WireClass(slots(None, step=one_of(3, 6, 8, 12), pdo_lost=True)),
+    "PDO lost, late host": WireClass(LATE_HOST, lost(between(1, 3))),
+    "deaf, 1..30": WireClass(deaf(between(1, 30)), after=100),
+    "deaf, late host": WireClass(LATE_HOST, deaf(between(1, 11)), after=100),
+    "deaf, whole turn": WireClass(deaf(whole_turns), after=300, of="counter"),
+    "deaf, event timer": WireClass(event_timer, deaf(between(3, 49)), after=110),
+    "SYNC unheard by module": WireClass(UNHEARD_BY_MODULE),
+    "SYNC unheard by interface": WireClass(UNHEARD_BY_INTERFACE),
+    "SYNC unheard by both": WireClass(slots(SOME, to_module=False, to_interface=False)),
+    "SYNC unheard, 8 % each": WireClass(unheard_now_and_then),
+    "SYNC stops, SDO": WireClass(sync_stops, read_outage),
+    "SYNC stops, event timer": WireClass(event_timer, sync_stops),
+    "SYNC of odd kind": WireClass(odd_sync, read_outage, after=120),
+    "SYNC counter wrong once": WireClass(
         slots(1, payload=lambda plan: bytes([int(plan.rng.integers(1, plan.options.overflow + 1))])),
         of="counter",
     ),
-    wire_class("SYNC doubled", SYNC_DOUBLED),
-    wire_class("SYNC doubled, later", doubled(120.0, lambda plan: 0.7 / plan.us)),
-    wire_class("SYNC doubled, late host", LATE_HOST, SYNC_DOUBLED),
-    wire_class("SYNC, second producer", second_producer),
-    wire_class("SYNC period changes", period_changes, after=150),
-    wire_class(
-        "1006h wrong",
+    "SYNC doubled": WireClass(SYNC_DOUBLED),
+    "SYNC doubled, later": WireClass(doubled(120.0, lambda plan: 0.7 / plan.us)),
+    "SYNC doubled, late host": WireClass(LATE_HOST, SYNC_DOUBLED),
+    "SYNC, second producer": WireClass(second_producer),
+    "SYNC period changes": WireClass(period_changes, after=150),
+    "1006h wrong": WireClass(
         options(period=True, period_factor=one_of(0.5, 2.0, 0.25, 4.0, 1.5, 0.9)),
         torque=0.0,
     ),
-    wire_class("PDO doubled", slots(one_of(1, 1, 2, 5), step=3, pdo_again_us=pdo_again)),
-    wire_class("PDO replayed", pdo_replayed),
-    wire_class("PDOs slow", slots(40, pdo_late_us=periods_us(0.4, 0.9))),
-    wire_class("PDOs late for good", slots(None, pdo_late_us=lambda plan: 1.0 / plan.us)),
-    wire_class("PDO late", PDO_LATE),
-    wire_class("PDOs late by 1 and 2", pdos_swapped),
-    wire_class(
-        "PDO late, next lost", slots(1, pdo_late_us=periods_us(0.9, 1.0)), slots(1, skip=1, pdo_lost=True)
+    "PDO doubled": WireClass(slots(one_of(1, 1, 2, 5), step=3, pdo_again_us=pdo_again)),
+    "PDO replayed": WireClass(pdo_replayed),
+    "PDOs slow": WireClass(slots(40, pdo_late_us=periods_us(0.4, 0.9))),
+    "PDOs late for good": WireClass(slots(None, pdo_late_us=lambda plan: 1.0 / plan.us)),
+    "PDO late": WireClass(PDO_LATE),
+    "PDOs late by 1 and 2": WireClass(pdos_swapped),
+    "PDO late, next lost": WireClass(
+        slots(1, pdo_late_us=periods_us(0.9, 1.0)), slots(1, skip=1, pdo_lost=True)
     ),
-    wire_class("stamp, one bad", one_bad_stamp, of="times"),
-    wire_class(
-        "stamps, 10 % bad",
+    "stamp, one bad": WireClass(one_bad_stamp, of="times"),
+    "stamps, 10 % bad": WireClass(
         slots(40, stamp=lambda plan: any_stamp(plan) if plan.rng.uniform() < 0.1 else None),
         of="times",
     ),
-    wire_class("stamp, clock steps", clock_steps, of="times"),
-    wire_class("stamp, clock stands", clock_stands, of="times"),
-    wire_class("receive times off", wire(bad_rx=0.1), of="stamps"),
-    wire_class("coarse track, any loss", COARSE, any_loss),
-    wire_class("zero pulse false, coarse", COARSE, ZERO_PULSES, FALSE_PULSE, after=260),
-    wire_class("zero pulse false", ZERO_PULSES, FALSE_PULSE, after=260),
-    wire_class("zero pulse, first false", ZERO_PULSES, first_pulse_false, after=200),
-    wire_class(
-        "RPDO2 doubled",
+    "stamp, clock steps": WireClass(clock_steps, of="times"),
+    "stamp, clock stands": WireClass(clock_stands, of="times"),
+    "receive times off": WireClass(wire(bad_rx=0.1), of="stamps"),
+    "coarse track, any loss": WireClass(COARSE, any_loss),
+    "zero pulse false, coarse": WireClass(COARSE, ZERO_PULSES, FALSE_PULSE, after=260),
+    "zero pulse false": WireClass(ZERO_PULSES, FALSE_PULSE, after=260),
+    "zero pulse, first false": WireClass(ZERO_PULSES, first_pulse_false, after=200),
+    "RPDO2 doubled": WireClass(
         ZERO_PULSES,
         slots(one_of(1, 1, 3), step=4, extra_again_us=lambda plan: [periods_us(0.8, 1.3)(plan)]),
     ),
-    wire_class("RPDO2 lost", ZERO_PULSES, slots(between(1, 3), extra_lost=True)),
-    wire_class("NMT pause", pause, torque=0.0, after=110),
-    wire_class("bus-off", bus_off, torque=0.0, after=110),
-    wire_class("bus-off, 1029h = 1", options(stays=True), bus_off, torque=0.0, after=110),
+    "RPDO2 lost": WireClass(ZERO_PULSES, slots(between(1, 3), extra_lost=True)),
+    "NMT pause": WireClass(pause, torque=0.0, after=110),
+    "bus-off": WireClass(bus_off, torque=0.0, after=110),
+    "bus-off, 1029h = 1": WireClass(options(stays=True), bus_off, torque=0.0, after=110),
     # Counts that pass for a sample are a legal motion, off by less than the residual limit.
-    wire_class(
-        "foreign ADC PDO",
+    "foreign ADC PDO": WireClass(
         wire(tolerance=0.9),
         slots(one_of(1, 1, 10), foreign_us=periods_us(0.05, 0.95)),
     ),
-    wire_class("interface restarts", interface_restarts),
-    wire_class("RPDO 1, TPDO 254", options(rpdo_type=1, tpdo_type=254), any_loss),
-    wire_class("RPDO 255, TPDO 1", options(rpdo_type=255, tpdo_type=1), any_loss),
-    wire_class("RPDO 1, TPDO 1", options(rpdo_type=1, tpdo_type=1), any_loss),
-    wire_class("TPDO 1, predict", PREDICTED, wire(jitter_us=0.0, busy=0.0, tolerance=1.3), any_loss),
-    aimed("stamp, bad again", clocks.bad_stamp_again, "times !servo", survives=True),
-    aimed("stamp, bad again after reset", clocks.bad_stamp_after_reset, "times !servo", survives=True),
-    aimed("stamp, bad at the start", clocks.bad_stamp_early, "times !servo"),
-    aimed("stamp, late once", clocks.late_stamp_once, "times !servo", survives=True),
-    aimed("stamp, set in a burst", clocks.clock_set_in_a_burst, "times !servo"),
-    aimed("SYNC, producer shifts", clocks.producer_shifts, "stamps !times"),
-    aimed(
-        "SYNC, producer shifts, times", clocks.producer_shifts, "times !servo stamps", survives=True
+    "interface restarts": WireClass(interface_restarts),
+    "RPDO 1, TPDO 254": WireClass(options(rpdo_type=1, tpdo_type=254), any_loss),
+    "RPDO 255, TPDO 1": WireClass(options(rpdo_type=255, tpdo_type=1), any_loss),
+    "RPDO 1, TPDO 1": WireClass(options(rpdo_type=1, tpdo_type=1), any_loss),
+    "TPDO 1, predict": WireClass(PREDICTED, wire(jitter_us=0.0, busy=0.0, tolerance=1.3), any_loss),
+    "stamp, bad again": WireClass(clocks.bad_stamp_again, torque=0.0, of="times !servo", survives=True),
+    "stamp, bad again after reset": WireClass(
+        clocks.bad_stamp_after_reset, torque=0.0, of="times !servo", survives=True
     ),
-    aimed("SYNC, another rate", clocks.producer_changes_rate, "stamps !times"),
-    aimed("SYNC, another rate, times", clocks.producer_changes_rate, "times !servo"),
-    aimed("SYNC faster, TPDO 1", clocks.faster_sync, "!counter !servo"),
-    aimed("lost, then NMT", clocks.lost_then_started, "!servo"),
-    aimed("reset node in motion", clocks.reset_in_motion, "!servo"),
-    aimed("NMT pause, short", clocks.short_pause, "!servo"),
-    aimed("deaf, creeping", clocks.creeping_deaf, "times !servo !counter"),
-    aimed("PDO lost, 1, at the limit", clocks.one_lost_at_the_limit, "times !servo"),
-    aimed("1006h ten times, PDO lost", clocks.wrong_1006_and_lost, "!servo", survives=True),
-    aimed("stall, one burst", clocks.stall_in_one_burst, "counter !times !stamps", survives=True),
-    aimed("stall of all", clocks.everything_stalls, "times !servo", survives=True),
-)  # fmt: skip
-CLASSES = {one.name: one for one in _TABLE}
+    "stamp, bad at the start": WireClass(clocks.bad_stamp_early, torque=0.0, of="times !servo"),
+    "stamp, late once": WireClass(clocks.late_stamp_once, torque=0.0, of="times !servo", survives=True),
+    "stamp, set in a burst": WireClass(clocks.clock_set_in_a_burst, torque=0.0, of="times !servo"),
+    "SYNC, producer shifts": WireClass(clocks.producer_shifts, torque=0.0, of="stamps !times"),
+    "SYNC, producer shifts, times": WireClass(
+        clocks.producer_shifts, torque=0.0, of="times !servo stamps", survives=True
+    ),
+    "SYNC, another rate": WireClass(clocks.producer_changes_rate, torque=0.0, of="stamps !times"),
+    "SYNC, another rate, times": WireClass(clocks.producer_changes_rate, torque=0.0, of="times !servo"),
+    "SYNC faster, TPDO 1": WireClass(clocks.faster_sync, torque=0.0, of="!counter !servo"),
+    "lost, then NMT": WireClass(clocks.lost_then_started, torque=0.0, of="!servo"),
+    "reset node in motion": WireClass(clocks.reset_in_motion, torque=0.0, of="!servo"),
+    "NMT pause, short": WireClass(clocks.short_pause, torque=0.0, of="!servo"),
+    "deaf, creeping": WireClass(clocks.creeping_deaf, torque=0.0, of="times !servo !counter"),
+    "PDO lost, 1, at the limit": WireClass(clocks.one_lost_at_the_limit, torque=0.0, of="times !servo"),
+    "1006h ten times, PDO lost": WireClass(
+        clocks.wrong_1006_and_lost, torque=0.0, of="!servo", survives=True
+    ),
+    "stall, one burst": WireClass(
+        clocks.stall_in_one_burst, torque=0.0, of="counter !times !stamps", survives=True
+    ),
+    "stall of all": WireClass(clocks.everything_stalls, torque=0.0, of="times !servo", survives=True),
+}
 STALLS = {
-    name: WireClass(name, (stalls(who, rate_hz, is_short),), torque=0.0, of="times !servo", survives=is_short)
+    name: WireClass(stalls(who, rate_hz, is_short), torque=0.0, of="times !servo", survives=is_short)
     for who in WHO
     for rate_hz in RATES_HZ
     for is_short in (True, False)
