@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from canfb.cia301.codes import AbortCode, SdoAbort
 
 NOT_VALID = 1 << 31  # Bit 31 of PDO, SDO and EMCY COB-IDs: the object does not exist.
@@ -40,13 +42,12 @@ def is_restricted(can_id: int) -> bool:
     return any(first <= can_id <= last for first, last in _RESTRICTED)
 
 
-def check(new: int, old: int, *, uses_new: bool, uses_old: bool) -> None:
+def check(new: int, old: int, exists: Callable[[int], object] = is_valid) -> None:
     """Refuse a COB-ID that an 11-bit device cannot use, or a change of one in use: SdoAbort 06090030h (CiA
     301, 7.5.2).
 
-    `uses_new` and `uses_old`: the object exists with the new and the old value.
+    `exists`: whether the object exists with a value.
     """
-    restricted = uses_new and is_restricted(new & CAN_ID)
-    moved = uses_new and uses_old and (new ^ old) & CAN_ID
-    if new & _EXTENDED_OR_RESERVED or restricted or moved:
+    wrong = exists(new) and (is_restricted(new & CAN_ID) or (exists(old) and (new ^ old) & CAN_ID))
+    if new & _EXTENDED_OR_RESERVED or wrong:
         raise SdoAbort(AbortCode.INVALID_VALUE)

@@ -38,7 +38,8 @@ class Emergency(Timed):
 
     @property
     def can_id(self) -> int | None:
-        return self._can_id() if self._is_valid() else None
+        value = self._cob_id.value
+        return int(value & cob.CAN_ID) if cob.is_valid(value) else None
 
     def reset(self) -> None:
         self._active.clear()
@@ -81,11 +82,12 @@ class Emergency(Timed):
         self._send(EmergencyCode.NO_ERROR, b"", now)
 
     def tick(self, now: float) -> None:
-        if not self._is_valid():
+        can_id = self.can_id
+        if can_id is None:
             self._waiting.clear()
-        while self._waiting and self._allowed and now >= self._not_before:
+        while can_id is not None and self._waiting and self._allowed and now >= self._not_before:
             data = self._waiting.popleft()
-            self._core.emit(Frame(self._can_id(), data))
+            self._core.emit(Frame(can_id, data))
             code, register, detail = EMERGENCY.unpack(data)
             self._core.application.emergency_sent(code, register, detail, now)
             inhibit = self._inhibit_s()
@@ -103,17 +105,14 @@ class Emergency(Timed):
         if len(self._waiting) == _WAITING:
             self._waiting.popleft()
             self._core.counters.lost_emergencies += 1
-        self._waiting.append(EMERGENCY.pack(code, self._bits(), manufacturer))
+        self._waiting.append(EMERGENCY.pack(code, self._register.value, manufacturer))
         self.tick(now)
 
-    def _bits(self) -> int:
+    def _set_register(self) -> None:
         bits = 0
         for own in self._active.values():
             bits |= own | ErrorRegister.GENERIC
-        return int(bits)
-
-    def _set_register(self) -> None:
-        self._register.value = self._bits()
+        self._register.value = int(bits)
 
     def _remember(self, code: int, manufacturer: bytes) -> None:
         if not self._history:
@@ -122,12 +121,6 @@ class Emergency(Timed):
             older.value = newer.value
         self._history[0].value = code | int.from_bytes(manufacturer[:2], "little") << 16
         self._history_count.value = min(self._history_count.value + 1, len(self._history))
-
-    def _is_valid(self) -> bool:
-        return cob.is_valid(self._cob_id.value)
-
-    def _can_id(self) -> int:
-        return int(self._cob_id.value & cob.CAN_ID)
 
     def _inhibit_s(self) -> float:
         return float(self._inhibit.value / 10_000)
@@ -150,8 +143,7 @@ class Emergency(Timed):
     def _check_cob_id(self, value: int) -> None:
         if value & cob.NO_RTR:
             raise SdoAbort(AbortCode.INVALID_VALUE)
-        old = self._cob_id.value
-        cob.check(value, old, uses_new=cob.is_valid(value), uses_old=cob.is_valid(old))
+        cob.check(value, self._cob_id.value)
 
 
 def check_error(code: int, register_bits: int, manufacturer: bytes) -> None:

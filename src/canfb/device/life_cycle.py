@@ -88,7 +88,6 @@ class Services:
     def __init__(self, core: Core, silence: Silence) -> None:
         self._core = core
         self._silence = silence
-        self._error_control_id = ERROR_CONTROL + core.node_id
         self.emergency = core.emergency = Emergency(core)  # first: the others report to it
         self.nmt = Nmt(core)
         self.error_behaviour = ErrorBehaviour(core.dictionary)
@@ -188,7 +187,7 @@ class Services:
             self.emergency.can_id,
             *(tpdo.configured_can_id for tpdo in self.pdos.tpdos.values()),
         }
-        return _without_none(sent - self._received_in_any_state() | {self._error_control_id})
+        return _without_none(sent - self._received_in_any_state() | {ERROR_CONTROL + self._core.node_id})
 
     def can_ids(self) -> CanIds:
         asked = {tpdo.configured_can_id for tpdo in self.pdos.tpdos.values()}
@@ -230,8 +229,6 @@ class LifeCycle(Reactions):
         bit_rates_kbit_s: Collection[int],
     ) -> None:
         self.core = core = Core(dictionary, node_id, application, self, sdo_timeout_s=sdo_timeout_s)
-        self._application = application
-        self._reason = ""  # why the NMT state changes in the running call; "" for a command or a start
         self.storage = Storage(core, store)
         self.startup = Startup(dictionary, autostart=autostart)
         self.silence = Silence(core)
@@ -285,7 +282,7 @@ class LifeCycle(Reactions):
         self.enter(NmtState.INITIALISING, now)
         self.services.configure(now)
         self.lss.reset()
-        self._application.reset_done(communication_only, now)
+        self.core.application.reset_done(communication_only, now)
         if self.storage.faults:
             self.storage.report_faults()
         self.services.producer.boot_up(now)
@@ -295,13 +292,13 @@ class LifeCycle(Reactions):
 
     # Reactions
 
-    def enter(self, state: NmtState, now: float) -> None:
+    def enter(self, state: NmtState, now: float, why: str = "") -> None:
         old = self.core.state
         if state is not old:
             self.core.state = state
             self.services.enter(old, state, now)
             self.pdo_changed()
-            self._application.state_changed(old, state, now, self._reason)
+            self.core.application.state_changed(old, state, now, why)
 
     def reset(self, communication_only: bool, now: float) -> None:
         last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
@@ -315,10 +312,8 @@ class LifeCycle(Reactions):
 
     def communication_error(self, why: str, now: float) -> None:
         """The NMT state of 1029h:01, and ``why``."""
-        self._application.communication_failed(now)
-        self._reason = why
-        self.enter(self.services.error_behaviour.reaction(self.core.state), now)
-        self._reason = ""
+        self.core.application.communication_failed(now)
+        self.enter(self.services.error_behaviour.reaction(self.core.state), now, why)
 
     def heartbeat_changed(self) -> None:
         if self.services.producer.is_active:
@@ -327,7 +322,7 @@ class LifeCycle(Reactions):
 
     def pdo_changed(self) -> None:
         self.routes_changed()
-        self._application.configuration_changed()
+        self.core.application.configuration_changed()
 
     def routes_changed(self) -> None:
         self.services.route()
@@ -340,7 +335,7 @@ class LifeCycle(Reactions):
             self.silence.begin(now + 2 * delay_s)
             self.services.silenced(now)
             self.routes_changed()
-        self._application.bit_rate_activated(kbit_s, delay_s, now)
+        self.core.application.bit_rate_activated(kbit_s, delay_s, now)
 
     def silence_ended(self, now: float) -> None:
         self.services.silence_ended(now)

@@ -21,12 +21,11 @@ from typing import Any, Protocol, runtime_checkable
 
 from canfb.cia301.codes import EmergencyCode, ErrorRegister, NmtState
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame
-from canfb.device.core import NEVER, Application, CanIds, Expiry, Groups, ProcessData
+from canfb.device.core import NEVER, Application, CanIds, Expiry, Groups
 from canfb.device.emergency import check_error
 from canfb.device.life_cycle import LifeCycle
 from canfb.device.lss import UNCONFIGURED, is_node_id
 from canfb.device.od.dictionary import Dictionary
-from canfb.device.pdo.mapping import rpdo_with
 from canfb.device.pdo.rpdo import Rpdo
 from canfb.device.sdo.server import TIMEOUT_S
 from canfb.device.storage.kept import ParameterGroup
@@ -95,14 +94,6 @@ class Node:
         self._silence = life.silence
         # By CAN-ID: what `sent` calls; the same mapping for the life of the node.
         self.inhibited = core.routes.sent
-
-    @property
-    def process(self) -> ProcessData:
-        return self._core.process
-
-    @process.setter
-    def process(self, process: ProcessData) -> None:
-        self._core.process = process
 
     @property
     def node_id(self) -> int:
@@ -203,7 +194,8 @@ class Node:
             follow(now)
 
     def rpdo_with(self, *objects: tuple[int, int]) -> int | None:
-        return rpdo_with(self.dictionary, objects)
+        rpdos = self._life.services.pdos.rpdos
+        return next((number for number, rpdo in rpdos.items() if rpdo.holds(objects)), None)
 
     def synchronous_rpdo(self, number: int) -> Rpdo | None:
         return self._life.services.pdos.synchronous_rpdo(number)
@@ -271,18 +263,15 @@ class Node:
 
     def _receive_other(self, can_id: int, data: bytes, rtr: bool, now: float) -> None:
         if rtr:
-            self._receive_remote(can_id, now)
+            handler = self._remote_routes.get(can_id)
+            if handler is None:
+                self.counters.remote_frames += 1
+            else:
+                handler(now)
         elif len(data) > LONGEST_DATA or not 0 <= can_id <= HIGHEST_ID:
             self.counters.malformed_frames += 1
         else:
             self.counters.unknown_cob_ids += 1
-
-    def _receive_remote(self, can_id: int, now: float) -> None:
-        handler = self._remote_routes.get(can_id)
-        if handler is None:
-            self.counters.remote_frames += 1
-        else:
-            handler(now)
 
 
 class Device(Protocol):

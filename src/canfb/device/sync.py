@@ -161,15 +161,9 @@ class Sync(Timed):
         self._core.reactions.routes_changed()
 
     def _check_cob_id(self, value: int) -> None:
-        old = self._cob_id.value
         if cob.is_restricted(value & cob.CAN_ID):
             raise SdoAbort(AbortCode.INVALID_VALUE)
-        cob.check(
-            value,
-            old,
-            uses_new=bool(value & cob.GENERATE),
-            uses_old=bool(old & cob.GENERATE),
-        )
+        cob.check(value, self._cob_id.value, lambda cob_id: cob_id & cob.GENERATE)
 
     def _check_overflow(self, value: int) -> None:
         if value == 1 or value > _LONGEST_COUNTER:
@@ -211,4 +205,4 @@ class TimeStamp:
 def _check_time_cob_id(value: int, old: int) -> None:
     if value & PRODUCE or cob.is_restricted(value & cob.CAN_ID):
         raise SdoAbort(AbortCode.INVALID_VALUE)
-    cob.check(value, old, uses_new=bool(value & CONSUME), uses_old=bool(old & CONSUME))
+    cob.check(value, old, lambda cob_id: cob_id & CONSUME)

@@ -26,6 +26,7 @@ from canfb.device.od.dcf import (
     turn,
 )
 from canfb.device.od.dictionary import Dictionary, Entry
+from canfb.device.storage.kept import is_within_limits
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.files import write_whole
@@ -151,7 +152,8 @@ def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes)
     return DeviceConfiguration(
         module.node.node_id,
         int(module.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER).value),
-        tuple(setting for setting in settings if _is_within_limits(setting)),
+        # A value beyond its own limits was not written, and cannot be.
+        tuple(setting for setting in settings if is_within_limits(*setting)),
         table,
     )
 
@@ -159,15 +161,6 @@ def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes)
 def _as_sent(entry: Entry, value: Any) -> Any:
     """A REAL32 has fewer digits than what a configuration gives."""
     return datatypes.decode(entry.data_type, datatypes.encode(entry.data_type, value))
-
-
-def _is_within_limits(setting: Setting) -> bool:
-    """A value beyond its own limits was not written, and cannot be."""
-    try:
-        setting.entry.check_limits(setting.value)
-    except SdoAbort:
-        return False
-    return True
 
 
 def _is_taken(module: FeedbackModule, write: Write) -> bool:

@@ -116,7 +116,7 @@ class FeedbackModule(NodeDevice):
         self._publishing = Publishing(dictionary, self, interval, self._limits, chain, self._input)
         self.observer = self.events
         grid = InterfaceGrid(chain, interval)
-        self.process = self._pairing = Pairing(
+        self._core.process = self._pairing = Pairing(
             dictionary,
             self,
             syncs,

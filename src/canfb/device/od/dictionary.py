@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from functools import lru_cache
@@ -139,18 +138,12 @@ class Entry:
         if self.on_check is not None:
             self.on_check(value)
 
-    def check_readable(self) -> None:
-        if self.access not in READABLE:
-            raise SdoAbort(AbortCode.WRITE_ONLY)
-
     def check_writable(self) -> None:
         if self.access not in WRITABLE:
             raise SdoAbort(AbortCode.READ_ONLY)
 
     def store(self, value: Any) -> None:
-        self.check_limits(value)
-        if self.on_check is not None:
-            self.on_check(value)
+        self.check(value)
         before, self.value = self.value, value
         if self.on_written is not None:
             try:
@@ -160,7 +153,8 @@ class Entry:
                 raise
 
     def upload(self) -> bytes:
-        self.check_readable()
+        if self.access not in READABLE:
+            raise SdoAbort(AbortCode.WRITE_ONLY)
         return self.encode()
 
     def download(self, data: bytes) -> None:
@@ -202,7 +196,6 @@ class Dictionary:
             for entry in sorted(entries, key=lambda entry: (entry.index, entry.subindex))
         }
         self._objects = {info.index: info for info in objects}
-        self._indices = sorted(self._objects)
         self.dummies = frozenset(dummies)
 
     @classmethod
@@ -265,8 +258,7 @@ class Dictionary:
         return iter(self._objects.values())
 
     def indices(self, area: range) -> Sequence[int]:
-        first, end = (bisect_left(self._indices, index) for index in (area.start, area.stop))
-        return self._indices[first:end]
+        return sorted(index for index in self._objects if index in area)
 
     def change_node_id(self, old: int, new: int) -> None:
         """Defaults with the node-ID in them, and values at such defaults, move."""

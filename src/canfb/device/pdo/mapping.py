@@ -7,7 +7,7 @@ step of the procedure is checked by `on_check` of its entry, so for SDO, restore
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import NamedTuple
 
@@ -77,18 +77,6 @@ def numbers(dictionary: Dictionary, direction: Direction) -> list[int]:
     return [index - first + 1 for index in dictionary.indices(range(first, first + len(PDO_NUMBERS)))]
 
 
-def rpdo_with(dictionary: Dictionary, objects: Iterable[tuple[int, int]]) -> int | None:
-    required = {index << 8 | subindex for index, subindex in objects}
-    for number in numbers(dictionary, Direction.RECEIVE):
-        mapping = MAPPING[Direction.RECEIVE] + number - 1
-        count = dictionary.entry(mapping).value
-        mapped = {dictionary.entry(mapping, place).value >> 8 for place in range(1, count + 1)}
-        cob_id = dictionary.entry(COMMUNICATION[Direction.RECEIVE] + number - 1, 1).value
-        if required <= mapped and cob.is_valid(cob_id):
-            return number
-    return None
-
-
 class PdoParameters:
     """14xxh and 16xxh, or 18xxh and 1Axxh, of one PDO, with the checks of the procedure.
 
@@ -126,6 +114,10 @@ class PdoParameters:
     def allows_remote(self) -> bool:
         return not self.cob_id.value & cob.NO_RTR
 
+    @property
+    def mappings(self) -> list[int]:
+        return [entry.value for entry in self.mapped[: self.count.value]]
+
     def further(self, subindex: int) -> Entry:
         return self._dictionary.assumed(self._communication, subindex)
 
@@ -143,9 +135,8 @@ class PdoParameters:
             entry.on_written = changed
 
     def _check_cob_id(self, value: int) -> None:
-        valid = cob.is_valid(value)
-        cob.check(value, self.cob_id.value, uses_new=valid, uses_old=self.is_valid)
-        if valid:
+        cob.check(value, self.cob_id.value)
+        if cob.is_valid(value):
             self._check_combination(value, self.type.value)
 
     def _check_type(self, value: int) -> None:
@@ -181,8 +172,7 @@ class PdoParameters:
         if self.count.value > len(self.mapped):
             raise ValueError(f"{where} counts {self.count.value} objects, but has {len(self.mapped)}")
         try:
-            mappings = [entry.value for entry in self.mapped[: self.count.value]]
-            return resolve_all(self._dictionary, mappings, self._direction)
+            return resolve_all(self._dictionary, self.mappings, self._direction)
         except SdoAbort as abort:
             raise ValueError(f"{where} is impossible: {abort}; correct the EDS") from abort
 

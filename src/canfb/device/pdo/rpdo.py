@@ -11,7 +11,7 @@ value.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from canfb.cia301 import datatypes
@@ -36,6 +36,7 @@ class Rpdo(Timed):
 
     def __init__(self, core: Core, number: int) -> None:
         self.number = number
+        self._source = "RPDO", number
         self._core = core
         self._counters = core.counters
         self._emergency = core.emergency
@@ -44,6 +45,11 @@ class Rpdo(Timed):
         self._timeout.on_written = self._written
         self._failed = False
         self.enable(False, 0.0)
+
+    def holds(self, objects: Iterable[tuple[int, int]]) -> bool:
+        """It is valid, and has these objects."""
+        mapped = {mapping >> 8 for mapping in self._parameters.mappings}
+        return self._parameters.is_valid and {index << 8 | sub for index, sub in objects} <= mapped
 
     @property
     def can_id(self) -> int | None:
@@ -76,16 +82,30 @@ class Rpdo(Timed):
 
     def _look_closely(self, data: bytes, now: float) -> bool:
         """Not simply to be taken over. False: not now, or not at all."""
-        if len(data) < self._length:
-            self._refuse(len(data), self._length, now)
+        received, mapped = len(data), self._length
+        if received < mapped:
+            self._counters.short_rpdos += 1
+            self._report(EmergencyCode.RPDO_LENGTH, bytes([self.number & 0xFF, received, mapped]), now)
+            self._clear(EmergencyCode.RPDO_LENGTH_EXCEEDED, now)
+            self._core.process.rpdo_too_short(self.number, received, mapped, now)
             return False
-        if len(data) > self._length:
-            self._accept_long(len(data), self._length, now)
+        if received > mapped:
+            self._counters.long_rpdos += 1
+            detail = bytes([self.number & 0xFF, received, mapped])
+            self._report(EmergencyCode.RPDO_LENGTH_EXCEEDED, detail, now)
+            self._clear(EmergencyCode.RPDO_LENGTH, now)
+            self._clear(EmergencyCode.RPDO_TIMEOUT, now)
+        elif self._failed:
+            self._clear_errors(now)
+        self.deadline = now + self._timeout_s if self._timeout_s else NEVER
+        if not self.is_synchronous:
+            return True
+        if now <= self._core.window_end:
+            self._pending = data
+            self.waiting += 1
         else:
-            self._supervise(now)
-        if self.is_synchronous:
-            self._keep(data, now)
-        return not self.is_synchronous
+            self._counters.late_rpdos += 1
+        return False
 
     def synchronise(self, now: float) -> None:
         data, self._pending, self.waiting = self._pending, None, 0
@@ -97,43 +117,15 @@ class Rpdo(Timed):
         self.deadline = NEVER
         self._report(EmergencyCode.RPDO_TIMEOUT, bytes([self.number & 0xFF]), now)
 
-    def _keep(self, data: bytes, now: float) -> None:
-        if now <= self._core.window_end:
-            self._pending = data
-            self.waiting += 1
-        else:
-            self._counters.late_rpdos += 1
-
-    def _refuse(self, received: int, mapped: int, now: float) -> None:
-        self._counters.short_rpdos += 1
-        self._report(EmergencyCode.RPDO_LENGTH, bytes([self.number & 0xFF, received, mapped]), now)
-        self._clear(EmergencyCode.RPDO_LENGTH_EXCEEDED, now)
-        self._core.process.rpdo_too_short(self.number, received, mapped, now)
-
-    def _accept_long(self, received: int, mapped: int, now: float) -> None:
-        self._counters.long_rpdos += 1
-        self._report(EmergencyCode.RPDO_LENGTH_EXCEEDED, bytes([self.number & 0xFF, received, mapped]), now)
-        self._clear(EmergencyCode.RPDO_LENGTH, now)
-        self._clear(EmergencyCode.RPDO_TIMEOUT, now)
-        self._restart_timeout(now)
-
     def _report(self, code: EmergencyCode, manufacturer: bytes, now: float) -> None:
         self._failed = True
         self._choose_usual()
         self._emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
 
-    def _supervise(self, now: float) -> None:
-        if self._failed:
-            self._clear_errors(now)
-        self._restart_timeout(now)
-
     def _choose_usual(self) -> None:
         """Bytes of a PDO that is taken over at once, and no more; -1: none is."""
         supervised = self._failed or self._timeout_s > 0
         self._usual_length = -1 if supervised or self.is_synchronous else self._length
-
-    def _restart_timeout(self, now: float) -> None:
-        self.deadline = now + self._timeout_s if self._timeout_s else NEVER
 
     def _clear_errors(self, now: float) -> None:
         self._failed = False
@@ -143,10 +135,6 @@ class Rpdo(Timed):
 
     def _clear(self, code: EmergencyCode, now: float) -> None:
         self._emergency.clear(code, now, self._source)
-
-    @property
-    def _source(self) -> tuple[str, int]:
-        return "RPDO", self.number
 
     def _written(self) -> None:
         now = self._core.call.now

@@ -80,6 +80,7 @@ class Tpdo(Timed):
         self._event_driven = self._is_active and self._type in EVENT_DRIVEN
         self._inhibit_s: float = self._inhibit.value / 10_000
         self._timer_s: float = self._event_timer.value / 1000 if self._event_driven else 0.0
+        self.is_inhibited = self._event_driven and self._inhibit_s > 0
         self._limited = self._inhibit_s > 0 or self._timer_s > 0
         self.at_event = self.send if self._event_driven and not self._limited else self.trigger
         if not self._inhibit_s:
@@ -120,24 +121,19 @@ class Tpdo(Timed):
         else:
             self.send(now)
 
-    @property
-    def is_inhibited(self) -> bool:
-        return self._event_driven and self._inhibit_s > 0
-
     def sent(self, now: float) -> None:
-        if self.is_inhibited:
-            self._not_before = now + self._inhibit_s
-            self._schedule()
+        """While it `is_inhibited`."""
+        self._not_before = now + self._inhibit_s
+        self._schedule()
 
     def tick(self, now: float) -> None:
-        timer_over = now >= self._timer_end
-        if (self._event and self._event_driven) or timer_over:
-            if now >= self._not_before:
-                self.send(now)
-            else:
-                self._event = True
-                self._timer_end = NEVER
-                self._schedule()
+        """An event that may go out now, or the event timer is over."""
+        if now >= self._not_before:
+            self.send(now)
+        else:
+            self._event = True
+            self._timer_end = NEVER
+            self._schedule()
 
     def _is_turn(self, counter: int | None) -> bool:
         if self._type == 0:
@@ -157,7 +153,7 @@ class Tpdo(Timed):
 
     def _restart(self, now: float) -> None:
         self._event = False
-        if self._inhibit_s and self._event_driven:
+        if self.is_inhibited:
             self._not_before = now + self._inhibit_s
         if self._timer_s:
             self._timer_end = now + self._timer_s
@@ -183,7 +179,14 @@ def packer(slots: Sequence[Slot]) -> Pack:
         return bit_packer(slots)
     pack = whole.pack
     if any(entry.on_read for entry in entries) or len(entries) not in (1, 2, 3):
-        return _packer_of_any(pack, entries)
+
+        def pack_any() -> bytes:
+            try:
+                return pack(*[entry.current() for entry in entries])
+            except UNFIT:
+                raise _unfit(entries) from None
+
+        return pack_any
     first, second, third = (entries * 3)[:3]
 
     def pack_one() -> bytes:
@@ -205,16 +208,6 @@ def packer(slots: Sequence[Slot]) -> Pack:
             raise _unfit(entries) from None
 
     return (pack_one, pack_two, pack_three)[len(entries) - 1]
-
-
-def _packer_of_any(pack: Callable[..., bytes], entries: tuple[Entry, ...]) -> Pack:
-    def pack_any() -> bytes:
-        try:
-            return pack(*[entry.current() for entry in entries])
-        except UNFIT:
-            raise _unfit(entries) from None
-
-    return pack_any
 
 
 def _unfit(entries: tuple[Entry, ...]) -> ValueError:

@@ -140,8 +140,7 @@ class SdoServer(Timed):
         return SegmentedDownload(multiplexer, entry, announced, self._reply)
 
     def _upload(self, data: bytes) -> Transfer | None:
-        content = self._entry(data).upload()
-        return self._answer_upload(data[1:4], content)
+        return self._answer_upload(data[1:4], self._entry(data).upload())
 
     def _answer_upload(self, multiplexer: bytes, content: bytes) -> Transfer | None:
         if 1 <= len(content) <= 4:
@@ -210,8 +209,7 @@ class SdoChannel:
         def check(value: int) -> None:
             if value & _DYNAMIC:
                 raise SdoAbort(AbortCode.INVALID_VALUE)
-            valid = cob.is_valid(value)
-            cob.check(value, entry.value, uses_new=valid, uses_old=cob.is_valid(entry.value))
+            cob.check(value, entry.value)
 
         def written() -> None:
             self.configure()

@@ -53,15 +53,6 @@ class Transfer(ABC):
         """Go on sending after the pause."""
 
 
-def check_size(entry: Entry, size: int) -> None:
-    """Refuse an announced size, bytes, before any data comes."""
-    expected = entry.byte_length
-    if expected and size != expected:
-        raise SdoAbort(AbortCode.TOO_LONG if size > expected else AbortCode.TOO_SHORT)
-    if size > LARGEST_DOWNLOAD:
-        raise SdoAbort(AbortCode.OUT_OF_MEMORY)
-
-
 def check_received(entry: Entry, received: int, announced: int | None) -> None:
     """Refuse more data, bytes, than was announced, or than the entry takes."""
     limit = entry.byte_length if announced is None else announced
@@ -122,8 +113,11 @@ class Download(Transfer):
     """Client to server; written when all is there."""
 
     def __init__(self, multiplexer: bytes, entry: Entry, announced: int | None, reply: Reply) -> None:
-        if announced is not None:
-            check_size(entry, announced)
+        expected, size = entry.byte_length, announced or 0
+        if announced is not None and expected and size != expected:
+            raise SdoAbort(AbortCode.TOO_LONG if size > expected else AbortCode.TOO_SHORT)
+        if size > LARGEST_DOWNLOAD:
+            raise SdoAbort(AbortCode.OUT_OF_MEMORY)
         super().__init__(multiplexer, reply)
         self.target: Entry = entry
         self._announced = announced
@@ -178,11 +172,6 @@ _DOWNLOAD_END = 0xA1
 CRC_SUPPORTED = 0x04
 
 
-def crc16(data: bytes) -> int:
-    """The CRC of block transfers: polynomial 1021h, start 0."""
-    return crc_hqx(data, 0)
-
-
 # Client subcommands of an upload: the one that is expected is its phase.
 _END, _ACKNOWLEDGE, _START = 1, 2, 3
 
@@ -217,49 +206,37 @@ class BlockUpload(Transfer):
         if subcommand == _ACKNOWLEDGE:
             self._acknowledge(data[1], data[2])
         if self._expected != _END:
-            self._begin_block()
+            self._sequence = 0
+            self._expected = _ACKNOWLEDGE
+            self.pause = PAUSE_S
+            self.proceed()
         return True
 
     def proceed(self) -> None:
         for _ in range(BURST):
-            self._send_segment()
-            if self._sequence == self._block_size or self._is_last(self._sequence):
+            start = self._confirmed + self._sequence * _SEGMENT
+            self._sequence += 1
+            last = start + _SEGMENT >= len(self._data)
+            command = self._sequence | (_LAST_OF_BLOCK if last else 0)
+            self._reply(bytes([command]) + self._data[start : start + _SEGMENT])
+            if last or self._sequence == self._block_size:
                 self.pause = NEVER
                 return
-
-    def _begin_block(self) -> None:
-        self._sequence = 0
-        self._expected = _ACKNOWLEDGE
-        self.pause = PAUSE_S
-        self.proceed()
 
     def _acknowledge(self, sequence: int, block_size: int) -> None:
         if sequence > self._sequence:
             raise SdoAbort(AbortCode.SEQUENCE_NUMBER)
         _check_block_size(block_size)
-        complete = sequence > 0 and self._is_last(sequence)
         self._block_size = block_size
         confirmed = self._confirmed + sequence * _SEGMENT
         if self._with_crc:  # portion by portion: PDOs must not wait for that of a megabyte
             self._crc = crc_hqx(self._data[self._confirmed : confirmed], self._crc)
         self._confirmed = confirmed
-        if complete:
-            self._send_end()
-
-    def _is_last(self, sequence: int) -> bool:
-        return self._confirmed + sequence * _SEGMENT >= len(self._data)
-
-    def _send_segment(self) -> None:
-        start = self._confirmed + self._sequence * _SEGMENT
-        self._sequence += 1
-        last = _LAST_OF_BLOCK if self._is_last(self._sequence) else 0
-        self._reply(bytes([last | self._sequence]) + self._data[start : start + _SEGMENT])
-
-    def _send_end(self) -> None:
-        self._expected = _END
-        self.pause = NEVER
-        unused = -len(self._data) % _SEGMENT if self._data else _SEGMENT
-        self._reply(bytes([_UPLOAD_END | unused << 2]) + self._crc.to_bytes(2, "little"))
+        if sequence and confirmed >= len(self._data):
+            self._expected = _END
+            self.pause = NEVER
+            unused = -len(self._data) % _SEGMENT if self._data else _SEGMENT
+            self._reply(bytes([_UPLOAD_END | unused << 2]) + self._crc.to_bytes(2, "little"))
 
 
 class BlockDownload(Download):
@@ -309,7 +286,7 @@ class BlockDownload(Download):
 
     def _end(self, unused: int, crc: int) -> None:
         content = bytes(self._received[: len(self._received) - unused])
-        if self._with_crc and crc != crc16(content):
+        if self._with_crc and crc != crc_hqx(content, 0):
             raise SdoAbort(AbortCode.CRC)
         finish_download(self.target, content, self._announced)
         self._reply(bytes([_DOWNLOAD_END]))

@@ -179,7 +179,7 @@ class KeptEntries:
     def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
         saved = {place: value() for place, value in self._saved_value.items()}
         values = ((entry, saved.get((entry.index, entry.subindex), entry.value)) for entry in self.of(group))
-        return [_record(entry, value, node_id) for entry, value in values if _is_within_limits(entry, value)]
+        return [_record(entry, value, node_id) for entry, value in values if is_within_limits(entry, value)]
 
 
 def _record(entry: Entry, value: Any, node_id: int) -> Record:
@@ -196,7 +196,7 @@ def restored_value(entry: Entry, record: Record, node_id: int) -> Any:
     return entry.decode(value.to_bytes(len(record.data), "little"))
 
 
-def _is_within_limits(entry: Entry, value: Any) -> bool:
+def is_within_limits(entry: Entry, value: Any) -> bool:
     try:
         entry.check_limits(value)
     except SdoAbort:

@@ -61,20 +61,16 @@ class Writing(Timed):
         self._store = store
         self._background = store if isinstance(store, BackgroundStore) else None
         self._now = now
-        self._waiting: deque[Done] = deque()
-
-    @property
-    def is_busy(self) -> bool:
-        return bool(self._waiting)
+        self.waiting: deque[Done] = deque()
 
     def write(self, changes: Changes, done: Done) -> None:
         """Keep `changes` and call `done`, now or in a later :meth:`tick`. EBUSY if too many wait."""
         if self._background is not None:
-            if len(self._waiting) >= MOST_WAITING:
+            if len(self.waiting) >= MOST_WAITING:
                 done(OSError(errno.EBUSY, "the store is still writing"))
                 return
             self._background.begin(changes)
-            self._waiting.append(done)
+            self.waiting.append(done)
             self.deadline = self._now() + POLL_S
             return
         try:
@@ -87,8 +83,8 @@ class Writing(Timed):
     def tick(self, now: float) -> None:
         ended = () if self._background is None else self._background.ended()
         for error in ended:
-            self._waiting.popleft()(error)
-        self.deadline = now + POLL_S if self._waiting else NEVER
+            self.waiting.popleft()(error)
+        self.deadline = now + POLL_S if self.waiting else NEVER
 
 
 SAVE, LOAD, VERIFY = 0x1010, 0x1011, 0x1020
@@ -216,7 +212,7 @@ class Storage:
 
     def _load(self, subindex: int) -> None:
         # What is on its way into the store may be in any group.
-        busy = self.writing is not None and self.writing.is_busy
+        busy = self.writing is not None and bool(self.writing.waiting)
         there = [
             group for group in _groups(subindex) if busy or group in self._images or group in self.faults
         ]
