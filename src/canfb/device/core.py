@@ -298,14 +298,6 @@ class Reactions(ABC):
     """What follows from what a service notices; `now` in seconds."""
 
     @abstractmethod
-    def enter(self, state: NmtState, now: float) -> None:
-        """NMT commands this state."""
-
-    @abstractmethod
-    def reset(self, communication_only: bool, now: float) -> None:
-        """NMT resets the node, or its communication only."""
-
-    @abstractmethod
     def communication_error(self, why: str, now: float) -> None:
         """Heartbeat or guarding master is lost."""
 
@@ -328,10 +320,6 @@ class Reactions(ABC):
     @abstractmethod
     def lss_left(self, now: float) -> None:
         """LSS leaves the configuration state."""
-
-    @abstractmethod
-    def silence_ended(self, now: float) -> None:
-        """The silence is over."""
 
 
 class ErrorReports(Protocol):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Hashable
+from functools import partial
 
 from canfb.cia301 import cob
 from canfb.cia301.codes import EMERGENCY, AbortCode, EmergencyCode, ErrorRegister, SdoAbort
@@ -34,7 +35,11 @@ class Emergency(Timed):
         self._waiting: deque[bytes] = deque()
         self._allowed = False
         self._not_before = -NEVER
-        self._install()
+        self._cob_id.on_check = self._check_cob_id
+        self._cob_id.on_written = core.reactions.routes_changed
+        self._history_count.on_check = refuse_if(bool)  # 0 clears the history
+        for entry in self._history:
+            entry.on_read = partial(self._remembered, entry)
 
     @property
     def can_id(self) -> int | None:
@@ -125,20 +130,10 @@ class Emergency(Timed):
     def _inhibit_s(self) -> float:
         return float(self._inhibit.value / 10_000)
 
-    def _install(self) -> None:
-        self._cob_id.on_check = self._check_cob_id
-        self._cob_id.on_written = self._core.reactions.routes_changed
-        self._history_count.on_check = refuse_if(bool)  # 0 clears the history
-        for entry in self._history:
-            self._install_history(entry)
-
-    def _install_history(self, entry: Entry) -> None:
-        def read() -> int:
-            if entry.subindex > self._history_count.value:
-                raise SdoAbort(AbortCode.NO_DATA)
-            return int(entry.value)
-
-        entry.on_read = read
+    def _remembered(self, entry: Entry) -> int:
+        if entry.subindex > self._history_count.value:
+            raise SdoAbort(AbortCode.NO_DATA)
+        return int(entry.value)
 
     def _check_cob_id(self, value: int) -> None:
         if value & cob.NO_RTR:

@@ -17,10 +17,11 @@ from canfb.device.emergency import Emergency
 from canfb.device.lss import REQUEST_ID, UNCONFIGURED, LssSlave
 from canfb.device.nmt_slave import (
     COMMUNICATING,
+    COMMUNICATION_ONLY,
+    NEXT_STATE,
     ErrorBehaviour,
     HeartbeatConsumer,
     HeartbeatProducer,
-    Nmt,
     NodeGuarding,
     Startup,
 )
@@ -33,10 +34,10 @@ from canfb.device.sync import Pdos, Sync, TimeStamp
 class Silence(Timed):
     """Whether the device is silent, and until when; `boot_up_pending`: a boot-up fell into it."""
 
-    def __init__(self, core: Core) -> None:
+    def __init__(self, life: LifeCycle) -> None:
         self.active = False
         self.boot_up_pending = False
-        self._reactions = core.reactions
+        self._life = life
 
     def begin(self, until: float) -> None:
         self.deadline = max(until, self.deadline) if self.active else until
@@ -45,7 +46,7 @@ class Silence(Timed):
     def tick(self, now: float) -> None:
         self.deadline = NEVER
         self.active = False
-        self._reactions.silence_ended(now)
+        self._life.silence_ended(now)
         self.boot_up_pending = False
 
 
@@ -89,7 +90,6 @@ class Services:
         self._core = core
         self._silence = silence
         self.emergency = core.emergency = Emergency(core)  # first: the others report to it
-        self.nmt = Nmt(core)
         self.error_behaviour = ErrorBehaviour(core.dictionary)
         self.duplicates = DuplicateWatch(core)
         self.producer = HeartbeatProducer(core)
@@ -163,7 +163,6 @@ class Services:
         routes.sent[self.emergency.can_id] = self.emergency.sent
         if state is NmtState.INITIALISING:
             return
-        routes.add(NMT_COMMAND, self.nmt.handle)
         routes.remote[self.guarding.can_id] = self.guarding.request
         for can_id, handler in self.consumer.routes().items():
             routes.add(can_id, handler)
@@ -231,7 +230,7 @@ class LifeCycle(Reactions):
         self.core = core = Core(dictionary, node_id, application, self, sdo_timeout_s=sdo_timeout_s)
         self.storage = Storage(core, store)
         self.startup = Startup(dictionary, autostart=autostart)
-        self.silence = Silence(core)
+        self.silence = Silence(self)
         self.lss = LssSlave(core, self.storage, bit_rates_kbit_s)
         self._make_services()
 
@@ -290,7 +289,20 @@ class LifeCycle(Reactions):
         if self.startup.autostart:
             self.enter(NmtState.OPERATIONAL, now)
 
-    # Reactions
+    def command(self, data: bytes, now: float) -> None:
+        """Obey the NMT master."""
+        if len(data) != 2:
+            self.core.counters.malformed_frames += 1
+            return
+        command, node_id = data
+        if node_id not in (0, self.core.node_id):
+            return
+        if command in NEXT_STATE:
+            self.enter(NEXT_STATE[command], now)
+        elif command in COMMUNICATION_ONLY:
+            self.reset(COMMUNICATION_ONLY[command], now)
+        else:
+            self.core.counters.malformed_frames += 1
 
     def enter(self, state: NmtState, now: float, why: str = "") -> None:
         old = self.core.state
@@ -310,6 +322,8 @@ class LifeCycle(Reactions):
         self.storage.restore(communication_only=communication_only)
         self._begin(communication_only, now)
 
+    # Reactions
+
     def communication_error(self, why: str, now: float) -> None:
         """The NMT state of 1029h:01, and ``why``."""
         self.core.application.communication_failed(now)
@@ -327,6 +341,8 @@ class LifeCycle(Reactions):
     def routes_changed(self) -> None:
         self.services.route()
         self.core.routes.add(REQUEST_ID, self.lss.handle)
+        if self.core.state is not NmtState.INITIALISING:
+            self.core.routes.add(NMT_COMMAND, self.command)
 
     def bit_rate_activated(self, kbit_s: int, delay_s: float) -> None:
         """Silence; the program changes the bit rate."""

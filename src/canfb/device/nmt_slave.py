@@ -16,13 +16,13 @@ from canfb.device.od.dictionary import Dictionary, Entry, refuse_if
 COMMUNICATING = frozenset({NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL})
 
 # Where a command leads, from any state but INITIALISING.
-NEXT_STATE = {
+NEXT_STATE: dict[int, NmtState] = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
     NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
 }
 
-COMMUNICATION_ONLY = {NmtCommand.RESET_NODE: False, NmtCommand.RESET_COMMUNICATION: True}
+COMMUNICATION_ONLY: dict[int, bool] = {NmtCommand.RESET_NODE: False, NmtCommand.RESET_COMMUNICATION: True}
 
 # What 1029h makes of a communication error, by its value and the present state.
 REACTION = {
@@ -32,27 +32,6 @@ REACTION = {
 }
 
 WAIT_FOR_MASTER = 1 << 2  # Bit 2 of 1F80h: the node does not go to OPERATIONAL by itself.
-
-
-class Nmt:
-    """Obeys the NMT master."""
-
-    def __init__(self, core: Core) -> None:
-        self._core = core
-
-    def handle(self, data: bytes, now: float) -> None:
-        if len(data) != 2:
-            self._core.counters.malformed_frames += 1
-            return
-        command, node_id = data
-        if node_id not in (0, self._core.node_id):
-            return
-        if command in NEXT_STATE:
-            self._core.reactions.enter(NEXT_STATE[NmtCommand(command)], now)
-        elif command in COMMUNICATION_ONLY:
-            self._core.reactions.reset(COMMUNICATION_ONLY[NmtCommand(command)], now)
-        else:
-            self._core.counters.malformed_frames += 1
 
 
 class Startup:

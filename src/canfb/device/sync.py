@@ -72,11 +72,12 @@ class Sync(Timed):
         self._window = dictionary.assumed(0x1007)
         self._overflow = dictionary.assumed(0x1019)
         self._enabled = False
-        self._length_error = False
-        core.window_s, core.window_end = 0.0, NEVER
         self._counter = 0
-        self._install()
-        self._read()
+        self._cob_id.on_check = self._check_cob_id
+        self._overflow.on_check = self._check_overflow
+        self._cob_id.on_written = self._period.on_written = self._restart
+        self._window.on_written = self._overflow.on_written = self._read
+        self.configure()
 
     def configure(self) -> None:
         self._core.window_end = NEVER
@@ -148,12 +149,6 @@ class Sync(Timed):
         self._counter = 0
         running = self._enabled and self.generates
         self.deadline = now + self._period_s if running else NEVER
-
-    def _install(self) -> None:
-        self._cob_id.on_check = self._check_cob_id
-        self._overflow.on_check = self._check_overflow
-        self._cob_id.on_written = self._period.on_written = self._restart
-        self._window.on_written = self._overflow.on_written = self._read
 
     def _restart(self) -> None:
         self._read()

@@ -99,7 +99,12 @@ class PdoParameters:
         self.type = dictionary.entry(self._communication, 2)
         self.count = dictionary.entry(self._mapping, 0)
         self.mapped = [entry for entry in dictionary if entry.index == self._mapping and entry.subindex]
-        self._install(changed)
+        self.cob_id.on_check = self._check_cob_id
+        self.type.on_check = self._check_type
+        self.count.on_check = self._check_count
+        for entry in self.mapped:
+            entry.on_check = self._check_mapping
+        self.cob_id.on_written = self.type.on_written = changed
         self._slots()
 
     @property
@@ -124,15 +129,6 @@ class PdoParameters:
     def active_slots(self) -> list[Slot]:
         """The mapped objects of a valid PDO. ValueError for the impossible."""
         return self._slots() if self.is_valid else []
-
-    def _install(self, changed: Callable[[], None]) -> None:
-        self.cob_id.on_check = self._check_cob_id
-        self.type.on_check = self._check_type
-        self.count.on_check = self._check_count
-        for entry in self.mapped:
-            entry.on_check = self._check_mapping
-        for entry in (self.cob_id, self.type):
-            entry.on_written = changed
 
     def _check_cob_id(self, value: int) -> None:
         cob.check(value, self.cob_id.value)
