@@ -215,9 +215,9 @@ def modules() -> list[FeedbackModule]:
 
 def state_of(module: FeedbackModule) -> tuple[Any, ...]:
     """All that the module holds; what it does not listen to is counted where it arrives only."""
-    counters = asdict(module.node.counters) | {"unknown_cob_ids": 0, "remote_frames": 0}
+    counters = asdict(module.counters) | {"unknown_cob_ids": 0, "remote_frames": 0}
     values = {(entry.index, entry.subindex): entry.value for entry in module.dictionary}
-    return module.node.node_id, module.state, counters, values, module.feedback, module.limits
+    return module.node_id, module.state, counters, values, module.feedback, module.limits
 
 
 def played(plan: list[Batch], dispatched: bool) -> Outcome:

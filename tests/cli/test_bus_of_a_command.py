@@ -161,5 +161,5 @@ def test_each_command_reaches_the_state_that_its_help_names(
     module.start(0.0)
     sent_back = [frame for can_id, data in frames for frame in module.receive(Frame(can_id, data), 1.0)]
     sent_back += module.tick(2.0)
-    assert module.node.state is state
+    assert module.state is state
     assert (Frame(0x720, b"\0") in sent_back) is asked, "a reset ends with the boot-up"

@@ -118,7 +118,7 @@ class DriveNetwork:
 def assert_all_quiet(network: DriveNetwork) -> None:
     """PRE-OPERATIONAL, no power, and no SYNC any more."""
     assert network.module.state is NmtState.PRE_OPERATIONAL
-    assert network.interface.node.state is NmtState.PRE_OPERATIONAL
+    assert network.interface.state is NmtState.PRE_OPERATIONAL
     assert network.drive.state is NmtState.PRE_OPERATIONAL
     assert network.drive.power in (State.SWITCH_ON_DISABLED, State.FAULT)
     syncs = network.plant.syncs

@@ -123,7 +123,7 @@ def test_a_failure_undoes_what_was_written(tmp_path: Path, refused: int) -> None
     changed = {place: value for place, value in network.values().items() if value != before[place]}
     assert changed == {}
     assert network.module.state is NmtState.PRE_OPERATIONAL
-    assert network.interface.node.state is NmtState.PRE_OPERATIONAL
+    assert network.interface.state is NmtState.PRE_OPERATIONAL
 
 
 def test_what_a_node_does_not_take_is_noticed(tmp_path: Path) -> None:

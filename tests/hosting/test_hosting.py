@@ -119,7 +119,7 @@ def running(config: Path) -> Iterator[Path]:
         thread.start()
         assert ready.wait(60.0)
         yield config
-        assert [module.node.counters.duplicate_frames for module in hosting.modules] == [0, 0]
+        assert [module.counters.duplicate_frames for module in hosting.modules] == [0, 0]
         hosting.stop()
         thread.join()
 

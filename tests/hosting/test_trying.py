@@ -67,9 +67,9 @@ def test_a_master_has_started_it_and_others_talk_to_it(multicast_bus: can.BusABC
             with BusMaster(open_bus(words), PATIENCE_S) as master:
                 assert master.sdo(NODE).upload(0x1000, 0) == bytes.fromhex("96010400")
                 master.send(NMT, bytes([0x80, NODE]))  # PRE-OPERATIONAL
-                while network.module.feedback is not None and network.module.node.state.name == "OPERATIONAL":
+                while network.module.feedback is not None and network.module.state.name == "OPERATIONAL":
                     wait_for(listener, cob.SYNC)
-        counters = network.module.node.counters
+        counters = network.module.counters
         assert counters.duplicate_frames == 0, "it does not hear itself"
 
 

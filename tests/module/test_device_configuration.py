@@ -45,7 +45,7 @@ NODE_ID = 32
 RESET_NODE, START = Frame(0, bytes([0x81, NODE_ID])), Frame(0, bytes([0x01, NODE_ID]))
 PDOS = (0x1400, 0x1401, 0x1800, 0x1801, 0x1802, 0x1803)
 TEMPLATE = FeedbackModule(ModuleConfig(node_id=NODE_ID))
-SETTINGS = list(TEMPLATE.node.storage.entries.settings())
+SETTINGS = list(TEMPLATE.storage.entries.settings())
 
 
 def mappable(access: tuple[str, ...]) -> list[int]:
@@ -153,7 +153,7 @@ def state(module: FeedbackModule) -> dict[Any, Any]:
         "offset": module.dictionary.entry(0x6509).value,
         "resolution": module.dictionary.entry(0x6501).value,
         "conditioning": [datatypes.encode(DataType.REAL32, value) for value in vars(active).values()],
-        "autostart": module.node.autostart,
+        "autostart": module.autostart,
     }
 
 

@@ -125,7 +125,7 @@ def test_a_boot_up_and_an_emergency_that_fall_into_it_follow(line: Line) -> None
     line.switch()
     assert line.sent(Frame(0, bytes([130, NODE_ID]))) == []
     assert line.module.state is NmtState.PRE_OPERATIONAL
-    line.module.node.emergency(0x1000, 1, b"", line.bus.now)
+    line.module.emergency(0x1000, 1, b"", line.bus.now)
     after = [frame for _, frame in line.run(0.2, samples=False)]
     assert [(frame.can_id, frame.data[:2]) for frame in after[:2]] == [
         (BOOT_UP, b"\x00"),

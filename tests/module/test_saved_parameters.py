@@ -63,7 +63,7 @@ def test_table_conditioning_and_parameters_come_back(store: MemoryStore) -> None
         assert again.sdo[0x2020][5].raw == 64
         assert (again.sdo[0x2001][3].raw, again.sdo[0x2001][4].raw) == (100, 200)
         assert (again.sdo[0x6001].raw, again.sdo[0x6500].raw) == (3600, 4)
-        assert again.module.node.storage.faults == {}
+        assert again.module.storage.faults == {}
         assert again.alarms() == []
     first.remote.nmt.send_command(0x82)
     first.load(4)
@@ -193,7 +193,7 @@ def test_what_one_configuration_saves_another_restores(before: dict[str, Any], a
     first = Bench(store, **before)
     first.save()
     second = Bench(store, **after)
-    assert second.module.node.storage.faults == {}
+    assert second.module.storage.faults == {}
     one, other = (configuration_of(machine.module) for machine in (first, second))
     differing = {place for place, value in one.values().items() if other.values()[place] != value}
     cob_ids = {(0x1014, 0), *((base + n, 1) for base in (0x1400, 0x1800) for n in range(4))}
@@ -207,7 +207,7 @@ def test_a_cob_id_of_another_node_does_not_follow_the_node_id(cob_id: int) -> No
     second = SecondPositionConfig(increments=1, revolutions=1, cob_id=cob_id)
     Bench(store, node_id=33, second_position=second).save()
     restored = Bench(store).module
-    assert restored.node.storage.faults == {}
+    assert restored.storage.faults == {}
     assert restored.dictionary.entry(0x1401, 1).value == cob_id
 
 
@@ -244,7 +244,7 @@ def test_the_master_that_sets_a_node_id(monkeypatch: pytest.MonkeyPatch) -> None
     bus.attach(module)
     (program,) = blocks(LSS, "python")
     exec(program, {})
-    assert module.node.node_id == 0x21
+    assert module.node_id == 0x21
     assert FeedbackModule(config, store).start(0.0) == [Frame(0x721, b"\x00")]
 
 

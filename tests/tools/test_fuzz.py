@@ -83,14 +83,14 @@ class Rogue:
     """A device that sends one frame more with each frame that it receives."""
 
     def __init__(self, run: Play, extra: Frame) -> None:
-        device = run.device
+        self._device, self._extra = run.device, extra
         run.device = self  # type: ignore[assignment]
-        self.node, self.start = device.node, device.start
-        self.tick, self.deadline = device.tick, device.deadline
-        self._receive, self._extra = device.receive, extra
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._device, name)
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
-        return [*self._receive(frame, now), self._extra]
+        return [*self._device.receive(frame, now), self._extra]
 
 
 FIRST_ANSWER = body.FIRST_ANSWER + NODE_ID
@@ -121,7 +121,7 @@ def test_a_frame_that_must_not_be_is_found(command: int, extra: Frame, text: str
 
 def test_a_flood_is_found() -> None:
     run = started(MODULE)
-    run.device.node._outbox.extend([Frame(0x720, b"\x05")] * 161)
+    run.device._outbox.extend([Frame(0x720, b"\x05")] * 161)
     with pytest.raises(Broken, match="frames at once"):
         run.tick()
 

@@ -105,12 +105,12 @@ class Play:
 
     @property
     def state(self) -> NmtState:
-        return self.device.node.state
+        return self.device.state
 
     @property
     def node_id(self) -> int:
         """The present one: LSS may change it."""
-        return self.device.node.node_id
+        return self.device.node_id
 
     @property
     def _is_configured(self) -> bool:
@@ -122,10 +122,9 @@ class Play:
         self._check_deadline()
 
     def receive(self, frame: Frame) -> list[Frame]:
-        node = self.device.node
-        state, may = node.state, self._services()
+        state, may = self.device.state, self._services()
         if state in COMMUNICATING and not frame.rtr:
-            if frame.can_id == 0x600 + node.node_id:
+            if frame.can_id == 0x600 + self.device.node_id:
                 self._first.request(frame.data)
             if may.second is not None and frame.can_id == may.second[0]:
                 self._second.request(frame.data)

@@ -378,10 +378,6 @@ class NodeDevice(Node, Application):
         self.on_duplicate: Callable[[int, float], None] = lambda can_id, now: None
         self.on_bit_rate: Callable[[int, float, float], None] = lambda kbit_s, delay_s, now: None
 
-    @property
-    def node(self) -> Node:
-        return self
-
     # Application: called by the node.
 
     def state_changed(self, old: NmtState, new: NmtState, now: float, why: str) -> None:

@@ -89,9 +89,7 @@ SUMMED_UP = (  # in the closing line
 
 
 def name_of(device: NodeDevice) -> str:
-    device.storage.power_on()  # a node-ID stored by LSS takes precedence over the configuration
-    device.lss.power_on()
-    node_id = device.lss.pending_node_id
+    node_id = device.node_id_at_power_on()
     if node_id == UNCONFIGURED:
         return f"without a node-ID yet (LSS, serial number {_serial_number(device)})"
     return f"{node_id} ({node_id:02X}h)"
@@ -120,7 +118,7 @@ def _serial_number(device: NodeDevice) -> int:
 
 def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
     """A line on configured values that saved ones replace, or none."""
-    module.node.storage.restore()  # the start does it again
+    module.storage.restore()  # the start does it again
     changed = []
     for index, subindex in configured_defaults(module.config):
         entry = module.dictionary.entry(index, subindex)

@@ -140,7 +140,7 @@ class Hosting(OnBus):
         ]
 
     def _node_ids(self) -> list[int]:
-        node_ids = [device.node.node_id_at_power_on() for device in self._nodes]
+        node_ids = [device.node_id_at_power_on() for device in self._nodes]
         return [node_id for node_id in node_ids if node_id != UNCONFIGURED]
 
     def _meanwhile(self, now: float) -> None:
@@ -291,12 +291,12 @@ def saved_configuration(config: ModuleConfig) -> DeviceConfiguration:
     store = None if config.state_dir is None else SavedParameters(config.state_dir)
     module = FeedbackModule(config, store, source=None if config.source is None else _NoSource())
     module.start(0.0)
-    if module.node.node_id == UNCONFIGURED:
+    if module.node_id == UNCONFIGURED:
         raise ConfigError(
             f"the module with serial number {config.serial_number} has no node-ID yet; a DCF needs one: "
             "set node_id in the configuration, or assign one by LSS"
         )
-    for group, why in module.node.storage.faults.items():
+    for group, why in module.storage.faults.items():
         raise CanfbError(f"stored {group.name.lower()} parameters in {config.state_dir} refused: {why}")
     return configuration_of(module)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -117,16 +117,10 @@ class DeviceConfiguration:
         module = FeedbackModule(ModuleConfig(node_id=self.node_id))
         module.start(0.0)
         pdos = [write for write in self.writes() if write.index in _PDOS]
-        return [
-            (write.index, write.subindex)
-            for write in [*pdos, *self._ascending()]
-            if not _is_taken(module, write)
-        ]
-
-    def _ascending(self) -> Iterator[Write]:
         writes = [setting.write(setting.value) for setting in self.settings]
-        others = [write for write in writes if write.index not in _PDOS]
-        yield from sorted([*others, *self._table_writes()], key=lambda write: (write.index, write.subindex))
+        others = [write for write in [*writes, *self._table_writes()] if write.index not in _PDOS]
+        others.sort(key=lambda write: (write.index, write.subindex))
+        return [(write.index, write.subindex) for write in [*pdos, *others] if not _is_taken(module, write)]
 
     def _table_writes(self) -> list[Write]:
         activate = Write(*od.TABLE_ACTIVATE, self.table_crc32.to_bytes(4, "little"))
@@ -147,10 +141,10 @@ def configuration_read(
 
 
 def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes) -> DeviceConfiguration:
-    entries = module.node.storage.entries.settings()
+    entries = module.storage.entries.settings()
     settings = tuple(Setting(entry, _as_sent(entry, read(entry))) for entry in entries)
     return DeviceConfiguration(
-        module.node.node_id,
+        module.node_id,
         int(module.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER).value),
         # A value beyond its own limits was not written, and cannot be.
         tuple(setting for setting in settings if is_within_limits(*setting)),

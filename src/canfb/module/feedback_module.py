@@ -13,7 +13,7 @@ from canfb.device.od.dictionary import Entry
 from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import Store
 from canfb.module.cia406.alarms import REGISTER
-from canfb.module.cia406.profile import OperatingTime, make_cyclic_timer
+from canfb.module.cia406.profile import ALARM_PARAMETERS, OperatingTime, make_cyclic_timer
 from canfb.module.events import EventWatch
 from canfb.module.interval import InterfaceGrid, SamplingInterval
 from canfb.module.jitter_watch import JitterWatch
@@ -145,8 +145,7 @@ class FeedbackModule(NodeDevice):
 
     def _make_commands(self) -> None:
         dictionary, storage = self.dictionary, self.storage
-        self._tables = TableStore(dictionary, self.chain, storage)
-        self._tables.on_in_force = self._on_correction
+        self._tables = TableStore(dictionary, self.chain, storage, self._on_correction)
         self._adapting = Adapting(dictionary, self.chain, self._limits, storage)
         self._operating_time = OperatingTime(dictionary, storage, lambda: self.now)
         make_cyclic_timer(dictionary, storage)
@@ -300,7 +299,7 @@ class FeedbackModule(NodeDevice):
 
     def parameters_refused(self, faults: Mapping[ParameterGroup, str], now: float) -> None:
         """Bit 12 of 6503h while there are ``faults``, and EMCY 6310h."""
-        self._publishing.profile.alarm_parameters(bool(faults))
+        self._publishing.profile.alarm(ALARM_PARAMETERS, bool(faults))
         super().parameters_refused(faults, now)
 
     def configuration_changed(self) -> None:

@@ -72,8 +72,9 @@ def factory_dictionary(config: ModuleConfig, *, samples_itself: bool = False) ->
     """The EDS with the defaults of ``config``; ``samples_itself``: a source replaces the ADC PDO."""
     dictionary = Dictionary.load(eds_path(EDS), config.node_id)
     apply_defaults(dictionary, configured_defaults(config))
-    if samples_itself:
-        apply_defaults(dictionary, without_adc_pdo(config))
+    if samples_itself:  # its RPDO1 is not valid
+        pdos = {place: value for place, value in adc_pdos(config).items() if place[0] < od.RPDO_MAPPING}
+        apply_defaults(dictionary, {place: cob.NOT_VALID | value for place, value in pdos.items()})
     return dictionary
 
 
@@ -139,15 +140,6 @@ def _second_position(config: ModuleConfig) -> Values:
     return defaults
 
 
-def without_adc_pdo(config: ModuleConfig) -> Values:
-    """For a module with its own ADC: RPDO1 is not valid."""
-    return {
-        place: cob.NOT_VALID | value
-        for place, value in adc_pdos(config).items()
-        if place[0] < od.RPDO_MAPPING and place[1] == 1
-    }
-
-
 def apply_defaults(dictionary: Dictionary, defaults: Values) -> None:
     """Replace defaults and values: a reset comes back to these.
 
@@ -209,7 +201,7 @@ class Limits:
         self.shortest_s, self.longest_s = -math.inf, math.inf
         self.timed = self._narrowed = False
         self.in_force = ChainConfig().chain_limits
-        self.on_applied: Callable[[], None] | None = None
+        self.on_applied: Callable[[], None] = lambda: None
         self._upper_is_old = False
         for place, (least, most) in RANGES.items():
             entry(*place).on_check = _within(least, most)
@@ -287,8 +279,7 @@ class Limits:
         self._chain.set_limits(self.in_force)
         self._narrowed = settings.acceleration_rad_s2 > 0.0 or self._chain.tracks.needs_unit
         self._use_interval()
-        if self.on_applied is not None:
-            self.on_applied()
+        self.on_applied()
 
     def _scale_written(self, *, upper_is_old: bool) -> None:
         self._upper_is_old = upper_is_old

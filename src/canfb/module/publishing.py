@@ -14,7 +14,7 @@ from canfb.device.node import Node
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.mapping import EVENT_DRIVEN
 from canfb.module.cia406.alarms import PositionAlarm, Warnings
-from canfb.module.cia406.profile import EncoderProfile
+from canfb.module.cia406.profile import ALARM_POSITION, EncoderProfile
 from canfb.module.events import EventWatch
 from canfb.module.interval import SamplingInterval
 from canfb.module.objects.prediction import Prediction
@@ -112,7 +112,7 @@ class Publishing:
     def _alarm(self, feedback: Feedback, now: float) -> None:
         """6503h and EMCY 7300h, unless a start is about to be confirmed."""
         valid = bool(feedback.status & VALID)
-        self.profile.alarm_position(not valid)
+        self.profile.alarm(ALARM_POSITION, not valid)
         if valid and not self.alarm.active:
             return
         if self.alarm.active or not self._is_starting(feedback):

@@ -225,7 +225,7 @@ class ModuleReplay:
             [self.margins.take],
         )
         self.module.on_feedback = self.samples.take
-        self._left = self.module.node.sent
+        self._left = self.module.sent
         self._own_frames: dict[int, OwnFrames] = {}
         self._head: list[Frame] | None = []
         self._on = False
@@ -244,9 +244,9 @@ class ModuleReplay:
 
     @property
     def own_can_ids(self) -> frozenset[int]:
-        node = self.module.node
-        sync = self.module.dictionary.entry(*od.SYNC_COB_ID).value & cob.CAN_ID
-        return (node.own_can_ids | node.can_ids().data) - EVERYBODY - {sync}
+        module = self.module
+        sync = module.dictionary.entry(*od.SYNC_COB_ID).value & cob.CAN_ID
+        return (module.own_can_ids | module.can_ids().data) - EVERYBODY - {sync}
 
     def feed(self, frames: list[Frame]) -> None:
         """The next frames of the log: ``timestamp`` in seconds, of any clock. No frame raises."""
@@ -271,12 +271,9 @@ class ModuleReplay:
         head, self._head = self._head or [], None
         known = (one.timestamp for one in head if one.timestamp is not None and math.isfinite(one.timestamp))
         self.samples.origin_s = self.first_s = next(known, 0.0)
-        node = self.module.node
-        node.storage.power_on()
-        node.lss.power_on()
-        node_id = node.lss.pending_node_id
+        node_id = self.module.node_id_at_power_on()
         if self.begin is Begin.AUTO:
-            self.begin = found_in(islice(head, HEAD_FRAMES), node_id, node.own_can_ids)
+            self.begin = found_in(islice(head, HEAD_FRAMES), node_id, self.module.own_can_ids)
         if self.begin is Begin.BOOT_UP:
             self._own = frozenset({cob.ERROR_CONTROL + node_id})
             return head
@@ -292,7 +289,7 @@ class ModuleReplay:
         self._give_out(self.module.start(now), now, pair)
 
     def _command(self, command: NmtCommand, now: float, pair: bool = True) -> None:
-        frame = Frame(0, bytes((command, self.module.node.node_id)), False, now)
+        frame = Frame(0, bytes((command, self.module.node_id)), False, now)
         self._give_out(self.module.receive(frame, now), now, pair)
 
     def _take(self, batch: list[Frame]) -> None:
@@ -300,7 +297,7 @@ class ModuleReplay:
         samples, module = self.samples, self.module
         receive, deadline = module.receive, module.deadline
         now, origin = self._now, samples.origin_s
-        received_ids, own, poll_s, node = self._received_ids, self._own, self._poll_s, module.node
+        received_ids, own, poll_s = self._received_ids, self._own, self._poll_s
         for can_id, data, rtr, stamp in batch:
             received = (origin if stamp is None else stamp) - origin
             if now <= received <= now + LONGEST_GAP_S:
@@ -326,7 +323,7 @@ class ModuleReplay:
             if now >= poll_s:
                 poll_s = self._poll_s = now + POLL_S
                 self._compute(now)
-            if node.route_changes != self._routes_known:
+            if module.route_changes != self._routes_known:
                 self._look_round()
                 received_ids, own = self._received_ids, self._own
         self._now = now
@@ -369,9 +366,8 @@ class ModuleReplay:
         if not self._on:
             return
         module = self.module
-        node = module.node
-        self._routes_known = node.route_changes
-        self._own, self._received_ids = node.own_can_ids, node.received_can_ids
+        self._routes_known = module.route_changes
+        self._own, self._received_ids = module.own_can_ids, module.received_can_ids
         sync = module.dictionary.entry(*od.SYNC_COB_ID).value
         if sync & cob.GENERATE:
             self._own |= {sync & cob.CAN_ID}

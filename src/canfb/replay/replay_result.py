@@ -44,7 +44,7 @@ class ReplayResult:
     left_out: int
 
     def head(self) -> str:
-        node_id, replay = self.replay.module.node.node_id, self.replay
+        node_id, replay = self.replay.module.node_id, self.replay
         seconds = replay.last_s - replay.first_s
         return f"module {node_id} ({node_id:02X}h): {replay.frames} frames, {seconds:.3f} s"
 
@@ -71,11 +71,11 @@ class ReplayResult:
         moves = replay.begin is not Begin.BOOT_UP and replay.margins.begin_cycles > MOVES_CYCLES
         return those(
             (
-                module.node.counters.long_rpdos and not module.config.times,
+                module.counters.long_rpdos and not module.config.times,
                 "the ADC PDOs are longer than their mapping: have they sample times (--set times=true)?",
             ),
             (
-                module.node.counters.short_rpdos and module.config.times,
+                module.counters.short_rpdos and module.config.times,
                 "the ADC PDOs are shorter than their mapping: have they no sample times (--set times=false)?",
             ),
             (
@@ -108,7 +108,7 @@ class ReplayResult:
         return Row(
             "samples",
             self.verdict(),
-            node_id=replay.module.node.node_id,
+            node_id=replay.module.node_id,
             first_s=replay.first_s,
             last_s=replay.last_s,
             left_out=self.left_out,

@@ -160,11 +160,8 @@ class EncoderProfile:
             if last.status & VALID:
                 self.cams.follow(self._position.value)
 
-    def alarm_position(self, active: bool) -> None:
-        self._alarms.value = self._alarms.value & ALARM_PARAMETERS | (ALARM_POSITION if active else 0)
-
-    def alarm_parameters(self, refused: bool) -> None:
-        self._alarms.value = self._alarms.value & ALARM_POSITION | (ALARM_PARAMETERS if refused else 0)
+    def alarm(self, bit: int, active: bool) -> None:
+        self._alarms.value = self._alarms.value & ~bit | (bit if active else 0)
 
     def _valid_position(self) -> int | None:
         last = self._latest.valid

@@ -96,7 +96,7 @@ class LastLoss:
         self._residual = self._limit = self._speed = 0
         self._before = NO_SAMPLE  # number of the last sample with a fault
         self._bad = self._row_faults = 0
-        self._is_lost = False
+        self.is_lost = False
 
     def follow(self, feedback: Feedback) -> None:
         status, number = feedback.status, feedback.samples
@@ -107,9 +107,9 @@ class LastLoss:
         if not status & VALID:
             self._bad = self._bad + 1 if status & BAD else 0
             self._row_faults |= status & FAULT_BITS
-            if lost and not self._is_lost:
+            if lost and not self.is_lost:
                 self._keep(feedback)
-        self._is_lost = lost
+        self.is_lost = lost
 
     def _keep(self, feedback: Feedback) -> None:
         self.cause = self._chain.loss_cause
@@ -163,7 +163,6 @@ class Publication:
 
     def reset(self) -> None:
         self._last_raw = 0.0  # the last one before the present sample
-        self._lost = False
         self._loss.reset()
 
     def withhold(self) -> None:
@@ -176,16 +175,15 @@ class Publication:
     def count_between(self, feedback: Feedback) -> None:
         """A sample that is not published, as another one of its SYNC follows."""
         status = feedback.status
-        if not (status & FLAGGED_BITS or self._lost):
+        was_lost = self._loss.is_lost
+        if not (status & FLAGGED_BITS or was_lost):
             return
         self._loss.follow(feedback)
         for counter, bits in self._counted:
             if status & bits:
                 counter.value = (counter.value + 1) & U32
-        lost = bool(status & LOST)
-        if lost and not self._lost:
+        if self._loss.is_lost and not was_lost:
             self._losses.value += 1
-        self._lost = lost
 
     def calibrating(self, working: bool) -> None:
         self.work = CALIBRATING if working else 0

@@ -89,8 +89,7 @@ class SampleInput:
         self.is_synchronous = self._waiting is not None
         self.judged = None if self.timed or self.is_synchronous else tracks
         at_once = self.alone is not None and coarse is flags is None and not earlier
-        only = tracks if tracks is not None and at_once and not self.is_synchronous else NO_RPDO
-        self.usual = only
+        self.usual = tracks if tracks is not None and at_once and not self.is_synchronous else NO_RPDO
         self.arrived = 0
         self._first: int | None = None  # the RPDO that begins a sample
         self._early = self._earliest = 0  # bit n: RPDO n came before that one; the first of them
@@ -182,13 +181,9 @@ class LocalSource:
 
     def next(self, now: float) -> Sample | None:
         """The sample of the SYNC at ``now``, None: missed; its counts go into 2000h."""
-        sample = self._watch.sample(now)
-        if sample is not None:
-            self._keep(sample)
-        return sample
-
-    def _keep(self, sample: Sample) -> None:
-        parts = self._parts
+        sample, parts = self._watch.sample(now), self._parts
+        if sample is None:
+            return None
         parts.sine.value, parts.cosine.value = sample.sine, sample.cosine
         flags = SAMPLE_INVALID if sample.invalid else 0
         if sample.zero_pulse is not None:
@@ -204,6 +199,7 @@ class LocalSource:
             first.value, second.value = sine, cosine
         if sample.coarse_sine is not None:
             parts.coarse_sine.value, parts.coarse_cosine.value = sample.coarse_sine, sample.coarse_cosine
+        return sample
 
 
 UNCERTAIN = -1

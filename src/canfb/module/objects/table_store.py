@@ -30,12 +30,17 @@ class TableStore:
     with what has come into force, by SDO, by a calibration or with a reset.
     """
 
-    def __init__(self, dictionary: Dictionary, chain: SignalChain, storage: Storage) -> None:
-        self._chain, self._storage = chain, storage
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        chain: SignalChain,
+        storage: Storage,
+        on_in_force: Callable[[Correction], None],
+    ) -> None:
+        self._chain, self._storage, self._on_in_force = chain, storage, on_in_force
         self._staged_crc = dictionary.entry(*od.TABLE_STAGED_CRC)
         self._active_crc = dictionary.entry(*od.TABLE_ACTIVE_CRC)
         self._active_entries = dictionary.entry(*od.TABLE_ACTIVE_ENTRIES)
-        self.on_in_force: Callable[[Correction], None] | None = None
         self._staged: CorrectionTable | None = None
         # Its value is a table that was restored, or one that is just written; else empty.
         self._content = staged = dictionary.entry(*od.TABLE_STAGED)
@@ -110,8 +115,7 @@ class TableStore:
         self._active_crc.value = correction.crc32
         self._active_entries.value = 0 if table is None else len(table)
         self._staged_crc.value = 0 if self._staged is None else self._staged.crc32
-        if self.on_in_force is not None:
-            self.on_in_force(correction)
+        self._on_in_force(correction)
 
     def _conditioning(self, changed: Entry | None = None, value: float = 0.0) -> Conditioning:
         return Conditioning(*(value if entry is changed else entry.value for entry in self._conditioned))
@@ -148,9 +152,8 @@ class Adapting:
         self._mode = entry(*od.ADAPTATION)
         self._bounds = {name: entry(*place) for name, place in ADAPTATION_BOUNDS.items()}
         self._drift = [entry(*place) for place in od.DRIFT]
-        self._mode.on_written = self._apply
-        for bound in self._bounds.values():
-            bound.on_written = self._apply
+        for changed in (self._mode, *self._bounds.values()):
+            changed.on_written = self._adapt
         dictionary.read_live(
             {od.ADAPTATION_STATE: lambda: int(self.state), od.ADAPTATION_USED: self._used},
         )
@@ -170,10 +173,7 @@ class Adapting:
     def reset(self) -> None:
         self._adapt(FollowedDrift(*(entry.value for entry in self._drift)))
 
-    def _apply(self) -> None:
-        self._adapt(None)
-
-    def _adapt(self, start_from: FollowedDrift | None) -> None:
+    def _adapt(self, start_from: FollowedDrift | None = None) -> None:
         bounds = {name: entry.value * ADAPTATION_UNIT for name, entry in self._bounds.items()}
         self._chain.adapt(AdaptConfig(**bounds) if self._mode.value else None, start_from)
         self._limits.apply()  # it needs the sampling interval
