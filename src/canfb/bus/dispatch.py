@@ -7,6 +7,7 @@ import os
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import can
@@ -68,7 +69,7 @@ class Dispatch:
         self._stale = True
         for port in self.ports:
             if isinstance(port.device, Selective):
-                port.device.follow_can_ids(self._mover(port))
+                port.device.follow_can_ids(partial(self._has_moved, port))
 
     def due_s(self) -> float:
         if self._stale:
@@ -123,11 +124,8 @@ class Dispatch:
             can_id: tuple(sorted(some, key=lambda port: port.number)) for can_id, some in listening.items()
         }
 
-    def _mover(self, port: Port) -> Callable[[], None]:
-        def moved() -> None:
-            port.moved = self.moved = True
-
-        return moved
+    def _has_moved(self, port: Port) -> None:
+        port.moved = self.moved = True
 
 
 NODE_ID = 0x7F

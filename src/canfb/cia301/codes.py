@@ -92,15 +92,9 @@ class EmergencyCode(CodeWithText):
 
 def emergency_text(code: int, own: Mapping[int, str]) -> str:
     """What an emergency error code (0..FFFFh) means: by ``own`` codes of the device, else by CiA 301."""
-    for known in (code, code & 0xFF00, code & 0xF000):
-        if known in own:
-            return own[known]
-        if known in _EMERGENCIES:
-            return _EMERGENCIES[known]
-    return "unknown error"
-
-
-_EMERGENCIES = {int(code): code.text for code in EmergencyCode}
+    texts = {int(known): known.text for known in EmergencyCode} | dict(own)
+    nearest = (code, code & 0xFF00, code & 0xF000)
+    return next((texts[known] for known in nearest if known in texts), "unknown error")
 
 
 class ErrorRegister(IntFlag):

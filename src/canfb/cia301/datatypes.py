@@ -52,13 +52,11 @@ FORMATS: dict[int, str] = {
     DataType.REAL64: "d",
 }
 
-_ODD_SIGNED: dict[int, int] = {
+_ODD_BITS: dict[int, int] = {
     DataType.INTEGER24: 24,
     DataType.INTEGER40: 40,
     DataType.INTEGER48: 48,
     DataType.INTEGER56: 56,
-}
-_ODD_UNSIGNED: dict[int, int] = {
     DataType.UNSIGNED24: 24,
     DataType.UNSIGNED40: 40,
     DataType.UNSIGNED48: 48,
@@ -72,8 +70,11 @@ SIGNED_BITS: dict[int, int] = {
     DataType.INTEGER8: 8,
     DataType.INTEGER16: 16,
     DataType.INTEGER32: 32,
+    DataType.INTEGER24: 24,
+    DataType.INTEGER40: 40,
+    DataType.INTEGER48: 48,
+    DataType.INTEGER56: 56,
     DataType.INTEGER64: 64,
-    **_ODD_SIGNED,
 }
 
 FLOATS = frozenset({DataType.REAL32, DataType.REAL64})
@@ -84,8 +85,7 @@ KNOWN = frozenset(int(code) for code in DataType)
 
 _BITS: dict[int, int] = {
     **{code: 8 * packer.size for code, packer in _STRUCTS.items()},
-    **_ODD_SIGNED,
-    **_ODD_UNSIGNED,
+    **_ODD_BITS,
     **_FIXED_BYTES,
     DataType.BOOLEAN: 1,
 }
@@ -114,9 +114,8 @@ def encode(data_type: int, value: Any) -> bytes:
         packer = _STRUCTS.get(data_type)
         if packer is not None:
             return packer.pack(value)
-        if data_type in _ODD_SIGNED or data_type in _ODD_UNSIGNED:
-            signed = data_type in _ODD_SIGNED
-            return int(value).to_bytes(byte_length(data_type), "little", signed=signed)
+        if data_type in _ODD_BITS:
+            return int(value).to_bytes(byte_length(data_type), "little", signed=data_type in SIGNED_BITS)
         if data_type == DataType.VISIBLE_STRING:
             return str(value).encode("latin-1")
         if data_type == DataType.UNICODE_STRING:
@@ -134,8 +133,8 @@ def decode(data_type: int, data: bytes) -> Any:
     unpacker = _STRUCTS.get(data_type)
     if unpacker is not None:
         return unpacker.unpack(data)[0]
-    if data_type in _ODD_SIGNED or data_type in _ODD_UNSIGNED:
-        return int.from_bytes(data, "little", signed=data_type in _ODD_SIGNED)
+    if data_type in _ODD_BITS:
+        return int.from_bytes(data, "little", signed=data_type in SIGNED_BITS)
     if data_type == DataType.VISIBLE_STRING:
         return data.decode("latin-1")
     if data_type == DataType.UNICODE_STRING:

@@ -125,8 +125,6 @@ NEVER = float("inf")  # The deadline of a service that waits for nothing, second
 
 STAMP_NOISE_S = 1e-3  # A receive time may be earlier than the one before by this; by more, the clock was set.
 
-Emit = Callable[[Frame], None]  # How a service sends a frame.
-
 
 class CallContext:
     """The `now` of the running call, and the time at which its frame was received, seconds.
@@ -221,9 +219,6 @@ class Counters:
     lost_emergencies: int = 0  # EMCY frames dropped for newer ones while sending was not allowed.
 
 
-Ended = Callable[[AbortCode | None], None]
-
-
 class Pending:
     """Made by the object (`Core.pending`), taken by the SDO server: `on_end(code)` is called when the write
     is done (None) or has failed.
@@ -234,7 +229,7 @@ class Pending:
     def __init__(self) -> None:
         self.ended = False
         self.code: AbortCode | None = None
-        self.on_end: Ended | None = None
+        self.on_end: Callable[[AbortCode | None], None] | None = None
 
     def end(self, code: AbortCode | None) -> None:
         self.ended, self.code = True, code
@@ -243,7 +238,6 @@ class Pending:
 
 
 Handler = Callable[[bytes, float], None]  # Takes the data of a frame, and the time.
-RemoteHandler = Callable[[float], None]  # Takes a remote frame: the time.
 
 
 class CanIds(NamedTuple):
@@ -269,7 +263,7 @@ class Routes:
         self.changes = 0
         self.on_change: Callable[[], None] = lambda: None
         self.data: dict[int, Handler] = {}
-        self.remote: dict[int | None, RemoteHandler] = {}
+        self.remote: dict[int | None, Callable[[float], None]] = {}  # Each takes the time.
         self.sent: dict[int | None, Callable[[float], None]] = {}
 
     def clear(self) -> None:
@@ -390,7 +384,9 @@ class Core:
         # Of the SDO write that is just being done: its answer waits for this.
         self.pending: Pending | None = None
         self.outbox: list[Frame] = []
-        self.emit: Emit = self.outbox.append  # Sends a frame: with the return of the running call.
+        self.emit: Callable[[Frame], None] = (
+            self.outbox.append
+        )  # Sends a frame: with the return of the running call.
         # So long after a SYNC its synchronous RPDOs may come (1007h), seconds; 0.0: always.
         self.window_s = 0.0
         self.window_end = NEVER  # The end of it for the last SYNC.

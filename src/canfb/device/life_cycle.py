@@ -184,12 +184,12 @@ class Services:
         sent = {
             *(channel.response_id for channel in self.channels),
             self.emergency.can_id,
-            *(tpdo.configured_can_id for tpdo in self.pdos.tpdos.values()),
+            *(tpdo.parameters.configured_can_id for tpdo in self.pdos.tpdos.values()),
         }
         return _without_none(sent - self._received_in_any_state() | {ERROR_CONTROL + self._core.node_id})
 
     def can_ids(self) -> CanIds:
-        asked = {tpdo.configured_can_id for tpdo in self.pdos.tpdos.values()}
+        asked = {tpdo.parameters.configured_can_id for tpdo in self.pdos.tpdos.values()}
         return CanIds(
             _without_none(self._received_in_any_state() | {REQUEST_ID}) | self.own_can_ids(),
             _without_none(asked | {self.guarding.can_id}),
@@ -202,7 +202,7 @@ class Services:
             self.time_stamp.can_id,
             *self.consumer.routes(),
             *(channel.request_id for channel in self.channels),
-            *(rpdo.configured_can_id for rpdo in self.pdos.rpdos.values()),
+            *(rpdo.parameters.configured_can_id for rpdo in self.pdos.rpdos.values()),
         }
 
 

@@ -49,7 +49,7 @@ class Pdos:
         for tpdo in self.tpdos.values():
             routes.remote[tpdo.remote_can_id] = tpdo.request
             if tpdo.is_inhibited:
-                routes.sent[tpdo.configured_can_id] = tpdo.sent
+                routes.sent[tpdo.parameters.configured_can_id] = tpdo.sent
 
     def choose(self) -> None:
         self.sync_rpdos = [rpdo for rpdo in self.rpdos.values() if rpdo.is_synchronous]

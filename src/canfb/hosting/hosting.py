@@ -225,11 +225,10 @@ def warn_about(device: FeedbackModule | EncoderInterface, state_dir: str | None)
                 "the defaults are used"
             )
 
-    def report_duplicate(can_id: int, now: float) -> None:
-        log.warning(f"{title_of(device)}: another node on the bus uses this node-ID ({can_id:03X}h)")
-
     device.on_parameter_faults = report_faults
-    device.on_duplicate = report_duplicate
+    device.on_duplicate = lambda can_id, now: log.warning(
+        f"{title_of(device)}: another node on the bus uses this node-ID ({can_id:03X}h)"
+    )
     device.on_source = lambda text: log.warning(f"node {device.node_id}: {text}")
 
 

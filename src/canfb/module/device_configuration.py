@@ -26,7 +26,7 @@ from canfb.device.od.dcf import (
     turn,
 )
 from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.device.storage.kept import is_within_limits
+from canfb.device.storage.kept import has_default_can_id, is_within_limits
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.files import write_whole
@@ -236,7 +236,6 @@ def _read_table(objects: Objects, dictionary: Dictionary) -> bytes:
 
 # What `save` keeps as well, and no master can write back: a preset needs a valid position at standstill.
 OF_THE_MACHINE = (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE)
-_CAN_ID = 0x1FFFFFFF
 
 
 def backup_values(configuration: DeviceConfiguration) -> dict[Place, Any]:
@@ -263,7 +262,7 @@ def moved_values(values: Mapping[Place, Any], old: int, new: int) -> dict[Place,
     moved = dict(values)
     for place, value in values.items():
         entry = dictionary.find(*place)
-        if entry is not None and entry.follows_node_id and not (value ^ entry.default) & _CAN_ID:
+        if entry is not None and has_default_can_id(entry, value):
             moved[place] = value + new - old
     return moved
 

@@ -224,7 +224,11 @@ def content_described(content: bytes) -> Described:
         _option_number(contents, "DeviceInfo", "ProductNumber"),
         tuple(objects),
         tuple(entries),
-        _dummy_types(contents),
+        frozenset(
+            int(match[1], 16)
+            for match in map(_DUMMY.match, contents.get("DummyUsage", ()))
+            if match and _option_number(contents, "DummyUsage", match[0])
+        ),
     )
 
 
@@ -306,14 +310,6 @@ def _real(text: str, data_type: int) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{text} is not a finite number")
     return value
-
-
-def _dummy_types(contents: Contents) -> frozenset[int]:
-    return frozenset(
-        int(match[1], 16)
-        for match in map(_DUMMY.match, contents.get("DummyUsage", ()))
-        if match and _option_number(contents, "DummyUsage", match[0])
-    )
 
 
 def _option_number(contents: Contents, section: str, option: str) -> int | None:

@@ -116,6 +116,10 @@ class PdoParameters:
         return int(self.cob_id.value & cob.CAN_ID)
 
     @property
+    def configured_can_id(self) -> int | None:
+        return self.can_id if self.is_valid else None
+
+    @property
     def allows_remote(self) -> bool:
         return not self.cob_id.value & cob.NO_RTR
 

@@ -40,31 +40,27 @@ class Rpdo(Timed):
         self._core = core
         self._counters = core.counters
         self._emergency = core.emergency
-        self._parameters = PdoParameters(core.dictionary, number, Direction.RECEIVE, self._written)
-        self._timeout = self._parameters.further(5)
+        self.parameters = PdoParameters(core.dictionary, number, Direction.RECEIVE, self._written)
+        self._timeout = self.parameters.further(5)
         self._timeout.on_written = self._written
         self._failed = False
         self.enable(False, 0.0)
 
     def holds(self, objects: Iterable[tuple[int, int]]) -> bool:
         """It is valid, and has these objects."""
-        mapped = {mapping >> 8 for mapping in self._parameters.mappings}
-        return self._parameters.is_valid and {index << 8 | sub for index, sub in objects} <= mapped
+        mapped = {mapping >> 8 for mapping in self.parameters.mappings}
+        return self.parameters.is_valid and {index << 8 | sub for index, sub in objects} <= mapped
 
     @property
     def can_id(self) -> int | None:
-        return self._parameters.can_id if self._length else None
-
-    @property
-    def configured_can_id(self) -> int | None:
-        return self._parameters.can_id if self._parameters.is_valid else None
+        return self.parameters.can_id if self._length else None
 
     def enable(self, operational: bool, now: float) -> None:
         self._operational = operational
-        slots = self._parameters.active_slots() if operational else []
+        slots = self.parameters.active_slots() if operational else []
         self._length = length_of(slots)
         self._unpack = unpacker(slots)
-        self.is_synchronous: bool = self._parameters.type.value in SYNCHRONOUS
+        self.is_synchronous: bool = self.parameters.type.value in SYNCHRONOUS
         self._timeout_s: float = self._timeout.value / 1000
         self._pending: bytes | None = None
         # PDOs of a synchronous type that came since the last SYNC; the last one is taken over.

@@ -46,13 +46,13 @@ class Tpdo(Timed):
     def __init__(self, core: Core, number: int) -> None:
         self._core = core
         self._emit = core.emit
-        self._parameters = PdoParameters(core.dictionary, number, Direction.TRANSMIT, self._written)
-        self._inhibit = self._parameters.further(3)
-        self._event_timer = self._parameters.further(5)
-        self._start_value = self._parameters.further(6)
-        self._inhibit.on_check = refuse_if(lambda value: self._parameters.is_valid)
+        self.parameters = PdoParameters(core.dictionary, number, Direction.TRANSMIT, self._written)
+        self._inhibit = self.parameters.further(3)
+        self._event_timer = self.parameters.further(5)
+        self._start_value = self.parameters.further(6)
+        self._inhibit.on_check = refuse_if(lambda value: self.parameters.is_valid)
         self._start_value.on_check = refuse_if(
-            lambda value: self._parameters.is_valid or value > _LARGEST_START
+            lambda value: self.parameters.is_valid or value > _LARGEST_START
         )
         self._event_timer.on_written = self._written
         self._not_before = -NEVER
@@ -60,11 +60,7 @@ class Tpdo(Timed):
 
     @property
     def remote_can_id(self) -> int | None:
-        return self._can_id if self._is_active and self._parameters.allows_remote else None
-
-    @property
-    def configured_can_id(self) -> int | None:
-        return self._parameters.can_id if self._parameters.is_valid else None
+        return self._can_id if self._is_active and self.parameters.allows_remote else None
 
     @property
     def is_synchronous(self) -> bool:
@@ -73,10 +69,10 @@ class Tpdo(Timed):
     def enable(self, operational: bool, now: float) -> None:
         """Whether the state allows PDOs; compiles the mapping."""
         self._operational = operational
-        slots = self._parameters.active_slots() if operational else []
+        slots = self.parameters.active_slots() if operational else []
         self._pack, self._is_active = packer(slots), bool(slots)
-        self._can_id = self._parameters.can_id
-        self._type: int = self._parameters.type.value
+        self._can_id = self.parameters.can_id
+        self._type: int = self.parameters.type.value
         self._event_driven = self._is_active and self._type in EVENT_DRIVEN
         self._inhibit_s: float = self._inhibit.value / 10_000
         self._timer_s: float = self._event_timer.value / 1000 if self._event_driven else 0.0

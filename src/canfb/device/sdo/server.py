@@ -23,8 +23,6 @@ from canfb.device.sdo.transfer import (
     SegmentedDownload,
     SegmentedUpload,
     Transfer,
-    expedited_data,
-    expedited_upload,
 )
 
 TIMEOUT_S = 1.0  # How long a client may be silent within a transfer, seconds.
@@ -133,7 +131,9 @@ class SdoServer(Timed):
         entry = self._writable(data)
         command, multiplexer = data[0], data[1:4]
         if command & 0x02:
-            entry.download(expedited_data(entry, data))
+            # Without a size: that of the entry.
+            size = 4 - (command >> 2 & 0x03) if command & 0x01 else min(entry.byte_length or 4, 4)
+            entry.download(data[4 : 4 + size])
             self._reply(b"\x60" + multiplexer)
             return None
         announced = int.from_bytes(data[4:8], "little") if command & 0x01 else None
@@ -144,7 +144,7 @@ class SdoServer(Timed):
 
     def _answer_upload(self, multiplexer: bytes, content: bytes) -> Transfer | None:
         if 1 <= len(content) <= 4:
-            self._reply(expedited_upload(multiplexer, content))
+            self._reply(bytes([0x43 | (4 - len(content)) << 2]) + multiplexer + content)
             return None
         return SegmentedUpload(multiplexer, content, self._reply)
 

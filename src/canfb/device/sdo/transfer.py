@@ -68,17 +68,6 @@ def finish_download(entry: Entry, data: bytes, announced: int | None) -> None:
     entry.download(data)
 
 
-def expedited_upload(multiplexer: bytes, data: bytes) -> bytes:
-    return bytes([0x43 | (4 - len(data)) << 2]) + multiplexer + data
-
-
-def expedited_data(entry: Entry, frame: bytes) -> bytes:
-    """The data of an expedited request; without a size, as the entry has."""
-    size_indicated = frame[0] & 0x01
-    size = 4 - (frame[0] >> 2 & 0x03) if size_indicated else min(entry.byte_length or 4, 4)
-    return frame[4 : 4 + size]
-
-
 _SEGMENT = 7
 _TOGGLE = 0x10
 _LAST = 0x01

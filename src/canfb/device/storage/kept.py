@@ -183,7 +183,7 @@ class KeptEntries:
 
 
 def _record(entry: Entry, value: Any, node_id: int) -> Record:
-    relative = _has_default_can_id(entry, value)
+    relative = has_default_can_id(entry, value)
     if relative:
         value = (value - node_id) & _FLAGS_AND_ID
     return Record(entry.index, entry.subindex, relative, datatypes.encode(entry.data_type, value))
@@ -204,11 +204,10 @@ def is_within_limits(entry: Entry, value: Any) -> bool:
     return True
 
 
-def _has_default_can_id(entry: Entry, value: Any) -> bool:
+def has_default_can_id(entry: Entry, value: Any) -> bool:
     """Whether a COB-ID follows the node-ID: at most its flags were changed."""
-    if not entry.follows_node_id or entry.byte_length != 4:
-        return False
-    return not (int(value) ^ int(entry.default)) & _CAN_ID
+    can_follow = entry.follows_node_id and entry.byte_length == 4
+    return can_follow and not (int(value) ^ int(entry.default)) & _CAN_ID
 
 
 Value = tuple[Entry, Any]

@@ -228,7 +228,10 @@ class Storage:
         def done(error: OSError | None) -> None:
             if error is None:
                 kept()
-            pending.end(None if error is None else _abort_code(error))
+                pending.end(None)
+            else:
+                busy = error.errno == errno.EBUSY
+                pending.end(AbortCode.DEVICE_STATE if busy else AbortCode.HARDWARE)
 
         self._keep(changes, done)
         if not pending.ended:
@@ -258,10 +261,6 @@ class Storage:
         saved = [group for group in changes if group not in forgotten]
         application.parameters_saved(saved, forgotten, now)
         done(None)
-
-
-def _abort_code(error: OSError) -> AbortCode:
-    return AbortCode.DEVICE_STATE if error.errno == errno.EBUSY else AbortCode.HARDWARE
 
 
 def _groups(subindex: int) -> tuple[ParameterGroup, ...]:
