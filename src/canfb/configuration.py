@@ -7,12 +7,11 @@ Every message names the file, the line and the key::
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 import itertools
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -155,7 +154,7 @@ def parse_config(text: str, name: str = "configuration", needs: Sequence[str] = 
 
 def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfig:
     """The module with other values, KEY=VALUE as in YAML, but for ``source``. ConfigError."""
-    known = [one.name for one in dataclasses.fields(ModuleConfig) if one.name != "source"]
+    known = [one.name for one in fields(ModuleConfig) if one.name != "source"]
     values: dict[str, Any] = {}
     for setting in settings:
         key, equals, text = setting.partition("=")
@@ -169,7 +168,7 @@ def changed_module(module: ModuleConfig, settings: Sequence[str]) -> ModuleConfi
         except (yaml.YAMLError, *_NO_VALUE) as error:
             raise ConfigError(_short(f"--set {setting}: {error}")) from None
     try:
-        return dataclasses.replace(module, **values)
+        return replace(module, **values)
     except (ValueError, TypeError) as error:
         raise ConfigError(_short(f"--set: {error}")) from None
 
@@ -233,11 +232,7 @@ class _Reader:
 
     def read(self, node: yaml.Node, kind: type, where: str) -> Any:
         inside = self._inside(node, yaml.MappingNode, where, "a mapping of keys to values")
-        known = {
-            f.metadata.get("named", f.name): f
-            for f in dataclasses.fields(kind)
-            if f.metadata.get("key", True)
-        }
+        known = {f.metadata.get("named", f.name): f for f in fields(kind) if f.metadata.get("key", True)}
         values: dict[str, Any] = {}
         lines: dict[str, yaml.Node] = {}
         for key_node, value_node in inside:
@@ -247,7 +242,7 @@ class _Reader:
             values[known[key].name] = self._value(key, value_node, where, known[key])
             lines[key] = key_node
         for one in known.values():
-            if one.default is one.default_factory is dataclasses.MISSING and one.name not in values:
+            if one.default is one.default_factory is MISSING and one.name not in values:
                 raise self._fail(node, f"'{one.name}' is missing in {where}")
         try:
             if isinstance(source := values.get("source"), SourceConfig):
@@ -258,7 +253,7 @@ class _Reader:
             guilty = (lines[word] for word in re.findall(r"\w+", str(error)) if word in lines)
             raise self._fail(next(guilty, node), f"{where}: {error}") from None
 
-    def _value(self, key: str, node: yaml.Node, where: str, into: dataclasses.Field[Any]) -> Any:
+    def _value(self, key: str, node: yaml.Node, where: str, into: Field[Any]) -> Any:
         what = f"'{key}' in {where}"
         if key == "simulation":
             from canfb.simulation.scenario import SECTION  # here: a file without it loads no simulation

@@ -18,7 +18,6 @@ from canfb.master.machine_watch import Provenance, origins
 from canfb.master.samples import TrackSamples, write_npz
 from canfb.report import pictures
 from canfb.report.page import beside, figure, gallery, page, section, sentence, table
-from canfb.report.pictures import is_dense, lissajous
 from canfb.rows import Row
 from canfb.sdo.tables import as_yaml
 from canfb.signal.correction import NO_CORRECTION, Correction
@@ -159,9 +158,13 @@ def _origins(where: Provenance) -> str:
 
 
 def _lissajous(samples: TrackSamples, used: Correction, limits: SampleLimits | None) -> str:
-    picture = lissajous(samples.sine, samples.cosine, used.conditioning, limits)
+    picture = pictures.lissajous(samples.sine, samples.cosine, used.conditioning, limits)
     seen = len(samples) - samples.missed
-    shown = f"all {seen} samples, shown by their density" if is_dense(samples.sine) else f"{seen} samples"
+    shown = (
+        f"all {seen} samples, shown by their density"
+        if pictures.is_dense(samples.sine)
+        else f"{seen} samples"
+    )
     return figure("Lissajous figure", f"should be a circle within the limits; {shown}", picture)
 
 

@@ -22,8 +22,6 @@ from canfb.master.all_or_nothing import (
 )
 from canfb.master.samples import TrackSamples, listening
 from canfb.master.session import CORNERS, read_corners
-from canfb.objects import MeasurementCommand as Command
-from canfb.objects import MeasurementState as State
 from canfb.signal.front_end import Corners
 from canfb.signal.limits import CALIBRATED_PHASE_ERROR_CYCLES, MOST_PHASE_ERROR_CYCLES
 from canfb.view.module_view import LIMIT_UNITS, PdoLayout
@@ -191,10 +189,10 @@ def let_measure(module: NodeAccess, layout: PdoLayout, progress: Progress) -> Tr
     CalibrationError, with the module's reason, if it refuses them; CommissioningError if it cannot measure
     or makes no progress. Then, as after an interruption, the measurement is dropped.
     """
-    _start(module, Command.START)
+    _start(module, od.MeasurementCommand.START)
     try:
         with listening(module.master, layout) as listener:
-            _wait(module, State.READY, progress, listener.look)
+            _wait(module, od.MeasurementState.READY, progress, listener.look)
         return listener.result()
     except BaseException:
         discard(module)
@@ -203,9 +201,9 @@ def let_measure(module: NodeAccess, layout: PdoLayout, progress: Progress) -> Tr
 
 def let_check(module: NodeAccess, progress: Progress) -> tuple[float, float, float, float]:
     """Let the module check its encoder: drift rms, peak, noise of a sample, cycles; coverage 0..1."""
-    _start(module, Command.CHECK)
+    _start(module, od.MeasurementCommand.CHECK)
     try:
-        _wait(module, State.CHECKED, progress, lambda: None)
+        _wait(module, od.MeasurementState.CHECKED, progress, lambda: None)
         rms, peak, noise = (float(module.read(*figure, "f")) for figure in FIGURES)
         coverage = module.integer(*od.MEASUREMENT_COVERAGE, "B") / 100.0
     finally:
@@ -216,7 +214,7 @@ def let_check(module: NodeAccess, progress: Progress) -> tuple[float, float, flo
 def discard(module: NodeAccess) -> None:
     """Drop a measurement that has not been accepted; what is active stays so. Never fails."""
     with contextlib.suppress(CanfbError):
-        module.write(*od.MEASUREMENT_COMMAND, "B", Command.STOP)
+        module.write(*od.MEASUREMENT_COMMAND, "B", od.MeasurementCommand.STOP)
 
 
 def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Measurement:
@@ -224,9 +222,9 @@ def accept(module: NodeAccess, measured: Measurement, settings: Settings) -> Mea
 
     CommissioningError if the module does not take it.
     """
-    module.write(*od.MEASUREMENT_COMMAND, "B", Command.ACCEPT)
+    module.write(*od.MEASUREMENT_COMMAND, "B", od.MeasurementCommand.ACCEPT)
     state = module.integer(*od.MEASUREMENT_STATE, "B")
-    if state != State.ACCEPTED:
+    if state != od.MeasurementState.ACCEPTED:
         raise CommissioningError(f"{module.name} has not accepted its measurement (2030:02 is {state})")
     found = read_active(module)
     if found.table is None:
@@ -265,16 +263,16 @@ def _wait(module: NodeAccess, target: int, progress: Progress, look: Callable[[]
         progress(percent / 100.0)
         if state == target:
             return
-        if state == State.REFUSED:
+        if state == od.MeasurementState.REFUSED:
             reason = Reason.of_number(module.integer(*od.MEASUREMENT_REASON, "B"))
             raise CalibrationError(f"{module.name} refuses its measurement: {reason.text}", reason)
-        if state not in (State.RECORDING, State.COMPUTING):
+        if state not in (od.MeasurementState.RECORDING, od.MeasurementState.COMPUTING):
             raise CommissioningError(f"{module.name} has ended its measurement (2030:02 is {state})")
         count, before = module.integer(*od.FEEDBACK_SAMPLES, "I"), count
         now = master.now()
         if count != before:
             sample_s = now
-        elif state == State.RECORDING and now - sample_s > STANDING_S:
+        elif state == od.MeasurementState.RECORDING and now - sample_s > STANDING_S:
             raise CommissioningError(
                 f"{module.name} has processed no sample for {STANDING_S:g} s: it must be OPERATIONAL "
                 f"(NMT start, 000h 01 {module.node_id:02X}), and must receive SYNC and samples"

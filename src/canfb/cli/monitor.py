@@ -8,7 +8,6 @@ import io
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -147,7 +146,7 @@ def _model(options: argparse.Namespace) -> tuple[dict[str, Any], list[NodeLayout
 
 def _reading(
     bus: SharedBus, layouts: Sequence[NodeLayout], watching: Watching, page: LivePage | None = None
-) -> AbstractContextManager[None]:
+) -> contextlib.AbstractContextManager[None]:
     from canfb.monitoring.sdo_reading import ModuleReader, SdoThread  # here: canopen is for --sdo alone
 
     def take(reading: ModuleReading) -> None:

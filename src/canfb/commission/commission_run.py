@@ -35,10 +35,8 @@ from canfb.master.machine_watch import (
 )
 from canfb.master.samples import UPLOAD_PART, TrackSamples, listen, record
 from canfb.master.session import KINDS, Session, SupervisionLimits, write_limits
-from canfb.objects import Multiplexer, StatusBit
 from canfb.report import pictures
 from canfb.report.page import figure, gallery, page, section, sentence, table
-from canfb.report.pictures import lissajous
 from canfb.rows import Findings, Result, Row, Section, those
 from canfb.signal.limits import RPM, samples_without_harm
 from canfb.view.module_view import coarse_layout
@@ -343,7 +341,7 @@ def _pictures(done: Commissioned) -> list[str]:
         (
             "Lissajous figure",
             "all samples within the new limits of the amplitude",
-            lissajous(
+            pictures.lissajous(
                 samples.sine,
                 samples.cosine,
                 done.observed.used.conditioning,
@@ -354,7 +352,7 @@ def _pictures(done: Commissioned) -> list[str]:
     return [figure(name, text, svg) for name, text, svg in listed]
 
 
-Values = Mapping[Multiplexer, float]
+Values = Mapping[od.Multiplexer, float]
 
 
 def set_limits(
@@ -396,7 +394,7 @@ def _position(module: NodeAccess) -> str:
         status = module.integer(*od.FEEDBACK_STATUS, "H")
     except CanfbError:
         return ""
-    return "; its position is lost, start it again at standstill" if status & StatusBit.LOST else ""
+    return "; its position is lost, start it again at standstill" if status & od.StatusBit.LOST else ""
 
 
 def commission(

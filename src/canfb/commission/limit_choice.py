@@ -37,7 +37,6 @@ from canfb.master.session import (
     KINDS,
     SupervisionLimits,
 )
-from canfb.objects import Multiplexer
 from canfb.signal.correction import Correction
 from canfb.signal.limits import (
     CALIBRATED_PHASE_ERROR_CYCLES,
@@ -68,7 +67,7 @@ USUAL_PERIODS, MOST_PERIODS = 2, 10
 class Choice:
     """A limit: the value of its object before, the one to write (the same: leave it), and why."""
 
-    place: Multiplexer
+    place: od.Multiplexer
     before: float
     value: float
     why: str
@@ -119,7 +118,7 @@ def corner_choice(low_pass: LowPass | None, limits: SupervisionLimits) -> Choice
     return Choice(CORNER.place, before, as_real32(float(f"{low_pass.corner_hz:.4g}")), measured)
 
 
-def _choice(limits: SupervisionLimits, place: Multiplexer, value: float | None, why: str) -> Choice:
+def _choice(limits: SupervisionLimits, place: od.Multiplexer, value: float | None, why: str) -> Choice:
     before = limits.values[place]
     return Choice(place, before, before if value is None else value, why)
 

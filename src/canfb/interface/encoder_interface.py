@@ -14,7 +14,6 @@ import numpy.typing as npt
 from canfb import objects as od
 from canfb.checks import flag, integer_in, text, within
 from canfb.cia301 import cob
-from canfb.cia301.cob import CAN_ID
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame, mapping_values
 from canfb.device.lss import UNCONFIGURED
@@ -390,7 +389,7 @@ class EncoderInterface(MachineNode):
     def _audible(self, frames: list[Frame]) -> list[Frame]:
         if not self._silent:
             return frames
-        samples = {cob_id.value & CAN_ID for cob_id in self._cob_ids}
+        samples = {cob_id.value & cob.CAN_ID for cob_id in self._cob_ids}
         return [frame for frame in frames if frame.can_id not in samples]
 
 

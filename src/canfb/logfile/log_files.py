@@ -20,7 +20,6 @@ import re
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -178,7 +177,7 @@ BLF_CONTAINER, BLF_ZLIB = 10, b"\2"
 
 def messages_of(path: Path, suffix: str, counters: LogCounters) -> Iterator[can.Message]:
     """What is in a log. What is raised behind damage has no common root."""
-    with opened(path) as (file, raw), ExitStack() as closing:
+    with opened(path) as (file, raw), contextlib.ExitStack() as closing:
         if suffix in TEXT:
             messages: Iterable[can.Message] = TEXT[suffix](file, counters).messages()
         elif suffix == ".blf":

@@ -21,7 +21,6 @@ from canfb import objects as od
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, NmtCommand, NmtState
 from canfb.errors import CanfbError
-from canfb.objects import StatusBit
 
 # :class:`canfb.bus.sdo_channel.SharedClient`: canopen's client, with its turn and what disturbed it.
 Client = Any
@@ -370,9 +369,9 @@ def watch_standstill(module: NodeAccess) -> MachineLook:
         status = module.integer(*od.FEEDBACK_STATUS, "H")
         number = module.integer(*od.FEEDBACK_SAMPLES, "I")
         phase = module.integer(*od.FEEDBACK_RAW_PHASE, "H") / UNITS
-        if status & StatusBit.VALID:
+        if status & od.StatusBit.VALID:
             counts.append(module.integer(*od.FEEDBACK_CYCLE_COUNT, "q"))
-        if not status & StatusBit.MISSED:
+        if not status & od.StatusBit.MISSED:
             seen.add(number)
             first = phase if first is None else first
             apart = (phase - first + 0.5) % 1.0 - 0.5
@@ -432,9 +431,9 @@ def reset_module(
     if not force:
         _refuse_motion(module)
     _restart(module, command)
-    _wait_until(module.master, VALID_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & StatusBit.VALID)
+    _wait_until(module.master, VALID_S, lambda: module.integer(*od.FEEDBACK_STATUS, "H") & od.StatusBit.VALID)
     status = module.integer(*od.FEEDBACK_STATUS, "H")
-    if not status & StatusBit.VALID:
+    if not status & od.StatusBit.VALID:
         words = ", ".join([str(od.position_state(status)), *od.fault_words(status)])
         raise CommissioningError(
             f"{module.name}: reset and started, but its position is {words}: canfb why {module.node_id:#04x} "

@@ -17,7 +17,6 @@ from canfb.master.access import (
     as_real32,
     without_restart,
 )
-from canfb.objects import Multiplexer
 from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import Correction, CorrectionTable
 
@@ -216,7 +215,7 @@ def change(
     what: str,
     undone: Callable[[], str],
     keep: bool = False,
-    stores: Sequence[Multiplexer] = STORES,
+    stores: Sequence[od.Multiplexer] = STORES,
     step: Callable[[str], None] = lambda text: None,
 ) -> str | None:
     """``act``, then save if ``keep``: the object that saved it, or None.

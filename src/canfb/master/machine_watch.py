@@ -14,7 +14,6 @@ from canfb.calibration.result import Reason
 from canfb.errors import CalibrationError
 from canfb.master.access import CommissioningError, NodeAccess, Progress
 from canfb.master.samples import Listener
-from canfb.objects import PositionState, StatusBit, fault_words, position_state
 from canfb.rows import Row
 
 FIRST_S = 1.0
@@ -108,7 +107,7 @@ class Look:
 
     @property
     def is_lost(self) -> bool:
-        return position_state(self.status) is PositionState.LOST
+        return od.position_state(self.status) is od.PositionState.LOST
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,7 @@ class Meanwhile:
     @property
     def cycles(self) -> int | None:
         """Distance, or None."""
-        valid = self.before.status & self.after.status & StatusBit.VALID
+        valid = self.before.status & self.after.status & od.StatusBit.VALID
         if not valid or LOST in self.counted:
             return None
         return abs(self.after.cycles - self.before.cycles)
@@ -151,7 +150,7 @@ def look_at(module: NodeAccess) -> Look | None:
 
 
 def lost_words(module: NodeAccess, status: int) -> str:
-    causes = fault_words(status)
+    causes = od.fault_words(status)
     why = f" ({', '.join(causes)})" if causes else ""
     return (
         f"the position of {module.name} is lost{why}: canfb why {module.node_id:#04x} says why and what to do"
@@ -194,12 +193,12 @@ class SpeedReadings:
 def check_valid(module: NodeAccess) -> None:
     """CommissioningError unless the position is valid."""
     status = module.integer(*od.FEEDBACK_STATUS, "H")
-    if status & StatusBit.LOST:
+    if status & od.StatusBit.LOST:
         raise CommissioningError(
             f"{module.name}: the position is lost (2011:01), so its speed is not known: let the machine "
             "stand still, start the node again (NMT), and see that the present limits hold"
         )
-    if not status & (StatusBit.VALID | StatusBit.COASTING):
+    if not status & (od.StatusBit.VALID | od.StatusBit.COASTING):
         raise CommissioningError(
             f"{module.name} has no valid position (2011:01 is {status:04X}h): it must be OPERATIONAL "
             f"(NMT start, canfb node start {module.node_id:#04x}), and must receive SYNC and samples"

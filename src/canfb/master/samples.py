@@ -26,8 +26,6 @@ from canfb.master.access import (
     Progress,
     subscribed,
 )
-from canfb.objects import MISSED_COUNTS
-from canfb.objects import RecordingCommand as Command
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample import TICK_S, TICKS
 from canfb.sources.sample_files import read_tracks, with_gaps
@@ -144,7 +142,8 @@ def write_npz(path: Path, samples: TrackSamples, hertz: float | None = None) -> 
     (``hertz``).
     """
     sine, cosine = (
-        np.nan_to_num(track, nan=MISSED_COUNTS).astype(np.int16) for track in (samples.sine, samples.cosine)
+        np.nan_to_num(track, nan=od.MISSED_COUNTS).astype(np.int16)
+        for track in (samples.sine, samples.cosine)
     )
     known: dict[str, Any] = {} if samples.time_s is None else {"time_s": samples.time_s}
     if hertz is not None:
@@ -186,7 +185,7 @@ LOOK_S = 0.1
 LONGEST = 6.0  # times the duration that was asked for, where SYNCs are rare
 PART_MISSED = 0.5
 Pair = tuple[int, int]
-MISSED: Pair = (MISSED_COUNTS, MISSED_COUNTS)
+MISSED: Pair = (od.MISSED_COUNTS, od.MISSED_COUNTS)
 
 
 @dataclass(slots=True)
@@ -378,13 +377,13 @@ def record(node: NodeAccess, duration_s: float, rate_hz: float | None, progress:
     ``rate_hz`` counts where 2050:04 is 0. CommissioningError if it cannot, or recorded nothing.
     """
     try:
-        node.write(*od.RECORDING_COMMAND, "B", Command.START)
+        node.write(*od.RECORDING_COMMAND, "B", od.RecordingCommand.START)
     except ObjectAbsentError:
         raise CommissioningError(f"{node.name} cannot record: it has no object 2050h") from None
     try:
         _wait(node, duration_s, progress)
     finally:
-        node.write(*od.RECORDING_COMMAND, "B", Command.STOP)
+        node.write(*od.RECORDING_COMMAND, "B", od.RecordingCommand.STOP)
     count = node.integer(*od.RECORDING_RECORDED, "I")
     if not count:
         raise CommissioningError(f"{node.name} has recorded nothing (2050:02): is it OPERATIONAL?")

@@ -16,7 +16,6 @@ from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame, frame_bits
 from canfb.monitoring.layout import NodeLayout, Recognition
 from canfb.monitoring.module_model import LoadMeter, ModuleModel, SyncMeter
 from canfb.monitoring.snapshot import BusSnapshot, EmergencySnapshot, NodeSnapshot
-from canfb.objects import Multiplexer
 from canfb.view.module_view import Number, Pdo
 
 EMERGENCIES = 8  # that are remembered
@@ -130,7 +129,7 @@ class BusModel:
         node.module.layout = layout
         self._route()
 
-    def put(self, node_id: int, place: Multiplexer, value: Number, now: float) -> None:
+    def put(self, node_id: int, place: od.Multiplexer, value: Number, now: float) -> None:
         module = self._node(node_id).module
         if module is not None:
             module.put(place, value, now)

@@ -12,7 +12,6 @@ from rich.table import Table
 from rich.text import Text
 
 from canfb.monitoring import lines
-from canfb.monitoring.lines import MachineUnits
 from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
 
 HEIGHTS, PLAIN_HEIGHTS = "▁▂▃▄▅▆▇█", "_.-:=+*#"
@@ -68,7 +67,7 @@ class Page:
     """For the size of the console; ``plain``: in ASCII."""
 
     def __init__(
-        self, snapshot: BusSnapshot, units: MachineUnits, title: str, *, plain: bool = False
+        self, snapshot: BusSnapshot, units: lines.MachineUnits, title: str, *, plain: bool = False
     ) -> None:
         self._snapshot, self._units, self._title, self._plain = snapshot, units, title, plain
 

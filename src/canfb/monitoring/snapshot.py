@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 
@@ -60,7 +59,7 @@ class ModuleSnapshot:
     age_s: float | None = None
     position_state: str | None = None
     status: int | None = None
-    faults: list[str] = dataclasses.field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
     referenced: bool = False
     table_active: bool = False
     table_crc32: int | None = None
@@ -71,19 +70,19 @@ class ModuleSnapshot:
     residual_limit_cycles: float | None = None
     residual_noise_cycles: float | None = None
     residual_peak_cycles: float | None = None
-    residual_history_cycles: list[float | None] = dataclasses.field(default_factory=list)
+    residual_history_cycles: list[float | None] = field(default_factory=list)
     history_bin_s: float = 0.0
     amplitude_counts: float | None = None
     amplitude_is_raw: bool = False
     amplitude_limits_counts: tuple[int, int] = (0, 0)
     full_scale_counts: int = 0
-    tracks_counts: list[tuple[int, int]] = dataclasses.field(default_factory=list)
+    tracks_counts: list[tuple[int, int]] = field(default_factory=list)
     tracks_heard: int = 0
-    seen: dict[str, int] = dataclasses.field(default_factory=dict)
+    seen: dict[str, int] = field(default_factory=dict)
     lost_by: str | None = None
     since_fault_s: float | None = None
-    counters: dict[str, int] = dataclasses.field(default_factory=dict)
-    assumed: list[str] = dataclasses.field(default_factory=list)
+    counters: dict[str, int] = field(default_factory=dict)
+    assumed: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ class NodeSnapshot:
     state_source: str | None = None
     heard_s: float | None = None
     boot_ups: int = 0
-    emergencies: list[EmergencySnapshot] = dataclasses.field(default_factory=list)
+    emergencies: list[EmergencySnapshot] = field(default_factory=list)
     emergency_count: int = 0
     module: ModuleSnapshot | None = None
 
@@ -121,9 +120,7 @@ class BusSnapshot:
 
     def to_json(self) -> dict[str, Any]:
         """No finite number: None."""
-        plain = _plain(dataclasses.asdict(self))
-        assert isinstance(plain, dict)
-        return plain
+        return {name: _plain(value) for name, value in asdict(self).items()}
 
 
 def _plain(value: Any) -> Any:

@@ -16,7 +16,6 @@ from itertools import islice
 
 from canfb import objects as od
 from canfb.cia301 import cob, datatypes
-from canfb.cia301.cob import ERROR_CONTROL
 from canfb.cia301.codes import NmtCommand, NmtState
 from canfb.cia301.frame import Frame
 from canfb.device.lss import UNCONFIGURED
@@ -176,7 +175,7 @@ def found_in(head: Iterable[Frame], node_id: int, own_can_ids: Collection[int]) 
     A boot-up: it is powered on there. A PDO of its own, or a heartbeat with 05h: OPERATIONAL. Another
     heartbeat, or an NMT start: it was not. None of these: there is no master, so OPERATIONAL.
     """
-    error_control = ERROR_CONTROL + node_id
+    error_control = cob.ERROR_CONTROL + node_id
     pdos = {can_id for can_id in own_can_ids if 0x180 < can_id < 0x580}
     for can_id, data, _, _ in (frame for frame in head if not frame.rtr):
         if can_id == error_control and len(data) == 1:

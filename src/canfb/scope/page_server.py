@@ -23,7 +23,6 @@ from urllib.parse import urlsplit
 from canfb.errors import CanfbError
 from canfb.monitoring import lines
 from canfb.monitoring.layout import ModuleReading
-from canfb.monitoring.lines import Line, MachineUnits
 from canfb.monitoring.snapshot import BusSnapshot, ModuleSnapshot, NodeSnapshot
 from canfb.scope.traces import Curve, ModuleTraces
 
@@ -225,7 +224,7 @@ class _Handler(BaseHTTPRequestHandler):
 class LivePage:
     """Snapshots become events of a :class:`PageServer` at ``port``."""
 
-    def __init__(self, port: int, units: MachineUnits) -> None:
+    def __init__(self, port: int, units: lines.MachineUnits) -> None:
         self.server = PageServer(port, self.first)
         self._units = units
         self._traces: dict[int, ModuleTraces] = {}
@@ -291,5 +290,5 @@ class LivePage:
         }
 
 
-def _plain(line: Line) -> tuple[str, lines.Parts]:
+def _plain(line: lines.Line) -> tuple[str, lines.Parts]:
     return line.label, tuple(part for part in line.parts if part[0])

@@ -12,7 +12,6 @@ from typing import Any
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
-from canfb.cia301.datatypes import DataType
 from canfb.device.od import eds
 from canfb.errors import ConfigError
 from canfb.files import read_bytes
@@ -56,7 +55,7 @@ class ObjectDescription(eds.Description):
     @property
     def holds_bits(self) -> bool:
         # A COB-ID, what is mapped, or a CRC.
-        is_plain = self.data_type == DataType.UNSIGNED32 and not self.unit
+        is_plain = self.data_type == datatypes.DataType.UNSIGNED32 and not self.unit
         return is_plain and (self.index in _COMMUNICATION or "CRC" in self.name)
 
     def decode(self, data: bytes) -> Any:

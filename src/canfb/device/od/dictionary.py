@@ -10,7 +10,6 @@ from typing import Any
 
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.cia301.datatypes import DataType
 from canfb.device.od import eds
 from canfb.device.od.eds import ACCESS, Description, ObjectInfo
 
@@ -215,7 +214,7 @@ class Dictionary:
             raise ValueError(f"{path}: {error}") from error
         dictionary = cls([entry.fresh() for entry in template], described.objects, described.dummies)
         stored = dictionary.find(STORE_EDS)
-        if stored is not None and stored.data_type == DataType.DOMAIN:
+        if stored is not None and stored.data_type == datatypes.DataType.DOMAIN:
             stored.default = stored.value = content
         return dictionary
 
@@ -237,7 +236,9 @@ class Dictionary:
     def assumed(self, index: int, subindex: int = 0, value: int = 0) -> Entry:
         """The entry, or one that nobody can reach, with this value."""
         found = self.find(index, subindex)
-        return Entry(index, subindex, DataType.UNSIGNED32, default=value) if found is None else found
+        return (
+            Entry(index, subindex, datatypes.DataType.UNSIGNED32, default=value) if found is None else found
+        )
 
     def lookup(self, index: int, subindex: int) -> Entry:
         found = self._entries.get((index, subindex))

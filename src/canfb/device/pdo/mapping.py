@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 from canfb.cia301 import cob, datatypes
 from canfb.cia301.codes import AbortCode, SdoAbort
-from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import LONGEST_BITS as LONGEST_BITS
 from canfb.device.od.dictionary import RPDO_ACCESS, TPDO_ACCESS, Dictionary, Entry
 
@@ -183,6 +182,9 @@ def struct_of(slots: Sequence[Slot]) -> struct.Struct | None:
         datatypes.FORMATS.get(slot.data_type, "") if slot.entry is not None else f"{slot.bits // 8}x"
         for slot in slots
     ]
-    if any(slot.data_type == DataType.BOOLEAN or slot.data_type not in datatypes.FORMATS for slot in slots):
+    if any(
+        slot.data_type == datatypes.DataType.BOOLEAN or slot.data_type not in datatypes.FORMATS
+        for slot in slots
+    ):
         return None
     return struct.Struct("<" + "".join(letters))

@@ -15,7 +15,6 @@ from canfb.module.cia406.position import PHASE_UNITS, STILL
 from canfb.module.interval import SamplingInterval
 from canfb.module.objects.sample_input import SampleInput
 from canfb.module.parameters import Limits
-from canfb.objects import LossCause
 from canfb.signal.chain import SignalChain
 from canfb.signal.sample import FAULT_BITS, FLAGGED_BITS, Feedback
 from canfb.signal.supervision import (
@@ -90,7 +89,7 @@ class LastLoss:
         self.reset()
 
     def reset(self) -> None:
-        self.cause = LossCause.NONE
+        self.cause = od.LossCause.NONE
         self.bad_samples = self.faults = 0
         self._lost_s = 0.0
         self._residual = self._limit = self._speed = 0

@@ -16,7 +16,6 @@ from canfb.device.od.dictionary import Dictionary, Entry
 from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import Storage
 from canfb.module.parameters import ADAPTATION_BOUNDS, ADAPTATION_UNIT, Limits
-from canfb.objects import AdaptationState as State
 from canfb.signal.adaptation import AdaptConfig, FollowedDrift
 from canfb.signal.chain import SignalChain
 from canfb.signal.conditioning import Conditioning
@@ -162,13 +161,17 @@ class Adapting:
             storage.entries.keep(shown.index, shown.subindex, saved=read)
 
     @property
-    def state(self) -> State:
+    def state(self) -> od.AdaptationState:
         adaptation = self._chain.adaptation
         if not adaptation.is_on:
-            return State.OFF
+            return od.AdaptationState.OFF
         if adaptation.at_limit:
-            return State.AT_LIMIT
-        return State.FOLLOWING if adaptation.is_recent(self._chain.samples) else State.WAITING
+            return od.AdaptationState.AT_LIMIT
+        return (
+            od.AdaptationState.FOLLOWING
+            if adaptation.is_recent(self._chain.samples)
+            else od.AdaptationState.WAITING
+        )
 
     def reset(self) -> None:
         self._adapt(FollowedDrift(*(entry.value for entry in self._drift)))

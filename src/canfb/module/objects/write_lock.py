@@ -11,7 +11,6 @@ from canfb.device.core import NEVER
 from canfb.device.node import Node
 from canfb.device.od.dictionary import Entry, refuse_if
 from canfb.module.cia406.profile import CYCLIC_TIMER
-from canfb.objects import WriteLockMode
 
 RETRY_S = 1.0  # after a wrong code none is accepted
 COMMANDS = (od.TABLE_STAGED, od.TABLE_ACTIVATE, od.MEASUREMENT_COMMAND, od.WRITE_LOCK_NEW_UNLOCK_CODE)
@@ -37,8 +36,8 @@ class WriteLock:
         self._locked_places |= {od.WRITE_LOCK_MODE, (CYCLIC_TIMER, 0), *COMMANDS}
         self._unlocked = False
         self._retry_s = -NEVER
-        self._mode.on_check = refuse_if(lambda mode: mode == WriteLockMode.CODE and not self._code.value)
-        self._code.on_check = refuse_if(lambda code: not code and self._mode.value == WriteLockMode.CODE)
+        self._mode.on_check = refuse_if(lambda mode: mode == od.WriteLockMode.CODE and not self._code.value)
+        self._code.on_check = refuse_if(lambda code: not code and self._mode.value == od.WriteLockMode.CODE)
         self._given.on_check = self._check_given
         self._given.on_written = self._unlock
         entry(*od.WRITE_LOCK_LOCKED).on_read = lambda: int(self.refusal is not None)
@@ -47,9 +46,9 @@ class WriteLock:
     def refusal(self) -> AbortCode | None:
         """Why a write is refused now; None: it is not."""
         mode = self._mode.value
-        if mode == WriteLockMode.PREOP and self._node.state is NmtState.OPERATIONAL:
+        if mode == od.WriteLockMode.PREOP and self._node.state is NmtState.OPERATIONAL:
             return AbortCode.DEVICE_STATE
-        if mode == WriteLockMode.CODE and not self._unlocked:
+        if mode == od.WriteLockMode.CODE and not self._unlocked:
             return AbortCode.LOCAL_CONTROL
         return None
 
