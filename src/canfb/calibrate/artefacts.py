@@ -66,8 +66,7 @@ def write(
         (folder / TABLE_YAML).write_text(as_yaml(measured.found, meta), encoding="utf-8")
         (folder / TABLE_BIN).write_bytes(measured.calibration.table.to_bytes())
         write_npz(folder / SAMPLES, measured.samples)
-        page = report_html(measured, done, where, limits)
-        (folder / REPORT).write_text(page, encoding="utf-8")
+        (folder / REPORT).write_text(report_html(measured, done, where, limits), encoding="utf-8")
     return [folder / name for name in (TABLE_YAML, TABLE_BIN, SAMPLES, REPORT)]
 
 

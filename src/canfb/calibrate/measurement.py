@@ -8,6 +8,7 @@ several speeds: what the module is to compute with, the analog path with it.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -71,8 +72,7 @@ class SupervisedSamples:
     @property
     def speed(self) -> FloatArray:
         """Cycles per sampling interval at each sample but the first, NaN where it is not known."""
-        speed: FloatArray = np.diff(self.position) / self.elapsed[1:]
-        return speed
+        return np.asarray(np.diff(self.position) / self.elapsed[1:], np.float64)
 
 
 def supervise(
@@ -196,11 +196,9 @@ def errors_at(
         rms_before = mean_before = None
         both = np.isfinite(old) & np.isfinite(new)
         if both.mean() > 0.5:
-            try:
+            with contextlib.suppress(CalibrationError):
                 rms_before = best_of_phases(record, old, old, block_samples).rms
                 mean_before = before.added_cycles(hertz) - late + _mean(old[both] - new[both])
-            except CalibrationError:
-                rms_before = mean_before = None
         return ErrorAtSpeed(hertz, rms_before, deviation.rms, mean_before, mean_after, deviation)
 
 
@@ -294,8 +292,7 @@ def measure(
         kept = without_harmonics(kept)
     calibration = replace(calibration, conditioning=kept)
     found = calibration.correction
-    block = block_of(calibration)
-    on_samples = best_deviation(samples.recording(settings.adc_bits), found, before, block)
+    on_samples = best_deviation(samples.recording(settings.adc_bits), found, before, block_of(calibration))
     return Measurement(samples, calibration, before, on_samples)
 
 
@@ -367,7 +364,7 @@ def measure_speeds(
             )
     over = OverSpeeds(found.path, before, after, errors)
     lowest = min(samples, key=lambda one: abs(one.hertz))
-    on_samples = min(errors, key=lambda one: abs(one.hertz))
+    on_samples = over.near(0.0)
     deviation = on_samples.deviation
     if on_samples.before is not None:
         deviation = replace(deviation, before_rms=on_samples.before)

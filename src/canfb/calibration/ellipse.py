@@ -63,8 +63,7 @@ def fit_ellipse(
 def angle_cycles(conditioning: Conditioning, sine: FloatArray, cosine: FloatArray) -> FloatArray:
     """Arc tangent of the conditioned tracks in cycles, 0 <= angle < 1; NaN stays NaN."""
     s, c = conditioning.apply(sine, cosine)
-    angle: FloatArray = np.arctan2(s, c) / (2.0 * np.pi) % 1.0 % 1.0
-    return angle
+    return np.asarray(np.arctan2(s, c) / (2.0 * np.pi) % 1.0 % 1.0, np.float64)
 
 
 def _robust_fit(s: FloatArray, c: FloatArray) -> Conditioning:
@@ -190,8 +189,8 @@ def _conic(x: FloatArray, y: FloatArray) -> _Ellipse | None:
 
 def _radius(centre: FloatArray, shape: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     dx, dy = x - centre[0], y - centre[1]
-    radius: FloatArray = np.sqrt(shape[0, 0] * dx * dx + 2.0 * shape[0, 1] * dx * dy + shape[1, 1] * dy * dy)
-    return radius
+    square = shape[0, 0] * dx * dx + 2.0 * shape[0, 1] * dx * dy + shape[1, 1] * dy * dy
+    return np.asarray(np.sqrt(square), np.float64)
 
 
 def as_real32(conditioning: Conditioning) -> Conditioning:

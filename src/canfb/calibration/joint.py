@@ -123,8 +123,9 @@ def information_loss(blocks: Blocks, waveform: Waveform, motion: FloatArray) -> 
     """
     system = _System(blocks, waveform, motion, Noise(1.0, 1.0))
     sensitivity = table_sensitivity(waveform, IDENTITY)
-    with_motion = np.einsum("pi,pi->", sensitivity @ system.inverse(system.reduced), sensitivity)
-    without = np.einsum("pi,pi->", sensitivity @ system.inverse(system.normal), sensitivity)
+    with_motion, without = (
+        table_variance(sensitivity, system.inverse(one)).sum() for one in (system.reduced, system.normal)
+    )
     return float(np.sqrt(with_motion / without))
 
 
@@ -236,8 +237,7 @@ class _System:
         )
 
     def inverse(self, information: FloatArray) -> FloatArray:
-        held = self._held(information)
-        return np.asarray(np.linalg.pinv(held, rcond=1e-14, hermitian=True), np.float64)
+        return np.asarray(np.linalg.pinv(self._held(information), rcond=1e-14, hermitian=True), np.float64)
 
 
 GRID = 16384
@@ -385,3 +385,8 @@ def table_sensitivity(waveform: Waveform, conditioning: Conditioning, points: in
     by_cosine = -factor_c * s / across
     sensitivity = -np.concatenate([by_sine[:, None] * columns, by_cosine[:, None] * columns], axis=1)
     return np.asarray(sensitivity - sensitivity.mean(axis=0), np.float64)
+
+
+def table_variance(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
+    variance = np.einsum("pi,pi->p", sensitivity @ covariance, sensitivity)
+    return np.asarray(np.maximum(variance, 0.0), np.float64)

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from canfb.calibration.ellipse import with_track_harmonics
+from canfb.calibration.ellipse import angle_cycles, with_track_harmonics
 from canfb.calibration.joint import (
     JointFit,
     Waveform,
@@ -33,6 +33,7 @@ from canfb.calibration.joint import (
     series_of,
     table_of,
     table_sensitivity,
+    table_variance,
 )
 from canfb.calibration.recording import Blocks, Recording, prepared
 from canfb.calibration.result import (
@@ -117,14 +118,14 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     cycles = float(np.abs(np.diff(position, axis=1))[use[:, 1:] & use[:, :-1]].sum())
     curve = raw_phase_curve(fit.waveform, conditioning)
     sensitivity = table_sensitivity(fit.waveform, conditioning)
-    spread = np.sqrt(_variance(sensitivity, fit.covariance))
+    spread = np.sqrt(table_variance(sensitivity, fit.covariance))
     expected = root_mean(spread)
     each = [_fit_of_part(blocks, fit, rows) for rows in independent_parts(len(blocks))]
     parts = [table_of(raw_phase_curve(one.waveform, conditioning), entries).entries for one in each]
     measured = measured_error(parts)
     tables = [CorrectionTable(np.mean(parts[odd::2], axis=0)) for odd in (0, 1)]
     change = _change(whole, fit, sensitivity, max(1.0, measured / expected))
-    bound = float(np.sqrt(_variance(sensitivity, bound_covariance(fit)).mean()))
+    bound = float(np.sqrt(table_variance(sensitivity, bound_covariance(fit)).mean()))
     before, after = _deviations(blocks, position, conditioning, tables)
     moving = use & fit.informative[:, None]
     phase = position - origin_of(curve)
@@ -161,11 +162,6 @@ def finish(record: Recording, solution: Solution, conditioning: Conditioning, en
     return judge(found, loss)
 
 
-def _variance(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
-    variance: FloatArray = np.einsum("pi,pi->p", sensitivity @ covariance, sensitivity)
-    return np.maximum(variance, 0.0)
-
-
 def _systematic(curve: ErrorCurve, position: FloatArray, noise: float) -> float:
     """Rms of the mean deviation over the phase, less what noise leaves of it: tracks that do not fit."""
     count = samples_in_bins(position)
@@ -198,8 +194,8 @@ def _change(whole: Blocks, fit: JointFit, sensitivity: FloatArray, doubt: float)
         divided = np.array_split(moving, count) + left_out
         parts = [_fit_of_part(whole, fit, rows) for rows in divided]
         tables = np.array([sensitivity @ p.waveform.coefficients.ravel() for p in parts])
-        noise = np.array([doubt * root_mean(np.sqrt(_variance(sensitivity, p.covariance))) for p in parts])
-        largest = max(largest, largest_change(tables, noise))
+        spreads = [np.sqrt(table_variance(sensitivity, p.covariance)) for p in parts]
+        largest = max(largest, largest_change(tables, doubt * np.array([*map(root_mean, spreads)])))
     return largest
 
 
@@ -242,8 +238,7 @@ def harmonics_of(
 ) -> tuple[ErrorHarmonic, ...]:
     """Of the error of the conditioned arc tangent, beyond three times the ``expected`` one, cycles."""
     phase = grid_phases(TRACK_POINTS)[:-1]
-    s, c = conditioning.apply(*waveform.tracks(phase + origin))
-    angle = np.unwrap(np.arctan2(s, c) / (2.0 * np.pi), period=1.0)
+    angle = np.unwrap(angle_cycles(conditioning, *waveform.tracks(phase + origin)), period=1.0)
     spectrum = np.fft.rfft(angle - phase) / TRACK_POINTS
     found = [
         ErrorHarmonic(order, 2.0 * float(abs(spectrum[order])), float(np.angle(spectrum[order])))

@@ -78,12 +78,10 @@ class SpeedCalibration:
     calibration   at standstill: table, conditioning with 2002:06 and the harmonics; its quality is that
                   of the lowest speed
     path          what lies between encoder and counts
-    each          the fundamentals at the speeds, in the order of the measurements
     """
 
     calibration: Calibration
     path: PathFit
-    each: tuple[Fundamental, ...]
 
     def with_delay(self, delay_s: float) -> SpeedCalibration:
         conditioning = replace(self.calibration.conditioning, delay_s=float(np.float32(delay_s)))
@@ -119,7 +117,7 @@ def calibrate_over_speeds(
     calibration = at_standstill(lowest.calibration, lowest.hertz, path, entries)
     calibration = _judged(calibration, [at_standstill(o.calibration, o.hertz, path, entries) for o in found])
     report(1.0)
-    return SpeedCalibration(calibration, path, tuple(one.fundamental for one in found))
+    return SpeedCalibration(calibration, path)
 
 
 def _judged(calibration: Calibration, each: Sequence[Calibration]) -> Calibration:
@@ -164,8 +162,7 @@ def measured_at_standstill(
 def at_standstill(found: Calibration, hertz: float, path: PathFit, entries: int) -> Calibration:
     """``found`` at this speed, moved to standstill: the path taken out of the mean tracks."""
     waveform = standing_waveform(found.tracks, found.track_orders, hertz, path.cosine_delay_s, path.corners)
-    phases = grid_phases(TRACK_POINTS)[:-1]
-    conditioning = fit_ellipse(*waveform.tracks(phases))
+    conditioning = fit_ellipse(*waveform.tracks(grid_phases(TRACK_POINTS)[:-1]))
     curve = raw_phase_curve(waveform, conditioning)
     tracks = mean_tracks_of(waveform, curve)
     conditioning = with_track_harmonics(conditioning, tracks)

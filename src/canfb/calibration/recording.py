@@ -65,8 +65,7 @@ class Blocks:
 
     def using(self, used: BoolArray) -> Blocks:
         """The same blocks with other samples left out; blocks with too few samples give none."""
-        enough = used.sum(axis=1) >= self.coefficients + SPARE
-        return replace(self, used=used & enough[:, None])
+        return replace(self, used=used & (used.sum(axis=1) >= self.coefficients + SPARE)[:, None])
 
     @property
     def coefficients(self) -> int:
@@ -276,8 +275,7 @@ def check_clipped(record: Recording, angle: FloatArray) -> None:
     count = int(record.clipped.sum())
     seen = record.valid | record.clipped
     cut = samples_in_bins(angle[record.clipped])
-    every = np.maximum(1, samples_in_bins(angle[seen]))
-    worst = float((cut / every).max())
+    worst = float((cut / np.maximum(1, samples_in_bins(angle[seen]))).max())
     if count > CLIPPED_PART * seen.sum() or (worst > CLIPPED_PART_OF_BIN and count > 6):
         raise CalibrationError(
             f"{count} samples are at the ends of the converter's range: reduce the amplitude of the tracks",

@@ -394,6 +394,5 @@ def largest_change(tables: FloatArray, noise: FloatArray) -> Drift:
         off = centred[first] - centred[second]
         square, expected = float(np.mean(off**2)), float(noise[first] ** 2 + noise[second] ** 2)
         if square > SIGNIFICANT**2 * expected:
-            one = Drift(float(np.sqrt(square - expected)), float(np.abs(off).max()))
-            found = max(found, one)
+            found = max(found, Drift(float(np.sqrt(square - expected)), float(np.abs(off).max())))
     return found

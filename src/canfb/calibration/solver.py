@@ -24,6 +24,7 @@ from canfb.calibration.joint import (
     initial_waveform,
     phase_at_raw,
     table_sensitivity,
+    table_variance,
 )
 from canfb.calibration.recording import CUBIC, MIN_SAMPLES, Blocks, Recording
 from canfb.calibration.result import (
@@ -144,8 +145,7 @@ class Solver:
     def _loss(self, blocks: Blocks, position: FloatArray) -> float:
         circle = np.zeros((2, 1 + 2 * len(FIRST_ORDERS)))
         circle[0, 2] = circle[1, 1] = self.amplitude_counts
-        motion = blocks.smooth(position[blocks.index])
-        return information_loss(blocks, Waveform(FIRST_ORDERS, circle), motion)
+        return information_loss(blocks, Waveform(FIRST_ORDERS, circle), blocks.smooth(position[blocks.index]))
 
     def _positions(self, phase: FloatArray) -> FloatArray:
         return self.record.positions(np.where(self.record.valid, phase, np.nan))
@@ -256,9 +256,8 @@ COARSE_CYCLES = 0.05
 
 
 def uncertainty(fit: JointFit, conditioning: Conditioning) -> float:
-    sensitivity = table_sensitivity(fit.waveform, conditioning)
-    variance = np.einsum("pi,pi->p", sensitivity @ fit.covariance, sensitivity)
-    return float(np.sqrt(max(0.0, float(variance.mean()))))
+    variance = table_variance(table_sensitivity(fit.waveform, conditioning), fit.covariance)
+    return float(np.sqrt(variance.mean()))
 
 
 def significant_orders(fit: JointFit) -> tuple[int, ...]:

@@ -73,8 +73,7 @@ def try_it(options: argparse.Namespace) -> int:
         path.write_text(EXAMPLE.replace(EXAMPLE_BUS, json.dumps(words)), encoding="utf-8")
         if options.write_config is not None:
             write_whole(options.write_config, path.read_bytes())
-        config = jittered(load_config(path), options)
-        with NetworkOnBus(config, options.rate, first=[START_ALL]) as network:
+        with NetworkOnBus(jittered(load_config(path), options), options.rate, first=[START_ALL]) as network:
             _serve(options, network, path)
     summary = summary_of(network.module)
     say(json.dumps({"event": "end", "text": summary}) if options.json else summary)
@@ -144,9 +143,8 @@ def _tell_story(options: argparse.Namespace) -> int:
     network = DemoNetwork()
     show = None if options.json or not sys.stderr.isatty() else Progress().step
     story = run_story(network, show) if show else run_story(network)
-    empty: tuple[list[Path], Path | None] = [], None
     pictures, page = (
-        write_files(network, story, options.out, version("canfb"), date) if options.out else empty
+        write_files(network, story, options.out, version("canfb"), date) if options.out else ([], None)
     )
     written = {"figures": [str(path) for path in pictures]} | ({"report": str(page)} if page else {})
     lines = [f"  picture  {path}" for path in pictures] + [f"  report   {page}"] * bool(page)

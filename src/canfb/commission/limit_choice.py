@@ -262,8 +262,7 @@ def _jitter(machine: MachineFigures, limits: SupervisionLimits, margin: float) -
     seen = f"up to {1e6 * off_s:.0f} µs from the even grid seen"
     most_s = UNDECLARED * machine.interval_s * limits.motion.samples_per_sync
     if margin * off_s > most_s:
-        why = f"{seen}: find its cause, or map the sample time (times: true)"
-        return [_choice(limits, place, None, why)]
+        return [_choice(limits, place, None, f"{seen}: find its cause, or map the sample time (times: true)")]
     if margin * off_s <= USUAL_JITTER_S:
         return [_choice(limits, place, 0.0, f"{seen}: within the default of {1e3 * USUAL_JITTER_S:g} ms")]
     value = as_real32(min(_rounded_up(margin * off_s), most_s))
@@ -416,10 +415,8 @@ def _longest_pause(samples: TrackSamples, interval_s: float, per_sync: int) -> f
     """
     if samples.received_s is None:
         return None
-    here = np.flatnonzero(np.isfinite(samples.sine))
-    missing = float(np.max(np.diff(here), initial=1.0))
-    pauses = np.diff(samples.received_s) / interval_s
-    longest = max(missing, float(np.max(pauses, initial=1.0)))
+    missing = float(np.max(np.diff(np.flatnonzero(np.isfinite(samples.sine))), initial=1.0))
+    longest = max(missing, float(np.max(np.diff(samples.received_s) / interval_s, initial=1.0)))
     return 1.0 + (longest - 1.0) / per_sync
 
 

@@ -85,8 +85,7 @@ def motion_figures(samples: SupervisedSamples) -> MotionFigures:
     """The motion of these samples; at least one step between two valid ones."""
     speed, elapsed = samples.speed, samples.elapsed
     known = speed[np.isfinite(speed)]
-    between = (elapsed[2:] + elapsed[1:-1]) / 2.0
-    acceleration = np.diff(speed) / between
+    acceleration = np.diff(speed) / ((elapsed[2:] + elapsed[1:-1]) / 2.0)
     position = samples.position[samples.valid]
     moves = np.abs(speed) >= MOVING_CYCLES
     noise = _noise(acceleration, np.where(moves, np.abs(speed), np.nan)[1:])
@@ -114,8 +113,7 @@ def change_in_time(samples: SupervisedSamples) -> float:
     As far as that is significant: of orders 1 and 2 of the phase, by least squares from the residuals.
     """
     elapsed, speed = samples.elapsed[1:, None], samples.speed[:, None]
-    waves = _errors(samples.position)
-    columns = np.diff(np.diff(waves, axis=0) / elapsed, axis=0) * elapsed[1:]
+    columns = np.diff(np.diff(_errors(samples.position), axis=0) / elapsed, axis=0) * elapsed[1:]
     residual = (np.diff(speed, axis=0) * elapsed[1:])[:, 0]
     telling = np.flatnonzero(np.isfinite(residual) & (np.abs(speed[1:, 0]) >= TELLING_CYCLES))
     if len(telling) < THIRDS * LEAST_OF_GROUP:
@@ -171,8 +169,7 @@ def _largest(values: FloatArray, noise: float, difference: FloatArray) -> float:
 def _averaged(values: FloatArray, bell: FloatArray) -> FloatArray:
     if len(values) < len(bell):
         return np.zeros(0)
-    averaged: FloatArray = np.convolve(values, bell, "valid")
-    return averaged
+    return np.asarray(np.convolve(values, bell, "valid"), np.float64)
 
 
 def _bell(half: int) -> FloatArray:
@@ -181,8 +178,7 @@ def _bell(half: int) -> FloatArray:
     """
     place = np.arange(-half, half + 1, dtype=np.float64)
     second = 2.0 * np.linalg.pinv(np.vander(place, 3))[0]
-    bell: FloatArray = np.cumsum(np.cumsum(second))[:-2]
-    return bell
+    return np.asarray(np.cumsum(np.cumsum(second))[:-2], np.float64)
 
 
 CLASSES = 12
@@ -316,8 +312,7 @@ def _over_phase(amplitude: FloatArray, phase: FloatArray) -> FloatArray:
     np.minimum.at(lowest, bins, amplitude)
     np.maximum.at(highest, bins, amplitude)
     mean = mean_in_bins(phase, amplitude)
-    found: FloatArray = np.where(np.isnan(mean), np.nan, np.array([lowest, mean, highest]))
-    return found
+    return np.asarray(np.where(np.isnan(mean), np.nan, np.array([lowest, mean, highest])), np.float64)
 
 
 @dataclass(frozen=True, eq=False)

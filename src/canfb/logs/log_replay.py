@@ -242,8 +242,7 @@ def replay_log(
     results = []
     for replay, track, module in zip(replays, tracks, settings.modules, strict=True):
         replay.close()
-        active = replay.module.chain.correction
-        drift = track.drift(active, module.adc_bits) if settings.drift else None
+        drift = track.drift(replay.module.chain.correction, module.adc_bits) if settings.drift else None
         results.append(ReplayResult(replay, drift, log.counters.left_out_of(replay.own_can_ids)))
     return log, results
 

@@ -174,8 +174,7 @@ class NodeAccess:
         except RefusedError:
             return None
         if place in REALS and len(data) == REAL32.size:
-            value: float = REAL32.unpack(data)[0]
-            return value
+            return float(REAL32.unpack(data)[0])
         return int.from_bytes(data, "little")
 
     def write(self, index: int, subindex: int, layout: str, value: float) -> None:

@@ -178,8 +178,7 @@ class SpeedReadings:
             return False
         self._next_s = listening.elapsed_s + READINGS_EVERY_S
         before = listening.intervals
-        speed = self.read()
-        self.found.append(SpeedReading((before + listening.intervals) / 2.0, speed))
+        self.found.append(SpeedReading((before + listening.intervals) / 2.0, self.read()))
         return False
 
     def read(self) -> float:

@@ -250,8 +250,7 @@ class Session:
             return samples
         check_valid(self.module)
         hertz = self.speed_rad_s() * self.cycles_per_revolution / (2.0 * math.pi)
-        at_speed = counts_at(hertz, delay_s, corners)
-        return replace(samples.together(delay_s, hertz), at_speed=at_speed)
+        return replace(samples.together(delay_s, hertz), at_speed=counts_at(hertz, delay_s, corners))
 
     def provenance(self, where: Provenance) -> Provenance:
         """``where``, with what is known of both nodes."""

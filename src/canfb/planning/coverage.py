@@ -156,8 +156,7 @@ def _motion(window: SampleWindow, total: int, rng: Rng) -> Floats:
     high = float(rng.uniform(-1.0, 1.0)) * window.motion_cycles
     bend = k * (k + 1.0) / 2.0
     k = np.arange(total) - ORDER + 1.0
-    moved: Floats = float(rng.uniform()) + float(rng.uniform(-0.5, 0.5)) * k + high * bend
-    return moved
+    return np.asarray(float(rng.uniform()) + float(rng.uniform(-0.5, 0.5)) * k + high * bend, np.float64)
 
 
 def _judged(window: SampleWindow, name: str, truth: Floats, sine: Floats, cosine: Floats) -> FaultCoverage:

@@ -395,8 +395,7 @@ class ResidualBudget:
 
     @property
     def _cycles_per_s(self) -> float:
-        cycles = self.module.cycles_per_revolution
-        return (self.plan.speed_rad_s or 0.0) * cycles / (2 * math.pi)
+        return (self.plan.speed_rad_s or 0.0) * self.module.cycles_per_revolution / (2 * math.pi)
 
     @property
     def instants_cycles(self) -> float:

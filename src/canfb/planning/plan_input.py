@@ -69,21 +69,21 @@ class PlanOptions:
     table: bool = False
 
     def __post_init__(self) -> None:
-        ranges: dict[str, tuple[float, float]] = {
-            "rate_hz": (0.1, 100_000.0),
-            "jitter_us": (0.0, 1e6),
-            "extra_load": (0.0, 1.0),
-            "heartbeat_ms": (1.0, 65_535.0),
-            "rpm": (0.0, 1e6),
-            "acceleration_rad_s2": (0.0, MOST_ACCELERATION_RAD_S2),
-            "noise_counts": (0.0, 1000.0),
-            "phase_error_cycles": (0.0, 0.25),
-            "bit_rate": (10_000, 1_000_000),
-            "cycles_per_revolution": (1, 1_048_576),
-            "samples_per_sync": (1, MOST_PER_SYNC),
-            "noise_margin": (0, 255),
-        }
-        within(self, **{name: one for name, one in ranges.items() if getattr(self, name) is not None})
+        within(
+            self,
+            rate_hz=(0.1, 100_000.0),
+            jitter_us=(0.0, 1e6),
+            extra_load=(0.0, 1.0),
+            heartbeat_ms=(1.0, 65_535.0),
+            rpm=(0.0, 1e6),
+            acceleration_rad_s2=(0.0, MOST_ACCELERATION_RAD_S2),
+            noise_counts=(0.0, 1000.0),
+            phase_error_cycles=(0.0, 0.25),
+            bit_rate=(10_000, 1_000_000),
+            cycles_per_revolution=(1, 1_048_576),
+            samples_per_sync=(1, MOST_PER_SYNC),
+            noise_margin=(0, 255),
+        )
         if self.residual_limit is not None:
             check_residual_limit(self.residual_limit)
 

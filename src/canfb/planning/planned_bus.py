@@ -117,8 +117,7 @@ def node_messages(values: Values, node_id: int, *, sampled: bool) -> list[Messag
     ``sampled``: each sample is an event for its TPDOs of type FEh and FFh, and of type 0 the same. TPDOs
     on remote frames alone have the rate 0, as nobody is known to ask.
     """
-    pdos = valid_pdos(values.get, od.TPDO, od.TPDO_MAPPING)
-    found = [_tpdo(values, pdo, node_id, sampled) for pdo in pdos]
+    found = [_tpdo(values, pdo, node_id, sampled) for pdo in valid_pdos(values.get, od.TPDO, od.TPDO_MAPPING)]
     if values.get(HEARTBEAT):
         found.append(heartbeat_message(node_id, values[HEARTBEAT] * TIMER_S))
     emcy = values.get(EMCY_COB_ID, cob.EMERGENCY + node_id)
@@ -189,8 +188,7 @@ class BusLoad:
         return self.load_at(self.sync_hz)
 
     def load_at(self, sync_hz: float) -> float:
-        bits = sum(message.bits_per_s(sync_hz) for message in self.messages)
-        return bits / self.bit_rate + self.extra_load
+        return sum(message.bits_per_s(sync_hz) for message in self.messages) / self.bit_rate + self.extra_load
 
     @cached_property
     def largest_sync_hz(self) -> float:

@@ -85,7 +85,7 @@ class PageServer:
         bound = self._server.server_address[1]
         self.host = LOOPBACK if bound == HTTP_PORT else f"{LOOPBACK}:{bound}"
         self.address = f"http://{self.host}/#{self.token}"
-        self._files = {
+        self.files = {
             path: files("canfb.scope").joinpath(name).read_bytes() for path, (name, _) in FILES.items()
         }
 
@@ -136,9 +136,6 @@ class PageServer:
         if path == STREAM and not hmac.compare_digest(token.encode(), self.token.encode()):
             return OPEN_ADDRESS
         return ""
-
-    def file(self, path: str) -> bytes | None:
-        return self._files.get(path)
 
 
 def _end(viewer: Events) -> None:
@@ -192,7 +189,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.FORBIDDEN, "text/plain", refusal.encode())
         elif parts.path == STREAM:
             self._stream(page)
-        elif (content := page.file(parts.path)) is not None:
+        elif (content := page.files.get(parts.path)) is not None:
             self._answer(HTTPStatus.OK, FILES[parts.path][1], content)
         else:
             self._answer(HTTPStatus.NOT_FOUND, "text/plain", b"there is no such page")

@@ -83,8 +83,7 @@ class ModuleTraces:
             self._due_s = -math.inf
 
     def _point(self, now: float, module: ModuleSnapshot) -> Point:
-        state = module.position_state
-        known = not is_stale(module) and state in SHOWN
+        known = not is_stale(module) and module.position_state in SHOWN
         position, velocity = module.position_revolutions, module.velocity_rad_s
         faults, before = sum(module.seen.values()), self._faults
         self._faults = faults

@@ -295,8 +295,7 @@ def restore_backup(
             keep=keep,
             stores=STORES,
         )
-    tables = {od.TABLE_STAGED, od.TABLE_ACTIVATE}
-    untouched = sorted(before.values().keys() - backup.values.keys() - tables)
+    untouched = sorted(before.values().keys() - backup.values.keys() - {od.TABLE_STAGED, od.TABLE_ACTIVATE})
     return Restored(module, identity, changes, untouched, saved_as, dry_run, preop)
 
 

@@ -160,8 +160,7 @@ def of_recording(
     sine: FloatArray, cosine: FloatArray, module: ChainConfig, rate_hz: float, name: str
 ) -> MotionDemand:
     """Tracks in counts, NaN where a sample is missing, by the smallest acceleration that fits the phases."""
-    phase = np.asarray(phase_in_cycle(*module.conditioning.apply(sine, cosine)), np.float64)
-    step = np.diff(phase)
+    step = np.diff(np.asarray(phase_in_cycle(*module.conditioning.apply(sine, cosine)), np.float64))
     bend = np.diff(step)
     bend = np.where(np.isnan(bend), 0.0, bend - np.rint(bend))  # the residual of eq. 12, with its sign
     known = step[~np.isnan(step)]

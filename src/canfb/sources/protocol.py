@@ -305,8 +305,7 @@ class EvenScans:
         if any(first < one <= newest for one in self._breaks):
             raise SourceError("scans are missing: the buffer has overrun, or the trigger came late")
         chosen = [self._scans[number - self._count] for number in range(newest, first - 1, -self._apart)]
-        earlier = tuple((one.sine, one.cosine) for one in chosen[1:])
-        return chosen[0]._replace(earlier=earlier)
+        return chosen[0]._replace(earlier=tuple((one.sine, one.cosine) for one in chosen[1:]))
 
     def _begin(self) -> int | None:
         newest = self._count - 1 - self._lead
