@@ -10,7 +10,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canfb.signal.phase import phase_in_cycle
 from canfb.simulation import faults
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic, Motion, ShaftEncoder, demo_encoder
 from canfb.simulation.faults import Fault, Samples, Signal
@@ -45,14 +44,6 @@ def test_tracks_are_those_of_the_formulas_and_samples_are_rounded_to_counts(posi
     sine, cosine = BENT.sample(position)
     assert max(abs(sine - want[0]), abs(cosine - want[1])) <= 0.5 + 1e-6
     assert sine.dtype == cosine.dtype == np.int64
-
-
-def test_without_errors_the_raw_phase_is_that_of_table_1() -> None:
-    positions = (np.arange(1000) + 0.5) / 1000
-    raw = phase_in_cycle(*Encoder().tracks(positions))
-    error = np.abs(raw - positions)
-    # The paper: 1.132 % of a cycle for ideal tracks; more or less would be other tracks.
-    assert 0.0112 < error.max() < 0.0114
 
 
 @each("adc_bits", [4, 12, 16])

@@ -22,7 +22,7 @@ from canfb.signal.sample import Sample
 from canfb.simulation.cia402.drive import FeedbackModuleLink, ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant, PlantSource
 from canfb.simulation.cia402.state_machine import State
-from canfb.simulation.embedded_bus import EmbeddedBus, SyncDeviation, SyncTiming
+from canfb.simulation.embedded_bus import EmbeddedBus
 from canfb.simulation.encoder import Encoder, ShaftEncoder
 
 DRIVE_ID, MODULE_ID, INTERFACE_ID = 0x30, 0x20, 0x10
@@ -54,31 +54,22 @@ class DriveBench:
         period_s: float = 1e-3,
         synchronous: bool = False,
         cycles_per_revolution: int = 2500,
-        noise_lsb: float = 0.5,
-        start_revolutions: float = 0.0,
-        operational: bool = True,
-        timing: SyncTiming | None = None,
         **motor: float,
     ) -> None:
-        """With a ``timing`` the SYNCs jitter, and the ADC PDO carries the sample time."""
         self.period_s = period_s
-        self._deviation = None if timing is None else SyncDeviation(timing, period_s)
-        timed = timing is not None
-        self._nominal_s = 0.0
         self.bus = EmbeddedBus()
         self.network = EmbeddedNetwork(self.bus)
         self.heard: list[Frame] = []
         self.bus.observers.append(lambda frame, now: self.heard.append(frame))
-        self.motor = Motor(MotorConfig(**motor), start_revolutions)
+        self.motor = Motor(MotorConfig(**motor))
         self.plant = Plant(self.motor)
-        encoder = Encoder(noise_lsb=noise_lsb)
+        encoder = Encoder(noise_lsb=0.5)
         self.source = Tampering(PlantSource(ShaftEncoder(encoder, cycles_per_revolution), self.plant))
-        self.interface = EncoderInterface(INTERFACE_ID, self.source, times=timed, clock=SampleClock(100.0))
+        self.interface = EncoderInterface(INTERFACE_ID, self.source, clock=SampleClock(100.0))
         config = ModuleConfig(
             node_id=MODULE_ID,
             encoder_interface=INTERFACE_ID,
             cycles_per_revolution=cycles_per_revolution,
-            times=timed,
         )
         self.module = FeedbackModule(config)
         resolution, turns = (self.module.dictionary.entry(index).value for index in (0x6501, 0x6502))
@@ -97,10 +88,6 @@ class DriveBench:
             self.network.add_node(node)
         for participant in (self.plant, self.interface, self.module, self.drive):
             self.bus.attach(participant)
-        if operational:
-            self.operate()
-
-    def operate(self) -> None:
         self.master.setup_402_state_machine()
         for tpdo in self.master.tpdo.values():
             tpdo.wait_for_reception = functools.partial(self._wait_for, tpdo)
@@ -118,11 +105,7 @@ class DriveBench:
     def cycle(self, count: int = 1) -> None:
         """So many SYNCs, each with all that it causes."""
         for _ in range(count):
-            if self._deviation is None:
-                self.bus.run_until(self.bus.now + self.period_s)
-            else:
-                self._nominal_s += self.period_s
-                self.bus.run_until(self._nominal_s + self._deviation.next_s())
+            self.bus.run_until(self.bus.now + self.period_s)
             self.bus.send(SYNC)
 
     def enable(self, mode: str = "CYCLIC SYNCHRONOUS POSITION") -> None:

@@ -88,16 +88,6 @@ def statuswords(bench: DriveBench) -> list[int]:
     ]
 
 
-def test_the_master_walks_it_through_all_states(bench: DriveBench) -> None:
-    master = bench.master
-    assert master.state == "SWITCH ON DISABLED"
-    for target in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED", "QUICK STOP ACTIVE"):
-        master.state = target
-        assert master.state == target
-    master.state = "SWITCH ON DISABLED"
-    assert bench.state is State.SWITCH_ON_DISABLED
-
-
 def test_the_modes_are_those_of_6502h_and_other_fault_reactions_are_refused(bench: DriveBench) -> None:
     assert bench.master.is_op_mode_supported(CYCLIC)
     bench.master.op_mode = CYCLIC
