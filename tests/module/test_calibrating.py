@@ -24,7 +24,7 @@ from canfb.module.objects.calibrating import CalibrationJob, Outcome
 from canfb.objects import MeasurementCommand as Command
 from canfb.objects import MeasurementState as State
 from canfb.objects import StatusBit
-from canfb.signal.conditioning import IDENTITY
+from canfb.signal.conditioning import IDENTITY, Conditioning
 from canfb.signal.correction import CorrectionTable
 from canfb.signal.phase import FloatArray
 from canfb.signal.sample_recording import SampleRecording
@@ -248,53 +248,6 @@ def test_what_cannot_be_used_is_refused_with_its_reason(reason: str) -> None:
     assert (bench.state, bench.reason) == (State.RECORDING, "accepted")
 
 
-def test_the_number_of_samples_counts_from_the_next_start() -> None:
-    bench = Measuring(200)
-    bench.remote.nmt.state = "RESET"
-    assert bench.sdo[0x2030][10].raw == 20000
-    bench.sdo[0x2030][10].raw = 200
-    bench.begin()
-    bench.sdo[0x2030][10].raw = 300
-    bench.feed([(0, 1500)] * 199)
-    assert (bench.state, bench.sdo[0x2030][3].raw) == (State.RECORDING, 79)
-    bench.feed([(0, 1500)])
-    assert bench.state == State.COMPUTING
-    bench.command(Command.START)
-    bench.feed([(0, 1500)] * 250)
-    assert bench.state == State.RECORDING
-
-
-def test_the_progress_covers_the_computation() -> None:
-    bench = Measuring()
-    bench.begin()
-    bench.command(Command.FINISH)
-    job = bench.module.pending_job()
-    assert job is not None
-    seen = []
-    for part in (0.0, 0.5, 1.0, 7.0, -1.0):
-        bench.module.job_progress(job, part)
-        seen.append(bench.sdo[0x2030][3].raw)
-    assert seen == [80, 89, 99, 99, 80]
-    bench.command(Command.START)
-    bench.module.job_progress(job, 1.0)
-    assert bench.sdo[0x2030][3].raw == 0
-
-
-def test_what_was_accepted_can_be_saved_and_is_in_force_after_a_reset() -> None:
-    store = MemoryStore()
-    bench = Measuring(store=store)
-    result = bench.ready().calibration
-    assert result is not None
-    bench.sdo[0x1020][1].raw = 7
-    bench.command(Command.ACCEPT)
-    assert bench.sdo[0x1020][1].raw == 0, "the configuration is another one now"
-    bench.sdo.download(0x1010, 1, b"save")
-    bench.remote.nmt.state = "RESET"
-    assert bench.in_force() == (0, result.table.crc32, len(result.table))
-    assert bench.module.chain.correction.conditioning == result.conditioning
-    assert bench.state == State.IDLE
-
-
 def recorded(bench: Measuring) -> tuple[CalibrationJob, list[tuple[int, int]]]:
     bench.command(Command.FINISH)
     job = bench.module.pending_job()
@@ -366,7 +319,7 @@ def test_sample_times_count_where_they_come() -> None:
     assert drift(truth, result.calibration.table, result.calibration.conditioning).rms < 3e-4
 
 
-WANTED = 200
+NUMBERS = st.sampled_from([200, 300])  # of samples
 TABLES = [wavy_table(32, size) for size in (0.01, 0.02)]
 
 
@@ -377,24 +330,27 @@ def measured() -> Calibration:
 
 
 class ModuleUnderAnyMaster(RuleBasedStateMachine):
-    """The model: what is in force changes by 2020:03, by an accepted measurement and by a reset alone."""
+    """The model: what is in force changes by 2020:03, by an accepted measurement and by a reset alone,
+    which brings back what was saved.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self.bench = Measuring(WANTED)
+        self.bench = Measuring(store=MemoryStore())
         self.bench.start()
         self.bench.feed([(0, 1500)])
         self.operational = True
+        self.saved: tuple[CorrectionTable | None, Conditioning] = (None, IDENTITY)
         self.power_on()
         self.late: list[CalibrationJob] = []
 
     def power_on(self) -> None:
         self.state, self.reason, self.task = State.IDLE, "accepted", Command.START
-        self.recorded = 0
+        self.recorded, self.part = 0, 0.0
+        self.wanted = 0
         self.figures = False  # of a measurement, good or not
-        self.table: CorrectionTable | None = None
-        self.conditioning = IDENTITY
-        self.written = IDENTITY
+        self.table, self.conditioning = self.saved
+        self.written = self.conditioning
         self.staged: CorrectionTable | None = None
 
     def refused(self, command: int) -> None:
@@ -409,12 +365,21 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
 
     # commands
 
-    @rule(task=st.sampled_from([Command.START, Command.CHECK]))
-    def start(self, task: Command) -> None:
+    @rule(
+        task=st.sampled_from([Command.START, Command.CHECK]),
+        wanted=NUMBERS,
+        later=NUMBERS,
+        count=st.integers(0, 90),
+    )
+    def start(self, task: Command, wanted: int, later: int, count: int = 0) -> None:
+        """The number of samples is that of the start."""
         self.remember_job()
+        self.bench.sdo[0x2030][10].raw = wanted
         self.bench.command(task)
+        self.bench.sdo[0x2030][10].raw = later
         self.state, self.reason, self.task, self.recorded = State.RECORDING, "accepted", task, 0
-        self.figures = False
+        self.wanted, self.figures = wanted, False
+        self.samples(count, False)
 
     @rule()
     def stop(self) -> None:
@@ -422,20 +387,27 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         self.bench.command(Command.STOP)
         self.state, self.reason, self.figures = State.IDLE, "accepted", False
 
-    @rule()
-    def finish(self) -> None:
+    @rule(part=st.sampled_from([0.0, 0.5, 1.0, 7.0, -1.0]))
+    def finish(self, part: float) -> None:
         if self.state is not State.RECORDING:
             self.refused(Command.FINISH)
             return
         self.bench.command(Command.FINISH)
-        self.state = State.COMPUTING
+        job = self.bench.module.pending_job()
+        assert job is not None
+        self.bench.module.job_progress(job, part)
+        for old in self.late:
+            self.bench.module.job_progress(old, 0.9)
+        self.state, self.part = State.COMPUTING, max(0.0, min(part, 1.0))
 
     @rule()
     def accept(self) -> None:
         if self.state is not State.READY:
             self.refused(Command.ACCEPT)
             return
+        self.bench.sdo[0x1020][1].raw = 7
         self.bench.command(Command.ACCEPT)
+        assert self.bench.sdo[0x1020][1].raw == 0, "the configuration is another one now"
         self.state = State.ACCEPTED
         self.table, self.conditioning = measured().table, measured().conditioning
         self.written = self.conditioning
@@ -443,8 +415,8 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
     @rule(task=st.sampled_from([Command.START, Command.START, Command.CHECK]))
     def measure(self, task: Command) -> None:
         """Straight to the end, so that what comes after it is tried often enough."""
-        self.start(task)
-        self.finish()
+        self.start(task, 200, 200)
+        self.finish(0.5)
         self.remember_job()
         self.computed()
 
@@ -460,8 +432,8 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
     @rule(reason=st.sampled_from([Reason.NOISE, Reason.COVERAGE, Reason.LOCKED]), figures=st.booleans())
     def computed_to_no_good(self, reason: Reason, figures: bool) -> None:
         if self.state is not State.COMPUTING:
-            self.start(Command.START)
-            self.finish()
+            self.start(Command.START, 200, 200)
+            self.finish(0.0)
         calibration = replace(measured(), reason=reason) if figures else None
         self.bench.finish_with(Outcome(reason, calibration, "no"))
         self.state, self.reason, self.figures = State.REFUSED, reason, figures
@@ -487,28 +459,48 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         assert len(published) == (count if self.operational else 0)
         if self.operational and self.state is State.RECORDING:
             self.recorded += count
-            if self.recorded >= WANTED:
-                self.state = State.COMPUTING
+            if self.recorded >= self.wanted:
+                self.state, self.part = State.COMPUTING, 0.0
         if lost and self.operational:
             self.bench.feed([None, (0, 1500)])
             if self.state is State.RECORDING:
                 self.recorded += 2
-                if self.recorded >= WANTED:
-                    self.state = State.COMPUTING
+                if self.recorded >= self.wanted:
+                    self.state, self.part = State.COMPUTING, 0.0
 
     # other things that a master does
 
-    @rule(table=st.sampled_from(TABLES))
-    def stage(self, table: CorrectionTable) -> None:
+    @rule(table=st.sampled_from(TABLES), again=st.booleans())
+    def stage(self, table: CorrectionTable, again: bool) -> None:
+        """The active one may be activated once more, with the conditioning that waits."""
         self.bench.sdo.download(0x2020, 1, table.to_bytes())
         self.staged = table
+        if again and self.table is not None:
+            self.activate(self.table)
 
-    @precondition(lambda self: self.staged is not None)
+    @rule(table=st.sampled_from([*TABLES, None]))
+    def activate(self, table: CorrectionTable | None) -> None:
+        """By the CRC of the staged table or of the active one, and no other."""
+        crc32 = 1 if table is None else table.crc32
+        if crc32 not in [one.crc32 for one in (self.staged, self.table) if one is not None]:
+            with pytest.raises(SdoAbortedError, match="06090030"):
+                self.bench.sdo[0x2020][3].raw = crc32
+            return
+        self.bench.sdo[0x2020][3].raw = crc32
+        self.table, self.conditioning = table, self.written
+        assert table is not None
+        assert self.bench.sdo.upload(0x2020, 1) == table.to_bytes()
+
     @rule()
-    def activate(self) -> None:
-        assert self.staged is not None
-        self.bench.sdo[0x2020][3].raw = self.staged.crc32
-        self.table, self.conditioning = self.staged, self.written
+    def save(self) -> None:
+        """What is in force, whatever waits; it comes back with a reset of the node."""
+        self.bench.save()
+        self.saved = self.table, self.conditioning
+
+    @rule()
+    def load(self) -> None:
+        self.bench.load(4)
+        self.saved = None, IDENTITY
 
     @rule()
     def back_to_the_identity(self) -> None:
@@ -546,7 +538,7 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
     def reset(self) -> None:
         self.remember_job()
         self.bench.remote.nmt.state = "RESET"
-        self.bench.sdo[0x2030][10].raw = WANTED
+        assert self.bench.sdo[0x2030][10].raw == 20000
         self.operational = False
         self.power_on()
 
@@ -559,7 +551,8 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         assert self.bench.is_calibrating == working
         assert self.bench.sdo[0x2030][1].raw == (self.task if working else 0)
         assert (self.bench.module.pending_job() is not None) == (self.state is State.COMPUTING)
-        parts = {State.IDLE: 0, State.RECORDING: 80 * self.recorded // WANTED, State.COMPUTING: 80}
+        recorded, computed = 80 * self.recorded // max(self.wanted, 1), 80 + int(19 * self.part)
+        parts = {State.IDLE: 0, State.RECORDING: recorded, State.COMPUTING: computed}
         assert self.bench.sdo[0x2030][3].raw == parts.get(self.state, 100)
 
     @invariant()

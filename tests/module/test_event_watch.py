@@ -14,6 +14,7 @@ from canfb.cia301.frame import Frame
 from canfb.device.storage.storage import MemoryStore
 from canfb.module.events import Event, EventKind
 from canfb.objects import LossCause, StatusBit
+from canfb.signal.speeds import STILL_SAMPLES
 from ideal_tracks import counts_at, wavy_table
 
 PERIOD_S, ADC_S = 1e-3, 2e-4
@@ -208,13 +209,15 @@ def details(bench: Bench) -> list[bytes]:
     return [data[3:] for data in frames if struct.unpack_from("<H", data)[0] == 0x7300]
 
 
-def test_a_bus_that_falls_silent_is_named(bench: Bench) -> None:
+def test_an_interface_that_falls_silent_loses_the_position_once_and_is_named(bench: Bench) -> None:
     for n in range(20):
         bench.at(0.125 * n)
     assert loss(bench) == [0] * 6, "nothing is lost at first"
     assert bench.sdo[0x2012][0x11].raw == 0
-    for _ in range(6):
-        bench.sync()
+    bench.sync()
+    sent = [frame.data for _ in range(10) for frame in bench.sync() if frame.can_id == 0x1A0]
+    statuses = [struct.unpack("<IHH", data)[1] for data in sent]
+    assert [bool(status & StatusBit.LOST) for status in statuses] == [False, False, False, True]
     cause, bad, residual, limit, speed, faults = loss(bench)
     assert cause == LossCause.COASTED
     assert bad == 4, "2010:03 is 3: the fourth is too many"
@@ -226,9 +229,20 @@ def test_a_bus_that_falls_silent_is_named(bench: Bench) -> None:
     assert not_valid[2:] == bytes(3), "the cause is not known yet"
     assert struct.unpack("<H", lost[:2])[0] & StatusBit.LOST
     assert lost[2:] == bytes((LossCause.COASTED, 4, 0))
+    assert (bench.sdo[0x2012][5].raw, bench.sdo[0x6503].raw, bench.sdo[0x1001].raw) == (1, 1, 0x21)
+    assert not bench.at(2.5)[1] & StatusBit.VALID
+    bench.remote.nmt.state = "PRE-OPERATIONAL"
+    bench.start()
+    assert {bench.at(2.5)[1] for _ in range(2 * STILL_SAMPLES)} == {StatusBit.LOST}, "it turned"
+    bench.remote.nmt.state = "RESET"
+    bench.start()
+    assert bench.at(2.5)[1] == StatusBit.VALID
+    assert loss(bench) == [0] * 6
+    assert bench.emergencies() == [0x7300, 0x7300], "not valid, then lost"
+    assert bench.sdo[0x6503].raw == 0
 
 
-def test_a_loss_survives_the_restart_that_ends_it_and_is_forgotten_at_a_reset(bench: Bench) -> None:
+def test_a_loss_survives_the_restart_that_ends_it(bench: Bench) -> None:
     """So that it can be asked for when the machine runs again."""
     for _ in range(20):
         bench.at(0.3)
@@ -239,9 +253,6 @@ def test_a_loss_survives_the_restart_that_ends_it_and_is_forgotten_at_a_reset(be
     bench.start()
     assert bench.at(0.3)[1] & StatusBit.VALID
     assert loss(bench)[0] == LossCause.COASTED
-    bench.remote.nmt.state = "RESET"
-    bench.start()
-    assert loss(bench) == [0] * 6
 
 
 def test_what_was_wrong_is_kept_but_not_what_was_wrong_before_the_last_valid_position(bench: Bench) -> None:

@@ -14,32 +14,7 @@ from canfb.module.cia406.position import PHASE_UNITS, PositionScale
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig
 from canfb.objects import StatusBit
-from canfb.signal.speeds import STILL_SAMPLES
 from drawing import examples
-
-
-def test_an_interface_that_falls_silent_loses_the_position_once(bench: Bench) -> None:
-    for n in range(3):
-        bench.at(n * 0.1)
-    bench.sync()
-    statuses = []
-    for _ in range(10):
-        statuses += [struct.unpack("<IHH", frame.data)[1] for frame in bench.sync() if frame.can_id == 0x1A0]
-    assert [bool(status & StatusBit.LOST) for status in statuses] == [False, False, False, True]
-    assert bench.emergencies() == [0x7300, 0x7300], "not valid, then lost"
-    assert bench.sdo[0x2012][5].raw == 1
-    assert bench.sdo[0x6503].raw == 1
-    assert bench.sdo[0x1001].raw == 0x21
-    bench.at(0.3)
-    assert not bench.at(0.3)[1] & StatusBit.VALID
-    bench.remote.nmt.state = "PRE-OPERATIONAL"
-    bench.start()
-    assert {bench.at(0.3)[1] for _ in range(2 * STILL_SAMPLES)} == {StatusBit.LOST}, "it turned"
-    bench.remote.nmt.state = "RESET"
-    bench.start()
-    assert bench.at(0.3)[1] == StatusBit.VALID
-    assert bench.emergencies() == [0x7300, 0x7300]
-    assert bench.sdo[0x6503].raw == 0
 
 
 def test_after_a_pause_no_position_is_valid_before_a_sample_came(bench: Bench) -> None:
@@ -113,16 +88,6 @@ def test_a_sample_in_two_pdos_is_complete_with_the_second(bench: Bench) -> None:
     _, status, _ = bench.position(bench.sent(Frame(0x290, struct.pack("<hhBH", 1500, 0, 0, 0))))
     assert status & StatusBit.COARSE
     assert bench.sdo[0x2012][11].raw == 1
-
-
-def test_the_raw_position_knows_no_scaling_no_preset_and_no_code_sequence(bench: Bench) -> None:
-    for _ in range(3):
-        bench.at(0.25)
-    bench.sdo[0x6003].raw = 77
-    bench.sdo[0x6001].raw = 10_000
-    bench.sdo[0x6000].raw = 0b101
-    assert bench.at(0.25)[0] != 2048
-    assert bench.sdo[0x600C].raw == 2048
 
 
 def test_they_can_be_mapped_into_a_pdo(bench: Bench) -> None:

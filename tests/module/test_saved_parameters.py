@@ -26,7 +26,6 @@ from canfb.module.device_configuration import configuration_of
 from canfb.module.feedback_module import FeedbackModule
 from canfb.module.module_config import ModuleConfig, SecondPositionConfig
 from canfb.signal.conditioning import Conditioning
-from canfb.signal.correction import Correction, CorrectionTable
 from canfb.simulation.embedded_bus import EmbeddedBus
 from documentation import blocks, page
 from drawing import examples
@@ -41,53 +40,6 @@ TABLE = wavy_table()
 @pytest.fixture
 def store() -> MemoryStore:
     return MemoryStore()
-
-
-def test_table_conditioning_and_parameters_come_back(store: MemoryStore) -> None:
-    first = Bench(store)
-    first.sdo[0x2001][3].raw, first.sdo[0x2001][4].raw = 100, 200  # below the default of the lower limit
-    first.sdo[0x2002][1].raw = 12.5
-    first.sdo[0x2010][3].raw = 9
-    first.sdo[0x6001].raw = 3600
-    first.sdo[0x6000].raw = 4
-    first.activate(TABLE)
-    first.save()
-    for again in (Bench(store), first):
-        if again is first:
-            again.remote.nmt.send_command(0x81)
-        assert again.module.chain.correction.table == TABLE
-        assert again.module.chain.correction.conditioning == Conditioning(sine_offset_counts=12.5)
-        assert again.sdo.upload(0x2020, 1) == TABLE.to_bytes()
-        assert again.sdo[0x2020][2].raw == 0  # it is active, not staged
-        assert again.sdo[0x2020][4].raw == TABLE.crc32
-        assert again.sdo[0x2020][5].raw == 64
-        assert (again.sdo[0x2001][3].raw, again.sdo[0x2001][4].raw) == (100, 200)
-        assert (again.sdo[0x6001].raw, again.sdo[0x6500].raw) == (3600, 4)
-        assert again.module.storage.faults == {}
-        assert again.alarms() == []
-    first.remote.nmt.send_command(0x82)
-    first.load(4)
-    assert first.module.chain.correction.table == TABLE, "until the next reset of the node"
-    first.remote.nmt.send_command(0x81)
-    assert first.module.chain.correction.table is None
-
-
-def test_a_save_between_upload_and_activation_keeps_what_is_in_force(store: MemoryStore) -> None:
-    machine = Bench(store)
-    machine.sdo[0x2002][1].raw = 12.5
-    machine.activate(TABLE)
-    in_force = machine.module.chain.correction
-    machine.sdo[0x2002][1].raw, machine.sdo[0x2002][4].raw = -3.0, 1.25
-    machine.sdo.download(0x2020, 1, CorrectionTable.identity(16).to_bytes())
-    machine.save()
-    assert machine.sdo[0x2002][4].raw == 1.25, "2002h still shows what waits"
-    assert machine.module.chain.correction == in_force
-    assert Bench(store).module.chain.correction == in_force
-    machine.sdo[0x2020][3].raw = machine.sdo[0x2020][2].raw
-    machine.save()
-    assert Bench(store).module.chain.correction == Correction(
-        CorrectionTable.identity(16), Conditioning(sine_offset_counts=-3.0, cosine_gain=1.25)
-    )
 
 
 # What must not be used.

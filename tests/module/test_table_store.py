@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-import zlib
 
 import numpy as np
 import pytest
@@ -12,22 +11,7 @@ from canopen import SdoAbortedError
 from module_bench import Bench
 
 from canfb.device.storage.storage import MemoryStore
-from canfb.objects import StatusBit
-from ideal_tracks import counts_at, wavy_table
-
-
-@pytest.mark.parametrize("n", [16, 200, 256, 4096])
-def test_staged_checked_activated_and_read_back(bench: Bench, n: int) -> None:
-    table = wavy_table(n)
-    bench.stage(table)
-    assert bench.in_force() == (zlib.crc32(table.to_bytes()), 0, 0)
-    assert not bench.at(0.1)[1] & StatusBit.TABLE_ACTIVE
-    bench.activate(table)
-    assert bench.in_force()[1:] == (table.crc32, n)
-    assert bench.sdo.upload(0x2020, 1) == table.to_bytes()
-    assert bench.at(0.1)[1] == StatusBit.VALID | StatusBit.TABLE_ACTIVE
-    sine, cosine = counts_at(0.1)
-    assert bench.sdo[0x2011][3].raw / 2**32 == pytest.approx(table(sine / cosine / 8), abs=1e-9)
+from ideal_tracks import wavy_table
 
 
 def change(n: int, value: float) -> bytes:
@@ -53,19 +37,6 @@ def test_a_bad_table_is_refused_and_leaves_everything_as_it_was(bench: Bench, da
         bench.sdo.download(0x2020, 1, data)
     assert bench.in_force() == (next_one.crc32, good.crc32, 256)
     assert bench.sdo.upload(0x2020, 1) == good.to_bytes()
-
-
-def test_only_the_crc_of_the_staged_or_the_active_table_activates(bench: Bench) -> None:
-    first, second = wavy_table(256, 0.01), wavy_table(256, 0.02)
-    activate = bench.sdo[0x2020][3]
-    for crc32 in (1, first.crc32):
-        with pytest.raises(SdoAbortedError, match="06090030"):
-            activate.raw = crc32
-    bench.activate(first)
-    bench.stage(second)
-    for one in (first, second):
-        activate.raw = one.crc32
-        assert bench.in_force()[1] == one.crc32
 
 
 def test_the_crc_of_what_is_saved() -> None:
