@@ -43,19 +43,26 @@ def speed_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
         }
         for one in errors
     ]
-    rows = [Row(speeds=figures)]
-    for hertz, what, before, after in (*rms, *mean):
-        words = LOST if before is None else percent(before, where)
-        rows.append(Row(f"{speed_words(hertz, where)}, {what}", words, percent(after, where)))
-    return rows
+    return [
+        Row(speeds=figures),
+        *(
+            Row(
+                f"{speed_words(hertz, where)}, {what}",
+                LOST if before is None else percent(before, where),
+                percent(after, where),
+            )
+            for hertz, what, before, after in (*rms, *mean)
+        ),
+    ]
 
 
 def path_rows(over: OverSpeeds, where: Provenance) -> list[Row]:
     path, low_pass, corners = over.path, over.path.low_pass, over.after.corners
     seen, sigma_s = low_pass.is_detected, low_pass.delay_sigma_s
-    between = f"{path.cosine_delay_s * 1e9:.4g} ± {path.cosine_delay_sigma_s * 1e9:.2g} ns (2002:06)"
-    if not path.cosine_delay_s:
-        between = f"none; ± {path.cosine_delay_sigma_s * 1e9:.2g} ns"
+    sigma = f"± {path.cosine_delay_sigma_s * 1e9:.2g} ns"
+    between = (
+        f"{path.cosine_delay_s * 1e9:.4g} {sigma} (2002:06)" if path.cosine_delay_s else f"none; {sigma}"
+    )
     two_poles = low_pass.other if low_pass.may_have_two_poles else None
     return [
         Row(
@@ -129,10 +136,9 @@ def _low_pass_words(over: OverSpeeds, where: Provenance) -> str:
     if not low_pass.is_detected:
         return "none is seen"
     words = f"{corners.corner_hz / 1e3:.4g} ± {low_pass.corner_sigma_hz / 1e3:.1g} kHz"
-    if corners.cosine_corner_hz:
-        words += f", cosine {corners.cosine_corner_hz / 1e3:.4g} kHz"
+    cosine = f", cosine {corners.cosine_corner_hz / 1e3:.4g} kHz" if corners.cosine_corner_hz else ""
     left, at = PERCENT * low_pass.left, speed_words(low_pass.top_hz, where)
-    return f"{words} (2001:05, 2001:06): {left:.0f} % of the amplitude at {at}"
+    return f"{words}{cosine} (2001:05, 2001:06): {left:.0f} % of the amplitude at {at}"
 
 
 def comparison(measured: Measurement, done: Installation, where: Provenance) -> list[Row]:
@@ -142,7 +148,7 @@ def comparison(measured: Measurement, done: Installation, where: Provenance) -> 
     def pair(one: float, other: float) -> tuple[str, str]:
         return percent(one, where), percent(other, where)
 
-    rows = [
+    return [
         Row(
             "table",
             table_words(before),
@@ -179,10 +185,8 @@ def comparison(measured: Measurement, done: Installation, where: Provenance) -> 
             *(() if fresh is None else pair(fresh.before_peak, fresh.peak)),
             fresh_peak_cycles=fresh and fresh.peak,
         ),
+        *([] if measured.over_speeds is None else speed_rows(measured.over_speeds, where)),
     ]
-    if measured.over_speeds is not None:
-        rows += speed_rows(measured.over_speeds, where)
-    return rows
 
 
 def facts(measured: Measurement, done: Installation, where: Provenance) -> list[Row]:
@@ -262,13 +266,11 @@ def rate_words(samples: TrackSamples) -> str:
 
 
 def missed_words(samples: TrackSamples, where: Provenance) -> str:
-    skipped, meanwhile = samples.skipped, where.meanwhile
-    words = f"{samples.missed + skipped} missed"
-    if skipped:
-        words += f" ({samples.missed} SYNCs without a sample, about {skipped} intervals without a SYNC)"
-    if meanwhile is not None and (meanwhile.missed or skipped):
-        words += f", {meanwhile.missed} by the count of the module"
-    return words
+    missed, skipped = samples.missed, samples.skipped
+    counted = None if where.meanwhile is None else where.meanwhile.missed
+    which = f" ({missed} SYNCs without a sample, about {skipped} intervals without a SYNC)" if skipped else ""
+    told = counted is not None and (counted or skipped)
+    return f"{missed + skipped} missed{which}{f', {counted} by the count of the module' if told else ''}"
 
 
 def moved_words(calibration: Calibration, where: Provenance) -> str:

@@ -161,11 +161,8 @@ def _motion(
     largest = max(largest, limit / LIMIT_UNITS - 4.0 * limits.settings.phase_error_cycles)
     most = max_acceleration(n, 1.0 / interval_s)
     value = as_real32(min(_rounded_up(largest * to_rad), most))
-    words = f"{motion.acceleration * to_rad:.3g} rad/s² seen"
-    if known > margin * motion.acceleration:
-        words += f", {known_rad_s2:g} given"
-    else:
-        words += f", times {margin:g}"
+    taken = f"{known_rad_s2:g} given" if known > margin * motion.acceleration else f"times {margin:g}"
+    words = f"{motion.acceleration * to_rad:.3g} rad/s² seen, {taken}"
     if value >= most * (1.0 - 1e-6):
         words += "; no more than eq. 10 allows: increase the SYNC rate"
     elif value / to_rad > STEADY_LIMIT:
@@ -224,10 +221,11 @@ def _frozen(machine: MachineFigures, limits: SupervisionLimits, margin: float) -
         tracks.noise_counts, 1.0 / machine.interval_s, margin, tracks.longest_repeat
     )
     noise = f"noise of {tracks.noise_counts:.2f} counts, {tracks.longest_repeat} repeats in a row seen"
-    if not repeats:
-        why = f"off: {noise}; a working converter may repeat itself at whole cycles per sample"
-    else:
-        why = f"{noise}: less than one false alarm in ten years at whole cycles per sample"
+    why = (
+        f"{noise}: less than one false alarm in ten years at whole cycles per sample"
+        if repeats
+        else f"off: {noise}; a working converter may repeat itself at whole cycles per sample"
+    )
     return _choice(limits, od.SUPERVISION_FROZEN, repeats, why)
 
 

@@ -119,15 +119,14 @@ def _serial_number(device: NodeDevice) -> int:
 def what_is_saved(module: FeedbackModule, name: str) -> list[str]:
     """A line on configured values that saved ones replace, or none."""
     module.storage.restore()  # the start does it again
-    changed = []
-    for index, subindex in configured_defaults(module.config):
-        entry = module.dictionary.entry(index, subindex)
-        if encode(entry.data_type, entry.value) != encode(entry.data_type, entry.default):
-            changed.append(f"{index:04X}h:{subindex:02X}")
-    objects = ", ".join(changed)
-    if not changed:
-        return []
-    return [f"node {name}: saved values take precedence over the configuration: {objects}"]
+    entries = {place: module.dictionary.entry(*place) for place in configured_defaults(module.config)}
+    changed = [
+        f"{index:04X}h:{subindex:02X}"
+        for (index, subindex), one in entries.items()
+        if encode(one.data_type, one.value) != encode(one.data_type, one.default)
+    ]
+    said = f"node {name}: saved values take precedence over the configuration: {', '.join(changed)}"
+    return [said] if changed else []
 
 
 def speeds_of(modules: Iterable[tuple[FeedbackModule, str]]) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canfb import objects as od
-from canfb.checks import flag, integer_in, text, within
+from canfb.checks import flag, integer_in, number_in, text, within
 from canfb.cia301 import cob
 from canfb.cia301.codes import AbortCode, EmergencyCode, ErrorRegister, SdoAbort
 from canfb.cia301.frame import Frame, mapping_values
@@ -70,8 +70,7 @@ class SampleClock:
     """
 
     def __init__(self, drift_ppm: float = 0.0, start_100ns: int = 0) -> None:
-        if not -LARGEST_DRIFT_PPM <= drift_ppm <= LARGEST_DRIFT_PPM:
-            raise ValueError(f"drift_ppm must be a number -10000..10000, not {drift_ppm!r}")
+        number_in("drift_ppm", drift_ppm, -LARGEST_DRIFT_PPM, LARGEST_DRIFT_PPM)
         self._start = start_100ns
         self._rate = TICKS_PER_S * (1.0 + drift_ppm * 1e-6)
 

@@ -35,7 +35,7 @@ from canfb.replay.findings import COLUMNS as SAMPLE_COLUMNS
 from canfb.replay.findings import KINDS, Block, DriftTracks, Overview
 from canfb.replay.module_replay import Begin, ModuleReplay
 from canfb.replay.replay_result import ReplayResult
-from canfb.report.page import beside, figure, gallery, page, table
+from canfb.report.page import beside, figure, gallery, page, sentence, table
 from canfb.report.pictures import Curve, lissajous, over_time
 from canfb.rows import Row
 from canfb.signal.correction import Correction
@@ -100,8 +100,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], types: Mapping[str
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
     _, parquet = _pyarrow()
-    rows: list[dict[str, Any]] = parquet.read_table(str(path)).to_pylist()
-    return rows
+    return list(parquet.read_table(str(path)).to_pylist())
 
 
 @contextlib.contextmanager
@@ -140,7 +139,7 @@ def write_page(path: Path, log: BusLogFile, result: ReplayResult, overview: Over
         body += table("Faults", [*rows, Row("", f"and {more} more" if more > 0 else None)])
     other = any(one.different or one.only_recorded or one.only_replayed for one in replay.compared.values())
     good = whole and not other and not any(replay.faults.times.values())
-    said = [f"{one[:1].upper()}{one[1:]}." for one in (*result.notes(), result.verdict())]
+    said = [sentence(one) for one in (*result.notes(), result.verdict())]
     text = page(f"Replay of {log.path.name}", result.head(), said, body, "Margin: what is left of it", good)
     with writing(path, "--report"):
         path.write_text(text, encoding="utf-8")

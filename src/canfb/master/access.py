@@ -235,7 +235,8 @@ class NodeAccess:
                     client.disturbed = False
                     return act(client)
             except (SdoError, can.CanError, OSError, AttributeError, RuntimeError, struct.error) as error:
-                if attempt == ATTEMPTS or not client.disturbed or _is_final(error):
+                refused = isinstance(error, SdoAbortedError) and error.code not in BROKEN
+                if attempt == ATTEMPTS or not client.disturbed or refused:
                     raise self._failed(what, error) from error
             self.master.wait(SETTLE_S * attempt)
         raise AssertionError("unreachable")
@@ -262,11 +263,6 @@ class NodeAccess:
 def as_real32(value: float) -> float:
     """The value that a REAL32 holds."""
     return float(REAL32.unpack(REAL32.pack(value))[0])
-
-
-def _is_final(error: Exception) -> bool:
-    """A refusal that another master has not caused."""
-    return isinstance(error, SdoAbortedError) and error.code not in BROKEN
 
 
 HEARTBEAT_TIME, GUARD_TIME = od.Multiplexer(0x1017), od.Multiplexer(0x100C)

@@ -103,8 +103,8 @@ class Page:
         with_tracks = bool(module.tracks_counts) and wide >= LEAST_TRACKS
         figures = inner - wide - 1 if with_tracks else inner
         texts = self._figures(node, module, max(10, min(figures - LABEL - 12, BAR)))
-        for one in node.emergencies[1 : 1 + max(0, high - len(texts))]:
-            texts.append(self._row(lines.Line("", (lines.emergency_part(one),)), LABEL))
+        older = node.emergencies[1 : 1 + max(0, high - len(texts))]
+        texts += [self._row(lines.Line("", (lines.emergency_part(one),)), LABEL) for one in older]
         table = Table.grid(padding=(0, 1, 0, 0))
         table.add_column(width=figures, no_wrap=True)
         table.add_column(width=wide if with_tracks else 0, no_wrap=True)

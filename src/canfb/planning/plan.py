@@ -236,10 +236,10 @@ class ResidualBudget:
     def detection(self, limit_cycles: float | None = None) -> CountDetection:
         """With the limit in force, or another one."""
         limit = self.limit_cycles if limit_cycles is None else limit_cycles
-        declared = self.declared
-        if limit != self.limit_cycles:
-            declared = replace(declared, residual_limit=limit)
-        return CountDetection(limit, self.motion_cycles, declared)
+        other = replace(self.declared, residual_limit=limit)
+        return CountDetection(
+            limit, self.motion_cycles, self.declared if limit == self.limit_cycles else other
+        )
 
     @property
     def is_narrowed(self) -> bool:

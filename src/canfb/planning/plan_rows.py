@@ -161,9 +161,8 @@ def _alike(plan: Plan) -> list[tuple[str, ResidualBudget]]:
 def _heading(names: str, budget: ResidualBudget) -> list[str]:
     module, where = budget.module, budget.plan.where
     several = f"{module.samples_per_sync} samples per SYNC, " if module.samples_per_sync > 1 else ""
-    narrowed = ""
-    if budget.is_narrowed:
-        narrowed = f", narrowed by 2010:02{' and 2010:09' if budget.has_noise_margin else ''}"
+    by = "2010:02 and 2010:09" if budget.has_noise_margin else "2010:02"
+    narrowed = f", narrowed by {by}" if budget.is_narrowed else ""
     return [
         f"node{'s' if ',' in names else ''} {names}: {module.cycles_per_revolution} cycles per revolution, "
         f"{several}residual limit {budget.limit_cycles:.3f} cycle{narrowed}",
@@ -283,9 +282,9 @@ def _detection_rows(budget: ResidualBudget) -> list[Row]:
     half = "always" if found.half_cycle else "not always"
     low, high = module.amplitude_limits_counts
     nominal = budget.plan.amplitude * module.full_scale_counts
-    amplitude = f"{low} to {high} counts"
-    if nominal:
-        amplitude = f"{low / nominal:.2g} to {high / nominal:.2g} of nominal"
+    amplitude = (
+        f"{low / nominal:.2g} to {high / nominal:.2g} of nominal" if nominal else f"{low} to {high} counts"
+    )
     area = area_coverage(window_of(budget))
     return [
         Row(

@@ -237,9 +237,7 @@ class ModuleReplay:
     @property
     def compared(self) -> dict[int, OwnFrames]:
         """By CAN-ID; empty if the log has no frame of the module."""
-        if not self.recorded_own:
-            return {}
-        return dict(sorted(self._own_frames.items()))
+        return dict(sorted(self._own_frames.items())) if self.recorded_own else {}
 
     @property
     def own_can_ids(self) -> frozenset[int]:
@@ -389,11 +387,9 @@ class ModuleReplay:
             self.module.chain.restart()  # power-on: it knows nothing of the machine
 
     def _pairs(self, can_id: int) -> OwnFrames:
-        found = self._own_frames.get(can_id)
-        if found is None:
-            found = OwnFrames(lambda: pdo_fields(self.module.dictionary, can_id))
-            self._own_frames[can_id] = found
-        return found
+        if can_id not in self._own_frames:
+            self._own_frames[can_id] = OwnFrames(lambda: pdo_fields(self.module.dictionary, can_id))
+        return self._own_frames[can_id]
 
     def _give_out(self, frames: list[Frame], now: float, pair: bool = True) -> None:
         self.sent += len(frames)

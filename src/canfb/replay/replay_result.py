@@ -91,9 +91,8 @@ class ReplayResult:
 
     def verdict(self) -> str:
         faults = self.replay.faults
-        missing = ""
-        if self.left_out:
-            missing = f"; {self.left_out} frames with CAN-IDs of this module were left out (--channel)"
+        left_out = f"; {self.left_out} frames with CAN-IDs of this module were left out (--channel)"
+        missing = left_out if self.left_out else ""
         samples = self.replay.samples.rows - faults.samples["missed"]
         if not samples:
             return (
@@ -134,21 +133,19 @@ class ReplayResult:
 
     def facts(self) -> list[Row]:
         replay, drift = self.replay, self.drift
-        rows = [
+        margins = [
             Row(MARGINS[name][0], self._margin(one, *MARGINS[name][1:]))
-            for name, one in self.replay.margins.nearest.items()
+            for name, one in replay.margins.nearest.items()
         ]
         known = (
             {f"{key}_cycles": finite(getattr(drift, key)) for key in ("rms", "peak", "uncertainty_rms")}
             if drift
             else {}
         )
-        rows.append(
-            Row(
-                "drift from the table",
-                None if drift is None else _drift_words(drift),
-                drift=drift and known | {"reason": drift.reason},
-            )
+        moved = Row(
+            "drift from the table",
+            None if drift is None else _drift_words(drift),
+            drift=drift and known | {"reason": drift.reason},
         )
         odd = (
             ("restarts", "restarts", replay.restarts, "power-ups of the recorded module within the log"),
@@ -157,10 +154,11 @@ class ReplayResult:
             ("time stamps", None, replay.bad_stamps, "that are no numbers"),
             ("EMCY", "emergencies", replay.emergencies, "sent"),
         )
-        return rows + [
+        counts = [
             Row(name, f"{count} {text}" if count else None, **({key: count} if key else {}))
             for name, key, count, text in odd
         ]
+        return [*margins, moved, *counts]
 
     def _margin(self, found: Extreme, unit: str, factor: float, form: str) -> str | None:
         if math.isnan(found.value):

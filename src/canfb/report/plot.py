@@ -121,17 +121,18 @@ class Plot:
     def _grid(self) -> str:
         bottom, top = self.y(self.y.low), self.y(self.y.high)
         left, right = self.x(self.x.low), self.x(self.x.high)
-        parts = []
-        for value in self.x.ticks():
-            at = self.x(value)
-            parts.append(f'<path class="grid" d="M{at:.1f} {bottom:.1f}V{top:.1f}"/>')
-            parts.append(_text(at, bottom + 16.0, "tick mid", tick_words(value)))
-        for value in self.y.ticks():
-            at = self.y(value)
-            parts.append(f'<path class="grid" d="M{left:.1f} {at:.1f}H{right:.1f}"/>')
-            parts.append(_text(left - 6.0, at + 4.0, "tick end", tick_words(value)))
-        parts.append(f'<path class="axis" d="M{left:.1f} {top:.1f}V{bottom:.1f}H{right:.1f}"/>')
-        return "".join(parts)
+        upright = [
+            f'<path class="grid" d="M{self.x(value):.1f} {bottom:.1f}V{top:.1f}"/>'
+            f"{_text(self.x(value), bottom + 16.0, 'tick mid', tick_words(value))}"
+            for value in self.x.ticks()
+        ]
+        level = [
+            f'<path class="grid" d="M{left:.1f} {self.y(value):.1f}H{right:.1f}"/>'
+            f"{_text(left - 6.0, self.y(value) + 4.0, 'tick end', tick_words(value))}"
+            for value in self.y.ticks()
+        ]
+        axis = f'<path class="axis" d="M{left:.1f} {top:.1f}V{bottom:.1f}H{right:.1f}"/>'
+        return "".join([*upright, *level, axis])
 
     def _axis_labels(self) -> str:
         middle = (self.y(self.y.low) + self.y(self.y.high)) / 2.0

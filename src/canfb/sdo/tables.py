@@ -326,15 +326,18 @@ class TableTasks:
         else:
             self._staged(new, table)
             done = {"staged": True, "active": False, "saved_as": None}
-        source = f"{file.path}: {table.crc32:08X}h, {len(table)} entries"
-        if not file.with_conditioning:
-            source += "; it knows no conditioning, that of the module stays"
+        stays = "" if file.with_conditioning else "; it knows no conditioning, that of the module stays"
         state = self._state_after(new, done)
-        lines = [source, self._moves(state, before, new), *self._other_settings(file)]
-        if not active:
-            how = f"canfb table activate {self._module.node_id:#04x}"
-            lines.append(f"staged in {self._module.name}, not in force yet: {how}")
-        return _result(state, [*lines, *self._outcome(new, done)], done)
+        lines = [
+            f"{file.path}: {table.crc32:08X}h, {len(table)} entries{stays}",
+            self._moves(state, before, new),
+            *self._other_settings(file),
+            self._outcome(new, done)
+            if active
+            else f"staged in {self._module.name}, not in force yet: "
+            f"canfb table activate {self._module.node_id:#04x}",
+        ]
+        return _result(state, lines, done)
 
     def activate(self, *, keep: bool, force: bool = False) -> Result:
         staged = self._module.integer(*od.TABLE_STAGED_CRC, "I")
@@ -346,7 +349,7 @@ class TableTasks:
         self._check_amplitude(before.conditioning, read_conditioning(self._module), force)
         done = self._in_force(before, None, keep, lambda: activate(self._module, staged))
         now = self._state_after(None, done)
-        return _result(now, [self._moves(now, before, now.used), *self._outcome(now.used, done)], done)
+        return _result(now, [self._moves(now, before, now.used), self._outcome(now.used, done)], done)
 
     def clear(self, *, conditioning: bool, keep: bool) -> Result:
         """Back to the identity, the ``conditioning`` too."""
@@ -354,7 +357,7 @@ class TableTasks:
         new = Correction(None, IDENTITY if conditioning else before.conditioning)
         done = self._in_force(before, new, keep, lambda: put_in_force(self._module, new))
         state = self._state_after(new, done)
-        lines = [self._moves(state, before, new), *self._outcome(new, done)]
+        lines = [self._moves(state, before, new), self._outcome(new, done)]
         if not new.conditioning.is_identity:
             lines.append("the conditioning (2002h) stays in force; --conditioning clears it as well")
         return _result(state, lines, done)
@@ -416,10 +419,14 @@ class TableTasks:
             write_conditioning(self._module, new.conditioning)
             stage(self._module, table)
 
-        def back() -> None:
-            write_conditioning(self._module, waiting)
-
-        change(self._module, self._guard, act, back, what=AS_IT_WAS, undone=self._as_before)
+        change(
+            self._module,
+            self._guard,
+            act,
+            lambda: write_conditioning(self._module, waiting),
+            what=AS_IT_WAS,
+            undone=self._as_before,
+        )
 
     def _as_before(self) -> str:
         return f"the table and the conditioning from before are in force in {self._module.name}"
@@ -465,12 +472,10 @@ class TableTasks:
         same = before.conditioning == after.conditioning
         return words if same else f"{words}, and with the conditioning, which changes too"
 
-    def _outcome(self, used: Correction, done: dict[str, Any]) -> list[str]:
-        if not done["active"]:
-            return []
+    def _outcome(self, used: Correction, done: dict[str, Any]) -> str:
         what = "no table" if used.table is None else f"table {used.crc32:08X}h"
         saved = f"saved ({done['saved_as']})" if done["saved_as"] else "not saved: --save keeps it"
-        return [f"{what} in force in {self._module.name}; {saved}"]
+        return f"{what} in force in {self._module.name}; {saved}"
 
 
 def _result(state: TableState, lines: list[str], done: dict[str, Any]) -> Result:

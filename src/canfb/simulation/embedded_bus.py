@@ -248,11 +248,15 @@ class WatchedSyncProducer(SyncProducer):
     def _judge(self, own_hz: float, foreign_hz: float, now: float) -> None:
         asked_hz = 1.0 / self.period_s
         if foreign_hz:
-            said = f"another node sends it too, {foreign_hz:.4g} Hz beside the {asked_hz:.4g} Hz sent here; "
-            said += "end one of the two"
+            said = (
+                f"another node sends it too, {foreign_hz:.4g} Hz beside the {asked_hz:.4g} Hz sent here; end "
+                "one of the two"
+            )
         elif abs(own_hz / asked_hz - 1.0) > TOLERANCE:
-            said = f"{own_hz:.4g} Hz reached, {asked_hz:.4g} Hz requested: "
-            said += f"this computer does not keep up{self._advice}"
+            said = (
+                f"{own_hz:.4g} Hz reached, {asked_hz:.4g} Hz requested: this computer does not keep up"
+                f"{self._advice}"
+            )
         else:
             return
         if now - self._said_s >= AGAIN_S:

@@ -244,9 +244,9 @@ class LimitSettings:
     ) -> Declared:
         """At this interval from sample to sample; 0.0: not known."""
         n, widest = cycles_per_revolution, self.widest_cycles
-        margin = math.inf
-        if self.noise_margin and noise_cycles is not None:
-            margin = self.noise_margin * noise_cycles
+        margin = (
+            math.inf if noise_cycles is None or not self.noise_margin else self.noise_margin * noise_cycles
+        )
         declared = self.phase_error_cycles
         phase_error = min(declared, margin / math.sqrt(RESIDUAL_WEIGHTS))
         known = Declared(

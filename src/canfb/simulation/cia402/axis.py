@@ -296,9 +296,8 @@ class Axis:
         limit = self.scaling.largest_torque_nm / (self._gains[4].value * KG_M2_PER_G_CM2)
         acceleration = (speed_rad_s - self._demanded_rad_s) / period_s
         self._demanded_rad_s = speed_rad_s
-        change = speed_rad_s - self._demand.speed_rad_s
-        if abs(change) > limit * period_s:
-            change = math.copysign(limit * period_s, change)
+        most = limit * period_s
+        change = max(-most, min(most, speed_rad_s - self._demand.speed_rad_s))
         forward = acceleration if abs(acceleration) <= limit else 0.0
         return Demand(revolutions, self._demand.speed_rad_s + change, forward)
 
