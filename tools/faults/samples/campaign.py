@@ -32,7 +32,7 @@ from tools.faults.engine import (
 )
 from tools.faults.samples import kinds, tracks
 from tools.faults.samples.episodes import Episode, Published, chain_for, draw, play
-from tools.faults.samples.judge import Verdict, judge, proof
+from tools.faults.samples.judge import Cause, Verdict, judge, proof
 
 CHUNK = 100
 DETECTION_GOAL = 0.99
@@ -115,7 +115,7 @@ class Player:
 
 def counted(verdict: Verdict, more: dict[str, int]) -> dict[str, int]:
     kept = {"kept": 1, "not valid": verdict.not_valid} if verdict.kept else {}
-    causes = {cause.value: 1 for cause in set(verdict.wrong.values())}
+    causes = {cause.value: 1 for cause in Cause if cause in verdict.wrong.values()}
     silent = {"silent" if more["declared"] else "beyond": verdict.silent}
     return {"excused": verdict.excused, "lost": verdict.lost, **more, **silent, **kept, **causes}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -29,22 +28,6 @@ AFTER = 48  # good ones after its begin: more than the 32 intervals of doubt, an
 VALID, LOST = 1, 4
 
 
-class Setup(Protocol):
-    """What is declared of a machine; samples within ``phase_error`` of a motion of ``bound`` are legal."""
-
-    @property
-    def acceleration(self) -> float: ...
-    @property
-    def phase_error(self) -> float: ...
-    @property
-    def bound(self) -> float: ...
-    @property
-    def wrong_cycles(self) -> float: ...
-    @property
-    def samples_per_sync(self) -> int: ...
-    def chain(self) -> SignalChain: ...
-
-
 @dataclass(frozen=True)
 class Episode:
     """What the chain gets, and what is true: arrays over the samples, one interval apart where not given.
@@ -54,7 +37,7 @@ class Episode:
     phase     of the counts, as the chain computes it (of missing samples as well: not used)
     """
 
-    declared: Setup
+    declared: Declared
     fault: int
     instants: Array
     truth: Array
@@ -126,7 +109,7 @@ def _faulty(state: npt.NDArray[np.int8], sine: Counts, cosine: Counts, rng: Rng)
     return np.where(replaced, for_all[0], sine), np.where(replaced, for_all[1], cosine)
 
 
-def chain_for(episode: Episode, declared: Setup | None = None) -> SignalChain:
+def chain_for(episode: Episode, declared: Declared | None = None) -> SignalChain:
     """A chain that knows the speed of the first sample of this episode."""
     chain = (declared or episode.declared).chain()
     apart = float(episode.instants[1] - episode.instants[0])

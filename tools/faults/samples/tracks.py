@@ -26,7 +26,7 @@ from canfb.simulation.faults import Fault, Samples, Signal
 from tools.faults.machine import Array, Counts, Rng, accelerations, exact_table, positions, start_speeds
 from tools.faults.samples.episodes import VALID, Episode, Published
 from tools.faults.samples.judge import Verdict, judge
-from tools.faults.samples.kinds import State
+from tools.faults.samples.kinds import Declared, State
 
 ENCODER: Encoder = demo_encoder()
 A = ENCODER.amplitude_counts
@@ -43,26 +43,23 @@ FOLLOWED = FollowedDrift(0.075 * A, -0.075 * A, 0.12, 0.025)
 
 
 @dataclass(frozen=True)
-class Setting:
-    """Limits of the chain, and what the machine does.
+class Setting(Declared):
+    """Limits of the chain, and what the machine does. A motion is legal by its phases alone.
 
     residual_limit           cycles
     amplitude                lowest and highest, as parts of the nominal one; None: the defaults
     frozen_samples           repeats in a row that are taken for a dead converter; 0: none
     conditioned              offsets, gains and phase error of the tracks are known to the chain
-    acceleration             largest of the machine, cycles per interval squared
     adapt                    drift is followed, and half of what is allowed was already
     """
 
-    residual_limit: float
-    amplitude: tuple[float, float] | None
-    frozen_samples: int
-    conditioned: bool
-    acceleration: float
+    phase_error: float = 0.0
+    residual_limit: float = 1.0 / 3.0
+    amplitude: tuple[float, float] | None = None
+    frozen_samples: int = 0
+    conditioned: bool = False
     adapt: bool = False
-    phase_error: ClassVar[float] = 0.0  # a motion is legal by its phases alone
     wrong_cycles: ClassVar[float] = 0.25
-    samples_per_sync: ClassVar[int] = 1
 
     @property
     def bound(self) -> float:
@@ -135,9 +132,11 @@ class Setting:
 
 
 SETTINGS = {
-    "default": Setting(1.0 / 3.0, None, 0, False, 0.01),
-    "accelerating": Setting(1.0 / 3.0, None, 0, False, 0.2),
-    "commissioned": Setting(0.06, (0.8, 1.2), 16, True, 0.01),
+    "default": Setting(0.01),
+    "accelerating": Setting(0.2),
+    "commissioned": Setting(
+        0.01, residual_limit=0.06, amplitude=(0.8, 1.2), frozen_samples=16, conditioned=True
+    ),
 }
 
 
