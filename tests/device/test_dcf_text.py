@@ -11,13 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canfb.device.od import eds
-from canfb.device.od.dcf import Commissioning, FileInfo, Write, dcf_text, decode_concise, encode_concise
+from canfb.device.od.dcf import Write, dcf_text, decode_concise, encode_concise
 from canfb.device.od.dictionary import Dictionary
 
-INFO = FileInfo(file_name="node.dcf", description="A node", date="11-21-2026", time="08:15PM")
-PLACE = Commissioning(
-    node_id=5, node_name="node", bit_rate_kbit_s=250, network_name="can0", serial_number=4711
-)
+INFO: dict[str, Any] = {"file_name": "node.dcf", "description": "A node", "date": "11-21-2026"}
+INFO |= {"time": "08:15PM", "node_id": 5, "node_name": "node", "network_name": "can0", "serial_number": 4711}
 COMPACT = """
 [2A00]
 ParameterName=List
@@ -59,7 +57,7 @@ def path(tmp_path: Path) -> Path:
 def written(path: Path, values: dict[tuple[int, int], Any], **more: Any) -> eds.Contents:
     """The DCF, read again as an EDS is."""
     dcf = path.with_suffix(".dcf")
-    dcf.write_bytes(dcf_text(path, INFO, PLACE, values, **more).encode("ascii"))
+    dcf.write_bytes(dcf_text(path, values, **{"bit_rate_kbit_s": 250} | INFO | more).encode("ascii"))
     return eds.read(dcf)
 
 
@@ -83,10 +81,7 @@ def test_file_info_and_commissioning(path: Path) -> None:
 
 
 def test_a_bit_rate_that_is_not_known_is_left_out(path: Path) -> None:
-    unknown = Commissioning(
-        node_id=127, node_name="n", bit_rate_kbit_s=None, network_name="", serial_number=0
-    )
-    text = dcf_text(path, INFO, unknown, {})
+    text = dcf_text(path, {}, bit_rate_kbit_s=None, **INFO)
     assert "Baudrate" not in text
     assert text.count("\n") == text.count("\r\n") > 100, "lines end as on the systems of the masters"
 
@@ -125,7 +120,7 @@ def test_the_rest_is_the_eds(path: Path) -> None:
 
 def test_a_value_for_what_the_eds_does_not_have(path: Path) -> None:
     with pytest.raises(ValueError, match="2A00h:04 is not in the EDS"):
-        dcf_text(path, INFO, PLACE, {(0x2A00, 4): 1})
+        written(path, {(0x2A00, 4): 1})
 
 
 WRITES = st.lists(st.builds(Write, st.integers(0, 0xFFFF), st.integers(0, 0xFF), st.binary(max_size=20)))

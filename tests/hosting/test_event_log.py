@@ -88,12 +88,12 @@ def test_everything_passes_or_is_counted(steps: list[tuple[int, float]]) -> None
     now, told, last = 0.0, 0, dict[int, tuple[int, int]]()
     for number, (key, pause_s) in enumerate(steps):
         now += pause_s
-        for held in throttle.ended(now):
-            told += held.number
-            assert last[held.last[0]] == held.last
+        for held, _, (of, item) in throttle.ended(now):
+            told += held
+            assert last[of] == (of, item)
         last[key] = key, number
         told += throttle.admits(key, last[key], now)
-    told += sum(held.number for held in throttle.ended(now, closing=True))
+    told += sum(held for held, _, _ in throttle.ended(now, closing=True))
     assert told == len(steps)
     assert not throttle.ended(now, closing=True)
 
@@ -102,8 +102,8 @@ def test_after_a_quiet_time_the_next_one_passes_at_once() -> None:
     throttle = Throttle()
     passed = [throttle.admits("k", n, n * 1e-3) for n in range(100)]
     assert sum(passed) == BURST
-    (held,) = throttle.ended(WINDOW_S)
-    assert (held.number, held.last) == (100 - BURST, 99)
+    ((held, _, last),) = throttle.ended(WINDOW_S)
+    assert (held, last) == (100 - BURST, 99)
     assert throttle.ended(WINDOW_S + LONGEST_WINDOW_S) == []
     assert throttle.admits("k", 100, WINDOW_S + LONGEST_WINDOW_S)
 

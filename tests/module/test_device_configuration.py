@@ -21,8 +21,6 @@ from canfb.cia301.codes import SdoAbort
 from canfb.cia301.datatypes import DataType
 from canfb.cia301.frame import Frame
 from canfb.device.od.dcf import (
-    Commissioning,
-    FileInfo,
     Reals,
     Write,
     dcf_text,
@@ -371,15 +369,20 @@ def source(name: str) -> FeedbackModule:
 
 
 def write_dcf(folder: Path, configuration: DeviceConfiguration, reals: Reals = Reals.DECIMAL) -> Path:
-    info = FileInfo(file_name="module.dcf", description="A module", date="11-21-2026", time="08:00AM")
-    place = Commissioning(
+    text = dcf_text(
+        eds_path("canfb-module"),
+        configuration.values(),
+        file_name="module.dcf",
+        description="A module",
+        date="11-21-2026",
+        time="08:00AM",
         node_id=configuration.node_id,
         node_name="module_20h",
         bit_rate_kbit_s=500,
         network_name="CANopen",
         serial_number=configuration.serial_number,
+        reals=reals,
     )
-    text = dcf_text(eds_path("canfb-module"), info, place, configuration.values(), reals=reals)
     path = folder / "module.dcf"
     path.write_bytes(text.encode("ascii"))
     return path

@@ -31,10 +31,8 @@ class Emergency(Timed):
         self._history = [entry for entry in dictionary if entry.index == 0x1003 and entry.subindex]
         self._cob_id = dictionary.assumed(0x1014, value=cob.EMERGENCY + core.node_id)
         self._inhibit = dictionary.assumed(0x1015)
-        self._active: dict[tuple[int, Hashable], int] = {}
-        self._waiting: deque[bytes] = deque()
         self._allowed = False
-        self._not_before = -NEVER
+        self.reset()
         self._cob_id.on_check = self._check_cob_id
         self._cob_id.on_written = core.reactions.routes_changed
         self._history_count.on_check = refuse_if(bool)  # 0 clears the history
@@ -47,8 +45,8 @@ class Emergency(Timed):
         return int(value & cob.CAN_ID) if cob.is_valid(value) else None
 
     def reset(self) -> None:
-        self._active.clear()
-        self._waiting.clear()
+        self._active: dict[tuple[int, Hashable], int] = {}
+        self._waiting: deque[bytes] = deque()
         self._not_before = -NEVER
         self.deadline = NEVER
         self._set_register()

@@ -242,7 +242,7 @@ class LifeCycle(Reactions):
     def power_on(self, now: float) -> None:
         self.node_id_at_power_on()
         self._change_node_id(now)
-        self._power_up(now)
+        self._boot(False, now)
 
     def node_id_at_power_on(self) -> int:
         """Read what the store keeps: the node-ID with which the node comes up."""
@@ -255,19 +255,6 @@ class LifeCycle(Reactions):
             return CanIds(frozenset({REQUEST_ID}), frozenset())
         return self.services.can_ids()
 
-    def _power_up(self, now: float) -> None:
-        self.enter(NmtState.INITIALISING, now)
-        if self.core.node_id == UNCONFIGURED:
-            self._wait_for_node_id()
-            return
-        self.storage.restore()
-        self._begin(False, now)
-
-    def _wait_for_node_id(self) -> None:
-        self.services.forget()
-        self.lss.reset()
-        self.routes_changed()
-
     def _change_node_id(self, now: float) -> None:
         old, new = self.core.node_id, self.lss.pending_node_id
         if new == old:
@@ -277,10 +264,16 @@ class LifeCycle(Reactions):
         self.core.dictionary.change_node_id(old, new)
         self._make_services()
 
-    def _begin(self, communication_only: bool, now: float) -> None:
+    def _boot(self, communication_only: bool, now: float) -> None:
+        """On from INITIALISING, unless there is no node-ID yet."""
+        self.lss.reset()
+        if self.core.node_id == UNCONFIGURED:
+            self.services.forget()
+            self.routes_changed()
+            return
+        self.storage.restore(communication_only=communication_only)
         self.enter(NmtState.INITIALISING, now)
         self.services.configure(now)
-        self.lss.reset()
         self.core.application.reset_done(communication_only, now)
         if self.storage.faults:
             self.storage.report_faults()
@@ -316,11 +309,7 @@ class LifeCycle(Reactions):
         last = LAST_COMMUNICATION_INDEX if communication_only else 0xFFFF
         self.core.dictionary.reset(0x1000, last)
         self._change_node_id(now)
-        if self.core.node_id == UNCONFIGURED:
-            self._wait_for_node_id()
-            return
-        self.storage.restore(communication_only=communication_only)
-        self._begin(communication_only, now)
+        self._boot(communication_only, now)
 
     # Reactions
 
@@ -361,4 +350,4 @@ class LifeCycle(Reactions):
         """A first node-ID is in force at once."""
         if self.core.node_id == UNCONFIGURED != self.lss.pending_node_id:
             self._change_node_id(now)
-            self._power_up(now)
+            self._boot(False, now)

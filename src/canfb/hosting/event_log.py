@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any, NamedTuple
+from typing import Any
 
 from canfb import objects as od
 from canfb.bus.clocks import local_time
@@ -24,12 +24,7 @@ WINDOW_S = 1.0
 LONGEST_WINDOW_S = 10.0
 
 
-class Held(NamedTuple):
-    """``number`` held back in ``seconds``."""
-
-    number: int
-    seconds: float
-    last: Any
+Held = tuple[int, float, Any]  # So many held back in so many seconds, and the last one.
 
 
 @dataclass(slots=True)
@@ -71,7 +66,7 @@ class Throttle:
             if closing or now >= window.ends_s:
                 del self._windows[key]
                 if window.held:
-                    found.append(Held(window.held, now - window.began_s, window.last))
+                    found.append((window.held, now - window.began_s, window.last))
                     if not closing:
                         length_s = min(2.0 * window.length_s, LONGEST_WINDOW_S)
                         self._windows[key] = _Window(now, length_s, BURST)

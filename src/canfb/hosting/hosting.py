@@ -90,9 +90,6 @@ class Hosting(OnBus):
     a bus, a state_dir or a source that cannot be used.
     """
 
-    modules: list[FeedbackModule]
-    interfaces: list[EncoderInterface]
-
     def __init__(
         self, config: Config, words: Mapping[str, Any] | None = None, *, verbose: bool = False
     ) -> None:

@@ -15,8 +15,6 @@ from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
 from canfb.device.od.dcf import (
     TURNS,
-    Commissioning,
-    FileInfo,
     Place,
     Reals,
     Write,
@@ -308,20 +306,16 @@ class ConfigurationFiles:
         bit_rate, channel = words.get("bitrate"), words.get("channel")
         return dcf_text(
             eds_path(EDS),
-            FileInfo(
-                file_name=self.path.name,
-                description=f"Configuration of a drive feedback module, node-ID {configuration.node_id}",
-                date=date,
-                time=time,
-            ),
-            Commissioning(
-                node_id=configuration.node_id,
-                node_name=self.node_name or f"module_{configuration.node_id:02X}h",
-                bit_rate_kbit_s=round(bit_rate / 1000) if isinstance(bit_rate, int) else None,
-                network_name="CANopen" if channel is None else str(channel),
-                serial_number=configuration.serial_number,
-            ),
             configuration.values(with_table=self.table_inline),
+            file_name=self.path.name,
+            description=f"Configuration of a drive feedback module, node-ID {configuration.node_id}",
+            date=date,
+            time=time,
+            node_id=configuration.node_id,
+            node_name=self.node_name or f"module_{configuration.node_id:02X}h",
+            bit_rate_kbit_s=round(bit_rate / 1000) if isinstance(bit_rate, int) else None,
+            network_name="CANopen" if channel is None else str(channel),
+            serial_number=configuration.serial_number,
             reals=self.reals,
             files=None if self.table_path is None else {od.TABLE_STAGED: self.table_path.name},
         )

@@ -116,53 +116,67 @@ class Reals(Enum):
     IEEE754 = "ieee754"  # The bits of the number, in hexadecimal.
 
 
-@dataclass(frozen=True, kw_only=True)
-class Commissioning:
-    """Section [DeviceComissioning]. `bit_rate_kbit_s` None: not known, and left out."""
-
-    node_id: int
-    node_name: str
-    bit_rate_kbit_s: int | None
-    network_name: str
-    serial_number: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class FileInfo:
-    """What is new in section [FileInfo]; dates as mm-dd-yyyy, times as hh:mm with AM or PM."""
-
-    file_name: str
-    description: str
-    date: str
-    time: str
-
-
 def dcf_text(
     path: Path,
-    info: FileInfo,
-    commissioning: Commissioning,
     values: Mapping[Place, Any],
     *,
+    file_name: str,
+    description: str,
+    date: str,
+    time: str,
+    node_id: int,
+    node_name: str,
+    bit_rate_kbit_s: int | None,
+    network_name: str,
+    serial_number: int,
     reals: Reals = Reals.DECIMAL,
     files: Mapping[Place, str] | None = None,
 ) -> str:
     """The DCF from the EDS at `path`, with `values` by index and sub-index as its ParameterValue.
 
     Values are numbers, without $NODEID, in the notation of the EDS. `files` are names of files for
-    DownloadFile. ValueError for an entry that the EDS does not have.
+    DownloadFile. `date` is mm-dd-yyyy, `time` hh:mm with AM or PM; `bit_rate_kbit_s` None: not known, and
+    left out. ValueError for an entry that the EDS does not have.
     """
     contents = eds.read(path)
     sections = eds.sections(contents)
-    for place, value in values.items():
-        options = contents[_section(sections, place)]
-        options["ParameterValue"] = _written(options, value, reals)
-        _allow_download(options)
-    for place, name in (files or {}).items():
-        options = contents[_section(sections, place)]
-        options["DownloadFile"] = name
-        _allow_download(options)
-    _set_file_info(contents.setdefault("FileInfo", {}), path.name, info)
-    return _as_text(contents, _commissioning(commissioning))
+    files = files or {}
+    for place in [*values, *files]:
+        if place not in sections:
+            raise ValueError(f"{place[0]:04X}h:{place[1]:02X} is not in the EDS")
+        options = contents[sections[place]]
+        if place in values:
+            options["ParameterValue"] = _written(options, values[place], reals)
+        if place in files:
+            options["DownloadFile"] = files[place]
+        flags = int(options.get("ObjFlags") or "0", 0)
+        if flags & REFUSE_ON_DOWNLOAD:
+            options["ObjFlags"] = f"0x{flags & ~REFUSE_ON_DOWNLOAD:X}"
+    info = contents.setdefault("FileInfo", {})
+    info |= {
+        "FileName": file_name,
+        "FileVersion": "1",
+        "FileRevision": "1",
+        "EDSVersion": info.get("EDSVersion", "4.0"),
+        "Description": description,
+        "CreationTime": time,
+        "CreationDate": date,
+        "CreatedBy": "canfb",
+        "ModificationTime": time,
+        "ModificationDate": date,
+        "ModifiedBy": "canfb",
+        "LastEDS": path.name,
+    }
+    commissioning = {
+        "NodeID": f"0x{node_id:02X}",
+        "NodeName": node_name,
+        **({} if bit_rate_kbit_s is None else {"Baudrate": str(bit_rate_kbit_s)}),
+        "NetNumber": "0",
+        "NetworkName": network_name,
+        "CANopenManager": "0",
+        "LSS_SerialNumber": str(serial_number),
+    }
+    return _as_text(contents, commissioning)
 
 
 def real_as_text(data_type: int, value: float, reals: Reals) -> str:
@@ -182,13 +196,6 @@ def _is_text_of(text: str, data_type: int, data: bytes) -> bool:
         return False
 
 
-def _section(sections: Mapping[Place, str], place: Place) -> str:
-    found = sections.get(place)
-    if found is None:
-        raise ValueError(f"{place[0]:04X}h:{place[1]:02X} is not in the EDS")
-    return found
-
-
 def _written(options: Mapping[str, str], value: Any, reals: Reals) -> str:
     data_type = int(options["DataType"], 0)
     if data_type in datatypes.FLOATS:
@@ -201,42 +208,6 @@ def _written(options: Mapping[str, str], value: Any, reals: Reals) -> str:
     if "0x" not in default or value < 0:
         return str(int(value))
     return f"0x{int(value):0{2 * datatypes.byte_length(data_type)}X}"
-
-
-def _allow_download(options: dict[str, str]) -> None:
-    flags = int(options.get("ObjFlags") or "0", 0)
-    if flags & REFUSE_ON_DOWNLOAD:
-        options["ObjFlags"] = f"0x{flags & ~REFUSE_ON_DOWNLOAD:X}"
-
-
-def _set_file_info(options: dict[str, str], eds_name: str, info: FileInfo) -> None:
-    options |= {
-        "FileName": info.file_name,
-        "FileVersion": "1",
-        "FileRevision": "1",
-        "EDSVersion": options.get("EDSVersion", "4.0"),
-        "Description": info.description,
-        "CreationTime": info.time,
-        "CreationDate": info.date,
-        "CreatedBy": "canfb",
-        "ModificationTime": info.time,
-        "ModificationDate": info.date,
-        "ModifiedBy": "canfb",
-        "LastEDS": eds_name,
-    }
-
-
-def _commissioning(commissioning: Commissioning) -> dict[str, str]:
-    rate = commissioning.bit_rate_kbit_s
-    return {
-        "NodeID": f"0x{commissioning.node_id:02X}",
-        "NodeName": commissioning.node_name,
-        **({} if rate is None else {"Baudrate": str(rate)}),
-        "NetNumber": "0",
-        "NetworkName": commissioning.network_name,
-        "CANopenManager": "0",
-        "LSS_SerialNumber": str(commissioning.serial_number),
-    }
 
 
 def _as_text(contents: eds.Contents, commissioning: Mapping[str, str]) -> str:

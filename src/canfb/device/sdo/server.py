@@ -185,7 +185,8 @@ class SdoChannel:
         self.server = SdoServer(core)
         if index != FIRST_INDEX:
             for entry in (self._request, self._response):
-                self._install(entry)
+                entry.on_check = partial(_check_cob_id, entry)
+                entry.on_written = self._written
             self.configure()
 
     @property
@@ -205,18 +206,15 @@ class SdoChannel:
         if self._index != FIRST_INDEX:
             self.server.response_id = self._response.value & cob.CAN_ID
 
-    def _install(self, entry: Entry) -> None:
-        def check(value: int) -> None:
-            if value & _DYNAMIC:
-                raise SdoAbort(AbortCode.INVALID_VALUE)
-            cob.check(value, entry.value)
+    def _written(self) -> None:
+        self.configure()
+        self._core.reactions.routes_changed()
 
-        def written() -> None:
-            self.configure()
-            self._core.reactions.routes_changed()
 
-        entry.on_check = check
-        entry.on_written = written
+def _check_cob_id(entry: Entry, value: int) -> None:
+    if value & _DYNAMIC:
+        raise SdoAbort(AbortCode.INVALID_VALUE)
+    cob.check(value, entry.value)
 
 
 def channel_indices(dictionary: Dictionary) -> list[int]:

@@ -256,22 +256,19 @@ class BlockDownload(Download):
         if self._complete:
             self._end(data[0] >> 2 & 0x07, int.from_bytes(data[1:3], "little"))
             return False
-        self._segment(data[0] & _SEQUENCE, bool(data[0] & _LAST_OF_BLOCK), data[1:])
-        return True
-
-    def _segment(self, sequence: int, last: bool, content: bytes) -> None:
+        sequence, last = data[0] & _SEQUENCE, bool(data[0] & _LAST_OF_BLOCK)
         if not sequence:
             raise SdoAbort(AbortCode.SEQUENCE_NUMBER)
-        in_order = sequence == self._sequence + 1
-        if in_order:
+        if sequence == self._sequence + 1:
             self._sequence = sequence
-            self._received += content
+            self._received += data[1:]
             # the last segment may be unused in part, or whole where there is no data
             check_received(self.target, len(self._received) - _SEGMENT, self._announced)
             self._complete = last
         if last or sequence == DOWNLOAD_BLOCK:
             self._reply(bytes([_DOWNLOAD_ACKNOWLEDGE, self._sequence, DOWNLOAD_BLOCK]))
             self._sequence = 0
+        return True
 
     def _end(self, unused: int, crc: int) -> None:
         content = bytes(self._received[: len(self._received) - unused])

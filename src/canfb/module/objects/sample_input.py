@@ -54,33 +54,18 @@ class SampleInput:
         self.all_earlier = [(entry(*sine), entry(*cosine)) for sine, cosine in od.SAMPLE_EARLIER]
         self.on_mixed: Callable[[], None] = lambda: None
         self.pulses = 0
-        self._use(tracks=None)
+        self.configure()
 
     def configure(self) -> None:
         with_ = self._node.rpdo_with
-        earlier = [with_(*pair) for pair in od.SAMPLE_EARLIER]
-        self._use(
-            tracks=with_(od.SAMPLE_SINE, od.SAMPLE_COSINE),
-            coarse=with_(od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE),
-            time=with_(od.SAMPLE_TIME),
-            flags=with_(od.SAMPLE_FLAGS),
-            place=with_(od.SAMPLE_ZERO_PULSE_PLACE),
-            earlier=list(itertools.takewhile(lambda number: number is not None, earlier)),
-        )
-        if with_(od.SAMPLE_SECOND_POSITION) is not None:  # which is paired with each sample
-            self.usual = NO_RPDO
-
-    def _use(
-        self,
-        tracks: int | None,
-        coarse: int | None = None,
-        time: int | None = None,
-        flags: int | None = None,
-        place: int | None = None,
-        earlier: list[int | None] | None = None,
-    ) -> None:
-        self._earlier = self.all_earlier[: len(earlier or ())]
-        parts = {tracks, coarse, time, flags, place, *(earlier or ())} - {None}
+        tracks = with_(od.SAMPLE_SINE, od.SAMPLE_COSINE)
+        coarse = with_(od.SAMPLE_COARSE_SINE, od.SAMPLE_COARSE_COSINE)
+        time, flags = with_(od.SAMPLE_TIME), with_(od.SAMPLE_FLAGS)
+        place, second = with_(od.SAMPLE_ZERO_PULSE_PLACE), with_(od.SAMPLE_SECOND_POSITION)
+        pairs = (with_(*pair) for pair in od.SAMPLE_EARLIER)
+        earlier = list(itertools.takewhile(lambda number: number is not None, pairs))
+        self._earlier = self.all_earlier[: len(earlier)]
+        parts = {tracks, coarse, time, flags, place, *earlier} - {None}
         self._required = 0 if tracks is None else sum(1 << number for number in parts if number is not None)
         self.alone = tracks if len(parts) == 1 else None
         self._with_coarse, self.timed = coarse is not None, time is not None
@@ -88,7 +73,8 @@ class SampleInput:
         self._waiting: Rpdo | None = None if tracks is None else self._node.synchronous_rpdo(tracks)
         self.is_synchronous = self._waiting is not None
         self.judged = None if self.timed or self.is_synchronous else tracks
-        at_once = self.alone is not None and coarse is flags is None and not earlier
+        # The second position is paired with each sample.
+        at_once = self.alone is not None and coarse is flags is second is None and not earlier
         self.usual = tracks if tracks is not None and at_once and not self.is_synchronous else NO_RPDO
         self.arrived = 0
         self._first: int | None = None  # the RPDO that begins a sample
