@@ -352,7 +352,7 @@ def all_ended(store: ThreadedStore, count: int) -> list[OSError | None]:
 
 def test_it_goes_on_and_keeps_the_order() -> None:
     held = HeldStore()
-    with ThreadedStore(held) as store:
+    with contextlib.closing(ThreadedStore(held)) as store:
         assert isinstance(store, BackgroundStore)
         store.begin(OLD)
         store.begin({})
@@ -372,7 +372,7 @@ def test_it_goes_on_and_keeps_the_order() -> None:
 
 def test_the_end_waits_for_what_was_begun(tmp_path: Path) -> None:
     with StateFiles(tmp_path) as files:
-        with ThreadedStore(files) as store:
+        with contextlib.closing(ThreadedStore(files)) as store:
             store.begin(OLD)
             store.begin(NEW)
         assert files.load() == NEW
@@ -384,7 +384,7 @@ def test_a_program_error_comes_out() -> None:
         def save(self, changes: Mapping[Group, bytes | None]) -> None:
             raise KeyError("a mistake")
 
-    with ThreadedStore(Wrong()) as store:
+    with contextlib.closing(ThreadedStore(Wrong())) as store:
         store.begin(OLD)
         store.load()
         with pytest.raises(KeyError, match="a mistake"):

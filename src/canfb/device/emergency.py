@@ -137,12 +137,3 @@ class Emergency(Timed):
         if value & cob.NO_RTR:
             raise SdoAbort(AbortCode.INVALID_VALUE)
         cob.check(value, self._cob_id.value)
-
-
-def check_error(code: int, register_bits: int, manufacturer: bytes) -> None:
-    if not 0 <= register_bits <= 0xFF:
-        raise ValueError(f"register_bits {register_bits:#x} do not fit the 8 bits of 1001h")
-    if len(manufacturer) > 5:
-        raise ValueError(f"an EMCY has 5 manufacturer bytes, not {len(manufacturer)}")
-    if not 0 < code <= 0xFFFF:
-        raise ValueError(f"{code:#x} is not an error code; use clear_emergency to end an error")

@@ -250,11 +250,6 @@ class LifeCycle(Reactions):
         self.lss.power_on()
         return self.lss.pending_node_id
 
-    def can_ids(self) -> CanIds:
-        if self.core.node_id == UNCONFIGURED:
-            return CanIds(frozenset({REQUEST_ID}), frozenset())
-        return self.services.can_ids()
-
     def _change_node_id(self, now: float) -> None:
         old, new = self.core.node_id, self.lss.pending_node_id
         if new == old:

@@ -22,9 +22,8 @@ from typing import Any, Protocol, runtime_checkable
 from canfb.cia301.codes import EmergencyCode, ErrorRegister, NmtState
 from canfb.cia301.frame import HIGHEST_ID, LONGEST_DATA, Frame
 from canfb.device.core import NEVER, Application, CanIds, Expiry, Groups
-from canfb.device.emergency import check_error
 from canfb.device.life_cycle import LifeCycle
-from canfb.device.lss import UNCONFIGURED, is_node_id
+from canfb.device.lss import REQUEST_ID, UNCONFIGURED, is_node_id
 from canfb.device.od.dictionary import Dictionary
 from canfb.device.pdo.rpdo import Rpdo
 from canfb.device.sdo.server import TIMEOUT_S
@@ -121,7 +120,9 @@ class Node:
         return frozenset(self._routes) - self.own_can_ids
 
     def can_ids(self) -> CanIds:
-        return self._life.can_ids()
+        if self.node_id == UNCONFIGURED:
+            return CanIds(frozenset({REQUEST_ID}), frozenset())
+        return self._life.services.can_ids()
 
     def follow_can_ids(self, moved: Callable[[], None]) -> None:
         """Have ``moved`` called when :meth:`can_ids` may change."""
@@ -198,7 +199,8 @@ class Node:
         return next((number for number, rpdo in rpdos.items() if rpdo.holds(objects)), None)
 
     def synchronous_rpdo(self, number: int) -> Rpdo | None:
-        return self._life.services.pdos.synchronous_rpdo(number)
+        rpdos = self._life.services.pdos.sync_rpdos
+        return next((rpdo for rpdo in rpdos if rpdo.number == number), None)
 
     def trigger_tpdo(self, number: int, now: float) -> None:
         """An event for TPDO `number`. Types FEh and FFh are sent, at once or after the inhibit time; type 0
@@ -231,7 +233,12 @@ class Node:
         `register_bits` are bits of 1001h (0..255), `manufacturer` up to 5 bytes; `now` defaults to that of
         the running call. ValueError beyond these ranges.
         """
-        check_error(code, register_bits, manufacturer)
+        if not 0 <= register_bits <= 0xFF:
+            raise ValueError(f"register_bits {register_bits:#x} do not fit the 8 bits of 1001h")
+        if len(manufacturer) > 5:
+            raise ValueError(f"an EMCY has 5 manufacturer bytes, not {len(manufacturer)}")
+        if not 0 < code <= 0xFFFF:
+            raise ValueError(f"{code:#x} is not an error code; use clear_emergency to end an error")
         self._core.emergency.report(code, register_bits, manufacturer, self._at(now), again=again)
 
     def clear_emergency(self, code: int, now: float | None = None) -> None:

@@ -40,9 +40,6 @@ class Pdos:
         for tpdo in self.tpdos.values():
             tpdo.enable(operational, now)
 
-    def synchronous_rpdo(self, number: int) -> Rpdo | None:
-        return next((rpdo for rpdo in self.sync_rpdos if rpdo.number == number), None)
-
     def add_routes(self, routes: Routes) -> None:
         for rpdo in self.rpdos.values():
             routes.add(rpdo.can_id, rpdo.handle)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 from canfb.errors import reason
 from canfb.hosting.realtime import RealtimeThread
-from canfb.hosting.state_files import Closing
 from canfb.signal.sample import Sample
 from canfb.sources.protocol import Capture, EvenScans, NewestScan, SourceError
 
@@ -15,7 +14,7 @@ REOPEN_S = 1.0
 CLOSE_S = 5.0
 
 
-class CapturedSource(Closing):
+class CapturedSource:
     """The scans of a converter that ``picked`` chooses for a SYNC, by default the newest.
 
     ``opened`` opens it, and again ``reopen_s`` after a failure. A fired capture is waited for, at most

@@ -204,7 +204,8 @@ def open_store(state_dir: str | None, resources: contextlib.ExitStack) -> Thread
     """Held by `resources`; None without a state_dir."""
     if state_dir is None:
         return None
-    return resources.enter_context(ThreadedStore(resources.enter_context(StateFiles(state_dir))))
+    files = resources.enter_context(StateFiles(state_dir))
+    return resources.enter_context(contextlib.closing(ThreadedStore(files)))
 
 
 def bit_rates_of(bus_words: Mapping[str, Any]) -> list[int]:
@@ -241,7 +242,7 @@ def open_source(
     """
 
     def captured(*opening: Any) -> Source:
-        return resources.enter_context(CapturedSource(*opening))
+        return resources.enter_context(contextlib.closing(CapturedSource(*opening)))
 
     around = Surroundings(
         config.adc_bits, config.cycles_per_revolution, lambda: whole.simulation, captured, resources

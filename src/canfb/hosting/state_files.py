@@ -13,7 +13,6 @@ import struct
 import sys
 import threading
 import zlib
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -24,21 +23,6 @@ from canfb.bus.sdo_channel import lock_file
 from canfb.device.storage.kept import ParameterGroup
 from canfb.device.storage.storage import PARAMETERS, Changes, Store
 from canfb.errors import CanfbError
-
-
-class Closing(ABC):
-    """A context manager that ends with :meth:`close`."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self.close()
-
-    @abstractmethod
-    def close(self) -> None:
-        """Give back what it holds."""
-
 
 LARGEST_FILE = 1 << 20  # bytes; stored parameters are some ten thousand
 PENDING = "pending.bin"
@@ -55,7 +39,7 @@ class StateDirError(CanfbError):
     """A state_dir that cannot be used."""
 
 
-class StateFiles(Closing):
+class StateFiles:
     """What 1010h and LSS save, as files in a ``folder``, made if it is missing.
 
     It belongs to one process until :meth:`close`. StateDirError if another has it or it cannot be written.
@@ -77,6 +61,12 @@ class StateFiles(Closing):
             in_use = error.errno in (errno.EWOULDBLOCK, errno.EACCES)
             why = "another process, or another module of this one, uses it" if in_use else error.strerror
             raise StateDirError(f"state_dir {self.folder} cannot be used: {why}") from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Let other processes have the folder."""
@@ -234,7 +224,7 @@ def small_stack() -> Iterator[None]:
         threading.stack_size(before)
 
 
-class ThreadedStore(Closing):
+class ThreadedStore:
     """``store``, written in one thread; :meth:`close` waits for it."""
 
     def __init__(self, store: Store) -> None:

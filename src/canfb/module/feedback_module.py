@@ -91,12 +91,10 @@ class FeedbackModule(NodeDevice):
             self._recorder.reset,
             self._calibrating.reset,
         )
-        self._choose_parameters()
         self._lock = WriteLock(self)
         self._declare_jitter()
-        self._limits.apply()
-        self._tables.reset()
-        self._adapting.reset()
+        for reset in self._resets:
+            reset()
 
     @property
     def events(self) -> EventWatch:
@@ -152,6 +150,11 @@ class FeedbackModule(NodeDevice):
         self._calibrating = Calibrating(
             dictionary, self.chain, self._tables, self._observers, self._publishing.objects.calibrating
         )
+        for kept in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE):
+            storage.entries.keep(*kept)  # a preset by its value alone: 6509h is what it led to
+        for entry in dictionary:
+            if entry.index in COMMANDS and entry.access == "rw":
+                storage.entries.leave_out(entry.index, entry.subindex)
 
     @property
     def feedback(self) -> Feedback | None:
@@ -230,14 +233,6 @@ class FeedbackModule(NodeDevice):
     def job_progress(self, job: CalibrationJob, part: float) -> None:
         """The fraction ``part``, 0..1, of the ``job`` is done: for 2030:03."""
         self._calibrating.computed(job, part)
-
-    def _choose_parameters(self) -> None:
-        entries = self.storage.entries
-        for kept in (od.PRESET_VALUE, od.HIGH_PRECISION_PRESET, od.OFFSET_VALUE):
-            entries.keep(*kept)  # a preset by its value alone: 6509h is what it led to
-        for entry in self.dictionary:
-            if entry.index in COMMANDS and entry.access == "rw":
-                entries.leave_out(entry.index, entry.subindex)
 
     def _on_followed(self, received_s: float, stamped: bool) -> None:
         """An event after a pause; and the jitter is measured if receive times are known, sample times not."""
