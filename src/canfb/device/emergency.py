@@ -14,8 +14,6 @@ from canfb.device.od.dictionary import Entry, refuse_if
 
 _WAITING = 8
 
-APPLICATION = None  # Source of the errors that the program reports.
-
 
 class Emergency(Timed):
     """Reports errors, each (code and source) once, until it is cleared.
@@ -62,13 +60,13 @@ class Emergency(Timed):
         register_bits: int,
         manufacturer: bytes,
         now: float,
-        source: Hashable = APPLICATION,
+        source: Hashable = None,
         *,
         again: bool = False,
     ) -> None:
         """An error appeared: 1001h, 1003h and EMCY. Nothing if it is active, unless ``again``.
 
-        `register_bits` are bits of 1001h, `manufacturer` up to 5 bytes.
+        `register_bits` are bits of 1001h, `manufacturer` up to 5 bytes. `source` None: the program.
         """
         key = (int(code), source)
         if key in self._active and not again:
@@ -78,7 +76,7 @@ class Emergency(Timed):
         self._remember(int(code), manufacturer)
         self._send(int(code), manufacturer, now)
 
-    def clear(self, code: int, now: float, source: Hashable = APPLICATION) -> None:
+    def clear(self, code: int, now: float, source: Hashable = None) -> None:
         if self._active.pop((int(code), source), None) is None:
             return
         self._set_register()

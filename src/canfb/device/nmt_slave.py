@@ -108,7 +108,6 @@ class HeartbeatMonitor(Timed):
     def __init__(self, core: Core, entry: Entry, watched: Callable[[], Iterable[HeartbeatMonitor]]) -> None:
         self.entry = entry
         self._core = core
-        self._emergency = core.emergency
         self._source = entry.index, entry.subindex
         self._watched = watched
         entry.on_check = self._check
@@ -120,19 +119,21 @@ class HeartbeatMonitor(Timed):
 
     def forget(self, now: float) -> None:
         self.deadline = NEVER
-        self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
+        self._core.emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
 
     def handle(self, data: bytes, now: float) -> None:
         if len(data) != 1:
             self._core.counters.malformed_frames += 1
             return
         self.deadline = now + (self.entry.value & 0xFFFF) / 1000
-        self._emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
+        self._core.emergency.clear(EmergencyCode.HEARTBEAT, now, self._source)
 
     def tick(self, now: float) -> None:
         self.deadline = NEVER
         lost = bytes([self.node_id])
-        self._emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, lost, now, self._source)
+        self._core.emergency.report(
+            EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, lost, now, self._source
+        )
         self._core.reactions.communication_error(f"no heartbeat of node {self.node_id}", now)
 
     def _check(self, value: int) -> None:
@@ -182,7 +183,6 @@ class NodeGuarding(Timed):
     def __init__(self, core: Core, heartbeat: HeartbeatProducer) -> None:
         self._core = core
         self._can_id = ERROR_CONTROL + core.node_id
-        self._emergency = core.emergency
         self._heartbeat = heartbeat
         self._can_guard = (0x100C, 0) in core.dictionary
         self._guard_time = core.dictionary.assumed(0x100C)
@@ -205,7 +205,7 @@ class NodeGuarding(Timed):
         self._toggle = 0
         self._guarded = False
         self.deadline = NEVER
-        self._emergency.clear(EmergencyCode.HEARTBEAT, now, _GUARDING)
+        self._core.emergency.clear(EmergencyCode.HEARTBEAT, now, _GUARDING)
 
     def request(self, now: float) -> None:
         self._core.emit(Frame(self._can_id, bytes([self._toggle | self._core.state])))
@@ -216,13 +216,13 @@ class NodeGuarding(Timed):
     def tick(self, now: float) -> None:
         self.deadline = NEVER
         self._guarded = False  # the next remote frame starts the life time again
-        self._emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, b"", now, _GUARDING)
+        self._core.emergency.report(EmergencyCode.HEARTBEAT, ErrorRegister.COMMUNICATION, b"", now, _GUARDING)
         self._core.reactions.communication_error("the guarding master is silent", now)
 
     def _start(self, now: float) -> None:
         life_time = self.life_time_s
         self.deadline = now + life_time if life_time else NEVER
-        self._emergency.clear(EmergencyCode.HEARTBEAT, now, _GUARDING)
+        self._core.emergency.clear(EmergencyCode.HEARTBEAT, now, _GUARDING)
 
     def _written(self) -> None:
         if self._guarded or not self.life_time_s:

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, Protocol
 
 from canfb import objects as od
 from canfb.cia301 import datatypes
-from canfb.cia301.codes import SdoAbort
 from canfb.device.od.dcf import (
     TURNS,
     Place,
@@ -23,8 +22,8 @@ from canfb.device.od.dcf import (
     switched_off,
     turn,
 )
-from canfb.device.od.dictionary import Dictionary, Entry
-from canfb.device.storage.kept import has_default_can_id, is_within_limits
+from canfb.device.od.dictionary import Dictionary, Entry, is_accepted
+from canfb.device.storage.kept import has_default_can_id
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError
 from canfb.files import write_whole
@@ -118,7 +117,12 @@ class DeviceConfiguration:
         writes = [setting.write(setting.value) for setting in self.settings]
         others = [write for write in [*writes, *self._table_writes()] if write.index not in _PDOS]
         others.sort(key=lambda write: (write.index, write.subindex))
-        return [(write.index, write.subindex) for write in [*pdos, *others] if not _is_taken(module, write)]
+        entry = module.dictionary.entry
+        return [
+            (write.index, write.subindex)
+            for write in [*pdos, *others]
+            if not is_accepted(entry(write.index, write.subindex).download, write.data)
+        ]
 
     def _table_writes(self) -> list[Write]:
         activate = Write(*od.TABLE_ACTIVATE, self.table_crc32.to_bytes(4, "little"))
@@ -145,7 +149,7 @@ def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes)
         module.node_id,
         int(module.dictionary.entry(*od.IDENTITY_SERIAL_NUMBER).value),
         # A value beyond its own limits was not written, and cannot be.
-        tuple(setting for setting in settings if is_within_limits(*setting)),
+        tuple(setting for setting in settings if is_accepted(setting.entry.check_limits, setting.value)),
         table,
     )
 
@@ -153,14 +157,6 @@ def _collect(module: FeedbackModule, read: Callable[[Entry], Any], table: bytes)
 def _as_sent(entry: Entry, value: Any) -> Any:
     """A REAL32 has fewer digits than what a configuration gives."""
     return datatypes.decode(entry.data_type, datatypes.encode(entry.data_type, value))
-
-
-def _is_taken(module: FeedbackModule, write: Write) -> bool:
-    try:
-        module.dictionary.lookup(write.index, write.subindex).download(write.data)
-    except SdoAbort:
-        return False
-    return True
 
 
 IDENTITY = (od.DEVICE_TYPE, od.IDENTITY_VENDOR_ID, od.IDENTITY_PRODUCT_CODE)  # what a module is known by

@@ -163,6 +163,15 @@ class Entry:
             self.on_download()
 
 
+def is_accepted(take: Callable[[Any], None], value: Any) -> bool:
+    """Whether ``take``, a check or a write, raises no SdoAbort."""
+    try:
+        take(value)
+    except SdoAbort:
+        return False
+    return True
+
+
 def refuse_if(
     wrong: Callable[[Any], object], code: AbortCode = AbortCode.INVALID_VALUE
 ) -> Callable[[Any], None]:

@@ -12,12 +12,11 @@ value.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
 
 from canfb.cia301 import datatypes
-from canfb.cia301.codes import EmergencyCode, ErrorRegister, SdoAbort
+from canfb.cia301.codes import EmergencyCode, ErrorRegister
 from canfb.device.core import NEVER, Core, Timed
-from canfb.device.od.dictionary import Entry
+from canfb.device.od.dictionary import is_accepted
 from canfb.device.pdo.mapping import SYNCHRONOUS, Direction, PdoParameters, Slot, struct_of
 
 Unpack = Callable[[bytes], int]
@@ -39,7 +38,6 @@ class Rpdo(Timed):
         self._source = "RPDO", number
         self._core = core
         self._counters = core.counters
-        self._emergency = core.emergency
         self.parameters = PdoParameters(core.dictionary, number, Direction.RECEIVE, self._written)
         self._timeout = self.parameters.further(5)
         self._timeout.on_written = self._written
@@ -116,7 +114,7 @@ class Rpdo(Timed):
     def _report(self, code: EmergencyCode, manufacturer: bytes, now: float) -> None:
         self._failed = True
         self._choose_usual()
-        self._emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
+        self._core.emergency.report(code, ErrorRegister.COMMUNICATION, manufacturer, now, self._source)
 
     def _choose_usual(self) -> None:
         """Bytes of a PDO that is taken over at once, and no more; -1: none is."""
@@ -130,7 +128,7 @@ class Rpdo(Timed):
             self._clear(code, now)
 
     def _clear(self, code: EmergencyCode, now: float) -> None:
-        self._emergency.clear(code, now, self._source)
+        self._core.emergency.clear(code, now, self._source)
 
     def _written(self) -> None:
         now = self._core.call.now
@@ -155,7 +153,9 @@ def unpacker(slots: Sequence[Slot]) -> Unpack:
     unpack = whole.unpack_from
 
     def unpack_any(data: bytes) -> int:
-        return sum(not _store(entry, value) for entry, value in zip(entries, unpack(data), strict=True))
+        return sum(
+            not is_accepted(entry.store, value) for entry, value in zip(entries, unpack(data), strict=True)
+        )
 
     def unpack_plain(data: bytes) -> int:
         for entry, value in zip(entries, unpack(data), strict=True):
@@ -188,16 +188,8 @@ def bit_unpacker(slots: Sequence[Slot]) -> Unpack:
         for slot in slots:
             if slot.entry is not None:
                 raw = (word & (1 << slot.bits) - 1).to_bytes((slot.bits + 7) // 8, "little")
-                refused += not _store(slot.entry, datatypes.decode(slot.data_type, raw))
+                refused += not is_accepted(slot.entry.store, datatypes.decode(slot.data_type, raw))
             word >>= slot.bits
         return refused
 
     return unpack
-
-
-def _store(entry: Entry, value: Any) -> bool:
-    try:
-        entry.store(value)
-    except SdoAbort:
-        return False
-    return True

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from canfb.cia301 import datatypes
 from canfb.cia301.codes import SdoAbort
 from canfb.device.od.dcf import TURNS, switched_off, turn
-from canfb.device.od.dictionary import Dictionary, Entry
+from canfb.device.od.dictionary import Dictionary, Entry, is_accepted
 
 FORMAT_VERSION = 1
 
@@ -179,7 +179,11 @@ class KeptEntries:
     def records(self, group: ParameterGroup, node_id: int) -> list[Record]:
         saved = {place: value() for place, value in self._saved_value.items()}
         values = ((entry, saved.get((entry.index, entry.subindex), entry.value)) for entry in self.of(group))
-        return [_record(entry, value, node_id) for entry, value in values if is_within_limits(entry, value)]
+        return [
+            _record(entry, value, node_id)
+            for entry, value in values
+            if is_accepted(entry.check_limits, value)
+        ]
 
 
 def _record(entry: Entry, value: Any, node_id: int) -> Record:
@@ -194,14 +198,6 @@ def restored_value(entry: Entry, record: Record, node_id: int) -> Any:
         return entry.decode(record.data)
     value = (int.from_bytes(record.data, "little") + node_id) & _FLAGS_AND_ID
     return entry.decode(value.to_bytes(len(record.data), "little"))
-
-
-def is_within_limits(entry: Entry, value: Any) -> bool:
-    try:
-        entry.check_limits(value)
-    except SdoAbort:
-        return False
-    return True
 
 
 def has_default_can_id(entry: Entry, value: Any) -> bool:
