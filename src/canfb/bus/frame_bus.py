@@ -125,7 +125,6 @@ class Reception:
         self._bus, self._clock, self._sleep, self._lasts = bus, clock, sleep, lasts
         self._interface = NamedInterface(bus)
         self._watch = FailureWatch(report, BUS_FAILS, BUS_WORKS)
-        self.failures = 0  # How often it failed until now.
 
     def receive(self, wait_s: float) -> can.Message | None:
         try:
@@ -141,7 +140,6 @@ class Reception:
 
     def failed(self, error: Exception) -> None:
         """Outlast a failure, of sending too; or BusError."""
-        self.failures += 1
         if not self._lasts and not self._interface.comes_back(error):
             raise BusError(f"{BUS_FAILS}: {reason(error)}") from error
         if self._watch.failed(error, self._clock()):

@@ -134,10 +134,10 @@ class Publishing:
                 self.events.fault(feedback, now)
 
     def withhold(self) -> None:
-        self.objects.withhold()
+        self._status.value &= ~VALID
 
     def outdated(self, now: float) -> None:
-        self.objects.withhold()
+        self.withhold()
         self.events.outdated(now)
         if self.last is not None and not self.alarm.active:
             self.alarm.report(False, self.last.status & ~VALID, now, self.loss)

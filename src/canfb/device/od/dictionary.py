@@ -261,9 +261,6 @@ class Dictionary:
     def __iter__(self) -> Iterator[Entry]:
         return iter(self._entries.values())
 
-    def __len__(self) -> int:
-        return len(self._entries)
-
     def objects(self) -> Iterator[ObjectInfo]:
         return iter(self._objects.values())
 

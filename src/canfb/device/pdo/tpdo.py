@@ -180,7 +180,7 @@ def packer(slots: Sequence[Slot]) -> Pack:
             try:
                 return pack(*[entry.current() for entry in entries])
             except UNFIT:
-                raise _unfit(entries) from None
+                return _encoded(entries)
 
         return pack_any
     first, second, third = (entries * 3)[:3]
@@ -189,30 +189,25 @@ def packer(slots: Sequence[Slot]) -> Pack:
         try:
             return pack(first.value)
         except UNFIT:
-            raise _unfit(entries) from None
+            return _encoded(entries)
 
     def pack_two() -> bytes:
         try:
             return pack(first.value, second.value)
         except UNFIT:
-            raise _unfit(entries) from None
+            return _encoded(entries)
 
     def pack_three() -> bytes:
         try:
             return pack(first.value, second.value, third.value)
         except UNFIT:
-            raise _unfit(entries) from None
+            return _encoded(entries)
 
     return (pack_one, pack_two, pack_three)[len(entries) - 1]
 
 
-def _unfit(entries: tuple[Entry, ...]) -> ValueError:
-    for entry in entries:
-        try:
-            entry.encode()
-        except ValueError as error:
-            return error
-    return ValueError(f"the values of {entries} do not fit their types")
+def _encoded(entries: tuple[Entry, ...]) -> bytes:
+    return b"".join([entry.encode() for entry in entries])  # which says whose value does not fit
 
 
 def bit_packer(slots: Sequence[Slot]) -> Pack:

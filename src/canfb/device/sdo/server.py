@@ -81,8 +81,7 @@ class SdoServer(Timed):
 
     def tick(self, now: float) -> None:
         transfer = self._transfer
-        if transfer is None:
-            return
+        assert transfer is not None  # else nothing is due
         if transfer.pause < NEVER:
             transfer.proceed()
         else:

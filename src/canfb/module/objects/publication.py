@@ -164,9 +164,6 @@ class Publication:
         self._last_raw = 0.0  # the last one before the present sample
         self._loss.reset()
 
-    def withhold(self) -> None:
-        self._status.value &= ~VALID
-
     def count(self, feedback: Feedback) -> None:
         self._last_raw = self._known_raw()
         self.count_between(feedback)
