@@ -406,7 +406,7 @@ def test_a_wrong_date_and_a_wrong_folder_are_found_before_the_work(
 def test_a_story_that_does_not_hold_is_exit_code_1(monkeypatch: pytest.MonkeyPatch, command: Command) -> None:
     checks = {"it flies": False, "it floats": True}
     told = Story(checks=checks)
-    monkeypatch.setattr("canfb.demo.story.run_story", lambda network: told)
+    monkeypatch.setattr("canfb.demo.story.run_story", lambda network, progress: told)
     monkeypatch.setattr(
         "canfb.demo.demo_page.figures", lambda told: {"held": told.held, "checks": told.checks}
     )

@@ -141,8 +141,7 @@ def _tell_story(options: argparse.Namespace) -> int:
         prepare_folder(options.out)
     date = page_date() if options.out else ""
     network = DemoNetwork()
-    show = None if options.json or not sys.stderr.isatty() else Progress().step
-    story = run_story(network, show) if show else run_story(network)
+    story = run_story(network, Progress(options.json or not sys.stderr.isatty()).step)
     pictures, page = (
         write_files(network, story, options.out, version("canfb"), date) if options.out else ([], None)
     )

@@ -443,7 +443,6 @@ def commission(
             step=steps.step,
         )
     steps.clear()
-    written = bool(wishes.write and changes)
     done = Commissioned(
         observed,
         limits,
@@ -451,7 +450,7 @@ def commission(
         choices,
         usual,
         wishes,
-        written,
+        bool(wishes.write and changes),
         saved_as,
         session.provenance(Provenance.of_run(date, wishes.line)),
     )

@@ -62,18 +62,16 @@ class ModuleTraces:
         self.points.append(self._point(now, module))
         while now - (self.points[0][0] or 0.0) > LONGEST_S:
             self.points.popleft()
-        self._judge()
+        self._judge(module)
         self._follow(module)
 
     def know(self, correction: Correction) -> None:
         if correction != self._read:
             self._read, self._due_s = correction, -math.inf
 
-    def _judge(self) -> None:
+    def _judge(self, module: ModuleSnapshot) -> None:
         """It counts while 2020:04 and status bit 7 agree."""
-        module, read = self._module, self._read
-        assert module is not None
-        before = self.correction
+        read, before = self._read, self.correction
         active = None if module.status is None else module.table_active
         if read and read.crc32 == module.table_crc32 and active in (None, bool(read.crc32)):
             self.correction = read

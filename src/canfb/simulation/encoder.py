@@ -190,9 +190,11 @@ class ShaftEncoder:
         hertz = 0.0 if self._encoder.path == IDEAL_PATH else self._hertz(held_s, revolutions_at)
         sine, cosine = self._encoder.sample(self.position_cycles, self._rng, hertz)
         last, self._last = self._last, (held_s, revolutions)
-        pulse = None
-        if last is not None and math.floor(last[1]) != math.floor(revolutions):
-            pulse = _pulse_place(*last, held_s, revolutions, revolutions_at)
+        pulse = (
+            _pulse_place(*last, held_s, revolutions, revolutions_at)
+            if last is not None and math.floor(last[1]) != math.floor(revolutions)
+            else None
+        )
         coarse_sine, coarse_cosine = self._coarse.sample(revolutions, self._others)
         return Sample(int(sine), int(cosine), 1.0, False, int(coarse_sine), int(coarse_cosine), pulse)
 
