@@ -45,9 +45,13 @@ def units(folder: Path, *drop_ins: str, name: str = "canfb", text: str = UNIT) -
 
 @needs_systemd
 @pytest.mark.parametrize(("name", "text"), [("canfb", UNIT), ("canfb-interface", INTERFACE)])
-def test_systemd_accepts_the_unit(name: str, text: str, tmp_path: Path) -> None:
+def test_systemd_accepts_the_unit_and_finds_it_hardened(name: str, text: str, tmp_path: Path) -> None:
     done = analyze("verify", str(units(tmp_path, name=name, text=text)))
     assert (done.returncode, done.stderr) == (0, "")
+    done = analyze(
+        "security", "--offline=yes", f"--threshold={MOST_EXPOSED}", str(tmp_path / f"{name}@.service")
+    )
+    assert done.returncode == 0, done.stdout
 
 
 @needs_systemd
@@ -61,16 +65,6 @@ def test_systemd_accepts_the_drop_ins_of_the_page(tmp_path: Path) -> None:
     assert len(drop_ins) == 2
     done = analyze("verify", str(units(tmp_path, *drop_ins)))
     assert (done.returncode, done.stderr) == (0, "")
-
-
-@needs_systemd
-@pytest.mark.parametrize(("name", "text"), [("canfb", UNIT), ("canfb-interface", INTERFACE)])
-def test_the_service_is_hardened(name: str, text: str, tmp_path: Path) -> None:
-    units(tmp_path, name=name, text=text)
-    done = analyze(
-        "security", "--offline=yes", f"--threshold={MOST_EXPOSED}", str(tmp_path / f"{name}@.service")
-    )
-    assert done.returncode == 0, done.stdout
 
 
 def test_the_unit_of_the_interface_differs_in_its_devices() -> None:
