@@ -41,8 +41,6 @@ def test_a_pulse_between_two_samples_is_where_the_machine_was(
 class Noted:
     """A recovery that notes what it is told."""
 
-    in_doubt = False
-
     def __init__(self, lost: bool) -> None:
         self.lost = lost
         self.on_lost: Callable[[], None] = lambda: None

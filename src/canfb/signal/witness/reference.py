@@ -38,7 +38,6 @@ class Reference:
         estimator.on_speed = self.speed_known
         self.coarse, self.zero = coarse, zero
         self.recovered = self.set_right = 0
-        self.had_position = False
         self._time = 0.0
         self.restart()
 
