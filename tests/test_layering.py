@@ -62,7 +62,7 @@ ALLOWED: dict[str, set[str]] = {
     "bus": {"device"} | WORDS - {"checks", "files", "objects", "rows"},
     "hosting": {"signal", "sources", "module", "device", "interface", "simulation", "configuration", "bus"}
                | WORDS - {"checks", "rows"},
-    "logfile": {"bus", "cia301", "errors", "rows"},
+    "logfile": {"bus", "cia301", "errors", "files", "rows"},
     "logs": {"signal", "device", "module", "report", "hosting", "logfile", "replay"} | WORDS,
     "demo": {"signal", "calibration", "report", "device", "sources", "module", "interface", "simulation",
              "configuration", "eds_files"} | WORDS,

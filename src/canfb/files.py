@@ -53,7 +53,7 @@ def replacing(path: Path, *, private: bool = False) -> Iterator[Path]:
     ``private``: nobody else may read it.
     """
     target = path.resolve()  # a link stays one
-    handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+    handle, name = tempfile.mkstemp("".join(target.suffixes), f".{target.name}.", target.parent)
     part = Path(name)
     try:
         yield part

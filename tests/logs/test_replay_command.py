@@ -118,8 +118,7 @@ def test_saved_parameters_are_read_and_stay(tmp_path: Path, command: Command) ->
 
 
 def test_several_modules_of_one_log(tmp_path: Path, command: Command) -> None:
-    frames = live(session())[0]
-    log = write_log(tmp_path / "bus.log", frames)
+    log = write_log(tmp_path / "bus.log", live(session())[0])
     config = tmp_path / "two.yaml"
     config.write_text("modules: [{node_id: 32}, {node_id: 33}]\n")
     one, other = command("log replay --json", log, "--config", config).json["modules"]
@@ -206,8 +205,8 @@ def test_a_log_that_is_cut_off_is_used_up_to_there(tmp_path: Path, command: Comm
 
 
 def refusal(command: Command, line: str, code: int) -> str:
-    lines = command(f"log replay {line}", code=code).err.splitlines()
-    (error,) = (one for one in lines if not one.startswith("..."))
+    said = command(f"log replay {line}", code=code).err
+    (error,) = (one for one in said.splitlines() if not one.startswith("..."))
     return error
 
 
@@ -221,6 +220,8 @@ WRONG = [
     ("bus.log --table words.asc", 1, "this is not a correction table"),
     ("bus.log --config source.yaml", 2, "module 32 has a source of its own"),
     ("bus.log --workers 2", 2, "--workers: is for a folder of logs"),
+    ("bus.log --frames bus.log", 2, "--out, --frames: bus.log is the log itself"),
+    ("empty.log --frames words.asc", 1, "there is no frame with an 11-bit identifier in it"),
 ]
 
 
@@ -233,13 +234,12 @@ def test_what_cannot_be_is_one_line(
     Path("empty.log").touch()
     Path("words.asc").write_text("no log\nat all\n")
     Path("source.yaml").write_text("modules: [{node_id: 32, source: {kind: motion}}]\n")
-    before = sorted(Path().iterdir())
+    before = {path: path.read_bytes() for path in Path().iterdir()}
     assert said in refusal(command, line, code)
-    assert sorted(Path().iterdir()) == before, "nothing half written"
+    assert {path: path.read_bytes() for path in Path().iterdir()} == before, "nothing half written"
 
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "monitor.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "monitor.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^    canfb (log .*)$", PAGE, re.M)
 
 

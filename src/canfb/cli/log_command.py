@@ -35,7 +35,7 @@ from canfb.configuration import changed_module, load_config
 from canfb.errors import ConfigError
 from canfb.files import check_writable
 from canfb.hosting.readiness import Readiness
-from canfb.logfile.bus_logs import BusLog
+from canfb.logfile.bus_logs import BusLog, replacing_log
 from canfb.logs.log_replay import (
     ReplayOptions,
     check_table,
@@ -160,9 +160,10 @@ def replay(options: argparse.Namespace) -> int:
         raise ConfigError("--out, --report: are for one module; choose it by NODE")
     if options.report is not None:
         check_writable(options.report, "--report")
-    replay_what = _folder if options.log.is_dir() else _one_log
+    if any(path and path.resolve() == options.log.resolve() for path in (options.out, options.frames)):
+        raise ConfigError(f"--out, --frames: {options.log} is the log itself")
     with shown_progress(quiet=options.json) as progress:
-        return replay_what(options, settings, progress)
+        return (_folder if options.log.is_dir() else _one_log)(options, settings, progress)
 
 
 def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Progress) -> int:
@@ -170,17 +171,17 @@ def _one_log(options: argparse.Namespace, settings: ReplayOptions, progress: Pro
         overview = Overview()
         takers: list[Callable[[Block], None]] = [] if options.report is None else [overview.take]
         takers += [] if options.out is None else [files.enter_context(published(options.out))]
-        sent = options.frames and files.enter_context(BusLog(options.frames, overwrite=True)).take
+        sent = options.frames and files.enter_context(replacing_log(options.frames)).take
         progress.step(f"replaying {options.log}")
         log, results = replay_log(options.log, settings, takers, sent, progress.part)
         if options.report is not None:
             write_page(options.report, log, results[0], overview)
     progress.clear()
-    written = [path for path in (options.out, options.frames, options.report) if path is not None]
     about = log.counters.facts(log.trouble)
     figures = {"log": str(log.path), **as_figures(about), "modules": [one.figures() for one in results]}
     lines = [*as_lines(about), *(line for one in results for line in one.lines())]
-    say_result(options, Result(figures, [*lines, *(f"written  {path}" for path in written)]))
+    lines += [f"written  {path}" for path in (options.out, options.frames, options.report) if path]
+    say_result(options, Result(figures, lines))
     return int(log.trouble is not None)
 
 
@@ -219,7 +220,6 @@ def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Prog
     progress.step(f"{len(jobs)} logs to replay, {len({row['log'] for row in done})} are done")
     rows = do_work(jobs, done, settings, out, options.workers, progress=progress.part)
     progress.clear()
-    bad = [row for row in rows if row["error"] is not None]
     for row in rows:
         name = f"{row['log']}, module {row['module']}"
         if row["error"] is not None:
@@ -232,7 +232,7 @@ def _folder(options: argparse.Namespace, settings: ReplayOptions, progress: Prog
         if row["left_out"]:
             print(f"left out  {name}: {row['left_out']} frames with its CAN-IDs (--channel)")
     samples = sum(row["samples"] or 0 for row in rows)
-    print(f"{len(rows)} rows, {samples} samples; {len(bad)} not done")
+    print(f"{len(rows)} rows, {samples} samples; {sum(row['error'] is not None for row in rows)} not done")
     if out is not None:
         print(f"written  {out}")
     return int(any(row["trouble"] for row in rows))

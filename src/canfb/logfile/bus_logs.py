@@ -29,6 +29,7 @@ from can.io.generic import MessageWriter
 from canfb.bus.frame_bus import ERROR, Reception, brings_own_frames_back, flagged_id
 from canfb.cia301.frame import HIGHEST_ID, Frame
 from canfb.errors import CanfbError, ConfigError, reason
+from canfb.files import check_writable, replacing
 from canfb.logfile.log_files import (
     NEEDS_PACKAGE,
     READABLE,
@@ -171,17 +172,14 @@ def usual_frames(
         if selected is None or name == selected
     ]
     for name in {name for _, name, _, _ in lines}:
+        text = name.decode("utf-8", "replace")
         if selected in (None, name):
-            counters.channels.add(_text(name))
+            counters.channels.add(text)
         else:
             ids = (int(can_id, 16) for _, other, can_id, _ in lines if other == name)
-            counters.left_out[_text(name)] += Counter(ids)
+            counters.left_out[text] += Counter(ids)
     counters.frames += len(lines)
     return taken
-
-
-def _text(name: bytes) -> str:
-    return name.decode("utf-8", "replace")
 
 
 def blocks_of(file: Any, counters: LogCounters) -> Iterator[tuple[int, bytes]]:
@@ -355,7 +353,7 @@ class BusLog:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.path = path
+        self.path = self.place = path
         self.frames = self.error_frames = 0
         self._max_bytes = max_bytes
         self._clock, self._sleep = clock, sleep
@@ -364,8 +362,7 @@ class BusLog:
         suffix = check_suffix(path, WRITABLE)
         if max_bytes and "".join(path.suffixes[-1:]).lower() not in ROTATED:
             raise ConfigError(f"--max-size: python-can divides {', '.join(sorted(ROTATED))}, not {suffix}")
-        if not path.parent.is_dir():
-            raise ConfigError(f"{path}: there is no folder {path.parent}")
+        check_writable(path)
         if path.exists() and (not overwrite or not path.is_file()):
             raise ConfigError(f"{path}: is there already; take another name, or --force")
 
@@ -373,7 +370,7 @@ class BusLog:
         options: dict[str, Any] = {"max_bytes": self._max_bytes} if self._max_bytes else {}
         writer: Callable[..., MessageWriter] = can.SizedRotatingLogger if self._max_bytes else can.Logger
         try:
-            self._writer = writer(str(self.path), **options)
+            self._writer = writer(str(self.place), **options)
         except (NotImplementedError, ImportError) as error:
             raise CanfbError(f"{self.path}: {NEEDS_PACKAGE}") from error
         except (OSError, ValueError) as error:
@@ -416,8 +413,7 @@ class BusLog:
                 return
             message = reception.receive(min(left, LONGEST_WAIT_S))
             if message is not None:
-                if name is not None:
-                    message.channel = name
+                message.channel = name or message.channel
                 self.write(message)
 
     def write(self, message: can.Message) -> None:
@@ -431,3 +427,11 @@ class BusLog:
         """A frame with its stamp."""
         can_id, data, rtr, stamp = frame
         self.write(can.Message(stamp or 0.0, can_id, False, rtr, channel=0, data=data))
+
+
+@contextlib.contextmanager
+def replacing_log(path: Path) -> Iterator[BusLog]:
+    """In its place at the end, when nothing failed."""
+    log = BusLog(path, overwrite=True)
+    with replacing(path) as log.place, log:
+        yield log

@@ -74,11 +74,7 @@ UNREADABLE = (OSError, EOFError, zlib.error)  # What reading a file raises, comp
 def opened(path: Path) -> Iterator[tuple[Any, IO[bytes]]]:
     """The content, unpacked, and the file itself for its place."""
     with path.open("rb") as raw:
-        if log_suffix(path)[1]:
-            with gzip.open(raw, "rb") as unpacked:
-                yield unpacked, raw
-        else:
-            yield raw, raw
+        yield (gzip.GzipFile(fileobj=raw) if log_suffix(path)[1] else raw), raw
 
 
 class LogError(CanfbError):
@@ -150,14 +146,13 @@ class LogCounters:
     def _channels(self) -> list[str]:
         number = sum(one.total() for one in self.left_out.values())
         left_out, taken = _names(self.left_out), _names(self.channels)
-        several = len(self.channels) > 1 and not left_out
         return those(
             (
                 left_out,
                 f"{number} frames of channel {left_out} left out: --channel takes those of {taken} alone",
             ),
             (
-                several,
+                len(self.channels) > 1 and not left_out,
                 f"channels {taken} are taken as one bus; if they are several, --channel takes one",
             ),
         )
@@ -398,7 +393,6 @@ class _BlfReader(can.BLFReader):
             raise ValueError("it was never closed, its end may be missing")
 
     def _parse_data(self, data: bytes) -> Iterator[can.Message]:
-        """What is before an object without a length; ValueError behind it."""
         place = data.find(BLF_OBJECT, 0, BLF_OBJECT_PLACES)
         while place >= 0 and len(data) >= place + 12:
             length = int.from_bytes(data[place + 8 : place + 12], "little")
