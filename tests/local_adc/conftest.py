@@ -55,7 +55,7 @@ def opened(iiod: Callable[..., EmulatedIiod]) -> Iterator[Callable[..., tuple[Em
         def open_one(adc: EmulatedAdc | None = None, **keys: Any) -> tuple[EmulatedIiod, CapturedSource]:
             server = iiod(adc)
             config = IioSourceConfig(**{"device": "ads7950", "uri": server.uri} | keys)
-            source = stack.enter_context(iio_source(config, reopen_s=0.05))
+            source = stack.enter_context(contextlib.closing(iio_source(config, reopen_s=0.05)))
             assert server.opened.wait(10.0)
             return server, source
 
