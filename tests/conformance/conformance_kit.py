@@ -217,6 +217,15 @@ class Tester:
         """Boot-ups, heartbeats and answers to guarding."""
         return only(heard, 0x700 + self.id)
 
+    def guard(self) -> str:
+        """The answer to guarding: toggle bit and state."""
+        (answer,) = self.beats(self.remote(0x700 + self.id))
+        return answer
+
+    def state(self) -> str:
+        """The NMT state by guarding."""
+        return f"{int(self.guard(), 16) & 0x7F:02X}"
+
     def emergencies(self, heard: list[Heard]) -> list[str]:
         """Codes of the EMCY frames."""
         return [data[3:5] + data[:2] for data in only(heard, 0x80 + self.id)]

@@ -256,11 +256,6 @@ def test_beyond_19_heartbeat_consumer_values(module: Tester) -> None:
         module.send(0x705, "05")
 
 
-def state(tester: Tester) -> str:
-    (answer,) = only(tester.remote(0x700 + tester.id), 0x700 + tester.id)
-    return f"{int(answer, 16) & 0x7F:02X}"
-
-
 def test_beyond_20_commands_that_are_none(tester: Tester) -> None:
     for command in ("01", "02", "80", "81", "82"):
         assert tester.send(0x000, f"{command} {tester.id + 1:02X}") == []
@@ -270,11 +265,11 @@ def test_beyond_20_commands_that_are_none(tester: Tester) -> None:
         assert tester.send(0x000, f"{command} {tester.nn}") == []
     assert tester.send(0x000, "") == []
     assert tester.remote(0x000) == []
-    assert state(tester) == "7F"
+    assert tester.state() == "7F"
     tester.send(0x000, "01 00")
-    assert state(tester) == "05"
+    assert tester.state() == "05"
     tester.send(0x000, "02 00")
-    assert state(tester) == "04"
+    assert tester.state() == "04"
     tester.send(0x000, "80 00")
-    assert state(tester) == "7F"
+    assert tester.state() == "7F"
     assert only(tester.send(0x000, "82 00") + tester.wait(1.0), 0x700 + tester.id) == ["00"]

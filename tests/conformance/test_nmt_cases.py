@@ -44,8 +44,7 @@ def set_up_services(tester: Tester) -> list[int]:
 def guarding_works(tester: Tester, state: str) -> None:
     """Without a heartbeat, and with it again afterwards."""
     tester.accept("2B 17 10 00 00 00")
-    (answer,) = only(tester.remote(0x700 + tester.id), 0x700 + tester.id)
-    assert f"{int(answer, 16) & 0x7F:02X}" == state
+    assert tester.state() == state
     tester.accept("2B 17 10 00 F4 01")
 
 
@@ -87,8 +86,8 @@ def test_state_03_operational(tester: Tester) -> None:
         assert len(times) == 3
 
 
-@pytest.mark.parametrize(("behaviour", "state"), [(None, 0x7F), ("01", 0x05), ("02", 0x04)])
-def test_state_03_guarding_error(tester: Tester, behaviour: str | None, state: int) -> None:
+@pytest.mark.parametrize(("behaviour", "state"), [(None, "7F"), ("01", "05"), ("02", "04")])
+def test_state_03_guarding_error(tester: Tester, behaviour: str | None, state: str) -> None:
     if behaviour is not None:
         tester.accept(f"2F 29 10 01 {behaviour}")
     tester.accept("2B 0C 10 00 64 00")
@@ -96,8 +95,7 @@ def test_state_03_guarding_error(tester: Tester, behaviour: str | None, state: i
     tester.operational()
     tester.remote(0x700 + tester.id)
     tester.wait(1.0)
-    (answer,) = only(tester.remote(0x700 + tester.id), 0x700 + tester.id)
-    assert int(answer, 16) & 0x7F == state
+    assert tester.state() == state
 
 
 def test_state_04_stopped(tester: Tester) -> None:
@@ -112,33 +110,15 @@ def test_state_04_stopped(tester: Tester) -> None:
     assert answers_sdo(tester)
 
 
-def states(tester: Tester, *commands: str) -> list[str]:
-    """The state that heartbeats show after each command; 1017h set anew after a reset."""
-    seen = []
-    for command in commands:
+@pytest.mark.parametrize("line", ["81 01 82", "01 80 02 80", "01 02 01", "02 01 02"])
+def test_trans_01_to_04_each_command_leads_to_its_state(tester: Tester, line: str) -> None:
+    """By guarding, then by heartbeats."""
+    commands = [(command, STATES.get(command, "7F")) for command in line.split()]
+    for command, expected in commands:
+        tester.nmt(command)
+        assert tester.state() == expected
+    for command, expected in [("81", "7F"), *commands]:
         tester.nmt(command)
         if command in ("81", "82"):
             tester.accept("2B 17 10 00 F4 01")
-        shown = set(tester.beats(tester.wait(1.6)))
-        seen.append("/".join(sorted(shown)))
-    return seen
-
-
-def guarded_states(tester: Tester, *commands: str) -> list[str]:
-    """The same by remote frames."""
-    seen = []
-    for command in commands:
-        tester.nmt(command)
-        (answer,) = only(tester.remote(0x700 + tester.id), 0x700 + tester.id)
-        seen.append(f"{int(answer, 16) & 0x7F:02X}")
-    return seen
-
-
-@pytest.mark.parametrize("line", ["81 01 82", "01 80 02 80", "01 02 01", "02 01 02"])
-def test_trans_01_to_04_each_command_leads_to_its_state(tester: Tester, line: str) -> None:
-    commands = line.split()
-    expected = [STATES.get(command, "7F") for command in commands]
-    assert guarded_states(tester, *commands) == expected
-    tester.nmt("81")
-    tester.accept("2B 17 10 00 F4 01")
-    assert states(tester, *commands) == expected
+        assert set(tester.beats(tester.wait(1.6))) == {expected}

@@ -162,19 +162,6 @@ def test_what_is_saved_comes_back_and_what_is_not_or_was_forgotten_does_not(
         assert [*values(bench), bench.value(VERIFY, 1)] == now
 
 
-def test_stored_values_are_checked_and_nothing_acts_on_them(power_on: Callable[..., StoringBench]) -> None:
-    bench = power_on()
-    change(bench)
-    bench.save()
-    checked: list[int] = []
-    entry = bench.dictionary.entry(0x2025)
-    entry.on_check = checked.append
-    entry.on_written = lambda: pytest.fail("the reset hook takes the values over")
-    bench.nmt(RESET_NODE)
-    assert checked == [111]
-    assert values(bench) == CHANGED
-
-
 def test_every_type_comes_back(power_on: Callable[..., StoringBench]) -> None:
     entries = {
         0x2020: b"\x01\x02\x03" * 100,

@@ -152,16 +152,6 @@ def test_two_clients_each_get_their_answer() -> None:
     assert machine.answers(machine.later(), ANSWER_2) == [LOADED]
 
 
-def test_load_behind_a_save_deletes_what_was_being_saved() -> None:
-    machine = Machine()
-    machine.send(SAVE)
-    machine.send(LOAD)
-    machine.store.finish()
-    machine.store.finish()
-    assert machine.answers(machine.later()) == [LOADED]
-    assert machine.store.images == {}
-
-
 def test_load_clears_1020h_when_it_is_done() -> None:
     machine = Machine()
     machine.send(SAVE)
@@ -196,10 +186,3 @@ def test_lss_answers_when_the_node_id_is_kept() -> None:
         assert machine.module.receive(Frame(0x7E5, b"\x17".ljust(8, b"\0")), machine.now) == []
         machine.store.finish(error)
         assert machine.answers(machine.later(), 0x7E4) == [bytes((0x17, code)).ljust(8, b"\0")]
-
-
-def test_the_operating_time_is_kept_at_the_end() -> None:
-    machine = Machine()
-    machine.module.end(7200.0)
-    machine.store.finish()
-    assert list(machine.store.images) == [ParameterGroup.OPERATING_TIME]

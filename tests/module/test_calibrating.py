@@ -396,8 +396,7 @@ class ModuleUnderAnyMaster(RuleBasedStateMachine):
         job = self.bench.module.pending_job()
         assert job is not None
         self.bench.module.job_progress(job, part)
-        for old in self.late:
-            self.bench.module.job_progress(old, 0.9)
+        self.bench.module.job_progress(replace(job), 0.9)  # of another job
         self.state, self.part = State.COMPUTING, max(0.0, min(part, 1.0))
 
     @rule()
