@@ -137,8 +137,7 @@ class CalibrateOptions:
 
     def refuse_impossible(self) -> None:
         refuse_beyond(self, RANGES)
-        _ = self._layout
-        _ = self.speeds_rpm, self.delay_to_set
+        _ = self._layout, self.speeds_rpm, self.delay_to_set
         if self.samples_from == MODULE and self.method != MOTION:
             raise ConfigError("--source module: the module supports --method motion only")
 

@@ -15,6 +15,7 @@ EXTENDED = 1 << 29  # Bit 29 of a COB-ID: a CAN-ID of 29 bits, which a classic C
 CAN_ID = 0x7FF
 
 # The predefined connection set: COB-IDs without the node-ID (CiA 301, 7.3.5).
+NMT = 0x000
 SYNC = 0x080
 EMERGENCY = 0x080
 TPDOS = TPDO1, TPDO2, TPDO3, TPDO4 = 0x180, 0x280, 0x380, 0x480

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
-from canfb.cia301.cob import ERROR_CONTROL
+from canfb.cia301.cob import ERROR_CONTROL, NMT
 from canfb.cia301.codes import EmergencyCode, ErrorRegister, NmtState
 from canfb.device.core import NEVER, Application, CanIds, Core, Handler, Reactions, Timed
 from canfb.device.emergency import Emergency
@@ -78,9 +78,6 @@ class DuplicateWatch:
             self._core.application.duplicate_received(can_id, now)
 
         return handle
-
-
-NMT_COMMAND = 0x000
 
 
 class Services:
@@ -197,7 +194,7 @@ class Services:
 
     def _received_in_any_state(self) -> set[int | None]:
         return {
-            NMT_COMMAND,
+            NMT,
             self.sync.can_id,
             self.time_stamp.can_id,
             *self.consumer.routes(),
@@ -326,7 +323,7 @@ class LifeCycle(Reactions):
         self.services.route()
         self.core.routes.add(REQUEST_ID, self.lss.handle)
         if self.core.state is not NmtState.INITIALISING:
-            self.core.routes.add(NMT_COMMAND, self.command)
+            self.core.routes.add(NMT, self.command)
 
     def bit_rate_activated(self, kbit_s: int, delay_s: float) -> None:
         """Silence; the program changes the bit rate."""

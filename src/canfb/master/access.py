@@ -401,7 +401,7 @@ def reset_nodes(
     for module in () if force else modules:
         _refuse_motion(module)
     for node in found:
-        master.send(0x000, struct.pack("BB", command, node.node_id))
+        master.send(cob.NMT, struct.pack("BB", command, node.node_id))
     return [
         {"node": node.node_id, "forced": force, "spread_cycles": None, "position": None} for node in found
     ]
@@ -451,8 +451,8 @@ def reset_module(
 def _restart(module: NodeAccess, command: NmtCommand) -> None:
     master, node = module.master, module.node_id
     with _received(module) as received:
-        master.send(0x000, struct.pack("BB", command, node))
+        master.send(cob.NMT, struct.pack("BB", command, node))
         started = _wait_until(master, BOOT_UP_S, lambda: b"\0" in received)
     if not started:
         raise CommissioningError(f"{module.name}: no boot-up within {BOOT_UP_S:g} s after the reset")
-    master.send(0x000, struct.pack("BB", NmtCommand.START, node))
+    master.send(cob.NMT, struct.pack("BB", NmtCommand.START, node))

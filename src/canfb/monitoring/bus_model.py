@@ -43,7 +43,7 @@ class NodeModel:
         self._emergencies: deque[tuple[float, int, int, bytes]] = deque(maxlen=EMERGENCIES)
         self._emergency_count = 0
 
-    def error_control(self, data: bytes, now: float) -> None:
+    def error_control(self, data: bytes) -> None:
         """Boot-up, heartbeat, guarding (CiA 301, 7.2.8.3.2)."""
         state = HEARD_STATES.get(data[0] & 0x7F) if len(data) == 1 else None
         if state is NmtState.INITIALISING:
@@ -88,9 +88,7 @@ class NodeModel:
 
 
 NODES = range(1, 128)
-NMT_COMMAND = 0x000
-TPDOS = (cob.TPDO1, cob.TPDO2, cob.TPDO3, cob.TPDO4)
-SENT = (cob.EMERGENCY, *TPDOS, cob.SDO_RESPONSE, cob.ERROR_CONTROL)
+SENT = (cob.EMERGENCY, *cob.TPDOS, cob.SDO_RESPONSE, cob.ERROR_CONTROL)
 BACK_S = 1.0  # a time that is so much earlier is of another clock
 Take = Callable[[bytes, float], None]
 
@@ -207,9 +205,10 @@ class BusModel:
 
     def _by_function(self, can_id: int, data: bytes, now: float) -> None:
         """By the predefined connection set (CiA 301, 7.3.5)."""
-        if can_id == NMT_COMMAND:
-            if len(data) == 2:
-                self._command(data[0], data[1])
+        if can_id == cob.NMT:
+            for node in self._nodes.values():
+                if len(data) == 2 and data[1] in (0, node.node_id):
+                    node.commanded(data[0])
             return
         function, node_id = can_id & ~0x7F, can_id & 0x7F
         if node_id not in NODES or function not in SENT:
@@ -217,20 +216,15 @@ class BusModel:
         node = self._node(node_id)
         node.received_s = now
         if function == cob.ERROR_CONTROL:
-            node.error_control(data, now)
+            node.error_control(data)
         elif function == cob.EMERGENCY and can_id not in self._routes:
             node.emergency(data, now)
-        elif function in TPDOS:
+        elif function in cob.TPDOS:
             node.sends_pdos()
             if self._assume is not None and node.module is None and can_id not in self._routes:
                 found = self._recognition.found(can_id, data)
                 if found is not None:
                     self.learn(self._assume(found))
-
-    def _command(self, command: int, node_id: int) -> None:
-        for node in self._nodes.values():
-            if node_id in (0, node.node_id):
-                node.commanded(command)
 
 
 def _sent(node: NodeModel, module: ModuleModel, pdo: Pdo, data: bytes, now: float) -> None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol
 import yaml
 
 from canfb import objects as od
-from canfb.cia301 import datatypes
+from canfb.cia301 import cob, datatypes
 from canfb.cia301.codes import NmtCommand, NmtState
 from canfb.device.od.dcf import Write
 from canfb.files import read_bytes
@@ -223,7 +223,6 @@ def _dumped(content: Any, **options: Any) -> str:
 
 STORES = (od.STORE_ALL_PARAMETERS,)
 LEFT_ALONE = (od.TABLE_STAGED,)  # compared by the CRC of the active table
-NMT = 0x000
 MOST_SHOWN = 40
 
 
@@ -317,7 +316,7 @@ def _checked_identity(module: NodeAccess, backup: Backup, force: bool) -> NodeId
 
 def _leave_operational(module: NodeAccess, preop: bool) -> None:
     if preop:
-        module.master.send(NMT, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, module.node_id)))
+        module.master.send(cob.NMT, bytes((NmtCommand.ENTER_PRE_OPERATIONAL, module.node_id)))
     if nmt_state(module) is not NmtState.OPERATIONAL:
         return
     if preop:
