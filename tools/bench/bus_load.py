@@ -6,7 +6,7 @@ import struct
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
-from itertools import count
+from itertools import cycle
 from typing import NamedTuple
 
 from canfb import objects as od
@@ -109,14 +109,12 @@ def set_up() -> Iterator[Transfer]:
     yield _write_u32(*od.TABLE_ACTIVATE, zlib.crc32(content))
 
 
-def tables(entries: int = ENTRIES, rounds: int | None = None) -> Iterator[Transfer]:
-    """Block download to 2020:01, activation, block upload, of two tables in turns; None: for ever."""
-    contents = [encoder_table(entries, depth).to_bytes() for depth in DEPTHS]
-    for _ in count() if rounds is None else range(rounds):
-        for content in contents:
-            yield _download(*od.TABLE_STAGED, content)
-            yield _write_u32(*od.TABLE_ACTIVATE, zlib.crc32(content))
-            yield Transfer(b"\xa4" + _multiplexer(*od.TABLE_STAGED) + bytes([LARGEST_BLOCK, 0, 0, 0]))
+def tables() -> Iterator[Transfer]:
+    """Block download to 2020:01, activation, block upload, of two tables in turns, for ever."""
+    for content in cycle([encoder_table(ENTRIES, depth).to_bytes() for depth in DEPTHS]):
+        yield _download(*od.TABLE_STAGED, content)
+        yield _write_u32(*od.TABLE_ACTIVATE, zlib.crc32(content))
+        yield Transfer(b"\xa4" + _multiplexer(*od.TABLE_STAGED) + bytes([LARGEST_BLOCK, 0, 0, 0]))
 
 
 LOADS: dict[str, Callable[[], Load]] = {"alone": Load, "sdo": lambda: SdoClient(tables()), "full": FullBus}

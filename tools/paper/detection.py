@@ -54,10 +54,10 @@ class Accelerated(NamedTuple):
         return np.abs(self.error) > 0.5
 
 
-def accelerated(change: float, samples: int = 60, after: int = 40) -> Accelerated:
+def accelerated(change: float, samples: int = 60) -> Accelerated:
     """Cruise, `samples` with this change of speed (cycles per sample), go on; 12 bits and noise."""
     cruise = np.concatenate([[0.0], np.full(100, CRUISE / 100), np.zeros(20)])
-    way = Way.from_steps(np.concatenate([cruise, np.full(samples, change), np.zeros(after)]))
+    way = Way.from_steps(np.concatenate([cruise, np.full(samples, change), np.zeros(40)]))
     result = followed(USUAL, way, np.random.default_rng(11))
     return Accelerated(~result.ok, result.residual, way.error(result.cycles, result.phase))
 
@@ -106,12 +106,12 @@ def _far_beyond(effort: Effort) -> Claim:
     )
 
 
-def onset(change: float, fraction: float, rise: float, samples: int = 30) -> FloatArray:
+def onset(change: float, fraction: float, rise: float) -> FloatArray:
     """Positions around the onset of an acceleration, `fraction` of an interval after sample 5.
 
     `change` in cycles per sample²; it is reached after `rise` sampling intervals, linearly.
     """
-    time = np.maximum(np.arange(samples) - 5.0 - fraction, 0.0)
+    time = np.maximum(np.arange(30) - 5.0 - fraction, 0.0)
     ramp = np.minimum(time, rise)
     held = time - ramp
     # Constant jerk change/rise up to the end of the ramp, then constant acceleration.

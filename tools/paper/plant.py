@@ -143,15 +143,11 @@ def score(way: Way, result: TrackResult) -> Score:
     return Score(int(off.sum()), int((~result.ok).sum()), float(error[~off].max(initial=0.0)))
 
 
-def followed(
-    encoder: Encoder, way: Way, rng: np.random.Generator | None, limit: float = 1 / 3
-) -> TrackResult:
+def followed(encoder: Encoder, way: Way, rng: np.random.Generator | None) -> TrackResult:
     """The way through encoder, converter, individual table and tracker."""
-    return bare(*sampled(encoder, way, rng), exact_table(encoder.tracks), limit)
+    return bare(*sampled(encoder, way, rng), exact_table(encoder.tracks))
 
 
-def bare(
-    sine: npt.ArrayLike, cosine: npt.ArrayLike, table: CorrectionTable, limit: float = 1 / 3
-) -> TrackResult:
+def bare(sine: npt.ArrayLike, cosine: npt.ArrayLike, table: CorrectionTable) -> TrackResult:
     """The paper's method and no more: Table 1, table, eq. 9 and eq. 12, without recovery."""
-    return track(table(phase_in_cycle(sine, cosine)), limit)
+    return track(table(phase_in_cycle(sine, cosine)), 1 / 3)

@@ -147,9 +147,7 @@ def is_right(way: Way, result: TrackResult) -> bool:
     return bool(np.abs(way.error(result.cycles, result.phase)).max() < 0.5)
 
 
-def largest_acceleration(
-    good: Callable[[Way, TrackResult], bool], *, converted: bool = False, samples: int = 1000
-) -> float:
+def largest_acceleration(good: Callable[[Way, TrackResult], bool], *, converted: bool = False) -> float:
     """By bisection, the largest constant acceleration at 25 kHz (rad/s²) that is `good`.
 
     Exact phases, or those of 12-bit converters with noise and an individual table.
@@ -157,7 +155,7 @@ def largest_acceleration(
 
     def is_good(rad_s2: float) -> bool:
         change = acceleration_step(rad_s2, RATE_HZ)
-        way = Way.from_steps(np.concatenate([[0.0, change / 2.0], np.full(samples, change)]))
+        way = Way.from_steps(np.concatenate([[0.0, change / 2.0], np.full(1000, change)]))
         return good(way, followed(USUAL, way, np.random.default_rng(6)) if converted else track(way.phase))
 
     return bisected(0.0, 1.2 * EQ_10_RAD_S2, 1.0, is_good)

@@ -197,10 +197,10 @@ def _exit_status(folder: Path) -> int:
     raise VcanError("\n    ".join(["the user-mode Linux failed; from its log:", *last_words(log)]))
 
 
-def last_words(log: Sequence[str], count: int = 12) -> Sequence[str]:
+def last_words(log: Sequence[str]) -> Sequence[str]:
     """The lines of a kernel's log that say why it failed: before a panic, else the last."""
     panic = next((number for number, line in enumerate(log) if "Kernel panic" in line), len(log) - 1)
-    return log[max(0, panic + 1 - count) : panic + 1]
+    return log[max(0, panic - 11) : panic + 1]
 
 
 def kill_group(process: subprocess.Popen[bytes]) -> None:

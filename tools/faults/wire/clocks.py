@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tools.faults.machine import Motion
-from tools.faults.wire.draw import UNKNOWN_LIMIT, torque
+from tools.faults.wire.draw import torque
 from tools.faults.wire.line import TICK_S, Plan, Slot
 from tools.faults.wire.physics import stamp_tolerance, step_note
 
@@ -23,9 +23,9 @@ PHASE_ERROR = 0.0125  # cycles, of an uncorrected encoder
 RESTARTED_T = 3.0  # a reset, its configuration and the start, T
 
 
-def machine(plan: Plan, speed: float, after: int, *, limit: float | None = 0.25, share: float = 0.7) -> None:
+def machine(plan: Plan, speed: float, after: int, *, limit: float = 0.25) -> None:
     """A machine that goes from rest to ``speed`` cycles/T and stays there; the fault comes then."""
-    size = share * (limit or UNKNOWN_LIMIT)
+    size = 0.7 * limit
     ramp = abs(speed) / size
     plan.options.limit = limit
     plan.motion = Motion(start=float(plan.rng.uniform(0.1, 0.9)))

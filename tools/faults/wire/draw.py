@@ -98,11 +98,11 @@ def keep_regular(plan: Plan) -> None:
         plan.busy = plan.busy if most_us > 135.0 else 0.0
 
 
-def torque(plan: Plan, share: float = 0.7) -> None:
+def torque(plan: Plan) -> None:
     if plan.accelerating:
         return
     rng, limit = plan.rng, plan.options.limit or UNKNOWN_LIMIT
-    size = limit * share * float(rng.uniform(0.5, 1.0)) * float(rng.choice((-1.0, 1.0)))
+    size = limit * 0.7 * float(rng.uniform(0.5, 1.0)) * float(rng.choice((-1.0, 1.0)))
     begin = plan.fault + float(rng.integers(-4, 4)) + (0.0 if rng.integers(2) else float(rng.uniform()))
     kind = int(rng.integers(5))
     if kind < 2:

@@ -79,12 +79,12 @@ def jitter_s(plan: Plan) -> float:
     return 1e-6 * (plan.jitter_us * (GAUSSIAN if plan.gaussian else 1.0) + blocked_us) + STAMP_NOISE_S
 
 
-def play_plan(plan: Plan, fresh: bool = False, bench: Bench = _bench) -> Played:
-    module = bench.begin(plan.setup, plan.options, fresh)
-    begin = bench.now + 0.01
-    module.receive(_START, bench.now + 0.005)
+def play_plan(plan: Plan, fresh: bool = False) -> Played:
+    module = _bench.begin(plan.setup, plan.options, fresh)
+    begin = _bench.now + 0.01
+    module.receive(_START, _bench.now + 0.005)
     line = lay(plan)
-    sent, bench.now = drive(module, plan, line.events, begin)
+    sent, _bench.now = drive(module, plan, line.events, begin)
     judge = Judge(plan, line)
     return Played(plan, line, sent, judge, judge.judge(sent))
 
