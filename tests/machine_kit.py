@@ -12,9 +12,10 @@ from canfb.commission.limit_choice import Choice, Observation, choose, observe
 from canfb.master.machine_watch import SpeedReading
 from canfb.master.samples import TrackSamples
 from canfb.master.session import SupervisionLimits
-from canfb.signal.correction import Correction, CorrectionTable
-from canfb.signal.phase import FloatArray, raw_phases
+from canfb.signal.correction import Correction
+from canfb.signal.phase import FloatArray
 from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple
+from tools.faults.machine import exact_table
 
 N, RATE_HZ = 2500, 1000.0
 BEFORE = {
@@ -39,14 +40,8 @@ def duty(top_rpm: float, ramp_s: float, times: int = 40, ripples: tuple[Ripple, 
     return Motion(one * times, ripples)
 
 
-def correction_of(encoder: Encoder, entries: int = 512) -> Correction:
-    """The table that a perfect reference measurement would give: phase as a function of raw phase."""
-    phase = np.arange(8192) / 8192.0
-    sine, cosine = encoder.tracks(phase)
-    raw = np.unwrap(raw_phases(sine, cosine), period=1.0)
-    raw = np.concatenate([raw - 1.0, raw, raw + 1.0])
-    table = np.interp(np.arange(entries) / entries, raw, np.concatenate([phase - 1.0, phase, phase + 1.0]))
-    return Correction(CorrectionTable(table))
+def correction_of(encoder: Encoder) -> Correction:
+    return Correction(exact_table(encoder.tracks, 512))
 
 
 @dataclass

@@ -41,9 +41,9 @@ def adc(node: int, cycle: int) -> bytes:
     return struct.pack("<hh", round(amplitude * math.sin(angle)), round(amplitude * math.cos(angle)))
 
 
-def cycles(first_s: float, count: int = CYCLES) -> list[tuple[float, can.Message]]:
+def cycles(first_s: float) -> list[tuple[float, can.Message]]:
     plan = []
-    for cycle in range(count):
+    for cycle in range(CYCLES):
         at = round(first_s + cycle * PERIOD_S, 6)
         plan.append((at, SYNC))
         plan += [(at, message(0x180 + INTERFACES[node], adc(node, cycle))) for node in INTERFACES]

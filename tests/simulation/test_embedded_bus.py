@@ -460,10 +460,10 @@ def turning() -> MotionSource:
     return MotionSource(ShaftEncoder(Encoder(noise_lsb=0.0), 100), Motion((Ramp(0.0, 60.0),)), 1e-3)
 
 
-def slow(interval_s: float = 1e-3) -> tuple[EmbeddedBus, EncoderInterface, SlowMotion, list[Frame]]:
+def slow() -> tuple[EmbeddedBus, EncoderInterface, SlowMotion, list[Frame]]:
     """An interface in slow motion, in OPERATIONAL, and the PDOs that it sends."""
     interface = EncoderInterface(NODE, turning(), autostart=True, times=True, clock=SampleClock())
-    hearing = SlowMotion(interface.dictionary, interval_s)
+    hearing = SlowMotion(interface.dictionary, 1e-3)
     interface.time_base = hearing
     bus, sent = EmbeddedBus(), []
     bus.observers.append(lambda frame, now: sent.append(frame) if frame.can_id == TPDO1 else None)

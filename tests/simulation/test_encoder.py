@@ -166,9 +166,9 @@ ALL: dict[str, Fault] = {
 }
 
 
-def clean(speed: float = 0.137, adc_bits: int = 12) -> Samples:
-    positions = 0.3 + speed * np.arange(LENGTH)
-    return Samples.of(*ENCODER.sample(positions, np.random.default_rng(1)), adc_bits=adc_bits)
+def clean() -> Samples:
+    positions = 0.3 + 0.137 * np.arange(LENGTH)
+    return Samples.of(*ENCODER.sample(positions, np.random.default_rng(1)), adc_bits=12)
 
 
 def injected(fault: Fault, samples: Samples | None = None, start: int = START, stop: int = STOP) -> Samples:

@@ -112,12 +112,12 @@ def wait_for_boot_up(bus: can.BusABC, pace: Pace, *nodes: int) -> None:
             break
 
 
-def reset(bus: can.BusABC, pace: Pace, node: int = NODE_ID) -> None:
+def reset(bus: can.BusABC, pace: Pace) -> None:
     """NMT reset node, until it is back with its defaults; frames from before are dropped."""
     while bus.recv(0.0) is not None:
         pass
-    bus.send(frame(0, bytes([0x81, node])))
-    wait_for_boot_up(bus, pace, node)
+    bus.send(frame(0, bytes([0x81, NODE_ID])))
+    wait_for_boot_up(bus, pace, NODE_ID)
 
 
 def position_fields(data: bytes) -> tuple[int, int, int]:
