@@ -282,7 +282,9 @@ class SignalChain:
             return self.after(
                 sample,
                 elapsed,
-                placed=self.begun and not (self.lost or self.slips(times.off) or self._pauses.creeps),
+                placed=self.begun
+                and stages.is_near(sample.sine, sample.cosine)
+                and not (self.lost or self.slips(times.off) or self._pauses.creeps),
             )
         if passed <= times.waited:  # what was waited for did not pass
             return self._restarted(sample, least=float("inf"))
@@ -302,7 +304,8 @@ class SignalChain:
 
         Its length is unknown: a machine that creeps may have gone on as long as the times say.
         """
-        lost = self.uncertain(max(least, self.times.passed) if self._pauses.creeps else 1.0)
+        intervals = max(least, self.times.passed) if self._pauses.creeps else 1.0
+        lost = self.lose() if self._pauses.undecided and not self.lost else self.uncertain(intervals)
         self.times.waited = self._left_out = 0.0
         if self.lost:  # what its times say of the speed begins here
             self.stages.estimator.lose(LossCause.TIME, starts=False)

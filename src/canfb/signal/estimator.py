@@ -23,7 +23,7 @@ from canfb.signal import speeds
 from canfb.signal.bounded_motion import HOLE_INTERVALS, LONG_INTERVAL, ORDER, SHORT_INTERVAL, Spot
 from canfb.signal.doubt import SPOTS_KEPT, Candidate, Decision, Doubt, LogEntry
 from canfb.signal.limits import Declared
-from canfb.signal.speeds import STILL_SAMPLES, Place, StillPhase
+from canfb.signal.speeds import Place, StillPhase
 from canfb.signal.starts import START_SAMPLES, SpeedVerdict, Starts
 from canfb.signal.supervision import COASTING, LOST, RESIDUAL, VALID
 from canfb.signal.tracker import Track, Tracker, TrackResult
@@ -49,7 +49,6 @@ class Estimator:
         "_past",
         "_past_places",
         "_speeds",
-        "_still",
         "_virtual",
         "declared",
         "loss_cause",
@@ -58,6 +57,7 @@ class Estimator:
         "on_speed",
         "phases_keep",
         "places",
+        "still",
         "timed",
         "tracker",
     )
@@ -92,7 +92,7 @@ class Estimator:
         self.tracker.restart(cycles, speed_cycles)
         self._known = speed_cycles != 0.0
         self.lost = False
-        self._still = StillPhase()  # while lost
+        self.still = StillPhase()  # while lost
         self._virtual: Place | None = None  # before the first sample: the speed assumed
         self._speeds = Starts()
         self._forget()
@@ -118,7 +118,7 @@ class Estimator:
         """Call the position lost; eq. 9 counts on. ``starts``: the count of the first sample is known."""
         if not self.lost:
             stood = speeds.stood_still(self.places)
-            self._still = StillPhase(self.places[-1][1] if stood else None)
+            self.still = StillPhase(self.places[-1][1] if stood else None)
         if cause is not LossCause.START:
             self._speeds = Starts(self.tracker.cycles if starts and not self.tracker.started else None)
         self.lost = True
@@ -176,16 +176,6 @@ class Estimator:
         self.tracker.set_state(before, phases[-1], counts[-1], counts[-1] - int(tracked.cycles[stop - 2]))
         if not self.lost:
             self.places.extend((count, phase, 1.0) for count, phase in zip(counts, phases, strict=True))
-
-    @property
-    def stands_still(self) -> bool:
-        """While lost: the machine stood before, or its phases have for long enough."""
-        return self._still.samples >= STILL_SAMPLES
-
-    @property
-    def stays_still(self) -> bool:
-        """While lost: the machine stood before, and has not moved since."""
-        return self._still.stays
 
     @property
     def searches(self) -> bool:
@@ -335,7 +325,7 @@ class Estimator:
         return predicted, COASTING
 
     def _count_on(self, phase: float, elapsed: float, bits: int = LOST) -> tuple[Track, int]:
-        self._still.take(phase)
+        self.still.take(phase)
         track = self.tracker.look(phase, elapsed)
         self.tracker.accept(track, elapsed)
         return track, bits if track.ok else bits | RESIDUAL

@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import inf
 
 from canfb.signal import speeds
-from canfb.signal.speeds import STILL_CYCLES
+from canfb.signal.speeds import STILL_CYCLES, STILL_SAMPLES
 from canfb.signal.stages import Stages
 
 FASTEST_STANDSTILL_CYCLES = 0.5  # per interval; from there on eq. 9 cannot start again from standstill
@@ -38,13 +38,18 @@ class Pauses:
         return speed * intervals >= LARGEST_SLIP_CYCLES
 
     @property
+    def undecided(self) -> bool:
+        """The speed is that before a doubt."""
+        return self._stages.estimator.in_doubt and not self._stages.was_valid
+
+    @property
     def creeps(self) -> bool:
         return not speeds.stood_still(self._stages.estimator.places, least=0)
 
     def reset(self) -> None:
         stages, estimator = self._stages, self._stages.estimator
         if estimator.lost:
-            self._turned = 0.0 if estimator.stands_still else inf
+            self._turned = 0.0 if estimator.still.samples >= STILL_SAMPLES else inf
         elif estimator.tracker.started:
             step = abs(estimator.tracker.step_cycles)
             self._turned = step if step > STILL_CYCLES else 0.0
@@ -59,8 +64,7 @@ class Pauses:
         if estimator.lost or self._turned:
             self._start_again(intervals)
             return False
-        undecided = estimator.in_doubt and not stages.was_valid
-        stages.resume(undecided or self._could_move(intervals))
+        stages.resume(self.undecided or self._could_move(intervals))
         return True
 
     def _start_again(self, intervals: float) -> None:
@@ -69,7 +73,7 @@ class Pauses:
         After a reset the first sample is cycle 0 at any speed that uneven times find.
         """
         stages, estimator = self._stages, self._stages.estimator
-        if estimator.lost and not estimator.stays_still:
+        if estimator.lost and not estimator.still.stays:
             # Samples of whole cycles per interval equal those of a machine at rest, however many.
             stages.resume(moved=True, starts=False)
             return

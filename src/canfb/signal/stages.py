@@ -5,7 +5,7 @@ A usual sample is in turn, within all limits, nothing in doubt; :meth:`Stages._r
 
 from __future__ import annotations
 
-from math import nan, sqrt
+from math import hypot, nan, sqrt, tau
 from typing import NamedTuple
 
 from canfb.objects import LossCause
@@ -342,6 +342,12 @@ class Stages:
             self._status = VALID | self._base_status
             if self.reference.zero.referenced:
                 self._status |= REFERENCED
+
+    def is_near(self, sine: float, cosine: float) -> bool:
+        """The phase is that of a machine that has stood since the last sample."""
+        return hypot(sine - self._sine, cosine - self._cosine) <= tau * speeds.STILL_CYCLES * hypot(
+            sine, cosine
+        )
 
     def repeats(self, sine: float, cosine: float) -> bool:
         return sine == self._sine and cosine == self._cosine
