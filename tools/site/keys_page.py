@@ -38,7 +38,7 @@ SECTIONS: tuple[tuple[str, type, str], ...] = (
 )
 INTRODUCTION = """# Configuration keys
 
-The YAML of `canfb run`, `canfb run`, `canfb simulate` and the commands with `--config`. Every key is a
+The YAML of `canfb run`, `canfb simulate` and the commands with `--config`. Every key is a
 field of a class of canfb; this page is made from those classes. `canfb config example` prints a file to start
 from, `canfb config check` names file, line and key of a mistake. A key without default is required.
 """
