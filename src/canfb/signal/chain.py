@@ -305,7 +305,7 @@ class SignalChain:
         Its length is unknown: a machine that creeps may have gone on as long as the times say.
         """
         intervals = max(least, self.times.passed) if self._pauses.creeps else 1.0
-        lost = self.lose() if self._pauses.undecided and not self.lost else self.uncertain(intervals)
+        lost = self.lose() if self.stages.estimator.undecided else self.uncertain(intervals)
         self.times.waited = self._left_out = 0.0
         if self.lost:  # what its times say of the speed begins here
             self.stages.estimator.lose(LossCause.TIME, starts=False)

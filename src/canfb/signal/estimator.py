@@ -187,6 +187,11 @@ class Estimator:
         """True while the next samples must decide where the position is; not when it is lost."""
         return self._doubt is not None
 
+    @property
+    def undecided(self) -> bool:
+        """True while several motions are left."""
+        return self._doubt is not None and len(self._doubt.candidates) > 1
+
     def good(self, phase: float, elapsed: float) -> tuple[Track, int]:
         """A sample that passed its checks: position and status bits VALID, COASTING, LOST, RESIDUAL."""
         second = self.timed and len(self.places) == 1

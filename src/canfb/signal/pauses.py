@@ -38,11 +38,6 @@ class Pauses:
         return speed * intervals >= LARGEST_SLIP_CYCLES
 
     @property
-    def undecided(self) -> bool:
-        """The speed is that before a doubt."""
-        return self._stages.estimator.in_doubt and not self._stages.was_valid
-
-    @property
     def creeps(self) -> bool:
         return not speeds.stood_still(self._stages.estimator.places, least=0)
 
@@ -64,7 +59,7 @@ class Pauses:
         if estimator.lost or self._turned:
             self._start_again(intervals)
             return False
-        stages.resume(self.undecided or self._could_move(intervals))
+        stages.resume((estimator.in_doubt and not stages.was_valid) or self._could_move(intervals))
         return True
 
     def _start_again(self, intervals: float) -> None:
