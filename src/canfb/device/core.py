@@ -384,9 +384,8 @@ class Core:
         # Of the SDO write that is just being done: its answer waits for this.
         self.pending: Pending | None = None
         self.outbox: list[Frame] = []
-        self.emit: Callable[[Frame], None] = (
-            self.outbox.append
-        )  # Sends a frame: with the return of the running call.
+        # Sends a frame: with the return of the running call.
+        self.emit: Callable[[Frame], None] = self.outbox.append
         # So long after a SYNC its synchronous RPDOs may come (1007h), seconds; 0.0: always.
         self.window_s = 0.0
         self.window_end = NEVER  # The end of it for the last SYNC.

@@ -16,7 +16,7 @@ from canfb.timing.grid import ROW, Grid
 
 SOONEST = 0.7  # of the least delay: the same frame, with other stuffing
 NOISE_S = 50e-6  # of two receive times
-# SYNC waits for a frame of 135 us, in the mean, at a bus load of 30 %: the line lies later than it is sent.
+# At a bus load of 30 % SYNC waits so long for frames of 135 us, in the mean: the line lies behind a timer.
 QUEUED_S = 20e-6
 LATEST = 0.25  # period
 WIDEST = 0.7  # period, with all of the jitter: less is left for those that are early
