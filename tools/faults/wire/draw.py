@@ -60,10 +60,6 @@ def draw_plan(setup: Setup, rng: np.random.Generator, after: int = AFTER, steady
     return plan
 
 
-def _fastest(plan: Plan) -> float:
-    return float(np.abs(np.diff(plan.motion.at(np.arange(plan.end)))).max(initial=0.0))
-
-
 def _speed(rng: np.random.Generator, limit: float) -> float:
     top = min(TOP_CYCLES, LONGEST_RAMP * 0.5 * limit)
     kind = rng.uniform()
@@ -93,7 +89,8 @@ def keep_regular(plan: Plan) -> None:
     """Without sample times only a locked timer may jitter, or a slow machine (P6)."""
     if not (plan.setup.times or plan.locked):
         room = 0.05 if plan.options.limit is None else 0.02
-        most_us = room / 16.0 / max(_fastest(plan), plan.options.limit or UNKNOWN_LIMIT) / plan.us
+        fastest = float(np.abs(np.diff(plan.motion.at(np.arange(plan.end)))).max(initial=0.0))
+        most_us = room / 16.0 / max(fastest, plan.options.limit or UNKNOWN_LIMIT) / plan.us
         plan.jitter_us = 0.0 if most_us < 0.5 else min(plan.jitter_us, most_us)
         plan.busy = plan.busy if most_us > 135.0 else 0.0
 

@@ -20,6 +20,7 @@ import struct
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 from tools.faults.wire.host import Sent
 from tools.faults.wire.line import Line, Plan
@@ -78,7 +79,6 @@ class Verdict:
     outcome: str = "kept"  # wrong, physics, lost, flagged, kept
     wrong: int = 0  # valid and wrong
     first_wrong: Shown | None = None
-    largest_error: float = 0.0
     early: int = 0  # not valid before the fault
     not_valid: int = 0
     after_start: int = 0  # of them later than a start may take
@@ -168,19 +168,28 @@ class Judge:
     def _is_p9(self) -> bool:
         """Sample times are off by no more than the wire can be, and a machine moves as was shown at them."""
         line = self._line
-        if not self._plan.setup.times or self._plan.setup.servo:
-            return False
         off = [abs(named - time) for named, time in zip(line.named, line.sample_times, strict=True)]
-        if not 0.0 < max(off, default=0.0) <= self._tolerance:
+        if not (self._plan.setup.times and 0.0 < max(off, default=0.0) <= self._tolerance):
             return False
-        return self._is_legal([(line.named[one.sample], one.position) for one in self._answers()])
+        shown = [(line.named[one.sample], one.position) for one in self._answers()]
+        if self._plan.setup.servo:
+            return self._is_legal(self._with_earlier(shown), 4.0 * LIMIT_MARGIN)  # noise / step^2, at T/2
+        return self._is_legal(shown)
+
+    def _with_earlier(self, shown: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        """With the earlier pair of each PDO, half a period before, in the cycle that its speed gives."""
+        pairs = []
+        for ((before, x), (named, y)), one in zip(pairwise(shown), self._answers()[1:], strict=True):
+            true = self._plan.motion.at([self._line.sample_times[one.sample] - 0.5])[0] - self._base
+            expected = y - 0.5 * within_half(y - x, RANGE_CYCLES) / (named - before)
+            pairs += [(named - 0.5, expected + within_half(true - expected, 1.0)), (named, y)]
+        return pairs
 
     def _answers(self) -> list[Shown]:
         return [one for one in self.shown if one.what == "TPDO" and one.valid and one.sample >= 0]
 
-    def _is_legal(self, shown: list[tuple[float, float]]) -> bool:
-        limit = self._plan.options.limit or RESIDUAL_LIMIT
-        return is_smooth(shown, limit + LIMIT_MARGIN, RANGE_CYCLES)
+    def _is_legal(self, shown: list[tuple[float, float]], margin: float = LIMIT_MARGIN) -> bool:
+        return is_smooth(shown, (self._plan.options.limit or RESIDUAL_LIMIT) + margin, RANGE_CYCLES)
 
     def _see_sdo(self, one: Sent, data: bytes) -> None:
         _, index, subindex = struct.unpack_from("<BHB", data)
@@ -223,7 +232,6 @@ class Judge:
             verdict.wrong += 1
             self._last_wrong = one.now
             verdict.first_wrong = verdict.first_wrong or shown
-            verdict.largest_error = max(verdict.largest_error, abs(error))
 
     def _nearest(self, one: Sent, position: float) -> tuple[float, float]:
         truths = [truth - self._base for truth in self._admissible(one)]

@@ -12,7 +12,7 @@ import itertools
 import math
 from collections.abc import Sequence
 
-from tools.faults.wire.line import Line, Plan, Slot
+from tools.faults.wire.line import Line, Plan
 from tools.faults.wire.setups import Setup
 
 LATEST_HOST_S = 5e-3
@@ -48,21 +48,17 @@ def unseen(plan: Plan, until: float = math.inf) -> str:
 
 
 def _is_short(plan: Plan, until: float) -> bool:
-    runs = _runs([_is_unheard(slot) for slot in plan.slots])
+    unheard = [
+        not one.produced or (not one.to_module and (one.pdo_lost or not one.to_interface))
+        for one in plan.slots
+    ]
+    runs = [sum(1 for _ in group) for bit, group in itertools.groupby(unheard) if bit]
     turn = plan.options.overflow if plan.setup.counter else 1
     if any(run % turn for run in runs):
         return False
     slots = [slot for n, slot in enumerate(plan.slots) if n + 1 <= until]  # slot n is due at n + 1
     extra = 0 if plan.setup.counter else sum(to_module for s in slots for _, to_module, _ in s.again)
     return 0.0 < (sum(runs) + extra) * plan.options.interval_s <= LATEST_HOST_S
-
-
-def _is_unheard(slot: Slot) -> bool:
-    return not slot.produced or (not slot.to_module and (slot.pdo_lost or not slot.to_interface))
-
-
-def _runs(bits: list[bool]) -> list[int]:
-    return [sum(1 for _ in group) for bit, group in itertools.groupby(bits) if bit]
 
 
 def answers_another(line: Line) -> bool:

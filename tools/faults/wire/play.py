@@ -102,8 +102,7 @@ def trace(episode: Episode, every: bool) -> int:
     played = play(episode, fresh=True)
     plan = played.plan
     print(f"{episode}: {played.verdict.outcome}")
-    speed = plan.motion.speed(plan.fault)
-    print(f"  {speed:.3f} cycles/T in slot {plan.fault}, SYNC at {plan.fault + 1} T")
+    print(f"  {plan.motion.speed(plan.fault):.3f} cycles/T in slot {plan.fault}, SYNC at {plan.fault + 1} T")
     for name, value in vars(plan).items():
         if name not in ("rng", "slots"):
             print(f"  {name}: {value}")
