@@ -6,55 +6,32 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 Tell = Callable[[float], None]
 
 
-@dataclass(frozen=True)
-class Sum:
+def add(numbers: tuple[int, ...], tell: Tell) -> int:
     """Adds numbers up, and says on the way how far it is."""
-
-    numbers: tuple[int, ...]
-
-    def __call__(self, progress: Tell = lambda part: None) -> int:
-        progress(0.25)
-        print("what a job prints is no answer")
-        progress(1.0)
-        return sum(self.numbers)
+    tell(0.25)
+    print("what a job prints is no answer")
+    tell(1.0)
+    return sum(numbers)
 
 
-@dataclass(frozen=True)
-class Where:
-    """Tells of the process that it runs in."""
-
-    def __call__(self, progress: Tell = lambda part: None) -> tuple[int, int, str, set[int]]:
-        return os.getpid(), os.getpriority(os.PRIO_PROCESS, 0), sys.argv[0], os.sched_getaffinity(0)
+def tell_of_the_process(tell: Tell) -> tuple[int, int, str, set[int]]:
+    return os.getpid(), os.getpriority(os.PRIO_PROCESS, 0), sys.argv[0], os.sched_getaffinity(0)
 
 
-@dataclass(frozen=True)
-class Raise:
-    """Fails as a program does."""
-
-    def __call__(self, progress: Tell = lambda part: None) -> None:
-        raise LookupError("nothing to be found")
+def fail(tell: Tell) -> None:
+    raise LookupError("nothing to be found")
 
 
-@dataclass(frozen=True)
-class Crash:
+def crash(tell: Tell) -> None:
     """Ends its process without a word."""
-
-    status: int
-
-    def __call__(self, progress: Tell = lambda part: None) -> None:
-        os._exit(self.status)
+    os._exit(3)
 
 
-@dataclass(frozen=True)
-class Forever:
-    """Never comes to an end; tells its process first."""
-
-    def __call__(self, progress: Tell = lambda part: None) -> None:
-        progress(float(os.getpid()))
-        while True:
-            time.sleep(60.0)
+def never_end(tell: Tell) -> None:
+    tell(float(os.getpid()))
+    while True:
+        time.sleep(60.0)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from computing_jobs import Crash, Forever, Raise, Sum, Where
+from computing_jobs import add, crash, fail, never_end, tell_of_the_process
 
 from canfb.bus.computing import Computation
 from canfb.bus.runner import Runner
@@ -83,18 +84,30 @@ def is_alive(pid: int) -> bool:
     return True
 
 
-def test_jobs_are_done_one_after_the_other(host: Any) -> None:
-    device = FakeComputer(Sum((1, 2)), Sum(tuple(range(300_000))))
+LONG = tuple(range(300_000))  # more than a pipe holds
+
+
+def test_jobs_are_done_one_after_the_other_and_what_fails_is_told(host: Any) -> None:
+    jobs = [fail, partial(add, (1, 2)), crash, lambda tell: None, partial(add, LONG)]
+    device = FakeComputer(*jobs)
     one = host(device)
-    one.poll_until(lambda: len(device.results) == 2)
-    assert device.results == [3, sum(range(300_000))]
-    assert device.parts == [0.25, 1.0, 0.25, 1.0]
-    assert one.frames == [Frame(0x123, b"\1"), Frame(0x123, b"\2")]
-    assert one.lines == []
+    one.poll_until(lambda: not device.jobs)
+    assert [None if isinstance(got, Exception) else got for got in device.results] == [
+        *(None, 3, None, None, sum(LONG)),
+    ]
+    assert device.parts == [0.25, 1.0] * 2
+    assert one.frames == [Frame(0x123, bytes([n])) for n in range(1, len(jobs) + 1)]
+    said = "the computation of a reference measurement failed: "
+    assert one.lines[:2] == [
+        f"{said}LookupError: nothing to be found",
+        f"{said}the process ended without a result",
+    ]
+    assert len(one.lines) == 3, "and the one that cannot be sent"
+    assert one.lines[2].startswith(said)
 
 
 def test_it_is_another_process_that_gives_way_on_the_processors_that_ours_had(host: Any) -> None:
-    device, before = FakeComputer(Where()), os.sched_getaffinity(0)
+    device, before = FakeComputer(tell_of_the_process), os.sched_getaffinity(0)
     one = host(device)
     os.sched_setaffinity(0, {min(before)})
     try:
@@ -108,29 +121,9 @@ def test_it_is_another_process_that_gives_way_on_the_processors_that_ours_had(ho
     assert processors == before, "also those that ours has left"
 
 
-@pytest.mark.parametrize(
-    ("job", "text"),
-    [
-        (Raise(), "LookupError: nothing to be found"),
-        (Crash(3), "the process ended without a result"),
-        (lambda: None, "attribute"),
-    ],
-    ids=["raises", "crashes", "cannot be sent"],
-)
-def test_what_fails_is_told_and_the_next_job_is_done(host: Any, job: Any, text: str) -> None:
-    device = FakeComputer(job, Sum((4,)))
-    one = host(device)
-    one.poll_until(lambda: len(device.results) == 2)
-    assert isinstance(device.results[0], Exception)
-    assert device.results[1] == 4
-    assert len(one.lines) == 1
-    assert one.lines[0].startswith("the computation of a reference measurement failed: ")
-    assert text in one.lines[0].lower() or text in one.lines[0]
-
-
 @pytest.mark.parametrize("command", [("/nowhere/at-all",), ("/bin/echo", "no message at all")])
 def test_a_process_that_is_none_of_ours_is_a_failure(host: Any, command: tuple[str, ...]) -> None:
-    device = FakeComputer(Sum((1,) * 100_000))
+    device = FakeComputer(partial(add, LONG))
     one = host(device, command=command)
     one.poll_until(lambda: bool(device.results))
     assert isinstance(device.results[0], Exception)
@@ -138,12 +131,12 @@ def test_a_process_that_is_none_of_ours_is_a_failure(host: Any, command: tuple[s
 
 
 def test_what_is_not_wanted_any_more_is_killed(host: Any) -> None:
-    device = FakeComputer(Forever())
+    device = FakeComputer(never_end)
     one = host(device)
     one.poll_until(lambda: bool(device.parts))
     pid = int(device.parts[0])
     assert is_alive(pid)
-    device.jobs = [Sum((1,))]
+    device.jobs = [partial(add, (1,))]
     one.poll_until(lambda: bool(device.results))
     one.poll_until(lambda: not is_alive(pid))
     assert device.results == [1]
@@ -198,7 +191,7 @@ class Idle(FakeDevice, FakeComputer):
 
 def test_the_runner_kills_it_at_its_own_end() -> None:
     clock = FakeClock()
-    device = Idle(clock, Forever())
+    device = Idle(clock, never_end)
     bus: Any = FakeBus(clock)
 
     def finished() -> bool:
