@@ -14,6 +14,7 @@ from canopen.objectdictionary.eds import import_eds
 
 from canfb.eds_files import eds_path
 
+NAMES = MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 _OBJECT = re.compile(r"(?P<index>[0-9A-F]{4})(?:sub(?P<sub>[0-9A-F]{1,2}))?")
 
 

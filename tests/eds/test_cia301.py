@@ -5,15 +5,15 @@ Each rule is a function that yields what is wrong, and finds the fault that is p
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from datetime import datetime
 
 import pytest
-from eds_text import EdsText, eds_of
+from eds_text import MODULE, NAMES, EdsText, eds_of
 
 from canfb.eds_files import eds_path
 
-NAMES = ("canfb-module.eds", "encoder-interface.eds", "drive.eds")
 LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 U8, U16, U32, STRING, DOMAIN = 0x05, 0x06, 0x07, 0x09, 0x0F
 VAR, ARRAY, RECORD = 0x7, 0x8, 0x9
@@ -47,8 +47,9 @@ RESTRICTED = (
 
 
 def form(eds: EdsText) -> Iterator[object]:
-    """Lengths, dates, and the lists in order."""
+    """Lines, dates, and the lists and their objects in order."""
     yield from (line for line in eds.text.splitlines() if not line.isascii() or len(line) > LONGEST_LINE)
+    yield from re.findall(r"[ \t]\n|\n\n\n|\r|[^\n]\Z", eds.text)
     info = eds.sections["FileInfo"]
     made, changed = (
         datetime.strptime(f"{info[event + 'Date']} {info[event + 'Time']}", "%m-%d-%Y %I:%M%p")
@@ -56,10 +57,13 @@ def form(eds: EdsText) -> Iterator[object]:
     )
     if made > changed:
         yield "modified before it was created"
+    objects = [index for index, sub, _ in eds.listed() if sub is None]
     for name in LISTS:
         indices = [int(eds.sections[name][key], 0) for key in eds.sections[name] if key != "SupportedObjects"]
-        if indices != sorted(indices):
+        if indices != sorted(indices) or indices != [index for index in objects if index in indices]:
             yield name, "is not in ascending order"
+        objects = [index for index in objects if index not in indices]
+    yield from objects
 
 
 def device_info(eds: EdsText) -> Iterator[object]:
@@ -219,7 +223,7 @@ def test_our_files_keep_the_rule(name: str, node_id: int, rule: Rule) -> None:
 
 def changed(section: str, key: str, value: str) -> str:
     """The EDS of the module with another value."""
-    head, start, rest = eds_path(NAMES[0]).read_text(encoding="ascii").partition(f"[{section}]\n")
+    head, start, rest = eds_path(MODULE).read_text(encoding="ascii").partition(f"[{section}]\n")
     body, gap, tail = rest.partition("\n\n")
     lines = [line for line in body.splitlines() if not line.startswith(f"{key}=")]
     return head + start + "\n".join([*lines, f"{key}={value}"]) + gap + tail
@@ -242,4 +246,4 @@ def test_each_rule_finds_its_fault(rule: Rule, section: str, key: str, value: st
 
 
 def test_a_module_must_not_share_the_node_id_of_its_encoder_interface() -> None:
-    assert list(cob_ids(eds_of(NAMES[0], 16))) == [("1800:01", "also that of another")]
+    assert list(cob_ids(eds_of(MODULE, 16))) == [("1800:01", "also that of another")]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
-from eds_text import EdsText, eds_of
+from eds_text import DRIVE, INTERFACE, MODULE, EdsText, eds_of
 
 from canfb import FeedbackModule, Frame, ModuleConfig
 from canfb.device.od.dictionary import Dictionary, Entry
@@ -16,7 +16,6 @@ from canfb.simulation.cia402.drive import ServoDrive
 from canfb.simulation.cia402.plant import Motor, MotorConfig, Plant
 from played import Still
 
-MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
 NODE_ID = 32
 SYNC, SAMPLE = Frame(0x080, b""), Frame(0x190, bytes(4))
 START, MASTER_LSS, SLAVE_LSS = Frame(0x000, b"\x01\x00"), 0x7E5, 0x7E4

@@ -1,11 +1,10 @@
 from __future__ import annotations
 
-import re
 import tomllib
 from pathlib import Path
 
 import pytest
-from eds_text import eds_of
+from eds_text import DRIVE, INTERFACE, MODULE, NAMES, eds_of
 
 from canfb import eds_files
 from canfb.device.od.dictionary import Dictionary
@@ -14,8 +13,6 @@ from canfb.errors import CanfbError
 from folding import each
 
 ROOT = Path(__file__).parents[2]
-MODULE, INTERFACE, DRIVE = "canfb-module.eds", "encoder-interface.eds", "drive.eds"
-NAMES = (MODULE, INTERFACE, DRIVE)
 FILES = {name: eds_of(name, 32) for name in NAMES}
 TYPES = {"U8": 0x05, "U16": 0x06, "U32": 0x07, "U64": 0x1B, "I8": 0x02, "I16": 0x03, "I32": 0x04, "I64": 0x15}
 TYPES |= {"REAL32": 0x08, "STRING": 0x09, "DOMAIN": 0x0F}
@@ -249,21 +246,6 @@ def test_versions_agree_with_the_package() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_objects_are_in_order(name: str) -> None:
-    places = [(index, -1 if sub is None else sub) for index, sub, _ in FILES[name].listed()]
-    lists = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
-    indices = {index for index, _ in places}
-    for listed in lists:
-        section = FILES[name].sections[listed]
-        wanted = [int(section[key], 0) for key in section if key != "SupportedObjects"]
-        assert [index for index, sub in places if sub == -1 and index in wanted] == wanted
-        indices -= set(wanted)
-    assert not indices
-    assert FILES[name].text.endswith("\n")
-    assert not re.search(r"[ \t]\n|\n\n\n|\r", FILES[name].text)
-
-
-@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("node_id", [1, 32, 127])
 def test_canopen_and_the_device_read_the_same(
     name: str, node_id: int, caplog: pytest.LogCaptureFixture
@@ -278,13 +260,6 @@ def test_canopen_and_the_device_read_the_same(
         assert variable.pdo_mappable == entry.pdo_mappable
         if variable.default is not None and variable.data_type not in (0x09, 0x0F):
             assert variable.default == entry.default
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_file_is_found_with_and_without_its_suffix(name: str) -> None:
-    assert eds_path(name) == eds_path(name.removesuffix(".eds"))
-    assert eds_path(name).name == name
-    assert eds_path(name).is_file()
 
 
 def test_an_unknown_file_is_refused_with_the_names_there_are() -> None:
