@@ -50,7 +50,6 @@ class SimulatedMachine:
 
     motion: Motion
     encoder: Encoder
-    rate_hz: float = RATE_HZ
     modulation: float = 0.0  # of the amplitude over the revolution
     jitter_s: float = 0.0
     start_s: float = 0.0
@@ -61,16 +60,16 @@ class SimulatedMachine:
         return correction_of(self.encoder)
 
     def positions(self, count: int) -> FloatArray:
-        times = self.start_s + np.arange(count) / self.rate_hz
+        times = self.start_s + np.arange(count) / RATE_HZ
         times = np.maximum(times + self.rng.normal(0.0, self.jitter_s, count), 0.0)
         return self.motion.revolutions_at(times) * N
 
     def samples(self, count: int) -> TrackSamples:
         position = self.positions(count)
         sine, cosine = self.counts(position)
-        self.start_s += count / self.rate_hz
-        samples = TrackSamples.of(sine, cosine, self.rate_hz, "a simulated machine")
-        return replace(samples, received_s=np.arange(count) / self.rate_hz)
+        self.start_s += count / RATE_HZ
+        samples = TrackSamples.of(sine, cosine, RATE_HZ, "a simulated machine")
+        return replace(samples, received_s=np.arange(count) / RATE_HZ)
 
     def counts(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As the encoder gives them, its amplitude changing over the revolution."""
@@ -87,14 +86,14 @@ class SimulatedMachine:
     def readings(self, count: int) -> list[SpeedReading]:
         """What a module would say of its speed during the next samples."""
         at = np.arange(50, count, 97)
-        times = self.start_s + at / self.rate_hz
+        times = self.start_s + at / RATE_HZ
         step = 1e-5
         speed = (self.motion.revolutions_at(times) - self.motion.revolutions_at(times - step)) / step
         return [SpeedReading(float(k), 2.0 * math.pi * float(v)) for k, v in zip(at, speed, strict=True)]
 
-    def observed(self, count: int, limits: SupervisionLimits | None = None) -> Observation:
+    def observed(self, count: int) -> Observation:
         readings = self.readings(count)
-        return observe(self.samples(count), self.used, limits or self.limits, readings)
+        return observe(self.samples(count), self.used, self.limits, readings)
 
     @property
     def limits(self) -> SupervisionLimits:
@@ -103,7 +102,7 @@ class SimulatedMachine:
             od.ENCODER_LOWEST_AMPLITUDE: round(0.2 * full),
             od.ENCODER_HIGHEST_AMPLITUDE: round(1.25 * full),
         }
-        return SupervisionLimits(BEFORE | default, 1 << (self.encoder.adc_bits - 1), N, 3)
+        return SupervisionLimits(BEFORE | default, full, N, 3)
 
     def commissioned(
         self, count: int, margin: float = 2.0, known: float = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,16 +11,17 @@ import pytest
 
 from canfb import objects as od
 from canfb.calibrate.measurement import supervise
-from canfb.commission.limit_choice import choose, observe
+from canfb.commission.limit_choice import Choice, choose, observe
 from canfb.commission.machine_figures import repeats_of_frozen_input
 from canfb.master.access import CommissioningError
-from canfb.master.machine_watch import SpeedReading
 from canfb.master.samples import TrackSamples
 from canfb.master.session import SupervisionLimits
 from canfb.signal.chain_config import ChainConfig
 from canfb.signal.limits import max_acceleration
+from canfb.signal.phase import FloatArray
 from canfb.signal.stream import process_stream
 from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple
+from folding import each
 from machine_kit import RATE_HZ, N, SimulatedMachine, duty
 
 GOOD = Encoder(noise_lsb=0.5)
@@ -42,19 +44,12 @@ MACHINES = {
 
 def fresh(name: str) -> SimulatedMachine:
     """The machine at its start, with its noise."""
-    one = MACHINES[name]
-    return SimulatedMachine(one.motion, one.encoder, modulation=one.modulation, jitter_s=one.jitter_s)
-
-
-def speed_at_start(machine: SimulatedMachine) -> float:
-    """Cycles per interval."""
-    times = machine.start_s + np.array([0.0, 1e-6])
-    return float(np.diff(machine.motion.revolutions_at(times))[0]) / 1e-6 * N / machine.rate_hz
+    return replace(MACHINES[name], rng=np.random.default_rng(4))
 
 
 def config_of(machine: SimulatedMachine, limits: SupervisionLimits) -> ChainConfig:
     """The same limits for the chain over arrays."""
-    chain = limits.chain_limits(1.0 / machine.rate_hz)
+    chain = limits.chain_limits(1.0 / RATE_HZ)
     return ChainConfig(
         adc_bits=machine.encoder.adc_bits,
         amplitude_low_counts=int(chain.sample.amplitude_low_counts),
@@ -96,7 +91,8 @@ def test_the_limits_are_near_the_truth_detect_glitches_and_hold_on_ten_times_mor
     assert largest >= 0.95 * 2.0 * low * true
     assert largest <= max(2.1 * high * true, limit - 0.049)
     assert choices[od.SUPERVISION_ACCELERATION].value <= max_acceleration(N, RATE_HZ) * (1 + 1e-6)
-    speed = speed_at_start(machine)
+    times = machine.start_s + np.array([0.0, 1e-6])
+    cycles_per_interval = float(np.diff(machine.motion.revolutions_at(times))[0]) / 1e-6 * N / RATE_HZ
     # L + a of the machine itself, and what noise may take off.
     position = machine.positions(COUNT)
     true = float(np.abs(np.diff(position, 2)).max())
@@ -109,9 +105,9 @@ def test_the_limits_are_near_the_truth_detect_glitches_and_hold_on_ten_times_mor
         glitch = np.zeros(COUNT)
         glitch[places] = rng.uniform(least, 1.0 - least, len(places))
         samples = TrackSamples.of(*machine.counts(position + glitch), RATE_HZ, "with glitches")
-        found = flagged(machine, new, samples, speed)
+        found = flagged(machine, new, samples, cycles_per_interval)
         assert all(found[place] or found[place + 1] for place in places)
-    assert not flagged(machine, new, machine.samples(10 * COUNT), speed).any()
+    assert not flagged(machine, new, machine.samples(10 * COUNT), cycles_per_interval).any()
 
 
 def test_amplitude_limits_and_frozen_input() -> None:
@@ -164,30 +160,42 @@ def test_a_larger_margin_gives_wider_limits() -> None:
     assert residual[0] < residual[1] < residual[2]
 
 
-def refusal(samples: TrackSamples, machine: SimulatedMachine, readings: list[SpeedReading]) -> str:
-    with pytest.raises(CommissioningError) as error:
-        observe(samples, machine.used, machine.limits, readings)
-    assert "\n" not in str(error.value)
-    return str(error.value)
+Changed = Callable[[TrackSamples], TrackSamples]
 
 
-def test_what_says_too_little_is_refused() -> None:
+def choice_of(machine: SimulatedMachine, place: od.Multiplexer, change: Changed) -> Choice:
+    """What is proposed for a limit where the samples are changed like this."""
+    readings, samples = machine.readings(COUNT), machine.samples(COUNT)
+    observed = observe(change(samples), machine.used, machine.limits, readings)
+    return next(one for one in choose(observed.machine, machine.limits, 2.0) if one.place == place)
+
+
+def noise(seed: int) -> FloatArray:
+    return np.random.default_rng(seed).uniform(-1500, 1500, COUNT)
+
+
+REFUSED: list[tuple[Changed, bool, str]] = [
+    (
+        lambda one: TrackSamples.of(one.sine[:1500], one.cosine[:1500], RATE_HZ, "few"),
+        True,
+        "1500 usable samples of 1500 are too few",
+    ),
+    (lambda one: one, False, "did not say its speed"),
+    (lambda one: replace(one, rate_hz=None), True, "rate of the samples is not known"),
+    (lambda one: replace(one, sine=np.nan * one.sine), True, "did not come"),
+    (lambda one: TrackSamples.of(noise(1), noise(2), RATE_HZ, "noise"), True, "position is lost"),
+    (lambda one: replace(one, sine=0.2 * one.sine, cosine=0.2 * one.cosine), True, "amplitude"),
+    (lambda one: replace(one, sine=one.sine + np.linspace(0.0, 120.0, COUNT)), True, "the tracks change"),
+]
+
+
+@each("change, said, message", REFUSED)
+def test_what_says_too_little_is_refused(change: Changed, said: bool, message: str) -> None:
     machine = fresh("quiet")
-    readings = machine.readings(COUNT)
-    samples = machine.samples(COUNT)
-    few = TrackSamples.of(samples.sine[:1500], samples.cosine[:1500], RATE_HZ, "few")
-    assert "1500 usable samples of 1500 are too few" in refusal(few, machine, readings[:10])
-    assert "did not say its speed" in refusal(samples, machine, [])
-    no_rate = TrackSamples.of(samples.sine, samples.cosine, None, "without a rate")
-    assert "rate of the samples is not known" in refusal(no_rate, machine, readings)
-    nothing = np.full(COUNT, np.nan)
-    assert "did not come" in refusal(TrackSamples(nothing, nothing, RATE_HZ, "gone"), machine, readings)
-    noise = np.random.default_rng(1).uniform(-1500, 1500, (2, COUNT))
-    assert "position is lost" in refusal(
-        TrackSamples.of(noise[0], noise[1], RATE_HZ, "noise"), machine, readings
-    )
-    weak = TrackSamples.of(0.2 * samples.sine, 0.2 * samples.cosine, RATE_HZ, "weak")
-    assert "amplitude" in refusal(weak, machine, readings)
+    readings, samples = machine.readings(COUNT), machine.samples(COUNT)
+    with pytest.raises(CommissioningError, match=message) as error:
+        observe(change(samples), machine.used, machine.limits, readings if said else [])
+    assert "\n" not in str(error.value)
 
 
 def test_the_whole_cycles_per_sample_come_from_the_readings() -> None:
@@ -210,21 +218,6 @@ def test_the_account_of_the_chain_is_that_of_the_stream() -> None:
     assert np.array_equal(found.position, (other.cycles - origin) + other.phase)
 
 
-def proposed_jitter(off_s: float, rate_hz: float = RATE_HZ) -> tuple[float, str]:
-    """2010:0D and its reason where one SYNC in a hundred comes late by this time."""
-    machine = SimulatedMachine(duty(120, 0.5), GOOD, rate_hz=rate_hz)
-    readings, samples = machine.readings(COUNT), machine.samples(COUNT)
-    late = np.where(np.arange(COUNT) % 100 == 50, off_s, 0.0)
-    samples = replace(samples, received_s=np.arange(COUNT) / rate_hz + late)
-    observed = observe(samples, machine.used, machine.limits, readings)
-    (choice,) = (
-        one
-        for one in choose(observed.machine, machine.limits, 2.0)
-        if one.place == od.SUPERVISION_SYNC_JITTER
-    )
-    return choice.value, choice.why
-
-
 @pytest.mark.parametrize(
     ("off_s", "least_s", "most_s", "why"),
     [
@@ -235,52 +228,44 @@ def proposed_jitter(off_s: float, rate_hz: float = RATE_HZ) -> tuple[float, str]
     ],
 )
 def test_the_jitter_of_the_sync_is_measured(off_s: float, least_s: float, most_s: float, why: str) -> None:
-    value, reason = proposed_jitter(off_s)
-    assert least_s <= value <= most_s
-    assert why in reason
+    """One SYNC in a hundred comes late by this time."""
+    machine = fresh("quiet")
+    times = np.arange(COUNT) / RATE_HZ + np.where(np.arange(COUNT) % 100 == 50, off_s, 0.0)
+    choice = choice_of(machine, od.SUPERVISION_SYNC_JITTER, lambda one: replace(one, received_s=times))
+    assert least_s <= choice.value <= most_s
+    assert why in choice.why
 
 
-@pytest.mark.parametrize(("counts", "stated"), [(0.0, 0.0), (20.0, 0.0015), (120.0, None)])
-def test_tracks_that_change_are_stated_or_refused(counts: float, stated: float | None) -> None:
+@each("counts, stated", [(0.0, 0.0), (20.0, 0.0015)])
+def test_tracks_that_change_are_stated(counts: float, stated: float) -> None:
     """An offset that drifts: counts / amplitude / 2 pi / sqrt 2 rms, two thirds of it from third to third."""
     machine = fresh("quiet")
     readings, samples = machine.readings(COUNT), machine.samples(COUNT)
-    samples = replace(samples, sine=samples.sine + counts * np.linspace(0.0, 1.0, COUNT))
-    if stated is None:
-        assert "the tracks change" in refusal(samples, machine, readings)
-    else:
-        found = observe(samples, machine.used, machine.limits, readings).machine.change_cycles
-        assert found == pytest.approx(stated, rel=0.4)
+    samples = replace(samples, sine=samples.sine + np.linspace(0.0, counts, COUNT))
+    found = observe(samples, machine.used, machine.limits, readings).machine.change_cycles
+    assert found == pytest.approx(stated, rel=0.4)
 
 
-ERROR_REVOLUTIONS = 0.01
+RANGE = 0.02
+"""Of the error of the coarse track, revolutions."""
 
 
-def with_coarse(machine: SimulatedMachine, count: int, size: float = 1500.0) -> tuple[float, str]:
-    """Limit in revolutions and its reason, of a coarse track with an error of two waves per revolution."""
-    readings, start_s = machine.readings(count), machine.start_s
-    samples = machine.samples(count)
-    revolutions = machine.motion.revolutions_at(start_s + np.arange(count) / RATE_HZ)
-    angle = 2 * np.pi * (revolutions + 0.3 + ERROR_REVOLUTIONS * np.sin(4 * np.pi * revolutions))
-    tracks = np.rint(size * np.sin(angle)), np.rint(size * np.cos(angle))
-    observed = observe(replace(samples, coarse=tracks), machine.used, machine.limits, readings)
-    choices = {one.place: one for one in choose(observed.machine, machine.limits, 2.0)}
-    one = choices[od.SUPERVISION_COARSE_LIMIT]
-    return one.value / 65536, one.why
-
-
-def test_the_limit_is_the_range_of_the_error_times_the_margin() -> None:
-    machine = SimulatedMachine(duty(120, 0.5), GOOD)
-    limit, why = with_coarse(machine, 6000)
-    assert 1.95 * 2 * ERROR_REVOLUTIONS < limit < 2.15 * 2 * ERROR_REVOLUTIONS
-    assert "° of the shaft" in why
-
-
-def test_less_than_a_revolution_and_a_dead_track_say_nothing() -> None:
-    slow = SimulatedMachine(duty(20, 0.3), GOOD)
-    limit, why = with_coarse(slow, 3000)
-    assert limit == 2048 / 65536
-    assert "less than a revolution" in why
-    limit, why = with_coarse(SimulatedMachine(duty(120, 0.5), GOOD), 6000, size=100.0)
-    assert limit == 2048 / 65536
-    assert "no amplitude" in why
+@each(
+    "motion, size, low, high, why",
+    [
+        (duty(120, 0.5), 1500.0, 1.95 * RANGE, 2.15 * RANGE, "° of the shaft"),
+        (duty(10, 0.3), 1500.0, 2048 / 65536, 2048 / 65536, "less than a revolution"),
+        (duty(120, 0.5), 100.0, 2048 / 65536, 2048 / 65536, "no amplitude"),
+    ],
+)
+def test_the_limit_is_the_range_of_the_error_times_the_margin(
+    motion: Motion, size: float, low: float, high: float, why: str
+) -> None:
+    """An error of two waves per revolution."""
+    revolutions = motion.revolutions_at(np.arange(COUNT) / RATE_HZ)
+    angle = 2 * np.pi * (revolutions + 0.3 + RANGE / 2 * np.sin(4 * np.pi * revolutions))
+    coarse = np.rint(size * np.sin(angle)), np.rint(size * np.cos(angle))
+    machine = SimulatedMachine(motion, GOOD)
+    choice = choice_of(machine, od.SUPERVISION_COARSE_LIMIT, lambda one: replace(one, coarse=coarse))
+    assert low <= choice.value / 65536 <= high
+    assert why in choice.why
