@@ -31,6 +31,7 @@ from canfb.simulation.encoder import Encoder, Motion, Ramp, Ripple, StoppableMot
 from canfb.simulation.scenario import MotionConfig
 from canfb.simulation.set_up import Play, SampleRecorder, of_drive, of_motion, of_recording, set_up, source_of
 from canfb.sources.protocol import SourceEnded
+from folding import each
 from played import Listed, Still
 
 speeds = st.floats(-3000, 3000)
@@ -102,37 +103,43 @@ def test_speed_and_acceleration_are_those_of_the_sampled_motion(
     assert acceleration >= 0.3 * demand.acceleration_rad_s2, "a bound, and not a wild one"
 
 
-def test_the_limit_is_that_of_eq_10_and_an_uncorrected_phase_needs_its_part() -> None:
-    demand = of_motion(MotionConfig(rpm=60, ramp_s=1.0), MODULE, 100.0)
-    assert demand.allowed_rad_s2 == max_acceleration(N, 100.0, MODULE.residual_limit)
-    assert demand.acceleration_rad_s2 == pytest.approx(2.0 * math.pi)
-    assert demand.warning() is None
-    assert demand.describe() == (
+LOST = "the module will lose the position"
+
+
+@each(
+    "rpm, standstill_s, ramp_s, rate_hz, rad_s2, warning",
+    [
+        (60, 0.5, 1.0, 100.0, 2 * math.pi, None),
+        (60, 0.5, 0.9, 100.0, 2 * math.pi / 0.9, None),
+        (60, 0.5, 0.87, 100.0, 2 * math.pi / 0.87, LOST),  # an uncorrected phase needs its part
+        (
+            600, 0.5, 2.0, 100.0, 10 * math.pi,
+            f"motion: 600 rpm: {LOST}: acceleration 31.4 rad/s^2, it follows 8.38 at 100 Hz: set --rate to "
+            "220 or more, or a longer ramp_s",
+        ),
+        (600, 0.5, 2.0, 205.0, 10 * math.pi, LOST),
+        (600, 0.5, 2.0, 220.0, 10 * math.pi, None),
+        (60, 0.5, 0.0, 100.0, 200 * math.pi, LOST),  # a step of the speed
+        (60, 0.0, 0.0, 100.0, 0.0, "turns by 25 cycles per sample from the first sample on"),
+        (1, 0.0, 0.0, 100.0, 0.0, None),
+    ],
+)  # fmt: skip
+def test_a_motion_that_eq_10_does_not_allow_is_warned_of_with_a_rate_that_is_enough(
+    rpm: float, standstill_s: float, ramp_s: float, rate_hz: float, rad_s2: float, warning: str | None
+) -> None:
+    demand = of_motion(MotionConfig(rpm=rpm, standstill_s=standstill_s, ramp_s=ramp_s), MODULE, rate_hz)
+    assert demand.allowed_rad_s2 == max_acceleration(N, rate_hz, MODULE.residual_limit)
+    assert demand.acceleration_rad_s2 == pytest.approx(rad_s2)
+    said = demand.warning()
+    assert (said is None) == (warning is None)
+    assert (warning or "") in (said or "")
+
+
+def test_a_motion_is_described() -> None:
+    assert of_motion(MotionConfig(rpm=60, ramp_s=1.0), MODULE, 100.0).describe() == (
         "motion: 60 rpm: up to 25 cycles per sample, acceleration up to 6.28 rad/s^2, the module follows "
         "8.38 at 100 Hz (eq. 10)"
     )
-    for ramp_s, warned in ((0.9, False), (0.87, True), (0.5, True)):
-        assert (of_motion(MotionConfig(rpm=60, ramp_s=ramp_s), MODULE, 100.0).warning() is not None) is warned
-
-
-def test_the_warning_names_a_rate_that_is_enough() -> None:
-    motion = MotionConfig(rpm=600, ramp_s=2.0)
-    warning = of_motion(motion, MODULE, 100.0).warning()
-    assert warning == (
-        "motion: 600 rpm: the module will lose the position: acceleration 31.4 rad/s^2, it follows 8.38 at "
-        "100 Hz: set --rate to 220 or more, or a longer ramp_s"
-    )
-    assert [of_motion(motion, MODULE, hz).warning() is None for hz in (205.0, 220.0)] == [False, True]
-
-
-def test_a_step_of_the_speed_and_a_start_in_motion() -> None:
-    step = of_motion(MotionConfig(rpm=60, standstill_s=0.5, ramp_s=0.0), MODULE, 100.0)
-    assert step.acceleration_rad_s2 == pytest.approx(200.0 * math.pi)
-    assert "will lose the position" in (step.warning() or "")
-    moving = of_motion(MotionConfig(rpm=60, standstill_s=0.0, ramp_s=0.0), MODULE, 100.0)
-    assert moving.acceleration_rad_s2 == 0.0
-    assert "turns by 25 cycles per sample from the first sample on" in (moving.warning() or "")
-    assert of_motion(MotionConfig(rpm=1, standstill_s=0.0, ramp_s=0.0), MODULE, 100.0).warning() is None
 
 
 def test_a_drive_has_its_torque_and_its_friction() -> None:
