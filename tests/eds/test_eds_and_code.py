@@ -146,32 +146,21 @@ def test_a_constant_is_really_one(spy: Spy, eds: EdsText) -> None:
     assert written <= {(0x1018, sub) for sub in (1, 2, 3, 4)}
 
 
-# [DeviceInfo] says what a master may expect.
-
-
-def test_lss_is_supported_as_the_eds_says(name: str, eds: EdsText) -> None:
+def test_device_info_says_what_a_master_may_expect(name: str, eds: EdsText) -> None:
     device = DEVICES[name]()
-    device.start(0.0)
+
+    def ask(can_id: int, data: bytes) -> list[Frame]:
+        return device.receive(Frame(can_id, data.ljust(8, b"\0")), 0.0)
+
+    boots = (0x700 + NODE_ID, b"\x00") in [(frame.can_id, frame.data) for frame in device.start(0.0)]
+    assert eds.number("DeviceInfo", "SimpleBootUpSlave") == boots
     device.receive(Frame(0x000, b"\x80\x00"), 0.0)
-    device.receive(Frame(MASTER_LSS, bytes([0x04, 0x01, 0, 0, 0, 0, 0, 0])), 0.0)
-    answers = device.receive(Frame(MASTER_LSS, bytes([0x5E, 0, 0, 0, 0, 0, 0, 0])), 0.0)
-    supported = [frame.can_id for frame in answers] == [SLAVE_LSS]
-    assert eds.number("DeviceInfo", "LSS_Supported") == int(supported)
-
-
-def test_the_boot_up_is_that_of_the_eds(name: str, eds: EdsText) -> None:
-    frames = DEVICES[name]().start(0.0)
-    boots = (0x700 + NODE_ID, b"\x00") in [(frame.can_id, frame.data) for frame in frames]
-    assert eds.number("DeviceInfo", "SimpleBootUpSlave") == int(boots)
-
-
-@pytest.mark.parametrize("count", [0xFE, 0xFF])
-def test_multiplexed_pdos_are_refused_as_the_eds_says(name: str, eds: EdsText, count: int) -> None:
-    device = DEVICES[name]()
-    device.start(0.0)
-    device.receive(Frame(0x000, b"\x80\x00"), 0.0)
-    cob_id = (0x80000180 + NODE_ID).to_bytes(4, "little")
-    device.receive(Frame(0x600 + NODE_ID, b"\x23\x00\x18\x01" + cob_id), 0.0)
-    device.receive(Frame(0x600 + NODE_ID, bytes([0x2F, 0x00, 0x1A, 0, 0, 0, 0, 0])), 0.0)
-    (answer,) = device.receive(Frame(0x600 + NODE_ID, bytes([0x2F, 0x00, 0x1A, 0, count, 0, 0, 0])), 0.0)
-    assert eds.number("DeviceInfo", "GroupMessaging") == int(answer.data[0] == 0x60)
+    # Multiplexed PDOs are refused.
+    ask(0x600 + NODE_ID, b"\x23\x00\x18\x01" + (0x80000180 + NODE_ID).to_bytes(4, "little"))
+    ask(0x600 + NODE_ID, b"\x2f\x00\x1a\x00")
+    for count in (0xFE, 0xFF):
+        (answer,) = ask(0x600 + NODE_ID, bytes([0x2F, 0x00, 0x1A, 0, count]))
+        assert eds.number("DeviceInfo", "GroupMessaging") == (answer.data[0] == 0x60)
+    ask(MASTER_LSS, b"\x04\x01")
+    supported = [frame.can_id for frame in ask(MASTER_LSS, b"\x5e")] == [SLAVE_LSS]
+    assert eds.number("DeviceInfo", "LSS_Supported") == supported

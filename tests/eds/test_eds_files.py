@@ -17,23 +17,21 @@ FILES = {name: eds_of(name, 32) for name in NAMES}
 TYPES = {"U8": 0x05, "U16": 0x06, "U32": 0x07, "U64": 0x1B, "I8": 0x02, "I16": 0x03, "I32": 0x04, "I64": 0x15}
 TYPES |= {"REAL32": 0x08, "STRING": 0x09, "DOMAIN": 0x0F}
 
-# The contract with users, restated: a change here breaks their masters.
+# The contract with users, restated: a change here breaks their masters. Defaults of several sub-indices
+# follow one another; one is that of all.
 MODULE_CONTRACT = """
 1000:00 U32 ro 0x00040196
 1005:00 U32 rw 0x80
 1014:00 U32 rw $NODEID+0x80
 1017:00 U16 rw 0
-1200:01 U32 ro $NODEID+0x600
-1200:02 U32 ro $NODEID+0x580
-1201:01 U32 rw 0x80000000
-1201:02 U32 rw 0x80000000
+1200:01-02 U32 ro $NODEID+0x600 $NODEID+0x580
+1201:01-02 U32 rw 0x80000000
 1400:01 U32 rw 0x190
 1400:02 U8 rw 255
 1401:01 U32 rw $NODEID+0x80000300
 1401:02 U8 rw 255
 1600:00 U8 rw 2
-1600:01 U32 rw 0x20000110
-1600:02 U32 rw 0x20000210
+1600:01-02 U32 rw 0x20000110 0x20000210
 1601:00 U8 rw 0
 1800:01 U32 rw $NODEID+0x40000180
 1800:02 U8 rw 254
@@ -42,46 +40,32 @@ MODULE_CONTRACT = """
 1802:01 U32 rw $NODEID+0xC0000380
 1803:01 U32 rw $NODEID+0xC0000480
 1A00:00 U8 rw 3
-1A00:01 U32 rw 0x60040020
-1A00:02 U32 rw 0x20110110
-1A00:03 U32 rw 0x20110210
+1A00:01-03 U32 rw 0x60040020 0x20110110 0x20110210
 1A01:00 U8 rw 1
 1A01:01 U32 rw 0x60080040
 1A02:00 U8 rw 0
 1A03:00 U8 rw 0
-2000:01 I16 rww pdo
-2000:02 I16 rww pdo
-2000:03 I16 rww pdo
-2000:04 I16 rww pdo
+2000:01-04 I16 rww pdo
 2000:05 U32 rww pdo
 2000:06 U8 rww pdo
 2000:07 U16 rww pdo
 2000:0E I32 rww pdo
 2001:01 U32 rw 2500 1..1048576
-2001:02 U16 rw 2048
-2001:03 U16 rw 410
-2001:04 U16 rw 2560
-2002:01 REAL32 rw 0
-2002:02 REAL32 rw 0
-2002:03 REAL32 rw 1
-2002:04 REAL32 rw 1
-2002:05 REAL32 rw 0
+2001:02-04 U16 rw 2048 410 2560
+2002:01-05 REAL32 rw 0 0 1 1 0
 2010:01 U16 rw 21845
 2010:02 REAL32 rw 0
 2010:03 U8 rw 3
-2011:01 U16 ro pdo
-2011:02 U16 ro pdo
+2011:01-02 U16 ro pdo
 2011:03 U32 ro pdo
 2011:04 I64 ro pdo
-2011:05 U16 ro pdo
-2011:06 U16 ro pdo
+2011:05-06 U16 ro pdo
 2011:07 REAL32 ro pdo
 2011:08 U32 ro pdo
 2012:01 U32 ro
 2012:08 U32 ro
 2012:0F U32 ro
-2014:01 U32 rw 1048576
-2014:02 U32 rw 1
+2014:01-02 U32 rw 1048576 1
 2014:03 U8 rw 0
 2014:04 REAL32 rw 0
 2014:05 U8 rw 0
@@ -120,20 +104,13 @@ INTERFACE_CONTRACT = """
 1800:02 U8 rw 1
 1801:01 U32 rw $NODEID+0x80000280
 1A00:00 U8 rw 2
-1A00:01 U32 rw 0x64010110
-1A00:02 U32 rw 0x64010210
+1A00:01-02 U32 rw 0x64010110 0x64010210
 1A01:00 U8 rw 4
-1A01:01 U32 rw 0x64010310
-1A01:02 U32 rw 0x64010410
-1A01:03 U32 rw 0x20000208
-1A01:04 U32 rw 0x20000310
+1A01:01-04 U32 rw 0x64010310 0x64010410 0x20000208 0x20000310
 2000:01 U32 ro pdo
 2000:02 U8 ro pdo
 2000:03 U16 ro pdo
-6401:01 I16 ro pdo
-6401:02 I16 ro pdo
-6401:03 I16 ro pdo
-6401:04 I16 ro pdo
+6401:01-04 I16 ro pdo
 """
 DRIVE_CONTRACT = """
 1000:00 U32 ro 0x00020192
@@ -144,22 +121,16 @@ DRIVE_CONTRACT = """
 1402:01 U32 rw $NODEID+0x80000400
 1403:01 U32 rw $NODEID+0x80000500
 1403:02 U8 rw 255
-1600:01 U32 rw 0x60400010
-1600:02 U32 rw 0x60600008
+1600:01-02 U32 rw 0x60400010 0x60600008
 1601:01 U32 rw 0x607A0020
 1602:00 U8 rw 0
-1603:01 U32 rw 0x60E40120
-1603:02 U32 rw 0x21100110
-1603:03 U32 rw 0x21100410
+1603:01-03 U32 rw 0x60E40120 0x21100110 0x21100410
 1800:01 U32 rw $NODEID+0x40000180
 1800:02 U8 rw 255
 1801:01 U32 rw $NODEID+0x40000280
 1801:02 U8 rw 1
-1A00:01 U32 rw 0x60410010
-1A00:02 U32 rw 0x60610008
-1A00:03 U32 rw 0x603F0010
-1A01:01 U32 rw 0x60640020
-1A01:02 U32 rw 0x606C0020
+1A00:01-03 U32 rw 0x60410010 0x60610008 0x603F0010
+1A01:01-02 U32 rw 0x60640020 0x606C0020
 6007:00 I16 rw 1 0..3
 603F:00 U16 ro pdo
 6040:00 U16 rww pdo 0
@@ -178,12 +149,10 @@ DRIVE_CONTRACT = """
 6076:00 U32 rw 500
 6077:00 I16 ro pdo
 607A:00 I32 rww pdo 0
-607D:01 I32 rw -2147483648
-607D:02 I32 rw 2147483647
+607D:01-02 I32 rw -2147483648 2147483647
 6080:00 U32 rw 3000
 6085:00 U32 rw 62914560
-608F:01 U32 rw 1048576
-608F:02 U32 rw 1
+608F:01-02 U32 rw 1048576 1
 60C2:01 U8 rw 1
 60C2:02 I8 rw -3 -6..0
 60E4:01 I32 rww pdo
@@ -193,8 +162,7 @@ DRIVE_CONTRACT = """
 6502:00 U32 ro 0x80
 2100:05 U32 rw 10000
 2110:01 U16 rww pdo
-2110:02 U16 rw 1
-2110:03 U16 rw 1
+2110:02-03 U16 rw 1
 2110:05 U32 rw 4280320000
 2110:06 U8 rw 2
 """
@@ -208,19 +176,20 @@ CONTRACT = [
 @each("name, line", CONTRACT)
 def test_the_contract_is_kept(name: str, line: str) -> None:
     place, data_type, access, *rest = line.split()
-    index, sub = (int(part, 16) for part in place.split(":"))
-    entry = FILES[name].entries[index, sub]
+    index, _, subs = place.partition(":")
+    first, _, last = subs.partition("-")
     limits = [word for word in rest if ".." in word]
     defaults = [word for word in rest if word not in ("pdo", *limits)]
-    assert entry.data_type == TYPES[data_type]
-    assert entry.access_type == access
-    assert entry.pdo_mappable == ("pdo" in rest)
-    if defaults or entry.default is not None:
-        assert entry.default == sum(
-            32 if part == "$NODEID" else int(part, 0) for part in defaults[0].split("+")
-        )
-    for limit in limits:
-        assert f"{entry.min}..{entry.max}" == limit
+    for count, sub in enumerate(range(int(first, 16), int(last or first, 16) + 1)):
+        entry = FILES[name].entries[int(index, 16), sub]
+        assert entry.data_type == TYPES[data_type]
+        assert entry.access_type == access
+        assert entry.pdo_mappable == ("pdo" in rest)
+        if defaults or entry.default is not None:
+            parts = defaults[min(count, len(defaults) - 1)].split("+")
+            assert entry.default == sum(32 if part == "$NODEID" else int(part, 0) for part in parts)
+        for limit in limits:
+            assert f"{entry.min}..{entry.max}" == limit
 
 
 def test_the_counters_are_in_the_order_of_the_contract_and_ours_follow() -> None:
