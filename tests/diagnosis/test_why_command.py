@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import re
 import shlex
 import stat
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,14 +14,13 @@ import pytest
 
 from canfb import objects as od
 from canfb.cia301.frame import Frame
-from canfb.cli import node_options
-from canfb.cli.main import build_parser, main
+from canfb.cli.main import build_parser
 from canfb.diagnosis.lost import Loss, LostPosition, read_lost_position
-from canfb.errors import BusError
 from canfb.hosting import self_diagnosis
 from canfb.objects import LossCause, StatusBit
 from canfb.rows import age_words
 from canfb.view.module_view import LimitSettings
+from commands import Command
 from commissioning_kit import INTERFACE_ID, MODULE_ID, RATE_HZ, Bench
 from documentation import blocks, page
 from folding import each
@@ -255,88 +252,72 @@ def test_all_objects_of_the_configured_nodes_are_in_the_file(
     assert re.search(r"^written  canfb-diagnose-\d{8}-\d{6}\.json$", out, re.M)
 
 
-def test_named_nodes_and_frames_that_are_heard(canfb: Commands, tmp_path: Path) -> None:
-    path = tmp_path / "machine.json"
-    canfb(Bench(), "why", "--bundle", MODULE_ID, "--out", path, "--seconds=0.2", "-i", "virtual", "-c", "x")
-    found = json.loads(path.read_text(encoding="utf-8"))
-    assert [node["node_id"] for node in found["nodes"]] == [MODULE_ID]
+def test_named_nodes_are_read_one_that_is_silent_is_told_and_frames_are_heard(
+    canfb: Commands, tmp_path: Path
+) -> None:
+    path = tmp_path / "canfb-diagnose-of-a-machine.json"
+    bus = "--seconds=0.2", "-i", "virtual", "-c", "x"
+    out, err = canfb(Bench(), "why", "--bundle", 5, MODULE_ID, "--out", path, *bus, code=1)
+    assert ".json is incomplete: node 5 (05h): " in err
+    assert "node 5 (05h): 0 objects\n" in out
+    found = written(tmp_path)
+    silent, module = found["nodes"]
+    assert (silent["node_id"], module["node_id"]) == (5, MODULE_ID)
+    assert "no answer" in silent["error"]
+    assert module["objects"]
     assert found["bus"]["seconds"] == 0.2
     assert found["bus"]["frames"]["080"] > 10
     assert stat.S_ISREG(path.stat().st_mode)
 
 
-def test_without_nodes_all_that_answer_are_read(canfb: Commands, tmp_path: Path) -> None:
-    canfb(Bench(sync=False), "why", "--bundle", SECONDS, "-i", "virtual", "-c", "x")
-    found = written(tmp_path)
-    assert {one["node"] for one in found["bus"]["found"]} >= {INTERFACE_ID, MODULE_ID}
-    assert {one["node_id"] for one in found["nodes"]} >= {INTERFACE_ID, MODULE_ID}
-
-
-def test_a_refused_object_has_the_reason_in_its_place(canfb: Commands, tmp_path: Path) -> None:
+def test_without_nodes_all_that_answer_are_read_and_a_refused_object_has_the_reason_in_its_place(
+    canfb: Commands, tmp_path: Path
+) -> None:
     bench = Bench(sync=False)
 
     def spoil(frame: Frame) -> list[Frame] | None:
         return abort(frame, 0x08000022) if place_of(frame) == (0x2010, 2) else None
 
     between(bench, spoil)
-    canfb(bench, "why", "--bundle", MODULE_ID, SECONDS, "-i", "virtual", "-c", "x")
-    (node,) = written(tmp_path)["nodes"]
-    assert node["objects"]["2010:02"] == "refused: 08000022h"
-    assert node["objects"]["2010:03"] == 3
-
-
-def test_a_node_that_is_silent_is_told_and_the_others_are_read(canfb: Commands, tmp_path: Path) -> None:
-    out, err = canfb(
-        Bench(sync=False), "why", "--bundle", 5, MODULE_ID, SECONDS, "-i", "virtual", "-c", "x", code=1
-    )
-    assert ".json is incomplete: node 5 (05h): " in err
-    silent, module = written(tmp_path)["nodes"]
-    assert silent["node_id"] == 5
-    assert "no answer" in silent["error"]
-    assert module["objects"]
-    assert "node 5 (05h): 0 objects\n" in out
+    canfb(bench, "why", "--bundle", SECONDS, "-i", "virtual", "-c", "x")
+    found = written(tmp_path)
+    assert {one["node"] for one in found["bus"]["found"]} >= {INTERFACE_ID, MODULE_ID}
+    objects = {one["node_id"]: one["objects"] for one in found["nodes"]}
+    assert INTERFACE_ID in objects
+    assert objects[MODULE_ID]["2010:02"] == "refused: 08000022h"
+    assert objects[MODULE_ID]["2010:03"] == 3
 
 
 def test_a_bus_that_is_down_and_a_wrong_configuration_are_in_the_file(
-    canfb: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, command: Command
 ) -> None:
-    del canfb
-
-    @contextlib.contextmanager
-    def master_of(options: Any) -> Iterator[Any]:
-        raise BusError("cannot open the bus virtual x: gone")
-        yield
-
-    monkeypatch.setattr(node_options, "master_of", master_of)
-    path = tmp_path / "wrong.yaml"
-    path.write_text("modules: [{node_id: 300}]\n")
-    assert main(["why", "--bundle", str(path)]) == 1
+    path, wrong = tmp_path / "canfb-diagnose-1.json", tmp_path / "wrong.yaml"
+    wrong.write_text("modules: [{node_id: 300}]\n")
+    command("why --bundle --out", path, wrong, code=1)
+    assert "node_id must be a whole number 1..127, not 300" in written(tmp_path)["configuration_error"]
+    command("why --bundle 32 -i udp_multicast -c 127.0.0.1 --out", path, code=1)
+    assert command.said.err.count(" is incomplete: ") == 1
     found = written(tmp_path)
-    assert "node_id must be a whole number 1..127, not 300" in found["configuration_error"]
-    assert found["bus"]["error"] == "cannot open the bus virtual x: gone"
+    assert found["bus"]["error"].startswith("cannot open the bus udp_multicast 127.0.0.1: ")
     assert "nodes" not in found
-    assert capsys.readouterr().err.count(" is incomplete: ") == 1
 
 
 def test_the_journal_is_that_of_the_services_of_the_configuration(
     canfb: Commands, config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[list[str]] = []
-
-    def said(command: list[str]) -> list[str]:
-        asked.append(command)
-        return ["a line"]
-
-    monkeypatch.setattr(self_diagnosis, "_said", said)
-    canfb(Bench(sync=False), "why", "--bundle", config, SECONDS)
-    assert written(tmp_path)["log"] == ["a line"]
-    assert asked[0][:5] == ["journalctl", "-u", "canfb@left", "-u", "canfb-interface@left"]
-    assert {"--no-hostname", "--no-pager"} <= set(asked[0])
-
-
-def test_a_command_that_is_not_there_is_a_line() -> None:
-    assert self_diagnosis._said(["no-such-command"]) == ["no-such-command is not there"]
-    assert self_diagnosis._said(["false"]) == []
+    journal = tmp_path / "journalctl"
+    journal.write_text('#!/bin/sh\necho "$@"\n')
+    journal.chmod(0o755)
+    for folder, said in (
+        (tmp_path, "-u canfb@left -u canfb-interface@left -n 500 .*--no-hostname --no-pager -q"),
+        (tmp_path / "empty", "journalctl is not there"),
+    ):
+        monkeypatch.setenv("PATH", str(folder))
+        canfb(
+            Bench(sync=False), "why", "--bundle", config, SECONDS, "--out", tmp_path / "canfb-diagnose-1.json"
+        )
+        (line,) = written(tmp_path)["log"]
+        assert re.fullmatch(said, line)
 
 
 def test_the_commands_of_the_page_are_those_of_the_parser() -> None:
