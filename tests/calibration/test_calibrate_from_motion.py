@@ -294,45 +294,37 @@ def test_table_is_better_than_the_papers(kind, goal, seed):
     assert result.before_rms > 20.0 * result.residual_rms
 
 
-def test_few_cycles_are_enough_and_fewer_are_refused():
-    rng = np.random.default_rng(5)
-    encoder = random_encoder(rng, 0.5)
-    sine, cosine = encoder.sample(paper_motion(rng, 1.0), rng)
-    few = calibrate_from_zero_crossings(sine[:3000], cosine[:3000])
-    assert 16 <= few.cycles_used < 60
-    assert np.abs(table_error(few.table, encoder)).max() < 0.02 * PERCENT
-    assert refusal(calibrate_from_zero_crossings, sine[:800], cosine[:800]).reason == "cycles"
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_reversal_in_the_middle_is_left_out(sign):
+@pytest.mark.parametrize(
+    ("sign", "seconds", "back", "faults", "goal"),
+    [
+        (1.0, 0.06, 0, 0, 0.02),
+        (1.0, 0.5, 8000, 0, 0.005),
+        (-1.0, 0.5, 8000, 0, 0.005),
+        (1.0, 0.5, 0, 60, 0.005),
+    ],
+)
+def test_few_cycles_are_enough_and_reversals_and_faults_left_out(sign, seconds, back, faults, goal):
     rng = np.random.default_rng(7)
     encoder = random_encoder(rng, 0.5)
-    way = sign * paper_motion(rng, 0.5)
-    there_and_back = np.concatenate([way, way[:-1][::-1][: len(way) // 3]])
-    result = calibrate_from_zero_crossings(*encoder.sample(there_and_back, rng))
-    assert np.abs(table_error(result.table, encoder)).max() < 0.005 * PERCENT
-
-
-def test_faulty_samples_are_left_out():
-    rng = np.random.default_rng(8)
-    encoder = random_encoder(rng, 0.5)
-    sine, cosine = encoder.sample(paper_motion(rng, 0.5), rng)
+    way = sign * paper_motion(rng, seconds)
+    sine, cosine = encoder.sample(np.append(way, way[:-1][::-1][:back]), rng)
     valid = np.ones(len(sine), np.bool_)
-    at = rng.choice(len(sine), 60, replace=False)
-    sine[at[:30]] = -sine[at[:30]]
-    valid[at[:30]] = False
-    cosine[at[30:]] = rng.integers(-2000, 2000, 30)  # faults that nobody marked
+    marked, unmarked = np.split(rng.choice(len(sine), faults, replace=False), 2)
+    sine[marked] = -sine[marked]
+    valid[marked] = False
+    cosine[unmarked] = rng.integers(-2000, 2000, len(unmarked))
     result = calibrate_from_zero_crossings(sine, cosine, valid=valid)
-    assert np.abs(table_error(result.table, encoder)).max() < 0.005 * PERCENT
+    assert 16 <= result.cycles_used < 1000 * seconds
+    assert np.abs(table_error(result.table, encoder)).max() < goal * PERCENT
 
 
-def test_too_fast_is_refused():
+@pytest.mark.parametrize(
+    ("every", "samples", "reason"), [(1, 800, "cycles"), (4, 50_000, "speed"), (50, 50_000, "speed")]
+)
+def test_fewer_cycles_and_too_fast_are_refused(every, samples, reason):
     rng = np.random.default_rng(9)
-    encoder = random_encoder(rng, 0.5)
-    for every in (4, 50):
-        tracks = encoder.sample(paper_motion(rng, 1.0)[::every], rng)
-        assert refusal(calibrate_from_zero_crossings, *tracks).reason == "speed"
+    tracks = random_encoder(rng, 0.5).sample(paper_motion(rng, 1.0)[:samples:every], rng)
+    assert refusal(calibrate_from_zero_crossings, *tracks).reason == reason
 
 
 @pytest.mark.parametrize("conditioning", [None, "fit"])

@@ -83,36 +83,23 @@ def _error(found: Conditioning, encoder: Encoder) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_offset_gain_and_phase_are_found(seed):
+@pytest.mark.parametrize(
+    ("standstill", "faulty", "offset_counts", "goal"),
+    [(0, 0.0, 0.1, 2e-4), (20_000, 0.0, 0.3, 5e-4), (0, 0.15, 3.0, 3e-3)],
+)
+def test_offset_gain_and_phase_are_found(seed, standstill, faulty, offset_counts, goal):
+    """A long standstill does not weigh, faults are left out."""
     rng = np.random.default_rng(seed)
     encoder = _encoder(rng)
-    found = fit_ellipse(*encoder.sample(rng.random(5000), rng))
-    offset, ratio, phase = _error(found, encoder)
-    # Half a count of noise in 5000 samples.
-    assert 1e-5 < offset < 0.1
-    assert ratio < 2e-4
-    assert phase < 2e-4
-
-
-def test_faults_are_left_out():
-    rng = np.random.default_rng(8)
-    encoder = _encoder(rng)
-    sine, cosine = encoder.sample(rng.random(5000), rng)
-    at = rng.random(5000) < 0.15
+    position = np.append(np.full(standstill, 0.17), rng.random(5000))
+    sine, cosine = encoder.sample(position, rng)
+    at = rng.random(len(sine)) < faulty
     sine[at] = rng.integers(-2048, 2048, at.sum())
-    cosine[at & (rng.random(5000) < 0.5)] = 0
+    cosine[at & (rng.random(len(sine)) < 0.5)] = 0
     offset, ratio, phase = _error(fit_ellipse(sine, cosine), encoder)
-    assert offset < 3.0
-    assert max(ratio, phase) < 3e-3
-
-
-def test_a_long_standstill_does_not_weigh():
-    rng = np.random.default_rng(13)
-    encoder = _encoder(rng)
-    position = np.append(np.full(20000, 0.17), rng.random(2000))
-    offset, ratio, phase = _error(fit_ellipse(*encoder.sample(position, rng)), encoder)
-    assert offset < 0.3
-    assert max(ratio, phase) < 5e-4
+    # Half a count of noise in 5000 samples.
+    assert 1e-5 < offset < offset_counts
+    assert max(ratio, phase) < goal
 
 
 def test_too_few_samples_and_wrong_shapes():
