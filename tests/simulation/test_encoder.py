@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -250,9 +251,22 @@ def test_the_counts_of_a_fault(
         assert found.tolist() == (was.tolist() if wanted == KEPT else wanted)
 
 
-def test_an_open_track_catches_noise() -> None:
-    noisy = injected(faults.open_track(Signal.COSINE, 5.0)).cosine[SPAN]
-    assert 1.0 < noisy.std() < 15.0
+Tracks = Callable[[np.ndarray, np.ndarray], bool]
+RANDOM: list[tuple[Fault, Tracks]] = [
+    (faults.open_track(Signal.COSINE, 5.0), lambda s, c: 4.7 < c.std() < 5.3),
+    (more.excess_noise(Signal.BOTH, 100.0), lambda s, c: 95.0 < s.std() < 105.0),
+    (more.excess_noise(Signal.BOTH, 100.0), lambda s, c: abs(np.corrcoef(s, c)[0, 1]) < 0.1),
+    (more.phase_glitch(1500.0), lambda s, c: np.abs(np.hypot(s, c) - 1500.0).max() < 1.0),
+    (more.phase_glitch(1500.0), lambda s, c: len(set(zip(s > 0, c > 0, strict=True))) == 4),
+    (more.phase_glitch(1500.0, common=True), lambda s, c: len(set(s.tolist())) == 1),
+    (more.count_glitch(), lambda s, c: s.min() < -2000 and s.max() > 2000),
+]
+
+
+@each("fault, holds", RANDOM)
+def test_the_counts_of_a_random_fault(fault: Fault, holds: Tracks) -> None:
+    after = injected(fault, Samples.of([0] * 5000, [1500] * 5000), 0, 5000)
+    assert holds(after.sine, after.cosine)
 
 
 def test_a_phase_drift_turns_the_cosine_track() -> None:
@@ -261,30 +275,6 @@ def test_a_phase_drift_turns_the_cosine_track() -> None:
     after = injected(faults.track_drift(phase_rad=0.3, ramp_samples=1), samples)
     assert np.abs(after.cosine[SPAN] - 1500 * np.cos(x - 0.3)[SPAN]).max() < 2.0
     assert np.array_equal(after.sine, samples.sine)
-
-
-def test_excess_noise_is_independent_on_both_tracks() -> None:
-    still = Samples.of([0] * 2000, [0] * 2000)
-    after = injected(more.excess_noise(Signal.BOTH, 100.0), still, 0, 2000)
-    assert 90.0 < after.sine.std() < 110.0
-    assert abs(np.corrcoef(after.sine, after.cosine)[0, 1]) < 0.1
-
-
-def test_a_phase_glitch_has_a_good_amplitude_and_any_phase() -> None:
-    still = Samples.of([0] * 2000, [1500] * 2000)
-    after = injected(more.phase_glitch(1500.0), still, 0, 2000)
-    assert np.abs(np.hypot(after.sine, after.cosine) - 1500.0).max() < 1.0
-    assert {(bool(s > 0), bool(c > 0)) for s, c in zip(after.sine, after.cosine, strict=True)} == {
-        (True, True), (True, False), (False, True), (False, False),
-    }  # fmt: skip
-    common = injected(more.phase_glitch(1500.0, common=True), still, 0, 2000)
-    assert len(set(common.sine.tolist())) == 1
-
-
-def test_a_count_glitch_reaches_the_whole_range() -> None:
-    after = injected(more.count_glitch(), Samples.of([0] * 5000, [0] * 5000), 0, 5000)
-    assert after.sine.min() < -2000
-    assert after.sine.max() > 2000
 
 
 def test_lost_samples_are_not_delivered() -> None:
