@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from canfb.cia301.frame import Frame
 from canfb.cli.main import build_parser
 from canfb.cli.simulate import check_record, chosen, write_record
-from canfb.configuration import load_config, parse_config
+from canfb.configuration import parse_config
 from canfb.device.od.dictionary import Dictionary
 from canfb.eds_files import eds_path
 from canfb.errors import CanfbError, ConfigError
@@ -194,10 +194,8 @@ def read(interface: EncoderInterface, now: float) -> int:
 
 
 @pytest.fixture
-def interface(tmp_path: Path) -> EncoderInterface:
-    path = tmp_path / "feedback.yaml"
-    path.write_text(CONFIG, encoding="utf-8")
-    config = load_config(path)
+def interface() -> EncoderInterface:
+    config = parse_config(CONFIG)
     network = set_up(config.simulation, fed_module(config.modules[0]), Play(autostart=True), print)
     network.interface.start(0.0)
     return network.interface
