@@ -488,15 +488,9 @@ def tracks(position: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
     return sine.astype(float), cosine.astype(float)
 
 
-def any_motion(n: int) -> FloatArray:
-    k = np.arange(float(n))
-    return np.cumsum(np.minimum(k * 0.002, 1.37) * (1.0 + 0.01 * np.sin(k / 230.0)))
-
-
-METHODS = {
-    canfb.calibrate_from_motion: (any_motion, 9000),
-    canfb.calibrate_from_zero_crossings: (lambda n: 0.0173 * np.arange(float(n)), 9000),
-}
+SAMPLES = np.arange(9000.0)
+ANY_MOTION = np.cumsum(np.minimum(SAMPLES * 0.002, 1.37) * (1.0 + 0.01 * np.sin(SAMPLES / 230.0)))
+METHODS = {canfb.calibrate_from_motion: ANY_MOTION, canfb.calibrate_from_zero_crossings: 0.0173 * SAMPLES}
 CHANGES: dict[str, Changed] = {
     "drift of 2 counts": lambda s, c, u: (s + 2.0 * u, c),
     "drift of 2 %": lambda s, c, u: (s + 30.0 * u, c),
@@ -513,8 +507,7 @@ CHANGES: dict[str, Changed] = {
 def test_no_accuracy_is_stated_that_the_end_of_the_measurement_contradicts(
     method: Callable[..., canfb.Calibration], change: Changed
 ) -> None:
-    motion, n = METHODS[method]
-    sine, cosine = change(*tracks(motion(n), 1), np.arange(n) / n)
+    sine, cosine = change(*tracks(METHODS[method], 1), SAMPLES / len(SAMPLES))
     found, reason = None, ""
     try:
         found = method(np.round(sine), np.round(cosine), "fit")
@@ -534,16 +527,14 @@ def test_no_accuracy_is_stated_that_the_end_of_the_measurement_contradicts(
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.__name__)
 @pytest.mark.parametrize("seed", range(2))
 def test_steady_tracks_do_not_change(method: Callable[..., canfb.Calibration], seed: int) -> None:
-    motion, n = METHODS[method]
-    found = method(*tracks(motion(n), seed), "fit")
+    found = method(*tracks(METHODS[method], seed), "fit")
     assert found.change_rms == 0.0
     assert found.uncertainty_peak < 2e-4
 
 
 def test_the_larger_figure_is_stated_for_a_small_drift() -> None:
-    n = 9000
-    sine, cosine = tracks(any_motion(n), 1)
-    found = canfb.calibrate_from_motion(sine + 5.0 * np.arange(n) / n, cosine, "fit")
+    sine, cosine = tracks(ANY_MOTION, 1)
+    found = canfb.calibrate_from_motion(sine + 5.0 * SAMPLES / len(SAMPLES), cosine, "fit")
     # 5 counts turn the phase by 5 / 1500 rad at the most; the first and last of nine parts see 8/9 of it.
     assert found.change_rms == pytest.approx(8 / 9 * 5 / 1500 / 2 / np.pi / np.sqrt(2), rel=0.15)
     assert found.uncertainty_rms == found.change_rms
