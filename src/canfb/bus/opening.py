@@ -179,21 +179,16 @@ _GENERAL = frozenset({
 })  # fmt: skip
 
 
-def check_interface(words: Mapping[str, Any]) -> None:
+def check_words(words: Mapping[str, Any]) -> None:
+    """ConfigError for an unknown interface or key, or a bad bit rate."""
     interface = words.get("interface")
     if interface is not None and (not isinstance(interface, str) or interface not in can.VALID_INTERFACES):
         known = sorted(can.VALID_INTERFACES)
         raise ConfigError(f"unknown interface {interface!r} in bus; {_hint(str(interface), known)}")
-
-
-def check_words(words: Mapping[str, Any]) -> None:
-    """ConfigError for a key that this interface does not have, or a bad bit rate."""
-    check_interface(words)
     for key in ("bitrate", "data_bitrate"):
         value = words.get(key)
         if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value <= 0):
             raise ConfigError(f"{key} in bus must be bits per second, such as 1000000, not {value!r}")
-    interface = words.get("interface")
     if interface is None:
         return
     named, mentioned = _words_of(str(interface))

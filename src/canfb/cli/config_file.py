@@ -25,6 +25,7 @@ from canfb.cli.printing import report
 from canfb.configuration import ANY_NODES, Config, load_config
 from canfb.device.od.dcf import Reals
 from canfb.errors import ConfigError
+from canfb.files import check_writable
 from canfb.hosting.hosting import check_machine, saved_configuration
 from canfb.master.access import NodeAccess
 from canfb.module.device_configuration import ConfigurationFiles, place_names, read_configuration
@@ -166,6 +167,8 @@ def _check(options: argparse.Namespace) -> None:
         raise ConfigError(f"--name {options.name!r}: must be printable ASCII without ';'")
     if options.out is not None and options.out == options.concise:
         raise ConfigError(f"--concise {options.concise}: must differ from --out")
+    if options.concise is not None:  # before the DCF is written
+        check_writable(options.concise, "--concise")
 
 
 def _chosen(config: Config, options: argparse.Namespace) -> ModuleConfig:

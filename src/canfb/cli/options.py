@@ -173,7 +173,7 @@ def remembered() -> dict[str, Any]:
 
 def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict[str, Any]:
     """python-can's words, by rising precedence: ``canfb use``, configuration, command line. ConfigError."""
-    from canfb.bus.opening import check_interface, describe
+    from canfb.bus.opening import check_words, describe
 
     words = configured | given_bus(options)
     if words.get("interface") is None and (default := remembered()):
@@ -181,7 +181,7 @@ def bus_options(options: argparse.Namespace, configured: dict[str, Any]) -> dict
         if not getattr(options, "said_bus", False):
             report(f"bus: {describe(words)} (canfb use)")
             options.said_bus = True
-    check_interface(words)
+    check_words(words)
     return words
 
 

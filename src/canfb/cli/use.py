@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from canfb.bus.opening import check_interface, describe
+from canfb.bus.opening import check_words, describe
 from canfb.cli.options import (
     Commands,
     add_bus_options,
@@ -36,7 +36,7 @@ def use(options: argparse.Namespace) -> int:
     elif words:
         if "interface" not in words:
             raise ConfigError("-i is required, for example: canfb use -i socketcan -c can0")
-        check_interface(words)
+        check_words(words)
         default_bus_file().parent.mkdir(parents=True, exist_ok=True)
         write_whole(default_bus_file(), json.dumps(words, indent=2).encode())
     known = remembered()
