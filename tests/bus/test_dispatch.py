@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import asdict
+from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import given
@@ -31,13 +31,9 @@ PERIOD_S = 0.002
 CAN_IDS = (0x080, 0x0A0, 0x0A1, 0x100, 0x190, 0x191, 0x1A0, 0x1A1, 0x1A2, 0x2A0, 0x2A1, 0x333, 0x334)
 
 
-@dataclass(frozen=True)
-class Batch:
-    """Frames that wait together: so many seconds after the batch before, with receive times or without."""
-
-    after_s: float
-    frames: tuple[tuple[int, bytes], ...]
-    stamped: bool = True
+# Frames that wait together: so many seconds after those before.
+Plan = list[tuple[float, list[tuple[int, bytes]]]]
+START = (0x000, b"\x01\x00")
 
 
 def sdo(node: int, index: int, subindex: int, size: int, value: int) -> tuple[int, bytes]:
@@ -56,6 +52,7 @@ def select_last() -> list[tuple[int, bytes]]:
         lss(0x42, 1),
         lss(0x43, *SERIAL.to_bytes(4, "little")),
         lss(0x11, NEW_NODE),
+        lss(0x04, 0),
     ]
 
 
@@ -63,47 +60,50 @@ nodes = st.sampled_from((*NODES, NEW_NODE))
 can_ids = st.sampled_from(CAN_IDS)
 
 
-def written(indices: tuple[int, ...], sub: int, size: int, values: Iterable[int]) -> st.SearchStrategy[Any]:
-    build = lambda node, index, value: sdo(node, index, sub, size, value)  # noqa: E731
-    return st.builds(build, nodes, st.sampled_from(indices), st.sampled_from(list(values)))
-
-
 def flagged(*flags: int) -> list[int]:
     return [can_id | bits for can_id in CAN_IDS for bits in flags]
 
 
-writes = st.one_of(
-    written((0x1400, 0x1401, 0x1800, 0x1801), 1, 4, flagged(0, 0x4000_0000, 0xC000_0000)),
-    written((0x1400, 0x1800, 0x1801), 2, 1, (0, 1, 2, 252, 253, 254, 255)),
-    written((0x1005,), 0, 4, flagged(0, 0, 0, 0x4000_0000)),
-    written((0x1012,), 0, 4, flagged(0x8000_0000)),
-    written((0x1016,), 1, 4, (node << 16 | ms for node in (*NODES, NEW_NODE, 5) for ms in (0, 20, 100))),
-    written((0x1017,), 0, 2, (0, 10, 50)),
-    written((0x1006,), 0, 4, (0, 2000)),
-    written((0x100C,), 0, 2, (20,)),
-    written((0x1014,), 0, 4, (0xA0,)),
+WRITES: tuple[tuple[tuple[int, ...], int, int, list[int]], ...] = (
+    ((0x1400, 0x1401, 0x1800, 0x1801), 1, 4, flagged(0, 0x4000_0000, 0xC000_0000)),
+    ((0x1400, 0x1800, 0x1801), 2, 1, [0, 1, 2, 252, 253, 254, 255]),
+    ((0x1005,), 0, 4, flagged(0, 0, 0, 0x4000_0000)),
+    ((0x1012,), 0, 4, flagged(0x8000_0000)),
+    ((0x1016,), 1, 4, [node << 16 | ms for node in (*NODES, NEW_NODE, 5) for ms in (0, 20, 100)]),
+    ((0x1017,), 0, 2, [0, 10, 50]),
+    ((0x1006,), 0, 4, [0, 2000]),
+    ((0x100C,), 0, 2, [20]),
+    ((0x1014,), 0, 4, [0xA0]),
 )
-commands = st.builds(
-    lambda command, node: (0x000, bytes([command, node])),
-    st.sampled_from((1, 1, 1, 2, 0x80)),
-    st.sampled_from((0, 0, *NODES, NEW_NODE)),
-)
-resets = st.builds(
-    lambda command, node: (0x000, bytes([command, node])),
-    st.sampled_from((0x81, 0x82)),
-    st.sampled_from((0, *NODES)),
-)
+
+
+@st.composite
+def writes(draw: st.DrawFn) -> tuple[int, bytes]:
+    indices, subindex, size, values = draw(st.sampled_from(WRITES))
+    return sdo(draw(nodes), draw(st.sampled_from(indices)), subindex, size, draw(st.sampled_from(values)))
+
+
+def nmt(*commands: int) -> st.SearchStrategy[tuple[int, bytes]]:
+    targets = st.sampled_from((0, 0, *NODES, NEW_NODE))
+    return st.builds(
+        lambda command, node: (0x000, bytes([command, node])), st.sampled_from(commands), targets
+    )
+
+
 others = st.one_of(
-    st.builds(lambda can_id, data: (can_id, data), can_ids, st.binary(max_size=8)),
-    st.builds(
-        lambda can_id: (can_id | REMOTE, b""), st.sampled_from((0x1A0, 0x1A1, 0x2A0, 0x720, 0x721, 0x333))
-    ),
-    st.builds(
-        lambda node, state: (0x700 + node, bytes([state])), st.sampled_from((5, 32, 33, 35)), st.just(5)
-    ),
-    st.builds(lambda node: (0x580 + node, bytes(8)), nodes),
-    st.builds(lambda can_id: (can_id, b""), st.integers(0x001, 0x7FF)),
+    st.tuples(can_ids, st.binary(max_size=8)),
+    st.sampled_from([(can_id | REMOTE, b"") for can_id in (0x1A0, 0x1A1, 0x2A0, 0x720, 0x721, 0x333)]),
+    st.sampled_from([(0x700 + node, b"\x05") for node in (5, 32, 33, 35)]),
+    st.tuples(nodes.map(lambda node: 0x580 + node), st.just(bytes(8))),
+    st.tuples(st.integers(0x001, 0x7FF), st.just(b"")),
 )
+requests = st.one_of(
+    st.lists(writes(), max_size=3),
+    nmt(0x81, 0x82).map(lambda reset: [reset, START]),
+    st.just([*select_last(), START]),
+)
+pauses_s = st.sampled_from((*[PERIOD_S] * 6, 0.005, 0.03, 0.2))
+sync_ids = st.sampled_from((*[0x080] * 6, 0x334, None))
 
 
 def cycle(number: int, sync_id: int = 0x080) -> list[tuple[int, bytes]]:
@@ -116,43 +116,24 @@ def cycle(number: int, sync_id: int = 0x080) -> list[tuple[int, bytes]]:
 
 
 @st.composite
-def plans(draw: st.DrawFn) -> list[Batch]:
+def plans(draw: st.DrawFn) -> Plan:
     """A master that waits for the answers to SDO, LSS and resets, and for nothing else."""
-    plan = [Batch(0.01, ((0x000, b"\x01\x00"), *cycle(0)))]
-    number = 1
-    stamped = draw(st.booleans())
-    for kind in draw(st.lists(st.sampled_from("wwwccccccorljp"), min_size=5, max_size=30)):
-        pause_s = PERIOD_S
-        frames: list[tuple[int, bytes]]
-        if kind == "w":
-            plan.append(Batch(1e-4, (draw(writes),), stamped))
-            continue
-        if kind == "r":
-            plan.append(Batch(1e-4, (draw(resets),), stamped))
-            frames = [(0x000, b"\x01\x00")]
-        elif kind == "l":
-            plan.extend(Batch(1e-4, (frame,), stamped) for frame in select_last())
-            plan.append(Batch(1e-4, (lss(0x04, 0),), stamped))
-            frames = [(0x000, b"\x01\x00")]
-        elif kind == "o":
-            frames = draw(st.lists(others, min_size=1, max_size=5))
-        elif kind == "j":
-            frames, pause_s = draw(st.lists(others, max_size=2)), draw(st.sampled_from((0.005, 0.03, 0.2)))
-        elif kind == "p":
-            frames = [draw(commands), *cycle(number)]
-        else:
-            frames = cycle(number, draw(st.sampled_from((0x080, 0x080, 0x080, 0x334))))
-        number += 1
-        plan.append(Batch(pause_s, tuple(frames), stamped))
+    steps = st.tuples(requests, pauses_s, st.lists(nmt(1, 1, 1, 2, 0x80) | others, max_size=3), sync_ids)
+    plan: Plan = [(0.01, [START, *cycle(0)])]
+    for number, (asked, pause_s, frames, sync_id) in enumerate(
+        draw(st.lists(steps, min_size=5, max_size=15)), 1
+    ):
+        plan += [(1e-4, [frame]) for frame in asked]
+        plan.append((pause_s, [*frames, *([] if sync_id is None else cycle(number, sync_id))]))
     return plan
 
 
 class Bus:
     """Hands out batches; frames that are not asked for when they come may be left out, as a kernel does."""
 
-    def __init__(self, clock: FakeClock, plan: list[Batch], filters: bool) -> None:
-        self.clock, self.plan, self.filters = clock, list(plan), filters
-        self.due_s = clock.now + plan[0].after_s
+    def __init__(self, clock: FakeClock, plan: Plan, filters: bool, stamped: bool = True) -> None:
+        self.clock, self.plan, self.filters, self.stamped = clock, list(plan), filters, stamped
+        self.due_s = clock.now + plan[0][0]
         self.sent: list[tuple[float, int, bytes, bool]] = []
         self.heard: frozenset[int] | None = None
         self.left_out = 0
@@ -165,12 +146,12 @@ class Bus:
                 self.clock.now = end_s
                 return None
             self.clock.now = max(self.clock.now, self.due_s)
-            batch = self.plan.pop(0)
-            self.due_s = self.clock.now + (self.plan[0].after_s if self.plan else 0.0)
-            first_s = self.clock.now - 1e-5 * len(batch.frames)
-            for n, frame in enumerate(batch.frames):
+            _, frames = self.plan.pop(0)
+            self.due_s = self.clock.now + (self.plan[0][0] if self.plan else 0.0)
+            first_s = self.clock.now - 1e-5 * len(frames)
+            for n, frame in enumerate(frames):
                 if self._passes(frame[0]):
-                    self.taken.append((*frame, first_s + 1e-5 * n + WALL_S if batch.stamped else 0.0))
+                    self.taken.append((*frame, first_s + 1e-5 * n + WALL_S if self.stamped else 0.0))
                 else:
                     self.left_out += 1
         return self.taken.popleft()
@@ -197,11 +178,10 @@ class HearsAll:
         self.inhibited, self.sent = module.inhibited, module.sent
 
 
-@dataclass
-class Outcome:
+class Outcome(NamedTuple):
     sent: list[tuple[float, int, bytes, bool]]
-    states: list[Any] = field(default_factory=list)
-    left_out: int = 0
+    states: list[Any]
+    left_out: int
 
 
 def modules() -> list[FeedbackModule]:
@@ -220,33 +200,33 @@ def state_of(module: FeedbackModule) -> tuple[Any, ...]:
     return module.node_id, module.state, counters, values, module.feedback, module.limits
 
 
-def played(plan: list[Batch], dispatched: bool) -> Outcome:
+def played(plan: Plan, dispatched: bool, stamped: bool = True) -> Outcome:
     clock = FakeClock()
     made = modules()
     devices: list[Device] = [one if dispatched else HearsAll(one) for one in made]
     assert all(isinstance(device, Selective) is dispatched for device in devices)
-    bus = Bus(clock, plan, dispatched)
+    bus = Bus(clock, plan, dispatched, stamped)
     frame_bus: FrameBus = bus  # type: ignore[assignment]
     runner = Runner(frame_bus, devices, clock=clock, sleep=clock.sleep, wall=lambda: clock.now + WALL_S)
-    end_s = clock.now + sum(batch.after_s for batch in plan) + 0.5
+    end_s = clock.now + sum(after_s for after_s, _ in plan) + 0.5
     runner.run(finished=lambda: clock.now >= end_s)
     assert not bus.plan
     return Outcome(bus.sent, [state_of(one) for one in made], bus.left_out)
 
 
-@given(plans())
+@given(plans(), st.booleans())
 @examples(40)
-def test_the_same_frames_out_and_the_same_states(plan: list[Batch]) -> None:
-    to_all, dispatched = played(plan, False), played(plan, True)
+def test_the_same_frames_out_and_the_same_states(plan: Plan, stamped: bool) -> None:
+    to_all, dispatched = played(plan, False, stamped), played(plan, True, stamped)
     assert dispatched.sent == to_all.sent
     assert dispatched.states == to_all.states
 
 
 def test_such_plans_do_something() -> None:
     """Positions from all modules, the one with a new node-ID too, and frames that nobody needs left out."""
-    plan = [Batch(0.01, (frame,)) for frame in (*select_last(), lss(0x04, 0))]
-    plan += [Batch(0.01, ((0x000, b"\x01\x00"), *cycle(0), (0x333, b"")))]
-    plan += [Batch(PERIOD_S, tuple(cycle(number))) for number in range(1, 20)]
+    plan: Plan = [(0.01, [frame]) for frame in select_last()]
+    plan.append((0.01, [START, *cycle(0), (0x333, b"")]))
+    plan += [(PERIOD_S, cycle(number)) for number in range(1, 20)]
     got = played(plan, True)
     sent = Counter(can_id for _, can_id, _, _ in got.sent)
     for node in (*NODES, NEW_NODE):
@@ -257,8 +237,7 @@ def test_such_plans_do_something() -> None:
 
 def test_a_new_cob_id_is_heard_before_its_answer_goes_out() -> None:
     clock = FakeClock()
-    plan = [Batch(0.01, (sdo(32, 0x1401, 1, 4, 0x333),))]
-    bus = Bus(clock, plan, True)
+    bus = Bus(clock, [(0.01, [sdo(32, 0x1401, 1, 4, 0x333)])], True)
     heard: list[bool] = []
     send: Callable[..., bool] = bus.send
 
@@ -292,8 +271,7 @@ class Listening(FakeDevice):
 def test_a_frame_costs_only_those_who_listen(count: int) -> None:
     clock = FakeClock()
     devices = [Listening(clock, tick_id=0x100 + number) for number in range(count)]
-    frames = tuple((0x100 + n % 4, b"") for n in range(100))
-    bus = Bus(clock, [Batch(0.001, frames)], False)
+    bus = Bus(clock, [(0.001, [(0x100 + n % 4, b"") for n in range(100)])], False)
     runner = Runner(bus, list(devices), clock=clock, sleep=clock.sleep)  # type: ignore[arg-type]
     runner.run(finished=lambda: not (bus.plan or bus.taken))
     assert sum(len(device.heard) for device in devices) == 25 * min(count, 4)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import can
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
+from can.interfaces.virtual import VirtualBus
 
 from canfb.bus.opening import (
     describe,
@@ -31,15 +32,6 @@ def no_configuration_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     for word in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
         monkeypatch.delenv(word, raising=False)
     monkeypatch.setattr(can.util, "load_file_config", lambda *arguments, **words: {})
-
-
-def test_what_is_not_given_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CAN_INTERFACE", "virtual")
-    monkeypatch.setenv("CAN_CHANNEL", "canfb environment")
-    with open_bus({}) as bus:
-        assert bus.channel_info == "Virtual bus channel canfb environment"
-    with open_bus({"channel": "another"}) as bus:
-        assert bus.channel_info == "Virtual bus channel another"
 
 
 NOWHERE = {"interface": "socketcan", "channel": "nothing77"}
@@ -179,7 +171,7 @@ def test_the_port_that_a_bus_is_opened_with(
     port: int | None,
 ) -> None:
     monkeypatch.setattr(can.util, "load_file_config", lambda *arguments, **words: dict(file))
-    open_bus(words)
+    assert open_bus(words).channel_info == "Virtual bus channel opened", "its own"
     assert opened[0].get("port") == port
 
 
@@ -219,22 +211,18 @@ def test_two_groups_are_two_buses(multicast_bus: can.BusABC) -> None:
 
 
 @pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Any]]:
     """What is opened, and how."""
     calls: list[Any] = []
+    with contextlib.ExitStack() as buses:
 
-    def raw(channel: str) -> None:
-        calls.append(channel)
+        def python_can(**words: object) -> can.BusABC:
+            calls.append(words)
+            return buses.enter_context(VirtualBus("opened"))
 
-    def python_can(**words: object) -> Any:
-        calls.append(words)
-        return SimpleNamespace(channel_info="opened")
-
-    monkeypatch.setattr(RawCanBus, "open", raw)
-    monkeypatch.setattr(can, "Bus", python_can)
-    monkeypatch.setattr("canfb.bus.opening.PythonCanBus", lambda bus: bus)
-    monkeypatch.setattr("canfb.bus.opening.enlarge_queue_of", lambda bus: None)
-    return calls
+        monkeypatch.setattr(RawCanBus, "open", calls.append)
+        monkeypatch.setattr(can, "Bus", python_can)
+        yield calls
 
 
 CAN0 = {"interface": "socketcan", "channel": "can0"}

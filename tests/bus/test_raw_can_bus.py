@@ -23,6 +23,7 @@ from canfb.bus.raw_can_bus import LONGEST_LATENCY_S, MOST_FILTERS, FrameReader, 
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from fake_bus import CAN_FRAME, FakeClock, FakeDevice
+from folding import each
 
 PATIENCE_S = 60.0
 
@@ -102,41 +103,22 @@ def test_room_in_the_queue_ends_a_wait(wire: Wire) -> None:
     assert time.perf_counter() - start < PATIENCE_S / 2
 
 
-class NoRoom:
-    """The queue of an interface is full for the first frames; then a filter, a stamp or a send fails."""
+@pytest.mark.parametrize("code", [errno.ENOBUFS, errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EPERM])
+def test_an_interface_that_is_full_takes_it_later_and_one_that_is_down_is_an_error(
+    wire: Wire, code: int
+) -> None:
+    def refused(data: bytes) -> int:
+        raise OSError(code, os.strerror(code))
 
-    def __init__(self, wire: Wire, code: int) -> None:
-        self.code, self._send = code, wire.bus._send
-        wire.bus._send = self.send  # type: ignore[assignment]
-
-    def send(self, data: bytes) -> int:
-        if self.code:
-            raise OSError(self.code, os.strerror(self.code))
-        return self._send(data)
-
-
-def test_a_full_interface_takes_it_later(wire: Wire) -> None:
-    room = NoRoom(wire, errno.ENOBUFS)
-    assert not wire.bus.send(0x1A0, b"", False)
-    room.code = 0
+    takes, wire.bus._send = wire.bus._send, refused  # type: ignore[assignment]
+    if code == errno.ENOBUFS:
+        assert not wire.bus.send(0x1A0, b"", False)
+    else:
+        with pytest.raises(OSError, match=os.strerror(code)) as caught:
+            wire.bus.send(0x1A0, b"", False)
+        assert caught.value.errno == code
+    wire.bus._send = takes
     assert wire.bus.send(0x1A0, b"", False)
-
-
-@pytest.mark.parametrize("code", [errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EPERM])
-def test_an_interface_that_is_down_is_an_error(wire: Wire, code: int) -> None:
-    NoRoom(wire, code)
-    with pytest.raises(OSError, match=os.strerror(code)) as caught:
-        wire.bus.send(0x1A0, b"", False)
-    assert caught.value.errno == code
-
-
-def test_a_bus_that_is_closed_cannot_be_read() -> None:
-    wire = Wire()
-    wire.far.close()
-    with wire.bus:
-        pass
-    with pytest.raises((OSError, ValueError)):
-        wire.bus.receive(0.0005)
 
 
 class Line:
@@ -280,16 +262,25 @@ def clocks() -> Clocks:
     return Clocks()
 
 
-@given(st.lists(st.tuples(st.floats(0.0, 10.0), st.floats(0.0, 59.9)), min_size=1, max_size=30))
-def test_it_is_when_the_frame_came(frames: list[tuple[float, float]]) -> None:
+PAUSES_S = st.floats(0.0, 2.0) | st.sampled_from([0.0, 2e-5, 6e-5, 3e-4, 0.001])
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 10.0), st.floats(0.0, 59.9), PAUSES_S), min_size=1, max_size=30))
+def test_it_is_when_the_frame_came(frames: list[tuple[float, float, float]]) -> None:
+    """Also when the processor is away between two looks: that makes no step, and no frame seem earlier.
+
+    60 us are enough to take an ADC PDO for one of another SYNC.
+    """
     clocks = Clocks()
     times = clocks.times()
-    for passed_s, ago_s in frames:
+    for passed_s, ago_s, away_s in frames:
         clocks.now += passed_s
-        got = times.received(clocks.stamp(ago_s), clocks.now)
-        assert got == pytest.approx(clocks.now - ago_s, abs=RESOLUTION_S)
+        now, stamp_s = clocks.now, clocks.stamp(ago_s)
+        clocks.away_s = [away_s]
+        got = times.received(stamp_s, now)
+        assert got == pytest.approx(now - ago_s, abs=RESOLUTION_S)
         assert got is not None
-        assert got <= clocks.now
+        assert got <= now
 
 
 @given(st.lists(st.floats(-4e-5, 4e-5), min_size=1, max_size=200))
@@ -356,73 +347,67 @@ def test_how_far_a_stamp_may_be_off(clocks: Clocks, ago_s: float, used: bool) ->
     assert got is None or got <= clocks.now, "nothing comes later than now"
 
 
-@pytest.mark.parametrize("away_s", [2e-5, 6e-5, 3e-4, 0.001, 0.05, 2.0])
-def test_a_processor_that_is_away_between_two_looks_makes_no_step(clocks: Clocks, away_s: float) -> None:
-    """Nor does a frame seem to come earlier: 60 us are enough to take an ADC PDO for one of another SYNC."""
-    times = clocks.times()
-    now = clocks.now
-    stamp = clocks.stamp(0.002)
-    clocks.away_s = [away_s]  # between the clock of the runner and the time of day
-    got = times.received(stamp, now)
-    assert got == pytest.approx(now - 0.002, abs=RESOLUTION_S)
-    clocks.now += 0.01
-    assert times.received(clocks.stamp(), clocks.now) == pytest.approx(clocks.now, abs=RESOLUTION_S)
-
-
 class Adapter:
-    """Frames of a USB adapter that stamps them by a clock of its own, which drifts."""
+    """Frames of a USB adapter, or of a controller, that stamps them by a clock of its own, which drifts."""
 
-    def __init__(self, starts_s: float = 77.0, drift: float = 1e-4, seed: int = 1) -> None:
-        self.clocks, self.rng = Clocks(), random.Random(seed)
-        self.times = self.clocks.times()
-        self.starts_s, self.rate, self.came_s = starts_s, 1.0 + drift, self.clocks.now
-        self.errors_s: list[float] = []
+    def __init__(self, is_controller: bool, drift: float = 1e-4) -> None:
+        self.clocks, self.rng = Clocks(), random.Random(1)
+        one: ReceiveTimes | OtherClock = self.clocks.times()
+        if is_controller:
+            one = OtherClock(LONGEST_LATENCY_S)
+        self.received = one.received
+        self.starts_s, self.rate, self.came_s = 77.0, 1.0 + drift, self.clocks.now
 
-    def frame(self, late_s: float = 0.0, after_s: float = 1e-3) -> float | None:
+    def frame(self, late_s: float = 0.0) -> float | None:
         """One frame, taken so late beyond a delay of 0.1 to 0.2 ms; by how much its time is off."""
-        self.came_s += after_s
+        self.came_s += 1e-3
         taken_s = self.came_s + 1e-4 + self.rng.uniform(0.0, 1e-4) + late_s
         self.clocks.now = max(self.clocks.now, taken_s)
-        got = self.times.received(self.starts_s + (self.came_s - 1000.0) * self.rate, self.clocks.now)
-        if got is None:
-            return None
-        assert got <= self.clocks.now
-        self.errors_s.append(got - self.came_s)
-        return got - self.came_s
+        got = self.received(self.starts_s + (self.came_s - 1000.0) * self.rate, self.clocks.now)
+        assert got is None or got <= self.clocks.now
+        return None if got is None else got - self.came_s
 
-    def learned(self, frames: int = 3 * LEARNED_FRAMES) -> Adapter:
-        for _ in range(frames):
-            self.frame()
-        return self
+    def frames(self, count: int) -> list[float | None]:
+        return [self.frame() for _ in range(count)]
 
 
-@pytest.mark.parametrize("drift", [-1e-4, 0.0, 1e-4])
-def test_the_clock_of_an_adapter_is_mapped(drift: float) -> None:
+LONGEST_STALLS_S = {False: 0.5, True: LONGEST_LATENCY_S - 0.001}
+
+
+@given(st.booleans(), st.floats(-1e-4, 1e-4), st.lists(st.floats(0.0, 1.0), max_size=3))
+def test_the_clock_of_an_adapter_is_mapped_also_by_a_host_that_stalls(
+    is_controller: bool, drift: float, stalls: list[float]
+) -> None:
     """Its stamps have no jitter; what is left is the drift between two frames that were taken soonest."""
-    adapter = Adapter(drift=drift).learned(5000)
-    assert len(adapter.errors_s) == 5000 - LEARNED_FRAMES
-    assert min(adapter.errors_s) > 0.9e-4  # the least delay stays in
-    assert max(adapter.errors_s) < 1.4e-4
+    adapter = Adapter(is_controller, drift)
+    first = adapter.frames(5 * LEARNED_FRAMES)
+    assert first[:LEARNED_FRAMES] == [None] * LEARNED_FRAMES
+    for part in stalls:
+        for left in range(20, 0, -1):
+            first.append(adapter.frame(LONGEST_STALLS_S[is_controller] * part * left / 20))
+    errors_s = [error_s for error_s in first[LEARNED_FRAMES:] if error_s is not None]
+    assert len(errors_s) == len(first) - LEARNED_FRAMES
+    assert min(errors_s) > 0.9e-4  # the least delay stays in
+    assert max(errors_s) < 1.4e-4 + 2e-4 * (LONGEST_STALLS_S[is_controller] if stalls else 0.0)
 
 
-@pytest.mark.parametrize("late_s", [1e-3, 0.02, 0.5])
-def test_a_host_that_stalls_does_not_move_it(late_s: float) -> None:
-    adapter = Adapter().learned()
-    for left in range(20, 0, -1):
-        error_s = adapter.frame(late_s * left / 20)
-        assert error_s is not None
-        assert 0.9e-4 < error_s < 1.4e-4 + 2e-4 * late_s
-    assert adapter.frame() is not None
+@each(
+    "is_controller, step_s",
+    [(False, step_s) for step_s in (-1e4, -5.0, -0.01, 0.002, 0.01, 5.0, 1e4)]
+    + [(True, step_s) for step_s in (-3600.0, -0.02, 0.02, 1.0, 3600.0)],
+)
+def test_a_clock_that_was_set_is_learned_again(is_controller: bool, step_s: float) -> None:
+    """No frame has a time that is wrong by the step, but those that a stalled host would give as well.
 
-
-@pytest.mark.parametrize("step_s", [-1e4, -5.0, -0.01, 0.002, 0.01, 5.0, 1e4])
-def test_a_clock_that_was_set_is_learned_again(step_s: float) -> None:
-    """No frame has a time that is wrong by the step, but those that a stalled host would give as well."""
-    adapter = Adapter().learned()
+    Nothing is later than the latency of a controller.
+    """
+    adapter = Adapter(is_controller)
+    adapter.frames(3 * LEARNED_FRAMES)
     adapter.starts_s += step_s
-    got = [adapter.frame() for _ in range(3 * LEARNED_FRAMES)]
+    got = adapter.frames(3 * LEARNED_FRAMES)
     wrong = [one for one in got if one is not None and abs(one - 1.2e-4) > LARGEST_STEP_S]
-    assert not wrong or (step_s < 0.0 and len(wrong) <= 2 * LEARNED_FRAMES)
+    assert not wrong or (step_s < 0.0 and not is_controller and len(wrong) <= 2 * LEARNED_FRAMES)
+    assert not is_controller or got[:LEARNED_FRAMES] == [None] * LEARNED_FRAMES
     last = got[-1]
     assert last is not None
     assert abs(last - 1.2e-4) < 5e-5
@@ -436,25 +421,3 @@ def test_any_stamps_give_no_time_after_now(stamps: list[float]) -> None:
         clocks.now += 1e-3
         got = times.received(stamp, clocks.now)
         assert got is None or got <= clocks.now
-
-
-@given(st.floats(-100e-6, 100e-6), st.lists(st.floats(0.0, 2e-3), min_size=300, max_size=400))
-def test_the_jitter_of_a_controllers_delay_is_taken_off(drift: float, delays_s: list[float]) -> None:
-    """One frame of five is on time: the rest follow its delay, and the drift since then."""
-    clock = OtherClock(LONGEST_LATENCY_S)
-    for number, delay_s in enumerate(delays_s):
-        true_s = number * 1e-3
-        taken_s = 1.8e9 + true_s + 2e-5 + (delay_s if number % 5 else 0.0)
-        got = clock.received(77.0 + true_s * (1.0 + drift), taken_s)
-        assert (got is None) is (number < LEARNED_FRAMES)
-        assert got is None or got <= taken_s
-        assert got is None or got - 1.8e9 - true_s == pytest.approx(2e-5, abs=5e-3 * 3e-4 + RESOLUTION_S)
-
-
-@pytest.mark.parametrize("step_s", [-3600.0, -0.02, 0.02, 1.0, 3600.0])
-def test_a_clock_of_a_controller_that_is_set_gives_no_time_until_it_is_learned(step_s: float) -> None:
-    """Nothing is later than its latency: either clock may be set, forwards or back."""
-    clock = OtherClock(LONGEST_LATENCY_S)
-    got = [clock.received(77.0 + n * 1e-3 + step_s * (n >= 200), 1.8e9 + n * 1e-3) for n in range(400)]
-    assert got[200 : 200 + LEARNED_FRAMES] == [None] * LEARNED_FRAMES
-    assert got[-1] == pytest.approx(1.8e9 + 0.399, abs=RESOLUTION_S)

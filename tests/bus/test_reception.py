@@ -138,24 +138,16 @@ class BusOnSocket:
         return self._descriptor
 
 
-def test_more_frames_wait_in_a_socket_than_by_default() -> None:
+def test_more_frames_wait_in_a_socket_than_by_default_and_what_is_none_is_left_alone(tmp_path: Path) -> None:
     one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-    with one, other:
+    with one, other, (tmp_path / "serial").open("wb") as file:
         before = one.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-        bus: Any = BusOnSocket(one.fileno())
-        enlarge_queue_of(bus)
+        for descriptor in (one.fileno(), file.fileno(), -1):
+            bus: Any = BusOnSocket(descriptor)
+            enlarge_queue_of(bus)
         assert one.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= before
-        assert one.fileno() == bus.fileno(), "it is still open"
         other.send(b"x")
-        assert one.recv(1) == b"x"
-
-
-def test_a_bus_that_is_no_socket_is_left_alone(tmp_path: Path) -> None:
+        assert one.recv(1) == b"x", "it is still open"
+        assert file.write(b"x") == 1
     with can.Bus(interface="virtual", channel="canfb no socket") as virtual:
         enlarge_queue_of(virtual)
-    bus: Any = BusOnSocket(-1)
-    enlarge_queue_of(bus)
-    with (tmp_path / "serial").open("wb") as file:
-        bus = BusOnSocket(file.fileno())
-        enlarge_queue_of(bus)
-        assert file.write(b"x") == 1
