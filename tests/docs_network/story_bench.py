@@ -37,9 +37,6 @@ class Periodic(SyncProducer):
         super()._due(due_s, now)
         return self._frame
 
-    def update(self, data: bytes) -> None:
-        self._frame = Frame(self._frame.can_id, bytes(data))
-
     def stop(self) -> None:
         self._next_s = None
 
