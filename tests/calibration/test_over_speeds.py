@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from measurements import CYCLES_PER_REVOLUTION, RATE_HZ
 
 from canfb.calibration.over_speeds import (
     SpeedCalibration,
@@ -32,9 +33,6 @@ from canfb.signal.sample import Sample
 from canfb.simulation.encoder import AnalogPath, Encoder, Harmonic
 from folding import each
 
-RATE_HZ = 1000.0
-CYCLES = 2500
-
 
 def machine_with(**path: float) -> Encoder:
     """An encoder, and what is behind it."""
@@ -56,7 +54,12 @@ def at_speed(
 ) -> tuple[TracksAtSpeed, FloatArray]:
     """Counts at this speed, which ripples, and the true positions in cycles."""
     rng = np.random.default_rng(seed)
-    hertz = rpm / 60.0 * CYCLES * (1.0 + ripple * np.sin(2.0 * np.pi * 0.83 * np.arange(samples) / RATE_HZ))
+    hertz = (
+        rpm
+        / 60.0
+        * CYCLES_PER_REVOLUTION
+        * (1.0 + ripple * np.sin(2.0 * np.pi * 0.83 * np.arange(samples) / RATE_HZ))
+    )
     position = rng.uniform() + np.cumsum(hertz) / RATE_HZ
     sine, cosine = (track.astype(np.float64) for track in machine.sample(position, rng, hertz))
     return TracksAtSpeed(sine, cosine, RATE_HZ, float(np.mean(hertz))), position
@@ -70,11 +73,6 @@ PATHS = {
     "low-pass": machine_with(sine_corner_hz=125e3, cosine_corner_hz=125e3),
     "all": machine_with(cosine_delay_s=1e-7, sine_corner_hz=250e3, cosine_corner_hz=255e3),
 }
-
-
-def calibrated(machine: Encoder, *rpm: float, ripple: float = 1e-3) -> SpeedCalibration:
-    measured = [at_speed(machine, one, SAMPLES, seed, ripple)[0] for seed, one in enumerate(rpm)]
-    return calibrate_over_speeds(measured, adc_bits=12)
 
 
 def errors(machine: Encoder, found: SpeedCalibration, rpm: float) -> FloatArray:
@@ -103,7 +101,8 @@ def errors(machine: Encoder, found: SpeedCalibration, rpm: float) -> FloatArray:
 ])  # fmt: skip
 def test_the_error_is_noise_at_each_speed(name: str, measured_rpm: tuple[float, ...], ripple: float) -> None:
     machine = PATHS[name]
-    found = calibrated(machine, *measured_rpm, ripple=ripple)
+    measured = [at_speed(machine, rpm, SAMPLES, seed, ripple)[0] for seed, rpm in enumerate(measured_rpm)]
+    found = calibrate_over_speeds(measured, adc_bits=12)
     path, true = found.path, machine.path
     assert path.cosine_delay_s == pytest.approx(true.cosine_delay_s, abs=2e-9 if ripple > 0.01 else 1e-9)
     assert found.calibration.conditioning.phase_error_rad == pytest.approx(machine.phase_error_rad, abs=5e-3)

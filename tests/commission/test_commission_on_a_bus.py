@@ -187,9 +187,8 @@ def test_a_save_that_is_not_possible_is_said_before_anything_is_measured() -> No
     assert bench.bus.now < 1.0
 
 
-def far_too_fast() -> Motion:
-    """0.45 cycle per interval squared, up to 10 cycles per interval."""
-    return Motion((Ramp(0.5, 0.0), *(Ramp(0.022, 240.0), Ramp(0.022, 0.0)) * 500))
+# 0.45 cycle per interval squared, up to 10 cycles per interval.
+FAR_TOO_FAST = Motion((Ramp(0.5, 0.0), *(Ramp(0.022, 240.0), Ramp(0.022, 0.0)) * 500))
 
 
 def lost() -> Bench:
@@ -224,7 +223,7 @@ REFUSED: dict[str, tuple[Callable[[], Bench], str]] = {
         lambda: bench_of(Motion(())),
         "the machine stands still: nothing can be said of its acceler",
     ),
-    "too fast": (lambda: bench_of(far_too_fast()), "the position is lost"),
+    "too fast": (lambda: bench_of(FAR_TOO_FAST), "the position is lost"),
     "lost": (lost, r"the position is lost \(2011:01\)"),
     "limit": (without_a_limit, "2010:02, largest acceleration, is nan"),
     "speed": (without_a_speed, r"its speed \(2011:07\) is nan"),

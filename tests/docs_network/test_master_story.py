@@ -228,16 +228,11 @@ def test_a_trapezoid_keeps_its_limits(distance: float, speed: float, acceleratio
 CYCLES = 1024
 
 
-def events_of(network: DriveNetwork) -> list[Event]:
-    events: list[Event] = []
-    network.module.events.on_event = events.append
-    return events
-
-
 def test_the_coupling_slips_in_a_move(capsys: pytest.CaptureFixture[str]) -> None:
     """As the page says. The position stays valid, and that of the encoder; the motor is somewhere else."""
     network = DriveNetwork(slip_revolutions=0.05, slip_at_s=1.0)
-    events = events_of(network)
+    events = list[Event]()
+    network.module.events.on_event = events.append
     assert network.run() == 0
     said = capsys.readouterr().out
     assert "  EMCY of module (20h): FF1Ch, the motor's encoder disagrees" in said

@@ -9,10 +9,6 @@ import pytest
 from network_bench import TEXT, write
 
 
-def line_of(text: str, part: str) -> int:
-    return text[: text.index(part)].count("\n") + 1
-
-
 def test_a_whole_file(tmp_path: Path) -> None:
     file = network_file.load(write(tmp_path))
     assert list(file.nodes) == ["interface", "module"]
@@ -94,7 +90,7 @@ def test_each_error_is_one_line_with_file_line_and_key(
     line = int(said.removeprefix(f"{tmp_path}/network.yaml:").partition(":")[0])
     assert 1 <= line <= text.count("\n") + 1
     if "is missing" not in message and "no YAML" not in message:
-        assert line == line_of(TEXT, old)
+        assert line == TEXT[: TEXT.index(old)].count("\n") + 1
 
 
 def test_dummies_fill_an_rpdo(tmp_path: Path) -> None:

@@ -49,12 +49,10 @@ def test_a_name_is_the_object_that_its_words_say(name: str) -> None:
     said = words(name.removeprefix("INTERFACE_"))
     fitting = {place: theirs for place, theirs in entries.items() if said <= theirs.own | theirs.above}
     assert fitting, f"no object of the EDS is called {sorted(said)}"
-    best = min(fitting, key=lambda place: _others(fitting[place], said))
-    assert NAMES[name] == best
-
-
-def _others(theirs: Said, said: set[str]) -> tuple[int, int]:
-    return len(theirs.own - said), len((theirs.own | theirs.above) - said)
+    others = {
+        place: (len(one.own - said), len((one.own | one.above) - said)) for place, one in fitting.items()
+    }
+    assert NAMES[name] == min(others, key=others.__getitem__)
 
 
 def test_conditioning_has_the_order_of_its_fields() -> None:
