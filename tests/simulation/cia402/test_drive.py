@@ -94,6 +94,7 @@ def test_the_fault_stays_until_it_is_reset_and_the_feedback_is_good() -> None:
     bench.enable()
     bench.cycle(100)
     assert bench.motor.revolutions == pytest.approx(place, abs=1e-4), "where it stood, not where it was to go"
+    assert bench.read(0x6041) == 0x1237
 
 
 @pytest.mark.parametrize("tolerated", [0, 2])

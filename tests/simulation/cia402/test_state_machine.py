@@ -114,15 +114,6 @@ def test_each_change_of_state_is_told_at_once(bench: DriveBench) -> None:
     assert statuswords(bench)[before:] == [0x0231, 0x0233, 0x0237, 0x0250, 0x0050, 0x0250]
 
 
-def test_enabled_it_holds_the_position_whatever_607ah_says(bench: DriveBench) -> None:
-    bench.write(0x607A, 5 * UNITS)
-    bench.enable()
-    bench.cycle(200)
-    assert bench.state is State.OPERATION_ENABLED
-    assert abs(bench.shaft_units) < 50
-    assert bench.read(0x6041) == 0x1237
-
-
 def test_a_quick_stop_is_the_ramp_of_6085h_and_then_the_power_goes() -> None:
     bench = cruising()
     start = bench.motor.revolutions
