@@ -13,10 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import canfb
+from canfb.cia301.frame import Frame
 from canfb.hosting.event_log import BURST, LONGEST_WINDOW_S, WINDOW_S, EventLog, Throttle
-from canfb.hosting.hosting import Hosting
 from canfb.module.events import DETAILS, Event, EventKind
-from commands import Command
 
 WALL = datetime(2026, 5, 4, 12, 30, 1, 250000, UTC)
 
@@ -31,7 +30,6 @@ def watched(verbose: bool = False) -> tuple[EventLog, canfb.FeedbackModule]:
     module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32))
     log = EventLog(verbose, wall=lambda: WALL)
     log.watch(module, module.events)
-    log.begin()
     return log, module
 
 
@@ -40,8 +38,8 @@ def test_a_line_has_time_node_and_text_and_a_program_gets_the_values(
 ) -> None:
     log, module = watched()
     module.start(5.0)
-    assert logged.records == [], "no frame waits for a line"
-    log.tick(5.001)
+    assert logged.records == [], "what happens before the bus is open waits"
+    log.begin()
     (record,) = logged.records
     assert record.getMessage() == "2026-05-04 12:30:01.250 node 32 (20h): boot-up, PRE-OPERATIONAL"
     values = record.event  # type: ignore[attr-defined]
@@ -49,21 +47,16 @@ def test_a_line_has_time_node_and_text_and_a_program_gets_the_values(
     assert (values["node"], values["state"], values["monotonic_s"]) == (32, "PRE-OPERATIONAL", 5.0)
     assert datetime.fromisoformat(values["time"]) == WALL
     assert json.loads(json.dumps(values)) == values
-
-
-def test_what_happens_before_the_bus_is_open_waits(logged: pytest.LogCaptureFixture) -> None:
-    module = canfb.FeedbackModule(canfb.ModuleConfig(node_id=32))
-    log = EventLog(wall=lambda: WALL)
-    log.watch(module, module.events)
-    module.start(5.0)
-    assert logged.records == []
-    log.begin()
-    assert [record.event["monotonic_s"] for record in logged.records] == [5.0]  # type: ignore[attr-defined]
+    module.receive(Frame(0x000, b"\x01\x00"), 6.0)
+    assert logged.records == [record], "no frame waits for a line"
+    log.tick(6.001)
+    assert logged.records[1].getMessage().endswith(" node 32 (20h): OPERATIONAL")
 
 
 @pytest.mark.parametrize("verbose", [False, True])
 def test_a_fault_at_1_khz_does_not_flood(verbose: bool, logged: pytest.LogCaptureFixture) -> None:
     log, module = watched(verbose)
+    log.begin()
     seconds = 60
     for k in range(seconds * 1000):
         now = k * 1e-3
@@ -106,21 +99,6 @@ def test_after_a_quiet_time_the_next_one_passes_at_once() -> None:
     assert (held, last) == (100 - BURST, 99)
     assert throttle.ended(WINDOW_S + LONGEST_WINDOW_S) == []
     assert throttle.admits("k", 100, WINDOW_S + LONGEST_WINDOW_S)
-
-
-def test_run_prints_json_for_programs(
-    tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "one.yaml"
-    path.write_text("bus: {interface: virtual, channel: json}\nmodules: [{node_id: 32, autostart: true}]\n")
-    run = Hosting.run
-    monkeypatch.setattr(Hosting, "run", lambda hosting, *_: run(hosting, hosting.stop))
-    said = command("run --json", path)
-    objects = said.objects
-    assert [one["state"] for one in objects if one["event"] == "nmt"] == ["PRE-OPERATIONAL", "OPERATIONAL"]
-    assert any(one["event"] == "message" and one["text"].startswith("running node 32") for one in objects)
-    assert said.err == ""
-    assert "node 32 (20h): OPERATIONAL\n" in command("run", path).out, "lines again"
 
 
 def test_the_page_has_a_row_for_every_kind() -> None:

@@ -49,9 +49,16 @@ def test_the_log_has_the_lines_of_the_command(
     assert {record.name for record in records} == {"canfb.hosting.hosting"}
     caplog.clear()
     monkeypatch.setattr(Readiness, "ready", lambda readiness: signal.raise_signal(signal.SIGTERM))
-    out, err = command("run", config)
     told = [record.getMessage() for record in records if record.levelno == logging.INFO]
     warned = [record.getMessage() for record in records if record.levelno == logging.WARNING]
+    said = command("run --json", config)
+    objects = {kind: [one for one in said.objects if one["event"] == kind] for kind in ("nmt", "message")}
+    assert [(one["node"], one["state"]) for one in objects["nmt"]] == [
+        (node, "PRE-OPERATIONAL") for node in (32, 33)
+    ]
+    assert [one["text"] for one in objects["message"]] == warned + told
+    assert said.err == ""
+    out, err = command("run", config)
     boots = [f"node {node}: boot-up, PRE-OPERATIONAL" for node in ("32 (20h)", "33 (21h)")]
     assert [line.split(" ", 2)[2] for line in out.splitlines()[2:4]] == boots
     assert out.splitlines()[:2] + out.splitlines()[4:] == told

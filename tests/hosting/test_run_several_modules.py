@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import signal
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,10 +14,12 @@ from typing import Any
 import can
 import pytest
 
+from canfb.bus.frame_bus import FrameBus
 from canfb.bus.runner import Runner
 from canfb.cia301.frame import Frame
 from canfb.cli.main import main
 from canfb.configuration import parse_config
+from canfb.device.node import Device
 from canfb.errors import ConfigError
 from canfb.hosting import serving
 from canfb.module.feedback_module import FeedbackModule
@@ -62,15 +65,10 @@ def select(node_id: int) -> list[can.Message]:
 class EndingBus(FakeBus):
     """Ends the program when all has been played, before a module misses the next SYNC."""
 
-    def __init__(self, clock: FakeClock, plan: list[tuple[float, can.Message]]) -> None:
-        super().__init__(clock, plan)
-        self.runner: Runner | None = None
-
     def recv(self, timeout: float | None = None) -> can.Message | None:
         if self.plan:
             return super().recv(timeout)
-        assert self.runner is not None
-        self.runner.stop()
+        signal.raise_signal(signal.SIGTERM)
         return None
 
 
@@ -108,11 +106,10 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
 
     def play(plan: list[tuple[float, can.Message]]) -> Story:
         clock = FakeClock()
-        bus = story_bus = EndingBus(clock, plan)
+        bus = EndingBus(clock, plan)
 
-        def make_runner(bus: Any, devices: Any, **options: Any) -> Runner:
-            story_bus.runner = Runner(bus, devices, clock=clock, sleep=clock.sleep, **options)
-            return story_bus.runner
+        def make_runner(opened: FrameBus, devices: list[Device], **options: Any) -> Runner:
+            return Runner(opened, devices, clock=clock, sleep=clock.sleep, **options)
 
         monkeypatch.setattr(serving, "open_device_bus", lambda words: frame_bus(bus))
         monkeypatch.setattr(serving, "Runner", make_runner)

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from canfb.configuration import INTERFACES, parse_config
+from canfb.configuration import parse_config
 from canfb.hosting.hosting import Hosting
 from canfb.hosting.self_diagnosis import KeptLines, SelfDiagnosis, diagnosing_on_signal, plain
 
@@ -42,9 +42,12 @@ def served(serving: Hosting, folder: Path, ask: Callable[[], None]) -> dict[str,
     return found
 
 
-def test_a_module_writes_all_it_knows_on_a_signal(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_nodes_write_all_they_know_on_a_signal(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "canfb")
-    text = f"{BUS}modules: [{{node_id: 32, state_dir: {tmp_path}, residual_limit: 0.25}}, {{node_id: 33}}]\n"
+    text = (
+        f"{BUS}modules: [{{node_id: 32, state_dir: {tmp_path}, residual_limit: 0.25}}]\n"
+        "interfaces: [{node_id: 16, source: {kind: motion}}]\n"
+    )
     hosting = Hosting(parse_config(text), {"interface": "virtual", "channel": "diagnosis"})
     found = served(hosting, tmp_path, lambda: signal.raise_signal(signal.SIGUSR1))
     assert " ".join(found) == "canfb_diagnosis made made_by versions configuration bus nodes log"
@@ -53,22 +56,14 @@ def test_a_module_writes_all_it_knows_on_a_signal(tmp_path: Path, caplog: pytest
     assert found["configuration"]["bus"]["password"] == "(left out)"
     assert found["bus"]["counters"]["send_failures"] == 0
     first, second = found["nodes"]
-    assert (first["node_id"], first["state"], second["node_id"]) == (32, "PRE_OPERATIONAL", 33)
+    assert (first["node_id"], first["state"], second["node_id"]) == (32, "PRE_OPERATIONAL", 16)
     assert first["objects"]["2010:01"] == 16384
     assert first["objects"]["1008:00"] == "canfb drive feedback module"
     assert "2020:01" not in first["objects"], "a table is not settings in words"
     assert "1017:00" in first["objects"]
+    assert (second["objects"]["1000:00"], second["objects"]["6401:01"]) == (0x00040191, 0)
     assert first["counters"]["sdo_aborts"] == 0
-    assert any("running node 32 (20h), 33 (21h) on virtual diagnosis" in line for line in found["log"])
-
-
-def test_an_interface_does_the_same(tmp_path: Path) -> None:
-    text = f"{BUS}interfaces: [{{node_id: 16, state_dir: {tmp_path}, source: {{kind: motion}}}}]\n"
-    serving = Hosting(parse_config(text, needs=INTERFACES), {"interface": "virtual", "channel": "diagnosis"})
-    found = served(serving, tmp_path, serving.diagnose)
-    (node,) = found["nodes"]
-    assert node["objects"]["1000:00"] == 0x00040191
-    assert node["objects"]["6401:01"] == 0
+    assert any("running node 32 (20h), encoder interface: node 16" in line for line in found["log"])
 
 
 class Stepped:
@@ -116,27 +111,27 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path, caplog: pytest.
     ]
 
 
-def test_secrets_are_left_out() -> None:
-    assert plain(
-        {
-            "channel": "tcp://me:apple@host:7",
-            "key": 5,
-            "api_key": "apple",
-            "keys": [{"Password": "apple", "token": None}],
-            "monkey": "banana",
-        }
-    ) == {
+def test_secrets_are_left_out_and_whatever_an_object_holds_becomes_json() -> None:
+    values = {"a": b"\x01\xff", "b": float("nan"), "c": (1, 2.5), "d": Path("x"), 4: None}
+    secrets = {
+        "channel": "tcp://me:apple@host:7",
+        "key": 5,
+        "api_key": "apple",
+        "keys": [{"Password": "apple", "token": None}],
+        "monkey": "banana",
+    }
+    assert plain(values | secrets) == {
+        "a": "01ff",
+        "b": None,
+        "c": [1, 2.5],
+        "d": "x",
+        "4": None,
         "channel": "tcp://(left out)@host:7",
         "key": "(left out)",
         "api_key": "(left out)",
         "keys": [{"Password": "(left out)", "token": None}],
         "monkey": "banana",
     }
-
-
-def test_whatever_an_object_holds_becomes_json() -> None:
-    values = {"a": b"\x01\xff", "b": float("nan"), "c": (1, 2.5), "d": Path("x"), 4: None}
-    assert plain(values) == {"a": "01ff", "b": None, "c": [1, 2.5], "d": "x", "4": None}
 
 
 def test_the_log_is_bounded() -> None:

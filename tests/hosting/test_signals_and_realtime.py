@@ -14,6 +14,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -56,50 +57,62 @@ def test_a_hangup_that_is_ignored_already_stays_so() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-class System:
-    """Stands in for the calls of the system; says yes, or refuses with an error number."""
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """What is asked of the system, which grants it."""
+    calls: list[tuple[Any, ...]] = []
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, refuse: int = 0) -> None:
-        self.calls: list[tuple[Any, ...]] = []
-        self.refuse = refuse
-        monkeypatch.setattr(
-            os,
-            "sched_setscheduler",
-            lambda *call: self.take("scheduler", call[0], call[1], call[2].sched_priority),
-        )
-        monkeypatch.setattr(os, "sched_setaffinity", lambda *call: self.take("affinity", *call))
-        monkeypatch.setattr(ctypes, "CDLL", lambda name, use_errno: self)
-        monkeypatch.setattr(ctypes, "get_errno", lambda: refuse)
+    def set_scheduler(thread: int, policy: int, parameters: os.sched_param) -> None:
+        calls.append(("scheduler", thread, policy, parameters.sched_priority))
 
-    def take(self, *call: Any) -> None:
-        self.calls.append(call)
-        if self.refuse:
-            raise OSError(self.refuse, os.strerror(self.refuse))
+    def lock_memory(flags: int) -> int:
+        calls.append(("mlockall", flags))
+        return 0
 
-    def mlockall(self, flags: int) -> int:
-        self.calls.append(("mlockall", flags))
-        return -1 if self.refuse else 0
+    monkeypatch.setattr(os, "sched_setscheduler", set_scheduler)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda *call: calls.append(("affinity", *call)))
+    monkeypatch.setattr(ctypes, "CDLL", lambda *name, **how: SimpleNamespace(mlockall=lock_memory))
+    return calls
 
 
-ALL = RealtimeConfig(priority=80, lock_memory=True, cpu=3)
-ALL_CALLS = [
-    ("scheduler", 0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 80),
-    ("mlockall", MCL_CURRENT | MCL_FUTURE),
-    ("affinity", 0, {3}),
-]
+FIFO = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+LOCKED = ("mlockall", MCL_CURRENT | MCL_FUTURE)
 
 
-def test_what_is_granted_is_not_spoken_of_and_what_is_not_asked_for_left_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    for config, calls in (
-        (ALL, ALL_CALLS),
+@pytest.mark.parametrize(
+    ("config", "calls"),
+    [
+        (
+            RealtimeConfig(priority=80, lock_memory=True, cpu=3),
+            [
+                *(("scheduler", thread, FIFO, 80) for thread in (0, "cycle")),
+                LOCKED,
+                *(("affinity", thread, {3}) for thread in (0, "cycle")),
+            ],
+        ),
+        # The thread would not run on the processor of a program that never sleeps.
+        (RealtimeConfig(lock_memory=True, cpu=3, busy_poll=True), [LOCKED, ("affinity", 0, {3})]),
+        (RealtimeConfig(cpu=0), [("affinity", 0, {0}), ("affinity", "cycle", {0})]),
         (RealtimeConfig(), []),
-        (RealtimeConfig(cpu=0), [("affinity", 0, {0})]),
-    ):
-        system = System(monkeypatch)
+    ],
+)
+def test_the_process_and_a_thread_of_the_sync_cycle_get_what_is_asked_for(
+    asked: list[tuple[Any, ...]], config: RealtimeConfig, calls: list[tuple[Any, ...]]
+) -> None:
+    over = threading.Event()
+    threads = [RealtimeThread(target=over.wait), threading.Thread(target=over.wait)]
+    for thread in threads:
+        thread.start()
+    try:
         apply_realtime(config, pytest.fail)
-        assert system.calls == calls
+        named = {threads[0].native_id: "cycle"}
+        assert [
+            tuple(named.get(one, one) if n == 1 else one for n, one in enumerate(call)) for call in asked
+        ] == calls
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
 
 
 PYTHON = os.path.realpath(sys.executable)
@@ -108,18 +121,6 @@ REMEDIES = (
     SETCAP.format("cap_sys_nice", "LimitRTPRIO=99"),
     SETCAP.format("cap_ipc_lock", "LimitMEMLOCK=infinity"),
 )
-
-
-def test_what_is_refused_is_reported_each_in_one_line_and_the_rest_is_still_asked_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    system, lines = System(monkeypatch, errno.EPERM), list[str]()
-    apply_realtime(ALL, lines.append)
-    assert system.calls == ALL_CALLS
-    assert lines == [
-        f"realtime: {name} could not be set: {os.strerror(errno.EPERM)}{remedy}"
-        for name, remedy in zip(("priority", "lock_memory", "cpu"), (*REMEDIES, ""), strict=True)
-    ]
 
 
 WITHOUT_RIGHTS = """\
@@ -142,30 +143,6 @@ def test_the_real_system_refuses_and_the_remedy_is_named(lockable_bytes: int) ->
         f"realtime: priority could not be set: {os.strerror(errno.EPERM)}{REMEDIES[0]}",
         f"realtime: lock_memory could not be set: {refused}{REMEDIES[1]}",
     ]
-
-
-BUSY = RealtimeConfig(lock_memory=True, cpu=3, busy_poll=True)
-
-
-@pytest.mark.parametrize("config", [ALL, BUSY])
-def test_a_thread_of_the_sync_cycle_gets_the_same(
-    monkeypatch: pytest.MonkeyPatch, config: RealtimeConfig
-) -> None:
-    """But not the processor of a program that never sleeps: it would not run there."""
-    system, over = System(monkeypatch), threading.Event()
-    threads = [RealtimeThread(target=over.wait), threading.Thread(target=over.wait)]
-    for thread in threads:
-        thread.start()
-    try:
-        apply_realtime(config, pytest.fail)
-        native_id = threads[0].native_id
-        first, locked, affinity = ALL_CALLS
-        own = [first, ("scheduler", native_id, *first[2:]), locked, affinity, ("affinity", native_id, {3})]
-        assert system.calls == (own if config is ALL else [locked, affinity])
-    finally:
-        over.set()
-        for thread in threads:
-            thread.join()
 
 
 def test_what_the_real_system_does_not_have_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -195,31 +172,24 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
         yield one
 
 
-@pytest.mark.parametrize("left_by_a_killed_program", [None, "999999999\n"])
-def test_the_file_is_there_from_ready_to_the_end(
-    tmp_path: Path, left_by_a_killed_program: str | None
-) -> None:
+OF_ANOTHER = f"{os.getppid()}\n"
+
+
+@pytest.mark.parametrize(
+    ("left", "stays"), [(None, None), ("999999999\n", None), (OF_ANOTHER, OF_ANOTHER)], ids=str
+)
+def test_the_file_is_there_from_ready_to_the_end(tmp_path: Path, left: str | None, stays: str | None) -> None:
+    """One that a killed program has left is removed, that of one that runs is replaced when ready."""
     path = tmp_path / "run.ready"
-    if left_by_a_killed_program is not None:
-        path.write_text(left_by_a_killed_program)
-    with Readiness(path, environment={}) as readiness:
-        assert not path.exists()
+    if left is not None:
+        path.write_text(left)
+    for _ in range(2):  # the first leaves before it is ready
+        with Readiness(path, environment={}) as readiness:
+            assert (path.read_text() if path.exists() else None) == stays
+    with readiness:
         readiness.ready()
         assert path.read_text() == f"{os.getpid()}\n"
         assert list(tmp_path.iterdir()) == [path], "nothing else is left there"
-    assert not path.exists()
-
-
-def test_the_file_of_a_program_that_runs_is_replaced_when_ready_and_not_before(tmp_path: Path) -> None:
-    path, other = tmp_path / "run.ready", f"{os.getppid()}\n"
-    path.write_text(other)
-    with Readiness(path, environment={}):
-        """It leaves before it is ready."""
-    assert path.read_text() == other
-    with Readiness(path, environment={}) as readiness:
-        assert path.read_text() == other
-        readiness.ready()
-        assert path.read_text() == f"{os.getpid()}\n"
     assert not path.exists()
 
 

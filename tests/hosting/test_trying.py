@@ -36,26 +36,17 @@ def wait_for(bus: can.BusABC, can_id: int, data: bytes | None = None) -> can.Mes
     pytest.fail(f"{can_id:03X} was not heard")
 
 
-@pytest.fixture
-def computer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One of its own: tests side by side have private buses, too."""
-    name = uuid4().hex
-    monkeypatch.setattr("canfb.hosting.trying.platform.node", lambda: name)
-
-
-@pytest.mark.usefixtures("computer")
-def test_private_buses_side_by_side_are_different_and_come_back() -> None:
-    with private_bus() as one, private_bus() as other:
+def test_private_buses_side_by_side_are_different_until_none_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    name = uuid4().hex  # tests side by side have private buses, too
+    monkeypatch.setattr("platform.node", lambda: name)
+    with contextlib.ExitStack() as held:
+        one, other = (held.enter_context(private_bus()) for _ in range(2))
         assert one["channel"] != other["channel"]
         assert one["hop_limit"] == other["hop_limit"] == 0, "the frames stay on this computer"
+        with pytest.raises(BusError, match=f"{PRIVATE_GROUPS} private buses .* in use"):
+            [held.enter_context(private_bus()) for _ in range(PRIVATE_GROUPS)]
     with private_bus() as again:
         assert again == one
-
-
-def test_no_private_bus_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("canfb.hosting.trying._bound", lambda lock, port: False)
-    with pytest.raises(BusError, match=f"{PRIVATE_GROUPS} private buses .* in use"), private_bus():
-        pass
 
 
 def test_a_master_has_started_it_and_others_talk_to_it(multicast_bus: can.BusABC) -> None:
@@ -73,15 +64,7 @@ def test_a_master_has_started_it_and_others_talk_to_it(multicast_bus: can.BusABC
         assert counters.duplicate_frames == 0, "it does not hear itself"
 
 
-def test_what_it_saves_is_gone_at_the_end() -> None:
-    config = example({"interface": "virtual", "channel": "canfb try saved"})
-    with NetworkOnBus(config, 100.0) as network:
-        folder = Path(str(network.config.modules[0].state_dir))
-        assert folder.is_dir()
-    assert not folder.exists()
-
-
-def test_a_bus_that_fails_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_that_fails_ends_it_and_what_it_saves_is_gone_at_the_end() -> None:
     ended: list[str] = []
     network = NetworkOnBus(example({"interface": "virtual", "channel": "canfb try fails"}), 100.0)
     network.on_end = lambda: ended.append("end")
@@ -92,9 +75,12 @@ def test_a_bus_that_fails_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
     with contextlib.ExitStack() as stack:
         stack.enter_context(pytest.raises(BusError, match="the bus fails: it is gone"))
         stack.enter_context(network)
-        monkeypatch.setattr(network._bus, "receive", failing)
+        folder = Path(str(network.config.modules[0].state_dir))
+        assert folder.is_dir()
+        network._bus.receive = failing  # type: ignore[method-assign]
         network.wait()
     assert ended == ["end"]
+    assert not folder.exists()
 
 
 def test_a_bus_that_cannot_be_opened_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
