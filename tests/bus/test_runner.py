@@ -35,10 +35,22 @@ class Bench:
     def __init__(self, *plan: tuple[float, can.Message | Exception]) -> None:
         self.clock = FakeClock()
         self.bus = FakeBus(self.clock, plan)
-        self.lines: list[tuple[float, str]] = []
+        self.reported: list[str] = []
 
     def device(self, **options: Any) -> FakeDevice:
         return FakeDevice(self.clock, **options)
+
+    def runner(self, devices: list[Device], **options: Any) -> Runner:
+        bus: Any = self.bus
+        return Runner(
+            frame_bus(bus),
+            devices,
+            self.reported.append,
+            self.clock,
+            self.clock.sleep,
+            lambda: self.clock.now + WALL_S,
+            **options,
+        )
 
     def run(
         self,
@@ -47,23 +59,10 @@ class Bench:
         ready: Callable[[], None] = lambda: None,
         **options: Any,
     ) -> Runner:
-        bus: Any = self.bus
-        runner = Runner(
-            frame_bus(bus),
-            devices,
-            lambda text: self.lines.append((self.bus.at, text)),
-            self.clock,
-            self.clock.sleep,
-            lambda: self.clock.now + WALL_S,
-            **options,
-        )
+        runner = self.runner(devices, **options)
         self.bus.end_s = duration_s
         runner.run(lambda: self.bus.at >= duration_s, ready)
         return runner
-
-    @property
-    def reported(self) -> list[str]:
-        return [text for _, text in self.lines]
 
 
 def test_a_frame_reaches_every_device_with_the_time_and_answers_go_out() -> None:
@@ -280,12 +279,12 @@ def test_stop_ends_it_from_within_or_after_the_boot_up() -> None:
         return [Frame(0x200, b"")]
 
     device = bench.device(answer=ending)
-    runner = Runner(frame_bus(bench.bus), [device], clock=bench.clock)
+    runner = bench.runner([device])
     runner.run()
     assert device.heard_ids() == [0x123]
     assert bench.bus.sent_ids() == [0x200]
     bench = Bench()
-    runner = Runner(frame_bus(bench.bus), [bench.device(boot=(Frame(0x701, b"\0"),))], clock=bench.clock)
+    runner = bench.runner([bench.device(boot=(Frame(0x701, b"\0"),))])
     runner.stop()
     runner.run()
     assert bench.bus.sent_ids() == [0x701]
@@ -377,10 +376,8 @@ def test_other_nodes_are_heard_before_the_devices_start(
 ) -> None:
     bench = Bench(*plan)
     device = bench.device(boot=(Frame(0x720, b"\0"),))
-    lines = list[str]()
-    runner = Runner(frame_bus(cast(Any, bench.bus)), [device], lines.append, bench.clock, bench.clock.sleep)
-    assert runner.hears({0x5A0, 0x720}, 0.1, ASKED) == heard
-    assert ("the CAN controller is bus-off" in lines) is ((0.01, BUS_OFF) in plan)
+    assert bench.runner([device]).hears({0x5A0, 0x720}, 0.1, ASKED) == heard
+    assert ("the CAN controller is bus-off" in bench.reported) is ((0.01, BUS_OFF) in plan)
     assert bench.bus.at == pytest.approx(until_s)
     assert bench.bus.sent_ids() == [0x620]
     assert device.heard == []
