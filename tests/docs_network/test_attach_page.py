@@ -197,32 +197,18 @@ def test_all_frames_of_cansend_are_taken() -> None:
     assert bus.module.state is NmtState.PRE_OPERATIONAL
 
 
-@pytest.fixture
-def bus_of_the_page(monkeypatch: pytest.MonkeyPatch) -> FeedbackModule:
-    """A module on an embedded bus, on which every canopen.Network connects."""
-    bus = EmbeddedBus()
+def test_the_python_example_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, words = EmbeddedBus(), dict[str, Any]()
     module = FeedbackModule(ModuleConfig(node_id=NODE, encoder_interface=INTERFACE))
     bus.attach(module)
-
-    class Connected(EmbeddedNetwork):
-        def __init__(self) -> None:
-            super().__init__(bus)
-
-        def connect(self, **words: Any) -> Connected:
-            assert words == {"interface": "socketcan", "channel": "can0"}
-            return self
-
-        def disconnect(self) -> None:
-            pass
-
-    monkeypatch.setattr(canopen, "Network", Connected)
-    return module
-
-
-def test_the_python_example_runs(bus_of_the_page: FeedbackModule) -> None:
+    network = EmbeddedNetwork(bus)
+    monkeypatch.setattr(network, "connect", lambda **given: words.update(given) or network)
+    monkeypatch.setattr(network, "disconnect", lambda: None)
+    monkeypatch.setattr(canopen, "Network", lambda: network)
     (links,) = blocks(PAGE, "python")
     exec(links, {})
-    entry = bus_of_the_page.dictionary.entry
+    assert words == {"interface": "socketcan", "channel": "can0"}
+    entry = module.dictionary.entry
     assert entry(0x1800, 1).value == NO_REMOTE | 0x2B5
     assert entry(0x1801, 1).value & OFF
     assert entry(0x1400, 1).value == 0x195
