@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -27,12 +28,15 @@ PATIENCE_S = 60.0
 
 
 class FakeComputer:
-    """A device that has one thing to compute after the other."""
+    """A device that has one thing to compute after the other, polled until something has happened."""
 
-    def __init__(self, *jobs: Any) -> None:
+    def __init__(self, *jobs: Any, **options: Any) -> None:
         self.jobs = list(jobs)
         self.results: list[Any] = []
         self.parts: list[float] = []
+        self.lines: list[str] = []
+        self.frames: list[Frame] = []
+        self.computation = Computation(self, self.lines.append, **options)
 
     def pending_job(self) -> Any:
         return self.jobs[0] if self.jobs else None
@@ -46,15 +50,6 @@ class FakeComputer:
         assert job is self.jobs[0]
         self.parts.append(part)
 
-
-class Host:
-    """Polls a computation until something has happened."""
-
-    def __init__(self, device: FakeComputer, **options: Any) -> None:
-        self.lines: list[str] = []
-        self.frames: list[Frame] = []
-        self.computation = Computation(device, self.lines.append, **options)
-
     def poll_until(self, done: Callable[[], bool]) -> None:
         give_up = time.monotonic() + PATIENCE_S
         while not done():
@@ -64,16 +59,15 @@ class Host:
 
 
 @pytest.fixture
-def host() -> Any:
-    hosts: list[Host] = []
+def computer() -> Iterator[Callable[..., FakeComputer]]:
+    with contextlib.ExitStack() as stack:
 
-    def make(device: FakeComputer, **options: Any) -> Host:
-        hosts.append(Host(device, **options))
-        return hosts[-1]
+        def make(*jobs: Any, **options: Any) -> FakeComputer:
+            made = FakeComputer(*jobs, **options)
+            stack.callback(made.computation.close)
+            return made
 
-    yield make
-    for one in hosts:
-        one.computation.close()
+        yield make
 
 
 def is_alive(pid: int) -> bool:
@@ -87,15 +81,14 @@ def is_alive(pid: int) -> bool:
 LONG = tuple(range(300_000))  # more than a pipe holds
 
 
-def test_jobs_are_done_one_after_the_other_and_what_fails_is_told(host: Any) -> None:
+def test_jobs_are_done_one_after_the_other_and_what_fails_is_told(computer: Any) -> None:
     jobs = [fail, partial(add, (1, 2)), crash, lambda tell: None, partial(add, LONG)]
-    device = FakeComputer(*jobs)
-    one = host(device)
-    one.poll_until(lambda: not device.jobs)
-    assert [None if isinstance(got, Exception) else got for got in device.results] == [
+    one = computer(*jobs)
+    one.poll_until(lambda: not one.jobs)
+    assert [None if isinstance(got, Exception) else got for got in one.results] == [
         *(None, 3, None, None, sum(LONG)),
     ]
-    assert device.parts == [0.25, 1.0] * 2
+    assert one.parts == [0.25, 1.0] * 2
     assert one.frames == [Frame(0x123, bytes([n])) for n in range(1, len(jobs) + 1)]
     said = "the computation of a reference measurement failed: "
     assert one.lines[:2] == [
@@ -106,15 +99,14 @@ def test_jobs_are_done_one_after_the_other_and_what_fails_is_told(host: Any) -> 
     assert one.lines[2].startswith(said)
 
 
-def test_it_is_another_process_that_gives_way_on_the_processors_that_ours_had(host: Any) -> None:
-    device, before = FakeComputer(tell_of_the_process), os.sched_getaffinity(0)
-    one = host(device)
+def test_it_is_another_process_that_gives_way_on_the_processors_that_ours_had(computer: Any) -> None:
+    one, before = computer(tell_of_the_process), os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(before)})
     try:
-        one.poll_until(lambda: bool(device.results))
+        one.poll_until(lambda: bool(one.results))
     finally:
         os.sched_setaffinity(0, before)
-    ((pid, niceness, program, processors),) = device.results
+    ((pid, niceness, program, processors),) = one.results
     assert pid != os.getpid()
     assert niceness == min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19)
     assert program.endswith("compute_process.py"), "nothing of the program that uses it is run again"
@@ -122,24 +114,22 @@ def test_it_is_another_process_that_gives_way_on_the_processors_that_ours_had(ho
 
 
 @pytest.mark.parametrize("command", [("/nowhere/at-all",), ("/bin/echo", "no message at all")])
-def test_a_process_that_is_none_of_ours_is_a_failure(host: Any, command: tuple[str, ...]) -> None:
-    device = FakeComputer(partial(add, LONG))
-    one = host(device, command=command)
-    one.poll_until(lambda: bool(device.results))
-    assert isinstance(device.results[0], Exception)
+def test_a_process_that_is_none_of_ours_is_a_failure(computer: Any, command: tuple[str, ...]) -> None:
+    one = computer(partial(add, LONG), command=command)
+    one.poll_until(lambda: bool(one.results))
+    assert isinstance(one.results[0], Exception)
     assert len(one.lines) == 1
 
 
-def test_what_is_not_wanted_any_more_is_killed(host: Any) -> None:
-    device = FakeComputer(never_end)
-    one = host(device)
-    one.poll_until(lambda: bool(device.parts))
-    pid = int(device.parts[0])
+def test_what_is_not_wanted_any_more_is_killed(computer: Any) -> None:
+    one = computer(never_end)
+    one.poll_until(lambda: bool(one.parts))
+    pid = int(one.parts[0])
     assert is_alive(pid)
-    device.jobs = [partial(add, (1,))]
-    one.poll_until(lambda: bool(device.results))
+    one.jobs = [partial(add, (1,))]
+    one.poll_until(lambda: bool(one.results))
     one.poll_until(lambda: not is_alive(pid))
-    assert device.results == [1]
+    assert one.results == [1]
 
 
 def recorded() -> CalibrationJob:
@@ -151,10 +141,10 @@ def recorded() -> CalibrationJob:
     return CalibrationJob(recording.to_bytes(), None, 12)
 
 
-def test_the_job_of_the_module_gives_the_same_there_as_here(host: Any) -> None:
+def test_the_job_of_the_module_gives_the_same_there_as_here(computer: Any) -> None:
     job = recorded()
-    device = FakeComputer(job)
-    host(device).poll_until(lambda: bool(device.results))
+    device = computer(job)
+    device.poll_until(lambda: bool(device.results))
     there, here = device.results[0], job()
     assert isinstance(there, Outcome)
     assert there.text == here.text
