@@ -191,21 +191,16 @@ def test_a_save_that_is_not_possible_is_said_before_anything_is_measured() -> No
 FAR_TOO_FAST = Motion((Ramp(0.5, 0.0), *(Ramp(0.022, 240.0), Ramp(0.022, 0.0)) * 500))
 
 
-def lost() -> Bench:
-    bench = bench_of()
+def lose(bench: Bench) -> None:
     bench.module.chain.lose()
     bench.bus.run_until(bench.bus.now + 0.05)
-    return bench
 
 
-def without_a_limit() -> Bench:
-    bench = bench_of()
+def spoil_the_limit(bench: Bench) -> None:
     bench.module.dictionary.entry(*od.SUPERVISION_ACCELERATION).value = float("nan")
-    return bench
 
 
-def without_a_speed() -> Bench:
-    bench = bench_of()
+def spoil_the_speed(bench: Bench) -> None:
     receive = bench.module.receive
 
     def spoiled(frame: Frame, now: float) -> list[Frame]:
@@ -214,27 +209,26 @@ def without_a_speed() -> Bench:
         return receive(frame, now)
 
     bench.module.receive = spoiled  # type: ignore[method-assign]
-    return bench
 
 
-REFUSED: dict[str, tuple[Callable[[], Bench], str]] = {
-    "no table": (lambda: bench_of(table=False), r"no correction table is active.*run canfb calibrate first"),
-    "standing": (
-        lambda: bench_of(Motion(())),
-        "the machine stands still: nothing can be said of its acceler",
-    ),
-    "too fast": (lambda: bench_of(FAR_TOO_FAST), "the position is lost"),
-    "lost": (lost, r"the position is lost \(2011:01\)"),
-    "limit": (without_a_limit, "2010:02, largest acceleration, is nan"),
-    "speed": (without_a_speed, r"its speed \(2011:07\) is nan"),
-    "stopped": (lambda: bench_of(operational=False), r"no valid position \(2011:01 is .*NMT start"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_commissioned_is_refused_in_one_line(case: str) -> None:
-    made, words = REFUSED[case]
-    bench = made()
+@pytest.mark.parametrize(
+    ("options", "spoil", "words"),
+    [
+        ({"table": False}, None, r"no correction table is active.*run canfb calibrate first"),
+        ({"motion": Motion(())}, None, "the machine stands still: nothing can be said of its acceler"),
+        ({"motion": FAR_TOO_FAST}, None, "the position is lost"),
+        ({}, lose, r"the position is lost \(2011:01\)"),
+        ({}, spoil_the_limit, "2010:02, largest acceleration, is nan"),
+        ({}, spoil_the_speed, r"its speed \(2011:07\) is nan"),
+        ({"operational": False}, None, r"no valid position \(2011:01 is .*NMT start"),
+    ],
+)
+def test_what_cannot_be_commissioned_is_refused_in_one_line(
+    options: dict[str, Any], spoil: Callable[[Bench], None] | None, words: str
+) -> None:
+    bench = bench_of(**options)
+    if spoil is not None:
+        spoil(bench)
     with pytest.raises(CommissioningError, match=words) as error:
         commission(bench, "--write")
     assert "\n" not in str(error.value)
