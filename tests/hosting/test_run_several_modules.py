@@ -228,7 +228,6 @@ PAGE = page("attach").partition("\n## Several")[2]
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("node_id: 0x21", "node_id: 0x20"),
         ("axis-y", "axis-x"),
         ("node_id: 0x21", "node_id: 255\n    serial_number: 4711"),
     ],
