@@ -24,7 +24,8 @@ from canfb.objects import StatusBit
 from canfb.simulation.cia402.drive import DriveError
 from canfb.simulation.cia402.state_machine import State
 
-TEXT = (FOLDER / "network.yaml").read_text(encoding="utf-8")
+EDS = str(FOLDER.parents[1] / "eds")
+TEXT = (FOLDER / "network.yaml").read_text(encoding="utf-8").replace("../../eds", EDS)
 
 
 def figure(said: str, what: str, move: int = 0) -> float:
@@ -162,8 +163,7 @@ def test_another_device_is_refused_before_anything_is_written(tmp_path: Path) ->
     network = DriveNetwork()
     before = writable(network.drive)
     path = tmp_path / "network.yaml"
-    text = TEXT.replace("../../eds", str(FOLDER.parents[1] / "eds"))
-    path.write_text(text.replace("product_code: 3", "product_code: 4"), encoding="utf-8")
+    path.write_text(TEXT.replace("product_code: 3", "product_code: 4"), encoding="utf-8")
     with pytest.raises(configuring.NetworkError, match=r"drive \(30h\) 1018:02: another device"):
         network.run(file=path)
     assert writable(network.drive) == before
@@ -178,7 +178,7 @@ def test_another_device_is_refused_before_anything_is_written(tmp_path: Path) ->
 )
 def test_a_network_without_what_the_story_needs(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "network.yaml"
-    text = TEXT.replace("../../eds", str(FOLDER.parents[1] / "eds")).replace(old, new)
+    text = TEXT.replace(old, new)
     if "motor" in new:
         text = text.replace("node: drive", "node: motor").replace("module, drive]", "module, motor]")
     path.write_text(text, encoding="utf-8")
@@ -193,8 +193,7 @@ def test_a_wrong_file_and_a_bus_that_is_not_there(tmp_path: Path, capsys: pytest
     path.write_text("nodes: 3\n", encoding="utf-8")
     assert master.main([str(path)]) == 2
     assert capsys.readouterr().err.startswith(f"master: {path}:1: the network: 'bus' is missing")
-    text = TEXT.replace("../../eds", str(FOLDER.parents[1] / "eds")).replace("channel: vcan0", "channel: no0")
-    path.write_text(text, encoding="utf-8")
+    path.write_text(TEXT.replace("channel: vcan0", "channel: no0"), encoding="utf-8")
     assert master.main([str(path)]) == 1
     said = capsys.readouterr().err
     assert said.startswith("master: ")
