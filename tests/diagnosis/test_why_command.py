@@ -220,7 +220,7 @@ def canfb(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
 def config(tmp_path: Path) -> Path:
     path = tmp_path / "left.yaml"
     path.write_text(
-        "bus: {interface: virtual, channel: x, password: apple}\n"
+        "bus: {channel: x, password: apple}\n"
         f"modules: [{{node_id: {MODULE_ID}, encoder_interface: {INTERFACE_ID}}}]\n"
     )
     return path
@@ -247,7 +247,7 @@ def test_all_objects_of_the_configured_nodes_are_in_the_file(
     assert module["objects"]["1008:00"] == "canfb drive feedback module"
     assert "2020:01" not in module["objects"], "no tables"
     assert "2020:03" not in module["objects"], "write only"
-    assert found["configuration"]["bus"] == {"interface": "virtual", "channel": "x", "password": "(left out)"}
+    assert found["configuration"]["bus"] == {"channel": "x", "password": "(left out)"}
     assert re.search(rf"^node {MODULE_ID} \(20h\): \d+ objects$", out, re.M)
     assert re.search(r"^written  canfb-diagnose-\d{8}-\d{6}\.json$", out, re.M)
 
