@@ -184,12 +184,10 @@ class _System:
         self.inner_right[part] = np.matmul(turned, along[..., None])[..., 0]
 
     def _add_tracks(self, columns: FloatArray, ss: FloatArray, sc: FloatArray, cc: FloatArray) -> None:
-        half = columns.shape[1]
-        mixed = columns.T @ (columns * sc[:, None])
-        self.normal[:half, :half] += columns.T @ (columns * ss[:, None])
-        self.normal[:half, half:] += mixed
-        self.normal[half:, :half] += mixed.T
-        self.normal[half:, half:] += columns.T @ (columns * cc[:, None])
+        # A' A takes half the time of A' B; the third weight is a sum of squares, too: never below 0.
+        s, c, both = (_gram(columns, weight) for weight in (ss, cc, ss + cc + 2.0 * sc))
+        mixed = (both - s - c) / 2.0
+        self.normal += np.block([[s, mixed], [mixed, c]])
 
     def _weights(self, speed: FloatArray, used: BoolArray) -> tuple[FloatArray, FloatArray]:
         across, along = self.noise.across, self.noise.along
@@ -238,6 +236,11 @@ class _System:
 
     def inverse(self, information: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.pinv(self._held(information), rcond=1e-14, hermitian=True), np.float64)
+
+
+def _gram(columns: FloatArray, weight: FloatArray) -> FloatArray:
+    weighted = columns * np.sqrt(np.maximum(weight, 0.0))[:, None]
+    return np.asarray(weighted.T @ weighted, np.float64)
 
 
 GRID = 16384

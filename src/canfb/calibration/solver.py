@@ -275,21 +275,18 @@ def significant_orders(fit: JointFit) -> tuple[int, ...]:
     covariance = fit.covariance.copy()
     kept = list(orders)
     while len(kept) > 1:
-        sizes = {order: _size(values, covariance, places[order]) for order in kept if order > 1}
-        weakest = min(sizes, key=lambda order: sizes[order])
+        others = [order for order in kept if order > 1]
+        at = np.array([places[order] for order in others])
+        inverses = np.linalg.pinv(covariance[at[:, :, None], at[:, None, :]], hermitian=True)
+        sizes = np.einsum("ki,kij,kj->k", values[at], inverses, values[at])
+        weakest = int(sizes.argmin())
         if sizes[weakest] > SIGNIFICANT:
             break
-        kept.remove(weakest)
-        at = places[weakest]
-        share = covariance[:, at] @ np.linalg.pinv(covariance[np.ix_(at, at)], hermitian=True)
-        values = values - share @ values[at]
-        covariance = covariance - share @ covariance[at]
+        kept.remove(others[weakest])
+        share = covariance[:, at[weakest]] @ inverses[weakest]
+        values = values - share @ values[at[weakest]]
+        covariance = covariance - share @ covariance[at[weakest]]
     return tuple(kept)
-
-
-def _size(values: FloatArray, covariance: FloatArray, at: list[int]) -> float:
-    inverse = np.linalg.pinv(covariance[np.ix_(at, at)], hermitian=True)
-    return float(values[at] @ inverse @ values[at])
 
 
 def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:
