@@ -149,7 +149,8 @@ def ends_through(
         lasts = {
             (*last[1:], position)
             for last in lasts
-            for position in (centre_of(last, order) + off for off in range(-bound, bound + 1))
+            for centre in [centre_of(last, order)]
+            for position in range(centre - bound, centre + bound + 1)
             if phase is None or position % steps_per_cycle == phase
         }
     return {last[-1] for last in lasts}
@@ -189,8 +190,7 @@ def test_every_motion_on_the_grid_is_legal_and_the_others_are_not(
     """
     known = [0] * order
     for phase in (0, 7, 12):
-        phases = [None] * missed + [phase]
-        found = ends_through(known, phases, Q, order, bound)
+        found = ends_through(known, [None] * missed + [phase], Q, order, bound)
         at = np.array([*range(order), order + missed], float)
         for count in range(-3, 4):
             end = count + phase / Q
