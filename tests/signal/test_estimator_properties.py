@@ -238,13 +238,13 @@ def test_every_motion_of_a_small_grid_over_missing_samples(missed: int, speed: i
         for position in motion[12 + missed : 12 + missed + 3]:
             feedback = chain.step(Sample(*counts_at(position / GRID, AMPLITUDE_COUNTS)))
             phases.append(position % GRID)
-            narrow = ends_through(motion[10:12], phases, GRID, 2, bound)
+            narrow = ends_through(motion[10:12], phases, GRID, bound)
             assert position in narrow
             if feedback.valid:
                 assert len(narrow) == 1  # else it was guessed
                 assert feedback.cycles == round(position / GRID - feedback.phase)
             elif len(phases) <= 3 + missed:
-                wide = ends_through(motion[10:12], phases, GRID, 2, wider)
+                wide = ends_through(motion[10:12], phases, GRID, wider)
                 assert len(wide) > 1
 
 

@@ -75,7 +75,7 @@ def judge(episode: Episode, published: Published) -> Verdict:
 def motions_before(episode: Episode) -> LegalMotions:
     declared, begin = episode.declared, slice(episode.fault - LEAD, episode.fault)
     right = episode.phase + np.rint(episode.truth - episode.phase)
-    motions = LegalMotions(declared.phase_error, 2, declared.bound)
+    motions = LegalMotions(declared.phase_error, declared.bound)
     motions.begin(episode.instants[begin].tolist(), right[begin].tolist())
     return motions
 
@@ -110,7 +110,7 @@ def proof(episode: Episode, published: Published, wrong: int) -> str:
     lines = [f"{len(motions.paths)} legal motions through all samples up to {wrong} that nothing flagged"]
     instants = np.array(motions.instants)
     for path in motions.paths[:10]:
-        bound = least_bound(instants, np.array(path), episode.declared.phase_error, 2)
+        bound = least_bound(instants, np.array(path), episode.declared.phase_error)
         end = path[-1] - float(episode.truth[wrong])
         lines.append(
             f"  ends {end:+.3f} cycles from the truth; least bound of a motion through it {bound:.4f}"

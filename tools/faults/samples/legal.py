@@ -1,8 +1,8 @@
 """Whether samples can be those of a machine within its limits: decided by linear programming.
 
 Nodes are the instants of the samples, and virtual ones about one interval apart where samples are missing.
-A motion of order r with the bound B is legal if the r-th divided differences of its nodes, times r!, are at
-most B; it fits the samples if it is within the phase error of each. This shares nothing with the estimator.
+A motion with the bound B is legal if the second divided differences of its nodes, times 2, are at most B; it
+fits the samples if it is within the phase error of each. This shares nothing with the estimator.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ def nodes_of(instants: Array) -> tuple[Array, npt.NDArray[np.int64]]:
     return np.array(nodes), np.array(places)
 
 
-def difference_rows(nodes: Array, order: int) -> Array:
-    """Matrix that takes positions at the nodes to r! times their divided differences."""
-    count = len(nodes) - order
+def difference_rows(nodes: Array) -> Array:
+    """Matrix that takes positions at the nodes to 2 times their second divided differences."""
+    count = len(nodes) - 2
     rows = np.zeros((max(0, count), len(nodes)))
     for n in range(count):
-        at = nodes[n : n + order + 1]
+        at = nodes[n : n + 3]
         for k, one in enumerate(at):
-            rows[n, n + k] = math.factorial(order) / float(np.prod(one - np.delete(at, k)))
+            rows[n, n + k] = 2.0 / float(np.prod(one - np.delete(at, k)))
     return rows
 
 
-def least_bound(instants: Array, samples: Array, phase_error: float | Array, order: int) -> float:
-    """The least bound B of a motion within ``phase_error`` of these positions, cycles per interval^order.
+def least_bound(instants: Array, samples: Array, phase_error: float | Array) -> float:
+    """The least bound B of a motion within ``phase_error`` of these positions, cycles per interval^2.
 
     ``instants``, intervals, increase; shapes (n,), of ``phase_error`` too if samples
-    differ in it. 0.0 for ``order`` samples or fewer.
+    differ in it. 0.0 for two samples or fewer.
     """
     nodes, places = nodes_of(instants)
-    rows = difference_rows(nodes, order)
+    rows = difference_rows(nodes)
     if not len(rows):
         return 0.0
-    reference = np.polynomial.Polynomial.fit(instants, samples, min(order - 1, len(samples) - 1))
+    reference = np.polynomial.Polynomial.fit(instants, samples, min(1, len(samples) - 1))
     rest = samples - reference(instants)
     column = -np.ones((len(rows), 1))
     constraints = np.vstack((np.hstack((rows, column)), np.hstack((-rows, column))))
@@ -72,21 +72,20 @@ def least_bound(instants: Array, samples: Array, phase_error: float | Array, ord
     return float(result.fun)
 
 
-def is_legal(instants: Array, samples: Array, phase_error: float, order: int, bound: float) -> bool:
-    return least_bound(instants, samples, phase_error, order) <= bound + SLACK
+def is_legal(instants: Array, samples: Array, phase_error: float, bound: float) -> bool:
+    return least_bound(instants, samples, phase_error) <= bound + SLACK
 
 
 def window(instants: Sequence[float], to: float, phase_error: float, bound: float) -> tuple[Array, float]:
     """Weights of the last samples for the position at ``to``, and how far from it a sample can be.
 
-    ``instants`` are those of the last r samples, increasing.
+    ``instants`` are those of the last two samples, increasing.
     """
     at = np.asarray(instants)
     weights = np.array(
         [np.prod((to - np.delete(at, k)) / (one - np.delete(at, k))) for k, one in enumerate(at)]
     )
-    order = len(at)
-    reach = bound * float(np.prod(to - at)) / math.factorial(order)
+    reach = bound * float(np.prod(to - at)) / 2.0
     return weights, reach + phase_error * (1.0 + float(np.abs(weights).sum()))
 
 
@@ -97,8 +96,8 @@ class LegalMotions:
     program, so that an estimator that keeps the windows of all samples publishes no other motion.
     """
 
-    def __init__(self, phase_error: float, order: int, bound: float) -> None:
-        self._phase_error, self._order, self._bound = phase_error, order, bound
+    def __init__(self, phase_error: float, bound: float) -> None:
+        self._phase_error, self._bound = phase_error, bound
         self.instants: list[float] = []
         self.paths: list[tuple[float, ...]] = []
         self.overflow = False
@@ -110,19 +109,17 @@ class LegalMotions:
         self._run, self._checked_from = len(instants), 0
 
     def add(self, instant: float, phase: float) -> None:
-        order = self._order
-        before = self.instants[-order:]
-        weights, radius = window(before, instant, self._phase_error, self._bound)
+        weights, radius = window(self.instants[-2:], instant, self._phase_error, self._bound)
         if instant - self.instants[-1] > HOLE:
-            if self._run >= order:
-                self._checked_from = len(self.instants) - order
+            if self._run >= 2:
+                self._checked_from = len(self.instants) - 2
             self._run = 0
         self._run += 1
         self.instants.append(instant)
-        near_hole = self._run <= order and len(self.instants) > self._run
+        near_hole = self._run <= 2 and len(self.instants) > self._run
         paths = []
         for path in self.paths:
-            centre = float(np.dot(weights, path[-order:]))
+            centre = float(np.dot(weights, path[-2:]))
             first = math.ceil(centre - radius - SLACK - phase)
             for count in range(first, math.floor(centre + radius + SLACK - phase) + 1):
                 one = (*path, count + phase)
@@ -131,11 +128,11 @@ class LegalMotions:
             if len(paths) > MOST_PATHS:
                 self.overflow = True
                 paths = paths[:MOST_PATHS]
-        if self._run > order:  # what is equal in its last samples has the same future
-            paths = list({one[-order:]: one for one in reversed(paths)}.values())
+        if self._run > 2:  # what is equal in its last samples has the same future
+            paths = list({one[-2:]: one for one in reversed(paths)}.values())
         self.paths = paths
 
     def _fits(self, path: tuple[float, ...]) -> bool:
         at = slice(self._checked_from, None)
         instants, samples = np.array(self.instants[at]), np.array(path[at])
-        return is_legal(instants, samples, self._phase_error, self._order, self._bound)
+        return is_legal(instants, samples, self._phase_error, self._bound)
