@@ -78,17 +78,18 @@ def diagnose(options: argparse.Namespace) -> int:
     path = options.out or Path(f"canfb-diagnose-{local_time():%Y%m%d-%H%M%S}.json")
     check_writable(path)
     parts: dict[str, Any] = {"versions": facts.versions()}
-    config, words = Config(), {}
+    config = Config()
     try:
         if options.config:
             config = load_config(options.config, ANY_NODES)
             parts["configuration"] = config
             parts["log"] = facts.journal(Path(options.config).stem)
-        words = bus_options(options, config.bus)
     except CanfbError as error:
         parts["configuration_error"] = str(error)
-    parts["bus"] = facts.interface_facts(words)
+        options.config = None  # another bus may be named
+    parts["bus"] = {}
     try:
+        parts["bus"] = facts.interface_facts(bus_options(options, config.bus))
         _ask(options, config, parts)
     except CanfbError as error:
         parts["bus"]["error"] = str(error)
@@ -111,8 +112,7 @@ def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> 
 
 
 def _say(path: Path, parts: dict[str, Any]) -> None:
-    missing = [parts["configuration_error"]] if "configuration_error" in parts else []
-    missing += [parts["bus"]["error"]] if "error" in parts["bus"] else []
+    missing = [said for said in (parts.get("configuration_error"), parts["bus"].get("error")) if said]
     for node in parts.get("nodes", []):
         name = f"node {node['node_id']} ({node['node_id']:02X}h)"
         print(f"{name}: {len(node.get('objects', {}))} objects")
