@@ -216,8 +216,7 @@ class _System:
         return Waveform(self.waveform.orders, old + change.reshape(old.shape)), self.motion + motion, step
 
     def result(self, waveform: Waveform, motion: FloatArray) -> JointFit:
-        blocks, size = self.blocks, len(self.right)
-        use = blocks.used
+        blocks, use, size = self.blocks, self.blocks.used, len(self.right)
         across = np.sqrt(np.sum(self.across[use] ** 2) / max(1.0, blocks.samples - size / 2.0))
         along = np.sqrt(np.sum(self.along[use] ** 2) / max(1.0, blocks.freedom - size / 2.0))
         noise = Noise(max(float(across), 1e-9), max(float(along), 1e-9))

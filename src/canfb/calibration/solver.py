@@ -266,27 +266,25 @@ def significant_orders(fit: JointFit) -> tuple[int, ...]:
     The least significant one goes first and the others are corrected for it: two that the
     samples can hardly separate would otherwise drop each other.
     """
-    orders, values = fit.waveform.orders, fit.waveform.coefficients.ravel()
+    orders, values, covariance = fit.waveform.orders, fit.waveform.coefficients.ravel(), fit.covariance
     half = len(values) // 2
     places = {
         order: [1 + 2 * at, 2 + 2 * at, half + 1 + 2 * at, half + 2 + 2 * at]
         for at, order in enumerate(orders)
     }
-    covariance = fit.covariance.copy()
-    kept = list(orders)
-    while len(kept) > 1:
-        others = [order for order in kept if order > 1]
-        at = np.array([places[order] for order in others])
+    kept = [order for order in orders if order > 1]
+    while kept:
+        at = np.array([places[order] for order in kept])
         inverses = np.linalg.pinv(covariance[at[:, :, None], at[:, None, :]], hermitian=True)
         sizes = np.einsum("ki,kij,kj->k", values[at], inverses, values[at])
         weakest = int(sizes.argmin())
         if sizes[weakest] > SIGNIFICANT:
             break
-        kept.remove(others[weakest])
+        del kept[weakest]
         share = covariance[:, at[weakest]] @ inverses[weakest]
         values = values - share @ values[at[weakest]]
         covariance = covariance - share @ covariance[at[weakest]]
-    return tuple(kept)
+    return (1, *kept)
 
 
 def reject(blocks: Blocks, fit: JointFit, coarse: bool = False) -> Blocks:

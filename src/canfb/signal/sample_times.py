@@ -152,7 +152,7 @@ class SampleTimes:
         harmless_s = min(unsure_s, SLIP_CYCLES * unit / speed_cycles) if speed_cycles else unsure_s
         spare_s, most_s = max(HEARD_S, harmless_s), 2.0 * max(grid.allowed * TICK_S, unsure_s)
         apart_s, heard_apart_s = _apart_s(self._synced_s, synced_s), _apart_s(self._received_s, received_s)
-        wrong, error_s = abs(intervals - counted), 0.0
+        wrong, error_s, by_call = abs(intervals - counted), 0.0, False
         if heard_apart_s is not None and apart_s is not None:
             error_s = abs(apart_s - passed_s)
             wrong = max(wrong, error_s / unit, abs(apart_s / unit - counted))
@@ -168,12 +168,13 @@ class SampleTimes:
                     self._least_s = min(soonest_s, least_s + DRIFT * passed_s * (late_s < HEARD_S))
                 elif counted > self._refused_counted:  # SYNCs were not sent, not received, or sent late
                     before, self._agrees = self._agrees, abs(late_s) <= unsure_s
-                    right = before and self._agrees
+                    right = by_call = before and self._agrees
             elif heard_apart_s is not None:
                 heard = [
                     abs(one - passed_s) <= unsure_s for one in (apart_s, heard_apart_s) if one is not None
                 ]
-                right = all(heard) or (right and any(heard))
+                # After a time that was not right the count alone is none either.
+                right = all(heard) or (right and (any(heard) or not self._refused_counted))
             right &= off_s <= max(grid.allowed * TICK_S or unsure_s, harmless_s)
         else:
             error_s = abs((heard_apart_s if apart_s is None else apart_s) - passed_s) - DRIFT * passed_s
@@ -183,9 +184,11 @@ class SampleTimes:
                 and error_s < unsure_s
                 and (apart_s is None or grid.deviation * TICK_S < self._heard_s)
             )
-        if not right:
-            kind = REPEATED if heard_apart_s is None and places < counted - 0.5 else SUSPECT
-            return self._refused(time_100ns, ticks, counted, wrong, kind, received_s, synced_s)
+        kind = REPEATED if heard_apart_s is None and places < counted - 0.5 else SUSPECT
+        if not right or (by_call and kind == REPEATED and grid.period):
+            return self._refused(
+                time_100ns, ticks, counted, wrong, intervals if right else kind, received_s, synced_s
+            )
         grid.take(self._at + ticks)
         received_s = _bounded(received_s, heard_apart_s, passed_s)
         self._take(time_100ns, ticks, received_s, _bounded(synced_s, apart_s, passed_s))
@@ -225,6 +228,9 @@ class SampleTimes:
             self.grid.learn(self._at + ticks)  # the clock is as even where its SYNC was late
             return kind
         if not self.grid.refuse(self._at + ticks):
+            if kind > 0.0:  # intervals, right by its call: its SYNC was late, or of another rate
+                self.grid.skip(max(0, self.grid.nearest(self._at + ticks)[0]))
+                self._take(time_100ns, ticks, received_s, synced_s)
             return kind
         self.grid.set_again(self.grid.row)
         self._least_s = inf
