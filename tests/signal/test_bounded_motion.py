@@ -127,7 +127,6 @@ def test_meet_is_where_both_are() -> None:
 
 # A motion on a grid of q steps per cycle: whole numbers at successive instants whose second
 # differences are at most B q. Every one is listed: what holds for all holds for each machine that moves so.
-
 Motion = tuple[int, ...]
 
 

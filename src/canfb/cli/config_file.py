@@ -167,8 +167,9 @@ def _check(options: argparse.Namespace) -> None:
         raise ConfigError(f"--name {options.name!r}: must be printable ASCII without ';'")
     if options.out is not None and options.out == options.concise:
         raise ConfigError(f"--concise {options.concise}: must differ from --out")
-    if options.concise is not None:  # before the DCF is written
-        check_writable(options.concise, "--concise")
+    for name, path in (("--out", options.out), ("--concise", options.concise)):  # before one is written
+        if path is not None:
+            check_writable(path, name)
 
 
 def _chosen(config: Config, options: argparse.Namespace) -> ModuleConfig:

@@ -114,8 +114,7 @@ def _ask(options: argparse.Namespace, config: Config, parts: dict[str, Any]) -> 
 def _say(path: Path, parts: dict[str, Any]) -> None:
     missing = [said for said in (parts.get("configuration_error"), parts["bus"].get("error")) if said]
     for node in parts.get("nodes", []):
-        name = f"node {node['node_id']} ({node['node_id']:02X}h)"
-        print(f"{name}: {len(node.get('objects', {}))} objects")
+        print(f"node {node['node_id']} ({node['node_id']:02X}h): {len(node.get('objects', {}))} objects")
         missing += [node["error"]] if "error" in node else []
     print(f"written  {path}")
     if missing:
